@@ -1,0 +1,49 @@
+"""The sensor profile's document, `gyrorig/sensor/1`: figures with their source."""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from gyrorig_protocol.documents import parse_yaml, read_as
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+
+
+class Bandwidth(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The low-pass choices at one output data rate."""
+
+    odr_hz: Positive
+    bandwidth_hz: tuple[Positive, ...]
+
+
+class Range(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One full-scale setting and its nominal sensitivity."""
+
+    full_scale_dps: Positive
+    sensitivity_mdps: Positive
+
+
+class SensorProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One gyroscope part: every figure from the data sheet named in `source`."""
+
+    sensor: str
+    source: str
+    ranges: tuple[Range, ...]
+    schema: Literal["gyrorig/sensor/1"] = "gyrorig/sensor/1"
+    low_pass: tuple[Bandwidth, ...] = ()
+    noise_density_dps_rthz: Positive | None = None
+    zero_rate_dps: Positive | None = None
+    zero_rate_per_kelvin_dps: Positive | None = None
+    scale_tolerance: Positive | None = None
+    cross_axis: Positive | None = None
+    temperature_scale_c: float | None = None
+    temperature_offset_c: float | None = None
+
+
+def parse_profile(text: str | bytes, name: str) -> SensorProfile:
+    """Return the sensor profile that a YAML document describes.
+
+    Raises:
+        UsageError: the document is not a profile; the text says where and why.
+    """
+    return read_as(parse_yaml(text, name), SensorProfile, name)

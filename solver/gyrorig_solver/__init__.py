@@ -1,0 +1,1 @@
+"""gyrorig_solver."""
