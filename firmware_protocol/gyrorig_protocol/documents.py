@@ -27,8 +27,8 @@ def parse_yaml(text: str | bytes, name: str, error: type[GyrorigError] = UsageEr
     """Return the value of one YAML document.
 
     Aliases, tags, several documents, more than 20 levels and more than 4 MB are
-    refused, and so are numbers that are not finite: an alias bomb of 306 bytes expands to 3.9e8 leaves (reference: PyYAML's
-    safe loader expands aliases without a limit).
+    refused, and so are numbers that are not finite. PyYAML's safe loader expands
+    aliases without a limit: a bomb of 306 bytes has 3.9e8 leaves.
 
     Args:
         text: the document.
