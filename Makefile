@@ -1,0 +1,56 @@
+# What a person does with the project, one word each. Nothing here needs root or hardware.
+#
+# The virtual environment is made when it is missing, and brought up to date when
+# pyproject.toml or constraints.txt is newer than the last installation.
+
+PYTHON ?= python3
+VENV   := .venv
+OUT    ?= demo
+SEED   ?= 7
+PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check bench clean
+
+help:  ## this text
+	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
+	@echo
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 15
+	@echo
+	@echo "Then: $(VENV)/bin/gyrorig --help"
+
+demo: $(VENV)/.solver  ## the whole way on an emulated rig; writes $(OUT)/ (SEED=7 makes another board)
+	@$(VENV)/bin/gyrorig demo --out $(OUT) --seed $(SEED)
+
+test: $(VENV)/.dev  ## every test
+	@$(VENV)/bin/python -m pytest -q -n 2 -m "not bench"
+
+check: $(VENV)/.dev  ## style, types and import contracts
+	$(VENV)/bin/ruff check
+	$(VENV)/bin/ruff format --check
+	$(VENV)/bin/mypy
+	$(VENV)/bin/lint-imports
+
+bench: $(VENV)/.dev  ## the benchmarks: speed, efficiency, clock error
+	@$(VENV)/bin/python -m pytest -m bench -s --timeout 1800
+
+clean:  ## remove the virtual environment, caches and the demo's output
+	rm -rf $(VENV) $(OUT) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+$(VENV)/.python:
+	@command -v $(PYTHON) >/dev/null || { echo "make: no $(PYTHON) here: install Python 3.11 or newer, or name one with make PYTHON=..." >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "make: $$($(PYTHON) --version) is too old: Python 3.11 or newer is needed; name one with make PYTHON=..." >&2; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "make: $(PYTHON) cannot make virtual environments: install python3-venv (apt install python3-venv)" >&2; exit 1; }
+	@echo "Making $(VENV) with $$($(PYTHON) --version)"
+	@$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.solver: $(VENV)/.python pyproject.toml constraints.txt
+	@echo "Installing gyrorig and what it needs"
+	@$(PIP) -e ".[solver]"
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
+	@echo "Installing gyrorig, what it needs and what its tests need"
+	@$(PIP) -e ".[solver,dev]"
+	@touch $@ $(VENV)/.solver

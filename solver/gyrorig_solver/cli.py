@@ -1,0 +1,125 @@
+"""The command `gyrorig`: what a desk does with recordings.
+
+What is here: the group of commands, loaded one by one when asked for, and the one place
+where an error becomes a line and an exit code. The commands are in
+`gyrorig_solver.commands`, one module each.
+"""
+
+import importlib
+import json
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import NoReturn
+
+import click
+
+from gyrorig_protocol.errors import GyrorigError, UsageError
+from gyrorig_solver.commands.terminal import Terminal, version_text
+
+# command: (module of gyrorig_solver.commands, its one-line help). The help stands here so
+# that `gyrorig --help` need not import scipy.
+_COMMANDS = {
+    "demo": ("demo", "The whole way on an emulated rig, from no hardware to a report."),
+    "record": ("daemon", "Record one session (gyrorigd record)."),
+    "emulate": ("daemon", "Open an emulated rig on ptys (gyrorigd emulate)."),
+    "import": ("importing", "Turn measurements made elsewhere into a recording."),
+    "check": ("check", "Is this recording sound, and what can it calibrate?"),
+    "solve": ("solve", "Turn recordings into a calibration and a report."),
+}
+_SOLVER_EXTRA = {"scipy", "matplotlib", "jinja2"}
+_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+
+
+class _LazyGroup(click.Group):
+    """A group whose commands are imported when one of them is run."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        module = importlib.import_module(f"gyrorig_solver.commands.{_COMMANDS[cmd_name][0]}")
+        command = getattr(module, f"{cmd_name}_command")
+        if not isinstance(command, click.Command):
+            raise TypeError(f"{cmd_name} is no command")
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
+
+
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option("--traceback", is_flag=True, help="Show where in the program an error came from.")
+@click.version_option(version_text(), "--version", message="gyrorig %(version)s")
+@click.pass_obj
+def cli(terminal: Terminal, traceback: bool) -> None:
+    r"""Tell what a gyroscope really does, and how far to believe it.
+
+    \b
+    Example, without any hardware:
+      gyrorig demo --out demo
+    """
+    terminal.traceback = traceback
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Carry out one command line and return its exit code; never raises.
+
+    The codes are those of the result contract: 0 done, 1 failed, 2 wrong usage, 3 input
+    refused, 4 done but something is not identifiable, 5 done in part, 75 busy.
+    """
+    terminal = Terminal()
+    try:
+        returned = cli.main(
+            args=list(arguments), prog_name="gyrorig", standalone_mode=False, obj=terminal
+        )
+        sys.stdout.flush()
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 1
+    except (KeyboardInterrupt, click.Abort):
+        return _fail(terminal, "stopped by the keyboard", _INTERRUPTED)
+    except Exception as fault:  # noqa: BLE001, RUF100 - the edge: every error becomes one line
+        if terminal.traceback:
+            traceback.print_exc()
+        return _report(terminal, fault, arguments)
+    return returned if isinstance(returned, int) else 0
+
+
+def main() -> NoReturn:
+    """Run the command line of this process and leave with its exit code."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def _report(terminal: Terminal, fault: Exception, arguments: Sequence[str]) -> int:
+    """Say in one line what `fault` is, and return the exit code for it."""
+    if isinstance(fault, ModuleNotFoundError) and (fault.name or "").split(".")[0] in _SOLVER_EXTRA:
+        fault = UsageError(
+            f"this command needs {fault.name}, which is not installed",
+            "pip install 'gyrorig[solver]'",
+        )
+    if isinstance(fault, GyrorigError):
+        return _fail(terminal, str(fault), fault.exit_code)
+    if isinstance(fault, click.ClickException):
+        context = getattr(fault, "ctx", None)
+        where = context.command_path if context is not None else "gyrorig"
+        return _fail(terminal, f"{fault.format_message().rstrip('.')} (see {where} --help)", 2)
+    if isinstance(fault, OSError):
+        return _fail(terminal, f"{fault.filename or 'this computer'}: {fault.strerror or fault}", 1)
+    if isinstance(fault, MemoryError):
+        return _fail(terminal, "out of memory: solve fewer or shorter recordings at once", 1)
+    again = " ".join(["gyrorig --traceback", *arguments])
+    return _fail(
+        terminal, f"a fault of the program, {type(fault).__name__}: {fault}; `{again}` shows it", 1
+    )
+
+
+def _fail(terminal: Terminal, text: str, code: int) -> int:
+    line = " ".join(text.split())
+    sys.stderr.write(f"gyrorig: {line}\n")
+    if terminal.json:
+        sys.stdout.write(json.dumps({"error": line, "exit_code": code}) + "\n")
+    return code

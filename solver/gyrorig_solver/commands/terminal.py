@@ -1,0 +1,62 @@
+"""What every command shares: where its words go, and its version.
+
+What to use when: `say` for a result a person reads, `emit` for the one object of
+`--json`, `progress` for what is being done now. Progress goes to standard error, and
+only on a terminal.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def version_text() -> str:
+    """Return the version of the installed project."""
+    return version("gyrorig")
+
+
+@dataclass(slots=True)
+class Terminal:
+    """The way from a command to the person, or program, that called it."""
+
+    json: bool = False
+    traceback: bool = False
+
+    def say(self, text: str) -> None:
+        """Write a result to standard output, unless it shall be JSON."""
+        if not self.json:
+            click.echo(text)
+
+    def emit(self, result: Mapping[str, Any]) -> None:
+        """Write the one JSON object of `--json`; nothing without that option."""
+        if self.json:
+            click.echo(json.dumps(result, allow_nan=False))
+
+    def progress(self, text: str) -> None:
+        """Say what is being done, on standard error, if that is a terminal."""
+        if sys.stderr.isatty():
+            click.echo(text, err=True)
+
+
+def _set_json(context: click.Context, _parameter: click.Parameter, value: bool) -> None:
+    if value:
+        context.find_object(Terminal).json = True  # type: ignore[union-attr] # set by run()
+
+
+def json_option(command: Command) -> Command:
+    """Give a command the option `--json`."""
+    return click.option(
+        "--json",
+        is_flag=True,
+        expose_value=False,
+        is_eager=True,
+        callback=_set_json,
+        help="Print one machine-readable object instead of text.",
+    )(command)
