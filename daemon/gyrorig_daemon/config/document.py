@@ -1,0 +1,210 @@
+"""The rig's document, `gyrorig/rig/1`: which devices hang on which ports, and how.
+
+What to use when: `load_rig` for a file that a person wrote. A port that reads
+`emulated` stands for a device of the emulated rig; every other port is a path. So only
+the ports differ between a rig on the desk and one that exists as a program.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from gyrorig_protocol.documents import parse_yaml, read_as
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.identity import BoardId
+
+SCHEMA = "gyrorig/rig/1"
+EMULATED = "emulated"
+PTU_PORT = "ptu"  # the hub's name of the unit's port; boards have "board:<id>"
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+Sign = Literal[-1, 1]
+Baud = Literal[
+    600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000,
+    921600, 1000000, 2000000,
+]  # fmt: skip
+PortPath = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
+Heading = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
+
+
+class Site(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the rig stands; what is unknown is left out."""
+
+    latitude_deg: Latitude | None = None
+    heading_deg: Heading | None = None
+    gravity_m_s2: Annotated[float, msgspec.Meta(ge=9.7, le=9.9)] | None = None
+
+
+class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Limits tighter than the unit's own: what the cables and the room allow."""
+
+    pan_min_deg: float | None = None
+    pan_max_deg: float | None = None
+    tilt_min_deg: float | None = None
+    tilt_max_deg: float | None = None
+    speed_deg_s: Positive | None = None
+
+
+class Polling(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How fast positions are asked for, and how long an answer may take.
+
+    The vendor's limit is 100 commands a second for E controllers and 10 for D ones
+    (reference: vendor support FAQ on command rate); left out, that limit is used.
+    """
+
+    rate_hz: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] | None = None
+    timeout_s: Annotated[float, msgspec.Meta(ge=0.05, le=30.0)] = 1.0
+
+
+class PtuPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The pan-tilt unit: its port, its language and the signs of its axes."""
+
+    port: PortPath
+    baud: Baud = 9600
+    dialect: Literal["auto", "d46", "e46"] = "auto"
+    pan_sign: Sign = 1
+    tilt_sign: Sign = 1
+    limits: CommandLimits = CommandLimits()
+    poll: Polling = Polling()
+    home_without_asking: bool = False
+
+
+class BoardFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a board that has no HELLO cannot say itself; unknown values are left out."""
+
+    uid: str | None = None
+    model: str | None = None
+    sensor: str | None = None
+    firmware: str | None = None
+    odr_hz: Positive | None = None
+    bandwidth_hz: Positive | None = None
+    gyro_full_scale_dps: Positive | None = None
+    gyro_scale_rad_s: Positive | None = None
+    accel_scale_m_s2: Positive | None = None
+    temperature_scale_c: float | None = None
+    temperature_offset_c: float | None = None
+    tick_hz: Positive | None = None
+    counter_bits: Annotated[int, msgspec.Meta(ge=8, le=64)] | None = None
+
+
+class BoardPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One board: its name, its port, what its bytes are."""
+
+    id: str
+    port: PortPath
+    baud: Baud = 115200
+    format: Literal["gcb1", "text"] = "gcb1"
+    columns: dict[str, Any] | None = None  # of the text lines: see gyrorig_protocol.board.text
+    facts: BoardFacts = BoardFacts()
+
+    @property
+    def board_id(self) -> BoardId:
+        """The board's name, checked when the document was read."""
+        return BoardId(self.id)
+
+    @property
+    def hub_port(self) -> str:
+        """The name of this board's port in the hub."""
+        return f"board:{self.id}"
+
+
+class Emulator(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The emulated rig, for ports that read `emulated`."""
+
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 1
+    dialect: Literal["d46", "e46"] = "e46"
+    command_time_ms: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 10.0
+    homed: bool = True
+    odr_hz: Literal[100, 200, 400, 800] = 100
+    bandwidth_hz: Positive | None = None
+    gyro_full_scale_dps: Literal[250, 500, 2000] = 250
+
+
+class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A whole rig."""
+
+    rig: str
+    ptu: PtuPort
+    boards: Annotated[tuple[BoardPort, ...], msgspec.Meta(min_length=1, max_length=64)]
+    schema: Literal["gyrorig/rig/1"] = "gyrorig/rig/1"
+    site: Site = Site()
+    emulator: Emulator = Emulator()
+
+    @property
+    def is_emulated(self) -> bool:
+        """True when every port is an emulated one."""
+        return all(port == EMULATED for port in self.ports().values())
+
+    def ports(self) -> dict[str, str]:
+        """Return the paths of all ports by the hub's names for them."""
+        return {PTU_PORT: self.ptu.port, **{b.hub_port: b.port for b in self.boards}}
+
+
+def parse_rig(text: str | bytes, name: str) -> RigConfig:
+    """Return the rig that a YAML document describes.
+
+    Raises:
+        UsageError: the document is not a rig; the text says where and why.
+    """
+    rig = read_as(parse_yaml(text, name), RigConfig, name)
+    try:
+        BoardId(rig.rig)
+        names = [BoardId(board.id) for board in rig.boards]
+    except InputError as fault:
+        raise UsageError(f"{name}: {fault.what}", fault.remedy) from fault
+    if len(set(names)) < len(names):
+        raise UsageError(f"{name} names a board twice", "give each board its own id")
+    paths = [path for path in rig.ports().values() if path != EMULATED]
+    if len(set(paths)) < len(paths):
+        raise UsageError(f"{name} names a port twice", "give each device its own port")
+    for board in rig.boards:
+        _check_board(board, name)
+    _check_limits(rig.ptu.limits, name)
+    return rig
+
+
+def load_rig(path: Path) -> RigConfig:
+    """Return the rig that the file describes.
+
+    Raises:
+        UsageError: the file cannot be read or is not a rig.
+    """
+    return parse_rig(read_document(path), path.name)
+
+
+def read_document(path: Path) -> bytes:
+    """Return the bytes of a configuration or program file.
+
+    Raises:
+        UsageError: there is no such file, or it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as fault:
+        raise UsageError(f"{path} cannot be read", f"{fault.strerror}") from fault
+
+
+def _check_board(board: BoardPort, name: str) -> None:
+    if board.format == "text":
+        if board.columns is None:
+            raise UsageError(f"{name}: board {board.id} sends text", "name its columns")
+        if board.facts.gyro_scale_rad_s is None or board.facts.sensor is None:
+            raise UsageError(
+                f"{name}: board {board.id} sends text and cannot say what it is",
+                "give facts: sensor and gyro_scale_rad_s at least",
+            )
+        if board.port == EMULATED:
+            raise UsageError(f"{name}: an emulated board sends gcb1", "leave out format: text")
+    elif board.columns is not None:
+        raise UsageError(f"{name}: board {board.id} has columns", "only format: text has them")
+
+
+def _check_limits(limits: CommandLimits, name: str) -> None:
+    for axis, low, high in (
+        ("pan", limits.pan_min_deg, limits.pan_max_deg),
+        ("tilt", limits.tilt_min_deg, limits.tilt_max_deg),
+    ):
+        if low is not None and high is not None and low >= high:
+            raise UsageError(f"{name}: {axis}_min_deg is not below {axis}_max_deg", "swap them")

@@ -1,0 +1,202 @@
+"""`AcquisitionHub`: the ports of a real rig, in real time, behind the acquisition process."""
+
+import contextlib
+import json
+import os
+import select
+import subprocess
+import sys
+from collections import deque
+from dataclasses import dataclass
+from types import TracebackType
+
+from gyrorig_daemon.links import wire
+from gyrorig_daemon.links.acquire import PIPE_BYTES, raw_ns
+from gyrorig_daemon.links.hub import Chunk, WriteStamp
+from gyrorig_daemon.links.serial_port import RefusedError, candidates, open_port
+from gyrorig_protocol.errors import BusyError, DeviceError, GyrorigError, MachineError, UsageError
+
+WRITE_DEADLINE_NS = 2_000_000_000
+OPEN_DEADLINE_NS = 15_000_000_000
+CLOSE_DEADLINE_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class PortSettings:
+    """How to open one port. `farewell` is sent to it if the daemon dies."""
+
+    path: str
+    baud: int
+    farewell: str = ""
+
+
+class AcquisitionHub:
+    """A `PortHub` over serial ports. Use it as a context, or close it."""
+
+    def __init__(self, ports: dict[str, PortSettings]) -> None:
+        """Open every port in the acquisition process.
+
+        Args:
+            ports: settings by the names that chunks and writes use.
+
+        Raises:
+            UsageError: there is no such port; the text names those there are.
+            BusyError: another program holds a port.
+            MachineError: no permission, or the process did not start.
+        """
+        self._names = list(ports)
+        self._settings = list(ports.values())
+        self._index = {name: index for index, name in enumerate(self._names)}
+        self._parser = wire.ReportParser()
+        self._reports: deque[wire.Report] = deque()
+        self._chunks: deque[Chunk] = deque()
+        self.dropped_bytes = 0
+        wanted = [[s.path, s.baud, s.farewell] for s in self._settings]
+        self._child = subprocess.Popen(  # noqa: S603 - our own module by our own interpreter
+            [sys.executable, "-m", "gyrorig_daemon.links.acquire", json.dumps(wanted)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            start_new_session=True,  # a Ctrl-C at the terminal is for the daemon alone
+        )
+        if self._child.stdin is None or self._child.stdout is None:
+            raise MachineError("the acquisition process has no pipes", "start again")
+        self._orders_fd = self._child.stdin.fileno()
+        self._reports_fd = self._child.stdout.fileno()
+        try:
+            self._wait_until_open()
+        except GyrorigError:
+            self.close()
+            raise
+
+    def __enter__(self) -> "AcquisitionHub":
+        """Return the hub itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close every port."""
+        self.close()
+
+    def now_ns(self) -> int:
+        """Return CLOCK_MONOTONIC_RAW in ns."""
+        return raw_ns()
+
+    def write(self, port: str, data: bytes) -> WriteStamp:
+        """Write all of `data`; what arrives meanwhile is kept for `read`.
+
+        Raises:
+            DeviceError: the port hung up, or did not take the bytes in 2 s.
+        """
+        deadline_ns = raw_ns() + WRITE_DEADLINE_NS
+        index = self._index[port]
+        order = wire.ORDER.pack(wire.WRITE, index, len(data), deadline_ns) + data
+        self._send(order)
+        while True:
+            report = self._next_report(deadline_ns + WRITE_DEADLINE_NS)
+            if report is None:
+                raise MachineError("the acquisition process does not answer", "start again")
+            if report.port == index and report.kind == wire.WRITTEN:
+                return WriteStamp(report.first_ns, report.second_ns)
+            if report.port == index and report.kind == wire.FAULT:
+                raise DeviceError(
+                    f"{self._settings[index].path} ({port}) cannot be written: "
+                    f"{report.data.decode(errors='replace')}",
+                    "check the cable and that the device is on",
+                )
+            self._keep(report)
+
+    def read(self, deadline_ns: int) -> Chunk | None:
+        """Return the next chunk, None at the deadline.
+
+        Raises:
+            MachineError: the acquisition process is gone.
+        """
+        while not self._chunks:
+            report = self._next_report(deadline_ns)
+            if report is None:
+                return None
+            self._keep(report)
+        return self._chunks.popleft()
+
+    def close(self) -> None:
+        """End the acquisition process. Closing twice is no fault."""
+        if self._child.stdin is None or self._child.stdin.closed:
+            return
+        with contextlib.suppress(OSError):
+            os.write(self._orders_fd, wire.ORDER.pack(wire.CLOSE, 0, 0, 0))
+        self._child.stdin.close()
+        try:
+            self._child.wait(CLOSE_DEADLINE_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        if self._child.stdout is not None:
+            self._child.stdout.close()
+
+    def _wait_until_open(self) -> None:
+        report = self._next_report(raw_ns() + OPEN_DEADLINE_NS)
+        if report is None:
+            raise MachineError("the acquisition process did not start", "look at its messages")
+        if report.kind != wire.REFUSED:
+            return
+        reason, _, text = report.data.decode(errors="replace").partition("\n")
+        raise refusal(self._names[report.port], self._settings[report.port].path, reason, text)
+
+    def _keep(self, report: wire.Report) -> None:
+        if report.kind == wire.CHUNK:
+            self._chunks.append(Chunk(self._names[report.port], report.first_ns, report.data))
+        elif report.kind == wire.LOST:
+            self.dropped_bytes += report.second_ns
+
+    def _send(self, order: bytes) -> None:
+        try:
+            os.write(self._orders_fd, order)
+        except OSError as fault:
+            self._child_is_gone(fault)
+
+    def _next_report(self, deadline_ns: int) -> wire.Report | None:
+        while not self._reports:
+            wait_s = max(0.0, (deadline_ns - raw_ns()) * 1e-9)
+            ready, _, _ = select.select([self._reports_fd], [], [], wait_s)
+            if not ready:
+                return None
+            data = os.read(self._reports_fd, PIPE_BYTES)
+            if not data:
+                self._child_is_gone(None)
+            self._reports.extend(self._parser.feed(data))
+        return self._reports.popleft()
+
+    def _child_is_gone(self, fault: OSError | None) -> None:
+        """Say the farewells ourselves: the process that had the ports is no more.
+
+        Raises:
+            MachineError: always.
+        """
+        for settings in self._settings:
+            if settings.farewell:
+                with contextlib.suppress(RefusedError, OSError):
+                    fd = open_port(settings.path, settings.baud)
+                    os.write(fd, settings.farewell.encode("ascii"))
+                    os.close(fd)
+        raise MachineError(
+            f"the acquisition process ended (status {self._child.poll()})",
+            "the unit was told to halt; start again",
+        ) from fault
+
+
+def refusal(port: str, path: str, reason: str, text: str) -> GyrorigError:
+    """Return the error for a port that could not be opened, by who must act."""
+    if reason == "busy":
+        return BusyError(f"{path} ({port}) is busy: {text}", "end that program, or wait")
+    if reason == "denied":
+        return MachineError(
+            f"{path} ({port}) may not be opened: {text}", "add this user to the group dialout"
+        )
+    there = candidates()
+    hint = f"ports here: {', '.join(there)}" if there else "this machine shows no serial port"
+    return UsageError(f"{path} ({port}) cannot be used: {text}", hint)

@@ -1,0 +1,64 @@
+"""The pipe between the daemon and its acquisition process.
+
+Two one-way pipes of frames, each a fixed header and its bytes. Only the standard
+library's struct: the acquisition process imports nothing larger.
+"""
+
+import struct
+from dataclasses import dataclass
+
+# daemon -> acquisition: kind, port index, length of the data, deadline in ns
+ORDER = struct.Struct("<BBxxIq")
+WRITE = 1
+CLOSE = 2
+
+# acquisition -> daemon: kind, port index, length of the data, two stamps in ns
+REPORT = struct.Struct("<BBxxIqq")
+OPENED = 1  # every port is open; no data
+CHUNK = 2  # data read; the first stamp is the return of the read call
+WRITTEN = 3  # stamps before and after the write
+FAULT = 4  # a write failed; data is the reason
+REFUSED = 5  # a port could not be opened; data is "<reason>\n<text>"
+LOST = 6  # the first stamp: when; the second: bytes dropped because the daemon did not read
+
+MAX_DATA_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One frame of the acquisition process."""
+
+    kind: int
+    port: int
+    first_ns: int
+    second_ns: int
+    data: bytes
+
+
+class ReportParser:
+    """Turn the pipe's bytes into reports, in whatever pieces they come."""
+
+    def __init__(self) -> None:
+        self._held = bytearray()
+
+    def feed(self, data: bytes) -> list[Report]:
+        """Return the reports that `data` completes.
+
+        Raises:
+            ValueError: the other side does not speak this language.
+        """
+        self._held += data
+        reports: list[Report] = []
+        at = 0
+        while len(self._held) - at >= REPORT.size:
+            kind, port, length, first_ns, second_ns = REPORT.unpack_from(self._held, at)
+            if length > MAX_DATA_BYTES:
+                raise ValueError(f"a frame of {length} bytes")
+            end = at + REPORT.size + length
+            if len(self._held) < end:
+                break
+            body = bytes(self._held[at + REPORT.size : end])
+            reports.append(Report(kind, port, first_ns, second_ns, body))
+            at = end
+        del self._held[:at]
+        return reports
