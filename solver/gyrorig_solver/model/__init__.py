@@ -1,1 +1,1 @@
-"""model."""
+"""What the solver believes of a gyroscope, one file a physical term."""
