@@ -1,0 +1,134 @@
+"""One device's clock, mapped to the capture clock as its stamps arrive."""
+
+import math
+from dataclasses import dataclass
+
+from gyrorig_daemon.clocks.floor import FloorFilter
+from gyrorig_daemon.clocks.unwrap import Unwrapper
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReport:
+    """What the map knows, for /diagnostics."""
+
+    mapped: bool  # False until the first second of stamps is in: arrival times stand in
+    offset_s: float
+    skew_ppm: float
+    sigma_s: float
+    restarts: int
+    windows: int
+    late_windows: int
+    early_windows: int
+    steps: int
+    two_way_low_s: float | None  # the sample's true time lies between map + low and map + high
+    two_way_high_s: float | None
+
+
+class OnlineClock:
+    """The map of one clock. Feed it every stamp in the order of arrival."""
+
+    def __init__(
+        self,
+        tick_hz: float,
+        counter_bits: int,
+        sequence_bits: int = 16,
+        skew_walk: float = 1e-8,
+    ) -> None:
+        """Begin without a map.
+
+        Args:
+            tick_hz: nominal ticks a second.
+            counter_bits: the width after which the counter wraps.
+            sequence_bits: the width of the sample counter beside it.
+            skew_walk: random walk of the skew per sqrt(s).
+        """
+        self._tick_hz = tick_hz
+        self._unwrap = Unwrapper(tick_hz, counter_bits, sequence_bits)
+        self._floor = FloorFilter(skew_walk)
+        self._origin_ticks = 0
+        self._origin_ns = 0
+        self._last_ticks = 0
+        self._restarts = -1  # the first stamp is no restart
+        self._low_s = -math.inf
+        self._high_s = math.inf
+
+    def restart(self) -> None:
+        """Begin anew: the device said that it booted."""
+        self._unwrap.restart()
+
+    def observe(
+        self, raw: int, arrival_ns: int, wire_ns: int = 0, sequence: int | None = None
+    ) -> int:
+        """Take one stamp and return its time on the raw monotonic clock, in ns.
+
+        Until there is a map, the arrival stands in for it. A sample is never later
+        than its arrival.
+
+        Args:
+            raw: ticks as sent.
+            arrival_ns: when the frame's last byte was in the host's hands.
+            wire_ns: how long the frame was on the wire: a known part of the latency.
+            sequence: the device's sample counter as sent.
+        """
+        stamp = self._unwrap.feed(raw, arrival_ns, sequence)
+        left_ns = arrival_ns - wire_ns
+        if stamp.restarted:
+            self._restarts += 1
+            self._floor.restart()
+            self._origin_ticks, self._origin_ns = stamp.ticks, left_ns
+            self._low_s, self._high_s = -math.inf, math.inf
+        self._last_ticks = max(stamp.ticks, self._origin_ticks)
+        device_s = self._device_s(stamp.ticks)
+        self._floor.observe(device_s, (left_ns - self._origin_ns) * 1e-9 - device_s)
+        mapped_ns = self._to_ns(device_s)
+        return arrival_ns if mapped_ns is None else min(mapped_ns, arrival_ns)
+
+    def map_ns(self, raw: int) -> int | None:
+        """Return the time of a stamp near the last one, None while there is no map."""
+        return self._to_ns(self._device_s(self._nearest(raw)))
+
+    def two_way(
+        self, sent_ns: int, device_receive: int, device_send: int, received_ns: int
+    ) -> None:
+        """Take one ping: the truth lies between what it was sent and received at.
+
+        Args:
+            sent_ns: when the request's last byte can first have left the host.
+            device_receive: 64-bit ticks when the device had it.
+            device_send: 64-bit ticks when the device answered.
+            received_ns: when the answer was in the host's hands, less its time on the wire.
+        """
+        there_ns, back_ns = self.map_ns(device_receive), self.map_ns(device_send)
+        if there_ns is None or back_ns is None:
+            return
+        self._low_s = max(self._low_s, (sent_ns - there_ns) * 1e-9)
+        self._high_s = min(self._high_s, (received_ns - back_ns) * 1e-9)
+
+    def report(self) -> ClockReport:
+        """Return the state of the map."""
+        state = self._floor.state()
+        return ClockReport(
+            mapped=self._floor.has_state,
+            offset_s=state.offset_s,
+            skew_ppm=state.skew * 1e6,
+            sigma_s=state.offset_sigma_s if self._floor.has_state else math.inf,
+            restarts=max(self._restarts, 0),
+            windows=state.windows,
+            late_windows=state.late_windows,
+            early_windows=state.early_windows,
+            steps=state.steps,
+            two_way_low_s=self._low_s if math.isfinite(self._low_s) else None,
+            two_way_high_s=self._high_s if math.isfinite(self._high_s) else None,
+        )
+
+    def _device_s(self, ticks: int) -> float:
+        return (ticks - self._origin_ticks) / self._tick_hz
+
+    def _nearest(self, raw: int) -> int:
+        modulus = self._unwrap.modulus
+        return raw + round((self._last_ticks - raw) / modulus) * modulus
+
+    def _to_ns(self, device_s: float) -> int | None:
+        if not self._floor.has_state:
+            return None
+        return self._origin_ns + round((device_s + self._floor.latency_floor_s(device_s)) * 1e9)

@@ -1,0 +1,100 @@
+"""One loop for everything that waits: chunks to whoever owns the port, timers when due.
+
+Whatever a session waits for (an answer, the end of a move, a rest), it waits in
+`Pump.run_until`, and every other port and timer goes on meanwhile. Nothing here knows
+whether time is real.
+"""
+
+from collections.abc import Callable
+from typing import Protocol
+
+from gyrorig_daemon.links.hub import Chunk, PortHub, WriteStamp
+from gyrorig_protocol.errors import GyrorigError
+
+SLICE_NS = 50_000_000  # how long a request to stop may go unnoticed
+
+Sink = Callable[[Chunk], None]
+
+
+class StopRequestedError(GyrorigError):
+    """A person or the system asked this process to stop (SIGINT, SIGTERM)."""
+
+
+class Timer(Protocol):
+    """Something due at times of its own; `fire` must set the next `due_ns`."""
+
+    due_ns: int
+
+    def fire(self, now_ns: int) -> None:
+        """Do what is due. It may write to ports; it must not wait."""
+        ...
+
+
+class StopFlag:
+    """Set by a signal handler, looked at between chunks."""
+
+    def __init__(self) -> None:
+        self.reason: str | None = None
+
+    def request(self, reason: str) -> None:
+        """Ask to stop."""
+        self.reason = reason
+
+
+class Pump:
+    """The hub's chunks and the session's timers, one at a time, in one thread."""
+
+    def __init__(self, hub: PortHub, stop: StopFlag | None = None) -> None:
+        self._hub = hub
+        self._stop = stop or StopFlag()
+        self._sinks: dict[str, Sink] = {}
+        self._timers: list[Timer] = []
+        self._heeds_stop = True
+
+    def attach(self, port: str, sink: Sink) -> None:
+        """Give every chunk of `port` to `sink`."""
+        self._sinks[port] = sink
+
+    def add_timer(self, timer: Timer) -> None:
+        """Fire `timer` whenever it is due."""
+        self._timers.append(timer)
+
+    def ignore_stop(self) -> None:
+        """From here on finish what is begun: the stop has been heard."""
+        self._heeds_stop = False
+
+    def now_ns(self) -> int:
+        """Return the hub's time in ns."""
+        return self._hub.now_ns()
+
+    def write(self, port: str, data: bytes) -> WriteStamp:
+        """Write to a port; see `PortHub.write`."""
+        return self._hub.write(port, data)
+
+    def run_until(self, deadline_ns: int, done: Callable[[], bool] | None = None) -> bool:
+        """Serve ports and timers until `done()` or the deadline.
+
+        Returns:
+            True when `done()` came true, False at the deadline.
+
+        Raises:
+            StopRequestedError: the stop flag is set and heeded.
+        """
+        while True:
+            if self._stop.reason is not None and self._heeds_stop:
+                raise StopRequestedError(f"stopped by {self._stop.reason}")
+            if done is not None and done():
+                return True
+            now_ns = self._hub.now_ns()
+            if now_ns >= deadline_ns:
+                return False
+            until_ns = min(deadline_ns, now_ns + SLICE_NS)
+            for timer in self._timers:
+                if timer.due_ns <= now_ns:
+                    timer.fire(now_ns)
+                until_ns = min(until_ns, timer.due_ns)
+            chunk = self._hub.read(until_ns)
+            if chunk is not None:
+                sink = self._sinks.get(chunk.port)
+                if sink is not None:
+                    sink(chunk)

@@ -1,0 +1,269 @@
+"""One command in flight: exchanges with a pan-tilt unit over a pump.
+
+What to use when: `ask` for a question or an order that must succeed; `exchange` where
+a silence is to be lived with; `halt` on every way out. There is no flow control on the
+wire: the next command waits for the answer to the last, and for the vendor's rate.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from gyrorig_daemon.links.hub import Chunk
+from gyrorig_daemon.links.pump import Pump
+from gyrorig_protocol.errors import DeviceError
+from gyrorig_protocol.ptu import (
+    Axis,
+    Banner,
+    CableFlag,
+    FrameError,
+    LimitFlag,
+    PtuCommand,
+    PtuReplyParser,
+    Reply,
+    require_done,
+)
+from gyrorig_protocol.ptu.commands import HALT
+
+DRAIN_S = 0.5  # reference: ptu-e46.md section 9
+ATTEMPTS = 3
+RAW_LIMIT_BYTES = 4096  # what one exchange keeps of what was received
+SETTLE_POLLS = 3  # equal answers in a row that count as stillness
+BITS_PER_BYTE = 10  # 8N1 with start and stop bit
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """One command and what came back, with stamps on the raw monotonic clock."""
+
+    command: PtuCommand
+    request_ns: int  # just before the first byte is written
+    sent_ns: int  # the last byte handed over
+    first_byte_ns: int  # equal to reply_ns where nothing came
+    reply_ns: int
+    reply: Reply | None  # None: no answer in time, or garbage
+    raw: bytes  # everything received meanwhile
+    limit_hit: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """What one poll answered; an axis that was not asked keeps its last answer."""
+
+    exchange: Exchange
+    pan_steps: int
+    tilt_steps: int
+    has_pan: bool
+    has_tilt: bool
+    still: bool | None  # what BT says of the speeds; None where the answer has none
+    counter: int | None
+    taken_ns: int  # the middle of the interval in which the answer was taken
+
+
+@dataclass(slots=True)
+class Counts:
+    """What went wrong on the unit's line, by cause."""
+
+    timeouts: int = 0
+    garbled: int = 0
+    stale: int = 0
+    frame_errors: int = 0
+    refused: int = 0
+    limit_flags: int = 0
+    exchanges: int = 0
+    polls: int = 0
+    reply_wait_max_ns: int = field(default=0)
+
+
+class PtuClient:
+    """The host's end of one unit's serial line."""
+
+    def __init__(
+        self,
+        pump: Pump,
+        port: str,
+        *,
+        where: str,
+        baud: int,
+        on_exchange: Callable[[Exchange], None],
+        timeout_s: float = 1.0,
+    ) -> None:
+        """Attach to the port.
+
+        Args:
+            pump: what serves the ports.
+            port: the hub's name of the unit's port.
+            where: what to call the port in an error, usually its path.
+            baud: the line's rate, for the time that bytes take.
+            on_exchange: called with every exchange but the polls.
+            timeout_s: least patience with any answer.
+        """
+        self._pump = pump
+        self._port = port
+        self.where = where
+        self.baud = baud
+        self._on_exchange = on_exchange
+        self._timeout_s = timeout_s
+        self._parser = PtuReplyParser()
+        self._raw = bytearray()
+        self._reply: Reply | None = None
+        self._in_flight = False
+        self._garbled = False
+        self._limit_hit = False
+        self._last_request_ns: int | None = None
+        self.counts = Counts()
+        self.min_interval_s = 0.0
+        self.resetting = False
+        self.expects_banner = True
+        self.lost_synchrony: str | None = None
+        self.gone = False
+        pump.attach(port, self._take)
+
+    def exchange(
+        self, command: PtuCommand, timeout_s: float | None = None, is_poll: bool = False
+    ) -> Exchange:
+        """Send one command and wait for its answer.
+
+        Returns:
+            The exchange; its reply is None when nothing came in time. The line is in
+            step again then.
+
+        Raises:
+            DeviceError: the port hung up or does not take bytes.
+        """
+        self._check_port()
+        self._wait_for_rate()
+        self._parser.expect(command.text)
+        self._reply, self._garbled, self._limit_hit = None, False, False
+        self._raw.clear()
+        self._in_flight = True
+        stamp = self._pump.write(self._port, command.encode())
+        self._last_request_ns = stamp.before_ns
+        wait_s = max(self._timeout_s, command.patience_s) if timeout_s is None else timeout_s
+        self._pump.run_until(stamp.after_ns + int(wait_s * 1e9), self._is_over)
+        self._in_flight = False
+        done = self._finish(command, stamp.before_ns, stamp.after_ns)
+        self.counts.exchanges += 1
+        self.counts.polls += is_poll
+        if not is_poll or done.reply is None or not done.reply.ok or done.limit_hit:
+            self._on_exchange(done)
+        if done.reply is None and not self.gone:
+            self._resynchronise()
+        self._check_port()
+        return done
+
+    def ask(self, command: PtuCommand, timeout_s: float | None = None) -> Reply:
+        """Send a command that may be repeated until it is answered.
+
+        Raises:
+            DeviceError: no answer to three attempts.
+        """
+        for _ in range(ATTEMPTS):
+            reply = self.exchange(command, timeout_s).reply
+            if reply is not None:
+                return reply
+        raise self.silence(command)
+
+    def order(self, command: PtuCommand) -> None:
+        """Send an order, repeatable, that must be carried out.
+
+        Raises:
+            DeviceError: refused, or no answer to three attempts.
+        """
+        require_done(command, self.ask(command))
+
+    def halt(self) -> None:
+        """Tell both axes to stop, whatever else is going on.
+
+        Raises:
+            DeviceError: the unit does not acknowledge.
+        """
+        self._check_port()
+        self._pump.write(self._port, b" ")  # ends a command that was cut off
+        self._last_request_ns = None
+        self.order(HALT)
+
+    def drain(self, seconds: float = DRAIN_S) -> None:
+        """Take and forget what the unit still sends."""
+        self._pump.run_until(self._pump.now_ns() + int(seconds * 1e9))
+        self._parser.reset()
+        self._check_port()
+
+    def send_spaces(self, count: int) -> None:
+        """End whatever the unit believes to be in the middle of."""
+        self._check_port()
+        self._pump.write(self._port, b" " * count)
+
+    def wire_ns(self, byte_count: int) -> int:
+        """Return how long so many bytes are on the wire."""
+        return byte_count * BITS_PER_BYTE * 1_000_000_000 // self.baud
+
+    def silence(self, command: PtuCommand) -> DeviceError:
+        """Return the error for a unit that does not answer."""
+        return DeviceError(
+            f"the pan-tilt unit on {self.where} does not answer {command.text!r}",
+            "check its power, the cable and the baud rate",
+        )
+
+    def _take(self, chunk: Chunk) -> None:
+        if not chunk.data:
+            self.gone = True
+            return
+        if len(self._raw) < RAW_LIMIT_BYTES:
+            self._raw += chunk.data
+        for event in self._parser.feed(chunk.data, chunk.received_ns):
+            match event:
+                case Reply():
+                    if self._in_flight and self._reply is None:
+                        self._reply = event
+                    else:
+                        self.counts.stale += 1
+                case LimitFlag():
+                    self._take_limit(event.axis)
+                case CableFlag():
+                    self.lost_synchrony = "the head's cable came off"
+                case Banner():
+                    if not self.expects_banner:
+                        self.lost_synchrony = "the unit has restarted"
+                case FrameError():
+                    self.counts.frame_errors += 1
+                    self._garbled = self._in_flight
+
+    def _take_limit(self, axis: Axis) -> None:
+        self.counts.limit_flags += 1
+        self._limit_hit = True
+        if not self.resetting:
+            self.lost_synchrony = f"the {axis.word} axis met its limit"
+
+    def _is_over(self) -> bool:
+        return self._reply is not None or self._garbled or self.gone
+
+    def _finish(self, command: PtuCommand, request_ns: int, sent_ns: int) -> Exchange:
+        reply, now_ns = self._reply, self._pump.now_ns()
+        if reply is None:
+            self.counts.garbled += self._garbled
+            self.counts.timeouts += not self._garbled
+            first_ns = last_ns = now_ns
+        else:
+            self.counts.refused += not reply.ok
+            first_ns, last_ns = reply.first_byte_ns, reply.last_byte_ns
+            wait_ns = last_ns - request_ns
+            self.counts.reply_wait_max_ns = max(self.counts.reply_wait_max_ns, wait_ns)
+        return Exchange(
+            command, request_ns, sent_ns, first_ns, last_ns, reply, bytes(self._raw),
+            self._limit_hit,
+        )  # fmt: skip
+
+    def _resynchronise(self) -> None:
+        """Get back in step: a bare delimiter, then forget what was still under way."""
+        self._pump.write(self._port, b" ")
+        self.drain(0.1)
+
+    def _wait_for_rate(self) -> None:
+        if self._last_request_ns is not None and self.min_interval_s:
+            self._pump.run_until(self._last_request_ns + int(self.min_interval_s * 1e9))
+
+    def _check_port(self) -> None:
+        if self.gone:
+            raise DeviceError(
+                f"{self.where} (pan-tilt unit) hung up", "check the cable, then start again"
+            )
