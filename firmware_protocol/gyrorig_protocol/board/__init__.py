@@ -7,7 +7,14 @@ What to use when:
 - The records (`Sample`, `Hello`, `TimeRequest`, ...) and their `encode()` to write.
 """
 
-from gyrorig_protocol.board.decode import BoardFrame, FaultCause, decode_payload
+from gyrorig_protocol.board.decode import decode_payload
+from gyrorig_protocol.board.events import (
+    BoardEvent,
+    BoardFrame,
+    FaultCause,
+    FrameEvent,
+    FrameFault,
+)
 from gyrorig_protocol.board.frames import (
     Batch,
     Edge,
@@ -19,13 +26,15 @@ from gyrorig_protocol.board.frames import (
     TimeRequest,
 )
 from gyrorig_protocol.board.hello import Ack, Hello, Sensor, Set
-from gyrorig_protocol.board.parser import BoardEvent, FrameEvent, FrameFault, FrameParser
+from gyrorig_protocol.board.parser import FrameParser
+from gyrorig_protocol.board.text import ColumnMap, TextLineParser
 
 __all__ = [
     "Ack",
     "Batch",
     "BoardEvent",
     "BoardFrame",
+    "ColumnMap",
     "Edge",
     "FaultCause",
     "FrameEvent",
@@ -38,6 +47,7 @@ __all__ = [
     "Sensor",
     "Set",
     "Slow",
+    "TextLineParser",
     "TimeReply",
     "TimeRequest",
     "decode_payload",

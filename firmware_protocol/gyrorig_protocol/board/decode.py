@@ -6,11 +6,11 @@ that another carrier has checked already.
 
 import struct
 from collections.abc import Callable
-from enum import Enum
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import msgspec
 
+from gyrorig_protocol.board.events import BoardFrame, FaultCause
 from gyrorig_protocol.board.frames import (
     BATCH_HEAD_LAYOUT,
     EDGE_LAYOUT,
@@ -29,24 +29,6 @@ from gyrorig_protocol.board.frames import (
     Triple,
 )
 from gyrorig_protocol.board.hello import Ack, Hello, Set
-
-
-class FaultCause(Enum):
-    """Why bytes were not taken; the value says it in words."""
-
-    OVERSIZE = "longer than a frame or line can be"
-    COBS = "the stuffing does not meet the end of the frame"
-    CRC = "the check does not match"
-    LENGTH = "the length does not fit the type"
-    UNKNOWN_TYPE = "a type that this version does not know"
-    CONTENT = "a field holds what it cannot hold"
-    COLUMNS = "the line has another number of columns"
-    NUMBER = "a column is no finite number"
-
-
-BoardFrame: TypeAlias = (
-    Sample | Batch | Slow | Edge | Hello | HelloRequest | TimeRequest | TimeReply | Set | Ack
-)
 
 _BATCH_ENDS = 2  # bytes of temperature behind the samples
 _J = TypeVar("_J")
@@ -87,8 +69,18 @@ def _slow(payload: bytes) -> Slow | FaultCause:
     if len(payload) != SLOW_LAYOUT.size:
         return FaultCause.LENGTH
     values = SLOW_LAYOUT.unpack(payload)
-    air = None if values[9] == NO_AIR_TEMPERATURE else values[9]
-    return Slow(*values[1:9], air_temperature_decidegc=air, supply_mv=values[10] or None)
+    return Slow(
+        device_time=values[1],
+        boot=values[2],
+        sequence=values[3],
+        sensor_overruns=values[4],
+        frames_dropped=values[5],
+        bus_errors=values[6],
+        saturations=values[7],
+        temperature=values[8],
+        air_temperature_decidegc=None if values[9] == NO_AIR_TEMPERATURE else values[9],
+        supply_mv=values[10] or None,
+    )
 
 
 def _edge(payload: bytes) -> Edge | FaultCause:

@@ -10,35 +10,12 @@ cause; the events do not depend on where the stream was cut; memory stays below
 `MAX_STUFFED_BYTES`.
 """
 
-from typing import TypeAlias
-
-import msgspec
-
 from gyrorig_protocol.board import cobs
 from gyrorig_protocol.board.crc import CRC_BYTES, crc16
-from gyrorig_protocol.board.decode import BoardFrame, FaultCause, decode_payload
+from gyrorig_protocol.board.decode import decode_payload
+from gyrorig_protocol.board.events import BoardEvent, FaultCause, FrameEvent, FrameFault
+from gyrorig_protocol.board.pieces import PieceSplitter
 from gyrorig_protocol.board.wire import DELIMITER, MAX_STUFFED_BYTES
-
-
-class FrameEvent(msgspec.Struct, frozen=True, gc=False):
-    """A frame or sample, and when its last byte was in the host's hands."""
-
-    frame: BoardFrame
-    received_ns: int  # of the read that held its last byte
-    offset: int  # of that byte in that read
-    payload: bytes  # as it came, without its check: a HELLO is kept so
-
-
-class FrameFault(msgspec.Struct, frozen=True, gc=False):
-    """Bytes that were no frame or sample; `raw` is bounded by the parser's limit."""
-
-    cause: FaultCause
-    received_ns: int
-    offset: int
-    raw: bytes
-
-
-BoardEvent: TypeAlias = FrameEvent | FrameFault
 
 
 class FrameParser:
@@ -48,20 +25,18 @@ class FrameParser:
     """
 
     def __init__(self) -> None:
-        self._tail = b""
-        self._skipping = False
+        self._splitter = PieceSplitter(DELIMITER, MAX_STUFFED_BYTES)
         self.frames = 0
         self.faults = dict.fromkeys(FaultCause, 0)
 
     @property
     def buffered_bytes(self) -> int:
         """How much of an unfinished frame is held, at most `MAX_STUFFED_BYTES`."""
-        return len(self._tail)
+        return self._splitter.buffered_bytes
 
     def reset(self) -> None:
         """Forget an unfinished frame, as after opening the port anew."""
-        self._tail = b""
-        self._skipping = False
+        self._splitter.reset()
 
     def feed(self, data: bytes, received_ns: int) -> list[BoardEvent]:
         """Return the events that `data` completes.
@@ -70,29 +45,15 @@ class FrameParser:
             data: what one read returned, cut anywhere.
             received_ns: the stamp of that read.
         """
-        events: list[BoardEvent] = []
-        at = 0
-        pieces = data.split(DELIMITER)
-        for piece in pieces[:-1]:
-            at += len(piece)
-            stuffed, self._tail = self._tail + piece, b""
-            if self._skipping:
-                self._skipping = False
-            elif len(stuffed) > MAX_STUFFED_BYTES:
-                events.append(self._fault(FaultCause.OVERSIZE, received_ns, at, stuffed))
-            elif stuffed:
-                events.append(self._frame(stuffed, received_ns, at))
-            at += 1
-        if not self._skipping:
-            self._tail += pieces[-1]
-            if len(self._tail) > MAX_STUFFED_BYTES:
-                end = len(data) - 1
-                events.append(self._fault(FaultCause.OVERSIZE, received_ns, end, self._tail))
-                self._tail = b""
-                self._skipping = True
-        return events
+        return [
+            self._frame(stuffed, received_ns, offset)
+            for stuffed, offset in self._splitter.feed(data)
+            if stuffed
+        ]
 
     def _frame(self, stuffed: bytes, received_ns: int, offset: int) -> BoardEvent:
+        if len(stuffed) > MAX_STUFFED_BYTES:
+            return self._fault(FaultCause.OVERSIZE, received_ns, offset, stuffed)
         checked = cobs.decode(stuffed)
         if checked is None:
             return self._fault(FaultCause.COBS, received_ns, offset, stuffed)
@@ -107,4 +68,4 @@ class FrameParser:
 
     def _fault(self, cause: FaultCause, received_ns: int, offset: int, raw: bytes) -> FrameFault:
         self.faults[cause] += 1
-        return FrameFault(cause, received_ns, offset, raw[:MAX_STUFFED_BYTES])
+        return FrameFault(cause, received_ns, offset, raw)
