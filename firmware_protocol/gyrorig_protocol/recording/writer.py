@@ -1,0 +1,419 @@
+"""Write a recording of format 1 so that a crash costs a second and a power cut ten.
+
+What to use when: one `RecordingWriter` per file, used by one thread. `write` for
+messages as they come, `write_imu_array` for importers that hold whole arrays, `tick`
+from the loop of the same thread, `close` at the end.
+
+Theory of operation: `mcap` collects messages into a chunk; a chunk is only safe once
+it is written out whole. `tick` closes the chunk every second (a killed process loses
+at most that) and syncs every ten (a power cut loses at most that). After an error of
+the disk the file is cut back to the last whole chunk and never written again, because
+a torn record in the middle would hide everything behind it from most readers.
+
+Source: the recording contract, format 1, section "File".
+"""
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self, cast
+
+import numpy as np
+import numpy.typing as npt
+from mcap.writer import CompressionType, Writer
+
+from gyrorig_protocol.errors import MachineError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.disk_file import DiskFile, sync_directory
+from gyrorig_protocol.recording.imu_array import pack_imu
+from gyrorig_protocol.recording.messages import ImuRaw, Message, imu_topic
+from gyrorig_protocol.recording.schemas import SCHEMAS
+
+IntArray = npt.NDArray[np.integer]
+
+FORMAT = "1"
+# Metadata records carry no checksum of their own; this attachment, which does, repeats them.
+METADATA_COPY = "gyrorig.metadata.json"
+
+FLUSH_NS = 1_000_000_000  # contract: "flushed to a complete chunk at least once a second"
+SYNC_NS = 10_000_000_000  # contract: "synced to disk at least every 10 s"
+# A chunk of 1 MiB stalls the writing thread by about 14 ms, one of 16 MiB by 160 ms.
+CHUNK_BYTES = 1 << 20
+
+_REQUIRED = ("session", "anchor_utc_ns", "anchor_monotonic_raw_ns")
+
+
+def software() -> str:
+    """`gyrorig <version>`, as the file's library and metadata name it."""
+    try:
+        return f"gyrorig {version('gyrorig')}"
+    except PackageNotFoundError:
+        return "gyrorig unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A file carried inside a recording."""
+
+    name: str
+    media_type: str
+    data: bytes
+    log_time_ns: int = 0
+
+
+@dataclass(slots=True)
+class _Channel:
+    """What the writer remembers about one topic."""
+
+    number: int
+    type: str
+    sequence: int = 0
+    last_log_time_ns: int = 0
+
+
+@dataclass(slots=True)
+class _Safe:
+    """How far the file holds whole records, and what waits behind that."""
+
+    position: int = 0
+    waiting: int = 0
+    lost: int = field(default=0)
+
+
+class RecordingWriter:
+    """A recording being written. Not to be used by two threads at once.
+
+    Args:
+        path: the final name, ending in `.mcap`; `.mcap.part` until it is closed.
+        metadata: name -> record. `gyrorig` with `session`, `anchor_utc_ns` and
+            `anchor_monotonic_raw_ns` is required; `format`, `software`, `part`,
+            `previous` and `foxglove` are filled in where missing.
+        attachments: files to carry, written first.
+
+    Raises:
+        UsageError: the file, or its `.part`, exists.
+        MachineError: the disk refuses; the text names the file that is kept.
+        ValueError: metadata that the contract does not allow.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        metadata: Mapping[str, Mapping[str, str]],
+        attachments: Sequence[Attachment] = (),
+    ) -> None:
+        if path.suffix != ".mcap":
+            raise ValueError(f"a recording is named .mcap, not {path.name}")
+        records = _complete(metadata)
+        self._final = path
+        self._part = unfinished(path)
+        self._channels: dict[str, _Channel] = {}
+        self._schemas: dict[str, int] = {}
+        self._safe = _Safe()
+        self._last_flush_ns: int | None = None
+        self._last_sync_ns: int | None = None
+        self._open = False
+        self._final_exists = False
+        self._file = self._create()
+        self._mcap = Writer(
+            cast(IO[bytes], self._file),
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+        )
+        self._open = True
+        self._guard(lambda: self._begin(records, attachments))
+
+    @property
+    def path(self) -> Path:
+        """Where the recording is now: `.mcap.part` until `close` has succeeded."""
+        return self._final if self._final_exists else self._part
+
+    @property
+    def closed(self) -> bool:
+        """True after `close`, and after an error of the disk."""
+        return not self._open
+
+    @property
+    def lost_messages(self) -> int:
+        """Messages taken but not in the file, because the disk refused them."""
+        return self._safe.lost
+
+    @property
+    def bytes_written(self) -> int:
+        """Length of the file so far, without the open chunk."""
+        return self._safe.position
+
+    def write(
+        self,
+        topic: str,
+        message: Message,
+        log_time_ns: int | None = None,
+        publish_time_ns: int | None = None,
+    ) -> None:
+        """Append one message.
+
+        Args:
+            topic: begins with a slash; its channel is made at the first message.
+            message: one of `messages` or `standard_messages`.
+            log_time_ns: capture time at which it was complete in the host's hands;
+                may be left out where the payload repeats it.
+            publish_time_ns: best estimate of when the sample was taken.
+
+        Raises:
+            ValueError: the log time goes back on its topic, or is not the payload's,
+                or the topic holds another type.
+            MachineError: the disk refused; see the class.
+        """
+        payload_time = message.capture_time_ns
+        time_ns = payload_time if log_time_ns is None else log_time_ns
+        if time_ns is None:
+            raise ValueError(f"{message.TYPE} holds no log time: give one")
+        ours = message.TYPE.startswith("gyrorig_msgs/")
+        if ours and payload_time is not None and payload_time != time_ns:
+            raise ValueError(f"{topic}: log time {time_ns} is not the payload's {payload_time}")
+        payload = message.encode()
+        publish_ns = time_ns if publish_time_ns is None else publish_time_ns
+        self._check_open()
+        channel = self._channel(topic, message.TYPE)
+        if time_ns < channel.last_log_time_ns:
+            raise ValueError(f"{topic}: log time {time_ns} < {channel.last_log_time_ns} before it")
+        self._guard(lambda: self._append(channel, time_ns, publish_ns, payload))
+
+    def write_imu_array(
+        self,
+        board_id: BoardId,
+        *,
+        host_time_ns: IntArray,
+        publish_time_ns: IntArray | None,
+        device_time: IntArray,
+        sequence: IntArray,
+        status: IntArray,
+        temperature: IntArray,
+        gyro: IntArray,
+        accel: IntArray | None = None,
+        mag: IntArray | None = None,
+    ) -> None:
+        """Append many samples of one board, about ten times as fast as one by one.
+
+        Args:
+            board_id: whose samples.
+            host_time_ns: capture times, not decreasing, shape (n,).
+            publish_time_ns: when each was taken, shape (n,); None: as the host times.
+            device_time: ticks as sent, shape (n,).
+            sequence: sample counters as sent, shape (n,).
+            status: `ImuStatus` bits, shape (n,).
+            temperature: raw, shape (n,).
+            gyro: counts, shape (n, 3).
+            accel: counts, shape (n, 3); None: zero.
+            mag: counts, shape (n, 3); None: zero.
+
+        Raises:
+            ValueError: shapes differ, a value does not fit, or the time goes back.
+            MachineError: the disk refused; see the class.
+        """
+        payloads = pack_imu(
+            host_time_ns=host_time_ns,
+            device_time=device_time,
+            sequence=sequence,
+            status=status,
+            temperature=temperature,
+            gyro=gyro,
+            accel=accel,
+            mag=mag,
+        )
+        times = [int(t) for t in host_time_ns]
+        published = times if publish_time_ns is None else [int(t) for t in publish_time_ns]
+        if len(published) != len(times):
+            raise ValueError(f"{len(published)} publish times for {len(times)} samples")
+        if not times:
+            return
+        self._check_open()
+        channel = self._channel(imu_topic(board_id), ImuRaw.TYPE)
+        if times[0] < channel.last_log_time_ns or bool(np.any(np.diff(host_time_ns) < 0)):
+            raise ValueError(f"{imu_topic(board_id)}: log time goes back")
+
+        def append_all() -> None:
+            for time_ns, publish_ns, payload in zip(times, published, payloads, strict=True):
+                self._append(channel, time_ns, publish_ns, payload)
+
+        self._guard(append_all)
+
+    def tick(self, now_ns: int) -> None:
+        """Close the chunk and sync the file when they are due.
+
+        Args:
+            now_ns: any clock that does not go back; call several times a second.
+
+        Raises:
+            MachineError: the disk refused; see the class.
+        """
+        self._check_open()
+        if self._last_flush_ns is None or self._last_sync_ns is None:
+            self._last_flush_ns = self._last_sync_ns = now_ns
+            return
+        # Due a little early, so that the calls' own spacing does not exceed the limit.
+        if now_ns - self._last_flush_ns >= FLUSH_NS * 3 // 4:
+            self._last_flush_ns = now_ns
+            self._guard(self._flush)
+        if now_ns - self._last_sync_ns >= SYNC_NS * 3 // 4:
+            self._last_sync_ns = now_ns
+            self._guard(self._file.sync)
+
+    def flush(self) -> None:
+        """Close the chunk in progress now; a killed process keeps what is before it."""
+        self._check_open()
+        self._guard(self._flush)
+
+    def close(self) -> Path:
+        """Finish, sync and rename the file; calling again does nothing.
+
+        Returns:
+            The final path.
+
+        Raises:
+            MachineError: the disk refused, now or before; the text names what is kept.
+        """
+        if self._final_exists:
+            return self._final
+        self._check_open()
+        self._guard(self._flush)
+        self._guard(self._finish)
+        return self._final
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close, whatever ended the block: what was recorded is worth keeping."""
+        if self._open:
+            self.close()
+
+    def _create(self) -> DiskFile:
+        for path in (self._final, self._part):
+            if path.exists():
+                raise UsageError(f"{path} exists", "a recording is never overwritten")
+        try:
+            return DiskFile(self._part)
+        except FileExistsError as error:
+            raise UsageError(f"{self._part} exists", "a recording is never overwritten") from error
+        except OSError as error:
+            raise MachineError(f"cannot create {self._part}: {error.strerror}") from error
+
+    def _begin(
+        self, records: Mapping[str, Mapping[str, str]], attachments: Iterable[Attachment]
+    ) -> None:
+        self._mcap.start(profile="ros2", library=software())
+        for name, record in records.items():
+            self._mcap.add_metadata(name, dict(record))
+        copy = json.dumps(records, sort_keys=True).encode()
+        for one in (*attachments, Attachment(METADATA_COPY, "application/json", copy)):
+            self._mcap.add_attachment(
+                one.log_time_ns, one.log_time_ns, one.name, one.media_type, one.data
+            )
+        self._file.sync()
+        sync_directory(self._part.parent)
+
+    def _channel(self, topic: str, type_name: str) -> _Channel:
+        known = self._channels.get(topic)
+        if known is None:
+            if not topic.startswith("/"):
+                raise ValueError(f"a topic begins with a slash: {topic!r}")
+            if type_name not in self._schemas:
+                text = SCHEMAS[type_name].encode()
+                self._schemas[type_name] = self._mcap.register_schema(type_name, "ros2msg", text)
+            number = self._mcap.register_channel(
+                topic, "cdr", self._schemas[type_name], {"offered_qos_profiles": ""}
+            )
+            known = self._channels[topic] = _Channel(number, type_name)
+        if known.type != type_name:
+            raise ValueError(f"{topic} holds {known.type}, not {type_name}")
+        return known
+
+    def _append(self, channel: _Channel, time_ns: int, publish_ns: int, payload: bytes) -> None:
+        self._safe.waiting += 1
+        self._mcap.add_message(channel.number, time_ns, payload, publish_ns, channel.sequence)
+        channel.sequence = (channel.sequence + 1) & 0xFFFFFFFF
+        channel.last_log_time_ns = time_ns
+        if self._file.tell() != self._safe.position:  # mcap has just written out a chunk
+            self._mark_safe()
+
+    def _flush(self) -> None:
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._mark_safe()
+
+    def _mark_safe(self) -> None:
+        self._safe.position = self._file.tell()
+        self._safe.waiting = 0
+
+    def _finish(self) -> None:
+        self._mcap.finish()  # type: ignore[no-untyped-call]
+        self._file.sync()
+        if self._final.exists():
+            raise FileExistsError(17, "a file of the final name has appeared")
+        self._part.rename(self._final)
+        self._final_exists = True
+        self._mark_safe()
+        self._open = False
+        self._file.close()
+        sync_directory(self._final.parent)
+
+    def _check_open(self) -> None:
+        if not self._open:
+            raise MachineError(f"{self.path} is closed", "open another recording")
+
+    def _guard(self, step: Callable[[], None]) -> None:
+        """Run a step; on an error of the disk keep what is whole and stop for good."""
+        try:
+            step()
+        except OSError as error:
+            self._safe.lost = self._safe.waiting
+            self._open = False
+            kept = self._save_what_is_whole()
+            raise MachineError(
+                f"cannot write {self.path}: {error.strerror}; {kept}",
+                "make room and begin another recording",
+            ) from error
+
+    def _save_what_is_whole(self) -> str:
+        try:
+            if not self._final_exists:
+                self._file.cut(self._safe.position)
+                self._file.sync()
+            self._file.close()
+        except OSError as error:
+            return f"its last bytes may be torn ({error.strerror})"
+        return f"its first {self._safe.position} bytes are whole and kept"
+
+
+def _complete(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
+    """Check the metadata against the contract and fill in what the writer knows."""
+    records = {name: dict(record) for name, record in metadata.items()}
+    for name, record in records.items():
+        for key, value in record.items():
+            if not isinstance(key, str) or not isinstance(value, str):
+                raise ValueError(f"metadata {name}: {key!r}: {value!r} is not text")
+    own = records.get("gyrorig", {})
+    missing = [key for key in _REQUIRED if key not in own]
+    if missing:
+        raise ValueError(f"metadata gyrorig lacks {', '.join(missing)}")
+    own = {"format": FORMAT, "software": software(), "part": "0", "previous": ""} | own
+    if own["format"] != FORMAT:
+        raise ValueError(f"this writes format {FORMAT}, not {own['format']}")
+    records["gyrorig"] = own
+    if "rig" in own:
+        records.setdefault("foxglove", {"deviceName": own["rig"]})
+    return records
+
+
+def unfinished(path: Path) -> Path:
+    """The name that `path` has while it is being written."""
+    return path.with_name(path.name + ".part")
