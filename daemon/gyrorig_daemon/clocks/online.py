@@ -83,6 +83,16 @@ class OnlineClock:
         mapped_ns = self._to_ns(device_s)
         return arrival_ns if mapped_ns is None else min(mapped_ns, arrival_ns)
 
+    @property
+    def counter_bits(self) -> int:
+        """The width after which the counter wraps."""
+        return self._unwrap.modulus.bit_length() - 1
+
+    @property
+    def restarts(self) -> int:
+        """How often the count began anew, the first time apart."""
+        return max(self._restarts, 0)
+
     def map_ns(self, raw: int) -> int | None:
         """Return the time of a stamp near the last one, None while there is no map."""
         return self._to_ns(self._device_s(self._nearest(raw)))

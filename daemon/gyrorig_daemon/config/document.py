@@ -6,10 +6,11 @@ the ports differ between a rig on the desk and one that exists as a program.
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 
+from gyrorig_protocol.board import ColumnMap
 from gyrorig_protocol.documents import parse_yaml, read_as
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
@@ -96,7 +97,7 @@ class BoardPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     port: PortPath
     baud: Baud = 115200
     format: Literal["gcb1", "text"] = "gcb1"
-    columns: dict[str, Any] | None = None  # of the text lines: see gyrorig_protocol.board.text
+    columns: ColumnMap | None = None  # of the text lines
     facts: BoardFacts = BoardFacts()
 
     @property
@@ -187,18 +188,20 @@ def read_document(path: Path) -> bytes:
 
 
 def _check_board(board: BoardPort, name: str) -> None:
-    if board.format == "text":
-        if board.columns is None:
-            raise UsageError(f"{name}: board {board.id} sends text", "name its columns")
-        if board.facts.gyro_scale_rad_s is None or board.facts.sensor is None:
-            raise UsageError(
-                f"{name}: board {board.id} sends text and cannot say what it is",
-                "give facts: sensor and gyro_scale_rad_s at least",
-            )
-        if board.port == EMULATED:
-            raise UsageError(f"{name}: an emulated board sends gcb1", "leave out format: text")
-    elif board.columns is not None:
-        raise UsageError(f"{name}: board {board.id} has columns", "only format: text has them")
+    if board.format == "gcb1":
+        if board.columns is not None:
+            raise UsageError(f"{name}: board {board.id} has columns", "only format: text has them")
+        return
+    if board.port == EMULATED:
+        raise UsageError(f"{name}: an emulated board sends gcb1", "leave out format: text")
+    if board.columns is None:
+        raise UsageError(f"{name}: board {board.id} sends text", "name its columns")
+    scale = board.facts.gyro_scale_rad_s or board.columns.gyro_scale_rad_s
+    if not (board.facts.uid and board.facts.sensor and scale):
+        raise UsageError(
+            f"{name}: board {board.id} sends text and cannot say what it is",
+            "give facts: uid, sensor and, for counts, gyro_scale_rad_s",
+        )
 
 
 def _check_limits(limits: CommandLimits, name: str) -> None:

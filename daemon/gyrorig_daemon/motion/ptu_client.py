@@ -114,6 +114,7 @@ class PtuClient:
         self.min_interval_s = 0.0
         self.resetting = False
         self.expects_banner = True
+        self.identified = False  # what is on the port has said that it is a pan-tilt unit
         self.lost_synchrony: str | None = None
         self.gone = False
         pump.attach(port, self._take)

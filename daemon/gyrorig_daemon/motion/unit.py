@@ -158,6 +158,7 @@ def _identify(client: PtuClient) -> Version:
             continue
         version = read(QUERY_VERSION, exchange.reply)
         if isinstance(version, Version):
+            client.identified = True
             return version
         break
     if not heard:
