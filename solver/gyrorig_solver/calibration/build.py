@@ -1,0 +1,191 @@
+"""From a fit to the document: the contract's shapes, nulls, matrices and verdict.
+
+What to use when: `calibration_of` for any `GyroFit`. The caller says which board and
+which recordings; nothing here reads a clock or a file, so the same fit gives the same
+document.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gyrorig_protocol.profile import SensorProfile
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.calibration.document import (
+    MODEL,
+    Board,
+    Calibration,
+    Covariance,
+    Matrices,
+    Matrix,
+    NoiseFigure,
+    Observability,
+    Parameter,
+    Quality,
+    SolvedInput,
+    SolverRecord,
+    Units,
+    Validity,
+)
+from gyrorig_solver.calibration.trust import judge, profile_warnings
+from gyrorig_solver.estimate.result import GyroFit
+from gyrorig_solver.model.gain import factorise
+
+_UNITS = {"bias": "rad/s", "scale": "1", "nonorthogonality": "1", "misalignment": "rad"}
+_ENTRIES = {
+    "bias": ("x", "y", "z"),
+    "scale": ("x", "y", "z"),
+    "nonorthogonality": ("xy", "zx", "zy"),
+    "misalignment": ("x", "y", "z"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a fit came from: everything of the document that the fit does not know."""
+
+    board: Board
+    inputs: Sequence[SolvedInput]
+    software: str  # version of the program
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of the solver, JSON values
+
+    @property
+    def settings_sha256(self) -> str:
+        """The digest of the settings, independent of their order."""
+        text = json.dumps(self.settings, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def calibration_of(
+    fit: GyroFit,
+    origin: Provenance,
+    *,
+    version: int,
+    previous: str | None,
+    created: str,
+    profile: SensorProfile | None = None,
+) -> Calibration:
+    """Return the document of one fit.
+
+    Args:
+        fit: the result.
+        origin: the board, the recordings and the solver's settings.
+        version: counts up from 1.
+        previous: `sha256:` digest of the version before, None for the first.
+        created: UTC, as `2026-01-31T02:30:00Z`.
+        profile: the sensor's data sheet, to warn where a value lies outside it.
+    """
+    config_hash = origin.board.config.config_hash
+    return Calibration(
+        schema="gyrorig/calibration/1",
+        board=origin.board,
+        version=version,
+        previous=previous,
+        created=created,
+        inputs=list(origin.inputs),
+        solver=SolverRecord(
+            version=origin.software,
+            method=fit.method,
+            terms=list(fit.terms),
+            config_sha256=origin.settings_sha256,
+        ),
+        units=Units(),
+        model=MODEL,
+        parameters=_parameters(fit),
+        matrices=_matrices(fit.gain),
+        covariance=Covariance(
+            order=list(fit.order),
+            matrix=[[float(v) for v in row] for row in np.asarray(fit.covariance)],
+        ),
+        observability=Observability(
+            rank=int(fit.observability.rank),
+            of=int(fit.observability.of),
+            unobservable=list(fit.observability.unobservable),
+            condition=_number(fit.observability.condition),
+        ),
+        noise=_noise(fit),
+        quality=_quality(fit, profile),
+        trust=judge(fit),
+        validity=Validity(
+            rate_rad_s=[float(v) for v in fit.rate_range_rad_s],
+            temperature_degc=(
+                [float(v) for v in fit.temperature_range_degc]
+                if fit.temperature_range_degc is not None
+                else None
+            ),
+            config_hash=config_hash,
+        ),
+    )
+
+
+def _parameters(fit: GyroFit) -> dict[str, Parameter]:
+    vectors = {
+        "bias": fit.bias_rad_s,
+        "scale": fit.scale,
+        "nonorthogonality": fit.nonorthogonality,
+        "misalignment": fit.misalignment_rad,
+    }
+    out = {
+        name: Parameter(
+            value=[_number(v) for v in values],
+            std=[_number(fit.std.get(f"{name}.{part}", math.nan)) for part in _ENTRIES[name]],
+            unit=_UNITS[name],
+        )
+        for name, values in vectors.items()
+    }
+    out["time_offset"] = Parameter(
+        value=_number(fit.time_offset_s),
+        std=_number(fit.std.get("time_offset", math.nan)),
+        unit="s",
+    )
+    return out
+
+
+def _matrices(gain: FloatArray) -> Matrices:
+    """Return the factors, as far as G is known, and G; S T M multiplies back to STM."""
+    nothing: Matrix = [[None] * 3 for _ in range(3)]
+    if not np.all(np.isfinite(gain)):
+        return Matrices(S=nothing, T=nothing, M=nothing, STM=_matrix(gain))
+    factors = factorise(gain)
+    return Matrices(
+        S=_matrix(factors.S), T=_matrix(factors.T), M=_matrix(factors.M), STM=_matrix(gain)
+    )
+
+
+def _matrix(values: FloatArray) -> Matrix:
+    # + 0.0 turns -0.0 into 0.0: a sign that means nothing is not written
+    return [[_number(v + 0.0) for v in row] for row in np.asarray(values)]
+
+
+def _number(value: float) -> float | None:
+    """Return a plain float, None for what is not a number."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _noise(fit: GyroFit) -> dict[str, NoiseFigure]:
+    if fit.noise is None:
+        return {}
+    figures = {
+        "angle_random_walk": (fit.noise.angle_random_walk, "rad/s/sqrt(Hz)"),
+        "bias_instability": (fit.noise.bias_instability, "rad/s"),
+        "rate_random_walk": (fit.noise.rate_random_walk, "rad/s^2/sqrt(Hz)"),
+    }
+    return {
+        name: NoiseFigure(value=[_number(v) for v in values], unit=unit)
+        for name, (values, unit) in figures.items()
+    }
+
+
+def _quality(fit: GyroFit, profile: SensorProfile | None) -> Quality:
+    return Quality(
+        reduced_chi2=_number(fit.reduced_chi2),
+        residual_rms_before=_number(fit.rms_before_rad_s),
+        residual_rms_after=_number(fit.rms_after_rad_s),
+        warnings=[*fit.warnings, *profile_warnings(fit, profile)],
+        outliers=int(fit.outliers),
+    )

@@ -1,0 +1,157 @@
+"""A folder of calibrations: one folder a board, one immutable file a version.
+
+    STORE/<board>/v0001.yaml  v0001.report.html  v0002.yaml ...
+
+What to use when: `CalibrationStore.add` to write the next version, `latest` to read
+back. Each version names the digest of the one before, so that a store is a chain that
+shows when something in it was changed or is missing. Two solvers may write at once: a
+version's name is taken by a hard link, which never replaces what is there.
+"""
+
+import errno
+import hashlib
+import os
+import re
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrorig_protocol.errors import BusyError, MachineError
+from gyrorig_protocol.identity import BoardId
+
+_VERSION = re.compile(r"v(\d{4,9})\.yaml")
+_MAX_TRIES = 100  # each lost race means that another solver wrote a version
+
+
+@dataclass(frozen=True, slots=True)
+class StoredVersion:
+    """One version in the store."""
+
+    number: int
+    path: Path
+
+    def digest(self) -> str:
+        """Return `sha256:` and the digest of the file's bytes."""
+        return "sha256:" + hashlib.sha256(self.path.read_bytes()).hexdigest()
+
+
+class CalibrationStore:
+    """The versions of every board below one folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def versions(self, board: BoardId) -> list[StoredVersion]:
+        """Return the versions of `board`, oldest first."""
+        folder = self.folder / board
+        if not folder.is_dir():
+            return []
+        found = (
+            StoredVersion(int(match[1]), path)
+            for path in folder.iterdir()
+            if (match := _VERSION.fullmatch(path.name))
+        )
+        return sorted(found, key=lambda version: version.number)
+
+    def latest(self, board: BoardId) -> StoredVersion | None:
+        """Return the newest version of `board`, None if it has none."""
+        versions = self.versions(board)
+        return versions[-1] if versions else None
+
+    def prepare(self, board: BoardId) -> Path:
+        """Make the folder of `board`, before any work is spent on it.
+
+        Raises:
+            MachineError: the folder cannot be made or written.
+        """
+        folder = self.folder / board
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            raise MachineError(
+                f"cannot make the folder {folder}, {fault.strerror}", "choose another with --out"
+            ) from fault
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise MachineError(f"may not write into {folder}", "choose another with --out")
+        return folder
+
+    def add(self, board: BoardId, text_of: Callable[[int, str | None], str]) -> StoredVersion:
+        """Write the next version of `board`.
+
+        Args:
+            board: whose version.
+            text_of: makes the document, given the version's number and the digest of
+                the version before; called again when another solver took the number.
+
+        Returns:
+            The version as it is on disk, synced.
+
+        Raises:
+            MachineError: it cannot be written.
+            BusyError: other solvers took a hundred numbers in a row.
+        """
+        folder = self.prepare(board)
+        for _ in range(_MAX_TRIES):
+            last = self.latest(board)
+            number = last.number + 1 if last else 1
+            text = text_of(number, last.digest() if last else None)
+            final = folder / f"v{number:04d}.yaml"
+            if write_whole(final, text.encode(), replace=False):
+                return StoredVersion(number, final)
+        raise BusyError(f"other solvers keep writing to {folder}", "try again")
+
+
+def write_whole(final: Path, data: bytes, *, replace: bool) -> bool:
+    """Write `data` under the name `final`, whole and synced, or not at all.
+
+    Args:
+        final: the name to take.
+        data: everything the file shall hold.
+        replace: whether a file of that name may be replaced.
+
+    Returns:
+        False if the name is taken and must not be replaced; nothing was changed.
+
+    Raises:
+        MachineError: the file system refuses; nothing was changed.
+    """
+    temporary: Path | None = None
+    try:
+        descriptor, name = tempfile.mkstemp(prefix=f".{final.name}.", dir=final.parent)
+        temporary = Path(name)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fchmod(file.fileno(), 0o644)
+            os.fsync(file.fileno())
+        if replace:
+            temporary.replace(final)
+        else:
+            os.link(temporary, final)
+        _sync_folder(final.parent)
+    except FileExistsError:
+        return False
+    except OSError as fault:
+        raise MachineError(f"cannot write {final}, {fault.strerror}", _remedy(fault)) from fault
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+    return True
+
+
+def _remedy(fault: OSError) -> str:
+    if fault.errno in (errno.EPERM, errno.EOPNOTSUPP):
+        return "use a folder on a file system with hard links, such as ext4"
+    if fault.errno in (errno.ENOSPC, errno.EDQUOT):
+        return "make space and solve again"
+    return "choose another folder with --out"
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a new name last through a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

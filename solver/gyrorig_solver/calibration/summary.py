@@ -1,0 +1,44 @@
+"""A calibration as a few lines for a terminal."""
+
+from gyrorig_solver.calibration.document import Calibration
+from gyrorig_solver.calibration.wording import (
+    GROUPS,
+    VERDICTS,
+    Group,
+    entries,
+    other_groups,
+    quantity,
+    short,
+)
+
+
+def summary(calibration: Calibration) -> str:
+    """Return the verdict, the parameters and the reasons, one thing a line."""
+    board, quality = calibration.board, calibration.quality
+    title = VERDICTS[calibration.trust.verdict][0].lower()
+    lines = [f"{board.id} ({board.sensor}), version {calibration.version}: {title}"]
+    for group in (*GROUPS, *other_groups(calibration)):
+        lines += _rows(calibration, group)
+    seen = calibration.observability
+    lines.append(f"  observable            {seen.rank} of {seen.of}")
+    if quality.reduced_chi2 is not None:
+        lines.append(f"  reduced chi2          {short(quality.reduced_chi2)}   (1: nothing but noise)")
+    for reason in calibration.trust.reasons:
+        lines.append(f"  ! {reason}")
+    lines += [f"  remark: {warning}" for warning in quality.warnings]
+    return "\n".join(lines)
+
+
+def _rows(calibration: Calibration, group: Group) -> list[str]:
+    parameter = calibration.parameters.get(group.name)
+    if parameter is None:
+        return []
+    rows = []
+    for label, (value, std) in zip(group.labels, entries(parameter), strict=True):
+        head = f"  {group.name + ' ' + label:<22}"
+        if value is None:
+            rows.append(f"{head}not observable from this motion")
+            continue
+        shown = quantity(value * group.factor, None if std is None else std * group.factor)
+        rows.append(f"{head}{shown[0]:>12} ± {shown[1]:<10} {group.unit}")
+    return rows

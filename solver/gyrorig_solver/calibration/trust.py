@@ -1,0 +1,72 @@
+"""Whether a result is to be used: the verdict, and each reason with its remedy."""
+
+import math
+from typing import Literal
+
+from gyrorig_protocol.profile import SensorProfile
+from gyrorig_solver.calibration.document import Trust
+from gyrorig_solver.estimate.result import GyroFit
+
+# Residuals this many times their noise are not covered by the standard deviations given.
+_LIMITED_CHI2 = 1.5
+_REFUSED_CHI2 = 25.0
+_LOST_SHARE = 0.02  # of the samples; fewer gaps cost precision only
+_OUTLIER_SHARE = 0.01
+_DEG = 180.0 / math.pi
+
+Verdict = Literal["good", "limited", "refused"]
+
+
+def judge(fit: GyroFit) -> Trust:
+    """Return the verdict on a fit.
+
+    refused: nothing was observable, or the residual is far outside its noise. limited: a
+    parameter was not observable, or the fit, its losses or its residual give a reason.
+    """
+    verdict: Verdict = "good"
+    reasons = [*fit.observability.reasons, *fit.distrust]
+    if fit.observability.unobservable and not fit.observability.reasons:
+        hidden = ", ".join(fit.observability.unobservable)
+        reasons.insert(0, f"{hidden} not observable: record a program that turns about every axis")
+    if math.isfinite(fit.reduced_chi2) and fit.reduced_chi2 > _LIMITED_CHI2:
+        reasons.append(
+            f"the residual's variance while moving is {fit.reduced_chi2:.3g} times that at rest, "
+            "so the standard deviations are too small: look at the residual in the report, and "
+            "check that the board is screwed down and the unit does not stall"
+        )
+    total = fit.samples + fit.lost
+    if fit.lost > _LOST_SHARE * max(total, 1):
+        reasons.append(
+            f"{fit.lost} of {total} samples were lost: lower the output rate or raise the baud rate"
+        )
+    if fit.outliers > _OUTLIER_SHARE * max(fit.samples, 1):
+        reasons.append(f"{fit.outliers} samples were spikes: check the sensor's bus and its supply")
+    if reasons:
+        verdict = "limited"
+    far_off = math.isfinite(fit.reduced_chi2) and fit.reduced_chi2 > _REFUSED_CHI2
+    if far_off or fit.observability.rank == 0:
+        verdict = "refused"
+    return Trust(verdict=verdict, reasons=reasons)
+
+
+def profile_warnings(fit: GyroFit, profile: SensorProfile | None) -> list[str]:
+    """Say where a value lies outside what the data sheet allows."""
+    if profile is None:
+        return []
+    out = []
+    if profile.scale_tolerance is not None:
+        for axis, scale in zip("xyz", fit.scale, strict=True):
+            if math.isfinite(scale) and abs(abs(scale) - 1.0) > profile.scale_tolerance:
+                out.append(
+                    f"scale.{axis} is {scale:.4f}, outside the {profile.sensor}'s "
+                    f"1 ± {profile.scale_tolerance:g}: check the full scale that the board "
+                    "says it is set to"
+                )
+    if profile.zero_rate_dps is not None:
+        for axis, bias in zip("xyz", fit.bias_rad_s, strict=True):
+            if math.isfinite(bias) and abs(bias) * _DEG > profile.zero_rate_dps:
+                out.append(
+                    f"bias.{axis} is {bias * _DEG:.1f} deg/s, outside the {profile.sensor}'s "
+                    f"±{profile.zero_rate_dps:g}: check that the rig stood still"
+                )
+    return out

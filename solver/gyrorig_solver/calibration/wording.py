@@ -1,0 +1,81 @@
+"""How a calibration's numbers are named and written for a person.
+
+What to use when: `GROUPS` for the parameters in the order of the contract with the unit a
+person thinks in; `quantity` for a value with as many digits as its uncertainty allows.
+Files keep SI units; degrees stand only here and where people read.
+"""
+
+import math
+from dataclasses import dataclass
+
+from gyrorig_solver.calibration.document import Calibration, Parameter
+
+_DEG = 180.0 / math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """One parameter of the document and how to show it."""
+
+    name: str
+    labels: tuple[str, ...]
+    meaning: str
+    factor: float  # from the document's unit to the one shown
+    unit: str
+
+
+GROUPS = (
+    Group("bias", ("x", "y", "z"), "what it reads at rest", _DEG, "deg/s"),
+    Group("scale", ("x", "y", "z"), "its sensitivity beside the nominal one", 1.0, "1"),
+    Group("nonorthogonality", ("xy", "zx", "zy"), "its axes against each other", 1e3, "mrad"),
+    Group("misalignment", ("x", "y", "z"), "how it sits on the stage", _DEG, "deg"),
+    Group("time_offset", ("",), "its samples behind the motion", 1e3, "ms"),
+)
+
+VERDICTS = {
+    "good": ("Good", "Every parameter was observable, and what is left looks like noise."),
+    "limited": ("Limited", "Use the values that are given, and mind what follows."),
+    "refused": ("Refused", "Do not use it before what follows is mended."),
+}
+
+
+def other_groups(calibration: Calibration) -> tuple[Group, ...]:
+    """Return the extension terms of a document, which come after the base model's."""
+    base = {group.name for group in GROUPS}
+    return tuple(
+        Group(name, tuple(str(i) for i in range(len(entries(p)))), "extension", 1.0, p.unit)
+        for name, p in calibration.parameters.items()
+        if name not in base
+    )
+
+
+def entries(parameter: Parameter) -> list[tuple[float | None, float | None]]:
+    """Return (value, standard deviation) of each entry, in the document's unit."""
+    value, std = parameter.value, parameter.std
+    values = value if isinstance(value, list) else [value]
+    stds = std if isinstance(std, list) else [std]
+    return list(zip(values, stds, strict=True))
+
+
+def digits(std: float) -> int:
+    """Return the decimals that show two significant digits of `std`."""
+    if not std > 0.0 or not math.isfinite(std):
+        return 6
+    return min(12, max(0, 1 - math.floor(math.log10(std))))
+
+
+def quantity(value: float, std: float | None) -> tuple[str, str]:
+    """Return the texts of a value and its standard deviation, equally many decimals."""
+    if std is None or not std > 0.0:
+        return f"{value:+.6g}", "unknown"
+    places = digits(std)
+    return f"{value:+.{places}f}", f"{std:.{places}f}"
+
+
+def short(value: float) -> str:
+    """Return a number with three significant digits, without an exponent where it can."""
+    if value == 0.0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e5:
+        return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+    return f"{value:.2e}"

@@ -1,0 +1,262 @@
+"""From a report's data to what the page says: texts, rows and figures, ready to set.
+
+Everything that needs a decision (units, digits, which figure) is decided here; the
+template only places it, and escapes all that came from outside.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.profile import SensorProfile
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.calibration.document import Calibration
+from gyrorig_solver.calibration.wording import (
+    GROUPS,
+    VERDICTS,
+    Group,
+    entries,
+    other_groups,
+    quantity,
+    short,
+)
+from gyrorig_solver.estimate.result import Clock, FitDiagnostics
+from gyrorig_solver.report import figures
+from gyrorig_solver.report.data import ReportData
+
+_AXIS_COLOURS = ("var(--x)", "var(--y)", "var(--z)")
+_LEFT, _RIGHT = 30.0, 170.0  # of the allowed range in a bar that is 200 wide
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One figure at the top of the page."""
+
+    name: str
+    before: str
+    value: str
+    note: str
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """One value inside its data sheet's range, in the units of the drawing."""
+
+    low: str
+    middle: str
+    high: str
+    colour: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One parameter's line; `value` is empty where it was not observable."""
+
+    name: str
+    value: str = ""
+    std: str = ""
+    interval: str = ""
+    unit: str = ""
+    bar: Bar | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RowGroup:
+    """The rows of one parameter vector."""
+
+    name: str
+    meaning: str
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """The figures; `linearity` is empty where nothing turned."""
+
+    rate_error: str
+    residual: str
+    spectrum: str
+    linearity: str
+
+
+def tiles(data: ReportData) -> list[Tile]:
+    """Return the figures that say most: gain, rate error, turned angle, observability."""
+    calibration = data.calibration
+    out = list(_gain_tile(calibration))
+    gain = inverse_gain(calibration)
+    if data.diagnostics is not None:
+        before, after = _window_error(data.diagnostics, gain)
+        out.append(
+            Tile(
+                "rotation error in 1 s",
+                f"{short(before)}°",
+                f"{short(after)}°",
+                "root mean square over the recording",
+            )
+        )
+    seen = calibration.observability
+    out.append(Tile("parameters shown", "", f"{seen.rank} of {seen.of}", "by this motion"))
+    chi2 = calibration.quality.reduced_chi2
+    if chi2 is not None:
+        out.append(Tile("reduced chi²", "", short(chi2), "1 when only noise is left"))
+    return out
+
+
+def groups(data: ReportData) -> list[RowGroup]:
+    """Return every parameter of the document as rows of a table."""
+    calibration = data.calibration
+    return [
+        RowGroup(
+            f"{group.name.replace('_', ' ')} ({group.unit})",
+            group.meaning,
+            tuple(_rows(calibration, group, data.profile)),
+        )
+        for group in (*GROUPS, *other_groups(calibration))
+        if group.name in calibration.parameters
+    ]
+
+
+def pictures(data: FitDiagnostics, calibration: Calibration) -> Pictures:
+    """Return the figures of one fit."""
+    gain = inverse_gain(calibration)
+    turning = float(np.nanmax(np.abs(data.reference_rad_s))) > 0.01  # rad/s
+    return Pictures(
+        figures.rate_error(data, data.residual_rad_s @ gain.T),
+        figures.residual_over_time(data),
+        figures.residual_spectrum(data),
+        figures.residual_against_rate(data) if turning else "",
+    )
+
+
+def clock_rows(clock: Clock) -> list[tuple[str, str]]:
+    """Return what the board's clock did, as names and texts."""
+    speed = "faster" if clock.skew_ppm > 0.0 else "slower"
+    rows = [
+        ("speed", f"{short(abs(clock.skew_ppm))} ppm {speed} than the capture clock"),
+        ("map good to", f"{short(clock.wander_bound_s * 1e6)} µs"),
+        ("samples late by", f"{short(clock.latency_median_s * 1e3)} ms in the middle, "
+         f"{short(clock.latency_max_s * 1e3)} ms at most"),
+        ("restarts, wraps", f"{clock.restarts}, {clock.wraps}"),
+        ("common gain rests on", clock.truth),
+    ]  # fmt: skip
+    return rows
+
+
+def inverse_gain(calibration: Calibration) -> FloatArray:
+    """Return G⁻¹, or the identity where the motion did not show all of G; shape (3, 3)."""
+    rows = calibration.matrices.STM
+    values = [v for row in rows for v in row]
+    if any(v is None for v in values):
+        return np.eye(3)
+    return np.asarray(np.linalg.inv(np.array(rows, dtype=np.float64)), dtype=np.float64)
+
+
+def matrix_text(calibration: Calibration) -> str:
+    """Return the inverse gain and the bias as a person copies them; empty if not known."""
+    rows, bias = calibration.matrices.STM, entries(calibration.parameters["bias"])
+    if any(v is None for row in rows for v in row) or any(v is None for v, _ in bias):
+        return ""
+    inverse = inverse_gain(calibration)
+    lines = ["(S T M)⁻¹ ="]
+    lines += ["  [" + ", ".join(f"{v:+.9f}" for v in row) + "]" for row in inverse]
+    lines.append("b = [" + ", ".join(f"{v or 0.0:+.9f}" for v, _ in bias) + "] rad/s")
+    return "\n".join(lines)
+
+
+def lag_text(calibration: Calibration) -> str:
+    """Return one sentence on the time offset; empty if it was not found."""
+    parameter = calibration.parameters.get("time_offset")
+    value = entries(parameter)[0][0] if parameter else None
+    if value is None:
+        return ""
+    side = "behind" if value >= 0.0 else "ahead of"
+    return (
+        f"A sample tells of the motion {short(abs(value) * 1e3)} ms {side} its stamp's time: "
+        "subtract the time offset from the stamp."
+    )
+
+
+def verdict(calibration: Calibration) -> tuple[str, str]:
+    """Return the verdict's title and sentence."""
+    return VERDICTS[calibration.trust.verdict]
+
+
+def _gain_tile(calibration: Calibration) -> Iterator[Tile]:
+    shown = [(v, s) for v, s in entries(calibration.parameters["scale"]) if v is not None]
+    if shown:
+        worst = max(abs(v - 1.0) for v, _ in shown)
+        left = max(1.96 * (s or 0.0) for _, s in shown)
+        yield Tile(
+            "scale error",
+            f"{short(100 * worst)} %",
+            f"± {short(100 * left)} %",
+            "worst axis; after: 95 % interval",
+        )
+
+
+def _rows(calibration: Calibration, group: Group, profile: SensorProfile | None) -> Iterator[Row]:
+    parameter = calibration.parameters[group.name]
+    for axis, (label, (value, std)) in enumerate(
+        zip(group.labels, entries(parameter), strict=True)
+    ):
+        name = label or group.name.replace("_", " ")
+        if value is None:
+            yield Row(name)
+            continue
+        shown, error = value * group.factor, None if std is None else std * group.factor
+        text, error_text = quantity(shown, error)
+        interval = ""
+        if error is not None and error > 0.0:
+            low, high = (quantity(shown + k * 1.96 * error, error)[0] for k in (-1.0, 1.0))
+            interval = f"{low} … {high}"
+        bar = _bar(group, axis, shown, error or 0.0, profile)
+        yield Row(name, text, error_text, interval, group.unit, bar)
+
+
+def _bar(
+    group: Group, axis: int, value: float, std: float, profile: SensorProfile | None
+) -> Bar | None:
+    limits = _limits(group.name, profile)
+    if limits is None:
+        return None
+    low, high = limits
+
+    def place(x: float) -> str:
+        at = _LEFT + (x - low) / (high - low) * (_RIGHT - _LEFT)
+        return f"{min(196.0, max(4.0, at)):.1f}"
+
+    inside = low <= value <= high
+    side = "inside" if inside else "outside"
+    words = f"{side} the data sheet's {short(low)} to {short(high)} {group.unit}"
+    colour = _AXIS_COLOURS[axis] if inside else "var(--refused)"
+    return Bar(place(value - 1.96 * std), place(value), place(value + 1.96 * std), colour, words)
+
+
+def _limits(name: str, profile: SensorProfile | None) -> tuple[float, float] | None:
+    """Return what the data sheet allows, in the unit that is shown."""
+    if profile is None:
+        return None
+    if name == "bias" and profile.zero_rate_dps:
+        return -profile.zero_rate_dps, profile.zero_rate_dps
+    if name == "scale" and profile.scale_tolerance:
+        return 1.0 - profile.scale_tolerance, 1.0 + profile.scale_tolerance
+    if name == "nonorthogonality" and profile.cross_axis:
+        return -1e3 * profile.cross_axis, 1e3 * profile.cross_axis
+    return None
+
+
+def _window_error(data: FitDiagnostics, gain: FloatArray) -> tuple[float, float]:
+    """Return the rms angle, in degrees, by which 1 s of integration goes wrong."""
+    window = np.floor(data.time_s - data.time_s[0]).astype(np.int64)
+    out = []
+    for error in (data.rate_rad_s - data.reference_rad_s, data.residual_rad_s @ gain.T):
+        known = np.isfinite(error).all(axis=1)
+        count = np.bincount(window[known])
+        whole = count >= 0.9 * np.median(count[count > 0])
+        sums = [np.bincount(window[known], column[known])[whole] for column in error.T]
+        angles = np.stack(sums) / count[whole]  # mean rate x 1 s
+        out.append(math.degrees(math.sqrt(float(np.mean(np.sum(angles**2, axis=0))))))
+    return out[0], out[1]

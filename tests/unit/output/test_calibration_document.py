@@ -1,0 +1,167 @@
+"""The calibration document: exact text, exact read-back, nulls and refusals."""
+
+import math
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.profile import parse_profile
+from gyrorig_solver.calibration.build import Provenance, calibration_of
+from gyrorig_solver.calibration.document import Calibration, parse_calibration, to_plain, to_yaml
+from gyrorig_solver.calibration.summary import summary
+from gyrorig_solver.calibration.wording import quantity
+from gyrorig_solver.estimate.result import GyroFit
+
+GOLDEN = Path(__file__).parent / "golden"
+BOARDS = Path(__file__).parents[3] / "config" / "boards"
+
+
+def made(fit: GyroFit, origin: Provenance) -> Calibration:
+    return calibration_of(fit, origin, version=1, previous=None, created="2026-01-31T02:30:00Z")
+
+
+def assert_same_text(text: str, golden: str) -> None:
+    """Every character the same, but floats that went through LAPACK may differ in the last bit."""
+    number = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
+    assert number.sub("#", text) == number.sub("#", golden)
+    found = [float(t) for t in number.findall(text)]
+    np.testing.assert_allclose(
+        found, [float(t) for t in number.findall(golden)], rtol=1e-12, atol=1e-15
+    )
+
+
+@pytest.mark.parametrize("name", ["good", "limited"])
+def test_document_is_the_golden_text(
+    name: str, request: pytest.FixtureRequest, provenance: Provenance
+) -> None:
+    fit = request.getfixturevalue(f"{name}_fit")
+    document = made(fit, provenance)
+    assert_same_text(to_yaml(document), (GOLDEN / f"{name}.yaml").read_text())
+    assert summary(document) + "\n" == (GOLDEN / f"{name}.txt").read_text()
+
+
+@pytest.mark.parametrize("name", ["good", "limited"])
+def test_document_keeps_the_contract(name: str, contract_judge: Path) -> None:
+    path = GOLDEN / f"{name}.yaml"
+    judged = subprocess.run(
+        [sys.executable, str(contract_judge), str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert judged.returncode == 0, judged.stdout
+
+
+def test_every_number_reads_back_the_same(good_fit: GyroFit, provenance: Provenance) -> None:
+    document = made(good_fit, provenance)
+    assert parse_calibration(to_yaml(document), "text") == document
+
+
+@given(value=st.floats(allow_nan=False, allow_infinity=False))
+def test_any_float_reads_back_the_same(
+    value: float, good_fit: GyroFit, provenance: Provenance
+) -> None:
+    fit = replace(good_fit, bias_rad_s=np.array([value, 0.0, 0.0]))
+    document = made(fit, provenance)
+    back = parse_calibration(to_yaml(document), "text").parameters["bias"].value
+    assert isinstance(back, list)
+    assert back[0] == value
+
+
+def test_what_was_not_seen_is_null_and_named(limited_fit: GyroFit, provenance: Provenance) -> None:
+    plain = to_plain(made(limited_fit, provenance))
+    assert plain["parameters"]["scale"]["value"] == [None, None, None]
+    assert "scale.x" in plain["observability"]["unobservable"]
+    assert plain["matrices"]["STM"][0][0] is None
+    assert plain["matrices"]["STM"][0][2] is not None
+    assert plain["trust"]["verdict"] == "limited"
+    assert "sweep it too" in plain["trust"]["reasons"][0]
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict", "word"),
+    [
+        ({}, "good", ""),
+        ({"reduced_chi2": 2.0}, "limited", "residual"),
+        ({"reduced_chi2": 100.0}, "refused", "residual"),
+        ({"lost": 5000}, "limited", "lost"),
+        ({"outliers": 500}, "limited", "spikes"),
+        ({"distrust": ("the unit stalled: free the cable",)}, "limited", "stalled"),
+        ({"reduced_chi2": math.nan}, "good", ""),
+    ],
+)
+def test_verdict_follows_its_reasons(
+    change: dict[str, object],
+    verdict: str,
+    word: str,
+    good_fit: GyroFit,
+    provenance: Provenance,
+) -> None:
+    trust = made(replace(good_fit, **change), provenance).trust  # type: ignore[arg-type]
+    assert trust.verdict == verdict
+    assert word in " ".join(trust.reasons)
+
+
+def test_values_outside_the_data_sheet_are_remarked(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    profile = parse_profile((BOARDS / "L3G4200D.yaml").read_text(), "L3G4200D.yaml")
+    fit = replace(good_fit, scale=np.array([2.0, 1.0, 1.0]), bias_rad_s=np.array([0.0, 0.0, 0.6]))
+    document = calibration_of(
+        fit, provenance, version=1, previous=None, created="2026-01-31T02:30:00Z", profile=profile
+    )
+    assert [w.split(" ")[0] for w in document.quality.warnings] == ["scale.x", "bias.z"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[1, 2]",
+        "schema: gyrorig/calibration/2",
+        "schema: gyrorig/calibration/1\nboard: 3",
+        "schema: &a gyrorig/calibration/1\nboard: *a",
+        "\x00",
+    ],
+)
+def test_other_documents_are_refused_in_one_line(text: str) -> None:
+    with pytest.raises(InputError) as refused:
+        parse_calibration(text, "v0001.yaml")
+    assert "\n" not in str(refused.value)
+    assert "v0001.yaml" in str(refused.value)
+
+
+def test_unknown_keys_are_refused(good_fit: GyroFit, provenance: Provenance) -> None:
+    text = to_yaml(made(good_fit, provenance)) + "surprise: 1\n"
+    with pytest.raises(InputError, match="surprise"):
+        parse_calibration(text, "v0001.yaml")
+
+
+@pytest.mark.parametrize("path", sorted(BOARDS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_profile_names_itself_and_its_source(path: Path) -> None:
+    profile = parse_profile(path.read_text(), path.name)
+    assert profile.sensor == path.stem
+    assert "data sheet" in profile.source or "specification" in profile.source
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "texts"),
+    [
+        (0.123456, 0.0012, ("+0.1235", "0.0012")),
+        (-12.3, 4.5, ("-12.3", "4.5")),
+        (1.0, None, ("+1", "unknown")),
+        (1.0, 0.0, ("+1", "unknown")),
+    ],
+)
+def test_digits_follow_the_uncertainty(
+    value: float, std: float | None, texts: tuple[str, str]
+) -> None:
+    assert quantity(value, std) == texts

@@ -1,0 +1,112 @@
+"""The report: one file, nothing from outside, hostile names harmless, every part there."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from gyrorig_protocol.profile import parse_profile
+from gyrorig_solver.calibration.build import Provenance, calibration_of
+from gyrorig_solver.calibration.document import Calibration
+from gyrorig_solver.estimate.result import GyroFit
+from gyrorig_solver.report.data import ReportData
+from gyrorig_solver.report.html import render
+
+BOARDS = Path(__file__).parents[3] / "config" / "boards"
+EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> {{7*7}} $x^2$"
+
+
+class Page(HTMLParser):
+    """What a browser would find in the page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str]] = []
+        self.words: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(name, value or "") for name, value in attrs]
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def page_of(text: str) -> Page:
+    page = Page()
+    page.feed(text)
+    return page
+
+
+def made(fit: GyroFit, origin: Provenance) -> Calibration:
+    return calibration_of(fit, origin, version=1, previous=None, created="2026-01-31T02:30:00Z")
+
+
+def report(fit: GyroFit, origin: Provenance) -> str:
+    profile = parse_profile((BOARDS / "L3G4200D.yaml").read_text(), "L3G4200D.yaml")
+    document = made(fit, origin)
+    return render(ReportData(document, fit.diagnostics, fit.clock, profile, fit.reference))
+
+
+@pytest.mark.parametrize("name", ["good", "limited"])
+def test_the_page_needs_nothing_from_outside(
+    name: str, request: pytest.FixtureRequest, provenance: Provenance
+) -> None:
+    page = page_of(report(request.getfixturevalue(f"{name}_fit"), provenance))
+    assert not {"script", "link", "iframe", "object", "img", "base"} & set(page.tags)
+    links = [v for n, v in page.attributes if n.split(":")[-1] in ("href", "src", "data")]
+    assert all(link.startswith("#") for link in links)
+    assert not re.search(r"url\((?!#)", " ".join(v for _, v in page.attributes))
+
+
+def test_references_inside_the_figures_resolve_and_are_unique(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    page = page_of(report(good_fit, provenance))
+    names = [v for n, v in page.attributes if n == "id"]
+    used = {v[1:] for n, v in page.attributes if n.endswith("href")}
+    used |= set(re.findall(r"url\(#([^)]+)\)", " ".join(v for _, v in page.attributes)))
+    assert len(set(names)) == len(names)
+    assert used <= set(names)
+
+
+def test_the_verdict_comes_first_then_the_numbers(
+    good_fit: GyroFit, limited_fit: GyroFit, provenance: Provenance
+) -> None:
+    words = " ".join(page_of(report(good_fit, provenance)).words)
+    assert words.index("Good") < words.index("Before and after") < words.index("What was found")
+    assert "+1.03125" in words
+    assert "12 of 12" in words
+    limited = " ".join(page_of(report(limited_fit, provenance)).words)
+    assert "Limited" in limited
+    assert "sweep it too" in limited
+    assert limited.count("not observable from this motion") == 9
+
+
+def test_hostile_names_are_only_text(good_fit: GyroFit, provenance: Provenance) -> None:
+    document = made(replace(good_fit, warnings=(EVIL,), distrust=(EVIL,)), provenance)
+    board = msgspec.structs.replace(document.board, id=EVIL, uid=EVIL, sensor=EVIL)
+    inputs = [msgspec.structs.replace(document.inputs[0], name=EVIL)]
+    document = msgspec.structs.replace(document, board=board, inputs=inputs)
+    text = render(ReportData(document, good_fit.diagnostics, good_fit.clock, None, EVIL))
+    page = page_of(text)
+    assert not {"script", "img"} & set(page.tags)
+    assert not any(name.startswith("on") for name, _ in page.attributes)
+    assert "{{7*7}}" in "".join(page.words)
+
+
+def test_a_fit_without_arrays_or_clock_still_has_a_page(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    bare = replace(good_fit, diagnostics=None, clock=None, noise=None)
+    words = " ".join(page_of(render(ReportData(made(bare, provenance)))).words)
+    assert "Before and after" not in words
+    assert "What was found" in words
+
+
+def test_the_same_fit_makes_the_same_page(good_fit: GyroFit, provenance: Provenance) -> None:
+    assert report(good_fit, provenance) == report(good_fit, provenance)
