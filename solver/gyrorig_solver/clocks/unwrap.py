@@ -84,4 +84,4 @@ def unwrap_sequence(sequence: IntArray, expected: FloatArray) -> IntArray:
     modulus = 2**16 if int(sequence.max()) < 2**16 else 2**32
     since = (sequence - sequence[0]).astype(np.float64)
     wraps = np.rint((expected - since) / modulus)
-    return (since + wraps * modulus).astype(np.int64)
+    return np.asarray(since + wraps * modulus, dtype=np.int64)

@@ -60,7 +60,7 @@ def decide(information: FloatArray, names: tuple[str, ...]) -> Decision:
         hidden=hidden,
         inverse=inverse,
         rank=int(np.sum(seen)),
-        condition=_condition(information, seen.all()),
+        condition=_condition(information, bool(seen.all())),
     )
 
 

@@ -1,0 +1,180 @@
+"""The noise of a gyroscope as a density over frequency, with levels found in the residual.
+
+One-sided density of one axis, (rad/s)^2/Hz:
+
+    S(f) = N^2 W(f) + B^2/(2 pi f) + K^2/(2 pi f)^2 + D^2 (2 pi f)^2 + q
+
+N angle random walk, W the sensor's low-pass with everything that sampling and block
+means fold into it, B bias instability, K rate random walk (IEEE Std 952, annex C, in
+these units), D the white angle noise of a differentiated attitude reference, q the
+quantum's LSB^2/6 over the sample rate. In the orthonormal DCT-II of a uniform series at
+rate r, coefficient k belongs to f = k r/(2n) and has variance S(f) r/2; the transform
+makes a random walk nearly diagonal, so weighing by 1/variance whitens it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.model.low_pass import power_gain
+
+# The mean of a random walk that starts at the bias has variance K^2 T/3: that is what
+# the density gives at 0.2757/T, so the constant coefficient is read there.
+CONSTANT_AT = 0.2757
+ALIASES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """How the rates came to be a uniform series."""
+
+    rate_hz: float  # of the series (of block means)
+    block: int  # samples in one mean
+    bandwidth_hz: float | None
+    quantum_rad_s: float
+    differentiated: bool  # True where the reference is a differentiated attitude
+
+
+def frequencies(n: int, rate_hz: float) -> FloatArray:
+    """Return the frequency of each DCT coefficient of a series of n, shape (n,)."""
+    f = np.arange(n) * rate_hz / (2.0 * n)
+    f[0] = CONSTANT_AT * rate_hz / n
+    return np.asarray(f, dtype=np.float64)
+
+
+def shapes(frequency_hz: FloatArray, sampling: Sampling) -> FloatArray:
+    """Return the density of each process at unit level, shape (4, k): N, B, K, D."""
+    omega = 2.0 * np.pi * frequency_hz
+    return np.stack(
+        [
+            folded_low_pass(frequency_hz, sampling),
+            1.0 / omega,
+            1.0 / omega**2,
+            omega**2 * float(sampling.differentiated),
+        ]
+    )
+
+
+def folded_low_pass(frequency_hz: FloatArray, sampling: Sampling) -> FloatArray:
+    """Return W(f): |H|^2 of the low-pass, aliased by sampling, averaged over blocks."""
+    raw_hz = sampling.rate_hz * sampling.block
+    total = np.zeros_like(frequency_hz)
+    for fold in range(sampling.block):
+        f = frequency_hz + fold * sampling.rate_hz
+        raw = np.zeros_like(f)
+        for alias in range(-ALIASES, ALIASES + 1):
+            raw += power_gain(np.abs(f + alias * raw_hz), sampling.bandwidth_hz)
+        if sampling.bandwidth_hz is None:
+            raw = np.ones_like(f)
+        mean = np.ones_like(f)
+        if sampling.block > 1:
+            angle = np.pi * f / raw_hz
+            mean = (np.sin(sampling.block * angle) / (sampling.block * np.sin(angle))) ** 2
+        total += raw * mean
+    return total
+
+
+def quantum_density(sampling: Sampling) -> float:
+    """Return q, the density of a uniform quantum's error after block means."""
+    raw_hz = sampling.rate_hz * sampling.block
+    return sampling.quantum_rad_s**2 / 6.0 / raw_hz
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseModel:
+    """Levels of the four processes for each axis, and their density."""
+
+    levels: FloatArray  # (3, 4), squares: N^2, B^2, K^2, D^2
+    sampling: Sampling
+
+    def density(self, frequency_hz: FloatArray) -> FloatArray:
+        """Return S(f) for each axis, shape (k, 3)."""
+        shape = shapes(frequency_hz, self.sampling)
+        return np.asarray(shape.T @ self.levels.T + quantum_density(self.sampling))
+
+    def variance(self, n: int) -> FloatArray:
+        """Return the variance of each DCT coefficient of a series of n, shape (n, 3)."""
+        return self.density(frequencies(n, self.sampling.rate_hz)) * self.sampling.rate_hz / 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """Residual density in bins of about equal log width."""
+
+    frequency_hz: FloatArray  # (k,)
+    density: FloatArray  # (k, 3)
+    count: FloatArray  # (k,), coefficients in each bin
+
+
+def binned(coefficients: list[FloatArray], rate_hz: float, bins: int = 60) -> Spectrum:
+    """Return the residual's density over all segments, without the constant.
+
+    Args:
+        coefficients: DCT-II of the residual, one array (n, 3) for each segment.
+        rate_hz: of the series.
+        bins: at most this many.
+    """
+    f = np.concatenate([frequencies(c.shape[0], rate_hz)[1:] for c in coefficients])
+    power = np.concatenate([c[1:] ** 2 for c in coefficients]) * 2.0 / rate_hz
+    edges = np.geomspace(f.min() * 0.999, f.max() * 1.001, bins + 1)
+    which = np.digitize(f, edges) - 1
+    count = np.bincount(which, minlength=bins).astype(np.float64)
+    some = count > 0
+    centre = np.exp(np.bincount(which, np.log(f), bins)[some] / count[some])
+    mean = np.stack(
+        [np.bincount(which, power[:, i], bins)[some] / count[some] for i in range(3)], axis=1
+    )
+    return Spectrum(centre, mean, count[some])
+
+
+def fit_levels(spectrum: Spectrum, sampling: Sampling) -> NoiseModel:
+    """Find the levels by Whittle's likelihood: sum of count x (log S + P/S)/2 per bin.
+
+    Weak log-normal priors (a factor of e^3) hold the processes that a short recording
+    cannot show at a hundredth of the white noise, so that no level runs to zero or away.
+    """
+    shape = shapes(spectrum.frequency_hz, sampling)
+    quantum = quantum_density(sampling)
+    active = shape.max(axis=1) > 0.0
+    levels = np.zeros((3, 4))
+    for axis in range(3):
+        power = spectrum.density[:, axis]
+        high = spectrum.frequency_hz > np.median(spectrum.frequency_hz)
+        white = float(np.median(power[high] / np.maximum(shape[0][high], 1e-6)))
+        white = max(white, quantum * 1e-3, 1e-30)
+        # Where each process would meet the white noise in an ordinary MEMS part: flicker
+        # at 0.1 Hz, random walk at 0.01 Hz, differentiated attitude at 30 Hz.
+        start = white * np.array(
+            [1.0, 2 * np.pi * 0.1, (2 * np.pi * 0.01) ** 2, (2 * np.pi * 30.0) ** -2]
+        )
+        levels[axis] = _fit_axis(power, spectrum.count, shape, quantum, start, active)
+    return NoiseModel(levels, sampling)
+
+
+def _fit_axis(
+    power: FloatArray,
+    count: FloatArray,
+    shape: FloatArray,
+    quantum: float,
+    start: FloatArray,
+    active: FloatArray,
+) -> FloatArray:
+    """Return the four levels of one axis, zero where a process is not active."""
+    index = np.flatnonzero(active)
+
+    def cost(x: FloatArray) -> tuple[float, FloatArray]:
+        part = (start[index] * np.exp(x))[:, None] * shape[index]
+        total = part.sum(axis=0) + quantum
+        value = 0.5 * float(np.sum(count * (np.log(total) + power / total)))
+        slope = 0.5 * (part @ (count * (1.0 / total - power / total**2)))
+        spread = np.where(index == 0, 10.0, 3.0)
+        return value + 0.5 * float(np.sum((x / spread) ** 2)), slope + x / spread**2
+
+    found: FloatArray = np.asarray(
+        minimize(cost, np.zeros(index.size), jac=True, method="L-BFGS-B").x, dtype=np.float64
+    )
+    levels = np.zeros(4)
+    levels[index] = start[index] * np.exp(np.clip(found, -30.0, 30.0))
+    return levels

@@ -1,0 +1,65 @@
+"""What every reference motion offers to the estimator.
+
+A reference says at which rate the stage turned, and which of its own unknowns (a move's
+start, a speed) would change that rate and how. The estimator fits those unknowns with
+the board's, each held by what the reference already knows of it.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+from gyrorig_solver.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalColumn:
+    """A derivative of the stage rate that is zero outside one stretch."""
+
+    first: int  # index of its first interval
+    values: FloatArray  # (m, 3), stage rate per unit of the unknown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluated:
+    """A reference over consecutive intervals."""
+
+    rate_rad_s: FloatArray  # (n, 3), mean stage rate; nan where it is not known
+    local: tuple[LocalColumn, ...]  # one for each local unknown
+    shared: FloatArray  # (g, n, 3), derivatives by the unknowns that act everywhere
+
+
+class ReferenceMotion(Protocol):
+    """A stage's motion on the recording's time axis."""
+
+    @property
+    def description(self) -> str:
+        """One sentence: what the rates are compared with."""
+        ...
+
+    @property
+    def information(self) -> FloatArray:
+        """What is known of the unknowns, (k + g) squared: local ones, then shared ones."""
+        ...
+
+    @property
+    def pull(self) -> FloatArray:
+        """Where that knowledge has them, minus where they are now, shape (k + g,)."""
+        ...
+
+    @property
+    def common_std_s(self) -> float:
+        """One shift of the whole reference in time that nothing in it can show."""
+        ...
+
+    @property
+    def differentiated(self) -> bool:
+        """True where the rates come from differences of noisy attitudes."""
+        ...
+
+    def evaluate(self, edges_s: FloatArray) -> Evaluated:
+        """Return the mean stage rate between consecutive times, shape (n + 1,)."""
+        ...
+
+    def moved(self, step: FloatArray) -> Self:
+        """Return the reference with its unknowns changed by `step`, shape (k + g,)."""
+        ...
