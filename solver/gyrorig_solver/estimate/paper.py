@@ -15,9 +15,9 @@ from typing import Final, Literal
 
 import numpy as np
 
+from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate import paper_angles as angles
 from gyrorig_solver.estimate import paper_matrices as matrices
-from gyrorig_solver.estimate.paper_angles import BoolArray, FloatArray
 
 Order = Literal["printed", "axes"]
 """`printed`: u = (phi, psi, theta) of eq. 6, which by eq. 11 are the angles about (z, x, y).
@@ -26,6 +26,12 @@ Order = Literal["printed", "axes"]
 """
 
 Bias = Literal["quasi_static", "static"]
+
+Still = Literal["pinv", "step"]
+"""When a direction of u counts as still in eq. 7.
+
+`pinv`: below Matlab's tolerance, which is rounding. `step`: below one step of the unit.
+"""
 
 ONE_STEP_RAD: Final = 185.1428 / 3600.0 * np.pi / 180.0
 """The position step of a PTU-D46-17, 185.1428 seconds of arc (command reference manual 3.00D)."""
@@ -39,6 +45,8 @@ FAILURES: Final[Mapping[str, str]] = MappingProxyType(
         "holds the exchange of axes; read with order 'axes' to compare with Table 3",
         "u_rank_deficient": "U has not rank 3: the motion never shows the response to one "
         "direction, and eq. 7 fills its place with the answer of least norm",
+        "u_rank_by_rounding": "a direction of u moves by less than one step of the unit, and eq. 7 "
+        "divides by it: its column of STM is noise; read with still 'step' to leave it out",
         "reference_not_the_attitude": "eq. 12 gives angles that the unit never had: it puts tilt "
         "about a fixed axis although the tilt axis turns with pan",
         "integral_not_the_attitude": "integrated rates of a perfect gyro differ from the angles "
@@ -66,10 +74,11 @@ class PaperReading:
     bias: Bias = "quasi_static"  # section IV; section V calls it the more accurate one
     slope: angles.Slope = "line"  # section IV
     factors: matrices.Factors = "by_shape"  # eq. 9
+    still: Still = "pinv"  # eq. 7
 
 
-AS_TABLED: Final = PaperReading(order="axes", factors="product")
-"""The reading whose result has the form of Table 3: axes in order, S T M = STM."""
+AS_TABLED: Final = PaperReading(order="axes", factors="product", still="step")
+"""The reading whose result has the form of Table 3: axes in order, S T M = STM, no rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +95,7 @@ class PaperResult:
     time_s: FloatArray  # (n,), of the quasi-static test
     Y_rad: FloatArray  # (3, n), measured angles
     U_rad: FloatArray  # (3, n), reference angles, in the order of `reading`
-    rank: int  # of U
+    rank: int  # of U, by `reading.still`
     singular_values_rad: FloatArray  # (3,), of U
     unseen: FloatArray  # (3, 3 - rank), directions of u without any motion
     STM: FloatArray  # eq. 7, of least norm where U has not full rank
@@ -156,9 +165,12 @@ def calibrate_as_printed(
         bias = bias_static
     U_rad, composition_error, integral_error = _reference(pan_rad, tilt_rad, reading, failures)
     Y_rad = (raw_rad - bias * (time_s - time_s[0])[:, None]).T
-    fit = matrices.gain_by_pseudoinverse(Y_rad, U_rad)
+    smallest_rad = ONE_STEP_RAD if reading.still == "step" else 0.0
+    fit = matrices.gain_by_pseudoinverse(Y_rad, U_rad, smallest_rad)
     if fit.rank < 3:
         failures.append("u_rank_deficient")
+    elif fit.singular_values_rad[-1] < ONE_STEP_RAD * np.sqrt(time_s.size):
+        failures.append("u_rank_by_rounding")
     ST, S, T, M = _factorised(fit.gain, reading.factors, failures)
     return PaperResult(
         reading=reading,

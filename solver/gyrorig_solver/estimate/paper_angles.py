@@ -12,10 +12,8 @@ with a PTU", sections II and IV.
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from gyrorig_solver.arrays import FloatArray
 
 Composition = Literal["printed", "right", "mechanism"]
 """How eq. 12 puts increments together.

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from gyrorig_solver.estimate.paper_angles import FloatArray
+from gyrorig_solver.arrays import FloatArray
 
 Factors = Literal["by_shape", "by_position", "product"]
 """What eq. 9, [S, T] = LU(ST), hands over; LU of a lower L gives (L D^-1) D, D = diag(L).
@@ -33,20 +33,23 @@ class PseudoinverseFit:
     unseen: FloatArray  # (3, 3 - rank), directions of u that never occurred
 
 
-def gain_by_pseudoinverse(Y_rad: FloatArray, U_rad: FloatArray) -> PseudoinverseFit:
+def gain_by_pseudoinverse(
+    Y_rad: FloatArray, U_rad: FloatArray, smallest_rms_rad: float = 0.0
+) -> PseudoinverseFit:
     """STM = Y U^+ (eq. 7).
 
     Args:
         Y_rad: measured angles, shape (3, n).
         U_rad: reference angles, shape (3, n).
+        smallest_rms_rad: a direction of u that moves by less than this counts as still.
 
     Returns:
-        The gain and the rank of U, with the tolerance max(3, n) eps s_1 of Matlab's `pinv`,
-        in which the paper was calculated.
+        The gain and the rank of U. Below the tolerance max(3, n) eps s_1 of Matlab's `pinv`,
+        in which the paper was calculated, a direction counts as still in any case.
     """
     left, singular, right = np.linalg.svd(U_rad, full_matrices=False)
-    tolerance = max(U_rad.shape) * np.finfo(np.float64).eps * singular[0]
-    seen = singular > tolerance
+    rounding = max(U_rad.shape) * np.finfo(np.float64).eps * singular[0]
+    seen = singular > max(rounding, smallest_rms_rad * np.sqrt(U_rad.shape[1]))
     rank = int(np.count_nonzero(seen))
     inverse = (right[:rank].T / singular[:rank]) @ left[:, :rank].T
     return PseudoinverseFit(
