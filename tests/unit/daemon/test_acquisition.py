@@ -1,0 +1,158 @@
+"""The acquisition process on ptys: bytes, stamps, exclusion, hang-ups, and its last act."""
+
+import fcntl
+import os
+import pty
+import select
+import signal
+import termios
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from gyrorig_daemon.links.acquire import raw_ns
+from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.wire import CHUNK, REPORT, ReportParser
+from gyrorig_protocol.errors import BusyError, DeviceError, MachineError, UsageError
+
+SECOND_NS = 1_000_000_000
+
+
+class Line:
+    """A pty: our end is the device's, `path` the daemon's."""
+
+    def __init__(self) -> None:
+        self.fd, held = pty.openpty()
+        self.path = os.ttyname(held)
+        self._held = held
+
+    def read(self, seconds: float = 5.0) -> bytes:
+        ready, _, _ = select.select([self.fd], [], [], seconds)
+        return os.read(self.fd, 4096) if ready else b""
+
+    def close(self) -> None:
+        for fd in (self.fd, self._held):
+            with suppress(OSError):
+                os.close(fd)
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    made = Line()
+    yield made
+    made.close()
+
+
+def test_bytes_pass_unchanged_and_are_stamped(line: Line) -> None:
+    every = bytes(range(256))
+    with AcquisitionHub({"a": PortSettings(line.path, 115200)}) as hub:
+        before_ns = raw_ns()
+        os.write(line.fd, every)
+        got = b""
+        while len(got) < len(every):
+            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            assert chunk is not None
+            assert chunk.port == "a"
+            assert before_ns < chunk.received_ns < raw_ns()
+            got += chunk.data
+        assert got == every
+        stamp = hub.write("a", every)
+        assert before_ns < stamp.before_ns <= stamp.after_ns < raw_ns()
+        seen = b""
+        while len(seen) < len(every):
+            seen += line.read()
+        assert seen == every
+        assert hub.read(raw_ns()) is None
+
+
+def test_a_port_held_by_another_is_busy(line: Line) -> None:
+    with (
+        AcquisitionHub({"a": PortSettings(line.path, 9600)}),
+        pytest.raises(BusyError, match=line.path) as caught,
+    ):
+        AcquisitionHub({"b": PortSettings(line.path, 9600)})
+    assert caught.value.exit_code == 75
+
+
+def test_the_port_is_locked_for_those_that_ask(line: Line) -> None:
+    with AcquisitionHub({"a": PortSettings(line.path, 9600)}):
+        fd = os.open(line.path, os.O_RDWR | os.O_NOCTTY)  # root is let in by TIOCEXCL
+        with pytest.raises(BlockingIOError):
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        assert termios.tcgetattr(fd)[3] & (termios.ECHO | termios.ICANON) == 0
+        os.close(fd)
+
+
+def test_a_missing_port_is_named() -> None:
+    with pytest.raises(UsageError, match="/dev/none-such"):
+        AcquisitionHub({"ptu": PortSettings("/dev/none-such", 9600)})
+
+
+def test_a_file_is_no_port(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.touch()
+    with pytest.raises(UsageError, match="no serial port"):
+        AcquisitionHub({"ptu": PortSettings(str(path), 9600)})
+
+
+def test_a_hang_up_is_an_empty_chunk_and_writes_fail(line: Line) -> None:
+    with AcquisitionHub({"a": PortSettings(line.path, 9600)}) as hub:
+        line.close()
+        chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+        assert chunk is not None
+        assert chunk.data == b""
+        with pytest.raises(DeviceError, match="hung up"):
+            hub.write("a", b"PP ")
+
+
+def test_a_port_that_takes_nothing_is_given_up(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gyrorig_daemon.links.process_hub.WRITE_DEADLINE_NS", SECOND_NS // 5)
+    with (
+        AcquisitionHub({"a": PortSettings(line.path, 9600)}) as hub,
+        pytest.raises(DeviceError, match="does not take bytes"),
+    ):
+        hub.write("a", bytes(200_000))
+
+
+def test_when_the_daemon_dies_the_unit_is_halted(line: Line) -> None:
+    child = os.fork()
+    if child == 0:  # a daemon that is killed without a word
+        with suppress(BaseException):
+            AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")})
+            os.kill(os.getpid(), signal.SIGKILL)
+        os._exit(1)
+    os.waitpid(child, 0)
+    assert line.read() == b" H "
+
+
+def test_when_the_acquisition_dies_the_daemon_halts_the_unit(line: Line) -> None:
+    with AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")}) as hub:
+        hub._child.kill()
+        with pytest.raises(MachineError, match="acquisition process ended"):
+            while True:
+                hub.read(raw_ns() + 5 * SECOND_NS)
+    assert line.read() == b" H "
+
+
+def test_closing_says_no_farewell(line: Line) -> None:
+    with AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")}) as hub:
+        hub.write("a", b"V ")
+        time.sleep(0)
+    assert line.read() == b"V "
+    assert line.read(0.05) == b""
+
+
+@pytest.mark.parametrize("cut", range(1, REPORT.size + 4))
+def test_reports_do_not_depend_on_cuts(cut: int) -> None:
+    stream = b"".join(
+        REPORT.pack(CHUNK, 0, len(data), at, 0) + data
+        for at, data in enumerate((b"abc", b"", b"\0" * 300))
+    )
+    whole = ReportParser().feed(stream)
+    parser = ReportParser()
+    pieces = [stream[at : at + cut] for at in range(0, len(stream), cut)]
+    assert [report for piece in pieces for report in parser.feed(piece)] == whole
+    assert len(whole) == 3

@@ -1,0 +1,71 @@
+"""Rig configurations: what is taken, and what is refused with a place."""
+
+from pathlib import Path
+
+import pytest
+
+from gyrorig_daemon.config import load_rig, parse_rig
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.program import parse_program
+
+ROOT = Path(__file__).resolve().parents[3]
+
+GOOD = """
+rig: desk
+ptu: {port: emulated, baud: 115200}
+boards:
+  - {id: A-1, port: emulated}
+"""
+
+
+def test_the_shipped_files_are_taken() -> None:
+    assert load_rig(ROOT / "config" / "rig.yaml").is_emulated
+    assert not load_rig(ROOT / "config" / "rig-raspberrypi.yaml").is_emulated
+    for path in (ROOT / "config" / "programs").glob("*.yaml"):
+        assert parse_program(path.read_bytes(), path.name).name == path.stem
+
+
+def test_defaults() -> None:
+    rig = parse_rig(GOOD, "rig.yaml")
+    assert rig.ports() == {"ptu": "emulated", "board:A-1": "emulated"}
+    assert (rig.ptu.pan_sign, rig.ptu.dialect, rig.boards[0].format) == (1, "auto", "gcb1")
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (("baud: 115200", "bauds: 115200"), "bauds"),
+        (("baud: 115200", "baud: '115200'"), "$.ptu.baud"),
+        (("baud: 115200", "baud: 115201"), "$.ptu.baud"),
+        (("baud: 115200", "pan_sign: 0"), "pan_sign"),
+        (("rig: desk", "rig: ../../etc"), "board name"),
+        (("id: A-1", "id: ../x"), "board name"),
+        (("rig: desk", "rig: desk\nschema: gyrorig/rig/2"), "schema"),
+        (("port: emulated}", "port: emulated, format: text}"), "gcb1"),
+        (("port: emulated}", "port: /dev/x, format: text}"), "columns"),
+        (
+            (
+                "port: emulated}",
+                "port: /dev/x, format: text, columns: {gyro: [0, 1, 2]}}",
+            ),
+            "facts",
+        ),
+        (("boards:", "boards: []\nboard:"), "board"),
+        (("rig: desk", "rig: [desk"), "YAML"),
+        (("baud: 115200", "limits: {pan_min_deg: 3.0, pan_max_deg: 1.0}"), "pan_min_deg"),
+        (("- {id: A-1, port: emulated}", "- {id: A, port: x}\n  - {id: A, port: y}"), "twice"),
+        (("- {id: A-1, port: emulated}", "- {id: A, port: x}\n  - {id: B, port: x}"), "twice"),
+    ],
+)
+def test_what_is_wrong_is_named(change: tuple[str, str], word: str) -> None:
+    text = GOOD.replace(*change)
+    assert text != GOOD
+    with pytest.raises(UsageError, match="rig.yaml") as caught:
+        parse_rig(text, "rig.yaml")
+    assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"none\.yaml"):
+        load_rig(tmp_path / "none.yaml")
