@@ -314,7 +314,7 @@ class RecordingWriter:
         self._mcap.start(profile="ros2", library=software())
         for name, record in records.items():
             self._mcap.add_metadata(name, dict(record))
-        copy = json.dumps(records, sort_keys=True).encode()
+        copy = json.dumps(records).encode()
         for one in (*attachments, Attachment(METADATA_COPY, "application/json", copy)):
             self._mcap.add_attachment(
                 one.log_time_ns, one.log_time_ns, one.name, one.media_type, one.data

@@ -1,0 +1,144 @@
+"""Read a recording of format 1: finished or not, whole or damaged.
+
+What to use when: `read_recording(path)`; see `recording.Recording` for what comes back.
+
+Every checksum that the file carries is checked. What is damaged or cut is left out and
+stated in `Recording.losses`; what is left is exactly what was written. A file that is
+no recording at all, or of another format, is an InputError.
+
+How it is fast: each chunk is unpacked once, the offsets of its messages come from the
+message index and are proven (`chunks`), and whole records are gathered by numpy into
+one buffer per channel, into which the fields are views (`arrays`).
+"""
+
+import json
+import mmap
+import stat
+from pathlib import Path
+
+from gyrorig_protocol.errors import InputError, MachineError
+from gyrorig_protocol.recording.collect import Collector
+from gyrorig_protocol.recording.framing import Walk, walk
+from gyrorig_protocol.recording.losses import Loss, LossCause
+from gyrorig_protocol.recording.recording import Recording, board_of, is_board_id
+from gyrorig_protocol.recording.summary import MAGIC, Summary, read_summary
+from gyrorig_protocol.recording.writer import FORMAT, METADATA_COPY
+
+Metadata = dict[str, dict[str, str]]
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording.
+
+    Args:
+        path: a `.mcap`, or a `.mcap.part` that was never finished.
+
+    Returns:
+        Everything that is sound, and what is not, by cause.
+
+    Raises:
+        InputError: no such file, empty, foreign, another format, other fields.
+        MachineError: this computer cannot read it (permissions, disk).
+    """
+    data = _map(path)
+    if data[: len(MAGIC)] != MAGIC:
+        raise InputError(f"{path} is no MCAP file", "a recording begins with the MCAP mark")
+    summary = read_summary(data)
+    found = walk(data, summary)
+    metadata = _metadata(found)
+    _check_format(path, metadata)
+    if found.profile != "ros2":
+        found.notes.append(f"the profile is {found.profile!r}, not 'ros2'")
+    collector = Collector(path, data, found, summary.declared)
+    collector.take_all()
+    topics = collector.topics()
+    for name in filter(None, map(board_of, topics)):
+        if not is_board_id(name):
+            found.notes.append(f"{name[:40]!r} is no board name: its samples are not offered")
+    _state_missing(found, summary, collector.seen)
+    return Recording(
+        path=path,
+        metadata=metadata,
+        attachments=tuple(a for a in found.attachments if a.name != METADATA_COPY),
+        topics=topics,
+        losses=tuple(found.losses),
+        notes=tuple(found.notes),
+        file=data,
+    )
+
+
+def _map(path: Path) -> memoryview:
+    try:
+        with path.open("rb") as file:
+            status = path.stat()
+            if not stat.S_ISREG(status.st_mode):
+                raise InputError(f"{path} is no file", "name one recording")
+            if status.st_size == 0:
+                raise InputError(f"{path} is empty", "its writer died within its first moments")
+            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise InputError(f"{path} does not exist", "name a recording that does") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path} is a folder", "name one recording in it") from error
+    except OSError as error:
+        raise MachineError(f"cannot read {path}: {error.strerror}") from error
+
+
+def _metadata(found: Walk) -> Metadata:
+    """The metadata, from the checksummed copy where there is one."""
+    metadata: Metadata = {}
+    for name, record in found.metadata:
+        if name in metadata:
+            same = "twice, alike" if metadata[name] == record else "twice; the last one counts"
+            found.notes.append(f"metadata {name!r} is there {same}")
+        metadata[name] = record
+    copy = _metadata_copy(found)
+    for name, record in copy.items():
+        if metadata.get(name) != record:
+            text = f"metadata {name!r} is damaged; its checksummed copy is used"
+            found.losses.append(Loss(LossCause.METADATA, 0, 0, 0, text))
+    return copy or metadata
+
+
+def _metadata_copy(found: Walk) -> Metadata:
+    for attachment in found.attachments:
+        if attachment.name != METADATA_COPY:
+            continue
+        try:
+            copy = json.loads(attachment.data)
+        except (ValueError, RecursionError):
+            copy = None
+        if _is_metadata(copy):
+            return dict(copy)
+        found.notes.append(f"attachment {METADATA_COPY} holds no metadata")
+    return {}
+
+
+def _is_metadata(copy: object) -> bool:
+    return isinstance(copy, dict) and all(
+        isinstance(record, dict) and all(isinstance(value, str) for value in record.values())
+        for record in copy.values()
+    )
+
+
+def _check_format(path: Path, metadata: Metadata) -> None:
+    own = metadata.get("gyrorig")
+    if own is None:
+        raise InputError(f"{path} holds no gyrorig metadata", "it is no recording of this kind")
+    if own.get("format") != FORMAT:
+        raise InputError(f"{path} is of format {own.get('format')!r}", f"this reads {FORMAT!r}")
+
+
+def _state_missing(found: Walk, summary: Summary, seen: int) -> None:
+    """Compare with the file's own count of its messages."""
+    if summary.messages is None or summary.messages == seen:
+        return
+    missing = summary.messages - seen
+    if missing < 0:
+        found.notes.append(f"the file counts {summary.messages} messages but holds {seen}")
+        return
+    stated = [loss for loss in found.losses if loss.cause is not LossCause.MESSAGE]
+    if sum(loss.messages or 0 for loss in stated) == missing:
+        return
+    text = f"the file counts {missing} messages more than could be read"
+    found.losses.append(Loss(LossCause.MISSING, 0, 0, missing, text))

@@ -1,0 +1,273 @@
+"""What a recording holds, as the reader gives it back.
+
+What to use when: `array` or the named shortcuts for fixed-size messages in bulk,
+`messages` for texts, `times_ns` to turn a `Time` field into nanoseconds, `losses` to
+know what is missing before believing the rest.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Generic, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.arrays import array_dtype
+from gyrorig_protocol.recording.cdr import fixed_layout
+from gyrorig_protocol.recording.chunks import RECORD_BYTES
+from gyrorig_protocol.recording.framing import AttachmentRecord
+from gyrorig_protocol.recording.losses import Loss
+from gyrorig_protocol.recording.messages import (
+    HOST_CLOCK_TOPIC,
+    PTU_COMMAND_TOPIC,
+    PTU_POSITION_TOPIC,
+    REFERENCE_ATTITUDE_TOPIC,
+    SESSION_EVENT_TOPIC,
+    ClockPing,
+    HostClock,
+    ImuRaw,
+    Message,
+    PtuCommandRecord,
+    PtuPosition,
+    ReferenceAttitude,
+    SessionEvent,
+    clock_topic,
+    imu_topic,
+)
+from gyrorig_protocol.recording.schemas import SCHEMAS
+from gyrorig_protocol.recording.standard_messages import Diagnostics, Log
+
+RecordArray = npt.NDArray[np.void]
+
+M = TypeVar("M", bound=Message)
+
+MESSAGE_TYPES: Mapping[str, type[Any]] = {
+    kind.TYPE: kind
+    for kind in (
+        ImuRaw,
+        PtuPosition,
+        PtuCommandRecord,
+        SessionEvent,
+        ClockPing,
+        HostClock,
+        ReferenceAttitude,
+        Diagnostics,
+        Log,
+    )
+}
+
+
+def times_ns(field: npt.NDArray[np.void]) -> npt.NDArray[np.int64]:
+    """A `builtin_interfaces/Time` field of an array as nanoseconds, any shape."""
+    time_ns: npt.NDArray[np.int64] = field["sec"].astype(np.int64)
+    time_ns *= 1_000_000_000
+    time_ns += field["nanosec"]
+    return time_ns
+
+
+def board_of(topic: str) -> str | None:
+    """The name in a board's topic of samples, not yet checked; None for other topics."""
+    parts = topic.split("/")
+    ours = len(parts) == 4 and parts[0] == "" and parts[1] == "board" and parts[3] == "imu_raw"
+    return parts[2] if ours else None
+
+
+def is_board_id(name: str) -> bool:
+    """Whether `BoardId` takes it."""
+    try:
+        BoardId(name)
+    except InputError:
+        return False
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped(Generic[M]):
+    """A decoded message with what its record says about it."""
+
+    log_time_ns: int
+    publish_time_ns: int
+    message_sequence: int
+    message: M
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Topic:
+    """The messages of one topic: an array where they have one size, else a list."""
+
+    type: str
+    array: RecordArray | None
+    stamped: tuple[Stamped[Message], ...] = ()
+
+    def __len__(self) -> int:
+        """How many messages."""
+        return len(self.stamped) if self.array is None else len(self.array)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recording, read whole. Arrays must not be written to: they are shared."""
+
+    path: Path
+    metadata: Mapping[str, Mapping[str, str]]
+    attachments: tuple[AttachmentRecord, ...]
+    topics: Mapping[str, Topic]
+    losses: tuple[Loss, ...]  # what is missing, by cause
+    notes: tuple[str, ...]  # what is odd, without anything missing
+    file: memoryview  # the bytes that were read, for the digest
+
+    @property
+    def complete(self) -> bool:
+        """True when the file was finished and nothing of it is missing."""
+        return not self.losses
+
+    @property
+    def lost_messages(self) -> int | None:
+        """How many messages are missing; None when nobody can tell."""
+        counts = [loss.messages for loss in self.losses]
+        return None if None in counts else sum(count or 0 for count in counts)
+
+    @cached_property
+    def sha256(self) -> str:
+        """Digest of the bytes that were read, in hexadecimal; computed when first asked for."""
+        return hashlib.sha256(self.file).hexdigest()
+
+    @property
+    def board_ids(self) -> tuple[BoardId, ...]:
+        """The boards that have samples here, sorted."""
+        names = (board_of(topic) for topic in self.topics)
+        return tuple(sorted(BoardId(name) for name in names if name and is_board_id(name)))
+
+    @cached_property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time; (0, 0) without any message."""
+        first, last = [], []
+        for topic in self.topics.values():
+            if topic.array is not None and len(topic.array):
+                first.append(int(topic.array["log_time"].min()))
+                last.append(int(topic.array["log_time"].max()))
+            elif topic.stamped:
+                first.append(min(one.log_time_ns for one in topic.stamped))
+                last.append(max(one.log_time_ns for one in topic.stamped))
+        return (min(first), max(last)) if first else (0, 0)
+
+    @property
+    def start_ns(self) -> int:
+        """First log time."""
+        return self.span_ns[0]
+
+    @property
+    def end_ns(self) -> int:
+        """Last log time."""
+        return self.span_ns[1]
+
+    def array(self, topic: str) -> RecordArray:
+        """All messages of a fixed-size topic.
+
+        Args:
+            topic: as in `topics`.
+
+        Returns:
+            Structured array, shape (n,), in the order of log time: log_time and
+            publish_time (ns, int64), message_sequence, then the payload's fields by
+            name; `Time` fields hold sec and nanosec, see `times_ns`.
+
+        Raises:
+            InputError: no such topic, or its messages vary in size.
+        """
+        found = self.topics.get(topic)
+        if found is None:
+            raise InputError(f"{self.path} holds no {topic}")
+        if found.array is None:
+            raise InputError(f"{self.path}: {topic} holds {found.type}, which is no array")
+        return found.array
+
+    def stamped(self, topic: str) -> list[Stamped[Message]]:
+        """All messages of a topic, decoded one by one, with their records' times.
+
+        Raises:
+            InputError: no such topic, or of a type that is not of format 1.
+        """
+        found = self.topics.get(topic)
+        if found is None:
+            raise InputError(f"{self.path} holds no {topic}")
+        kind = MESSAGE_TYPES.get(found.type)
+        if kind is None:
+            raise InputError(f"{self.path}: {topic} holds {found.type}, not of format 1")
+        if found.array is None:
+            return list(found.stamped)
+        raw = np.ascontiguousarray(found.array).tobytes()
+        size = found.array.dtype.itemsize
+        heads = zip(
+            found.array["log_time"].tolist(),
+            found.array["publish_time"].tolist(),
+            found.array["message_sequence"].tolist(),
+            range(RECORD_BYTES, len(raw), size),
+            strict=True,
+        )
+        return [
+            Stamped(log_ns, publish_ns, sequence, kind.decode(raw[at : at + size - RECORD_BYTES]))
+            for log_ns, publish_ns, sequence, at in heads
+        ]
+
+    def messages(self, topic: str) -> list[Message]:
+        """All messages of a topic, decoded one by one; raises as `stamped`."""
+        return [one.message for one in self.stamped(topic)]
+
+    def imu(self, board_id: BoardId) -> RecordArray:
+        """A board's samples, as `array`.
+
+        Raises:
+            InputError: the recording holds none of that board.
+        """
+        if imu_topic(board_id) not in self.topics:
+            known = ", ".join(self.board_ids) or "no board at all"
+            raise InputError(f"{self.path} holds no samples of {board_id}", f"it holds {known}")
+        return self._array_of(imu_topic(board_id), ImuRaw)
+
+    def ptu_positions(self) -> RecordArray:
+        """The pan-tilt unit's positions, as `array`; empty without any."""
+        return self._array_of(PTU_POSITION_TOPIC, PtuPosition)
+
+    def host_clock(self) -> RecordArray:
+        """The host's clocks, as `array`; empty without any."""
+        return self._array_of(HOST_CLOCK_TOPIC, HostClock)
+
+    def reference_attitude(self) -> RecordArray:
+        """The reference attitudes, as `array`; empty without any."""
+        return self._array_of(REFERENCE_ATTITUDE_TOPIC, ReferenceAttitude)
+
+    def clock_pings(self, board_id: BoardId) -> RecordArray:
+        """A board's clock exchanges, as `array`; empty without any."""
+        return self._array_of(clock_topic(board_id), ClockPing)
+
+    def ptu_commands(self) -> list[PtuCommandRecord]:
+        """The exchanges with the pan-tilt unit that are no position polls."""
+        return self._list_of(PTU_COMMAND_TOPIC, PtuCommandRecord)
+
+    def events(self) -> list[SessionEvent]:
+        """The session's phases, notes and faults."""
+        return self._list_of(SESSION_EVENT_TOPIC, SessionEvent)
+
+    def _array_of(self, topic: str, kind: type[Message]) -> RecordArray:
+        if topic not in self.topics:
+            layout = fixed_layout(kind.TYPE, SCHEMAS[kind.TYPE])
+            return np.empty(0, array_dtype(cast(Any, layout)))
+        self._check_type(topic, kind)
+        return self.array(topic)
+
+    def _list_of(self, topic: str, kind: type[M]) -> list[M]:
+        if topic not in self.topics:
+            return []
+        self._check_type(topic, kind)
+        return cast(list[M], self.messages(topic))
+
+    def _check_type(self, topic: str, kind: type[Message]) -> None:
+        found = self.topics[topic].type
+        if found != kind.TYPE:
+            raise InputError(f"{self.path}: {topic} holds {found}, not {kind.TYPE}")
