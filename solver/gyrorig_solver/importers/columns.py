@@ -1,0 +1,162 @@
+"""Columns of numbers out of files that others wrote: text tables and NumPy archives.
+
+What to use when: `open_columns` picks the reader by the file's name; `column` and
+`matrix` return float64 arrays. Input is bounded before it is loaded, nothing in it is
+executed, and whatever is wrong with it is an `InputError` of one line.
+"""
+
+import csv
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterable, Sequence
+from io import StringIO
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.arrays import FloatArray
+
+# A night of one board at 800 Hz has 23 million samples; ten columns of that fit a desk's memory.
+MAX_ROWS = 25_000_000
+MAX_ARCHIVE_BYTES = 4_000_000_000
+ROWS_AT_A_TIME = 200_000
+MAX_HEADER_CHARS = 100_000
+
+
+class Columns(Protocol):
+    """A file's named numbers."""
+
+    def matrix(self, keys: Sequence[str], width: int) -> FloatArray:
+        """Return one array of `width` columns, or `width` single ones, side by side."""
+        ...
+
+
+def open_columns(path: Path, wanted: Sequence[str]) -> Columns:
+    """Open a table for the columns that a map asks for.
+
+    Args:
+        path: `.npz`, or a text table with a header line (`.csv`, `.tsv`, `.txt`).
+        wanted: names of all columns that will be asked for.
+
+    Raises:
+        InputError: not such a file, a column is missing, or it is too large.
+    """
+    if not path.is_file():
+        raise InputError(f"{path} is no file", "name one measurement file")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path.name} is empty", "there is nothing to import")
+    try:
+        if path.suffix == ".npz":
+            return _Archive(path, wanted)
+        return _Table(path, wanted)
+    except (OSError, zipfile.BadZipFile, zlib.error, EOFError, MemoryError) as error:
+        raise InputError(f"cannot read {path.name}", _line(error)) from error
+
+
+class _Archive:
+    """A NumPy archive; only the wanted arrays are loaded."""
+
+    def __init__(self, path: Path, wanted: Sequence[str]) -> None:
+        with zipfile.ZipFile(path) as archive:
+            size = {i.filename.removesuffix(".npy"): i.file_size for i in archive.infolist()}
+        missing = [key for key in wanted if key not in size]
+        if missing:
+            raise InputError(f"{path.name} has no {missing[0]!r}", f"it has {_some(size)}")
+        if sum(size[key] for key in set(wanted)) > MAX_ARCHIVE_BYTES:
+            raise InputError(f"{path.name} unpacks to more than 4 GB", "split it")
+        self._arrays: dict[str, FloatArray] = {}
+        with np.load(path, allow_pickle=False) as loaded:
+            for key in dict.fromkeys(wanted):
+                try:
+                    self._arrays[key] = np.asarray(loaded[key]).astype(np.float64)
+                except (ValueError, TypeError) as error:
+                    raise InputError(
+                        f"{path.name}: {key} holds no numbers", _line(error)
+                    ) from error
+        self._name = path.name
+
+    def matrix(self, keys: Sequence[str], width: int) -> FloatArray:
+        parts = [self._arrays[key] for key in keys]
+        columns = [part.reshape(-1, 1) if part.ndim < 2 else part for part in parts]
+        if len({part.shape[0] for part in columns}) != 1 or any(p.ndim != 2 for p in columns):
+            raise InputError(f"{self._name}: {_some(keys)} differ in length", "check the map")
+        return _checked(np.concatenate(columns, axis=1), keys, width, self._name)
+
+
+class _Table:
+    """A text table; read in blocks, so that only the wanted columns are held."""
+
+    def __init__(self, path: Path, wanted: Sequence[str]) -> None:
+        self._name = path.name
+        with path.open(encoding="utf-8", errors="replace", newline="") as lines:
+            header = lines.readline(MAX_HEADER_CHARS)
+            delimiter = max(",;\t", key=header.count)
+            names = [
+                name.strip() for name in next(csv.reader(StringIO(header), delimiter=delimiter), [])
+            ]
+            missing = [key for key in wanted if key not in names]
+            if missing:
+                raise InputError(
+                    f"{path.name} has no column {missing[0]!r}", f"it has {_some(names)}"
+                )
+            unique = list(dict.fromkeys(wanted))
+            use = [names.index(key) for key in unique]
+            blocks = []
+            rows = 0
+            while True:
+                block = self._block(lines, delimiter, use)
+                if block.shape[0] == 0:
+                    break
+                rows += block.shape[0]
+                if rows > MAX_ROWS:
+                    raise InputError(f"{path.name} has more than {MAX_ROWS} rows", "split it")
+                blocks.append(block)
+        if not blocks:
+            raise InputError(f"{path.name} has a header and no rows", "there is nothing to import")
+        data = np.concatenate(blocks)
+        self._columns = {key: data[:, i] for i, key in enumerate(unique)}
+
+    def _block(self, lines: Iterable[str], delimiter: str, use: list[int]) -> FloatArray:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # loadtxt warns at the end of the file
+            try:
+                return np.loadtxt(
+                    lines,
+                    delimiter=delimiter,
+                    usecols=use,
+                    ndmin=2,
+                    max_rows=ROWS_AT_A_TIME,
+                    comments=None,
+                    quotechar='"',
+                    dtype=np.float64,
+                )
+            except (ValueError, IndexError) as error:
+                raise InputError(
+                    f"{self._name} holds something else than numbers", _line(error)
+                ) from error
+
+    def matrix(self, keys: Sequence[str], width: int) -> FloatArray:
+        data = np.stack([self._columns[key] for key in keys], axis=1)
+        return _checked(data, keys, width, self._name)
+
+
+def _checked(data: FloatArray, keys: Sequence[str], width: int, name: str) -> FloatArray:
+    if data.shape[1] != width:
+        raise InputError(
+            f"{name}: {_some(keys)} has {data.shape[1]} columns, not {width}", "check the map"
+        )
+    if data.shape[0] > MAX_ROWS:
+        raise InputError(f"{name} has more than {MAX_ROWS} rows", "split it")
+    return np.ascontiguousarray(data, dtype=np.float64)
+
+
+def _some(names: Iterable[str]) -> str:
+    found = [name[:40] for name in names][:12]
+    return ", ".join(found) or "nothing"
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:160] or type(error).__name__

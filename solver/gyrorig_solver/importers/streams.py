@@ -1,0 +1,301 @@
+"""Columns turned into what a recording holds: counts, nanoseconds, status bits.
+
+What to use when: `read_streams` does all of it for one input; nothing is written before
+everything in the input has been looked at.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.messages import ImuStatus
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.importers.columns import Columns
+from gyrorig_solver.importers.mapping import (
+    AccelColumns,
+    AttitudeColumns,
+    GyroColumns,
+    ImportMap,
+    TimeBase,
+)
+
+# Contract: physical units become int32 counts with a scale fine enough to lose nothing.
+GYRO_COUNT_RAD_S = 1e-7
+ACCEL_COUNT_M_S2 = 1e-6
+# int16 with this scale and offset covers a MEMS part's -40 to 85 degC in steps of 2 mK.
+TEMPERATURE_COUNT_C = 0.002
+TEMPERATURE_ZERO_C = 25.0
+STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
+UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+LATEST_S = 2**31 - 1  # builtin_interfaces/Time counts seconds in an int32
+INT32 = np.iinfo(np.int32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuStream:
+    """One board's samples as they go into the recording."""
+
+    host_time_ns: IntArray  # (n,)
+    device_time: IntArray  # (n,), ticks
+    row: IntArray  # (n,), row number in the source, which is the sample counter
+    time_s: FloatArray  # (n,), the source's time
+    status: IntArray  # (n,)
+    temperature: IntArray  # (n,)
+    gyro: IntArray  # (n, 3)
+    accel: IntArray | None
+    metadata: dict[str, str]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeStream:
+    """Reference attitudes that are there; lost ones are gaps."""
+
+    host_time_ns: IntArray  # (n,)
+    orientation_xyzw: FloatArray  # (n, 4)
+    standard_deviation_rad: float  # nan where the source does not say
+    lost: int
+
+
+def wanted_keys(mapping: ImportMap) -> list[str]:
+    """Return every column that a map asks for."""
+    keys = list(mapping.gyro.keys)
+    for part in (mapping.accel, mapping.attitude):
+        keys += part.keys if part else []
+    if mapping.temperature:
+        keys.append(mapping.temperature.key)
+    if mapping.static_mask:
+        keys.append(mapping.static_mask.key)
+    for part_with_time in (mapping, mapping.accel, mapping.temperature, mapping.attitude):
+        time = part_with_time.time if part_with_time is not None else None
+        keys += [key for key in (time.key, time.rate_key) if key] if time else []
+    return keys
+
+
+def read_streams(columns: Columns, mapping: ImportMap) -> tuple[ImuStream, AttitudeStream | None]:
+    """Return the samples and the reference attitude of one input.
+
+    Raises:
+        InputError: times run back, a value does not fit, or nothing usable is there.
+    """
+    gyro = columns.matrix(mapping.gyro.keys, 3)
+    time_s = read_times(columns, mapping.time, len(gyro), "gyro")
+    notes: list[str] = []
+    there = np.all(np.isfinite(gyro), axis=1)
+    if there.sum() < 2:
+        raise InputError("the gyro columns hold no numbers", "check the map's gyro keys")
+    if not there.all():
+        notes.append(f"{int((~there).sum())} rows without a gyro value left out")
+    row = np.flatnonzero(there)
+    gyro_counts = _gyro_counts(gyro[row], mapping.gyro)
+    status = np.zeros(row.size, dtype=np.int64)
+    metadata = {"uid": mapping.uid, "sensor": mapping.sensor, "link": "file"}
+    metadata |= {"model": mapping.model} if mapping.model else {}
+    metadata["gyro_scale_rad_s"] = repr(_gyro_scale(mapping.gyro))
+    for key in ("full_scale_dps", "bandwidth_hz"):
+        value = getattr(mapping.gyro, key)
+        if value is not None:
+            metadata["gyro_" + key if key == "full_scale_dps" else key] = repr(value)
+    accel = None
+    if mapping.accel:
+        accel, valid, scale = _accel(columns, mapping.accel, time_s, row, notes)
+        status |= np.where(valid, int(ImuStatus.ACCEL_VALID), 0)
+        metadata["accel_scale_m_s2"] = repr(scale)
+    temperature = np.zeros(row.size, dtype=np.int64)
+    if mapping.temperature:
+        temperature, valid = _temperature(columns, mapping, time_s, row, notes)
+        status |= np.where(valid, int(ImuStatus.TEMPERATURE_VALID), 0)
+        metadata["temperature_scale_c"] = repr(TEMPERATURE_COUNT_C)
+        metadata["temperature_offset_c"] = repr(TEMPERATURE_ZERO_C)
+    device_time, clock = _device_clock(mapping.time, time_s, row)
+    imu = ImuStream(
+        host_time_ns=_ns(time_s[row]),
+        device_time=device_time,
+        row=row.astype(np.int64),
+        time_s=time_s[row],
+        status=status,
+        temperature=temperature,
+        gyro=gyro_counts,
+        accel=accel,
+        metadata=metadata | clock | _odr(columns, mapping.time),
+        notes=tuple(notes),
+    )
+    return imu, _attitude(columns, mapping.attitude, time_s) if mapping.attitude else None
+
+
+def read_times(columns: Columns, base: TimeBase, rows: int, of: str) -> FloatArray:
+    """Return a stream's times in s, shape (rows,).
+
+    Raises:
+        InputError: their number differs, or they stand still, run back or leave what a
+            recording can hold. Arrival times may stand still.
+    """
+    if base.key is not None:
+        time_s = columns.matrix([base.key], 1)[:, 0] * UNIT_S[base.unit]
+    else:
+        time_s = np.arange(rows) / _rate(columns, base)
+    time_s = time_s + base.origin_s
+    if time_s.size != rows:
+        raise InputError(f"{of}: {time_s.size} times for {rows} rows", "check the map's time key")
+    bad = ~np.isfinite(time_s) | (time_s < 0.0) | (time_s >= LATEST_S)
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise InputError(
+            f"{of}: row {at} has the time {time_s[at]} s", "check the unit, or set origin_s"
+        )
+    step = np.diff(time_s)
+    back = step < 0.0 if base.stamp == "arrival" else step <= 0.0
+    if back.any():
+        at = int(np.argmax(back)) + 1
+        raise InputError(
+            f"{of}: time stands still or runs back at row {at}", "sort the rows, or repair them"
+        )
+    return np.asarray(time_s, dtype=np.float64)
+
+
+def _rate(columns: Columns, base: TimeBase) -> float:
+    rate = base.rate_hz
+    if base.rate_key is not None:
+        rate = float(columns.matrix([base.rate_key], 1)[0, 0])
+    if rate is None or not np.isfinite(rate) or rate <= 0.0:
+        raise InputError(f"the sample rate is {rate}", "it must be a positive number")
+    return rate
+
+
+def _odr(columns: Columns, base: TimeBase) -> dict[str, str]:
+    said = base.rate_hz is not None or base.rate_key is not None
+    return {"odr_hz": repr(_rate(columns, base))} if said else {}
+
+
+def _device_clock(
+    base: TimeBase, time_s: FloatArray, row: IntArray
+) -> tuple[IntArray, dict[str, str]]:
+    """Return ticks and what they are worth.
+
+    One time column is the host's and the device's time both. Where it holds arrivals,
+    the sensor's own clock is its sample count: a floor under the arrivals' bursts finds
+    the true rate, which no single arrival tells.
+    """
+    if base.stamp == "arrival":
+        return row.astype(np.int64), {"tick_hz": repr(base.rate_hz), "counter_bits": "64"}
+    return _ns(time_s[row]), {"tick_hz": "1000000000.0", "counter_bits": "64"}
+
+
+def _ns(time_s: FloatArray) -> IntArray:
+    return np.asarray(np.rint(time_s * 1e9), dtype=np.int64)
+
+
+def _gyro_scale(columns: GyroColumns) -> float:
+    if columns.unit == "counts" and columns.scale_rad_s is not None:
+        return columns.scale_rad_s
+    return GYRO_COUNT_RAD_S
+
+
+def _gyro_counts(gyro: FloatArray, columns: GyroColumns) -> IntArray:
+    if columns.unit == "counts":
+        return _whole(gyro - columns.offset_counts, "gyro")
+    rate = np.radians(gyro) if columns.unit == "deg/s" else gyro
+    return _fitting(rate / GYRO_COUNT_RAD_S, "gyro")
+
+
+def _accel(
+    columns: Columns, part: AccelColumns, time_s: FloatArray, row: IntArray, notes: list[str]
+) -> tuple[IntArray, BoolArray, float]:
+    """Return counts at the gyro's samples, where they are valid, and the scale."""
+    values = columns.matrix(part.keys, 3)
+    base_s = read_times(columns, part.time, len(values), "accel") if part.time else None
+    picked = _at_samples(values, base_s, time_s, row, "accel", notes)
+    valid = np.all(np.isfinite(picked), axis=1)
+    picked = np.where(valid[:, None], picked, part.offset_counts if part.unit == "counts" else 0.0)
+    if part.unit == "counts" and part.scale_m_s2 is not None:
+        return _whole(picked - part.offset_counts, "accel"), valid, part.scale_m_s2
+    unit = STANDARD_GRAVITY_M_S2 if part.unit == "g" else 1.0
+    return _fitting(picked * unit / ACCEL_COUNT_M_S2, "accel"), valid, ACCEL_COUNT_M_S2
+
+
+def _temperature(
+    columns: Columns, mapping: ImportMap, time_s: FloatArray, row: IntArray, notes: list[str]
+) -> tuple[IntArray, BoolArray]:
+    part = mapping.temperature
+    if part is None:
+        raise ValueError("the map has no temperature")
+    values = columns.matrix([part.key], 1)
+    base_s = read_times(columns, part.time, len(values), "temperature") if part.time else None
+    picked = _at_samples(values, base_s, time_s, row, "temperature", notes)[:, 0]
+    counts = np.rint((picked - TEMPERATURE_ZERO_C) / TEMPERATURE_COUNT_C)
+    valid = np.isfinite(counts) & (np.abs(counts) <= 32767)
+    return np.where(valid, counts, 0.0).astype(np.int64), valid
+
+
+def _at_samples(
+    values: FloatArray,
+    base_s: FloatArray | None,
+    time_s: FloatArray,
+    row: IntArray,
+    what: str,
+    notes: list[str],
+) -> FloatArray:
+    """Return the values that belong to the gyro's samples, nan where none is near.
+
+    A stream with other times than the gyro's is not resampled: each sample gets the
+    nearest value if that is within half a sample, and the recording says how far off.
+    """
+    if base_s is None:
+        if len(values) != time_s.size:
+            raise InputError(
+                f"{what} has {len(values)} rows, the gyro {time_s.size}", "give it a time base"
+            )
+        return values[row]
+    if base_s.size == time_s.size and np.array_equal(base_s, time_s):
+        return values[row]
+    after = np.clip(np.searchsorted(base_s, time_s[row]), 1, max(base_s.size - 1, 1))
+    if base_s.size < 2:
+        raise InputError(f"{what} has {base_s.size} rows", "leave it out of the map")
+    nearer = np.abs(base_s[after - 1] - time_s[row]) <= np.abs(base_s[after] - time_s[row])
+    nearest = np.where(nearer, after - 1, after)
+    off = np.abs(base_s[nearest] - time_s[row])
+    near = off <= 0.5 * float(np.median(np.diff(time_s)))
+    largest_ms = 1e3 * float(off[near].max()) if near.any() else 0.0
+    notes.append(
+        f"{what}: nearest value taken, {int((~near).sum())} samples without one, "
+        f"largest shift {largest_ms:.3f} ms"
+    )
+    return np.where(near[:, None], values[nearest], np.nan)
+
+
+def _attitude(columns: Columns, part: AttitudeColumns, time_s: FloatArray) -> AttitudeStream:
+    values = columns.matrix(part.keys, 4)
+    if part.order == "wxyz":
+        values = values[:, [1, 2, 3, 0]]
+    if part.time is not None:
+        base_s = read_times(columns, part.time, len(values), "attitude")
+    elif len(values) == time_s.size:
+        base_s = time_s
+    else:
+        raise InputError(
+            f"attitude has {len(values)} rows, the gyro {time_s.size}", "give it a time base"
+        )
+    there = np.all(np.isfinite(values), axis=1)
+    length = np.linalg.norm(values[there], axis=1)
+    if not there.any() or np.any(np.abs(length - 1.0) > 0.01):
+        raise InputError("the attitude columns hold no unit quaternions", "check keys and order")
+    std_rad = float(np.radians(part.std_deg)) if part.std_deg else float("nan")
+    return AttitudeStream(
+        _ns(base_s[there]), values[there] / length[:, None], std_rad, int((~there).sum())
+    )
+
+
+def _whole(values: FloatArray, what: str) -> IntArray:
+    if np.any(values != np.rint(values)):
+        raise InputError(f"{what} counts are not whole numbers", "check the map's unit")
+    return _fitting(values, what)
+
+
+def _fitting(counts: FloatArray, what: str) -> IntArray:
+    whole = np.rint(counts)
+    bad = ~((whole >= INT32.min) & (whole <= INT32.max))
+    if bad.any():
+        at = int(np.argmax(bad.any(axis=1)))
+        raise InputError(f"{what} of row {at} is beyond any sensor", "check the map's unit")
+    return np.asarray(whole, dtype=np.int64)
