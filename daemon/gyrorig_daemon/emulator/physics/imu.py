@@ -1,0 +1,157 @@
+"""A board's inertial sensor: from the motion of the stage to raw counts.
+
+    y = G omega(t - tau) filtered + bias + noise,   counts = round(y / scale), clipped
+
+with G = S T M. Samples come in blocks on a fixed grid of the sensor's own oscillator. A
+block is computed ahead of time; when a command changes the motion inside it, it is
+computed again from the same draws, so that what was already sent stays true and nothing
+depends on who asked when.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrorig_daemon.emulator.physics.lowpass import block_filter
+from gyrorig_daemon.emulator.physics.noise import BiasWander, white_step_sigma
+from gyrorig_daemon.emulator.physics.stage import Stage
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SUBSTEP_HZ = 8000.0  # at least; an edge inside one keeps its area, and so its time
+BLOCK_S = 0.08
+INT16_MAX = 32767
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuTruth:
+    """What the sensor really is. Scales are nominal, errors are in `gain`."""
+
+    odr_hz: float  # true rate of the sensor's own oscillator
+    bandwidth_hz: float  # -3 dB of the second-order Butterworth
+    gain: FloatArray  # G = S T M, (3, 3)
+    mounting: FloatArray  # M, stage to sensor, (3, 3)
+    bias_rad_s: FloatArray  # at power-on, (3,)
+    noise_density_rad_s_rthz: FloatArray  # one-sided, before the low-pass, (3,)
+    bias_instability_rad_s: FloatArray  # flicker coefficient, (3,)
+    rate_random_walk: FloatArray  # rad/s per sqrt(s), (3,)
+    tau_s: float  # lag of a sample behind the motion, apart from the low-pass
+    gyro_scale_rad_s: float  # per count, nominal
+    gyro_limit_rad_s: float  # full scale: beyond it the sample is marked saturated
+    accel_scale_m_s2: float
+    accel_gain: FloatArray  # (3,)
+    accel_bias_m_s2: FloatArray  # (3,)
+    accel_noise_m_s2: float  # standard deviation of a sample
+    ambient_degc: float
+    self_heating_k: float
+    warm_up_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleBlock:
+    """Samples in the order of time."""
+
+    first: int  # number of the first sample since the sensor started
+    time_s: FloatArray  # of data-ready, since the origin, (n,)
+    gyro: IntArray  # (n, 3)
+    accel: IntArray  # (n, 3)
+    temperature_degc: FloatArray  # (n,)
+    saturated: NDArray[np.bool_]  # (n,)
+    bias_rad_s: FloatArray  # mean true bias over the block, (3,)
+
+
+class ImuModel:
+    """The sensor as a stream of blocks."""
+
+    def __init__(
+        self,
+        truth: ImuTruth,
+        stage: Stage,
+        start_s: float,
+        rng: np.random.Generator,
+        multiple: int = 1,
+    ) -> None:
+        """Power on at `start_s` after the origin; a block has a multiple of `multiple` samples."""
+        self.truth = truth
+        self._stage = stage
+        self._period_s = 1.0 / truth.odr_hz
+        self._substeps = max(1, math.ceil(SUBSTEP_HZ * self._period_s))
+        self._samples = multiple * max(1, round(BLOCK_S * truth.odr_hz / multiple))
+        self._dt_s = self._period_s / self._substeps
+        self._filter = block_filter(truth.bandwidth_hz, self._dt_s, self._substeps, self._samples)
+        self._start_s = start_s
+        self._noise_rng, self._wander_rng, self._accel_rng = rng.spawn(3)
+        self._sigma = white_step_sigma(truth.noise_density_rad_s_rthz, self._dt_s)
+        self._wander = BiasWander(
+            truth.bias_instability_rad_s,
+            truth.rate_random_walk,
+            self._samples * self._period_s,
+            self._wander_rng,
+        )
+        self._state: FloatArray = np.zeros((2, 3))
+        self._end_state: FloatArray = np.zeros((2, 3))
+        self._wander_from, self._wander_to = np.zeros(3), np.zeros(3)
+        self._noise: FloatArray = np.zeros((0, 3))
+        self._accel_noise: FloatArray = np.zeros((0, 3))
+        self._first = -self._samples
+        self._revision = -1
+        self._block: SampleBlock | None = None
+
+    def samples_before(self, time_s: float) -> int:
+        """Return how many samples are ready before a time."""
+        return max(math.ceil((time_s - self._start_s) / self._period_s) - 1, 0)
+
+    def next_block(self) -> SampleBlock:
+        """Draw and compute the block after the last one."""
+        self._first += self._samples
+        self._state = self._end_state
+        self._wander_from, self._wander_to = self._wander_to, self._wander.advance()
+        count = self._samples * self._substeps
+        self._noise = self._sigma * self._noise_rng.standard_normal((count, 3))
+        self._accel_noise = self.truth.accel_noise_m_s2 * self._accel_rng.standard_normal(
+            (self._samples, 3)
+        )
+        return self._compute()
+
+    def refreshed(self) -> SampleBlock | None:
+        """Return the current block again if a command has changed the motion, else None."""
+        if self._first < 0 or self._stage.revision == self._revision:
+            return None
+        return self._compute()
+
+    def _compute(self) -> SampleBlock:
+        truth, n = self.truth, self._samples
+        self._revision = self._stage.revision
+        ready_s = self._start_s + self._first * self._period_s
+        motion_s = ready_s - truth.tau_s
+        rates = self._stage.body_rates_rad_s(motion_s, self._dt_s, n * self._substeps)
+        output, self._end_state = self._filter.run(self._state, rates @ truth.gain.T + self._noise)
+        part = (np.arange(n) + 1.0)[:, None] / n
+        bias = truth.bias_rad_s + self._wander_from + part * (self._wander_to - self._wander_from)
+        measured = output + bias
+        counts = np.rint(measured / truth.gyro_scale_rad_s).astype(np.int64)
+        beyond = (np.abs(counts) > INT16_MAX) | (np.abs(measured) > truth.gyro_limit_rad_s)
+        time_s: FloatArray = ready_s + self._period_s * (np.arange(n, dtype=np.float64) + 1.0)
+        return SampleBlock(
+            first=self._first,
+            time_s=time_s,
+            gyro=np.clip(counts, -INT16_MAX - 1, INT16_MAX),
+            accel=self._accel(motion_s + self._period_s),
+            temperature_degc=self._temperature_degc(time_s),
+            saturated=np.asarray(beyond.any(axis=1)),
+            bias_rad_s=bias.mean(axis=0),
+        )
+
+    def _accel(self, start_s: float) -> IntArray:
+        truth = self.truth
+        stage = self._stage.gravity_stage_m_s2(start_s, self._period_s, self._samples)
+        felt = (stage @ truth.mounting.T) * truth.accel_gain + truth.accel_bias_m_s2
+        counts = np.rint((felt + self._accel_noise) / truth.accel_scale_m_s2).astype(np.int64)
+        return np.clip(counts, -INT16_MAX - 1, INT16_MAX)
+
+    def _temperature_degc(self, time_s: FloatArray) -> FloatArray:
+        warm = -np.expm1(-(time_s - self._start_s) / self.truth.warm_up_s)
+        return self.truth.ambient_degc + self.truth.self_heating_k * warm
