@@ -60,7 +60,7 @@ def test_defaults() -> None:
 def test_what_is_wrong_is_named(change: tuple[str, str], word: str) -> None:
     text = GOOD.replace(*change)
     assert text != GOOD
-    with pytest.raises(UsageError, match="rig.yaml") as caught:
+    with pytest.raises(UsageError, match=r"rig\.yaml") as caught:
         parse_rig(text, "rig.yaml")
     assert word in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -1,0 +1,225 @@
+"""The client against a unit that is scripted: every way in which an answer can go wrong."""
+
+from collections.abc import Callable
+from itertools import pairwise
+from types import MappingProxyType
+
+import pytest
+
+from gyrorig_daemon.config import PTU_PORT, PtuPort
+from gyrorig_daemon.links.hub import Chunk, WriteStamp
+from gyrorig_daemon.links.pump import Pump, StopFlag, StopRequestedError
+from gyrorig_daemon.motion import Exchange, Poller, PtuClient, open_unit
+from gyrorig_protocol.errors import DeviceError, UsageError
+from gyrorig_protocol.program import UnitSettings
+from gyrorig_protocol.ptu import Axis, Quantity, query
+from gyrorig_protocol.ptu.commands import HALT, QUERY_VERSION
+
+MS = 1_000_000
+Answers = Callable[[str], bytes | None]
+
+
+class ScriptedHub:
+    """A unit that answers a command as told, 5 ms later, under a clock of its own."""
+
+    def __init__(self, answers: Answers) -> None:
+        self._answers = answers
+        self._now_ns = 0
+        self._due: list[Chunk] = []
+        self.heard: list[str] = []
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def write(self, port: str, data: bytes) -> WriteStamp:
+        before_ns = self._now_ns
+        self._now_ns += MS // 10
+        for command in data.decode().split():
+            self.heard.append(command)
+            answer = self._answers(command)
+            if answer is not None:
+                self._due.append(Chunk(port, self._now_ns + 5 * MS, answer))
+        return WriteStamp(before_ns, self._now_ns)
+
+    def read(self, deadline_ns: int) -> Chunk | None:
+        if self._due and self._due[0].received_ns <= deadline_ns:
+            chunk = self._due.pop(0)
+            self._now_ns = max(self._now_ns, chunk.received_ns)
+            return chunk
+        self._now_ns = max(self._now_ns, deadline_ns)
+        return None
+
+    def close(self) -> None:
+        return
+
+
+class ScriptedUnit:
+    """A D46 that is homed, or not, in terse mode without echo; `odd` overrides answers."""
+
+    WORDS = MappingProxyType(
+        {
+            "V": b"* Pan-Tilt Controller v2.12.9r1(D46 C14/E)\r\n",
+            "R": b"!T!T!P!P*\r\n",
+            "PR": b"* 185.142857\r\n",
+            "TR": b"* 185.142857\r\n",
+        }
+        | dict.fromkeys(("CNF", "VM", "VS", "BT"), b"! Illegal Command Entered\r\n")
+        | dict.fromkeys(("L", "O", "WP", "WT", "PH", "PM", "TH", "TM"), b"* REG\r\n")
+    )
+
+    def __init__(self, homed: bool = True) -> None:
+        self.values = {"PU": 2902, "TU": 2902, "PB": 1000, "TB": 1000, "PA": 2000, "TA": 2000}
+        self.values |= {"PL": 31, "TL": 31, "PP": 0, "TP": 0, "PS": 1000, "TS": 1000}
+        self.limits = {"PN": -3090, "PX": 3090, "TN": -907, "TX": 604}
+        self.homed = homed
+        self.odd: dict[str, bytes | None] = {}
+
+    def __call__(self, command: str) -> bytes | None:
+        if command in self.odd:
+            return self.odd[command]
+        if command == "R":
+            self.homed = True
+        name, digits = command[:2], command[2:]
+        if name in self.values and digits:
+            self.values[name] = int(digits)
+        numbers = self.values | {
+            limit: at if self.homed else 0 for limit, at in self.limits.items()
+        }
+        if command in numbers:
+            return b"* %d\r\n" % numbers[command]
+        return self.WORDS.get(command, b"*\r\n")
+
+
+def client_for(answers: Answers) -> tuple[PtuClient, ScriptedHub, list[Exchange]]:
+    hub = ScriptedHub(answers)
+    seen: list[Exchange] = []
+    client = PtuClient(Pump(hub), PTU_PORT, where="/dev/unit", baud=9600, on_exchange=seen.append)
+    return client, hub, seen
+
+
+def test_a_unit_is_known_before_it_is_told_anything() -> None:
+    client, hub, seen = client_for(ScriptedUnit())
+    unit = open_unit(client, PtuPort("x"), UnitSettings(), may_home=False)
+    assert hub.heard[:2] == ["V", "H"]
+    assert unit.facts.dialect == "d46"
+    assert unit.facts.metadata()["pan_max_steps"] == "3090"
+    assert unit.facts.metadata()["tilt_resolution_arcsec"] == "185.142857"
+    assert "counter_hz" not in unit.facts.metadata()
+    assert not any(text.startswith(("PP", "TP", "R", "DS", "DF", "M")) for text in hub.heard)
+    assert [exchange.command.text for exchange in seen] == hub.heard
+    assert all(a.reply_ns <= b.request_ns for a, b in pairwise(seen))
+
+
+def test_settings_are_set_and_read_back() -> None:
+    unit = ScriptedUnit()
+    client, hub, _ = client_for(unit)
+    settings = UnitSettings(base_speed_deg_s=3.0, acceleration_deg_s2=200.0)
+    facts = open_unit(client, PtuPort("x"), settings, may_home=False).facts
+    assert (facts.pan.base_speed, facts.tilt.acceleration) == (58, 3889)
+    assert hub.heard.count("PB58") == 1
+
+
+def test_an_unhomed_unit_needs_consent() -> None:
+    client, hub, _ = client_for(ScriptedUnit(homed=False))
+    with pytest.raises(UsageError, match="--home"):
+        open_unit(client, PtuPort("x"), UnitSettings(), may_home=False)
+    assert "R" not in hub.heard
+
+
+def test_homing_flags_are_no_loss_of_synchrony() -> None:
+    client, hub, _ = client_for(ScriptedUnit(homed=False))
+    unit = open_unit(client, PtuPort("x"), UnitSettings(), may_home=True)
+    assert hub.heard.count("R") == 1
+    assert unit.facts.pan.max_steps == 3090
+    assert client.lost_synchrony is None
+    assert client.counts.limit_flags == 4
+
+
+def test_a_silent_port_is_said_to_be_silent() -> None:
+    client, hub, _ = client_for(lambda _: None)
+    with pytest.raises(DeviceError, match="no pan-tilt unit answers on /dev/unit at 9600"):
+        open_unit(client, PtuPort("x"), UnitSettings(), may_home=True)
+    assert set(hub.heard) == {"V"}
+
+
+@pytest.mark.parametrize("noise", [b"OK\r\n", b"* \r\n", b"\x00\x05\x80\x81\x00" * 20, b"ready\n"])
+def test_what_is_no_unit_is_not_moved(noise: bytes) -> None:
+    client, hub, _ = client_for(lambda _: noise)
+    with pytest.raises(DeviceError, match="is no pan-tilt unit"):
+        open_unit(client, PtuPort("x"), UnitSettings(), may_home=True)
+    assert set(hub.heard) == {"V"}
+
+
+def test_a_refused_setting_is_told_with_the_units_words() -> None:
+    unit = ScriptedUnit()
+    unit.odd["PA3889"] = b"! Pan acceleration cannot exceed 3000 positions/sec^2\r\n"
+    client, _, _ = client_for(unit)
+    with pytest.raises(DeviceError, match="cannot exceed 3000"):
+        open_unit(client, PtuPort("x"), UnitSettings(acceleration_deg_s2=200.0), may_home=False)
+
+
+def test_a_lost_answer_costs_one_timeout_and_is_asked_again() -> None:
+    unit = ScriptedUnit()
+    lost = iter([None, b"* 5\r\n"])
+    client, hub, seen = client_for(lambda c: next(lost) if c == "PP" else unit(c))
+    reply = client.ask(query(Axis.PAN, Quantity.POSITION))
+    assert reply.text == "5"
+    assert client.counts.timeouts == 1
+    assert [exchange.reply is None for exchange in seen] == [True, False]
+    assert hub.heard == ["PP", "PP"]
+
+
+def test_three_silences_are_an_error() -> None:
+    client, _, _ = client_for(lambda _: None)
+    with pytest.raises(DeviceError, match="does not answer 'PP'"):
+        client.ask(query(Axis.PAN, Quantity.POSITION))
+
+
+def test_garbage_is_counted_and_asked_again() -> None:
+    answers = iter([b"\xff\xfe!!\r\n", b"* 7\r\n"])
+    client, _, _ = client_for(lambda _: next(answers))
+    assert client.ask(query(Axis.PAN, Quantity.POSITION)).text == "7"
+    assert client.counts.garbled == 1
+
+
+def test_a_limit_flag_in_a_poll_is_lost_synchrony() -> None:
+    unit = ScriptedUnit()
+    client, _, _ = client_for(unit)
+    found = open_unit(client, PtuPort("x"), UnitSettings(), may_home=False)
+    poller = Poller(found, None, lambda _: None)
+    assert poller.where() == {Axis.PAN: 0, Axis.TILT: 0}
+    unit.odd["PP"] = b"!P* 100\r\n"
+    unit.odd["TP"] = b"!P* 100\r\n"
+    with pytest.raises(DeviceError, match="pan axis met its limit"):
+        poller.poll()
+
+
+def test_a_d46_is_asked_ten_times_a_second_for_its_axes_in_turn() -> None:
+    client, hub, seen = client_for(ScriptedUnit())
+    found = open_unit(client, PtuPort("x"), UnitSettings(), may_home=False)
+    poller = Poller(found, None, lambda _: None)
+    poller.where()
+    del hub.heard[:]
+    begin_ns, known = hub.now_ns(), len(seen)
+    while hub.now_ns() < begin_ns + 2000 * MS:
+        poller.poll()
+    assert 19 <= len(hub.heard) <= 21
+    assert hub.heard[:4] in (["PP", "TP", "PP", "TP"], ["TP", "PP", "TP", "PP"])
+    assert len(seen) == known  # polls are positions, not commands
+
+
+def test_a_stop_is_heard_between_chunks() -> None:
+    hub, stop = ScriptedHub(lambda _: None), StopFlag()
+    pump = Pump(hub, stop)
+    client = PtuClient(pump, PTU_PORT, where="x", baud=9600, on_exchange=lambda _: None)
+    stop.request("SIGTERM")
+    with pytest.raises(StopRequestedError, match="SIGTERM"):
+        client.exchange(QUERY_VERSION)
+    pump.ignore_stop()
+    assert client.exchange(HALT).reply is None
+
+
+def test_a_hang_up_is_named() -> None:
+    client, _, _ = client_for(lambda _: b"")
+    with pytest.raises(DeviceError, match=r"/dev/unit .*hung up"):
+        client.ask(QUERY_VERSION)
