@@ -5,7 +5,9 @@ wrote; `read_as` to turn its values into a typed structure with unknown keys and
 types refused; `dump_yaml` for every document that this project writes.
 """
 
+import datetime
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -18,6 +20,12 @@ T = TypeVar("T")
 
 MAX_DOCUMENT_BYTES = 4_000_000
 MAX_DEPTH = 20
+MAX_INTEGER_BITS = 64
+
+# Octal by a leading zero, base 60, underscores and the merge key: in YAML 1.1, not in 1.2.
+_TWO_MEANINGS = re.compile(
+    r"[-+]?(?:0[0-9_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?|[0-9]+_[0-9_]*(?:\.[0-9_]*)?)|<<"
+)
 
 _Loader: type[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Dumper: type[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -26,9 +34,14 @@ _Dumper: type[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 def parse_yaml(text: str | bytes, name: str, error: type[GyrorigError] = UsageError) -> Any:
     """Return the value of one YAML document.
 
-    Aliases, tags, several documents, more than 20 levels and more than 4 MB are
-    refused, and so are numbers that are not finite. PyYAML's safe loader expands
-    aliases without a limit: a bomb of 306 bytes has 3.9e8 leaves.
+    Refused are: aliases, tags, several documents, more than 20 levels, more than 4 MB,
+    a key twice in one mapping, dates, numbers that are not finite or need more than 64
+    bits, and what YAML 1.1 and 1.2 read differently: `010` (8 or 10), `1:30` (90 or a
+    text), `1_000`, merge keys.
+
+    PyYAML's safe loader expands aliases without a limit: a bomb of 306 bytes has 3.9e8
+    leaves. A tag can make it raise what is no YAML error, and `1:1:1...` takes it a time
+    that grows with the square of the length.
 
     Args:
         text: the document.
@@ -41,22 +54,17 @@ def parse_yaml(text: str | bytes, name: str, error: type[GyrorigError] = UsageEr
     if len(text) > MAX_DOCUMENT_BYTES:
         raise error(f"{name} is larger than {MAX_DOCUMENT_BYTES // 1_000_000} MB", "refused")
     try:
-        depth = 0
-        for event in yaml.parse(text, Loader=_Loader):
-            if isinstance(event, yaml.AliasEvent):
-                raise error(f"{name} uses a YAML alias", "write the value out")
-            if isinstance(event, yaml.ScalarEvent) and _is_not_finite(event):
-                raise error(f"{name} holds {event.value}", "write a finite number")
-            if isinstance(event, yaml.CollectionStartEvent):
-                depth += 1
-            elif isinstance(event, yaml.CollectionEndEvent):
-                depth -= 1
-            if depth > MAX_DEPTH:
-                raise error(f"{name} is nested deeper than {MAX_DEPTH} levels", "refused")
-        return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader by construction
-    except (yaml.YAMLError, ValueError, RecursionError) as fault:
-        line = " ".join(str(fault).split())[:200]
-        raise error(f"{name} is not a YAML document", line) from fault
+        objection = _objection_to_text(text)
+        value = None if objection else _construct(text)
+    except _RepeatedKeyError as fault:
+        objection = (f"has the key {fault} twice", "write it once")
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as fault:
+        raise error(f"{name} is not a YAML document", _one_line(fault)) from fault
+    objection = objection or _objection_to_value(value)
+    if objection:
+        what, remedy = objection
+        raise error(f"{name} {what}", remedy)
+    return value
 
 
 def read_as(value: object, kind: type[T], name: str, error: type[GyrorigError] = UsageError) -> T:
@@ -69,7 +77,7 @@ def read_as(value: object, kind: type[T], name: str, error: type[GyrorigError] =
     try:
         return msgspec.convert(value, type=kind, strict=True)
     except (msgspec.ValidationError, ValueError) as fault:
-        raise error(f"{name}", " ".join(str(fault).split())) from fault
+        raise error(f"{name}", _one_line(fault)) from fault
 
 
 def dump_yaml(document: Mapping[str, Any]) -> str:
@@ -88,8 +96,78 @@ def dump_yaml(document: Mapping[str, Any]) -> str:
     )
 
 
-def _is_not_finite(event: yaml.ScalarEvent) -> bool:
-    return bool(event.implicit[0]) and event.value.lower().lstrip("+-") in (".nan", ".inf")
+class _RepeatedKeyError(Exception):
+    """A mapping has a key twice; the text is the key."""
+
+
+def _one_line(fault: Exception) -> str:
+    """Return what a library says, without line ends and without end."""
+    return " ".join(str(fault).split())[:200]
+
+
+def _objection_to_text(text: str | bytes) -> tuple[str, str] | None:
+    """Return why a document is not even to be constructed, and what to do about it."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.AliasEvent):
+            return "uses a YAML alias", "write the value out"
+        tag = getattr(event, "tag", None)
+        if tag is not None:
+            return f"uses the YAML tag {tag[:40]}", "write the value without it"
+        if isinstance(event, yaml.ScalarEvent) and event.implicit[0]:
+            if _TWO_MEANINGS.fullmatch(event.value):
+                return (
+                    f"holds {event.value[:40]}, which YAML 1.1 and 1.2 read differently",
+                    "write it in full as a plain decimal number, or put it in quotes",
+                )
+        elif isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > MAX_DEPTH:
+            return f"is nested deeper than {MAX_DEPTH} levels", "refused"
+    return None
+
+
+def _construct(text: str | bytes) -> Any:
+    """Return the value of a document; raises `_RepeatedKeyError`."""
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        _refuse_repeated_keys(node)
+        return None if node is None else loader.construct_document(node)
+    finally:
+        loader.dispose()
+
+
+def _refuse_repeated_keys(node: yaml.Node | None) -> None:
+    if isinstance(node, yaml.SequenceNode):
+        for item in node.value:
+            _refuse_repeated_keys(item)
+    elif isinstance(node, yaml.MappingNode):
+        seen = set()
+        for key, item in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if (key.tag, key.value) in seen:
+                    raise _RepeatedKeyError(_one_line(Exception(key.value))[:40])
+                seen.add((key.tag, key.value))
+            _refuse_repeated_keys(item)
+
+
+def _objection_to_value(value: object) -> tuple[str, str] | None:
+    """Return why a constructed value is refused, and what to do about it."""
+    if isinstance(value, dict):
+        inner = (_objection_to_value(part) for item in value.items() for part in item)
+        return next((objection for objection in inner if objection), None)
+    if isinstance(value, list):
+        return next(filter(None, map(_objection_to_value, value)), None)
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"holds {value}", "write a finite number"
+    if isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
+        return f"holds an integer of {value.bit_length()} bits", "write a smaller one"
+    if isinstance(value, datetime.date):
+        return f"holds the date {value}", "put it in quotes"
+    return None
 
 
 class _Quoted(str):
@@ -128,6 +206,8 @@ def _plain(value: object) -> Any:
         return [_plain(item) for item in value]
     if isinstance(value, str):
         return _Quoted(value)
-    if value is None or isinstance(value, bool | int | float):
+    if value is None or isinstance(value, bool):
         return value
+    if isinstance(value, int | float):  # also enumerations and NumPy's float64
+        return int(value) if isinstance(value, int) else float(value)
     raise TypeError(f"{type(value).__name__} has no place in a document")

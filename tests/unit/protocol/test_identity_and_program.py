@@ -1,0 +1,180 @@
+"""Names that become paths, and motion programs that would never end."""
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gyrorig_protocol.documents import dump_yaml
+from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.program import (
+    Home,
+    MotionProgram,
+    Move,
+    Rest,
+    parse_program,
+    unrolled,
+)
+from gyrorig_protocol.program.document import MAX_STEPS
+
+
+def outcome(call: Callable[[], object]) -> tuple[object, GyrorigError | None]:
+    """Return the value or the named error, whose text is one line; any other error passes."""
+    try:
+        return call(), None
+    except GyrorigError as error:
+        fault = error
+    assert "\n" not in str(fault)
+    return None, fault
+
+
+@pytest.mark.parametrize("name", ["a", "A1", "l3g-7", "0", "x" * 32])
+def test_board_names(name: str) -> None:
+    assert BoardId(name) == name
+    assert isinstance(BoardId(name), str)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "-a",
+        ".",
+        "..",
+        "a/b",
+        "../x",
+        "a b",
+        "a\n",
+        "a\0",
+        "x" * 33,
+        "ä",
+        "\u0661",
+        "a_b",
+        "a.b",
+    ],
+)
+def test_what_is_no_board_name(name: str) -> None:
+    with pytest.raises(InputError, match="no board name"):
+        BoardId(name)
+
+
+@given(name=st.text(max_size=40))
+def test_a_board_name_is_safe_in_a_path_or_refused(name: str) -> None:
+    board, error = outcome(lambda: BoardId(name))
+    if error is not None:
+        assert type(error) is InputError
+        assert len(str(error)) < 600
+    else:
+        assert isinstance(board, BoardId)
+        assert board.isascii()
+        assert board.replace("-", "a").isalnum()
+        assert 1 <= len(board) <= 32
+
+
+def program(steps: str, head: str = "name: p\n") -> MotionProgram:
+    return parse_program(f"{head}steps:\n{steps}", "p.yaml")
+
+
+def test_a_program_is_unrolled_in_order() -> None:
+    read = program(
+        "- {rest: {seconds: 1.0, phase: static}}\n"
+        "- repeat:\n"
+        "    times: 2\n"
+        "    steps:\n"
+        "    - {move: {pan_deg: 5.0}}\n"
+        "    - {repeat: {times: 2, steps: [{rest: {seconds: 2}}]}}\n"
+        "- {home: {}}\n"
+    )
+    move, rest = Move(pan_deg=5.0), Rest(seconds=2.0)
+    wanted = [Rest(1.0, "static"), move, rest, rest, move, rest, rest, Home()]
+    assert list(unrolled(read.steps, "p")) == wanted
+
+
+@pytest.mark.parametrize(
+    ("steps", "says"),
+    [
+        ("", "Expected `array`"),
+        ("  []", "no steps"),
+        ("- {}", "names 0 things"),
+        ("- {rest: {seconds: 1}, home: {}}", "names 2 things"),
+        ("- {move: {}}", "no target"),
+        ("- {move: {speed_deg_s: 5}}", "no target"),
+        ("- {move: {pan_deg: 5, speed: 5}}", "unknown field `speed`"),
+        ("- {move: {pan_deg: 5, speed_deg_s: 0}}", "speed_deg_s"),
+        ("- {move: {pan_deg: 5, speed_deg_s: -1}}", "speed_deg_s"),
+        ("- {move: {pan_deg: .nan}}", "finite"),
+        ("- {move: {pan_deg: 1.0e+999}}", "finite"),
+        ("- {move: {pan_deg: 1:30}}", "differently"),
+        ("- {move: {pan_deg: 1, pan_deg: 2}}", "twice"),
+        ("- {rest: {seconds: 86401}}", "seconds"),
+        ("- {rest: {seconds: -1}}", "seconds"),
+        ("- {rest: {seconds: yes}}", "seconds"),
+        ("- {rest: {seconds: 1, phase: sleep}}", "phase"),
+        ("- {repeat: {times: 0, steps: [{home: {}}]}}", "times"),
+        ("- {repeat: {times: 10001, steps: [{home: {}}]}}", "times"),
+        ("- {repeat: {times: 1.5, steps: [{home: {}}]}}", "times"),
+        ("- {repeat: {times: 2, steps: []}}", "steps"),
+        ("- {jump: {}}", "unknown field `jump`"),
+    ],
+)
+def test_what_is_no_program(steps: str, says: str) -> None:
+    with pytest.raises(UsageError, match=says) as caught:
+        program(steps)
+    assert "p.yaml" in str(caught.value)
+
+
+def test_a_repeat_explosion_is_refused_without_being_written_out() -> None:
+    steps = "{rest: {seconds: 1}}"
+    for _ in range(4):
+        steps = f"{{repeat: {{times: 10000, steps: [{steps}]}}}}"
+    with pytest.raises(UsageError, match=f"more than {MAX_STEPS} steps"):
+        program(f"- {steps}")
+
+
+def test_the_most_steps_that_are_taken() -> None:
+    repeat = "- {repeat: {times: 10000, steps: [%s]}}\n"
+    ten = ", ".join(["{home: {}}"] * 10)
+    assert program(repeat % ten).steps
+    with pytest.raises(UsageError, match="steps"):
+        program(repeat % ten + "- {home: {}}")
+
+
+def test_schema_and_settings() -> None:
+    head = "schema: gyrorig/program/1\nname: p\nsettings: {base_speed_deg_s: 3.0}\n"
+    read = program("- {home: {}}", head)
+    assert read.settings.base_speed_deg_s == 3.0
+    for wrong in ("schema: gyrorig/program/2\nname: p\n", "name: 5\n", "nam: p\n"):
+        with pytest.raises(UsageError):
+            program("- {home: {}}", wrong)
+
+
+@given(text=st.text(max_size=100))
+def test_any_text_is_a_program_or_a_usage_error(text: str) -> None:
+    _, error = outcome(lambda: parse_program(text, "p.yaml"))
+    assert error is None or type(error) is UsageError
+
+
+@given(
+    seconds=st.floats(0, 86_400),
+    pan_deg=st.floats(-180, 180),
+    times=st.integers(1, 10_000),
+    name=st.text(max_size=20),
+)
+def test_a_dumped_program_is_read_back(
+    seconds: float, pan_deg: float, times: int, name: str
+) -> None:
+    document = {
+        "schema": "gyrorig/program/1",
+        "name": name,
+        "steps": [
+            {"rest": {"seconds": seconds, "phase": "static"}},
+            {"repeat": {"times": times, "steps": [{"move": {"pan_deg": pan_deg}}]}},
+        ],
+    }
+    read = parse_program(dump_yaml(document), "p.yaml")
+    assert read.name == name
+    parts = list(unrolled(read.steps, "p"))
+    assert parts[0] == Rest(seconds, "static")
+    assert parts[1:] == [Move(pan_deg=pan_deg)] * times
