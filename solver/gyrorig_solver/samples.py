@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from gyrorig_protocol.recording.recording import Recording, times_ns
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.clocks import ClockMap, map_clock
 from gyrorig_solver.clocks.unwrap import unwrap_sequence

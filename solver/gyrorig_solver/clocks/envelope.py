@@ -47,16 +47,16 @@ def lower_hull(x: FloatArray, y: FloatArray) -> IntArray:
     index = _hull_candidates(x, y) if x.size > 512 else np.arange(x.size)
     corners: list[int] = []
     for i in index:
+        if corners and x[corners[-1]] == x[i]:
+            if y[corners[-1]] <= y[i]:
+                continue
+            corners.pop()
         while len(corners) > 1:
             a, b = corners[-2], corners[-1]
             cross = (x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a])
             if cross > 0.0:
                 break
             corners.pop()
-        if len(corners) == 1 and x[corners[0]] == x[i]:
-            if y[i] < y[corners[0]]:
-                corners[0] = int(i)
-            continue
         corners.append(int(i))
     return np.array(corners, dtype=np.int64)
 

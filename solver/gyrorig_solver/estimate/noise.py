@@ -2,12 +2,13 @@
 
 One-sided density of one axis, (rad/s)^2/Hz:
 
-    S(f) = N^2 W(f) + B^2/(2 pi f) + K^2/(2 pi f)^2 + D^2 (2 pi f)^2 + q
+    S(f) = N^2 W(f) + B^2/(pi f) + 2 K^2/(2 pi f)^2 + D^2 (2 pi f)^2 + q
 
-N angle random walk, W the sensor's low-pass with everything that sampling and block
-means fold into it, B bias instability, K rate random walk (IEEE Std 952, annex C, in
-these units), D the white angle noise of a differentiated attitude reference, q the
-quantum's LSB^2/6 over the sample rate. In the orthonormal DCT-II of a uniform series at
+N is the noise density as data sheets give it (rms = N sqrt(bandwidth)), W the sensor's
+low-pass with everything that sampling and block means fold into it, B the bias
+instability (Allan floor 0.664 B) and K the rate random walk (variance grows as K^2 t),
+both as in IEEE Std 952, annex C, whose densities are two-sided; D the white angle noise
+of a differentiated attitude reference, q the quantum's LSB^2/6 over the sample rate. In the orthonormal DCT-II of a uniform series at
 rate r, coefficient k belongs to f = k r/(2n) and has variance S(f) r/2; the transform
 makes a random walk nearly diagonal, so weighing by 1/variance whitens it.
 """
@@ -50,8 +51,8 @@ def shapes(frequency_hz: FloatArray, sampling: Sampling) -> FloatArray:
     return np.stack(
         [
             folded_low_pass(frequency_hz, sampling),
-            1.0 / omega,
-            1.0 / omega**2,
+            2.0 / omega,
+            2.0 / omega**2,
             omega**2 * float(sampling.differentiated),
         ]
     )
@@ -133,7 +134,7 @@ def fit_levels(spectrum: Spectrum, sampling: Sampling) -> NoiseModel:
     """Find the levels by Whittle's likelihood: sum of count x (log S + P/S)/2 per bin.
 
     Weak log-normal priors (a factor of e^3) hold the processes that a short recording
-    cannot show at a hundredth of the white noise, so that no level runs to zero or away.
+    cannot show where an ordinary part has them, so that no level runs to zero or away.
     """
     shape = shapes(spectrum.frequency_hz, sampling)
     quantum = quantum_density(sampling)
@@ -144,10 +145,11 @@ def fit_levels(spectrum: Spectrum, sampling: Sampling) -> NoiseModel:
         high = spectrum.frequency_hz > np.median(spectrum.frequency_hz)
         white = float(np.median(power[high] / np.maximum(shape[0][high], 1e-6)))
         white = max(white, quantum * 1e-3, 1e-30)
-        # Where each process would meet the white noise in an ordinary MEMS part: flicker
-        # at 0.1 Hz, random walk at 0.01 Hz, differentiated attitude at 30 Hz.
+        # Where each process would meet the white noise in an ordinary MEMS part (L3G4200D:
+        # 0.03 dps/sqrt(Hz), 4 mdps, 0.3 mdps/sqrt(s)): flicker at 0.01 Hz, random walk at
+        # 0.003 Hz; a differentiated attitude at 30 Hz.
         start = white * np.array(
-            [1.0, 2 * np.pi * 0.1, (2 * np.pi * 0.01) ** 2, (2 * np.pi * 30.0) ** -2]
+            [1.0, np.pi * 0.01, (2 * np.pi * 0.003) ** 2 / 2.0, (2 * np.pi * 30.0) ** -2]
         )
         levels[axis] = _fit_axis(power, spectrum.count, shape, quantum, start, active)
     return NoiseModel(levels, sampling)
@@ -167,13 +169,21 @@ def _fit_axis(
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
         part = (start[index] * np.exp(x))[:, None] * shape[index]
         total = part.sum(axis=0) + quantum
-        value = 0.5 * float(np.sum(count * (np.log(total) + power / total)))
+        # Relative to the start's white level: a large constant would blunt the tolerance.
+        value = 0.5 * float(np.sum(count * (np.log(total / start[0]) + power / total - 1.0)))
         slope = 0.5 * (part @ (count * (1.0 / total - power / total**2)))
         spread = np.where(index == 0, 10.0, 3.0)
         return value + 0.5 * float(np.sum((x / spread) ** 2)), slope + x / spread**2
 
     found: FloatArray = np.asarray(
-        minimize(cost, np.zeros(index.size), jac=True, method="L-BFGS-B").x, dtype=np.float64
+        minimize(
+            cost,
+            np.zeros(index.size),
+            jac=True,
+            method="L-BFGS-B",
+            options={"ftol": 1e-13, "gtol": 1e-4},
+        ).x,
+        dtype=np.float64,
     )
     levels = np.zeros(4)
     levels[index] = start[index] * np.exp(np.clip(found, -30.0, 30.0))

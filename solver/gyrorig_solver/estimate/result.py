@@ -26,9 +26,9 @@ class Observability:
 class NoiseLevels:
     """The noise that the residual shows, per sensor axis, shape (3,) each."""
 
-    angle_random_walk: FloatArray  # rad/s/sqrt(Hz), one-sided density
-    bias_instability: FloatArray  # rad/s, coefficient of 1/f noise: S(f) = B^2/(2 pi f)
-    rate_random_walk: FloatArray  # rad/s^2/sqrt(Hz): S(f) = K^2/(2 pi f)^2
+    angle_random_walk: FloatArray  # rad/s/sqrt(Hz), one-sided, as data sheets give it
+    bias_instability: FloatArray  # rad/s: S(f) = B^2/(pi f), Allan floor 0.664 B
+    rate_random_walk: FloatArray  # rad/s/sqrt(s): variance grows as K^2 t
     source: str  # which part of the data they were estimated from
 
 

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 import numpy as np
+from gyrorig_protocol.recording.recording import Recording, times_ns
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.reference.moves import AXES, Exchange, Motion, MotionReader
 from gyrorig_solver.reference.polls import Polls, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
@@ -34,8 +34,8 @@ def ptu_reference(recording: Recording, origin_ns: int) -> PtuReference:
     )
     exchanges = [
         Exchange(
-            (c.request_ns - origin_ns) * 1e-9,
-            (c.reply_ns - origin_ns) * 1e-9,
+            (c.request_time_ns - origin_ns) * 1e-9,
+            (c.reply_time_ns - origin_ns) * 1e-9,
             c.code == OK,
             c.command,
         )

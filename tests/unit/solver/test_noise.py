@@ -1,0 +1,61 @@
+"""Noise densities against their definition and against Monte Carlo."""
+
+import numpy as np
+import pytest
+from scipy.fft import dct
+
+from gyrorig_solver.estimate.noise import (
+    NoiseModel,
+    Sampling,
+    binned,
+    fit_levels,
+    folded_low_pass,
+    frequencies,
+)
+
+PLAIN = Sampling(100.0, 1, None, 0.0, False)
+
+
+def test_white_noise_has_its_variance() -> None:
+    """One-sided density N^2 over half the rate: variance N^2 r/2 in every coefficient."""
+    model = NoiseModel(np.tile([4.0, 0.0, 0.0, 0.0], (3, 1)), PLAIN)
+    assert np.allclose(model.variance(512), 4.0 * 50.0)
+
+
+def test_random_walk_variance_matches_monte_carlo() -> None:
+    rng = np.random.default_rng(0)
+    n, walk = 256, 0.3
+    steps = rng.normal(scale=walk / np.sqrt(100.0), size=(4000, n))  # K^2 t
+    spectrum = dct(np.cumsum(steps, axis=1), axis=1, norm="ortho")
+    expected = NoiseModel(np.tile([0.0, 0.0, walk**2, 0.0], (3, 1)), PLAIN).variance(n)[:, 0]
+    found = np.mean(spectrum**2, axis=0)
+    # The constant coefficient too: the mean of a walk from zero has variance K^2 T/3.
+    assert np.allclose(found[:20] / expected[:20], 1.0, atol=0.12)
+
+
+def test_low_pass_folds_as_sampling_does() -> None:
+    """Block means of filtered white noise, made at 32 kHz, against W(f)."""
+    rng = np.random.default_rng(1)
+    sampling = Sampling(100.0, 8, 110.0, 0.0, False)
+    fast, n = 32_000.0, 2048
+    f = np.fft.rfftfreq(n * 320, 1.0 / fast)
+    shape = 1.0 / np.sqrt(1.0 + (f / 110.0) ** 4)
+    power = np.zeros(n)
+    for _ in range(12):
+        white = np.fft.rfft(rng.normal(scale=np.sqrt(fast / 2.0), size=n * 320))
+        raw = np.fft.irfft(white * shape)[::40]
+        power += dct(raw.reshape(-1, 8).mean(axis=1), norm="ortho") ** 2 / 12.0
+    bands = (power * 2.0 / 100.0).reshape(16, -1).mean(axis=1)
+    expected = folded_low_pass(frequencies(n, 100.0), sampling).reshape(16, -1).mean(axis=1)
+    assert np.allclose(bands / expected, 1.0, atol=0.12)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_levels_come_back(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    true = NoiseModel(np.array([[2.5e-7, 4e-9, 1e-11, 0.0]] * 3), PLAIN)
+    spectrum = rng.normal(size=(200_000, 3)) * np.sqrt(true.variance(200_000))
+    found = fit_levels(binned([spectrum], 100.0), PLAIN)
+    assert np.allclose(found.levels[:, 0], 2.5e-7, rtol=0.05)
+    density = found.density(np.array([0.01, 0.1, 1.0]))
+    assert np.allclose(density / true.density(np.array([0.01, 0.1, 1.0])), 1.0, atol=0.35)

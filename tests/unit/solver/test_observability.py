@@ -1,0 +1,55 @@
+"""The rank test on small cases whose answer is known by eye."""
+
+import numpy as np
+
+from gyrorig_solver.estimate.observability import BIAS_NAMES, conclude, decide
+from gyrorig_solver.model.gain import GAIN_NAMES
+
+NAMES = (*GAIN_NAMES, *BIAS_NAMES)
+IDENTITY = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+
+
+def information(columns: str, std: float = 1e-3) -> np.ndarray:
+    seen = [n.startswith("bias") or n[-1] in columns for n in NAMES]
+    return np.diag(np.where(seen, std**-2.0, 0.0))
+
+
+def test_everything_seen() -> None:
+    found = conclude(IDENTITY, NAMES, decide(information("xyz"), NAMES), {})
+    assert found.observability.rank == 12
+    assert found.observability.unobservable == ()
+    assert np.isclose(found.observability.condition, 1.0)
+    assert all(np.isfinite(v) for v in found.values.values())
+
+
+def test_a_column_that_nothing_turned() -> None:
+    words = {"y": "sweep pan at +T and -T"}
+    found = conclude(IDENTITY, NAMES, decide(information("xz"), NAMES), words)
+    assert found.observability.rank == 9
+    assert np.isnan(found.gain[:, 1]).all()
+    assert "scale.y" in found.observability.unobservable
+    assert found.observability.reasons == ("column y of the gain: sweep pan at +T and -T",)
+    assert set(found.order).isdisjoint(found.observability.unobservable)
+    assert found.covariance.shape == (len(found.order), len(found.order))
+
+
+def test_two_columns_seen_only_together() -> None:
+    """Pan at one tilt t: only sin(t) column y + cos(t) column z is seen."""
+    t = 0.5
+    total = np.diag([0.0] * 9 + [1e6] * 3)
+    for row in range(3):
+        direction = np.zeros(12)
+        direction[3 * row + 1 : 3 * row + 3] = np.sin(t), np.cos(t)
+        total += 1e6 * np.outer(direction, direction)
+        total[3 * row, 3 * row] += 1e6
+    found = conclude(IDENTITY, NAMES, decide(total, NAMES), {"y": "one tilt", "z": "one tilt"})
+    assert found.observability.rank == 9
+    assert np.isnan(found.gain[:, 1:]).all()
+    assert np.isfinite(found.gain[:, 0]).all()
+
+
+def test_units_do_not_decide() -> None:
+    """Knowing the bias a million times better than the gain leaves the rank as it is."""
+    weighed = information("xyz")
+    weighed[9:, 9:] *= 1e12
+    assert decide(weighed, NAMES).rank == 12
