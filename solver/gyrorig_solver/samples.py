@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from gyrorig_protocol.recording.recording import Recording, times_ns
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.clocks import ClockMap, map_clock
 from gyrorig_solver.clocks.unwrap import unwrap_sequence
@@ -84,12 +85,12 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         raise InputError(
             f"board {board} has no gyro_scale_rad_s", "the scale of a count is unknown"
         )
-    raw = recording.imu(board)
+    raw = recording.imu(BoardId(board))
     if raw.size < 16:
         raise InputError(f"board {board} has {raw.size} samples", "record for longer")
     host_ns = times_ns(raw["host_time"])
     origin_ns = int(host_ns[0])
-    host_s = (host_ns - origin_ns) * 1e-9
+    host_s: FloatArray = np.asarray((host_ns - origin_ns) * 1e-9, dtype=np.float64)
     clock = _clock(raw["device_time"].astype(np.int64), host_s, metadata)
     keep, numbers, lost = _numbers(raw["sequence"].astype(np.int64), clock)
     raw, host_s = raw[keep], host_s[keep]
@@ -98,7 +99,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     sixteen_bit = np.abs(gyro).max() <= FULL_CODE + 1
     full = (np.abs(gyro).max(axis=1) >= FULL_CODE) if sixteen_bit else np.zeros(len(raw), np.bool_)
     accel_scale = number(metadata, "accel_scale_m_s2")
-    has_accel = bool(np.mean(status & ACCEL_VALID != 0) > 0.5) and accel_scale is not None
+    has_accel = bool(np.mean(status & ACCEL_VALID != 0) > 0.5)
     return GyroSamples(
         board=board,
         metadata=metadata,
@@ -109,7 +110,9 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         segment=clock.segment[keep],
         rate_rad_s=gyro * scale,
         good=(status & (SATURATED | REPEATED) == 0) & ~full,
-        accel_m_s2=raw["accel"].astype(np.float64) * accel_scale if has_accel else None,
+        accel_m_s2=raw["accel"].astype(np.float64) * accel_scale
+        if has_accel and accel_scale
+        else None,
         temperature_degc=_temperature(raw["temperature"], status, metadata),
         quantum_rad_s=scale,
         clock=clock,

@@ -5,9 +5,9 @@ What to use when: `solve_recording` is the whole way for one board of one record
 """
 
 import numpy as np
-from gyrorig_protocol.recording.recording import Recording
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.likelihood import MOVING_RAD_S, NAMES, Solution, solve_likelihood
 from gyrorig_solver.estimate.observability import Concluded, conclude

@@ -8,9 +8,10 @@ N is the noise density as data sheets give it (rms = N sqrt(bandwidth)), W the s
 low-pass with everything that sampling and block means fold into it, B the bias
 instability (Allan floor 0.664 B) and K the rate random walk (variance grows as K^2 t),
 both as in IEEE Std 952, annex C, whose densities are two-sided; D the white angle noise
-of a differentiated attitude reference, q the quantum's LSB^2/6 over the sample rate. In the orthonormal DCT-II of a uniform series at
-rate r, coefficient k belongs to f = k r/(2n) and has variance S(f) r/2; the transform
-makes a random walk nearly diagonal, so weighing by 1/variance whitens it.
+of a differentiated attitude reference, q the quantum's LSB^2/6 over the sample rate.
+In the orthonormal DCT-II of a uniform series at rate r, coefficient k belongs to
+f = k r/(2n) and has variance S(f) r/2; the transform makes a random walk nearly
+diagonal, so weighing by 1/variance whitens it.
 """
 
 from dataclasses import dataclass

@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 
 import numpy as np
-from gyrorig_protocol.recording.recording import Recording, times_ns
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.reference.moves import AXES, Exchange, Motion, MotionReader
 from gyrorig_solver.reference.polls import Polls, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
@@ -64,8 +65,8 @@ def _polls(
     request = (times_ns(raw["request_time"]) - origin_ns) * 1e-9
     first = (times_ns(raw["first_byte_time"]) - origin_ns) * 1e-9
     # The unit cannot sample before it has the query, nor after its answer has begun.
-    lo = request + QUERY_BYTES * byte_s
-    hi = np.maximum(first - byte_s, lo)
+    lo: FloatArray = np.asarray(request + QUERY_BYTES * byte_s, dtype=np.float64)
+    hi: FloatArray = np.asarray(np.maximum(first - byte_s, lo), dtype=np.float64)
     valid = np.column_stack([raw["status"] & PAN_VALID != 0, raw["status"] & TILT_VALID != 0])
     steps = np.column_stack([raw["pan_steps"], raw["tilt_steps"]]).astype(np.float64)
     order = np.argsort(lo, kind="stable")

@@ -97,13 +97,13 @@ def simulate() -> Callable[..., TestRig]:
             where[axis] = target
         end = t + 8.0
         fine = np.arange(int(end * FINE_HZ)) / FINE_HZ
-        speed = np.zeros((2, fine.size))
-        for axis, start, distance, v, sign, _ in moves:
-            near = slice(int(start * FINE_HZ) - 2, int((start + distance / v + 3.0) * FINE_HZ))
-            speed[axis, near] += sign * _axis_speed(fine[near], start, distance, v, acceleration)
-        steps = np.cumsum(speed, axis=1) / FINE_HZ
+        rates = np.zeros((2, fine.size))
+        for axis, start, length, v, sign, _ in moves:
+            near = slice(int(start * FINE_HZ) - 2, int((start + length / v + 3.0) * FINE_HZ))
+            rates[axis, near] += sign * _axis_speed(fine[near], start, length, v, acceleration)
+        steps = np.cumsum(rates, axis=1) / FINE_HZ
         tilt = steps[1] * RAD_PER_STEP
-        pan_rate, tilt_rate = speed * RAD_PER_STEP
+        pan_rate, tilt_rate = rates * RAD_PER_STEP
         omega = np.stack([tilt_rate, pan_rate * np.sin(tilt), pan_rate * np.cos(tilt)])
         f = np.fft.rfftfreq(fine.size, 1.0 / FINE_HZ)
         s = 1j * f / bandwidth

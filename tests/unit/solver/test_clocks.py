@@ -1,5 +1,7 @@
 """Unwrapping and envelopes against brute force and against simulated clocks."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -58,7 +60,7 @@ def test_hull_line_is_the_linear_programme_of_moon() -> None:
     rng = np.random.default_rng(4)
     x = np.sort(rng.uniform(0.0, 75.0, 300))
     y = 2.0 + 3e-5 * x + rng.exponential(1e-3, 300)
-    exact = linprog(
+    exact: Any = linprog(
         [-float(x.sum()), -300.0],
         A_ub=np.column_stack([x, np.ones(300)]),
         b_ub=y,
