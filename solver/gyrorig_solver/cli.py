@@ -111,7 +111,7 @@ def _report(terminal: Terminal, fault: Exception, arguments: Sequence[str]) -> i
         return _fail(terminal, f"{fault.filename or 'this computer'}: {fault.strerror or fault}", 1)
     if isinstance(fault, MemoryError):
         return _fail(terminal, "out of memory: solve fewer or shorter recordings at once", 1)
-    again = " ".join(["gyrorig --traceback", *arguments])
+    again = " ".join(["gyrorig --traceback", *(a for a in arguments if a != "--traceback")])
     return _fail(
         terminal, f"a fault of the program, {type(fault).__name__}: {fault}; `{again}` shows it", 1
     )

@@ -21,6 +21,7 @@ from gyrorig_solver.calibration.document import (
     Board,
     Calibration,
     Covariance,
+    HeldOut,
     Matrices,
     Matrix,
     NoiseFigure,
@@ -182,10 +183,14 @@ def _noise(fit: GyroFit) -> dict[str, NoiseFigure]:
 
 
 def _quality(fit: GyroFit, profile: SensorProfile | None) -> Quality:
+    before, after = _number(fit.rms_before_rad_s), _number(fit.rms_after_rad_s)
     return Quality(
         reduced_chi2=_number(fit.reduced_chi2),
-        residual_rms_before=_number(fit.rms_before_rad_s),
-        residual_rms_after=_number(fit.rms_after_rad_s),
+        held_out=(
+            HeldOut(rms_before=before, rms_after=after)
+            if before is not None and after is not None
+            else None
+        ),
         warnings=[*fit.warnings, *profile_warnings(fit, profile)],
         outliers=int(fit.outliers),
     )

@@ -121,8 +121,6 @@ class Quality(_Document, frozen=True, omit_defaults=True):
     """How well the model explains the data. `reduced_chi2` is 1 when noise is all that is left."""
 
     reduced_chi2: float | None
-    residual_rms_before: float | None
-    residual_rms_after: float | None
     warnings: list[str]
     held_out: HeldOut | None = None
     efficiency: dict[str, float] | None = None

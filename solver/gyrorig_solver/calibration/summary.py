@@ -6,6 +6,7 @@ from gyrorig_solver.calibration.wording import (
     VERDICTS,
     Group,
     entries,
+    nothing_text,
     other_groups,
     quantity,
     short,
@@ -22,7 +23,9 @@ def summary(calibration: Calibration) -> str:
     seen = calibration.observability
     lines.append(f"  observable            {seen.rank} of {seen.of}")
     if quality.reduced_chi2 is not None:
-        lines.append(f"  reduced chi2          {short(quality.reduced_chi2)}   (1: nothing but noise)")
+        lines.append(
+            f"  reduced chi2          {short(quality.reduced_chi2)}   (1: nothing but noise)"
+        )
     for reason in calibration.trust.reasons:
         lines.append(f"  ! {reason}")
     lines += [f"  remark: {warning}" for warning in quality.warnings]
@@ -37,7 +40,7 @@ def _rows(calibration: Calibration, group: Group) -> list[str]:
     for label, (value, std) in zip(group.labels, entries(parameter), strict=True):
         head = f"  {group.name + ' ' + label:<22}"
         if value is None:
-            rows.append(f"{head}not observable from this motion")
+            rows.append(head + nothing_text(calibration))
             continue
         shown = quantity(value * group.factor, None if std is None else std * group.factor)
         rows.append(f"{head}{shown[0]:>12} ± {shown[1]:<10} {group.unit}")

@@ -8,7 +8,6 @@ from gyrorig_solver.calibration.document import Trust
 from gyrorig_solver.estimate.result import GyroFit
 
 # Residuals this many times their noise are not covered by the standard deviations given.
-_LIMITED_CHI2 = 1.5
 _REFUSED_CHI2 = 25.0
 _LOST_SHARE = 0.02  # of the samples; fewer gaps cost precision only
 _OUTLIER_SHARE = 0.01
@@ -20,20 +19,14 @@ Verdict = Literal["good", "limited", "refused"]
 def judge(fit: GyroFit) -> Trust:
     """Return the verdict on a fit.
 
-    refused: nothing was observable, or the residual is far outside its noise. limited: a
-    parameter was not observable, or the fit, its losses or its residual give a reason.
+    refused: nothing was observable, or the residual is far outside its noise. limited: the
+    fit gives a reason for distrust, or too many samples were lost or were spikes.
     """
     verdict: Verdict = "good"
-    reasons = [*fit.observability.reasons, *fit.distrust]
-    if fit.observability.unobservable and not fit.observability.reasons:
+    reasons = list(fit.distrust or fit.observability.reasons)
+    if fit.observability.unobservable and not reasons:
         hidden = ", ".join(fit.observability.unobservable)
-        reasons.insert(0, f"{hidden} not observable: record a program that turns about every axis")
-    if math.isfinite(fit.reduced_chi2) and fit.reduced_chi2 > _LIMITED_CHI2:
-        reasons.append(
-            f"the residual's variance while moving is {fit.reduced_chi2:.3g} times that at rest, "
-            "so the standard deviations are too small: look at the residual in the report, and "
-            "check that the board is screwed down and the unit does not stall"
-        )
+        reasons.append(f"{hidden} not observable: record a program that turns about every axis")
     total = fit.samples + fit.lost
     if fit.lost > _LOST_SHARE * max(total, 1):
         reasons.append(
@@ -43,8 +36,13 @@ def judge(fit: GyroFit) -> Trust:
         reasons.append(f"{fit.outliers} samples were spikes: check the sensor's bus and its supply")
     if reasons:
         verdict = "limited"
-    far_off = math.isfinite(fit.reduced_chi2) and fit.reduced_chi2 > _REFUSED_CHI2
-    if far_off or fit.observability.rank == 0:
+    if math.isfinite(fit.reduced_chi2) and fit.reduced_chi2 > _REFUSED_CHI2:
+        reasons.append(
+            f"the residual's variance is {fit.reduced_chi2:.3g} times its noise, so the standard "
+            "deviations mean nothing: check signs, axes and full scale in the rig's configuration"
+        )
+        verdict = "refused"
+    if fit.observability.rank == 0:
         verdict = "refused"
     return Trust(verdict=verdict, reasons=reasons)
 

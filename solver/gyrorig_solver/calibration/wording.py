@@ -39,6 +39,13 @@ VERDICTS = {
 }
 
 
+def nothing_text(calibration: Calibration) -> str:
+    """Return what to say in the place of a value that is null."""
+    if calibration.solver.method == "paper":
+        return "no result by the paper's method"
+    return "not observable from this motion"
+
+
 def other_groups(calibration: Calibration) -> tuple[Group, ...]:
     """Return the extension terms of a document, which come after the base model's."""
     base = {group.name for group in GROUPS}

@@ -14,6 +14,9 @@ from typing import Any, TypeVar
 
 import click
 
+NOT_IDENTIFIABLE = 4  # done, but something asked for cannot be told from this data
+IN_PART = 5  # some inputs failed, some did not
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 

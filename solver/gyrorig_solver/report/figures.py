@@ -101,7 +101,7 @@ def residual_spectrum(data: FitDiagnostics) -> str:
         )
     panel.set_xlabel("Hz")
     panel.set_ylabel("deg/s/sqrt(Hz)")
-    panel.legend(frameon=False, ncols=4, loc="upper right")
+    panel.legend(frameon=False, ncols=4, loc="upper right", labelcolor=_SOFT)
     return _svg(figure, "spectrum")
 
 
@@ -123,7 +123,7 @@ def residual_against_rate(data: FitDiagnostics) -> str:
     panel.axhline(0.0, color=_SOFT, linewidth=0.5)
     panel.set_xlabel("stage rate about the same axis, deg/s")
     panel.set_ylabel("residual, deg/s")
-    panel.legend(frameon=False, ncols=3, loc="upper right")
+    panel.legend(frameon=False, ncols=3, loc="upper right", labelcolor=_SOFT)
     return _svg(figure, "linearity")
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import jinja2
 
 from gyrorig_solver.calibration.document import Calibration
+from gyrorig_solver.calibration.wording import nothing_text
 from gyrorig_solver.report import view
 from gyrorig_solver.report.data import ReportData
 
@@ -46,6 +47,7 @@ def _page(data: ReportData) -> dict[str, Any]:
             view.pictures(data.diagnostics, calibration) if data.diagnostics is not None else None
         ),
         "groups": view.groups(data),
+        "nothing": nothing_text(calibration),
         "has_profile": data.profile is not None,
         "observability": (
             f"The motion showed {seen.rank} of {seen.of} parameters"

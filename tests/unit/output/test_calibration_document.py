@@ -90,7 +90,6 @@ def test_what_was_not_seen_is_null_and_named(limited_fit: GyroFit, provenance: P
     ("change", "verdict", "word"),
     [
         ({}, "good", ""),
-        ({"reduced_chi2": 2.0}, "limited", "residual"),
         ({"reduced_chi2": 100.0}, "refused", "residual"),
         ({"lost": 5000}, "limited", "lost"),
         ({"outliers": 500}, "limited", "spikes"),

@@ -1,0 +1,105 @@
+"""One board of one recording, all the way: fit, document, next version, report."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version as installed_version
+from pathlib import Path
+
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration.build import calibration_of
+from gyrorig_solver.calibration.document import Calibration, to_yaml
+from gyrorig_solver.calibration.origin import provenance
+from gyrorig_solver.calibration.paper import paper_calibration_of, solve_as_printed
+from gyrorig_solver.calibration.profiles import find_profile
+from gyrorig_solver.calibration.store import CalibrationStore, write_whole
+from gyrorig_solver.report.data import ReportData
+from gyrorig_solver.report.html import render
+from gyrorig_solver.samples import load_samples
+from gyrorig_solver.solve import solve_recording
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """One board's result, as it lies in the store."""
+
+    calibration: Calibration
+    path: Path
+    report: Path
+
+
+# (version, digest of the version before, created) to the document
+_Document = Callable[[int, str | None, str], Calibration]
+
+
+def solve_into(
+    store: CalibrationStore, recording: Recording, board: BoardId, method: str = "likelihood"
+) -> Solved:
+    """Solve one board of one recording, and write its next version and its report.
+
+    Args:
+        store: where the versions are.
+        recording: with the board in it.
+        board: which one.
+        method: `likelihood` or `paper`.
+
+    Raises:
+        InputError: the recording does not hold what the method needs.
+        MachineError: the store cannot be written.
+    """
+    store.prepare(board)
+    solve = _by_paper if method == "paper" else _by_likelihood
+    document, data_of = solve(recording, board)
+    created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    written: list[Calibration] = []
+
+    def text(version: int, previous: str | None) -> str:
+        written.append(document(version, previous, created))
+        return to_yaml(written[-1])
+
+    stored = store.add(board, text)
+    report = stored.path.with_suffix(".report.html")
+    write_whole(report, render(data_of(written[-1])).encode(), replace=True)
+    return Solved(written[-1], stored.path, report)
+
+
+def _by_likelihood(
+    recording: Recording, board: BoardId
+) -> tuple[_Document, Callable[[Calibration], ReportData]]:
+    fit = solve_recording(recording, board)
+    software = installed_version("gyrorig")
+    origin = provenance([recording], board, [fit.lost], software, {"method": "likelihood"})
+    profile = find_profile(origin.board.sensor)
+
+    def document(version: int, previous: str | None, created: str) -> Calibration:
+        return calibration_of(
+            fit, origin, version=version, previous=previous, created=created, profile=profile
+        )
+
+    def data_of(calibration: Calibration) -> ReportData:
+        return ReportData(calibration, fit.diagnostics, fit.clock, profile, fit.reference)
+
+    return document, data_of
+
+
+def _by_paper(
+    recording: Recording, board: BoardId
+) -> tuple[_Document, Callable[[Calibration], ReportData]]:
+    samples = load_samples(recording, board)
+    result = solve_as_printed(recording, board, samples)
+    software = installed_version("gyrorig")
+    origin = provenance([recording], board, [samples.lost], software, {"method": "paper"})
+    profile = find_profile(origin.board.sensor)
+    rates = samples.rate_rad_s[samples.good]
+    span = (float(rates.min()), float(rates.max()))
+
+    def document(version: int, previous: str | None, created: str) -> Calibration:
+        return paper_calibration_of(
+            result, span, origin, version=version, previous=previous, created=created
+        )
+
+    def data_of(calibration: Calibration) -> ReportData:
+        return ReportData(calibration, profile=profile)
+
+    return document, data_of

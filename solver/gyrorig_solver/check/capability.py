@@ -1,0 +1,62 @@
+"""Which parameters a motion can show, judged before any fit.
+
+The reference motion and the sensor's noise are enough: the information that the samples
+hold about gain, bias and time offset does not depend on the counts. The rank test is the
+estimator's own, so the two cannot disagree about what it means to be observable.
+"""
+
+import numpy as np
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.estimate.observability import BIAS_NAMES, conclude, decide
+from gyrorig_solver.estimate.result import Observability
+from gyrorig_solver.model.gain import GAIN_NAMES
+from gyrorig_solver.reference.motion import ReferenceMotion
+from gyrorig_solver.samples import GyroSamples
+
+NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
+_GRID_HZ = 50.0  # motions of a unit change within tenths of a second
+_MAX_POINTS = 200_000
+
+
+def capability(
+    samples: GyroSamples, reference: ReferenceMotion, words: dict[str, str]
+) -> Observability:
+    """Return what a fit of these samples against this motion could show.
+
+    Args:
+        samples: of one board.
+        reference: the stage's motion, on the samples' time axis.
+        words: for each gain column, `bias` and `time_offset`, why it may be hidden.
+    """
+    rate, step_s = _stage_rate(samples, reference)
+    information = np.zeros((13, 13))
+    turning = np.gradient(rate, step_s, axis=0)
+    for axis in range(3):
+        design = np.zeros((len(rate), 13))
+        design[:, 3 * axis : 3 * axis + 3] = rate
+        design[:, 9 + axis] = 1.0
+        design[:, 12] = -turning[:, axis]  # a later sample tells of an earlier rate
+        variance = _noise_density(samples, axis) / (2.0 * step_s)
+        information += design.T @ design / variance
+    estimate = np.concatenate([np.eye(3).ravel(), np.zeros(4)])
+    return conclude(estimate, NAMES, decide(information, NAMES), words).observability
+
+
+def _stage_rate(samples: GyroSamples, reference: ReferenceMotion) -> tuple[FloatArray, float]:
+    """Return the known mean stage rates on a uniform grid, shape (n, 3), and its step."""
+    start, end = float(samples.time_s.min()), float(samples.time_s.max())
+    count = int(np.clip((end - start) * _GRID_HZ, 16, _MAX_POINTS))
+    edges = np.linspace(start, end, count + 1)
+    rate = reference.evaluate(edges).rate_rad_s
+    known = np.isfinite(rate).all(axis=1)
+    return rate[known], float(edges[1] - edges[0])
+
+
+def _noise_density(samples: GyroSamples, axis: int) -> float:
+    """Return the one-sided white noise density, (rad/s)^2/Hz, from neighbours' differences."""
+    change = np.diff(samples.rate_rad_s[:, axis])
+    middle = float(np.median(np.abs(change - np.median(change))))
+    std = middle / 0.6745 / np.sqrt(2.0)  # a normal's median absolute deviation
+    std = max(std, samples.quantum_rad_s / np.sqrt(12.0))
+    return float(2.0 * std**2 * samples.period_s)

@@ -1,0 +1,219 @@
+"""What is in a recording, and what is wrong with it, in numbers and in words."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import EventKind
+from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_solver.check.capability import capability
+from gyrorig_solver.estimate.result import Observability
+from gyrorig_solver.reference.ptu_recording import ptu_reference
+from gyrorig_solver.samples import GyroSamples, load_samples
+from gyrorig_solver.solve import PTU_WORDS
+
+LOST_OR_HOMING = 1 << 2 | 1 << 3
+_LOST_SHARE = 0.02  # more than this and a calibration is limited
+
+
+@dataclass(frozen=True, slots=True)
+class BoardHealth:
+    """One board: its samples, its clock, and what its motion can show."""
+
+    board: str
+    sensor: str
+    samples: int
+    duration_s: float
+    rate_hz: float
+    lost: int  # by the board's own counter
+    repeated: int
+    saturated: int
+    restarts: int
+    skew_ppm: float
+    latency_median_s: float
+    latency_max_s: float
+    clock_pings: int
+    observability: Observability | None  # None: there is nothing to compare the rates with
+    fault: str = ""  # why the board cannot be used at all
+
+
+@dataclass(frozen=True, slots=True)
+class UnitHealth:
+    """The pan-tilt unit's side."""
+
+    polls: int
+    poll_rate_hz: float
+    unsynchronised: int
+    pan_deg: tuple[float, float]
+    tilt_deg: tuple[float, float]
+    commands: int
+    refused: int  # answered with an error, or not at all
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """A whole recording."""
+
+    name: str
+    complete: bool
+    losses: tuple[str, ...]
+    notes: tuple[str, ...]
+    duration_s: float
+    topics: dict[str, int]
+    dropped: dict[str, int]  # messages missing by the daemon's own count, by topic
+    phases: dict[str, int]
+    faults: tuple[str, ...]  # that the daemon noted
+    unit: UnitHealth | None
+    boards: tuple[BoardHealth, ...]
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is wrong, each with its remedy; empty for a sound recording."""
+        out = [f"{text}" for text in self.losses]
+        for topic, count in self.dropped.items():
+            out.append(f"{count} messages of {topic} were dropped by the daemon: free its disk")
+        out += [f"fault noted while recording: {text}" for text in self.faults]
+        if not self.boards:
+            out.append("there is no board in it: was it connected?")
+        for board in self.boards:
+            out += _board_problems(board)
+        if self.unit is not None and self.unit.unsynchronised:
+            out.append(
+                f"{self.unit.unsynchronised} positions were read out of step with the unit: "
+                "they are left out; check the cable"
+            )
+        return tuple(out)
+
+    @property
+    def identifiable(self) -> bool:
+        """True when every board can be calibrated in full."""
+        return bool(self.boards) and all(
+            board.observability is not None and not board.observability.unobservable
+            for board in self.boards
+        )
+
+
+def examine(recording: Recording, wanted: tuple[BoardId, ...]) -> Health:
+    """Return the health of a recording and of the boards that are wanted."""
+    events = recording.events()
+    return Health(
+        name=recording.path.name,
+        complete=recording.complete,
+        losses=tuple(loss.text for loss in recording.losses),
+        notes=recording.notes,
+        duration_s=(recording.end_ns - recording.start_ns) * 1e-9,
+        topics={name: len(topic) for name, topic in sorted(recording.topics.items())},
+        dropped=_dropped(recording),
+        phases=dict(Counter(e.phase for e in events if e.kind == EventKind.PHASE_BEGIN)),
+        faults=tuple(e.text for e in events if e.kind == EventKind.FAULT),
+        unit=_unit(recording),
+        boards=tuple(_board(recording, board) for board in wanted),
+    )
+
+
+def _dropped(recording: Recording) -> dict[str, int]:
+    """Return the gaps in the daemon's own count of each array topic."""
+    out = {}
+    for name, topic in recording.topics.items():
+        if topic.array is not None and len(topic.array) > 1:
+            number = topic.array["message_sequence"].astype(np.int64)
+            gaps = np.diff(np.sort(number)) - 1
+            missing = int(gaps[gaps > 0].sum())
+            if missing:
+                out[name] = missing
+    return out
+
+
+def _unit(recording: Recording) -> UnitHealth | None:
+    polls = recording.ptu_positions()
+    if not polls.size:
+        return None
+    good = polls[polls["status"] & LOST_OR_HOMING == 0]
+    at = times_ns(polls["reply_time"])
+    span_s = max(float(at[-1] - at[0]) * 1e-9, 1e-9)
+    commands = recording.ptu_commands()
+    return UnitHealth(
+        polls=int(polls.size),
+        poll_rate_hz=(polls.size - 1) / span_s,
+        unsynchronised=int(np.sum(polls["status"] & (1 << 2) != 0)),
+        pan_deg=_range_deg(good["pan"]),
+        tilt_deg=_range_deg(good["tilt"]),
+        commands=len(commands),
+        refused=sum(command.code != 0 for command in commands),
+    )
+
+
+def _range_deg(angle_rad: np.ndarray) -> tuple[float, float]:
+    if not angle_rad.size:
+        return 0.0, 0.0
+    return float(np.degrees(angle_rad.min())), float(np.degrees(angle_rad.max()))
+
+
+def _board(recording: Recording, board: BoardId) -> BoardHealth:
+    sensor = recording.metadata.get(f"gyrorig.board.{board}", {}).get("sensor", "")
+    try:
+        samples = load_samples(recording, board)
+    except GyrorigError as fault:
+        count = int(recording.imu(board).size)
+        return BoardHealth(
+            str(board), sensor, count, *(0.0, 0.0), *(0, 0, 0, 0), *(0.0, 0.0, 0.0), 0, None,
+            fault=str(fault),
+        )  # fmt: skip
+    duration_s = float(samples.host_s[-1] - samples.host_s[0])
+    clock = samples.clock
+    return BoardHealth(
+        board=str(board),
+        sensor=sensor,
+        samples=int(samples.time_s.size),
+        duration_s=duration_s,
+        rate_hz=1.0 / samples.period_s if samples.period_s > 0.0 else 0.0,
+        lost=samples.lost,
+        repeated=samples.repeated,
+        saturated=max(0, int(np.sum(~samples.good)) - samples.repeated),
+        restarts=clock.restarts,
+        skew_ppm=clock.skew_ppm,
+        latency_median_s=float(clock.latency_s[0]),
+        latency_max_s=float(clock.latency_s[2]),
+        clock_pings=int(recording.clock_pings(board).size),
+        observability=_observability(recording, samples),
+    )
+
+
+def _observability(recording: Recording, samples: GyroSamples) -> Observability | None:
+    if not recording.ptu_positions().size:
+        return None
+    try:
+        reference = ptu_reference(recording, samples.origin_ns)
+    except GyrorigError:
+        return None
+    return capability(samples, reference, PTU_WORDS)
+
+
+def _board_problems(board: BoardHealth) -> list[str]:
+    name = board.board
+    if board.fault:
+        return [f"{name} cannot be used, {board.fault}"]
+    out = []
+    if board.lost > _LOST_SHARE * (board.samples + board.lost):
+        out.append(f"{name} lost {board.lost} samples: lower its output rate or raise its baud")
+    if board.saturated > 0:
+        out.append(
+            f"{name} has {board.saturated} saturated samples: "
+            "use a larger full scale, or turn slower"
+        )
+    if board.repeated > _LOST_SHARE * board.samples:
+        out.append(f"{name} repeats {board.repeated} samples: it is read faster than it measures")
+    if board.restarts:
+        out.append(f"{name} started anew {board.restarts} times: check its supply and its cable")
+    if board.observability is None:
+        out.append(
+            f"nothing tells how {name} was turned: record with a unit, or import a reference"
+        )
+    elif board.observability.unobservable:
+        hidden = ", ".join(board.observability.unobservable)
+        why = "; ".join(board.observability.reasons)
+        out.append(f"{name} cannot show {hidden}: {why or 'turn it about every axis'}")
+    return out

@@ -1,0 +1,25 @@
+"""Which boards of a recording a command works on."""
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.recording import Recording
+
+
+def chosen_boards(recording: Recording, wanted: str | None) -> tuple[BoardId, ...]:
+    """Return the boards to work on.
+
+    Raises:
+        InputError: the wanted board, or any board at all, is not in the recording.
+    """
+    there = recording.board_ids
+    if not there:
+        raise InputError(
+            f"{recording.path.name} holds no board", "was the board connected when it was recorded?"
+        )
+    if wanted is None:
+        return there
+    if wanted not in there:
+        raise InputError(
+            f"board {wanted!r} is not in {recording.path.name}", f"in it: {', '.join(there)}"
+        )
+    return (BoardId(wanted),)

@@ -1,0 +1,112 @@
+"""`gyrorig solve`: recordings in, one more version of each board's calibration out."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.calibration.document import to_plain
+from gyrorig_solver.calibration.solving import Solved, solve_into
+from gyrorig_solver.calibration.store import CalibrationStore
+from gyrorig_solver.calibration.summary import summary
+from gyrorig_solver.commands.boards import chosen_boards
+from gyrorig_solver.commands.terminal import (
+    IN_PART,
+    NOT_IDENTIFIABLE,
+    Terminal,
+    json_option,
+)
+
+
+@click.command("solve")
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--board", help="Only this board. Without it: every board in the recordings.")
+@click.option(
+    "--method",
+    type=click.Choice(["likelihood", "paper"]),
+    default="likelihood",
+    show_default=True,
+    help="paper: eq. 6 to 12 as printed, for comparison only.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("calibrations"),
+    show_default=True,
+    help="The store: OUT/<board>/v0001.yaml and v0001.report.html.",
+)
+@json_option
+@click.pass_obj
+def solve_command(
+    terminal: Terminal, recordings: tuple[Path, ...], board: str | None, method: str, out: Path
+) -> int:
+    r"""Turn recordings into a calibration and a report for each board in them.
+
+    Each recording makes one version of each of its boards. Leaves with 4 when a
+    parameter could not be shown by the motion: the calibration says which, and why.
+
+    \b
+    Example:
+      gyrorig solve demo/session.mcap --out calibrations
+    """
+    solved: list[Solved] = []
+    failed: list[dict[str, Any]] = []
+    first: GyrorigError | None = None
+    for path in recordings:
+        for name, outcome in _solve_file(terminal, path, board, method, out):
+            if isinstance(outcome, Solved):
+                solved.append(outcome)
+                terminal.say(_said(outcome))
+            else:
+                first = first or outcome
+                failed.append({"recording": str(path), "board": name, "error": str(outcome)})
+                if len(recordings) > 1 or name:
+                    click.echo(f"gyrorig: {name or path.name}: {outcome}", err=True)
+    if first is not None and not solved:
+        raise first
+    code = IN_PART if failed else 0
+    if not failed and any(s.calibration.observability.unobservable for s in solved):
+        code = NOT_IDENTIFIABLE
+    terminal.emit({"boards": [_plain(s) for s in solved], "failed": failed, "exit_code": code})
+    return code
+
+
+def _solve_file(
+    terminal: Terminal, path: Path, wanted: str | None, method: str, out: Path
+) -> Iterator[tuple[str, Solved | GyrorigError]]:
+    """Yield each board of one file with its result, or with why it has none."""
+    store = CalibrationStore(out)
+    try:
+        recording = read_recording(path)
+        boards = chosen_boards(recording, wanted)
+    except GyrorigError as fault:
+        yield "", fault
+        return
+    for board in boards:
+        terminal.progress(f"solving {board} of {path.name}")
+        try:
+            yield board, solve_into(store, recording, board, method)
+        except GyrorigError as fault:
+            yield board, fault
+
+
+def _said(solved: Solved) -> str:
+    return (
+        f"{summary(solved.calibration)}\n  calibration           {solved.path}"
+        f"\n  report                {solved.report}"
+    )
+
+
+def _plain(solved: Solved) -> dict[str, Any]:
+    calibration = solved.calibration
+    return {
+        "board": calibration.board.id,
+        "version": calibration.version,
+        "verdict": calibration.trust.verdict,
+        "file": str(solved.path),
+        "report": str(solved.report),
+        "calibration": to_plain(calibration),
+    }
