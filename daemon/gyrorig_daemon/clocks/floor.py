@@ -16,7 +16,9 @@ SKEW_SIGMA = 1e-3  # prior: ceramic resonators reach 640 ppm
 GATE_SIGMAS = 5.0
 STAMP_FLOOR_S = 1e-6  # no window is trusted below one microsecond
 LATE_WINDOWS_LIMIT = 30  # then the path has changed for good and the floor with it
-EARLY_ALARM_S = 0.005  # early by more is a step of a clock, not a better minimum
+EARLY_STEP_S = 0.005  # early by more is a step of a clock, not a better minimum
+EARLY_ALARM_S = 1e-4  # early by less is no news on a bus of 125 us microframes
+SETTLING_WINDOWS = 5  # the first floors are none yet: processes and caches warm up
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +140,9 @@ class FloorFilter:
         if self._late_in_a_row >= LATE_WINDOWS_LIMIT:
             self._step(measured_s, variance)
         elif innovation < -GATE_SIGMAS * sigma:
-            self._early_total += 1
-            if innovation < -EARLY_ALARM_S:
+            if innovation < -EARLY_ALARM_S and self._windows >= SETTLING_WINDOWS:
+                self._early_total += 1
+            if innovation < -EARLY_STEP_S and self._windows >= SETTLING_WINDOWS:
                 self._step(measured_s, variance)
             else:
                 self._p_oo += innovation**2  # the earlier floor was none: believe the new one

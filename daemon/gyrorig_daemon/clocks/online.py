@@ -1,10 +1,31 @@
-"""One device's clock, mapped to the capture clock as its stamps arrive."""
+"""One device's clock, mapped to the capture clock as its stamps arrive.
+
+One-way stamps give the clock up to the least latency, which they cannot show: the time a
+board takes to read its sensor is in it. Pings bracket it: a request cannot have arrived
+before it was sent, nor an answer have left after it arrived. The brackets of the last
+half minute together are an interval that holds the truth, often of some ten
+microseconds; its middle is taken (reference: timesync.md section 4, two hulls).
+"""
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from gyrorig_daemon.clocks.floor import FloorFilter
 from gyrorig_daemon.clocks.unwrap import Unwrapper
+
+
+PING_MEMORY = 150  # half a minute at five a second
+
+
+@dataclass(frozen=True, slots=True)
+class _Ping:
+    """One bracket, in seconds from the map's origin."""
+
+    sent_s: float
+    device_receive_s: float
+    device_send_s: float
+    received_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +41,9 @@ class ClockReport:
     late_windows: int
     early_windows: int
     steps: int
-    two_way_low_s: float | None  # the sample's true time lies between map + low and map + high
+    two_way_low_s: float | None  # true minus one-way time lies between low and high
     two_way_high_s: float | None
+    correction_s: float  # added to the one-way map: the middle of both, or 0
 
 
 class OnlineClock:
@@ -49,8 +71,10 @@ class OnlineClock:
         self._origin_ns = 0
         self._last_ticks = 0
         self._restarts = -1  # the first stamp is no restart
+        self._pings: deque[_Ping] = deque(maxlen=PING_MEMORY)
         self._low_s = -math.inf
         self._high_s = math.inf
+        self._correction_s = 0.0
 
     def restart(self) -> None:
         """Begin anew: the device said that it booted."""
@@ -76,7 +100,8 @@ class OnlineClock:
             self._restarts += 1
             self._floor.restart()
             self._origin_ticks, self._origin_ns = stamp.ticks, left_ns
-            self._low_s, self._high_s = -math.inf, math.inf
+            self._pings.clear()
+            self._low_s, self._high_s, self._correction_s = -math.inf, math.inf, 0.0
         self._last_ticks = max(stamp.ticks, self._origin_ticks)
         device_s = self._device_s(stamp.ticks)
         self._floor.observe(device_s, (left_ns - self._origin_ns) * 1e-9 - device_s)
@@ -108,11 +133,25 @@ class OnlineClock:
             device_send: 64-bit ticks when the device answered.
             received_ns: when the answer was in the host's hands, less its time on the wire.
         """
-        there_ns, back_ns = self.map_ns(device_receive), self.map_ns(device_send)
-        if there_ns is None or back_ns is None:
+        if not self._floor.has_state:
             return
-        self._low_s = max(self._low_s, (sent_ns - there_ns) * 1e-9)
-        self._high_s = min(self._high_s, (received_ns - back_ns) * 1e-9)
+        self._pings.append(
+            _Ping(
+                (sent_ns - self._origin_ns) * 1e-9,
+                self._device_s(self._nearest(device_receive)),
+                self._device_s(self._nearest(device_send)),
+                (received_ns - self._origin_ns) * 1e-9,
+            )
+        )
+        floor_s = self._floor.latency_floor_s
+        self._low_s = max(
+            p.sent_s - p.device_receive_s - floor_s(p.device_receive_s) for p in self._pings
+        )
+        self._high_s = min(
+            p.received_s - p.device_send_s - floor_s(p.device_send_s) for p in self._pings
+        )
+        if self._low_s <= self._high_s:
+            self._correction_s = 0.5 * (self._low_s + self._high_s)
 
     def report(self) -> ClockReport:
         """Return the state of the map."""
@@ -129,6 +168,7 @@ class OnlineClock:
             steps=state.steps,
             two_way_low_s=self._low_s if math.isfinite(self._low_s) else None,
             two_way_high_s=self._high_s if math.isfinite(self._high_s) else None,
+            correction_s=self._correction_s,
         )
 
     def _device_s(self, ticks: int) -> float:
@@ -141,4 +181,5 @@ class OnlineClock:
     def _to_ns(self, device_s: float) -> int | None:
         if not self._floor.has_state:
             return None
-        return self._origin_ns + round((device_s + self._floor.latency_floor_s(device_s)) * 1e9)
+        host_s = device_s + self._floor.latency_floor_s(device_s) + self._correction_s
+        return self._origin_ns + round(host_s * 1e9)

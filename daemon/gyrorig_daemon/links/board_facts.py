@@ -60,7 +60,8 @@ def _from_hello(hello: Hello) -> dict[str, str | float | int | None]:
         values["sensor"] = _part(gyro)
         values["odr_hz"] = gyro.rate_hz
         values["bandwidth_hz"] = gyro.bandwidth_hz
-        values["gyro_full_scale_dps"] = gyro.full_scale * to_rad_s / _DEG
+        in_dps = gyro.unit == "dps"
+        values["gyro_full_scale_dps"] = gyro.full_scale if in_dps else gyro.full_scale / _DEG
         values["gyro_scale_rad_s"] = gyro.per_count * to_rad_s
     if accel is not None:
         values["accel_scale_m_s2"] = accel.per_count * _TO_M_S2[accel.unit]

@@ -172,6 +172,7 @@ def _clock_status(name: str, report: ClockReport) -> DiagnosticStatus:
     if report.two_way_low_s is not None and report.two_way_high_s is not None:
         values["two_way_low_s"] = _number(report.two_way_low_s)
         values["two_way_high_s"] = _number(report.two_way_high_s)
+        values["correction_s"] = _number(report.correction_s)
     return DiagnosticStatus(level, name, text, values=values)
 
 

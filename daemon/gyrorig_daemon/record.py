@@ -1,0 +1,165 @@
+"""The two ways to hold a session: with serial ports in real time, or emulated and faster.
+
+Both end in `session.record_session`; only what stands behind the ports and the clock
+differs. The emulator is imported only where one is asked for.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
+from gyrorig_daemon.links.acquire import raw_ns
+from gyrorig_daemon.links.capture_clock import (
+    CaptureClock,
+    HostClocks,
+    anchor_now,
+    read_host_clocks,
+)
+from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.pump import StopFlag
+from gyrorig_daemon.session import (
+    Progress,
+    SessionOrder,
+    Surroundings,
+    no_progress,
+    record_session,
+)
+from gyrorig_protocol.errors import UsageError
+
+__all__ = ["Call", "emulate", "in_real_time", "in_simulated_time", "no_progress"]
+
+ORIGIN_NS = 5_000_000_000  # power-up of a rig under simulated time, on its own raw clock
+FAREWELL = " H "  # halts the unit if the daemon dies; the space ends a command cut short
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """What the command line asks for."""
+
+    order: SessionOrder
+    config_path: Path
+    seed: int | None
+    truth: Path | None
+    host: str
+    stop: StopFlag
+    progress: Progress = no_progress
+
+
+def in_real_time(call: Call) -> Path:
+    """Record through the acquisition process, starting the emulator where ports ask for it.
+
+    Raises:
+        GyrorigError: see `record_session`, `AcquisitionHub`.
+    """
+    config = call.order.config
+    paths = config.ports()
+    emulated = [port for port, path in paths.items() if path == EMULATED]
+    if call.truth is not None and not emulated:
+        raise UsageError("this rig is not emulated: its truth is not known", "leave out --truth")
+    with ExitStack() as stack:
+        if emulated:
+            from gyrorig_daemon.emulated import EmulatorProcess, EmulatorRun  # noqa: PLC0415
+
+            run = EmulatorRun(call.config_path, call.seed, call.truth)
+            process = stack.enter_context(EmulatorProcess(run))
+            paths |= {port: process.paths[port] for port in emulated}
+        hub = stack.enter_context(AcquisitionHub(_port_settings(config, paths)))
+        around = Surroundings(
+            capture=anchor_now(),
+            read_host=read_host_clocks,
+            threaded_writer=True,
+            host=call.host,
+            seed=time.monotonic_ns(),
+            paths=paths,
+            dropped_bytes=lambda: hub.dropped_bytes,
+            stop=call.stop,
+            progress=call.progress,
+        )
+        return record_session(hub, call.order, around)
+
+
+def in_simulated_time(call: Call) -> Path:
+    """Record an emulated rig under a virtual clock.
+
+    Raises:
+        UsageError: a port is not emulated.
+        GyrorigError: see `record_session`.
+    """
+    from gyrorig_daemon.emulated import rig_settings, write_truth  # noqa: PLC0415
+    from gyrorig_daemon.emulator.rig import EmulatedRig  # noqa: PLC0415
+    from gyrorig_daemon.emulator.virtual_hub import VirtualHub  # noqa: PLC0415
+
+    config = call.order.config
+    if not config.is_emulated:
+        raise UsageError("a real rig has no simulated time", "leave out --simulated-time")
+    settings = rig_settings(config, call.seed)
+    rig = EmulatedRig(settings, ORIGIN_NS)
+    hub = VirtualHub(rig)
+    capture = CaptureClock(time.time_ns(), hub.now_ns())
+
+    def read_host() -> HostClocks:
+        now_ns = hub.now_ns()
+        return HostClocks(now_ns, now_ns, capture.utc_ns(now_ns), 0.0, 0.0, 0)
+
+    around = Surroundings(
+        capture=capture,
+        read_host=read_host,
+        threaded_writer=False,
+        host=call.host,
+        seed=settings.seed,
+        stop=call.stop,
+        progress=call.progress,
+    )
+    path = record_session(hub, call.order, around)
+    if call.truth is not None:
+        write_truth(call.truth, rig.truth_document(ORIGIN_NS, hub.now_ns()))
+    return path
+
+
+def _port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, PortSettings]:
+    bauds = {PTU_PORT: config.ptu.baud, **{b.hub_port: b.baud for b in config.boards}}
+    return {
+        port: PortSettings(path, bauds[port], FAREWELL if port == PTU_PORT else "")
+        for port, path in paths.items()
+    }
+
+
+def emulate(
+    config: RigConfig,
+    seed: int | None,
+    truth: Path | None,
+    announce: Callable[[Mapping[str, str]], None],
+    ended: threading.Event,
+    links: Path | None = None,
+) -> None:
+    """Open the emulated devices on ptys and serve them until `ended`.
+
+    Args:
+        config: the rig; only its ports that read `emulated` are opened.
+        seed: instead of the configuration's own.
+        truth: where to write what the rig hides, at the end with the mean bias too.
+        announce: called once with the path of each port.
+        ended: set to stop.
+        links: a folder for symbolic links of the ports' names.
+
+    Raises:
+        UsageError: no port is emulated.
+        MachineError: no pty, or the truth cannot be written.
+    """
+    from gyrorig_daemon.emulated import rig_settings, write_truth  # noqa: PLC0415
+    from gyrorig_daemon.emulator.rig import EmulatedRig  # noqa: PLC0415
+    from gyrorig_daemon.emulator.serve import serve  # noqa: PLC0415
+
+    if EMULATED not in config.ports().values():
+        raise UsageError("no port of this rig is emulated", "write `emulated` as a port")
+    begin_ns = raw_ns()
+    rig = EmulatedRig(rig_settings(config, seed), begin_ns)
+    if truth is not None:
+        write_truth(truth, rig.truth_document())
+    serve(rig, announce, ended.is_set, links)
+    if truth is not None:
+        write_truth(truth, rig.truth_document(begin_ns, raw_ns()))
