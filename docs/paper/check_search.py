@@ -1,0 +1,87 @@
+"""Could the kinematics of eq. 12 alone have made Table 3's T_zy and M_yz? A search.
+
+    python docs/paper/check_search.py
+
+A perfect gyro on ten paths, six pan and eleven tilt amplitudes (the tilts within a PTU-E46's
+range of -47 to +31 degrees), three readings of eq. 12 and both biases. Takes some 15 s.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import numpy as np
+from docs.paper.markdown import Block, number, show, table
+from docs.paper.motion import along, calibrated, paths
+from docs.paper.printed import GY80
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.estimate.paper import AS_TABLED, Bias, PaperResult
+from gyrorig_solver.estimate.paper_angles import Composition
+
+PANS_DEG = (10.0, 20.0, 30.0, 45.0, 60.0, 90.0)
+TILTS_DEG = (-45.0, -30.0, -20.0, -10.0, -5.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+COMPOSITIONS: tuple[Composition, ...] = ("printed", "right", "mechanism")
+BIASES: tuple[Bias, ...] = ("static", "quasi_static")
+SEARCH_RATE_HZ = 20.0  # a leg of 2 s still has 40 samples
+
+
+def results() -> list[PaperResult]:
+    """The paper's method on every combination."""
+    found = []
+    for pan in PANS_DEG:
+        for tilt in TILTS_DEG:
+            for corners in paths(pan, tilt).values():
+                motion = along(corners, rate_hz=SEARCH_RATE_HZ, static_s=1.0)
+                rate = motion.body_rate_rad_s()
+                for composition in COMPOSITIONS:
+                    reading = replace(AS_TABLED, composition=composition)
+                    found += [calibrated(motion, rate, bias, reading) for bias in BIASES]
+    return found
+
+
+def full_rank(found: list[PaperResult]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """S diagonals (k, 3), T_zy (k,) and M_yz (k,) of the combinations that give them."""
+    kept = [(r.S, r.T, r.M) for r in found]
+    rows = [
+        (*np.diag(S), T[2, 1], M[1, 2])
+        for S, T, M in kept
+        if S is not None and T is not None and M is not None
+    ]
+    values = np.array(rows)
+    return values[:, :3], values[:, 3], values[:, 4]
+
+
+def search() -> str:
+    """What the search found, beside Table 3's GY80."""
+    found = results()
+    scale, t_zy, m_yz = full_rank(found)
+    plausible = np.all((scale > 0.85) & (scale < 1.05), axis=1)
+    near = (np.abs(np.abs(t_zy) - 0.15) < 0.04) & (np.abs(np.abs(m_yz) - 0.15) < 0.04)
+    distance = min(float(np.linalg.norm(r.STM - GY80.STM)) for r in found)
+    identity = float(np.linalg.norm(np.eye(3) - GY80.STM))
+    rows = [
+        ["combinations", str(len(found))],
+        ["with S, T and M (the rest: Cholesky impossible)", str(t_zy.size)],
+        ["their median size of T_zy", number(float(np.median(np.abs(t_zy))), 2)],
+        [
+            "of these with S_x, S_y and S_z all within 0.85 to 1.05",
+            str(np.count_nonzero(plausible)),
+        ],
+        ["largest M_yz among those", number(float(np.abs(m_yz[plausible]).max()), 3)],
+        [
+            "of those with T_zy and M_yz both within 0.04 of 0.15 in size",
+            str(np.count_nonzero(plausible & near)),
+        ],
+        ["nearest STM to the GY80's, Frobenius distance", number(distance, 3)],
+        ["distance of the identity from it", number(identity, 3)],
+    ]
+    return table(["", "found"], rows)
+
+
+BLOCKS: dict[str, Block] = {"search": search}
+
+if __name__ == "__main__":
+    show(BLOCKS)

@@ -1,0 +1,63 @@
+"""docs/paper.md holds what its scripts print, and no other measured number."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from docs.paper import draw_figures, write
+
+PRINTED_IN_THE_PAPER = {"0.07445", "5.93", "0.96"}
+BLOCK = re.compile(r"<!-- begin: [a-z0-9-]+ -->\n(.*?)<!-- end -->", re.DOTALL)
+DECIMAL = re.compile(r"\d+\.\d+")
+
+
+@pytest.fixture(scope="module")
+def document() -> str:
+    return write.DOCUMENT.read_text(encoding="utf-8")
+
+
+def test_blocks_are_what_the_scripts_give(document: str) -> None:
+    assert write.written(document, write.QUICK) == document
+
+
+def test_every_quick_block_is_in_the_document_once(document: str) -> None:
+    names = write.block_names(document)
+    assert len(set(names)) == len(names)
+    assert set(write.QUICK) <= set(names)
+    strangers = set(names) - set(write.QUICK)
+    assert all(name.startswith("end-to-end") for name in strangers)
+
+
+def test_decimals_in_prose_stand_in_a_block_too(document: str) -> None:
+    """A number that is written by hand is one that a script printed."""
+    blocks = " ".join(BLOCK.findall(document))
+    prose = BLOCK.sub("", document)
+    by_hand = set(DECIMAL.findall(prose)) - PRINTED_IN_THE_PAPER
+    assert {number for number in by_hand if number not in blocks} == set()
+
+
+def test_a_changed_number_is_found(document: str) -> None:
+    changed = document.replace("0.07445", "0.07446")
+    assert write.written(changed, {"table-1": write.QUICK["table-1"]}) != changed
+
+
+def test_figures_are_there_and_small(document: str, tmp_path: Path) -> None:
+    drawn = draw_figures.draw(tmp_path)
+    assert len(drawn) == 7
+    for file in drawn:
+        kept = draw_figures.FIGURES / file.name
+        assert kept.stat().st_size < 100_000
+        assert file.stat().st_size < 100_000
+        assert f"(paper/figures/{file.name})" in document
+
+
+def test_a_script_runs_on_its_own(tmp_path: Path) -> None:
+    """As a reader runs it, from any folder."""
+    script = Path(draw_figures.__file__).with_name("check_tables.py")
+    run = subprocess.run(
+        [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert "## table-3-products" in run.stdout
+    assert run.stderr == ""
