@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from gyrorig_protocol.recording.cdr import HEADER_BYTES, Layout
 from gyrorig_protocol.recording.cdr_stream import ENCAPSULATION
-from gyrorig_protocol.recording.chunks import RECORD_BYTES, Offsets, record_view
+from gyrorig_protocol.recording.chunks import RECORD_BYTES, Offsets, gather
 from gyrorig_protocol.recording.fields import Buffer
 
 _FRAME_BYTES = 9
@@ -39,9 +39,7 @@ def array_dtype(layout: Layout) -> np.dtype[np.void]:
         formats.append(dtype)
         offsets.append(RECORD_BYTES + HEADER_BYTES + offset)
     itemsize = RECORD_BYTES + layout.size
-    return np.dtype(
-        {"names": names, "formats": formats, "offsets": offsets, "itemsize": itemsize}  # type: ignore[call-overload]
-    )
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": itemsize})
 
 
 class FixedChannel:
@@ -73,11 +71,10 @@ class FixedChannel:
         if n and int(offsets[-1]) - int(offsets[0]) == (n - 1) * self._size and _even(offsets):
             target[:] = np.frombuffer(content, self._raw, n, int(offsets[0]))
         else:
-            target[:] = record_view(content, self._raw)[offsets]
+            target[:] = gather(content, self._size, offsets)
         heads = target.view(self._check)
-        bad = (heads["length"] != self._size - _FRAME_BYTES) | (
-            heads["encapsulation"] != _ENCAPSULATION
-        )
+        bad = heads["length"] != self._size - _FRAME_BYTES
+        bad |= heads["encapsulation"] != _ENCAPSULATION
         wrong = int(np.count_nonzero(bad))
         if wrong:
             target[: n - wrong] = target[~bad]
@@ -96,8 +93,8 @@ class FixedChannel:
 
 
 def _even(offsets: Offsets) -> bool:
-    steps = np.diff(offsets)
-    return bool(np.all(steps == steps[:1]))
+    steps = offsets[1:] - offsets[:-1]
+    return not (steps != steps[:1]).any()
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +115,7 @@ class VariableChannel:
 
     def append(self, content: Buffer, offsets: Offsets) -> None:
         """Take over the messages at `offsets`."""
-        heads = record_view(content, _RECORD_HEAD)[offsets]
+        heads = gather(content, RECORD_BYTES, offsets).view(_RECORD_HEAD)
         columns = (
             heads[name].tolist() for name in ("length", "log_time", "publish_time", "sequence")
         )

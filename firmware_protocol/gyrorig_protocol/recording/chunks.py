@@ -115,46 +115,65 @@ def open_chunk(chunk: ChunkRecord, content: Buffer, file: memoryview) -> ChunkCo
         raise ChunkError(LossCause.DAMAGED, str(error)) from error
 
 
-def record_view(content: Buffer, dtype: np.dtype[np.void]) -> npt.NDArray[np.void]:
-    """Every position of `content` as the beginning of a `dtype`, without copying."""
-    places = max(len(content) - dtype.itemsize + 1, 0)
-    view: npt.NDArray[np.void] = np.ndarray(places, dtype, buffer=content, strides=(1,))
-    return view
+def gather(content: Buffer, size: int, offsets: Offsets) -> npt.NDArray[np.void]:
+    """The `size` bytes at each offset, all of them inside `content`, shape (n,).
+
+    Untyped bytes on purpose: numpy would copy a structured type field by field.
+    """
+    whole = np.dtype((np.void, size))
+    places = max(len(content) - size + 1, 0)
+    every: npt.NDArray[np.void] = np.ndarray(places, whole, buffer=content, strides=(1,))
+    return every[offsets]
 
 
-_HEAD_DTYPE = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
+# Lengths as signed numbers: one that is too large for that is negative, and refused.
+_HEAD = np.dtype([("opcode", "u1"), ("length", "<i8"), ("channel", "<u2")])
 
 
 def _by_index(chunk: ChunkRecord, content: Buffer, file: memoryview) -> ChunkContent:
     found = ChunkContent()
     for channel, (start, count) in chunk.index.items():
-        entries = np.frombuffer(file, dtype="<i8", count=2 * count, offset=start)
-        found.offsets[channel] = np.ascontiguousarray(entries[1::2])
+        if count:
+            entries = np.frombuffer(file, dtype="<i8", count=2 * count, offset=start)
+            found.offsets[channel] = entries[1::2].copy()
+    if not found.offsets:
+        raise MalformedError("an index without entries")
+    places = np.concatenate(list(found.offsets.values()))
     # Runs that are in order already merge in nearly linear time.
-    begins = np.sort(np.concatenate(list(found.offsets.values())), kind="stable")
-    if begins.size and not 0 <= begins[0] <= begins[-1] <= len(content) - RECORD_BYTES:
+    order = places.argsort(kind="stable")
+    begins = places[order]
+    size = len(content)
+    if not 0 <= int(begins[0]) <= int(begins[-1]) <= size - RECORD_BYTES:
         raise MalformedError("an index points outside its chunk")
-    lengths = record_view(content, _HEAD_DTYPE)["length"][begins]
-    if begins.size and int(lengths.max()) > len(content):
+    heads = gather(content, _HEAD.itemsize, begins).view(_HEAD)
+    lengths = heads["length"]
+    if int(lengths.min()) < _MESSAGE_FIELDS_BYTES or int(lengths.max()) > size:
         raise MalformedError("an index points at no message")
-    ends = begins + lengths.astype(np.int64) + _FRAME.size
-    gap_begins = np.concatenate(([0], ends))
-    gap_ends = np.concatenate((begins, [len(content)]))
-    if np.any(gap_begins > gap_ends):
-        raise MalformedError("an index points at overlapping records")
-    for at in np.flatnonzero(gap_begins < gap_ends):
-        _declare(found, content, int(gap_begins[at]), int(gap_ends[at]))
-    for channel, offsets in found.offsets.items():
-        heads = record_view(content, _HEAD_DTYPE)[offsets]
-        if np.any(heads["opcode"] != _MESSAGE) or np.any(heads["channel"] != channel):
-            raise MalformedError("an index points at another channel")
-        if np.any(heads["length"] < _MESSAGE_FIELDS_BYTES):
-            raise MalformedError("a message is shorter than its fields")
+    if (heads["opcode"] != _MESSAGE).any() or (heads["channel"] != _numbers(found)[order]).any():
+        raise MalformedError("an index points at another record")
+    ends = begins + (lengths + _FRAME.size)
+    if int(begins[0]) > 0:
+        _declare(found, content, 0, int(begins[0]))
+    gaps = begins[1:] - ends[:-1]
+    if gaps.any():
+        if int(gaps.min()) < 0:
+            raise MalformedError("an index points at overlapping records")
+        for at in np.flatnonzero(gaps):
+            _declare(found, content, int(ends[at]), int(begins[at + 1]))
+    _declare(found, content, int(ends[-1]), size)
     return found
 
 
+def _numbers(found: ChunkContent) -> npt.NDArray[np.uint16]:
+    """The channel of each offset, in the order of the channels."""
+    channels = np.array(list(found.offsets), dtype=np.uint16)
+    return channels.repeat([len(offsets) for offsets in found.offsets.values()])
+
+
 def _declare(found: ChunkContent, content: Buffer, at: int, limit: int) -> None:
-    """Take in the schemas and channels that fill `content[at:limit]`."""
+    """Take in the schemas and channels that fill `content[at:limit]`, if anything does."""
+    if at > limit:
+        raise MalformedError("a message runs over its chunk")
     while at < limit:
         if at + _FRAME.size > limit:
             raise MalformedError("a record ends inside its frame")
