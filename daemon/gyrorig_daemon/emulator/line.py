@@ -90,12 +90,16 @@ class Outbox:
 
     def take(self, until_ns: int) -> list[tuple[int, bytes]]:
         """Return the pieces that have left up to a time, each with the time of its last byte."""
-        while self._begins_by(until_ns):
-            self._transmit()
+        self.advance(until_ns)
         pieces = []
         while self._left and self._left[0][0] <= until_ns:
             pieces.append(self._left.popleft())
         return pieces
+
+    def advance(self, until_ns: int) -> None:
+        """Put on the line what begins by a time, so that nothing later changes it."""
+        while self._begins_by(until_ns):
+            self._transmit()
 
     def _begins_by(self, until_ns: int) -> bool:
         first = [self._queue[0][0]] if self._queue else []

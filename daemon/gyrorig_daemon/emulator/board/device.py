@@ -81,6 +81,7 @@ class EmulatedBoard:
         self._before_model = 0  # samples before the sensor was last configured
         self._frame_count = 0
         self._saturations = 0
+        self._block: SampleBlock | None = None
         self._bias_path: list[tuple[float, FloatArray]] = []
         self._configure(truth.imu, 0.0, imu_rng)
         if settings.format == "gcb1":
@@ -149,8 +150,9 @@ class EmulatedBoard:
         self._next_block()
 
     def _next_block(self) -> None:
+        if self._block is not None:  # final: every sample of it has been sent
+            self._saturations += int(self._block.saturated.sum())
         block = self._imu.next_block()
-        self._block = block
         count = len(block.time_s)
         self._stamp_late_ns = self._stamp_rng.exponential(
             self.truth.stamp_jitter_s * 1e9, count
@@ -158,7 +160,6 @@ class EmulatedBoard:
         self._first_frame = self._frame_count + 1
         self._frame_count += count // self._encoder.samples_per_frame
         self._bias_path.append((float(block.time_s[0]), block.bias_rad_s))
-        self._saturations += int(block.saturated.sum())
         self._load(block, 0)
 
     def _load(self, block: SampleBlock, sent: int) -> None:
@@ -187,6 +188,11 @@ class EmulatedBoard:
         faulty = with_faults(self.settings.faults, self._first_frame, frames)
         older = list(self._frames)[: max(-sent, 0)]
         self._frames = deque(older + faulty[max(sent, 0) :])
+
+    def _current(self) -> SampleBlock:
+        if self._block is None:
+            raise RuntimeError("a board has a block from the start")
+        return self._block
 
     # Everything else
 
@@ -219,7 +225,7 @@ class EmulatedBoard:
         self._later(ready_ns, build)
 
     def _slow(self, start_ns: int) -> bytes:
-        block = self._block
+        block = self._current()
         temperature = float(block.temperature_degc[0])
         elapsed_s = (start_ns - self._origin_ns) * 1e-9 - float(block.time_s[0])
         count = self._before_model + block.first + int(elapsed_s * self._imu.truth.odr_hz)
@@ -313,8 +319,8 @@ class EmulatedBoard:
         old = self.settings.odr_hz
         kept = deque(f for f in self._frames if f[0] - _BUS_READ_NS <= at_ns)
         at_s = (at_ns - self._origin_ns) * 1e-9
-        elapsed = int((self._block.time_s <= at_s).sum())
-        self._before_model += self._block.first + elapsed
+        block = self._current()
+        self._before_model += block.first + int((block.time_s <= at_s).sum())
         imu = replace(
             self._imu.truth,
             odr_hz=self._imu.truth.odr_hz * settings.odr_hz / old,

@@ -1,9 +1,9 @@
 """What wanders: bias flicker and random walk, drawn block by block.
 
-Flicker of instability B has the one-sided density B^2 / (2 pi f). Here it is a sum of
-first-order Gauss-Markov processes with time constants in the ratio r: their sum is
-s^2 / (f ln r) between the corner frequencies, so each has the variance
-s^2 = B^2 ln r / (2 pi). Source of the density: IEEE Std 952-1997, annex C.
+Flicker of instability B has the two-sided density B^2 / (2 pi f), one-sided twice that, and
+an Allan deviation of 0.664 B. Here it is a sum of first-order Gauss-Markov processes with
+time constants in the ratio r: their one-sided sum is s^2 / (f ln r) between the corner
+frequencies, so each has the variance s^2 = B^2 ln r / pi. Source: IEEE Std 952-1997, annex C.
 
 Both start at zero, so that the bias at power-on is the one in the truth document.
 """
@@ -37,7 +37,7 @@ class BiasWander:
             rng: where the draws come from.
         """
         ratio = math.log(_TIME_CONSTANTS_S[1] / _TIME_CONSTANTS_S[0])
-        sigma = np.asarray(instability) * math.sqrt(ratio / (2.0 * math.pi))
+        sigma = np.asarray(instability) * math.sqrt(ratio / math.pi)
         self._keep = np.exp(-period_s / _TIME_CONSTANTS_S)[:, None]
         self._step = np.sqrt(1.0 - self._keep**2) * sigma[None, :]
         self._walk_step = np.asarray(random_walk) * math.sqrt(period_s)

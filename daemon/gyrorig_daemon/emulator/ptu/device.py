@@ -68,6 +68,7 @@ class EmulatedPtu:
 
     def receive(self, data: bytes, at_ns: int) -> None:
         """Take bytes whose first one begins to arrive at `at_ns`."""
+        self._out.advance(at_ns)
         for byte, arrived_ns in zip(data, self._in.arrivals(len(data), at_ns), strict=True):
             if self.unit.echo and self.unit.selected and not self.settings.faults.silent:
                 self._out.send(arrived_ns, bytes([byte]))
