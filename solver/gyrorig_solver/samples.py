@@ -10,6 +10,7 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.clocks import ClockMap, map_clock
+from gyrorig_solver.clocks.pings import LinkFloor, Pings, link_floor
 from gyrorig_solver.clocks.unwrap import unwrap_sequence
 
 SATURATED, REPEATED, ACCEL_VALID, TEMPERATURE_VALID = 1 << 1, 1 << 3, 1 << 8, 1 << 10
@@ -33,6 +34,7 @@ class GyroSamples:
     temperature_degc: FloatArray | None  # (n,)
     quantum_rad_s: float
     clock: ClockMap
+    floor: LinkFloor | None  # the link's least latency, taken out of `time_s` where known
     lost: int  # missing by the board's own counter
     repeated: int
     late: int
@@ -93,6 +95,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     host_s: FloatArray = np.asarray((host_ns - origin_ns) * 1e-9, dtype=np.float64)
     clock = _clock(raw["device_time"].astype(np.int64), host_s, metadata)
     keep, numbers, lost = _numbers(raw["sequence"].astype(np.int64), clock)
+    floor = _floor(recording, board, raw["device_time"].astype(np.int64), host_s, clock)
     raw, host_s = raw[keep], host_s[keep]
     gyro = raw["gyro"].astype(np.float64)
     status = raw["status"]
@@ -104,7 +107,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         board=board,
         metadata=metadata,
         origin_ns=origin_ns,
-        time_s=clock.time_s[keep],
+        time_s=clock.time_s[keep] - (floor.middle_s if floor else 0.0),
         host_s=host_s,
         number=numbers,
         segment=clock.segment[keep],
@@ -116,6 +119,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         temperature_degc=_temperature(raw["temperature"], status, metadata),
         quantum_rad_s=scale,
         clock=clock,
+        floor=floor,
         lost=lost,
         repeated=int(np.sum(status & REPEATED != 0)) + int(np.sum(~keep & ~clock.late)),
         late=int(np.sum(clock.late)),
@@ -129,6 +133,26 @@ def _clock(ticks: IntArray, host_s: FloatArray, metadata: Mapping[str, str]) -> 
         ticks, tick_hz = np.rint(host_s * 1e9).astype(np.int64), 1e9
     bits = int(number(metadata, "counter_bits") or 64)
     return map_clock(ticks, host_s, tick_hz, bits)
+
+
+def _floor(
+    recording: Recording, board: str, ticks: IntArray, host_s: FloatArray, clock: ClockMap
+) -> LinkFloor | None:
+    """Return what the board's pings say of the link's least latency."""
+    metadata = recording.metadata.get(f"gyrorig.board.{board}", {})
+    tick_hz = number(metadata, "tick_hz")
+    if tick_hz is None or f"/board/{board}/clock" not in recording.topics:
+        return None
+    raw = recording.clock_pings(BoardId(board))
+    origin_ns = int(times_ns(recording.imu(BoardId(board))["host_time"])[0])
+    pings = Pings(
+        host_send_s=np.asarray((times_ns(raw["host_send"]) - origin_ns) * 1e-9, np.float64),
+        host_receive_s=np.asarray((times_ns(raw["host_receive"]) - origin_ns) * 1e-9, np.float64),
+        device_receive=raw["device_receive"].astype(np.int64),
+        device_send=raw["device_send"].astype(np.int64),
+    )
+    bits = int(number(metadata, "counter_bits") or 64)
+    return link_floor(pings, ticks, host_s, clock.time_s, tick_hz, bits)
 
 
 def _numbers(sequence: IntArray, clock: ClockMap) -> tuple[BoolArray, IntArray, int]:

@@ -68,7 +68,8 @@ def solve_samples(
         warnings: what is already known to be odd, in words.
     """
     series, sampling = build_series(samples)
-    solution = solve_likelihood(series, sampling, reference)
+    stamp_std_s = samples.floor.std_s if samples.floor else 0.0
+    solution = solve_likelihood(series, sampling, reference, stamp_std_s)
     concluded = conclude(solution.estimate, NAMES, solution.decision, words)
     moving = [np.linalg.norm(m.rate, axis=1) > MOVING_RAD_S for m in solution.models]
     chi2 = _reduced_chi2(solution, moving)

@@ -57,7 +57,10 @@ class Solution:
 
 
 def solve_likelihood(
-    series: list[Series], sampling: Sampling, reference: ReferenceMotion
+    series: list[Series],
+    sampling: Sampling,
+    reference: ReferenceMotion,
+    stamp_std_s: float = 0.0,
 ) -> Solution:
     """Fit one board against a reference motion.
 
@@ -65,6 +68,7 @@ def solve_likelihood(
         series: of one board, from `build_series`.
         sampling: how they were sampled.
         reference: the stage's motion on the same time axis.
+        stamp_std_s: what is not known of the samples' own times, one shift of all.
 
     Raises:
         InputError: no sample has a reference.
@@ -78,7 +82,7 @@ def solve_likelihood(
         if step < CONVERGED_SIGMA:
             converged = True
             break
-    return work.solution(converged)
+    return work.solution(converged, stamp_std_s)
 
 
 class _Work:
@@ -145,11 +149,11 @@ class _Work:
         sigma = np.sqrt(np.clip(np.diag(decision.covariance), 0.0, None))
         return float(np.max(np.abs(step) / np.where(sigma > 0.0, sigma, np.inf)))
 
-    def solution(self, converged: bool) -> Solution:
+    def solution(self, converged: bool, stamp_std_s: float) -> Solution:
         """Return the result, the common shift of the reference put into the offset."""
         delay_s = low_pass_delay_s(self._series[0])
         estimate = np.concatenate([self._gain.ravel(), self._bias, [self._lag_s + delay_s]])
-        common = self._reference.common_std_s
+        common = float(np.hypot(self._reference.common_std_s, stamp_std_s))
         information = _loosened(self._marginal, 12, common)
         noise = self._noise
         return Solution(

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull
 
 from gyrorig_solver.clocks import map_clock, unwrap_ticks
 from gyrorig_solver.clocks.envelope import hull_line, lower_hull, piecewise_envelope
+from gyrorig_solver.clocks.pings import Pings, link_floor
 from gyrorig_solver.clocks.unwrap import unwrap_sequence
 
 WRAP = 2**32
@@ -126,3 +127,29 @@ def test_piecewise_envelope_stays_below_and_follows_a_bend() -> None:
     envelope = piecewise_envelope(x, y, 10.0, 1e3)
     assert np.all(y - envelope.at(x) > -1e-9)
     assert float(np.std(envelope.at(x) - floor)) < 2e-6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pings_hold_the_least_latency_between_bounds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    floor_s, up_s = 0.7e-3, 0.5e-3
+    true = np.arange(6000) / 100.0
+    ticks = np.floor(true * 1e6 * (1.0 + 40e-6)).astype(np.int64) % WRAP
+    host = np.maximum.accumulate(true + floor_s + rng.exponential(3e-4, true.size))
+    clock = map_clock(ticks, host, 1e6, 32)
+    sent = np.sort(rng.uniform(1.0, 59.0, 300))
+    received = sent + up_s + rng.exponential(3e-4, 300)
+    answered = received + 1e-4
+    pings = Pings(
+        sent,
+        answered + floor_s + rng.exponential(3e-4, 300),
+        np.floor(received * 1e6 * (1.0 + 40e-6)).astype(np.int64),
+        np.floor(answered * 1e6 * (1.0 + 40e-6)).astype(np.int64),
+    )
+    bounds = link_floor(pings, ticks, host, clock.time_s, 1e6, 32)
+    assert bounds is not None
+    shift = float(np.mean(clock.time_s - true))
+    assert bounds.low_s - 2e-6 < shift < bounds.high_s + 2e-6
+    assert bounds.middle_s == pytest.approx(
+        (floor_s - up_s) / 2.0 + (floor_s + up_s) / 2.0, abs=2e-4
+    )

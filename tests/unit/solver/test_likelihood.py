@@ -53,6 +53,7 @@ def samples_of(rig: Any, rate: np.ndarray | None = None) -> GyroSamples:
         temperature_degc=None,
         quantum_rad_s=1.527e-4,
         clock=clock,
+        floor=None,
         lost=0,
         repeated=0,
         late=0,
