@@ -187,10 +187,6 @@ class HelloRequest(Frame, frozen=True, gc=False):
 
     TYPE: ClassVar[int] = 0x10
 
-    def payload(self) -> bytes:
-        """Return the payload without its check."""
-        return bytes([self.TYPE])
-
 
 class TimeRequest(Frame, frozen=True, gc=False):
     """Ask a board for its clock. The nonce tells a late reply from this one's."""

@@ -176,6 +176,18 @@ def test_any_checked_payload_gives_a_record_or_a_cause(payload: bytes) -> None:
     assert isinstance(decoded, (FaultCause, *TYPES))
 
 
+@given(frame=FRAMES, cut=st.integers(1, 40))
+def test_a_payload_cut_short_or_made_longer_is_never_taken_for_its_type(
+    frame: Any, cut: int
+) -> None:
+    payload = frame.payload()
+    for damaged in (payload[: max(len(payload) - cut, 0)], payload + b"\1" * cut):
+        decoded = decode_payload(damaged)
+        # A request is a HELLO without JSON; a batch may be cut into no other batch, because
+        # its count stands in its head.
+        assert isinstance(decoded, FaultCause) or decoded == HelloRequest()
+
+
 @given(kind=st.sampled_from([0x10, 0x30, 0x31]), text=st.text(max_size=100) | st.binary())
 def test_hostile_json_gives_a_cause(kind: int, text: str | bytes) -> None:
     data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")

@@ -132,6 +132,23 @@ def test_what_is_no_count(field: str) -> None:
     assert parse([f"{field},2,3\n".encode()], columns) == [FaultCause.NUMBER]
 
 
+@pytest.mark.parametrize("at", range(8))
+def test_every_named_column_must_be_a_number(at: int) -> None:
+    fields = ["1"] * 8
+    assert len(parse([(",".join(fields) + "\n").encode()], FULL)) == 1
+    fields[at] = "x"
+    assert parse([(",".join(fields) + "\n").encode()], FULL) == [FaultCause.NUMBER]
+
+
+def test_space_as_the_only_separator_leaves_commas_alone() -> None:
+    columns = msgspec.structs.replace(PLAIN, separator=" ")
+    assert parse([b"1  2 3\n", b"1,2,3\n", b"1, 2, 3\n"], columns) == [
+        Sample(0, 0, None, (1, 2, 3)),
+        FaultCause.COLUMNS,
+        FaultCause.NUMBER,
+    ]
+
+
 def test_columns() -> None:
     exact = msgspec.structs.replace(PLAIN, columns=3)
     assert parse([b"1 2 3 4\n"]) == [Sample(0, 0, None, (1, 2, 3))]

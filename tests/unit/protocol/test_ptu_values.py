@@ -103,6 +103,13 @@ def test_motion_round_trips(numbers: tuple[int, int, int, int], counter: int) ->
     assert isinstance(read(PP, answer(text)), ValueFault)
 
 
+@pytest.mark.parametrize(
+    "text", ["P(99999999999,0) S(0,0) 1", "P(0,0) S(0,0) 99999999999999999999", "P(1) S(0,0) 1"]
+)
+def test_what_is_no_motion(text: str) -> None:
+    assert isinstance(read(commands.QUERY_MOTION_AND_COUNTER, answer(text)), ValueFault)
+
+
 @pytest.mark.parametrize("text", ["2147483648", "-99999999999", "9" * 20, "22.5", "1 2", "", "is"])
 def test_what_is_no_position(text: str) -> None:
     assert isinstance(read(PP, answer(text)), ValueFault)
@@ -111,6 +118,12 @@ def test_what_is_no_position(text: str) -> None:
 @pytest.mark.parametrize("text", ["0.0", "3600.1", "185", "-185.1", "185.1 185.1", "nan", "1e3"])
 def test_what_is_no_resolution(text: str) -> None:
     assert isinstance(read(query(Axis.PAN, Quantity.RESOLUTION), answer(text)), ValueFault)
+
+
+def test_what_is_no_power_and_no_version() -> None:
+    assert isinstance(read(commands.QUERY_POWER, answer("22")), ValueFault)
+    assert isinstance(read(commands.QUERY_VERSION, answer("PTU")), ValueFault)
+    assert isinstance(read(commands.QUERY_MODEL, answer("")), ValueFault)
 
 
 def test_required_values() -> None:
