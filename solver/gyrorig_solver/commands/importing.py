@@ -1,0 +1,79 @@
+"""`gyrorig import`: measurements made elsewhere become a recording."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.commands.project_files import project_file, project_names
+from gyrorig_solver.commands.terminal import Terminal, json_option
+from gyrorig_solver.importers import import_measurements, load_import_map
+
+_WITH_MAP = ("csv", "npz")
+
+
+@click.command("import")
+@click.argument("kind", metavar="FORMAT")
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.option(
+    "--map",
+    "map_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Which column is what (YAML). With FORMAT csv or npz.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="The recording to write; it must not exist.",
+)
+@click.option("--board", help="The board's name, in place of the map's.")
+@json_option
+@click.pass_obj
+def import_command(
+    terminal: Terminal,
+    kind: str,
+    source: Path,
+    map_path: Path | None,
+    out: Path,
+    board: str | None,
+) -> int:
+    r"""Turn measurements made elsewhere into a recording of format 1.
+
+    FORMAT is csv or npz, with a column map, or the name of a map in config/imports.
+
+    \b
+    Examples:
+      gyrorig import csv drive.csv --map columns.yaml --out drive.mcap
+      gyrorig import broad trial02.npz --board IMU-1 --out trial02.mcap
+    """
+    terminal.progress(f"importing {source.name}")
+    mapping = load_import_map(_map_of(kind, map_path))
+    result = import_measurements(source, mapping, out, board)
+    plain = {name: str(v) if isinstance(v, Path) else v for name, v in asdict(result).items()}
+    terminal.say(f"{source.name}: {result.samples} samples of {result.board}")
+    for note in result.notes:
+        terminal.say(f"  remark: {note}")
+    terminal.say(f"  recording   {out}")
+    terminal.emit({**plain, "recording": str(out), "exit_code": 0})
+    return 0
+
+
+def _map_of(kind: str, map_path: Path | None) -> Path:
+    """Return the column map that FORMAT means.
+
+    Raises:
+        UsageError: a map is missing, given twice, or not known.
+    """
+    if kind in _WITH_MAP:
+        if map_path is None:
+            raise UsageError(f"{kind} needs a column map", "name one with --map")
+        return map_path
+    if map_path is not None:
+        raise UsageError(f"{kind} has its own column map", "leave out --map, or say csv or npz")
+    names = project_names("imports")
+    if kind not in names:
+        known = ", ".join((*_WITH_MAP, *names))
+        raise UsageError(f"no format {kind!r}", f"there are {known}")
+    return project_file("imports", f"{kind}.yaml")
