@@ -19,7 +19,8 @@ from gyrorig_daemon.emulator.settings import BoardSettings, PtuSettings, RigSett
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import MachineError
 
-START_PATIENCE_S = 30.0
+# one of the L3G4200D's low-pass choices at each rate (RIOT-OS drivers/include/l3g4200d.h)
+_BANDWIDTH_HZ = {100: 25.0, 200: 50.0, 400: 110.0, 800: 110.0}
 STOP_PATIENCE_S = 10.0
 
 
@@ -43,7 +44,7 @@ def rig_settings(config: RigConfig, seed: int | None = None) -> RigSettings:
         BoardSettings(
             name=board.id,
             odr_hz=float(told.odr_hz),
-            bandwidth_hz=told.bandwidth_hz or told.odr_hz / 4.0,
+            bandwidth_hz=told.bandwidth_hz or _BANDWIDTH_HZ[told.odr_hz],
             full_scale_dps=float(told.gyro_full_scale_dps),
             baud=board.baud,
         )

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from gyrorig_daemon.clocks.floor import FloorFilter
 from gyrorig_daemon.clocks.unwrap import Unwrapper
 
-
 PING_MEMORY = 150  # half a minute at five a second
 
 
@@ -112,6 +111,11 @@ class OnlineClock:
     def counter_bits(self) -> int:
         """The width after which the counter wraps."""
         return self._unwrap.modulus.bit_length() - 1
+
+    @property
+    def is_bracketed(self) -> bool:
+        """True when pings have corrected the one-way map."""
+        return self._correction_s != 0.0
 
     @property
     def restarts(self) -> int:

@@ -1,7 +1,7 @@
 """Asks where the axes are: BT where the dialect has it, else PP and TP in turn.
 
 An answer was taken somewhere between the arrival of the command's last byte and the
-first byte of the answer; its time is the middle of that.
+first byte of the answer. Which moment in between, the recorder decides.
 """
 
 from collections.abc import Callable, Mapping
@@ -108,6 +108,7 @@ class Poller:
             return None
         if len(self._steps) < len(Axis):
             return None  # the first of two single answers: the other axis is not known yet
+        earliest_ns, latest_ns = self._interval_ns(command, exchange)
         return Position(
             exchange=exchange,
             pan_steps=self._steps[Axis.PAN],
@@ -116,7 +117,8 @@ class Poller:
             has_tilt=Axis.TILT in answered,
             still=self._still,
             counter=counter,
-            taken_ns=self._taken_ns(command, exchange),
+            earliest_ns=earliest_ns,
+            latest_ns=latest_ns,
         )
 
     def _see(self, axis: Axis, steps: int) -> None:
@@ -124,10 +126,11 @@ class Poller:
             self._before[axis] = self._steps[axis]
         self._steps[axis] = steps
 
-    def _taken_ns(self, command: PtuCommand, exchange: Exchange) -> int:
+    def _interval_ns(self, command: PtuCommand, exchange: Exchange) -> tuple[int, int]:
+        """Return between when and when the unit looked at its counts."""
         wire_ns = self._client.wire_ns
         earliest_ns = exchange.request_ns + wire_ns(len(command.encode()))
         latest_ns = exchange.first_byte_ns - wire_ns(1)
         if latest_ns < earliest_ns:  # USB hands over faster than the nominal rate
-            earliest_ns, latest_ns = exchange.request_ns, exchange.first_byte_ns
-        return (earliest_ns + latest_ns) // 2
+            return exchange.request_ns, exchange.first_byte_ns
+        return earliest_ns, latest_ns

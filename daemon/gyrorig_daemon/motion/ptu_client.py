@@ -56,7 +56,8 @@ class Position:
     has_tilt: bool
     still: bool | None  # what BT says of the speeds; None where the answer has none
     counter: int | None
-    taken_ns: int  # the middle of the interval in which the answer was taken
+    earliest_ns: int  # the answer was taken after this
+    latest_ns: int  # and before this
 
 
 @dataclass(slots=True)
@@ -179,7 +180,12 @@ class PtuClient:
             DeviceError: the unit does not acknowledge.
         """
         self._check_port()
-        self._pump.write(self._port, b" ")  # ends a command that was cut off
+        if self._in_flight:
+            # An exchange was broken off: halt at once, then let its answer go by, so that
+            # it is not taken for the halt's.
+            self._in_flight = False
+            self._pump.write(self._port, f" {HALT.text} ".encode("ascii"))
+            self.drain()
         self._last_request_ns = None
         self.order(HALT)
 

@@ -16,6 +16,7 @@ from gyrorig_protocol.recording.messages import (
 )
 
 _COUNTER_BITS = 32  # unknown for the E46; a counter that exceeds it shows that it has 64
+_POLLS_PER_BRACKET = 5  # each bracket looks at all others: not at every poll
 _RAD_PER_ARCSEC = math.pi / 180.0 / 3600.0
 
 
@@ -66,12 +67,17 @@ class PtuLog:
         self._commands += 1
 
     def take_position(self, position: Position) -> None:
-        """Record an answered poll; its time is the middle of when it was taken."""
+        """Record an answered poll.
+
+        Its time is the middle of the interval in which it was taken. Where the unit sends
+        its counter, all intervals together narrow each: a stall of the host widens its own
+        only.
+        """
         facts = self._facts
         if facts is None:
             return
         exchange, utc_ns = position.exchange, self._capture.utc_ns
-        self._map_counter(position)
+        taken_ns = self._taken_ns(position)
         status = PtuStatus(0)
         if position.has_pan:
             status |= PtuStatus.PAN_ANSWERED
@@ -95,17 +101,24 @@ class PtuLog:
                 status=int(status),
             ),
             utc_ns(exchange.reply_ns),
-            utc_ns(position.taken_ns),
+            utc_ns(taken_ns),
         )
         self._positions += 1
 
-    def _map_counter(self, position: Position) -> None:
-        clock, facts = self.controller_clock, self._facts
-        if clock is None or facts is None or facts.counter_hz is None or position.counter is None:
-            return
-        if position.counter >> _COUNTER_BITS and clock.counter_bits == _COUNTER_BITS:
+    def _taken_ns(self, position: Position) -> int:
+        earliest_ns, latest_ns = position.earliest_ns, position.latest_ns
+        middle_ns = (earliest_ns + latest_ns) // 2
+        clock, facts, counter = self.controller_clock, self._facts, position.counter
+        if clock is None or facts is None or facts.counter_hz is None or counter is None:
+            return middle_ns
+        if counter >> _COUNTER_BITS and clock.counter_bits == _COUNTER_BITS:
             clock = self.controller_clock = OnlineClock(float(facts.counter_hz), 64)
-        clock.observe(position.counter, position.exchange.first_byte_ns)
+        mapped_ns = clock.observe(counter, latest_ns)
+        if self._positions % _POLLS_PER_BRACKET == 0:
+            clock.two_way(earliest_ns, counter, counter, latest_ns)
+        if not clock.is_bracketed:
+            return middle_ns
+        return min(max(mapped_ns, earliest_ns), latest_ns)
 
 
 def verbatim(raw: bytes) -> str:

@@ -120,9 +120,16 @@ class Recorder:
         Raises:
             MachineError: the disk refused.
         """
+        if self._muted:
+            return
         self.check()
-        if self._writer is not None and not self._threaded:
+        if self._writer is None or self._threaded:
+            return
+        try:
             self._writer.tick(now_ns)
+        except GyrorigError as fault:
+            self._fault = fault
+            raise
 
     def check(self) -> None:
         """Raise what the writer's thread ran into.

@@ -1,0 +1,381 @@
+"""Whole sessions under simulated time: what is recorded, and every way to fail."""
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrorig_daemon.config import RigConfig, parse_rig
+from gyrorig_daemon.emulated import rig_settings
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.settings import BoardFaults, PtuFaults, RigSettings
+from gyrorig_daemon.emulator.virtual_hub import VirtualHub
+from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
+from gyrorig_daemon.links.hub import Chunk
+from gyrorig_daemon.links.pump import StopFlag, StopRequestedError
+from gyrorig_daemon.session import SessionOrder, Surroundings, record_session
+from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, UsageError
+from gyrorig_protocol.program import parse_program
+from gyrorig_protocol.recording.messages import PtuCommandRecord, SessionEvent
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+
+ORIGIN_NS = 5_000_000_000
+UTC_NS = 1_790_000_000_000_000_000
+
+RIG = """
+rig: test
+ptu: {port: emulated, baud: 115200}
+boards: [{id: B-1, port: emulated, baud: 460800}]
+emulator: {command_time_ms: 5.0}
+"""
+
+PROGRAM = """
+name: short
+steps:
+  - rest: {seconds: 1.0, phase: static}
+  - move: {pan_deg: 20.0, speed_deg_s: 40.0}
+  - rest: {seconds: 0.5}
+  - move: {pan_deg: -20.0, tilt_deg: 10.0, speed_deg_s: 40.0}
+  - home: {}
+"""
+
+Change = Callable[[RigSettings], RigSettings]
+IMU, POSITION = "/board/B-1/imu_raw", "/ptu/position"
+
+
+class Bench:
+    """One emulated rig and a folder for its recording."""
+
+    def __init__(self, folder: Path, rig_text: str = RIG, change: Change | None = None) -> None:
+        self.config: RigConfig = parse_rig(rig_text, "rig.yaml")
+        settings = rig_settings(self.config, 3)
+        self.rig = EmulatedRig(change(settings) if change else settings, ORIGIN_NS)
+        self.hub = VirtualHub(self.rig)
+        self.folder = folder
+        self.stop = StopFlag()
+        self.stop_at_s: float | None = None
+
+    def record(self, program: str = PROGRAM, **options: bool) -> Path:
+        order = SessionOrder(
+            config=self.config,
+            config_text=RIG.encode(),
+            program=parse_program(program, "program.yaml"),
+            program_text=program.encode(),
+            out_dir=self.folder,
+            session="t",
+            **options,
+        )
+        capture = CaptureClock(UTC_NS, ORIGIN_NS)
+
+        def read_host() -> HostClocks:
+            now_ns = self.hub.now_ns()
+            if self.stop_at_s is not None and now_ns > ORIGIN_NS + self.stop_at_s * 1e9:
+                self.stop.request("SIGTERM")
+            return HostClocks(now_ns, now_ns, capture.utc_ns(now_ns), 0.0, 0.0, 0)
+
+        around = Surroundings(capture, read_host, False, "host", stop=self.stop)
+        return record_session(self.hub, order, around)
+
+    def only_file(self) -> Path:
+        (path,) = self.folder.iterdir()
+        return path
+
+    def is_still(self) -> bool:
+        """Ask the truth, not the count: the stage does not turn in the next second."""
+        now_s = (self.hub.now_ns() - ORIGIN_NS) * 1e-9
+        rates = self.rig.stage.body_rates_rad_s(now_s, 0.01, 100)
+        return not np.any(rates)
+
+
+def commands(recording: Recording) -> list[PtuCommandRecord]:
+    return [m for m in recording.messages("/ptu/command") if isinstance(m, PtuCommandRecord)]
+
+
+def events(recording: Recording) -> list[SessionEvent]:
+    return [m for m in recording.messages("/session/event") if isinstance(m, SessionEvent)]
+
+
+def test_a_recording_keeps_the_contract(tmp_path: Path, contract_judge: Path) -> None:
+    bench = Bench(tmp_path)
+    path = bench.record()
+    judged = subprocess.run(
+        [sys.executable, contract_judge, path], capture_output=True, text=True, check=False
+    )
+    assert judged.returncode == 0, judged.stdout
+    assert bench.is_still()
+
+
+def test_what_is_in_a_recording(tmp_path: Path) -> None:
+    recording = read_recording(Bench(tmp_path).record())
+    assert recording.complete
+    assert {a.name for a in recording.attachments} >= {
+        "rig.yaml",
+        "program.yaml",
+        "hello.B-1.0.json",
+    }
+    assert recording.metadata["gyrorig.ptu"]["dialect"] == "e46"
+    assert recording.metadata["gyrorig.board.B-1"]["sensor"] == "L3G4200D"
+    sent = [c.command for c in commands(recording)]
+    assert sent[:2] == ["V", "H"]
+    assert sent[-1] == "H"
+    assert "PP389" in sent
+    assert {c.code for c in commands(recording)} == {0}
+    phases = Counter((e.kind, e.phase) for e in events(recording))
+    assert phases == {
+        (kind, phase): count
+        for kind in (0, 1)
+        for phase, count in (("program", 1), ("static", 1), ("sweep", 2), ("dwell", 1), ("home", 1))
+    }
+    sequence = recording.array(IMU)["sequence"].astype(np.int64)
+    assert np.all(np.diff(sequence) % 65536 == 1)  # nothing lost
+    positions = recording.array(POSITION)
+    assert positions["pan_steps"].max() == 389
+    assert np.all(positions["status"] == 3)
+    assert np.all(positions["publish_time"] < positions["log_time"])
+
+
+@pytest.mark.parametrize("dialect", ["d46", "e46"])
+@pytest.mark.parametrize("signs", [(1, 1), (-1, 1), (1, -1)])
+def test_signs_and_dialects(tmp_path: Path, dialect: str, signs: tuple[int, int]) -> None:
+    text = RIG.replace(
+        "baud: 115200}", f"baud: 9600, pan_sign: {signs[0]}, tilt_sign: {signs[1]}}}"
+    )
+    bench = Bench(tmp_path, text.replace("emulator: {", f"emulator: {{dialect: {dialect}, "))
+    program = "name: one\nsteps:\n  - move: {pan_deg: 20.0, tilt_deg: 10.0}\n"
+    recording = read_recording(bench.record(program))
+    last = recording.array(POSITION)[-1]
+    assert np.degrees([last["pan"], last["tilt"]]) == pytest.approx([20.0, 10.0], abs=0.05)
+    assert (last["pan_steps"], last["tilt_steps"]) == (signs[0] * 389, signs[1] * 194)
+    # the stage itself, behind the count, stands where the recording says
+    now_s = (bench.hub.now_ns() - ORIGIN_NS) * 1e-9
+    true = [
+        axis.angles_rad(now_s, 0.1, 1)[0] for axis in (bench.rig.stage.pan, bench.rig.stage.tilt)
+    ]
+    assert np.degrees(true) == pytest.approx([20.0, 10.0], abs=0.1)
+
+
+def test_the_same_seed_gives_the_same_samples(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in "ab"]
+    first, second = (read_recording(Bench(folder).record()) for folder in folders)
+    for topic in (IMU, POSITION, "/board/B-1/clock"):
+        assert np.array_equal(first.array(topic), second.array(topic))
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        ("move: {pan_deg: 160.0}", "pan to 160 deg"),
+        ("move: {tilt_deg: -50.0}", "tilt to -50 deg"),
+        ("move: {pan_deg: 10.0, speed_deg_s: 200.0}", "200 deg/s"),
+        ("move: {pan_deg: 10.0, speed_deg_s: 0.1}", "0.1 deg/s"),
+        ("repeat: {times: 3, steps: [{move: {tilt_deg: 40.0}}]}", "step 2"),
+    ],
+)
+def test_a_program_outside_the_limits_never_moves(tmp_path: Path, step: str, words: str) -> None:
+    bench = Bench(tmp_path)
+    with pytest.raises(UsageError, match=words):
+        bench.record(f"name: far\nsteps:\n  - move: {{pan_deg: 5.0}}\n  - {step}\n")
+    assert list(tmp_path.iterdir()) == []
+    assert bench.is_still()
+    now_s = (bench.hub.now_ns() - ORIGIN_NS) * 1e-9
+    assert bench.rig.stage.pan.angles_rad(now_s, 0.1, 1)[0] == 0.0
+
+
+def test_the_rigs_own_limits_hold(tmp_path: Path) -> None:
+    text = RIG.replace("baud: 115200}", "baud: 115200, limits: {pan_max_deg: 15.0}}")
+    with pytest.raises(UsageError, match=r"limits are -158\.91 to 15\.00 deg"):
+        Bench(tmp_path, text).record()
+
+
+def test_an_unhomed_unit_is_homed_with_consent_only(tmp_path: Path) -> None:
+    text = RIG.replace("emulator: {", "emulator: {homed: false, ")
+    with pytest.raises(UsageError, match="--home"):
+        Bench(tmp_path / "without", text).record()
+    recording = read_recording(Bench(tmp_path / "with", text).record(may_home=True))
+    reset = next(c for c in commands(recording) if c.command == "R")
+    assert "!T" in reset.reply
+    assert recording.metadata["gyrorig.ptu"]["pan_max_steps"] == "3090"
+
+
+def ptu_with(**faults: object) -> Change:
+    def change(settings: RigSettings) -> RigSettings:
+        if settings.ptu is None:
+            raise AssertionError
+        return replace(settings, ptu=replace(settings.ptu, faults=PtuFaults(**faults)))  # type: ignore[arg-type]
+
+    return change
+
+
+def board_with(**faults: object) -> Change:
+    def change(settings: RigSettings) -> RigSettings:
+        (board,) = settings.boards
+        return replace(settings, boards=(replace(board, faults=BoardFaults(**faults)),))  # type: ignore[arg-type]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (ptu_with(silent=True), "no pan-tilt unit answers"),
+        (board_with(silent=True), "board B-1 on emulated is silent"),
+        (board_with(garbage=True), "board B-1 on emulated sends no gcb1 samples"),
+    ],
+)
+def test_devices_that_do_not_speak(tmp_path: Path, change: Change, words: str) -> None:
+    with pytest.raises(DeviceError, match=words):
+        Bench(tmp_path, change=change).record()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_unit_with_a_bad_line_is_lived_with(tmp_path: Path) -> None:
+    change = ptu_with(lose_byte_every=37, garbage_every=101)
+    recording = read_recording(Bench(tmp_path, change=change).record())
+    assert recording.array(POSITION)[-1]["pan_steps"] == 0
+    assert any(c.code == 2 for c in commands(recording))
+
+
+def test_a_board_with_a_bad_line_is_lived_with(tmp_path: Path) -> None:
+    change = board_with(
+        drop_frame_every=50, duplicate_frame_every=70, flip_bit_every=90, garbage_every=110
+    )
+    recording = read_recording(Bench(tmp_path, change=change).record())
+    assert len(recording.array(IMU)) > 400
+
+
+def test_a_board_that_reboots_begins_a_new_clock(tmp_path: Path) -> None:
+    recording = read_recording(Bench(tmp_path, change=board_with(reset_at_s=(3.0,))).record())
+    assert any("restarted" in event.text for event in events(recording) if event.kind == 3)
+    rows = recording.array(IMU)
+    lag_s = (rows["log_time"].astype(np.int64) - rows["publish_time"].astype(np.int64)) * 1e-9
+    assert lag_s.min() >= 0.0
+    assert lag_s.max() < 0.5
+
+
+class Scripted(VirtualHub):
+    """The emulated rig, with the unit's bytes replaced from a moment on."""
+
+    def __init__(self, rig: EmulatedRig, at_s: float, data: bytes, port: str = "ptu") -> None:
+        super().__init__(rig)
+        self._at_ns = ORIGIN_NS + int(at_s * 1e9)
+        self._data: bytes | None = data
+        self._port = port
+
+    def read(self, deadline_ns: int) -> Chunk | None:
+        chunk = super().read(deadline_ns)
+        if self._data is None or chunk is None or chunk.port != self._port:
+            return chunk
+        if chunk.received_ns <= self._at_ns:
+            return chunk
+        data, self._data = self._data, None
+        return replace(chunk, data=data + chunk.data if data else b"")
+
+
+def failing(tmp_path: Path, at_s: float, data: bytes, port: str = "ptu") -> tuple[Bench, str]:
+    bench = Bench(tmp_path)
+    bench.hub = Scripted(bench.rig, at_s, data, port)
+    with pytest.raises(DeviceError) as caught:
+        bench.record()
+    return bench, str(caught.value)
+
+
+def test_a_limit_flag_in_motion_ends_it_halted(tmp_path: Path) -> None:
+    bench, told = failing(tmp_path, 3.3, b"!P")
+    assert "synchrony lost" in told
+    assert "the unit is halted" in told
+    assert str(bench.only_file()) in told
+    assert bench.is_still()
+    recording = read_recording(bench.only_file())
+    assert recording.complete
+    assert any("synchrony lost" in event.text for event in events(recording))
+    assert any(command.code == 3 for command in commands(recording))
+    assert recording.array(POSITION)["status"][-1] == 7
+
+
+def test_a_unit_that_restarts_ends_it(tmp_path: Path) -> None:
+    banner = b"\r\n### PAN-TILT CONTROLLER v2.12, FLIR, ALL RIGHTS RESERVED\r\n"
+    bench, told = failing(tmp_path, 3.3, banner)
+    assert "the unit has restarted" in told
+    assert read_recording(bench.only_file()).complete
+
+
+def test_a_unit_that_hangs_up_leaves_a_readable_file(tmp_path: Path) -> None:
+    bench, told = failing(tmp_path, 3.3, b"")
+    assert "hung up" in told
+    assert "could not be seen to halt" in told
+    assert read_recording(bench.only_file()).complete
+
+
+def test_a_board_that_hangs_up_does_not_end_the_program(tmp_path: Path) -> None:
+    bench, told = failing(tmp_path, 3.3, b"", "board:B-1")
+    assert "without board B-1" in told
+    recording = read_recording(bench.only_file())
+    assert [e.phase for e in events(recording)][-1] == "program"
+
+
+def test_a_stop_in_motion_halts_and_closes(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.stop_at_s = 2.6
+    program = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 20.0}\n"
+    with pytest.raises(StopRequestedError, match="SIGTERM") as caught:
+        bench.record(program)
+    assert "the unit is halted" in str(caught.value)
+    assert bench.is_still()
+    now_s = (bench.hub.now_ns() - ORIGIN_NS) * 1e-9
+    angle_deg = np.degrees(bench.rig.stage.pan.angles_rad(now_s, 0.1, 1)[0])
+    assert 5.0 < angle_deg < 140.0
+    recording = read_recording(bench.only_file())
+    assert recording.complete
+    assert commands(recording)[-1].command == "H"
+
+
+def test_an_obstacle_is_not_waited_for_forever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path)
+    order = bench.hub.write
+
+    def deaf(port: str, data: bytes) -> object:
+        return order(port, b"PS500 " if data.startswith(b"PP3") else data)
+
+    monkeypatch.setattr(bench.hub, "write", deaf)
+    with pytest.raises(GyrorigError, match="instead of pan 389"):
+        bench.record()
+    assert bench.is_still()
+
+
+def test_a_full_disk_keeps_what_was_written(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text(RIG)
+    (tmp_path / "program.yaml").write_text("name: rest\nsteps:\n  - rest: {seconds: 30.0}\n")
+    limited = (
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000));"
+        "from gyrorig_daemon.cli import main; main()"
+    )
+    arguments = ["record", "--config", "rig.yaml", "--program", "program.yaml", "--out", "out"]
+    run = subprocess.run(
+        [sys.executable, "-c", limited, *arguments, "--simulated-time"],
+        cwd=tmp_path,
+        env=os.environ,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert run.stderr.startswith("gyrorigd: cannot write")
+    assert run.stderr.count("\n") == 1
+    assert "the unit is halted" in run.stderr
+    (kept,) = (tmp_path / "out").iterdir()
+    assert len(read_recording(kept).array(IMU)) > 100
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(MachineError, match="file"):
+        Bench(tmp_path / "file" / "deeper").record()
