@@ -168,7 +168,7 @@ def _fit_axis(
     index = np.flatnonzero(active)
 
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
-        part = (start[index] * np.exp(x))[:, None] * shape[index]
+        part = (start[index] * np.exp(np.clip(x, -30.0, 30.0)))[:, None] * shape[index]
         total = part.sum(axis=0) + quantum
         # Relative to the start's white level: a large constant would blunt the tolerance.
         value = 0.5 * float(np.sum(count * (np.log(total / start[0]) + power / total - 1.0)))

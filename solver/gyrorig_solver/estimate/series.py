@@ -18,7 +18,7 @@ from gyrorig_solver.reference.motion import LocalColumn, ReferenceMotion
 from gyrorig_solver.samples import GyroSamples
 
 SERIES_HZ = 100.0  # about the rate of the block means
-FINE_HZ = 1000.0  # at least the rate of the fine grid
+FINE_HZ = 500.0  # at least the rate of the fine grid, and five times the bandwidth
 LONGEST_GAP_S = 2.0  # a longer gap begins a new series
 SHORTEST_SERIES = 64  # blocks; less is not worth a spectrum
 
@@ -74,7 +74,8 @@ def build_series(samples: GyroSamples) -> tuple[list[Series], Sampling]:
     period_s = samples.period_s
     rate_hz = 1.0 / period_s
     block = max(1, round(rate_hz / SERIES_HZ))
-    fine = max(1, int(np.ceil(FINE_HZ * period_s)))
+    least_hz = max(FINE_HZ, 5.0 * (samples.bandwidth_hz or 0.0))
+    fine = max(1, int(np.ceil(least_hz * period_s)))
     fine += 1 - fine % 2
     step = np.diff(samples.number) * period_s
     cut = (np.diff(samples.segment) != 0) | (step > LONGEST_GAP_S)
@@ -125,8 +126,9 @@ def predict(series: Series, reference: ReferenceMotion, lag_s: float) -> Predict
     shared, local = found.shared, found.local
     low_pass = _low_pass(series)
     if low_pass is not None:
-        rate = low_pass.apply(rate)
-        shared = np.stack([low_pass.apply(s) for s in shared]) if len(shared) else shared
+        together = low_pass.apply(np.concatenate([rate, *shared], axis=1))
+        rate, *rest = np.split(together, 1 + len(shared), axis=1)
+        shared = np.stack(rest) if rest else shared
         local = tuple(_filtered(column, low_pass, rate.shape[0]) for column in local)
     slope = np.gradient(rate, step_s, axis=0)
     known = known_fine[series.fine // 2 :: series.fine]
