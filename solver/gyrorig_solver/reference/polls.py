@@ -166,8 +166,8 @@ class _System:
 
     def scatter_s(self, before_s: float) -> float:
         """Return the instant's scatter that the residuals show, robustly."""
-        residual = np.concatenate([r[3] for r in self._rows])
-        speed = np.concatenate([r[5] for r in self._rows])
+        residual = np.concatenate([r[3] for r in self._rows] or [np.zeros(0)])
+        speed = np.concatenate([r[5] for r in self._rows] or [np.zeros(0)])
         if residual.size < 10:
             return before_s
         near = np.abs(residual) < 5.0 * np.sqrt(STEP_VARIANCE + (speed * before_s) ** 2) + 1.0

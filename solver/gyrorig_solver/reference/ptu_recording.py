@@ -114,7 +114,7 @@ def _checked(motion: Motion, polls: Polls) -> Motion:
     unknown = list(motion.unknown)
     for axis in (0, 1):
         own = [m for m in motion.moves if m.axis == axis]
-        for move, following in zip(own, [*own[1:], None], strict=True):
+        for move, following in zip(own, [*own[1:], None], strict=False):
             begin = move.told_s + move.profile.duration_s + 1.0
             end = following.told_s if following else np.inf
             resting = (polls.lo_s > begin) & (polls.hi_s < end) & polls.valid[:, axis]
