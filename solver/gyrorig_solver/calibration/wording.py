@@ -6,6 +6,7 @@ Files keep SI units; degrees stand only here and where people read.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gyrorig_solver.calibration.document import Calibration, Parameter
@@ -44,6 +45,16 @@ def nothing_text(calibration: Calibration) -> str:
     if calibration.solver.method == "paper":
         return "no result by the paper's method"
     return "not observable from this motion"
+
+
+def collapsed(names: Sequence[str]) -> list[str]:
+    """Return parameter names with a whole group written as one: `scale` for its three."""
+    out = []
+    for group in GROUPS:
+        whole = [f"{group.name}.{label}" for label in group.labels if label] or [group.name]
+        there = [name for name in whole if name in names]
+        out += [group.name] if len(there) == len(whole) else there
+    return out + [name for name in names if name.split(".")[0] not in {g.name for g in GROUPS}]
 
 
 def other_groups(calibration: Calibration) -> tuple[Group, ...]:

@@ -9,6 +9,7 @@ from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import EventKind
 from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_solver.calibration.wording import collapsed
 from gyrorig_solver.check.capability import capability
 from gyrorig_solver.estimate.result import Observability
 from gyrorig_solver.reference.ptu_recording import ptu_reference
@@ -192,6 +193,10 @@ def _observability(recording: Recording, samples: GyroSamples) -> Observability 
     return capability(samples, reference, PTU_WORDS)
 
 
+def _why(seen: Observability) -> str:
+    return "; ".join(seen.reasons) or "turn it about every axis"
+
+
 def _board_problems(board: BoardHealth) -> list[str]:
     name = board.board
     if board.fault:
@@ -213,7 +218,6 @@ def _board_problems(board: BoardHealth) -> list[str]:
             f"nothing tells how {name} was turned: record with a unit, or import a reference"
         )
     elif board.observability.unobservable:
-        hidden = ", ".join(board.observability.unobservable)
-        why = "; ".join(board.observability.reasons)
-        out.append(f"{name} cannot show {hidden}: {why or 'turn it about every axis'}")
+        hidden = ", ".join(collapsed(board.observability.unobservable))
+        out.append(f"{name} cannot show {hidden}: {_why(board.observability)}")
     return out

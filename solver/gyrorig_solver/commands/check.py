@@ -35,7 +35,7 @@ def check_command(terminal: Terminal, recordings: tuple[Path, ...], board: str |
     """
     examined: list[Health] = []
     failed: list[dict[str, str]] = []
-    first: GyrorigError | None = None
+    faults: list[GyrorigError] = []
     for path in recordings:
         terminal.progress(f"reading {path.name}")
         try:
@@ -43,14 +43,17 @@ def check_command(terminal: Terminal, recordings: tuple[Path, ...], board: str |
             wanted = chosen_boards(recording, board) if board else recording.board_ids
             examined.append(examine(recording, wanted))
         except GyrorigError as fault:
-            first = first or fault
+            faults.append(fault)
             failed.append({"recording": str(path), "error": str(fault)})
             if len(recordings) > 1:
                 click.echo(f"gyrorig: {fault}", err=True)
             continue
         terminal.say(words(examined[-1]))
-    if first is not None and not examined:
-        raise first
+    if len(recordings) == 1 and faults:
+        raise faults[0]
+    if not examined:
+        terminal.emit({"recordings": [], "failed": failed, "exit_code": faults[0].exit_code})
+        return faults[0].exit_code
     code = IN_PART if failed else 0
     if not failed and not all(health.identifiable for health in examined):
         code = NOT_IDENTIFIABLE

@@ -53,20 +53,25 @@ def solve_command(
       gyrorig solve demo/session.mcap --out calibrations
     """
     solved: list[Solved] = []
-    failed: list[dict[str, Any]] = []
-    first: GyrorigError | None = None
+    failed: list[dict[str, str]] = []
+    faults: list[GyrorigError] = []
     for path in recordings:
         for name, outcome in _solve_file(terminal, path, board, method, out):
             if isinstance(outcome, Solved):
                 solved.append(outcome)
                 terminal.say(_said(outcome))
             else:
-                first = first or outcome
+                faults.append(outcome)
                 failed.append({"recording": str(path), "board": name, "error": str(outcome)})
-                if len(recordings) > 1 or name:
-                    click.echo(f"gyrorig: {name or path.name}: {outcome}", err=True)
-    if first is not None and not solved:
-        raise first
+    if len(faults) == 1 and not solved:
+        raise faults[0]
+    for failure in failed:
+        click.echo(
+            f"gyrorig: {failure['board'] or failure['recording']}: {failure['error']}", err=True
+        )
+    if not solved:
+        terminal.emit({"boards": [], "failed": failed, "exit_code": faults[0].exit_code})
+        return faults[0].exit_code
     code = IN_PART if failed else 0
     if not failed and any(s.calibration.observability.unobservable for s in solved):
         code = NOT_IDENTIFIABLE

@@ -10,7 +10,7 @@ from typing import Any
 import jinja2
 
 from gyrorig_solver.calibration.document import Calibration
-from gyrorig_solver.calibration.wording import nothing_text
+from gyrorig_solver.calibration.wording import collapsed, nothing_text
 from gyrorig_solver.report import view
 from gyrorig_solver.report.data import ReportData
 
@@ -53,7 +53,7 @@ def _page(data: ReportData) -> dict[str, Any]:
             f"The motion showed {seen.rank} of {seen.of} parameters"
             + (f"; condition number {seen.condition:.3g}." if seen.condition is not None else ".")
         ),
-        "unobservable": seen.unobservable,
+        "unobservable": collapsed(seen.unobservable),
         "clock": view.clock_rows(data.clock) if data.clock is not None else [],
         "reference": data.reference,
         "nominal_scale": f"{scale:.9g} rad/s" if scale else "the nominal scale",
