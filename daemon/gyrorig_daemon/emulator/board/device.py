@@ -38,7 +38,7 @@ FloatArray = NDArray[np.float64]
 # Six bytes of gyro and six of accelerometer over I2C at 400 kHz, 0.21 ms each.
 _BUS_READ_NS = 420_000
 _ANSWER_NS = 200_000  # the firmware's loop looks at its input this often
-_FIRMWARE = "1.0.0"
+_FIRMWARE = "1"  # short: a HELLO is one frame of at most 248 bytes
 _BOOT = 12
 _SUPPLY_MV = 3300
 
@@ -262,8 +262,8 @@ class EmulatedBoard:
         return Hello(
             protocol=1,
             fw=_FIRMWARE,
-            board="GY-80",
-            uid=hashlib.blake2b(settings.name.encode(), digest_size=6).hexdigest(),
+            board="GY80",
+            uid=hashlib.blake2b(settings.name.encode(), digest_size=4).hexdigest(),
             boot=self._boot(start_ns),
             sensors=tuple(sensors),
             config=self._config_hash(),
