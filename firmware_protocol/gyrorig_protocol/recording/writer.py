@@ -15,11 +15,12 @@ Source: the recording contract, format 1, section "File".
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self, cast
+from typing import IO, Self, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,8 @@ from gyrorig_protocol.recording.disk_file import DiskFile, sync_directory
 from gyrorig_protocol.recording.imu_array import pack_imu
 from gyrorig_protocol.recording.messages import ImuRaw, Message, imu_topic
 from gyrorig_protocol.recording.schemas import SCHEMAS
+
+T = TypeVar("T")
 
 IntArray = npt.NDArray[np.integer]
 
@@ -124,7 +127,12 @@ class RecordingWriter:
             compression=CompressionType.ZSTD,
         )
         self._open = True
-        self._guard(lambda: self._begin(records, attachments))
+        try:
+            self._guard(lambda: self._begin(records, attachments))
+        except MachineError:
+            with suppress(OSError):  # nothing is in it that the caller does not have
+                self._part.unlink()
+            raise
 
     @property
     def path(self) -> Path:
@@ -177,7 +185,7 @@ class RecordingWriter:
         payload = message.encode()
         publish_ns = time_ns if publish_time_ns is None else publish_time_ns
         self._check_open()
-        channel = self._channel(topic, message.TYPE)
+        channel = self._guard(lambda: self._channel(topic, message.TYPE))
         if time_ns < channel.last_log_time_ns:
             raise ValueError(f"{topic}: log time {time_ns} < {channel.last_log_time_ns} before it")
         self._guard(lambda: self._append(channel, time_ns, publish_ns, payload))
@@ -231,7 +239,7 @@ class RecordingWriter:
         if not times:
             return
         self._check_open()
-        channel = self._channel(imu_topic(board_id), ImuRaw.TYPE)
+        channel = self._guard(lambda: self._channel(imu_topic(board_id), ImuRaw.TYPE))
         if times[0] < channel.last_log_time_ns or bool(np.any(np.diff(host_time_ns) < 0)):
             raise ValueError(f"{imu_topic(board_id)}: log time goes back")
 
@@ -319,6 +327,7 @@ class RecordingWriter:
             self._mcap.add_attachment(
                 one.log_time_ns, one.log_time_ns, one.name, one.media_type, one.data
             )
+        self._mark_safe()
         self._file.sync()
         sync_directory(self._part.parent)
 
@@ -370,10 +379,10 @@ class RecordingWriter:
         if not self._open:
             raise MachineError(f"{self.path} is closed", "open another recording")
 
-    def _guard(self, step: Callable[[], None]) -> None:
+    def _guard(self, step: Callable[[], T]) -> T:
         """Run a step; on an error of the disk keep what is whole and stop for good."""
         try:
-            step()
+            return step()
         except OSError as error:
             self._safe.lost = self._safe.waiting
             self._open = False
