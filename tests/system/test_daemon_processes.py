@@ -1,0 +1,241 @@
+"""The daemon as its users run it: real processes, real ptys, signals, and their ends."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.pump import Pump
+from gyrorig_daemon.motion import PtuClient
+from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.ptu import Axis, Quantity, query, require_integer
+from gyrorig_protocol.recording.reader import read_recording
+
+GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
+BAUD = 115200
+
+RIG = """
+rig: system
+ptu: {{port: {ptu}, baud: 115200}}
+boards: [{{id: B-1, port: {board}, baud: 460800}}]
+emulator: {{command_time_ms: 2.0}}
+"""
+QUICK = """
+name: quick
+steps:
+  - rest: {seconds: 1.0, phase: static}
+  - move: {pan_deg: 30.0, tilt_deg: 10.0, speed_deg_s: 45.0}
+  - rest: {seconds: 0.5}
+  - move: {pan_deg: -10.0, speed_deg_s: 45.0}
+  - home: {}
+"""
+LONG = "name: long\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 15.0}\n"
+TARGET_STEPS = 2917  # 150 deg
+
+
+def write_inputs(folder: Path, ports: dict[str, str], program: str) -> list[str]:
+    text = RIG.format(ptu=ports["ptu"], board=ports["board:B-1"])
+    (folder / "rig.yaml").write_text(text)
+    (folder / "program.yaml").write_text(program)
+    files = [str(folder / name) for name in ("rig.yaml", "program.yaml", "out")]
+    return ["record", "--config", files[0], "--program", files[1], "--out", files[2]]
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*GYRORIGD, *arguments], capture_output=True, text=True, check=False, timeout=90
+    )
+
+
+@contextmanager
+def emulator(folder: Path) -> Iterator[dict[str, str]]:
+    (folder / "emulated.yaml").write_text(RIG.format(ptu="emulated", board="emulated"))
+    process = subprocess.Popen(
+        [*GYRORIGD, "emulate", "--config", folder / "emulated.yaml", "--json", "--until-eof"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    if process.stdin is None or process.stdout is None:
+        raise AssertionError
+    with process.stdout, process.stdin:
+        yield json.loads(process.stdout.readline())["ports"]
+    assert process.wait(20) == 0
+
+
+def pan_steps(path: str) -> int:
+    """Ask the unit itself; wait while a dying process still holds the port."""
+    deadline = time.monotonic() + 20.0
+    while True:
+        try:
+            hub = AcquisitionHub({"ptu": PortSettings(path, BAUD)})
+            break
+        except GyrorigError:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+    with hub:
+        client = PtuClient(Pump(hub), "ptu", where=path, baud=BAUD, on_exchange=lambda _: None)
+        client.send_spaces(1)
+        client.drain(0.05)
+        command = query(Axis.PAN, Quantity.POSITION)
+        return require_integer(command, client.ask(command))
+
+
+def wait_for_motion(folder: Path) -> Path:
+    """Wait until the growing file says that pan is on its way."""
+    deadline = time.monotonic() + 40.0
+    while time.monotonic() < deadline:
+        with suppress(GyrorigError, ValueError, KeyError):
+            for path in folder.glob("*.mcap.part"):
+                recording = read_recording(path)
+                if recording.array("/ptu/position")["pan_steps"].max() > 100:
+                    return path
+        time.sleep(0.1)
+    raise AssertionError("it never moved")
+
+
+def test_the_whole_way_on_ptys(tmp_path: Path, contract_judge: Path) -> None:
+    arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
+    truth = tmp_path / "truth.json"
+    ended = run(*arguments, "--truth", str(truth), "--json", "--seed", "5")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr == ""
+    path = Path(json.loads(ended.stdout)["recording"])
+    judged = subprocess.run([sys.executable, contract_judge, path], check=False)
+    assert judged.returncode == 0
+    recording = read_recording(path)
+    assert recording.complete
+    sequence = recording.array("/board/B-1/imu_raw")["sequence"].astype(np.int64)
+    assert np.all(np.diff(sequence) % 65536 == 1)
+    positions = recording.array("/ptu/position")
+    assert (positions["pan_steps"].max(), positions["pan_steps"][-1]) == (583, 0)
+    assert len(recording.messages("/host/clock")) >= 4
+    document = json.loads(truth.read_text())
+    assert document["seed"] == 5
+    assert "mean_bias_rad_s" in document["boards"]["B-1"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_in_motion_halts_and_keeps(tmp_path: Path, number: signal.Signals) -> None:
+    with emulator(tmp_path) as ports:
+        arguments = write_inputs(tmp_path, ports, LONG)
+        daemon = subprocess.Popen([*GYRORIGD, *arguments], stderr=subprocess.PIPE, text=True)
+        wait_for_motion(tmp_path / "out")
+        daemon.send_signal(number)
+        _, told = daemon.communicate(timeout=30)
+        assert daemon.returncode == 1
+        assert told.startswith(f"gyrorigd: stopped by {number.name}: the unit is halted")
+        assert told.count("\n") == 1
+        stopped_at = pan_steps(ports["ptu"])
+        assert 100 < stopped_at < TARGET_STEPS
+        assert pan_steps(ports["ptu"]) == stopped_at
+    (path,) = (tmp_path / "out").iterdir()
+    recording = read_recording(path)
+    assert path.suffix == ".mcap"
+    assert recording.complete
+
+
+def test_killed_in_motion_the_acquisition_halts_the_unit(tmp_path: Path) -> None:
+    with emulator(tmp_path) as ports:
+        daemon = subprocess.Popen([*GYRORIGD, *write_inputs(tmp_path, ports, LONG)])
+        part = wait_for_motion(tmp_path / "out")
+        daemon.kill()
+        daemon.wait()
+        stopped_at = pan_steps(ports["ptu"])
+        assert 100 < stopped_at < TARGET_STEPS
+        assert pan_steps(ports["ptu"]) == stopped_at
+    recording = read_recording(part)
+    assert not recording.complete
+    assert len(recording.array("/ptu/position")) > 50
+
+
+def test_a_port_that_is_not_there(tmp_path: Path) -> None:
+    arguments = write_inputs(tmp_path, {"ptu": "/dev/none", "board:B-1": "/dev/none2"}, QUICK)
+    ended = run(*arguments)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("gyrorigd: /dev/none (ptu) cannot be used")
+    assert ended.stderr.count("\n") == 1
+
+
+def test_a_port_that_is_busy(tmp_path: Path) -> None:
+    with emulator(tmp_path) as ports:
+        with AcquisitionHub({"ptu": PortSettings(ports["ptu"], BAUD)}):
+            ended = run(*write_inputs(tmp_path, ports, QUICK))
+        assert ended.returncode == 75
+        assert "is busy" in ended.stderr
+
+
+def test_devices_on_the_wrong_ports(tmp_path: Path) -> None:
+    with emulator(tmp_path) as ports:
+        swapped = {"ptu": ports["board:B-1"], "board:B-1": ports["ptu"]}
+        ended = run(*write_inputs(tmp_path, swapped, QUICK))
+        assert ended.returncode == 1
+        assert "board B-1" in ended.stderr
+        board = {"ptu": ports["board:B-1"], "board:B-1": ports["board:B-1"]}
+        assert run(*write_inputs(tmp_path, board, QUICK)).returncode == 2  # one port named twice
+        assert pan_steps(ports["ptu"]) == 0
+
+
+def test_a_silent_unit(tmp_path: Path) -> None:
+    with emulator(tmp_path) as ports:
+        master, slave = pty.openpty()
+        ended = run(*write_inputs(tmp_path, ports | {"ptu": os.ttyname(slave)}, QUICK))
+        os.close(master)
+        os.close(slave)
+        assert ended.returncode == 1
+        assert "no pan-tilt unit answers" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("rig", "program", "words"),
+    [
+        ("rig: x\nptus: {}\n", QUICK, "rig.yaml"),
+        (RIG.format(ptu="emulated", board="emulated"), "name: x\nsteps: [{jump: {}}]\n", "jump"),
+        (RIG.format(ptu="emulated", board="emulated"), "name: x\nsteps: 3\n", "$.steps"),
+        ("a: *b\n", QUICK, "rig.yaml"),
+    ],
+)
+def test_documents_that_are_wrong(tmp_path: Path, rig: str, program: str, words: str) -> None:
+    arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, program)
+    (tmp_path / "rig.yaml").write_text(rig)
+    ended = run(*arguments)
+    assert ended.returncode == 2
+    assert words in ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["record", "--help"], ["emulate", "--help"]])
+def test_help_has_an_example(arguments: list[str]) -> None:
+    ended = run(*arguments)
+    assert ended.returncode == 0
+    assert "Example: gyrorigd" in " ".join(ended.stdout.split())
+
+
+def test_the_version_is_told() -> None:
+    assert run("--version").stdout.startswith("gyrorig ")
+
+
+def test_emulate_ends_on_a_signal(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text(RIG.format(ptu="emulated", board="emulated"))
+    process = subprocess.Popen(
+        [*GYRORIGD, "emulate", "--config", tmp_path / "rig.yaml"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    if process.stdout is None:
+        raise AssertionError
+    with process.stdout:
+        names = {process.stdout.readline().split("\t")[0] for _ in range(2)}
+        process.terminate()
+        assert process.wait(20) == 0
+    assert names == {"ptu", "board:B-1"}
