@@ -32,6 +32,7 @@ check: $(VENV)/.dev  ## style, types and import contracts
 	$(VENV)/bin/lint-imports
 
 bench: $(VENV)/.dev  ## the benchmarks: speed, efficiency, clock error
+	@set -e; for script in tests/bench/bench_*.py; do echo "== $$script"; $(VENV)/bin/python $$script; done
 	@$(VENV)/bin/python -m pytest -m bench -s --timeout 1800
 
 clean:  ## remove the virtual environment, caches and the demo's output
