@@ -1,0 +1,117 @@
+"""From an estimate and its information to a `GyroFit`, for references other than a unit.
+
+What to use when: `gyro_fit` at the end of `attitude`, `turns` and `gravity`; each of them
+only adds what is its own.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.estimate.observability import BIAS_NAMES, Decision, conclude
+from gyrorig_solver.estimate.result import Clock, FitDiagnostics, GyroFit
+from gyrorig_solver.model.gain import GAIN_NAMES
+from gyrorig_solver.samples import GyroSamples
+
+NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
+TERMS = ("bias", "scale", "nonorthogonality", "misalignment")
+LIMITED_CHI2 = 1.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What an estimator found, before it is decided what may be said."""
+
+    estimate: FloatArray  # (13,), in the order of NAMES; unobserved directions at nominal
+    decision: Decision
+    reduced_chi2: float
+    outliers: int
+    rms_before_rad_s: float
+    rms_after_rad_s: float
+    reference: str
+    words: Mapping[str, str]  # why a gain column, the bias or the offset may be hidden
+    terms: tuple[str, ...] = TERMS
+    warnings: tuple[str, ...] = ()
+    distrust: tuple[str, ...] = ()
+    diagnostics: FitDiagnostics | None = None
+    extra: Mapping[str, float] | None = None
+
+
+def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
+    """Return the result of one board from one or more recordings.
+
+    Args:
+        evidence: what the estimator found.
+        samples: of that board, in the order of the recordings.
+    """
+    found = conclude(evidence.estimate, NAMES, evidence.decision, evidence.words)
+    reasons = list(evidence.distrust)
+    if evidence.reduced_chi2 > LIMITED_CHI2:
+        reasons.append(
+            f"the residual is {evidence.reduced_chi2:.2f} times what its noise model says, and the "
+            "standard deviations are widened by that; look at the residual over time"
+        )
+    reasons += [f"not identified: {text}" for text in found.observability.reasons]
+    rates = np.concatenate([s.rate_rad_s[s.good] for s in samples])
+    return GyroFit(
+        method="likelihood",
+        terms=evidence.terms,
+        gain=found.gain,
+        gain_std=found.gain_std,
+        bias_rad_s=found.triple("bias"),
+        scale=found.triple("scale"),
+        nonorthogonality=found.triple("nonorthogonality"),
+        misalignment_rad=found.triple("misalignment"),
+        time_offset_s=found.values["time_offset"],
+        std=found.std,
+        order=found.order,
+        covariance=found.covariance,
+        observability=found.observability,
+        noise=None,
+        reduced_chi2=evidence.reduced_chi2,
+        samples=sum(s.good.size for s in samples),
+        lost=sum(s.lost for s in samples),
+        outliers=evidence.outliers,
+        rate_range_rad_s=(float(rates.min()), float(rates.max())),
+        rms_before_rad_s=evidence.rms_before_rad_s,
+        rms_after_rad_s=evidence.rms_after_rad_s,
+        temperature_range_degc=_temperatures(samples),
+        clock=_clock(samples[0]),
+        reference=evidence.reference,
+        warnings=(*evidence.warnings, *_sample_warnings(samples)),
+        distrust=tuple(reasons),
+        diagnostics=evidence.diagnostics,
+        extra=dict(evidence.extra or {}),
+    )
+
+
+def _temperatures(samples: Sequence[GyroSamples]) -> tuple[float, float] | None:
+    there = [s.temperature_degc for s in samples if s.temperature_degc is not None]
+    if not there:
+        return None
+    return float(min(t.min() for t in there)), float(max(t.max() for t in there))
+
+
+def _clock(samples: GyroSamples) -> Clock:
+    return Clock(
+        skew_ppm=samples.clock.skew_ppm,
+        wander_bound_s=samples.clock.wander_bound_s,
+        latency_median_s=float(samples.clock.latency_s[0]),
+        latency_max_s=float(samples.clock.latency_s[2]),
+        restarts=samples.clock.restarts,
+        wraps=samples.clock.wraps,
+        truth="the recording's own times",
+    )
+
+
+def _sample_warnings(samples: Sequence[GyroSamples]) -> list[str]:
+    said = []
+    lost = sum(s.lost for s in samples)
+    if lost:
+        said.append(f"{lost} samples are missing by the board's own counter")
+    saturated = sum(int(np.sum(~s.good)) for s in samples)
+    if saturated:
+        said.append(f"{saturated} samples are saturated or repeated and were not used")
+    return said

@@ -1,0 +1,98 @@
+"""Many rotations at once: products along a path, and increments between attitudes.
+
+What to use when: `prefix_products` for the attitude all along a path of small turns (the
+gravity estimator needs each); `total_rotation` for the end of many paths of one length
+(rotation error per window); `relative_vectors` for the turn between neighbouring
+attitudes. Single rotations: scipy's Rotation, or `model.gain` for the matrices of a mount.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gyrorig_solver.arrays import FloatArray
+
+
+def prefix_products(vectors_rad: FloatArray) -> FloatArray:
+    """Return R_k = exp(v_0) exp(v_1) ... exp(v_k), shape (n, 3, 3).
+
+    Args:
+        vectors_rad: rotation vectors in the turning body's own frame, shape (n, 3).
+
+    A scan in log2(n) vectorised passes (Hillis and Steele 1986).
+    """
+    products = Rotation.from_rotvec(vectors_rad).as_matrix()
+    step = 1
+    while step < len(products):
+        products[step:] = products[:-step] @ products[step:]
+        step *= 2
+    return np.asarray(products, dtype=np.float64)
+
+
+def total_rotation(vectors_rad: FloatArray) -> Rotation:
+    """Return exp(v_0) exp(v_1) ... of each path.
+
+    Args:
+        vectors_rad: rotation vectors, shape (paths, steps, 3), steps at least 1.
+
+    Returns:
+        One rotation per path; neighbours are multiplied pairwise, log2(steps) passes.
+    """
+    paths, steps, _ = vectors_rad.shape
+    single = Rotation.from_rotvec(vectors_rad.reshape(-1, 3)).as_quat()
+    quaternion: FloatArray = single.reshape(paths, steps, 4)
+    while quaternion.shape[1] > 1:
+        even = quaternion.shape[1] // 2 * 2
+        left = Rotation.from_quat(quaternion[:, 0:even:2].reshape(-1, 4))
+        right = Rotation.from_quat(quaternion[:, 1:even:2].reshape(-1, 4))
+        pairs = (left * right).as_quat().reshape(paths, -1, 4)
+        quaternion = np.concatenate([pairs, quaternion[:, even:]], axis=1)
+    return Rotation.from_quat(quaternion[:, 0])
+
+
+def relative_vectors(orientation_xyzw: FloatArray) -> FloatArray:
+    """Return the turn from each attitude to the next, in the body's frame.
+
+    Args:
+        orientation_xyzw: unit quaternions, body into world, shape (n, 4); signs are free.
+
+    Returns:
+        Rotation vectors in rad, shape (n - 1, 3), of at most pi each.
+    """
+    attitude = Rotation.from_quat(orientation_xyzw)
+    return np.asarray((attitude[:-1].inv() * attitude[1:]).as_rotvec(), dtype=np.float64)
+
+
+def integrated_rate(vectors_rad: FloatArray) -> FloatArray:
+    """Return the integral of the body rate over each of a row of neighbouring turns.
+
+    A rotation vector is not that integral when the axis moves: Bortz' equation with a
+    rate that is linear in time over three neighbours gives
+    integral = phi_k - phi_k x (phi_{k+1} - phi_{k-1}) / 24, wrong in the fourth order.
+
+    Args:
+        vectors_rad: turns between equally spaced attitudes, shape (n, 3).
+
+    Source: Bortz, IEEE Trans. AES-7(1), 1971, eq. 8, integrated for a linear rate.
+    """
+    change = np.zeros_like(vectors_rad)
+    change[1:-1] = vectors_rad[2:] - vectors_rad[:-2]
+    return np.asarray(vectors_rad - np.cross(vectors_rad, change) / 24.0, dtype=np.float64)
+
+
+def turn_vectors(rate_rad_s: FloatArray, step_s: FloatArray) -> FloatArray:
+    """Return the rotation vector of each step between samples of a body rate.
+
+    The rate is taken as linear between two samples: mean rate times the step, plus the
+    coning term (w_k x w_{k+1}) h^2 / 12 of the same equation.
+
+    Args:
+        rate_rad_s: rate at the samples, body frame, shape (n, 3).
+        step_s: the n - 1 steps between them.
+
+    Returns:
+        Rotation vectors, shape (n - 1, 3).
+    """
+    before, after = rate_rad_s[:-1], rate_rad_s[1:]
+    step = step_s[:, None]
+    coning = np.cross(before, after) * step**2 / 12.0
+    return np.asarray((before + after) / 2.0 * step + coning, dtype=np.float64)
