@@ -94,7 +94,9 @@ class BoardLink:
         self._clock = self._new_clock()
         self._boot: int | None = None
         self._last_sequence: int | None = None
-        self._last_heard_ns = pump.now_ns()
+        self._last_sample_ns = pump.now_ns()
+        self._last_asked_ns = pump.now_ns()
+        self._silent = False
         self._pings: dict[int, tuple[int, int]] = {}
         self._next_nonce = rng.getrandbits(32)
         self._first_bytes = b""
@@ -147,14 +149,20 @@ class BoardLink:
     def fire(self, now_ns: int) -> None:
         """Ask for the clock; after a silence, ask who is there."""
         self.due_ns = now_ns + int(self._rng.uniform(0.25, 1.75) * PING_MEAN_S * 1e9)
-        if self.gone or not self._speaks:
+        if self.gone:
+            return
+        silent = now_ns - self._last_sample_ns > SILENCE_S * 1e9
+        if silent and not self._silent:
+            self._silent = True
+            self.counts.silences += 1
+            self._sinks.fault(f"{self._where()} has sent no sample for {SILENCE_S:g} s")
+        if not self._speaks:
             return
         try:
-            if now_ns - self._last_heard_ns > SILENCE_S * 1e9:
-                self.counts.silences += 1
-                self._last_heard_ns = now_ns
+            if silent and now_ns - self._last_asked_ns > HELLO_EVERY_S * 1e9:
+                self._last_asked_ns = now_ns
                 self._pump.write(self._config.hub_port, HelloRequest().encode())
-            elif self.hello is not None:
+            elif self.hello is not None and not silent:
                 self._ping(now_ns)
         except DeviceError:
             self._lose()
@@ -172,7 +180,6 @@ class BoardLink:
         if not chunk.data:
             self._lose()
             return
-        self._last_heard_ns = chunk.received_ns
         if len(self._first_bytes) < 64:
             self._first_bytes += chunk.data[:64]
         for event in self._parser.feed(chunk.data, chunk.received_ns):
@@ -195,6 +202,10 @@ class BoardLink:
 
     def _take_samples(self, samples: list[Sample], event: FrameEvent) -> None:
         self._count(samples)
+        self._last_sample_ns = event.received_ns
+        if self._silent:
+            self._silent = False
+            self._sinks.note(f"{self._where()} sends samples again")
         last = samples[-1]
         arrival_ns = event.received_ns
         mapped_ns = arrival_ns

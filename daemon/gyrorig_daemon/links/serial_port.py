@@ -19,6 +19,13 @@ _FLAGS_AT = 16
 _ASYNC_LOW_LATENCY = 1 << 13
 _TIOCGSERIAL = 0x541E
 _TIOCSSERIAL = 0x541F
+# <asm-generic/ioctls.h>, <asm-generic/termbits.h>: struct termios2 is four flag words, the
+# line discipline, 19 control characters, and both speeds as numbers
+_TCGETS2 = 0x802C542A
+_TCSETS2 = 0x402C542B
+_BOTHER = 0o010000
+_CBAUD = 0o010017
+_TERMIOS2 = struct.Struct("=4I20sII")
 
 
 class RefusedError(Exception):
@@ -65,9 +72,8 @@ def make_raw(fd: int, baud: int) -> None:
         RefusedError: this system cannot do that baud rate.
         termios.error: the descriptor is no terminal.
     """
-    speed = getattr(termios, f"B{baud}", None)
-    if speed is None:
-        raise RefusedError("foreign", f"this system has no rate of {baud} baud")
+    named = getattr(termios, f"B{baud}", None)
+    speed = termios.B38400 if named is None else named
     settings = termios.tcgetattr(fd)
     settings[0] = 0  # iflag: no translation of CR, LF, XON, parity marks
     settings[1] = 0  # oflag
@@ -77,6 +83,8 @@ def make_raw(fd: int, baud: int) -> None:
     settings[6][termios.VMIN] = 0
     settings[6][termios.VTIME] = 0
     termios.tcsetattr(fd, termios.TCSANOW, settings)
+    if named is None:
+        _set_odd_rate(fd, baud)
     termios.tcflush(fd, termios.TCIOFLUSH)
 
 
@@ -92,6 +100,18 @@ def candidates(limit: int = 8) -> list[str]:
         with contextlib.suppress(OSError):
             found += sorted(str(path) for path in Path(folder).glob(pattern))
     return found[:limit]
+
+
+def _set_odd_rate(fd: int, baud: int) -> None:
+    """Set a rate that has no name, such as 250000 of an AVR board."""
+    held = bytearray(_TERMIOS2.size)
+    try:
+        fcntl.ioctl(fd, _TCGETS2, held)
+        iflag, oflag, cflag, lflag, rest, _, _ = _TERMIOS2.unpack(held)
+        cflag = (cflag & ~_CBAUD) | _BOTHER
+        fcntl.ioctl(fd, _TCSETS2, _TERMIOS2.pack(iflag, oflag, cflag, lflag, rest, baud, baud))
+    except OSError as fault:
+        raise RefusedError("foreign", f"this port has no rate of {baud} baud") from fault
 
 
 def _make_quick(fd: int) -> None:

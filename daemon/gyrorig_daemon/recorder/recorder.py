@@ -191,3 +191,5 @@ class Recorder:
                 writer.tick(time.monotonic_ns())
             except GyrorigError as fault:
                 self._fault = fault
+            except Exception as fault:  # a fault of this program must not pass unseen
+                self._fault = MachineError(f"the recording broke off: {fault!r}", "report this")

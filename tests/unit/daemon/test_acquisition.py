@@ -68,6 +68,12 @@ def test_bytes_pass_unchanged_and_are_stamped(line: Line) -> None:
         assert hub.read(raw_ns()) is None
 
 
+def test_a_rate_without_a_name(line: Line) -> None:
+    with AcquisitionHub({"a": PortSettings(line.path, 250000)}) as hub:
+        hub.write("a", b"x\r\n")
+        assert line.read() == b"x\r\n"
+
+
 def test_a_port_held_by_another_is_busy(line: Line) -> None:
     with (
         AcquisitionHub({"a": PortSettings(line.path, 9600)}),

@@ -14,7 +14,7 @@ import pytest
 from gyrorig_daemon.config import RigConfig, parse_rig
 from gyrorig_daemon.emulated import rig_settings
 from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardFaults, PtuFaults, RigSettings
+from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, PtuFaults, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.links.hub import Chunk
@@ -45,6 +45,8 @@ steps:
   - move: {pan_deg: -20.0, tilt_deg: 10.0, speed_deg_s: 40.0}
   - home: {}
 """
+
+HOLD = "  - rest: {seconds: 3.0}\n"
 
 Change = Callable[[RigSettings], RigSettings]
 IMU, POSITION = "/board/B-1/imu_raw", "/ptu/position"
@@ -257,6 +259,40 @@ def test_a_board_that_reboots_begins_a_new_clock(tmp_path: Path) -> None:
     lag_s = (rows["log_time"].astype(np.int64) - rows["publish_time"].astype(np.int64)) * 1e-9
     assert lag_s.min() >= 0.0
     assert lag_s.max() < 0.5
+
+
+TEXT_RIG = """
+rig: test
+ptu: {port: emulated, baud: 115200}
+boards:
+  - id: B-1
+    port: /dev/text
+    baud: 460800
+    format: text
+    columns: {time: 0, gyro: [1, 2, 3], accel: [4, 5, 6], temperature: 7}
+    facts: {uid: by-hand, sensor: L3G4200D, gyro_scale_rad_s: 0.00015271631, counter_bits: 32}
+"""
+
+
+def test_a_board_that_prints_lines(tmp_path: Path) -> None:
+    def change(settings: RigSettings) -> RigSettings:
+        board = BoardSettings(name="B-1", format="text", baud=460800)
+        return replace(settings, boards=(board,))
+
+    recording = read_recording(Bench(tmp_path, TEXT_RIG, change).record())
+    rows = recording.array(IMU)
+    assert len(rows) > 300
+    assert recording.metadata["gyrorig.board.B-1"]["tick_hz"] == "1000000.0"
+    later = rows["log_time"].astype(np.int64) - rows["publish_time"].astype(np.int64)
+    assert 0 < np.median(later) < 5_000_000
+
+
+def test_a_board_that_falls_silent_is_noted(tmp_path: Path) -> None:
+    change = board_with(reset_at_s=(2.0,), reset_silence_s=3.0)
+    recording = read_recording(Bench(tmp_path, change=change).record(PROGRAM + HOLD))
+    faults = [event.text for event in events(recording) if event.kind == 3]
+    assert any("no sample for 2 s" in text for text in faults)
+    assert any("sends samples again" in event.text for event in events(recording))
 
 
 class Scripted(VirtualHub):
