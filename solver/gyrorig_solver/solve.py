@@ -1,22 +1,29 @@
 """From a recording to a fit: choose the reference, solve, conclude.
 
-What to use when: `solve_recording` is the whole way for one board of one recording;
+What to use when: `solve_recordings` is the whole way for one board;
 `solve_samples` fits samples against a reference that the caller made.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.estimate.attitude import fit_attitude
+from gyrorig_solver.estimate.gravity import fit_gravity
 from gyrorig_solver.estimate.likelihood import MOVING_RAD_S, NAMES, Solution, solve_likelihood
 from gyrorig_solver.estimate.observability import Concluded, conclude
 from gyrorig_solver.estimate.result import Clock, FitDiagnostics, GyroFit, NoiseLevels
 from gyrorig_solver.estimate.series import Series, build_series
+from gyrorig_solver.estimate.turns import fit_turns
+from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
 from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.reference.ptu_recording import ptu_reference
-from gyrorig_solver.samples import GyroSamples, load_samples
+from gyrorig_solver.reference.turns import TurnReference, read_turns
+from gyrorig_solver.samples import GyroSamples, load_samples, number
 
 PTU_WORDS = {
     "x": "tilt was not moved; move tilt at a few speeds",
@@ -25,32 +32,64 @@ PTU_WORDS = {
     "bias": "there are too few samples; record at rest for a minute",
     "time_offset": "nothing was accelerated; move and stop a few times",
 }
-ATTITUDE_WORDS = {
-    "x": "the stage hardly turned about its x axis; turn it about all three",
-    "y": "the stage hardly turned about its y axis; turn it about all three",
-    "z": "the stage hardly turned about its z axis; turn it about all three",
-    "bias": "there are too few samples; record at rest for a minute",
-    "time_offset": "the turning never changed; start and stop a few times",
-}
+STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901; only the accelerometer's scale rests on it
 # Whitened variance while moving over that at rest: above this, motion is not explained.
 CHI2_LIMIT = 1.25
 HELD_OUT_WINDOW_S = 10.0
 
 
-def solve_recording(recording: Recording, board: str) -> GyroFit:
-    """Calibrate one board of one recording by maximum likelihood.
+def solve_recordings(recordings: Sequence[Recording], board: str) -> GyroFit:
+    """Calibrate one board by the best reference that its recordings hold.
+
+    In this order: a pan-tilt unit's motion, reference attitudes, turns by known angles,
+    gravity between rests. Attitudes and turns may be spread over several recordings.
 
     Raises:
-        InputError: the board is not there, or the recording has no reference of any kind.
+        InputError: the board is not there, or there is no reference of any kind.
+        UsageError: several recordings of a unit's motion at once.
     """
-    samples = load_samples(recording, board)
-    if "/ptu/position" in recording.topics:
+    loaded = [(recording, load_samples(recording, board)) for recording in recordings]
+    if any("/ptu/position" in r.topics for r in recordings):
+        if len(recordings) > 1:
+            raise UsageError(
+                f"{len(recordings)} recordings of a pan-tilt unit at once",
+                "solve them one at a time; each makes a version",
+            )
+        recording, samples = loaded[0]
         reference = ptu_reference(recording, samples.origin_ns)
         return solve_samples(samples, reference, PTU_WORDS, _ptu_warnings(reference))
-    raise InputError(
-        f"{recording.path.name} holds no motion of a pan-tilt unit",
-        "give a reference: positions, attitudes, known turns or gravity between rests",
-    )
+    attitudes = [(s, _attitude(r, s)) for r, s in loaded if "/reference/attitude" in r.topics]
+    if attitudes:
+        return fit_attitude(attitudes)
+    turns = [(s, read_turns(r.events(), s.origin_ns)) for r, s in loaded]
+    if any(found.turns for _, found in turns):
+        return fit_turns(turns)
+    return _by_gravity(loaded, turns)
+
+
+def _attitude(recording: Recording, samples: GyroSamples) -> AttitudeReference:
+    raw = recording.reference_attitude()
+    time_s = np.asarray((times_ns(raw["host_time"]) - samples.origin_ns) * 1e-9, np.float64)
+    return read_attitude(time_s, raw["orientation"], raw["standard_deviation"])
+
+
+def _by_gravity(
+    loaded: list[tuple[Recording, GyroSamples]], turns: list[tuple[GyroSamples, TurnReference]]
+) -> GyroFit:
+    if len(loaded) > 1:
+        raise UsageError(
+            f"{len(loaded)} recordings without a reference of their own at once",
+            "solve them one at a time; each makes a version",
+        )
+    (recording, samples), (_, found) = loaded[0], turns[0]
+    if samples.accel_m_s2 is None:
+        raise InputError(
+            f"{recording.path.name} holds no reference",
+            "give it positions of a unit, attitudes, known turns, or an accelerometer",
+        )
+    site = recording.metadata.get("gyrorig.site", {})
+    gravity = number(site, "gravity_m_s2") or STANDARD_GRAVITY_M_S2
+    return fit_gravity(samples, gravity, found.rests[0] if found.rests else None)
 
 
 def solve_samples(
@@ -235,3 +274,8 @@ def _diagnostics(
         spectrum=spectrum.density,
         spectrum_model=solution.noise.density(spectrum.frequency_hz),
     )
+
+
+def solve_recording(recording: Recording, board: str) -> GyroFit:
+    """Calibrate one board of one recording; see `solve_recordings`."""
+    return solve_recordings([recording], board)

@@ -94,9 +94,12 @@ class PtuReference:
             np.array(self.motion.rest_steps, dtype=np.float64)[:, None], time_s.size, axis=1
         )
         for k, move in enumerate(self.starts.moves):
-            first = int(np.searchsorted(time_s, self._start(k)))
-            since = time_s[first:] - self._start(k)
-            angle[move.axis, first:] += move.sign * self._profile(move).position_steps(since)
+            start, profile = self._start(k), self._profile(move)
+            first, last = np.searchsorted(time_s, [start, start + profile.duration_s])
+            travel = profile.position_steps(time_s[first:last] - start)
+            angle[move.axis, first:last] = move.from_steps + move.sign * travel
+            # Until the next move of this axis writes over it.
+            angle[move.axis, last : self._next_start(k, time_s)] = move.to_steps
         for k, rest in enumerate(self.rests):
             at, share = self._standing(rest, time_s)
             angle[rest.axis, at] += self.shift[len(self.starts.moves) + k] * share
@@ -128,6 +131,14 @@ class PtuReference:
             at = slice(spot.start, max(spot.start, spot.stop - 1))
             local.append(LocalColumn(at.start, turn.rate(rest.axis, share, at)))
         return Evaluated(rate, tuple(local), shared)
+
+    def _next_start(self, k: int, time_s: FloatArray) -> int:
+        """Return the index at which the axis of move `k` sets off again, or the end."""
+        own = self.starts.moves[k].axis
+        for later in range(k + 1, len(self.starts.moves)):
+            if self.starts.moves[later].axis == own:
+                return int(np.searchsorted(time_s, self._start(later)))
+        return int(time_s.size)
 
     def _start(self, k: int) -> float:
         return self.starts.moves[k].start_s + float(self.shift[k])
