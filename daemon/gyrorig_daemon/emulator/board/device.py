@@ -6,16 +6,19 @@ frames wait in a heap by the time they are ready. The line takes whichever is re
 stamps that name the sending are taken as the first byte leaves.
 """
 
-import hashlib
 import heapq
-import zlib
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrorig_daemon.emulator.board.configuration import (
+    acknowledgement,
+    effective,
+    hello,
+    reconfigured,
+)
 from gyrorig_daemon.emulator.board.encode import (
     Frame,
     SampleEncoder,
@@ -27,11 +30,11 @@ from gyrorig_daemon.emulator.line import InLine, byte_ns
 from gyrorig_daemon.emulator.physics.clock import DeviceClock
 from gyrorig_daemon.emulator.physics.imu import ImuModel, ImuTruth, SampleBlock
 from gyrorig_daemon.emulator.physics.stage import Stage
-from gyrorig_daemon.emulator.settings import BANDWIDTHS_HZ, BoardSettings
-from gyrorig_daemon.emulator.truth import ACCEL_COUNTS_PER_G, DEG, GYRO_MDPS, BoardTruth
+from gyrorig_daemon.emulator.settings import BoardSettings
+from gyrorig_daemon.emulator.truth import BoardTruth
 from gyrorig_protocol.board import FrameEvent, FrameParser
 from gyrorig_protocol.board.frames import HelloRequest, Slow, TimeReply, TimeRequest
-from gyrorig_protocol.board.hello import Ack, Hello, Sensor, Set
+from gyrorig_protocol.board.hello import Set
 
 FloatArray = NDArray[np.float64]
 
@@ -45,9 +48,9 @@ _SUPPLY_MV = 3300
 Build = Callable[[int], bytes]  # from the time of the first byte
 
 
-def _short(number: float) -> float:
-    """Return a whole number as an int: HELLO has to fit into a frame."""
-    return int(number) if number == int(number) else number
+def _said(data: bytes) -> Build:
+    """Return what gives the same bytes whenever they are sent."""
+    return lambda _start_ns: data
 
 
 class EmulatedBoard:
@@ -78,12 +81,14 @@ class EmulatedBoard:
         self._order = 0
         self._head: tuple[int, bytes, bool] | None = None
         self._changed = False
+        self._wanted: deque[tuple[int, Set]] = deque()
         self._before_model = 0  # samples before the sensor was last configured
         self._frame_count = 0
         self._saturations = 0
         self._block: SampleBlock | None = None
         self._bias_path: list[tuple[float, FloatArray]] = []
         self._configure(truth.imu, 0.0, imu_rng)
+        self._next_block()
         if settings.format == "gcb1":
             self._announce()
 
@@ -114,7 +119,8 @@ class EmulatedBoard:
                 heapq.heappop(self._misc)
             self._free_ns = end_ns
             self._head = None
-            taken.append((end_ns, data))
+            if data:
+                taken.append((end_ns, data))
         return taken
 
     def mean_bias_rad_s(self, start_ns: int, end_ns: int) -> FloatArray:
@@ -132,7 +138,7 @@ class EmulatedBoard:
             self._load(refreshed, self._sent)
             self._head = None
         if self._head is None:
-            while not self._frames:
+            if not self._frames:
                 self._next_block()
             sample = not self._misc or self._frames[0][0] <= self._misc[0][0]
             ready_ns = self._frames[0][0] if sample else self._misc[0][0]
@@ -144,14 +150,27 @@ class EmulatedBoard:
     # Samples
 
     def _configure(self, imu: ImuTruth, start_s: float, rng: np.random.Generator) -> None:
+        """Start the sensor; its first sample comes a period later."""
         self._encoder = SampleEncoder(self.settings, self._changed)
         self._imu = ImuModel(imu, self._stage, start_s, rng, self._encoder.samples_per_frame)
-        self._frames.clear()
-        self._next_block()
+
+    def _reconfigure(self, block_end_ns: int) -> None:
+        """Do what SETs that came before the end of the block want, and acknowledge."""
+        while self._wanted and self._wanted[0][0] <= block_end_ns:
+            after = effective(self.settings, self._wanted.popleft()[1])
+            if after != self.settings:
+                block = self._current()
+                self._before_model += block.first + len(block.time_s)
+                imu = reconfigured(self._imu.truth, self.settings, after)
+                self.settings, self._changed = after, True
+                self._configure(imu, float(block.time_s[-1]), self._spare_rng.spawn(1)[0])
+            ack = acknowledgement(after).encode()
+            self._later(block_end_ns + _ANSWER_NS, _said(ack))
 
     def _next_block(self) -> None:
         if self._block is not None:  # final: every sample of it has been sent
             self._saturations += int(self._block.saturated.sum())
+            self._reconfigure(self._origin_ns + round(float(self._block.time_s[-1]) * 1e9))
         block = self._imu.next_block()
         count = len(block.time_s)
         self._stamp_late_ns = self._stamp_rng.exponential(
@@ -163,10 +182,7 @@ class EmulatedBoard:
         self._load(block, 0)
 
     def _load(self, block: SampleBlock, sent: int) -> None:
-        """Queue the frames of a block, without the first `sent` ones.
-
-        A negative `sent` counts the frames of an older configuration that go before.
-        """
+        """Queue the frames of a block, without the first `sent` ones."""
         self._block = block
         self._sent = sent
         ready_ns = (self._origin_ns + np.rint(block.time_s * 1e9)).astype(np.int64)
@@ -186,8 +202,8 @@ class EmulatedBoard:
             data = self._encoder.encode(block, row, step, number, self.clock.ticks(last_ns))
             frames.append((last_ns + _BUS_READ_NS, data))
         faulty = with_faults(self.settings.faults, self._first_frame, frames)
-        older = list(self._frames)[: max(-sent, 0)]
-        self._frames = deque(older + faulty[max(sent, 0) :])
+        # With nothing to send there is still a time at which the next block begins.
+        self._frames = deque((faulty or [(stamped_ns[-1] + _BUS_READ_NS, b"")])[sent:])
 
     def _current(self) -> SampleBlock:
         if self._block is None:
@@ -246,33 +262,7 @@ class EmulatedBoard:
         return _BOOT + sum(reset_ns <= at_ns for reset_ns in self._resets_ns)
 
     def _hello(self, start_ns: int) -> bytes:
-        settings = self.settings
-        sensors = [
-            Sensor(
-                who=0xD3,  # WHO_AM_I of the L3G4200D
-                full_scale=_short(settings.full_scale_dps),
-                per_count=round(GYRO_MDPS[settings.full_scale_dps] * 1e-3, 6),
-                rate_hz=_short(settings.odr_hz),
-                bandwidth_hz=_short(settings.bandwidth_hz),
-            )
-        ]
-        if settings.accel:
-            sensors.append(Sensor(0xE5, 16, 1.0 / ACCEL_COUNTS_PER_G, unit="g"))
-        sensors.append(Sensor(0x55, 85, 0.1, unit="degC"))
-        return Hello(
-            protocol=1,
-            fw=_FIRMWARE,
-            board="GY80",
-            uid=hashlib.blake2b(settings.name.encode(), digest_size=4).hexdigest(),
-            boot=self._boot(start_ns),
-            sensors=tuple(sensors),
-            config=self._config_hash(),
-        ).encode()
-
-    def _config_hash(self) -> str:
-        s = self.settings
-        text = f"{s.odr_hz}/{s.bandwidth_hz}/{s.full_scale_dps}/{s.batch}/{s.accel}"
-        return f"{zlib.crc32(text.encode()):08x}"
+        return hello(self.settings, self._boot(start_ns)).encode()
 
     def _answer(self, frame: object, arrived_ns: int) -> None:
         if isinstance(frame, TimeRequest):
@@ -285,54 +275,4 @@ class EmulatedBoard:
         elif isinstance(frame, HelloRequest):
             self._later(arrived_ns + _ANSWER_NS, self._hello)
         elif isinstance(frame, Set):
-            self._set(frame, arrived_ns)
-
-    def _set(self, wanted: Set, at_ns: int) -> None:
-        """Take what the sensor can do; the acknowledgement says what is in force."""
-        before = self.settings
-        settings = before
-        if wanted.rate_hz in BANDWIDTHS_HZ:
-            settings = replace(settings, odr_hz=wanted.rate_hz)
-        bandwidths = BANDWIDTHS_HZ[settings.odr_hz]
-        bandwidth = wanted.bandwidth_hz or settings.bandwidth_hz
-        nearest = min(bandwidths, key=lambda known: abs(known - bandwidth))
-        settings = replace(settings, bandwidth_hz=nearest)
-        if wanted.full_scale_dps in GYRO_MDPS:
-            settings = replace(settings, full_scale_dps=wanted.full_scale_dps)
-        if wanted.accel is not None:
-            settings = replace(settings, accel=wanted.accel)
-        most = 18 if settings.accel else 39  # samples that fit into a frame
-        settings = replace(settings, batch=min(wanted.batch or settings.batch, most))
-        if settings != before:
-            self._reconfigure(settings, at_ns)
-        ack = Ack(
-            config=self._config_hash(),
-            rate_hz=settings.odr_hz,
-            bandwidth_hz=settings.bandwidth_hz,
-            full_scale_dps=settings.full_scale_dps,
-            batch=settings.batch,
-            accel=settings.accel,
-        )
-        self._later(at_ns + _ANSWER_NS, lambda _ns: ack.encode())
-
-    def _reconfigure(self, settings: BoardSettings, at_ns: int) -> None:
-        old = self.settings.odr_hz
-        kept = deque(f for f in self._frames if f[0] - _BUS_READ_NS <= at_ns)
-        at_s = (at_ns - self._origin_ns) * 1e-9
-        block = self._current()
-        self._before_model += block.first + int((block.time_s <= at_s).sum())
-        imu = replace(
-            self._imu.truth,
-            odr_hz=self._imu.truth.odr_hz * settings.odr_hz / old,
-            tau_s=self._imu.truth.tau_s * old / settings.odr_hz,
-            bandwidth_hz=settings.bandwidth_hz,
-            gyro_scale_rad_s=GYRO_MDPS[settings.full_scale_dps] * 1e-3 * DEG,
-            gyro_limit_rad_s=settings.full_scale_dps * DEG,
-        )
-        self.settings = settings
-        self._changed = True
-        self._configure(imu, at_s, self._spare_rng.spawn(1)[0])
-        for frame in reversed(kept):
-            self._frames.appendleft(frame)
-        self._sent -= len(kept)
-        self._head = None
+            self._wanted.append((arrived_ns, frame))
