@@ -35,7 +35,7 @@ def solved_beside_truth(seed: int, program: str, folder: Path) -> list[Compared]
     )
     recording = read_recording(Path(json.loads(done.stdout)["recording"]))
     (board,) = recording.board_ids
-    solved = solve_into(CalibrationStore(folder / str(seed)), recording, board)
+    solved = solve_into(CalibrationStore(folder / str(seed)), [recording], board)
     return compare(solved.calibration, parse_yaml(truth.read_bytes(), truth.name))
 
 

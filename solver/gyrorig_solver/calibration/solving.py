@@ -1,11 +1,12 @@
-"""One board of one recording, all the way: fit, document, next version, report."""
+"""One board, all the way: fit, document, next version, report."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
+from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.build import calibration_of
@@ -17,7 +18,7 @@ from gyrorig_solver.calibration.store import CalibrationStore, write_whole
 from gyrorig_solver.report.data import ReportData
 from gyrorig_solver.report.html import render
 from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import solve_recording
+from gyrorig_solver.solve import solve_recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,23 +35,27 @@ _Document = Callable[[int, str | None, str], Calibration]
 
 
 def solve_into(
-    store: CalibrationStore, recording: Recording, board: BoardId, method: str = "likelihood"
+    store: CalibrationStore,
+    recordings: Sequence[Recording],
+    board: BoardId,
+    method: str = "likelihood",
 ) -> Solved:
-    """Solve one board of one recording, and write its next version and its report.
+    """Solve one board, and write its next version and its report.
 
     Args:
         store: where the versions are.
-        recording: with the board in it.
+        recordings: at least one, each with the board in it; solved together.
         board: which one.
         method: `likelihood` or `paper`.
 
     Raises:
-        InputError: the recording does not hold what the method needs.
+        InputError: the recordings do not hold what the method needs.
+        UsageError: recordings that cannot be solved together.
         MachineError: the store cannot be written.
     """
     store.prepare(board)
     solve = _by_paper if method == "paper" else _by_likelihood
-    document, data_of = solve(recording, board)
+    document, data_of = solve(recordings, board)
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     written: list[Calibration] = []
 
@@ -65,11 +70,12 @@ def solve_into(
 
 
 def _by_likelihood(
-    recording: Recording, board: BoardId
+    recordings: Sequence[Recording], board: BoardId
 ) -> tuple[_Document, Callable[[Calibration], ReportData]]:
-    fit = solve_recording(recording, board)
+    fit = solve_recordings(recordings, board)
+    lost = [fit.lost] if len(recordings) == 1 else [load_samples(r, board).lost for r in recordings]
     software = installed_version("gyrorig")
-    origin = provenance([recording], board, [fit.lost], software, {"method": "likelihood"})
+    origin = provenance(recordings, board, lost, software, {"method": "likelihood"})
     profile = find_profile(origin.board.sensor)
 
     def document(version: int, previous: str | None, created: str) -> Calibration:
@@ -84,8 +90,13 @@ def _by_likelihood(
 
 
 def _by_paper(
-    recording: Recording, board: BoardId
+    recordings: Sequence[Recording], board: BoardId
 ) -> tuple[_Document, Callable[[Calibration], ReportData]]:
+    if len(recordings) > 1:
+        raise UsageError(
+            f"the paper's method takes one recording, not {len(recordings)}", "name one"
+        )
+    (recording,) = recordings
     samples = load_samples(recording, board)
     result = solve_as_printed(recording, board, samples)
     software = installed_version("gyrorig")

@@ -33,7 +33,10 @@ def judge(fit: GyroFit) -> Trust:
             f"{fit.lost} of {total} samples were lost: lower the output rate or raise the baud rate"
         )
     if fit.outliers > _OUTLIER_SHARE * max(fit.samples, 1):
-        reasons.append(f"{fit.outliers} samples were spikes: check the sensor's bus and its supply")
+        reasons.append(
+            f"{fit.outliers} samples were set aside as outliers: check the sensor's bus, its supply "
+            "and the reference"
+        )
     if reasons:
         verdict = "limited"
     if math.isfinite(fit.reduced_chi2) and fit.reduced_chi2 > _REFUSED_CHI2:

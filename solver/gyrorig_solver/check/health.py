@@ -14,7 +14,7 @@ from gyrorig_solver.check.capability import capability
 from gyrorig_solver.estimate.result import Observability
 from gyrorig_solver.reference.ptu_recording import ptu_reference
 from gyrorig_solver.samples import GyroSamples, load_samples
-from gyrorig_solver.solve import PTU_WORDS
+from gyrorig_solver.solve import PTU_WORDS, solve_recordings
 
 LOST_OR_HOMING = 1 << 2 | 1 << 3
 _LOST_SHARE = 0.02  # more than this and a calibration is limited
@@ -184,13 +184,13 @@ def _board(recording: Recording, board: BoardId) -> BoardHealth:
 
 
 def _observability(recording: Recording, samples: GyroSamples) -> Observability | None:
-    if not recording.ptu_positions().size:
-        return None
+    """Return what can be shown, None where nothing says how the board was turned."""
     try:
-        reference = ptu_reference(recording, samples.origin_ns)
+        if recording.ptu_positions().size:
+            return capability(samples, ptu_reference(recording, samples.origin_ns), PTU_WORDS)
+        return solve_recordings([recording], samples.board).observability
     except GyrorigError:
         return None
-    return capability(samples, reference, PTU_WORDS)
 
 
 def _why(seen: Observability) -> str:

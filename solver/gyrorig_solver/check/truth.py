@@ -61,7 +61,7 @@ def _rows(calibration: Calibration, group: Group, true: FloatArray) -> Iterator[
     found = entries(calibration.parameters[group.name])
     for label, (value, std), real in zip(group.labels, found, true, strict=True):
         yield Compared(
-            name=f"{group.name} {label}".strip(),
+            name=f"{group.name.replace('_', ' ')} {label}".strip(),
             found=None if value is None else value * group.factor,
             truth=float(real) * group.factor,
             std=None if std is None else std * group.factor,

@@ -77,7 +77,7 @@ def demo_command(terminal: Terminal, out: Path, seed: int, program: Path | None)
     terminal.say("3  solving")
     results = []
     for board in recording.board_ids:
-        solved = solve_into(CalibrationStore(out / "calibrations"), recording, board)
+        solved = solve_into(CalibrationStore(out / "calibrations"), [recording], board)
         rows = compare(solved.calibration, truth)
         results.append((solved, rows))
         terminal.say(f"   {solved.path}")

@@ -1,13 +1,15 @@
 """`gyrorig solve`: recordings in, one more version of each board's calibration out."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.document import to_plain
 from gyrorig_solver.calibration.solving import Solved, solve_into
 from gyrorig_solver.calibration.store import CalibrationStore
@@ -45,8 +47,9 @@ def solve_command(
 ) -> int:
     r"""Turn recordings into a calibration and a report for each board in them.
 
-    Each recording makes one version of each of its boards. Leaves with 4 when a
-    parameter could not be shown by the motion: the calibration says which, and why.
+    A recording with a pan-tilt unit makes one version of each of its boards; recordings
+    with another reference (attitudes, known turns, gravity) are solved together. Leaves
+    with 4 when a parameter could not be shown: the calibration says which, and why.
 
     \b
     Example:
@@ -55,14 +58,25 @@ def solve_command(
     solved: list[Solved] = []
     failed: list[dict[str, str]] = []
     faults: list[GyrorigError] = []
+    read: list[Recording] = []
     for path in recordings:
-        for name, outcome in _solve_file(terminal, path, board, method, out):
-            if isinstance(outcome, Solved):
-                solved.append(outcome)
-                terminal.say(_said(outcome))
-            else:
-                faults.append(outcome)
-                failed.append({"recording": str(path), "board": name, "error": str(outcome)})
+        terminal.progress(f"reading {path.name}")
+        try:
+            read.append(read_recording(path))
+            chosen_boards(read[-1], board)
+        except GyrorigError as fault:
+            faults.append(fault)
+            failed.append({"recording": str(path), "board": "", "error": str(fault)})
+    for name, together in _groups(read, board):
+        terminal.progress(f"solving {name} of {', '.join(r.path.name for r in together)}")
+        try:
+            solved.append(solve_into(CalibrationStore(out), together, name, method))
+            terminal.say(_said(solved[-1]))
+        except GyrorigError as fault:
+            faults.append(fault)
+            failed.append(
+                {"recording": str(together[0].path), "board": str(name), "error": str(fault)}
+            )
     if len(faults) == 1 and not solved:
         raise faults[0]
     for failure in failed:
@@ -79,23 +93,20 @@ def solve_command(
     return code
 
 
-def _solve_file(
-    terminal: Terminal, path: Path, wanted: str | None, method: str, out: Path
-) -> Iterator[tuple[str, Solved | GyrorigError]]:
-    """Yield each board of one file with its result, or with why it has none."""
-    store = CalibrationStore(out)
-    try:
-        recording = read_recording(path)
-        boards = chosen_boards(recording, wanted)
-    except GyrorigError as fault:
-        yield "", fault
-        return
-    for board in boards:
-        terminal.progress(f"solving {board} of {path.name}")
-        try:
-            yield board, solve_into(store, recording, board, method)
-        except GyrorigError as fault:
-            yield board, fault
+def _groups(
+    recordings: Sequence[Recording], wanted: str | None
+) -> Iterator[tuple[BoardId, list[Recording]]]:
+    """Yield each board with the recordings that are solved together for it."""
+    pooled: dict[BoardId, list[Recording]] = {}
+    for recording in recordings:
+        for board in recording.board_ids:
+            if wanted is not None and board != wanted:
+                continue
+            if "/ptu/position" in recording.topics:
+                yield board, [recording]
+            else:
+                pooled.setdefault(board, []).append(recording)
+    yield from pooled.items()
 
 
 def _said(solved: Solved) -> str:

@@ -92,7 +92,7 @@ def test_what_was_not_seen_is_null_and_named(limited_fit: GyroFit, provenance: P
         ({}, "good", ""),
         ({"reduced_chi2": 100.0}, "refused", "residual"),
         ({"lost": 5000}, "limited", "lost"),
-        ({"outliers": 500}, "limited", "spikes"),
+        ({"outliers": 500}, "limited", "outliers"),
         ({"distrust": ("the unit stalled: free the cable",)}, "limited", "stalled"),
         ({"reduced_chi2": math.nan}, "good", ""),
     ],
