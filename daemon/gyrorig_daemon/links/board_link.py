@@ -41,6 +41,9 @@ FRAME_OVERHEAD_BYTES = 5  # check 2, stuffing 1, delimiters 2
 BITS_PER_BYTE = 10
 SEQUENCE_BITS = 16
 DEFAULT_TICK_HZ = 1e6
+PERIOD_TOLERANCE = 0.2  # rates are off by 5 % as a rule, by 8 % with an RC oscillator
+_ACCEL_VALID = int(ImuStatus.ACCEL_VALID)  # flags of an enum cost a microsecond each
+_TEMPERATURE_VALID = int(ImuStatus.TEMPERATURE_VALID)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +97,7 @@ class BoardLink:
         self._clock = self._new_clock()
         self._boot: int | None = None
         self._last_sequence: int | None = None
+        self._last_batch: tuple[int, int] | None = None  # last sequence and its stamp
         self._last_sample_ns = pump.now_ns()
         self._last_asked_ns = pump.now_ns()
         self._silent = False
@@ -192,7 +196,7 @@ class BoardLink:
             case Sample() as sample:
                 self._take_samples([sample], event)
             case Batch() as batch:
-                self._take_samples(batch.samples(self._period_ticks()), event)
+                self._take_samples(batch.samples(self._period_ticks(batch)), event)
             case Slow() as slow:
                 self._check_boot(slow.boot)
             case Hello() as hello:
@@ -225,14 +229,14 @@ class BoardLink:
     def _emit(self, sample: Sample, arrival_ns: int, taken_ns: int) -> None:
         status = sample.flags & 0xFF
         if sample.accel is not None:
-            status |= ImuStatus.ACCEL_VALID
+            status |= _ACCEL_VALID
         if sample.temperature is not None:
-            status |= ImuStatus.TEMPERATURE_VALID
+            status |= _TEMPERATURE_VALID
         message = ImuRaw(
             host_time_ns=self._capture.utc_ns(arrival_ns),
             device_time=sample.device_time or 0,
             sequence=sample.sequence,
-            status=int(status),
+            status=status,
             temperature=sample.temperature or 0,
             gyro=sample.gyro,
             accel=sample.accel or (0, 0, 0),
@@ -316,10 +320,25 @@ class BoardLink:
         bits = 32 if self._speaks else facts.counter_bits or 64
         return OnlineClock(tick_hz, bits, SEQUENCE_BITS if self._speaks else 32)
 
-    def _period_ticks(self) -> float:
-        if self.hello is None or self.hello.sensors[0].rate_hz is None:
-            return 0.0
-        return self.hello.tick_hz / self.hello.sensors[0].rate_hz
+    def _period_ticks(self, batch: Batch) -> float:
+        """Return the ticks between two samples of a batch.
+
+        As they passed since the last batch, because a nominal rate is no clock; the
+        nominal one where no batch came before, or what passed cannot be a period.
+        """
+        hello = self.hello
+        rate_hz = None if hello is None else hello.sensors[0].rate_hz
+        nominal = 0.0 if hello is None or rate_hz is None else hello.tick_hz / rate_hz
+        last = (batch.sequence + len(batch.gyro) - 1) % (1 << SEQUENCE_BITS)
+        before, self._last_batch = self._last_batch, (last, batch.device_time)
+        if before is None:
+            return nominal
+        steps = (last - before[0]) % (1 << SEQUENCE_BITS)
+        passed = (batch.device_time - before[1]) % (1 << 32)
+        period = passed / steps if steps else 0.0
+        if nominal and abs(period / nominal - 1.0) > PERIOD_TOLERANCE:
+            return nominal
+        return period
 
     def _overhead(self) -> int:
         return FRAME_OVERHEAD_BYTES if self._speaks else 0

@@ -119,6 +119,7 @@ class Poller:
             counter=counter,
             earliest_ns=earliest_ns,
             latest_ns=latest_ns,
+            synchrony_lost=self._client.lost_synchrony is not None,
         )
 
     def _see(self, axis: Axis, steps: int) -> None:

@@ -58,6 +58,7 @@ class Position:
     counter: int | None
     earliest_ns: int  # the answer was taken after this
     latest_ns: int  # and before this
+    synchrony_lost: bool
 
 
 @dataclass(slots=True)

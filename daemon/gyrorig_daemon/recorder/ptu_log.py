@@ -30,7 +30,6 @@ class PtuLog:
         self._commands = 0
         self._positions = 0
         self.controller_clock: OnlineClock | None = None
-        self.synchrony_lost = False
 
     def use_unit(self, facts: UnitFacts) -> None:
         """Say which unit it is; positions are only taken after that."""
@@ -49,8 +48,6 @@ class PtuLog:
             code = CommandCode.ERROR
         came = exchange.reply is not None
         utc_ns = self._capture.utc_ns
-        if exchange.limit_hit:
-            self.synchrony_lost = True
         self._recorder.hold(
             PTU_COMMAND_TOPIC,
             PtuCommandRecord(
@@ -83,7 +80,7 @@ class PtuLog:
             status |= PtuStatus.PAN_ANSWERED
         if position.has_tilt:
             status |= PtuStatus.TILT_ANSWERED
-        if self.synchrony_lost:
+        if position.synchrony_lost:
             status |= PtuStatus.SYNCHRONY_LOST
         pan, tilt = facts.pan, facts.tilt
         self._recorder.put(

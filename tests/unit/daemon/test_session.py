@@ -287,6 +287,19 @@ def test_a_board_that_prints_lines(tmp_path: Path) -> None:
     assert 0 < np.median(later) < 5_000_000
 
 
+def test_a_board_that_sends_batches(tmp_path: Path) -> None:
+    def change(settings: RigSettings) -> RigSettings:
+        return replace(settings, boards=(replace(settings.boards[0], batch=8),))
+
+    rows = read_recording(Bench(tmp_path, change=change).record()).array(IMU)
+    derived = rows["status"] & 16 != 0
+    assert derived.mean() == pytest.approx(7 / 8, abs=0.01)
+    steps = np.diff(rows["publish_time"].astype(np.int64))[200:] * 1e-9
+    # the true rate is up to 5 % off the nominal 100 Hz, and the derived stamps follow it
+    assert steps.min() > 0.98 * np.median(steps)
+    assert steps.max() < 1.02 * np.median(steps)
+
+
 def test_a_board_that_falls_silent_is_noted(tmp_path: Path) -> None:
     change = board_with(reset_at_s=(2.0,), reset_silence_s=3.0)
     recording = read_recording(Bench(tmp_path, change=change).record(PROGRAM + HOLD))
@@ -385,6 +398,21 @@ def test_an_obstacle_is_not_waited_for_forever(
     with pytest.raises(GyrorigError, match="instead of pan 389"):
         bench.record()
     assert bench.is_still()
+
+
+def test_a_refused_move_ends_it_with_the_units_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path)
+    order = bench.hub.write
+
+    def confuse(port: str, data: bytes) -> object:
+        return order(port, b"PP9999 " if data.startswith(b"PP3") else data)
+
+    monkeypatch.setattr(bench.hub, "write", confuse)
+    with pytest.raises(DeviceError, match=r"refused 'PP389'.*Pan position is 3090"):
+        bench.record()
+    assert commands(read_recording(bench.only_file()))[-2].code == 1
 
 
 def test_a_full_disk_keeps_what_was_written(tmp_path: Path) -> None:

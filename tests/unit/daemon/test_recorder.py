@@ -1,0 +1,71 @@
+"""The queue in front of the writer: order, what comes too early, and a disk that fails."""
+
+import errno
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gyrorig_daemon.recorder import Recorder, RecordingPlan
+from gyrorig_protocol.errors import MachineError
+from gyrorig_protocol.recording.disk_file import DiskFile
+from gyrorig_protocol.recording.messages import EventKind, SessionEvent
+from gyrorig_protocol.recording.reader import read_recording
+
+TOPIC = "/session/event"
+METADATA = {"gyrorig": {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}}
+
+
+def event(at: int) -> SessionEvent:
+    return SessionEvent(at, EventKind.NOTE, "", f"note {at}")
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+def test_held_messages_come_first_and_early_ones_are_forgotten(
+    tmp_path: Path, threaded: bool
+) -> None:
+    recorder = Recorder(threaded)
+    recorder.put(TOPIC, event(1), 1)
+    recorder.hold(TOPIC, event(2), 2)
+    recorder.open(RecordingPlan(tmp_path / "a.mcap", METADATA, ()))
+    for at in range(3, 500):
+        recorder.put(TOPIC, event(at), at)
+    path = recorder.close()
+    texts = [m.text for m in read_recording(path).messages(TOPIC) if isinstance(m, SessionEvent)]
+    assert texts == [f"note {at}" for at in range(2, 500)]
+    assert recorder.dropped == 0
+
+
+def failing_after(count: int, code: int) -> Callable[[DiskFile, bytes], int]:
+    write = DiskFile.write
+    left = [count]
+
+    def limited(self: DiskFile, data: bytes) -> int:
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(code, "no more")
+        return write(self, data)
+
+    return limited
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EIO])
+def test_a_failing_disk_is_told_to_the_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, threaded: bool
+) -> None:
+    recorder = Recorder(threaded)
+    recorder.open(RecordingPlan(tmp_path / "a.mcap", METADATA, ()))
+    monkeypatch.setattr(DiskFile, "write", failing_after(0, code))
+
+    def put_many() -> None:
+        for at in range(200_000):
+            recorder.put(TOPIC, event(at), at)
+
+    with pytest.raises(MachineError, match="cannot write"):
+        put_many()
+    with pytest.raises(MachineError):
+        recorder.close()
+    recorder.mute()
+    recorder.put(TOPIC, event(1), 1)
+    assert read_recording(tmp_path / "a.mcap.part").metadata["gyrorig"]["session"] == "s"
