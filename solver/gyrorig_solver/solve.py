@@ -22,6 +22,7 @@ from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
 from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.reference.ptu_recording import ptu_reference
+from gyrorig_solver.reference.rest import RestReference, mostly_at_rest
 from gyrorig_solver.reference.turns import TurnReference, read_turns
 from gyrorig_solver.samples import GyroSamples, load_samples, number
 
@@ -31,6 +32,13 @@ PTU_WORDS = {
     "z": "pan was not moved, or at one steep tilt only; sweep it at +T and at -T",
     "bias": "there are too few samples; record at rest for a minute",
     "time_offset": "nothing was accelerated; move and stop a few times",
+}
+REST_WORDS = {
+    "x": "the board lay still; turn it about all three axes by a reference",
+    "y": "the board lay still; turn it about all three axes by a reference",
+    "z": "the board lay still; turn it about all three axes by a reference",
+    "bias": "there are too few samples; record at rest for a minute",
+    "time_offset": "nothing moved; use a moving reference",
 }
 STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901; only the accelerometer's scale rests on it
 # Whitened variance while moving over that at rest: above this, motion is not explained.
@@ -42,7 +50,7 @@ def solve_recordings(recordings: Sequence[Recording], board: str) -> GyroFit:
     """Calibrate one board by the best reference that its recordings hold.
 
     In this order: a pan-tilt unit's motion, reference attitudes, turns by known angles,
-    gravity between rests. Attitudes and turns may be spread over several recordings.
+    rest, gravity between rests. Attitudes and turns may be spread over several recordings.
 
     Raises:
         InputError: the board is not there, or there is no reference of any kind.
@@ -82,6 +90,8 @@ def _by_gravity(
             "solve them one at a time; each makes a version",
         )
     (recording, samples), (_, found) = loaded[0], turns[0]
+    if mostly_at_rest(found.rests, float(samples.time_s[-1] - samples.time_s[0])):
+        return solve_samples(samples, RestReference(found.rests), REST_WORDS)
     if samples.accel_m_s2 is None:
         raise InputError(
             f"{recording.path.name} holds no reference",
