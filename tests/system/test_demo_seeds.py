@@ -55,6 +55,7 @@ def test_three_seeds_are_within_their_deviations(tmp_path: Path) -> None:
 
 
 @pytest.mark.bench
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("program", ["quick", "full"])
 def test_twenty_seeds_are_within_their_deviations(program: str, tmp_path: Path) -> None:
     off = off_by(range(20), program, tmp_path)

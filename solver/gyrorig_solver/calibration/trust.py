@@ -34,8 +34,8 @@ def judge(fit: GyroFit) -> Trust:
         )
     if fit.outliers > _OUTLIER_SHARE * max(fit.samples, 1):
         reasons.append(
-            f"{fit.outliers} samples were set aside as outliers: check the sensor's bus, its supply "
-            "and the reference"
+            f"{fit.outliers} samples were set aside as outliers: check the sensor's bus, its "
+            "supply and the reference"
         )
     if reasons:
         verdict = "limited"
