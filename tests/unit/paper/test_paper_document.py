@@ -43,9 +43,10 @@ def test_a_changed_number_is_found(document: str) -> None:
 
 @pytest.mark.timeout(300)
 def test_end_to_end_blocks_are_what_the_rig_gives(document: str) -> None:
-    """Records and solves: the words must agree, a number within 5 % or two of its last digit.
+    """Records and solves: the words must agree, a number within 10 % or five of its last digit.
 
-    Exact digits would tie the document to one processor's rounding.
+    Exact digits would tie the document to one processor's rounding, and to the
+    millisecond in which each command of the emulated session goes out.
     """
     kept = {m["name"]: m["body"] for m in write.BLOCK.finditer(document)}
     for name, block in end_to_end.BLOCKS.items():
@@ -53,7 +54,7 @@ def test_end_to_end_blocks_are_what_the_rig_gives(document: str) -> None:
         assert NUMBER.sub("#", new) == NUMBER.sub("#", old)
         for was, now in zip(NUMBER.findall(old), NUMBER.findall(new), strict=True):
             last_digit = 10.0 ** -len(was.partition(".")[2])
-            assert float(now) == pytest.approx(float(was), rel=0.05, abs=2.01 * last_digit), name
+            assert float(now) == pytest.approx(float(was), rel=0.10, abs=5.01 * last_digit), name
 
 
 def test_figures_are_there_and_small(document: str, tmp_path: Path) -> None:
