@@ -20,7 +20,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.attitude_blocks import Stretch, match
 from gyrorig_solver.estimate.attitude_rounds import AttitudeWork
 from gyrorig_solver.estimate.conclusion import NAMES, Evidence, gyro_fit
@@ -124,11 +123,6 @@ def _by_frequency(stretches: list[Stretch], work: AttitudeWork, band_hz: float) 
     )
 
 
-def _residual(work: AttitudeWork, stretch: Stretch) -> FloatArray:
-    measured, _ = stretch.measured(work.lag_s)
-    return measured - work.bias - stretch.track.rate_rad_s @ work.gain.T
-
-
 def _reference_noise_rad(work: AttitudeWork) -> float:
     """Return the white angle noise per axis that the reference's steps show at most.
 
@@ -136,8 +130,8 @@ def _reference_noise_rad(work: AttitudeWork) -> float:
     second difference of the steps' turns, one of 20 v; motion hardly passes it.
     """
     found = []
-    for stretch in work.stretches:
-        turn = _residual(work, stretch) * stretch.track.step_s
+    for k, stretch in enumerate(work.stretches):
+        turn = work.cleaned(k).residual * stretch.track.step_s
         third = turn[2:] - 2.0 * turn[1:-1] + turn[:-2]
         found.append(float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0))
     return float(np.median(found))
@@ -151,8 +145,9 @@ def _held_out(work: AttitudeWork) -> tuple[float, float]:
     designs, targets, folds = [], [], []
     for k, stretch in enumerate(work.stretches):
         n = stretch.track.begin_s.size
-        targets.append(work.band(k, stretch.measured(work.lag_s)[0]))
-        designs.append(np.column_stack([work.band(k, stretch.track.rate_rad_s), np.ones(n)]))
+        clean = work.cleaned(k)
+        targets.append(work.band(k, clean.measured))
+        designs.append(np.column_stack([work.band(k, clean.rate), np.ones(n)]))
         window = max(1, round(HELD_OUT_WINDOW_S / stretch.track.step_s))
         folds.append(np.arange(n) // window % 2)
     X, y, fold = np.concatenate(designs), np.concatenate(targets), np.concatenate(folds)
@@ -181,9 +176,10 @@ def _diagnostics(work: AttitudeWork) -> FitDiagnostics:
     for k, stretch in enumerate(work.stretches):
         skip = max(1, int(1.0 / (4.0 * work.band_hz * stretch.track.step_s)))
         time_s.append((0.5 * (stretch.track.begin_s + stretch.track.end_s))[::skip])
-        measured.append(work.band(k, stretch.measured(work.lag_s)[0])[::skip])
-        reference.append(work.band(k, stretch.track.rate_rad_s)[::skip])
-        residual.append(work.band(k, _residual(work, stretch))[::skip])
+        clean = work.cleaned(k)
+        measured.append(work.band(k, clean.measured)[::skip])
+        reference.append(work.band(k, clean.rate)[::skip])
+        residual.append(work.band(k, clean.residual)[::skip])
     rate, left = np.concatenate(reference), np.concatenate(residual)
     spectrum = work.spectrum()
     return FitDiagnostics(

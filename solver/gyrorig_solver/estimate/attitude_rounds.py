@@ -53,6 +53,17 @@ class Linearised:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Cleaned:
+    """One stretch in time: the gyro over the reference's steps, and the reference."""
+
+    measured: FloatArray  # (n, 3)
+    slope: FloatArray  # (n, 3), of `measured` by the lag
+    rate: FloatArray  # (n, 3), body rate, without glitches
+    residual: FloatArray  # (n, 3)
+    glitches: int
+
+
 class AttitudeWork:
     """The fit under way."""
 
@@ -110,20 +121,15 @@ class AttitudeWork:
         rates, slopes, ones, residuals, totals = [], [], [], [], []
         glitches = 0
         inverse = np.linalg.inv(self.gain)
-        for s, kept in zip(self.stretches, self.kept, strict=True):
-            measured, slope = s.measured(self.lag_s)
-            rate = s.track.rate_rad_s
-            full = measured - rate @ self.gain.T - self.bias
-            clipped, bad = _clip(full)
-            glitches += bad
-            # A glitch lies in the reference: take it out of the rate, not only the residual.
-            rate = rate + (full - clipped) @ inverse.T
-            one = np.zeros(rate.shape[0])
-            one[0] = np.sqrt(rate.shape[0])
-            rates.append(dct(rate, axis=0, norm="ortho")[kept])
-            slopes.append(dct(slope, axis=0, norm="ortho")[kept])
-            residuals.append(dct(clipped, axis=0, norm="ortho")[kept])
-            totals.append(dct(measured, axis=0, norm="ortho")[1:])
+        for k, kept in enumerate(self.kept):
+            now = self.cleaned(k)
+            glitches += now.glitches
+            one = np.zeros(now.rate.shape[0])
+            one[0] = np.sqrt(now.rate.shape[0])
+            rates.append(dct(now.rate, axis=0, norm="ortho")[kept])
+            slopes.append(dct(now.slope, axis=0, norm="ortho")[kept])
+            residuals.append(dct(now.residual, axis=0, norm="ortho")[kept])
+            totals.append(dct(now.measured, axis=0, norm="ortho")[1:])
             ones.append(one[kept])
         residual = np.concatenate(residuals)
         variance = _by_bin(residual**2, self.bin)
@@ -138,6 +144,18 @@ class AttitudeWork:
         # y is taken at t + tau: the model stays and y moves, so its slope has the other sign.
         columns[:, :, 12] = -np.concatenate(slopes)
         return Linearised(residual, columns, variance, left, glitches)
+
+    def cleaned(self, stretch: int) -> Cleaned:
+        """Return one stretch in time at the current parameters, without glitches.
+
+        A glitch lies in the reference: it is taken out of the rate and the residual.
+        """
+        one = self.stretches[stretch]
+        measured, slope = one.measured(self.lag_s)
+        full = measured - one.track.rate_rad_s @ self.gain.T - self.bias
+        clipped, glitches = _clip(full)
+        rate = one.track.rate_rad_s + (full - clipped) @ np.linalg.inv(self.gain).T
+        return Cleaned(measured, slope, rate, clipped, glitches)
 
     def score_inflation(self, last: Linearised) -> float:
         """Return how much larger the score varies over chunks of time than noise would make it.

@@ -1,0 +1,110 @@
+"""Samples made from a known truth, without a recording in between."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.clocks import ClockMap
+from gyrorig_solver.samples import GyroSamples
+
+GAIN = np.array([[1.021, 0.013, -0.006], [-0.009, 0.984, 0.017], [0.004, -0.011, 1.008]])
+BIAS_RAD_S = np.array([0.011, -0.024, 0.006])
+
+
+def make_samples(
+    time_s: FloatArray, rate_rad_s: FloatArray, accel_m_s2: FloatArray | None = None
+) -> GyroSamples:
+    """Return samples as `load_samples` would, all good."""
+    n = time_s.size
+    clock = ClockMap(
+        time_s=time_s,
+        segment=np.zeros(n, np.int64),
+        late=np.zeros(n, np.bool_),
+        skew_ppm=0.0,
+        wander_bound_s=0.0,
+        latency_s=np.zeros(3),
+        restarts=0,
+        wraps=0,
+    )
+    return GyroSamples(
+        board="T",
+        metadata={},
+        origin_ns=0,
+        time_s=time_s,
+        host_s=time_s,
+        number=np.arange(n),
+        segment=np.zeros(n, np.int64),
+        rate_rad_s=rate_rad_s,
+        good=np.ones(n, np.bool_),
+        accel_m_s2=accel_m_s2,
+        temperature_degc=None,
+        quantum_rad_s=1e-7,
+        clock=clock,
+        floor=None,
+        lost=0,
+        repeated=0,
+        late=0,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tumble:
+    """A smooth tumbling about all axes: attitude and body rate in closed form.
+
+    Attitude = Rz(a) Ry(b) Rx(c), each a sum of sines; the body rate follows from the
+    angles' rates by the textbook matrix of z-y-x Euler angles.
+    """
+
+    seed: int
+
+    def _angles(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        rng = np.random.default_rng(self.seed)
+        angle, rate = np.zeros((time_s.size, 3)), np.zeros((time_s.size, 3))
+        for axis in range(3):
+            for _ in range(4):
+                f, p = rng.uniform(0.05, 1.2), rng.uniform(0.0, 2 * np.pi)
+                size = rng.uniform(0.1, 0.4) * (0.7 if axis == 1 else 1.5)
+                angle[:, axis] += size * np.sin(2 * np.pi * f * time_s + p)
+                rate[:, axis] += size * 2 * np.pi * f * np.cos(2 * np.pi * f * time_s + p)
+        return angle, rate
+
+    def attitude(self, time_s: FloatArray) -> Rotation:
+        """Return body into world."""
+        return Rotation.from_euler("ZYX", self._angles(time_s)[0])
+
+    def rate_rad_s(self, time_s: FloatArray) -> FloatArray:
+        """Return the body rate, shape (n, 3)."""
+        angle, rate = self._angles(time_s)
+        (da, db, dc), b, c = rate.T, angle[:, 1], angle[:, 2]
+        return np.stack(
+            [
+                dc - np.sin(b) * da,
+                np.cos(c) * db + np.sin(c) * np.cos(b) * da,
+                -np.sin(c) * db + np.cos(c) * np.cos(b) * da,
+            ],
+            axis=1,
+        )
+
+
+@pytest.fixture
+def samples_of() -> Callable[..., GyroSamples]:
+    return make_samples
+
+
+@pytest.fixture
+def tumble() -> Callable[[int], Tumble]:
+    return Tumble
+
+
+@pytest.fixture
+def true_gain() -> FloatArray:
+    return GAIN
+
+
+@pytest.fixture
+def true_bias_rad_s() -> FloatArray:
+    return BIAS_RAD_S
