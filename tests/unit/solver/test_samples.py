@@ -1,0 +1,135 @@
+"""Samples from recordings whose faults are known, because the test made them."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.samples import GyroSamples, load_samples
+
+START_NS = 1_790_000_000_000_000_000
+N = 4000
+Write = Callable[..., GyroSamples]
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Write:
+    """Return `written(...)`: a recording of one board with changes, read back as samples."""
+
+    def write(
+        board: str = "B",
+        asked: str = "B",
+        meta: dict[str, str] | None = None,
+        **changed: np.ndarray,
+    ) -> GyroSamples:
+        rng = np.random.default_rng(1)
+        t = np.arange(N) / 100.0
+        columns = {
+            "device_time": ((t + 4290.0) * 1e6).astype(np.int64) % 2**32,
+            "sequence": (65_000 + np.arange(N)) % 65_536,
+            "status": np.zeros(N, np.int64),
+            "temperature": np.zeros(N, np.int64),
+            "gyro": rng.integers(-50, 50, (N, 3)),
+            **changed,
+        }
+        host = START_NS + np.maximum.accumulate((t + rng.exponential(3e-4, N)) * 1e9).astype(
+            np.int64
+        )
+        host = changed.get("host", host)[: len(columns["sequence"])]
+        columns.pop("host", None)
+        metadata = {
+            "gyrorig": {"session": "s", "anchor_utc_ns": "1", "anchor_monotonic_raw_ns": "1"},
+            f"gyrorig.board.{board}": {
+                "uid": "u",
+                "sensor": "X",
+                "link": "serial",
+                "gyro_scale_rad_s": "0.001",
+                "tick_hz": "1000000",
+                "counter_bits": "32",
+                **(meta or {}),
+            },
+        }
+        path = tmp_path / "r.mcap"
+        with RecordingWriter(path, metadata, []) as writer:
+            writer.write_imu_array(
+                BoardId(board), host_time_ns=host, publish_time_ns=None, **columns
+            )
+        return load_samples(read_recording(path), asked)
+
+    return write
+
+
+def test_a_clean_recording(written: Write) -> None:
+    samples = written()
+    assert samples.number.tolist() == list(range(N))
+    assert samples.clock.wraps == 1  # the ticks pass 2^32
+    assert (samples.lost, samples.repeated, samples.late) == (0, 0, 0)
+    assert samples.period_s == pytest.approx(0.01, rel=1e-6)
+    # Ticks are whole microseconds.
+    assert np.diff(samples.time_s) == pytest.approx(0.01, abs=2e-6)
+
+
+def test_lost_samples_leave_gaps(written: Write) -> None:
+    keep = np.r_[0:1000, 1007:N]
+    t = np.arange(N)[keep] / 100.0
+    samples = written(
+        device_time=((t + 4290.0) * 1e6).astype(np.int64) % 2**32,
+        sequence=(65_000 + np.arange(N)[keep]) % 65_536,
+        status=np.zeros(keep.size, np.int64),
+        temperature=np.zeros(keep.size, np.int64),
+        gyro=np.zeros((keep.size, 3), np.int64),
+        host=START_NS + (t * 1e9).astype(np.int64),
+    )
+    assert samples.lost == 7
+    assert samples.number[1000] == 1007
+    assert samples.number[-1] == N - 1
+
+
+def test_swapped_and_doubled_samples_are_set_aside(written: Write) -> None:
+    sequence = (65_000 + np.arange(N)) % 65_536
+    ticks = ((np.arange(N) / 100.0 + 4290.0) * 1e6).astype(np.int64) % 2**32
+    for column in (sequence, ticks):
+        column[[2000, 2001]] = column[[2001, 2000]]
+        column[3000] = column[2999]
+    samples = written(sequence=sequence, device_time=ticks)
+    assert samples.late == 1
+    assert samples.number.size == N - 2
+    assert np.all(np.diff(samples.number) > 0)
+    assert samples.lost == 1  # 3000 never came: 2999 came twice
+
+
+def test_a_restart_begins_a_segment(written: Write) -> None:
+    t = np.arange(N) / 100.0
+    samples = written(
+        device_time=np.where(t < 20.0, (t + 500.0) * 1e6, (t - 19.5) * 1e6).astype(np.int64),
+        sequence=np.where(t < 20.0, np.arange(N), np.arange(N) - 2000),
+    )
+    assert samples.clock.restarts == 1
+    assert samples.number[2000] == 0
+    assert samples.lost == 0
+    assert np.diff(samples.time_s) == pytest.approx(0.01, abs=2e-3)
+
+
+def test_saturated_and_repeated_samples_are_not_good(written: Write) -> None:
+    status = np.zeros(N, np.int64)
+    status[100], status[200] = 1 << 1, 1 << 3
+    gyro = np.zeros((N, 3), np.int64)
+    gyro[300, 1] = -32768
+    samples = written(status=status, gyro=gyro)
+    assert np.flatnonzero(~samples.good).tolist() == [100, 200, 300]
+
+
+def test_a_board_that_is_not_there(written: Write) -> None:
+    with pytest.raises(InputError, match=r"no board .C. in r\.mcap: boards in it: B"):
+        written(asked="C")
+
+
+@pytest.mark.parametrize("scale", ["", "nan", "-1", "a lot"])
+def test_a_scale_that_is_none(written: Write, scale: str) -> None:
+    with pytest.raises(InputError, match="gyro_scale_rad_s"):
+        written(meta={"gyro_scale_rad_s": scale})
