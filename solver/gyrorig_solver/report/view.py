@@ -26,6 +26,7 @@ from gyrorig_solver.estimate.result import Clock, FitDiagnostics
 from gyrorig_solver.report import figures
 from gyrorig_solver.report.data import ReportData
 
+SINGULAR = 1e6  # condition of a gain matrix that undoes nothing; the paper's method makes such
 _AXIS_COLOURS = ("var(--x)", "var(--y)", "var(--z)")
 _LEFT, _RIGHT = 30.0, 170.0  # of the allowed range in a bar that is 200 wide
 
@@ -146,12 +147,15 @@ def clock_rows(clock: Clock) -> list[tuple[str, str]]:
 
 
 def inverse_gain(calibration: Calibration) -> FloatArray:
-    """Return G⁻¹, or the identity where the motion did not show all of G; shape (3, 3)."""
+    """Return G⁻¹, or the identity where G is not all known or has none; shape (3, 3)."""
     rows = calibration.matrices.STM
     values = [v for row in rows for v in row]
     if any(v is None for v in values):
         return np.eye(3)
-    return np.asarray(np.linalg.inv(np.array(rows, dtype=np.float64)), dtype=np.float64)
+    gain = np.array(rows, dtype=np.float64)
+    if np.linalg.cond(gain) > SINGULAR:
+        return np.eye(3)
+    return np.asarray(np.linalg.inv(gain), dtype=np.float64)
 
 
 def matrix_text(calibration: Calibration) -> str:
