@@ -28,7 +28,7 @@ from gyrorig_daemon.emulator.board.encode import (
 )
 from gyrorig_daemon.emulator.line import InLine, byte_ns
 from gyrorig_daemon.emulator.physics.clock import DeviceClock
-from gyrorig_daemon.emulator.physics.imu import ImuModel, ImuTruth, SampleBlock
+from gyrorig_daemon.emulator.physics.imu import BiasPath, ImuModel, ImuTruth, SampleBlock
 from gyrorig_daemon.emulator.physics.stage import Stage
 from gyrorig_daemon.emulator.settings import BoardSettings
 from gyrorig_daemon.emulator.truth import BoardTruth
@@ -86,7 +86,7 @@ class EmulatedBoard:
         self._frame_count = 0
         self._saturations = 0
         self._block: SampleBlock | None = None
-        self._bias_path: list[tuple[float, FloatArray]] = []
+        self._bias_path = BiasPath()
         self._configure(truth.imu, 0.0, imu_rng)
         self._next_block()
         if settings.format == "gcb1":
@@ -126,8 +126,8 @@ class EmulatedBoard:
     def mean_bias_rad_s(self, start_ns: int, end_ns: int) -> FloatArray:
         """Return the true bias, with its wander, averaged over a time, shape (3,)."""
         first, last = ((ns - self._origin_ns) * 1e-9 for ns in (start_ns, end_ns))
-        inside = [bias for time_s, bias in self._bias_path if first <= time_s <= last]
-        return np.mean(inside, axis=0) if inside else self.truth.imu.bias_rad_s
+        mean = self._bias_path.mean(first, last)
+        return self.truth.imu.bias_rad_s if mean is None else mean
 
     def _peek(self) -> tuple[int, bytes, bool] | None:
         """Return when the next frame will have left, its bytes, and whether it is a sample's."""
@@ -178,7 +178,7 @@ class EmulatedBoard:
         ).astype(np.int64)
         self._first_frame = self._frame_count + 1
         self._frame_count += count // self._encoder.samples_per_frame
-        self._bias_path.append((float(block.time_s[0]), block.bias_rad_s))
+        self._bias_path.add(float(block.time_s[0]), block.bias_rad_s)
         self._load(block, 0)
 
     def _load(self, block: SampleBlock, sent: int) -> None:

@@ -9,6 +9,7 @@ depends on who asked when.
 """
 
 import math
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,34 @@ class SampleBlock:
     temperature_degc: FloatArray  # (n,)
     saturated: NDArray[np.bool_]  # (n,)
     bias_rad_s: FloatArray  # mean true bias over the block, (3,)
+
+
+class BiasPath:
+    """The true bias second by second: small enough to keep for a night."""
+
+    def __init__(self) -> None:
+        """Begin without any."""
+        self._seconds: list[int] = []
+        self._sums: list[FloatArray] = []
+        self._counts: list[int] = []
+
+    def add(self, time_s: float, bias: FloatArray) -> None:
+        """Note the mean bias of a block; blocks come in the order of time."""
+        second = int(time_s)
+        if not self._seconds or self._seconds[-1] != second:
+            self._seconds.append(second)
+            self._sums.append(np.zeros(3))
+            self._counts.append(0)
+        self._sums[-1] = self._sums[-1] + bias
+        self._counts[-1] += 1
+
+    def mean(self, first_s: float, last_s: float) -> FloatArray | None:
+        """Return the mean over the whole seconds that touch a time, None without any."""
+        at = slice(
+            bisect_left(self._seconds, int(first_s)), bisect_right(self._seconds, int(last_s))
+        )
+        count = sum(self._counts[at])
+        return np.asarray(sum(self._sums[at], np.zeros(3)) / count) if count else None
 
 
 class ImuModel:

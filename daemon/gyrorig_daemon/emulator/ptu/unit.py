@@ -6,7 +6,7 @@ and grow from call to call.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from gyrorig_daemon.emulator.line import Outbox
@@ -98,7 +98,6 @@ class PtuUnit:
     new_baud: int | None = None
     eeprom_writes: int = 0
     resets_at_power_up: bool = True
-    _flag_tasks: dict[str, float] = field(default_factory=dict)
 
     def to_ns(self, time_s: float) -> int:
         """Return host time of a time since the origin."""
