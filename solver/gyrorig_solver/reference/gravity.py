@@ -18,9 +18,11 @@ from gyrorig_solver.reference.turns import Interval
 
 WINDOW_S = 1.0  # variance is judged over this long (imu_tk: 101 samples at 100 Hz)
 SHORTEST_REST_S = 1.0
-# Thresholds tried, in units of the variance at the quietest; the one that makes gravity
-# the most constant is taken (imu_tk tries the same ten).
+# Thresholds tried, in units of the variance at the quietest (imu_tk tries the same ten, and
+# takes the one of the least residual; that may be one that tears rests apart, so here it is
+# the highest that keeps gravity about as constant: a move taken for rest costs far more).
 MULTIPLIERS = range(1, 11)
+AS_CONSTANT = 3.0
 QUIET_S = 10.0  # the quietest stretch that long stands for rest where none is marked
 # Nine unknowns want more than nine poses before a residual tells anything.
 FEWEST_POSES = 10
@@ -73,38 +75,51 @@ def find_poses(
     Raises:
         InputError: too few poses, or poses too alike.
     """
-    best: Poses | None = None
+    tried: list[Poses] = []
     most = 0
     variance = _variance(time_s, accel_m_s2)
     level = _quiet_level(time_s, accel_m_s2, variance, quiet)
     for multiplier in MULTIPLIERS:
         rests = _stretches(time_s, variance < multiplier * level)
         most = max(most, len(rests))
-        if len(rests) < FEWEST_POSES:
-            continue
-        means = np.array([accel_m_s2[a : b + 1].mean(axis=0) for a, b in rests])
-        found = calibrate_accel(means, gravity_m_s2)
-        if best is None or found.residual_m_s2 < best.accel.residual_m_s2:
-            force = found.apply(means)
-            best = Poses(
-                rests=tuple(Interval(float(time_s[a]), float(time_s[b])) for a, b in rests),
-                first=tuple(a for a, _ in rests),
-                last=tuple(b for _, b in rests),
-                direction=force / np.linalg.norm(force, axis=1)[:, None],
-                accel=found,
-                multiplier=multiplier,
-            )
-    if best is None:
+        if len(rests) >= FEWEST_POSES:
+            tried.append(_poses(time_s, accel_m_s2, rests, gravity_m_s2, multiplier))
+    if not tried:
         raise InputError(
             f"{most} rests are too few to calibrate an accelerometer by gravity",
             f"hold the board still in {FEWEST_POSES} and more different poses",
         )
+    # A threshold so low that most rests are lost has a small residual by chance.
+    usual = float(np.median([len(poses.rests) for poses in tried]))
+    tried = [poses for poses in tried if len(poses.rests) >= 0.75 * usual]
+    least = min(poses.accel.residual_m_s2 for poses in tried)
+    best = [p for p in tried if p.accel.residual_m_s2 <= AS_CONSTANT * least][-1]
     if best.accel.condition > WORST_CONDITION:
         raise InputError(
             f"{best.accel.poses} poses are too alike to calibrate the accelerometer",
             "hold the board with every axis up and down, and tilted in between",
         )
     return best
+
+
+def _poses(
+    time_s: FloatArray,
+    accel: FloatArray,
+    rests: list[tuple[int, int]],
+    gravity_m_s2: float,
+    multiplier: int,
+) -> Poses:
+    means = np.array([accel[a : b + 1].mean(axis=0) for a, b in rests])
+    found = calibrate_accel(means, gravity_m_s2)
+    force = found.apply(means)
+    return Poses(
+        rests=tuple(Interval(float(time_s[a]), float(time_s[b])) for a, b in rests),
+        first=tuple(a for a, _ in rests),
+        last=tuple(b for _, b in rests),
+        direction=force / np.linalg.norm(force, axis=1)[:, None],
+        accel=found,
+        multiplier=multiplier,
+    )
 
 
 def calibrate_accel(means_m_s2: FloatArray, gravity_m_s2: float) -> AccelCalibration:

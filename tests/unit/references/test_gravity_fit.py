@@ -1,0 +1,126 @@
+"""Gravity between rests: known truth, coverage over seeds, what it refuses."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.estimate.gravity import fit_gravity
+from gyrorig_solver.reference.gravity import calibrate_accel, find_poses
+from gyrorig_solver.reference.turns import Interval
+from gyrorig_solver.samples import GyroSamples
+
+Maker = Callable[..., GyroSamples]
+GRAVITY = 9.81
+# reading = U^-1 force + offset, U upper triangular as the frame's definition wants it.
+TRUE_U = np.array([[1.013, -0.008, 0.005], [0.0, 0.991, 0.012], [0.0, 0.0, 1.004]])
+OFFSET = np.array([0.11, -0.23, 0.07])
+
+
+def handheld(
+    make: Maker,
+    gain: FloatArray,
+    bias: FloatArray,
+    seed: int,
+    moves: int = 30,
+    axes: FloatArray | None = None,
+    rate_noise_rad_s: float = 3e-3,
+) -> GyroSamples:
+    """Rests of 3 s with smooth turns of 2 s by about a radian between them."""
+    rng = np.random.default_rng(seed)
+    hz = 100.0
+    attitude, rates, ups = Rotation.random(random_state=seed), [], []
+    up = np.array([0.0, 0.0, 1.0])
+    rates.append(np.zeros((1200, 3)))
+    ups.append(np.tile(attitude.inv().apply(up), (1200, 1)))
+    for k in range(moves):
+        axis = rng.normal(size=3) if axes is None else axes[k % len(axes)]
+        axis = axis / np.linalg.norm(axis)
+        size = rng.uniform(0.7, 1.6) * rng.choice([-1.0, 1.0])
+        phase = np.arange(201) / 200.0
+        angle = size * (phase - np.sin(2 * np.pi * phase) / (2 * np.pi))
+        speed = size / 2.0 * (1.0 - np.cos(2 * np.pi * phase))
+        along = attitude * Rotation.from_rotvec(angle[:-1, None] * axis)
+        ups.append(along.inv().apply(up))
+        rates.append(speed[:-1, None] * axis)
+        attitude = attitude * Rotation.from_rotvec(size * axis)
+        rates.append(np.zeros((300, 3)))
+        ups.append(np.tile(attitude.inv().apply(up), (300, 1)))
+    rate, force = np.concatenate(rates), GRAVITY * np.concatenate(ups)
+    shake = np.where(np.linalg.norm(rate, axis=1) > 0.0, 0.4, 0.01)[:, None]
+    accel = force @ np.linalg.inv(TRUE_U).T + OFFSET + rng.normal(size=force.shape) * shake
+    measured = rate @ gain.T + bias + rng.normal(size=rate.shape) * rate_noise_rad_s
+    return make(np.arange(len(rate)) / hz, measured, accel)
+
+
+def test_accelerometer_is_found_from_exact_poses() -> None:
+    force = GRAVITY * Rotation.random(20, random_state=1).apply([0.0, 0.0, 1.0])
+    found = calibrate_accel(force @ np.linalg.inv(TRUE_U).T + OFFSET, GRAVITY)
+    np.testing.assert_allclose(found.matrix, TRUE_U, atol=1e-9)
+    np.testing.assert_allclose(found.offset_m_s2, OFFSET, atol=1e-8)
+    assert found.residual_m_s2 < 1e-9
+    assert found.condition < 100.0
+
+
+def test_rests_are_found_where_they_are(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    samples = handheld(samples_of, true_gain, true_bias_rad_s, 2)
+    assert samples.accel_m_s2 is not None
+    poses = find_poses(samples.time_s, samples.accel_m_s2, GRAVITY, Interval(0.0, 10.0))
+    assert len(poses.rests) == 31
+    for k, rest in enumerate(poses.rests[1:]):
+        begin_s = 14.0 + 5.0 * k
+        assert begin_s - 0.6 <= rest.begin_s <= begin_s + 0.6
+        assert rest.end_s <= begin_s + 3.6
+
+
+def test_errors_are_what_the_covariance_says(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    scores = []
+    for seed in range(8):
+        fit = fit_gravity(handheld(samples_of, true_gain, true_bias_rad_s, seed), GRAVITY)
+        assert fit.observability.rank == 12
+        scores.append(((fit.gain - true_gain) / fit.gain_std).ravel())
+        np.testing.assert_allclose(fit.bias_rad_s, true_bias_rad_s, atol=2e-4)
+    every = np.concatenate(scores)
+    assert 0.4 < np.mean(every**2) < 1.8
+    assert np.abs(every).max() < 4.5
+
+
+def test_a_nominal_scale_a_quarter_off_is_found(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    gain = 0.75 * true_gain
+    fit = fit_gravity(handheld(samples_of, gain, true_bias_rad_s, 11), GRAVITY)
+    assert np.abs((fit.gain - gain) / fit.gain_std).max() < 4.5
+    assert not fit.distrust or all("time offset" in text for text in fit.distrust)
+
+
+def test_turns_about_two_axes_hide_the_third(
+    samples_of: Maker, true_bias_rad_s: FloatArray
+) -> None:
+    """Two of the three columns are shown; what is not is null, whatever a solver prints."""
+    samples = handheld(samples_of, np.eye(3), true_bias_rad_s, 3, axes=np.eye(3)[:2])
+    fit = fit_gravity(samples, GRAVITY)
+    assert np.isnan(fit.gain[:, 2]).all()
+    assert np.isfinite(fit.gain[:, 0]).any()
+    assert any("column z" in text for text in fit.observability.reasons)
+
+
+def test_few_poses_no_accelerometer_and_gaps_are_refused(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    few = handheld(samples_of, true_gain, true_bias_rad_s, 4, moves=5)
+    with pytest.raises(InputError, match="too few to calibrate an accelerometer"):
+        fit_gravity(few, GRAVITY)
+    with pytest.raises(InputError, match="no accelerometer"):
+        fit_gravity(samples_of(few.time_s, few.rate_rad_s), GRAVITY)
+    whole = handheld(samples_of, true_gain, true_bias_rad_s, 5, moves=12)
+    whole.good[::50] = False
+    with pytest.raises(InputError, match="0 moves between rests"):
+        fit_gravity(whole, GRAVITY)

@@ -1,0 +1,153 @@
+"""Known turns: exact recovery, coverage, partial knowledge, hostile events."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.messages import EventKind, SessionEvent
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.estimate.turns import fit_turns
+from gyrorig_solver.reference.turns import Interval, KnownTurn, TurnReference, read_turns
+from gyrorig_solver.samples import GyroSamples
+
+Maker = Callable[..., GyroSamples]
+STD_RAD = float(np.radians(1.0))
+
+
+def turning(
+    make: Maker,
+    gain: FloatArray,
+    bias: FloatArray,
+    axes: FloatArray,
+    seed: int | None,
+    angle_rad: float = 2 * np.pi,
+) -> tuple[GyroSamples, TurnReference]:
+    """Rests of 5 s between turns of 4 s with a smooth start and stop.
+
+    With a seed, the true angles and axes are off by what is stated of them.
+    """
+    rng = np.random.default_rng(seed)
+    hz, turns, rests, rates = 100.0, [], [], [np.zeros((500, 3))]
+    at_s = 5.0
+    rests.append(Interval(0.0, 4.99))
+    for axis in axes:
+        true_angle, true_axis = angle_rad, axis
+        if seed is not None:
+            true_angle += rng.normal() * STD_RAD
+            tilt = rng.normal(size=3) * STD_RAD
+            true_axis = axis + np.cross(tilt, axis)
+        phase = (np.arange(400) + 0.5) / 400.0
+        speed = true_angle / 4.0 * (1.0 - np.cos(2 * np.pi * phase))
+        rates += [speed[:, None] * true_axis, np.zeros((500, 3))]
+        turns.append(KnownTurn(Interval(at_s, at_s + 3.99), axis, angle_rad, STD_RAD))
+        rests.append(Interval(at_s + 4.0, at_s + 8.99))
+        at_s += 9.0
+    rate = np.concatenate(rates)
+    noise = np.random.default_rng(99).normal(size=rate.shape) * 1e-4
+    samples = make(np.arange(len(rate)) / hz, rate @ gain.T + bias + noise)
+    return samples, TurnReference(tuple(turns), tuple(rests))
+
+
+def test_exact_turns_give_the_gain_back(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    one = turning(samples_of, true_gain, true_bias_rad_s, np.eye(3), None)
+    fit = fit_turns([one])
+    np.testing.assert_allclose(fit.gain, true_gain, atol=2e-4)
+    np.testing.assert_allclose(fit.bias_rad_s, true_bias_rad_s, atol=3e-5)
+    assert fit.observability.rank == 12
+    assert np.isnan(fit.time_offset_s)
+    # One degree of angle in 360 along the axis, one degree of direction across it.
+    np.testing.assert_allclose(np.diag(fit.gain_std), 1.0 / 360.0, rtol=0.05)
+    assert 0.015 < fit.gain_std[1, 0] < 0.020
+
+
+def test_errors_are_what_the_covariance_says(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    scores = []
+    for seed in range(25):
+        fit = fit_turns([turning(samples_of, true_gain, true_bias_rad_s, axes, seed)])
+        scores.append(((fit.gain - true_gain) / fit.gain_std).ravel())
+    every = np.concatenate(scores)
+    # Six turns, nine unknowns: the covariance is widened by the turns' own spread where
+    # that is above 1, so the mean square may lie below 1.
+    assert 0.5 < np.mean(every**2) < 1.4
+    assert np.abs(every).max() < 4.5
+
+
+def test_turns_about_x_show_only_x(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    fit = fit_turns([turning(samples_of, true_gain, true_bias_rad_s, np.eye(3)[:1], None)])
+    assert np.isfinite(fit.gain[:, 0]).all()
+    assert np.isnan(fit.gain[:, 1:]).all()
+    assert "scale.y" in fit.observability.unobservable
+    assert any(
+        "column y of the gain: no turn about the stage's y axis" in text
+        for text in fit.observability.reasons
+    )
+
+
+def test_rest_and_turns_may_be_two_recordings(
+    samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
+) -> None:
+    samples, found = turning(samples_of, true_gain, true_bias_rad_s, np.eye(3), None)
+    alone = (samples, TurnReference(found.turns, ()))
+    with pytest.raises(InputError, match="no rest to take the bias from"):
+        fit_turns([alone])
+    fit = fit_turns([alone, (samples, TurnReference((), found.rests))])
+    np.testing.assert_allclose(fit.gain, true_gain, atol=2e-4)
+
+
+def test_coarse_counts_do_not_stop_the_bias(samples_of: Maker) -> None:
+    samples, found = turning(samples_of, np.eye(3), np.array([0.0004, 0.0, 0.0]), np.eye(3), None)
+    quantum = 0.001
+    coarse = np.rint(samples.rate_rad_s / quantum + 0.25) * quantum
+    fit = fit_turns([(samples_of(samples.time_s, coarse), found)])
+    assert np.abs(fit.bias_rad_s).max() < quantum
+
+
+def event(time_ns: int, kind: EventKind, phase: str, text: str = "") -> SessionEvent:
+    return SessionEvent(time_ns, kind, phase, text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"axis": [1, 0], "angle_rad": 1, "std_rad": 1}',
+        '{"axis": [2, 0, 0], "angle_rad": 1, "std_rad": 1}',
+        '{"axis": [1, 0, 0], "angle_rad": NaN, "std_rad": 1}',
+        '{"axis": [1, 0, 0], "angle_rad": 1, "std_rad": 0}',
+    ],
+)
+def test_turns_that_are_none_are_refused(text: str) -> None:
+    events = [
+        event(0, EventKind.PHASE_BEGIN, "turn", text),
+        event(10**9, EventKind.PHASE_END, "turn", text),
+    ]
+    with pytest.raises(InputError, match=r"turn at 0\.0 s"):
+        read_turns(events, 0)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 10**9), st.integers(0, 3), st.sampled_from(["static", "turn", "x"])
+        ),
+        max_size=20,
+    )
+)
+def test_events_in_any_order_never_crash(told: list[tuple[int, int, str]]) -> None:
+    text = '{"axis": [0, 0, 1], "angle_rad": -6.28, "std_rad": 0.1}'
+    events = [event(t, EventKind(kind), phase, text) for t, kind, phase in told]
+    found = read_turns(events, 0)
+    assert all(i.end_s > i.begin_s for i in found.rests)
