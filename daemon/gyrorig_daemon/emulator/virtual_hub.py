@@ -25,6 +25,13 @@ class VirtualHub:
         self._arrivals: list[tuple[int, int, str, bytes]] = []
         self._order = 0
         self._closed = False
+        self._unplugged: dict[str, int] = {}
+
+    def unplug(self, port: str, at_ns: int) -> None:
+        """Pull a device's cable at a time to come: its port hangs up for good."""
+        self._unplugged[port] = at_ns
+        heapq.heappush(self._arrivals, (at_ns, self._order, port, b""))
+        self._order += 1
 
     def now_ns(self) -> int:
         """Return the virtual clock."""
@@ -34,11 +41,13 @@ class VirtualHub:
         """Hand bytes to a device; they begin on its line a little later.
 
         Raises:
-            DeviceError: there is no such port, or the hub is closed.
+            DeviceError: there is no such port, it hung up, or the hub is closed.
         """
         device = self._devices.get(port)
         if device is None or self._closed:
             raise DeviceError(f"no emulated device on port {port!r}", "check the rig's ports")
+        if self._now_ns >= self._unplugged.get(port, self._now_ns + 1):
+            raise DeviceError(f"the port {port!r} hung up", "plug the device in again")
         device.receive(data, self._latency.line_ns(self._now_ns))
         return WriteStamp(self._now_ns, self._now_ns)
 
@@ -74,13 +83,15 @@ class VirtualHub:
     def _collect(self, port: str, until_ns: int) -> None:
         for line_ns, data in self._devices[port].take_output(until_ns):
             arrival_ns = self._latency.arrival_ns(port, line_ns)
+            if arrival_ns >= self._unplugged.get(port, arrival_ns + 1):
+                continue
             heapq.heappush(self._arrivals, (arrival_ns, self._order, port, data))
             self._order += 1
 
     def _deliver(self) -> Chunk:
         """Take the first arrival, with whatever came on the same port at the same time."""
         at_ns, _, port, data = heapq.heappop(self._arrivals)
-        while self._arrivals and self._arrivals[0][0] == at_ns and self._arrivals[0][2] == port:
+        while data and self._arrivals and self._arrivals[0][:3:2] == (at_ns, port):
             data += heapq.heappop(self._arrivals)[3]
         self._now_ns = max(self._now_ns, at_ns)
         return Chunk(port, self._now_ns, data)

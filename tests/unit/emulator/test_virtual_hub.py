@@ -107,6 +107,18 @@ def test_unknown_and_closed_ports_are_refused() -> None:
         hub.write("ptu", b"PP ")
 
 
+def test_a_pulled_cable_is_a_hang_up() -> None:
+    hub = VirtualHub(EmulatedRig(SETTINGS, ORIGIN))
+    hub.unplug("board:A", ORIGIN + SECOND)
+    chunks = play(hub, [], 2.0)
+    of_a = [chunk for chunk in chunks if chunk.port == "board:A"]
+    assert of_a[-1] == Chunk("board:A", ORIGIN + SECOND, b"")
+    assert all(chunk.data for chunk in of_a[:-1])
+    assert max(c.received_ns for c in chunks if c.port == "board:B") > ORIGIN + 1.9 * SECOND
+    with pytest.raises(DeviceError, match="hung up"):
+        hub.write("board:A", b"x")
+
+
 def drive(device: EmulatedDevice, script: list[tuple[int, bytes]], looks_ns: list[int]) -> bytes:
     """Drive a device as a server does: look when it happens to wake up, write when told."""
     got = b""
