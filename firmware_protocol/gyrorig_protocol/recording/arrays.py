@@ -63,8 +63,11 @@ class FixedChannel:
     def append(self, content: Buffer, offsets: Offsets) -> int:
         """Take over the records at `offsets`; returns how many are no such message."""
         n = len(offsets)
-        if n and int(offsets.max()) + self._size > len(content):  # a shorter message is last
-            good = offsets[offsets + self._size <= len(content)]
+        last = int(offsets.max(initial=0))
+        if n and max(last, (n - 1) * self._size) + self._size > len(content):
+            # Shorter messages are among them: taken at our size they would overlap.
+            lengths = gather(content, RECORD_BYTES, offsets).view(_RECORD_HEAD)["length"]
+            good = offsets[lengths == self._size - _FRAME_BYTES]
             return n - len(good) + self.append(content, good)
         self._reserve(n)
         target = self._records[self.count : self.count + n]

@@ -60,6 +60,7 @@ class Collector:
     _sinks: dict[int, _Sink] = field(default_factory=dict)
     _bad: dict[int, _Bad] = field(default_factory=lambda: defaultdict(_Bad))
     _expected: Counter[int] = field(default_factory=Counter)
+    _room: int = 0  # what all chunks unpack to, at most
     _unpacker: Unpacker = field(default_factory=Unpacker)
 
     def take_all(self) -> None:
@@ -68,13 +69,13 @@ class Collector:
         Raises:
             InputError: a type of format 1 has other fields in this file.
         """
-        room = sum(min(c.unpacked_size, MAX_UNPACKED_BYTES) for c in self.found.chunks)
+        self._room = sum(min(c.unpacked_size, MAX_UNPACKED_BYTES) for c in self.found.chunks)
         for chunk in self.found.chunks:
             for channel, (_, count) in chunk.index.items():
                 self._expected[channel] += count
-        # An index may promise anything; a message takes at least its record's head.
-        for channel, count in self._expected.items():
-            self._expected[channel] = min(count, room // RECORD_BYTES)
+        unchecked = sum(not chunk.crc for chunk in self.found.chunks)
+        if unchecked:
+            self.found.notes.append(f"{unchecked} chunks carry no checksum to check")
         for chunk in self.found.chunks:
             try:
                 self._take(chunk)
@@ -158,7 +159,8 @@ class Collector:
             self.found.notes.append(f"{channel.topic!r} is not read: {error}")
             return _Sink(channel.topic, schema.name, None)
         if layout is not None:
-            expected = self._expected[number]
+            # An index may promise anything; its messages cannot take more than the chunks.
+            expected = min(self._expected[number], self._room // (RECORD_BYTES + layout.size))
             return _Sink(channel.topic, schema.name, FixedChannel(layout, expected))
         if schema.name not in MESSAGE_TYPES:
             self.found.notes.append(f"{channel.topic!r} holds {schema.name}: not read")

@@ -7,8 +7,9 @@ Theory of operation: records are a byte of opcode and eight of length. Where a r
 does not hold what its opcode says, either its content is damaged, and its length still
 leads to the next record, or its length is, and the walk would read noise. So the walk
 goes by the length only when that leads to something that looks like a record and does
-not jump over a chunk; else it goes on at the next place that looks like a chunk, whose
-header is redundant enough to be recognised (`_CHUNK`).
+not jump over a landmark; else it goes on at the next landmark. Landmarks are chunks,
+whose header is redundant enough to be recognised, and the checksummed copy of the
+metadata, which is known by its name (`_LANDMARK`).
 
 Source: the MCAP format specification, section "Records".
 """
@@ -26,9 +27,15 @@ from gyrorig_protocol.recording.summary import MAGIC, Summary
 
 FRAME_BYTES = 9  # opcode and length
 _FRAME = struct.Struct("<BQ")
-# Opcode, length, three times u64 and the CRC, then one of the three compressions.
-_CHUNK = re.compile(
-    rb"\x06.{36}(?:\x00\x00\x00\x00|\x03\x00\x00\x00lz4|\x04\x00\x00\x00zstd)", re.DOTALL
+# Metadata records carry no checksum of their own; this attachment, which does, repeats them.
+METADATA_COPY = "gyrorig.metadata.json"
+_MAX_COPY_BYTES = 1 << 20  # a search tries each, so that none may cost much
+# A chunk: opcode, length, three times u64 and the CRC, then one of the three compressions.
+# The copy: opcode, length, two times u64, its name.
+_LANDMARK = re.compile(
+    rb"\x06.{36}(?:\x00\x00\x00\x00|\x03\x00\x00\x00lz4|\x04\x00\x00\x00zstd)"
+    rb"|\x09.{24}\x15\x00\x00\x00gyrorig\.metadata\.json",
+    re.DOTALL,
 )
 
 
@@ -93,7 +100,7 @@ class Walk:
     data_end: bool = False
     current: ChunkRecord | None = None  # the chunk that an index now would belong to
     loose_messages: int = 0
-    chunk_ahead: int = 0  # where the next chunk begins, as far as it has been searched for
+    landmark: int = 0  # the next one, as far as it has been searched for
 
 
 def walk(data: memoryview, summary: Summary) -> Walk:
@@ -211,11 +218,10 @@ def _take_data_end(found: Walk, data: memoryview, fields: Fields, at: int) -> No
 def _step_over(found: Walk, data: memoryview, at: int, end: int, limit: int, why: str) -> int:
     """Where to go on behind a record that is none; states the loss."""
     found.current = None
-    if found.chunk_ahead <= at:
-        found.chunk_ahead = _next_chunk(data, at + 1, limit)
-    chunk = found.chunk_ahead
-    by_length = end <= chunk and _looks_like_record(data, end, limit)
-    target = end if by_length else chunk
+    if found.landmark <= at:
+        found.landmark = _next_landmark(data, at + 1, limit)
+    by_length = end <= found.landmark and _looks_like_record(data, end, limit)
+    target = end if by_length else found.landmark
     if target == limit and not by_length:
         cut = end > limit and limit == len(data)
         cause = LossCause.TRUNCATED if cut else LossCause.DAMAGED
@@ -238,15 +244,16 @@ def _looks_like_record(data: memoryview, at: int, limit: int) -> bool:
     return opcode in _OPCODES and at + FRAME_BYTES + length <= limit
 
 
-def _next_chunk(data: memoryview, start: int, limit: int) -> int:
-    """Where the next chunk's consistent header begins at or behind `start`, else `limit`."""
+def _next_landmark(data: memoryview, start: int, limit: int) -> int:
+    """Where the next chunk or copy of the metadata begins at or behind `start`, else `limit`."""
     at = start - 1
-    while match := _CHUNK.search(data, at + 1, limit):
+    while match := _LANDMARK.search(data, at + 1, limit):
         at = match.start()
         end = at + FRAME_BYTES + int.from_bytes(data[at + 1 : at + FRAME_BYTES], "little")
-        if end <= limit:
+        copy_is_large = data[at] == Opcode.ATTACHMENT and end - at > _MAX_COPY_BYTES
+        if end <= limit and not copy_is_large:
             try:
-                _chunk(Fields(data, at + FRAME_BYTES, end), at)
+                _take(Walk(), data, data[at], at, end)
             except MalformedError:
                 continue
             return at

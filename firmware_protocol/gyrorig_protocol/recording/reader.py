@@ -18,11 +18,11 @@ from pathlib import Path
 
 from gyrorig_protocol.errors import InputError, MachineError
 from gyrorig_protocol.recording.collect import Collector
-from gyrorig_protocol.recording.framing import Walk, walk
+from gyrorig_protocol.recording.framing import METADATA_COPY, Walk, walk
 from gyrorig_protocol.recording.losses import Loss, LossCause
 from gyrorig_protocol.recording.recording import Recording, board_of, is_board_id
 from gyrorig_protocol.recording.summary import MAGIC, Summary, read_summary
-from gyrorig_protocol.recording.writer import FORMAT, METADATA_COPY
+from gyrorig_protocol.recording.writer import FORMAT
 
 Metadata = dict[str, dict[str, str]]
 
@@ -69,17 +69,17 @@ def read_recording(path: Path) -> Recording:
 
 def _map(path: Path) -> memoryview:
     try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise InputError(f"{path} is a folder", "name one recording in it")
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"{path} is no file", "name one recording")
+        if status.st_size == 0:
+            raise InputError(f"{path} is empty", "its writer died within its first moments")
         with path.open("rb") as file:
-            status = path.stat()
-            if not stat.S_ISREG(status.st_mode):
-                raise InputError(f"{path} is no file", "name one recording")
-            if status.st_size == 0:
-                raise InputError(f"{path} is empty", "its writer died within its first moments")
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(f"{path} does not exist", "name a recording that does") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path} is a folder", "name one recording in it") from error
     except OSError as error:
         raise MachineError(f"cannot read {path}: {error.strerror}") from error
 

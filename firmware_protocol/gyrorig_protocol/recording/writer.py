@@ -29,6 +29,7 @@ from mcap.writer import CompressionType, Writer
 from gyrorig_protocol.errors import MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.disk_file import DiskFile, sync_directory
+from gyrorig_protocol.recording.framing import METADATA_COPY
 from gyrorig_protocol.recording.imu_array import pack_imu
 from gyrorig_protocol.recording.messages import ImuRaw, Message, imu_topic
 from gyrorig_protocol.recording.schemas import SCHEMAS
@@ -38,9 +39,6 @@ T = TypeVar("T")
 IntArray = npt.NDArray[np.integer]
 
 FORMAT = "1"
-# Metadata records carry no checksum of their own; this attachment, which does, repeats them.
-METADATA_COPY = "gyrorig.metadata.json"
-
 FLUSH_NS = 1_000_000_000  # contract: "flushed to a complete chunk at least once a second"
 SYNC_NS = 10_000_000_000  # contract: "synced to disk at least every 10 s"
 # A chunk of 1 MiB stalls the writing thread by about 14 ms, one of 16 MiB by 160 ms.

@@ -1,5 +1,6 @@
 """What is written is read back, by our reader and by independent ones."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -255,6 +256,12 @@ def test_other_writers_options(
     assert recording.imu(B1)["gyro"][:, 1].tolist() == [-i for i in range(100)]
 
 
+def test_chunks_without_a_checksum_are_noted(tmp_path: Path) -> None:
+    recording = read_recording(foreign(tmp_path / "a.mcap", fill_imu, enable_crcs=False))
+    assert recording.notes == ("1 chunks carry no checksum to check",)
+    assert len(recording.imu(B1)) == 100
+
+
 def test_unknown_topics_are_noted_and_left_alone(tmp_path: Path) -> None:
     def fill(writer: Writer) -> None:
         fill_imu(writer)
@@ -320,7 +327,13 @@ def test_what_is_no_recording(tmp_path: Path, content: bytes) -> None:
 
 
 def test_no_file_and_a_folder(tmp_path: Path) -> None:
-    for path in (tmp_path, tmp_path / "none.mcap", tmp_path / "none" / "none.mcap"):
+    os.mkfifo(tmp_path / "pipe.mcap")  # to open it would wait for ever
+    for path in (
+        tmp_path,
+        tmp_path / "pipe.mcap",
+        tmp_path / "none.mcap",
+        tmp_path / "none" / "none.mcap",
+    ):
         with pytest.raises(InputError):
             read_recording(path)
 
