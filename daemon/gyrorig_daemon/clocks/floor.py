@@ -11,13 +11,19 @@ import math
 from dataclasses import dataclass
 
 WINDOW_S = 1.0
+WINDOW_SAMPLES = 8  # with fewer, a window's spread says nothing of its floor
 OFFSET_SIGMA_S = 0.02  # prior of the first window
 SKEW_SIGMA = 1e-3  # prior: ceramic resonators reach 640 ppm
+FIRST_SKEW_SIGMA = 20e-6  # of a skew guessed from one window, beside its scatter
+FIRST_LIMIT = 4096  # samples kept of the first window, whose clock may stand still
 GATE_SIGMAS = 5.0
 STAMP_FLOOR_S = 1e-6  # no window is trusted below one microsecond
 LATE_WINDOWS_LIMIT = 30  # then the path has changed for good and the floor with it
 EARLY_STEP_S = 0.005  # early by more is a step of a clock, not a better minimum
 EARLY_ALARM_S = 1e-4  # early by less is no news on a bus of 125 us microframes
+SCATTER_GAIN = 0.1
+SCATTER_CLIP = 9.0  # three sigmas squared: one stall must not blunt the gate
+SCATTER_SHARE = 0.5  # of the innovations' unexplained variance, counted to the measurement
 SETTLING_WINDOWS = 5  # the first floors are none yet: processes and caches warm up
 
 
@@ -71,14 +77,12 @@ class FloorFilter:
         """Take one pair: device time, and arrival minus device time."""
         if self._window_end_s is None:
             self._window_end_s = device_s + WINDOW_S
-        elif device_s >= self._window_end_s:
+        elif device_s >= self._window_end_s and self._count >= WINDOW_SAMPLES:
             self._close_window()
             self._window_end_s = device_s + WINDOW_S
-        rest = latency_s - self._skew * (device_s - self._at_s)
-        self._sum_rest += rest
-        self._count += 1
-        if rest < self._least_rest:
-            self._least_rest, self._least_s, self._least_latency = rest, device_s, latency_s
+        if not self._windows and len(self._first) < FIRST_LIMIT:
+            self._first.append((device_s, latency_s))
+        self._take(device_s, latency_s)
 
     def latency_floor_s(self, device_s: float) -> float:
         """Return arrival floor minus device time, at `device_s`."""
@@ -105,6 +109,8 @@ class FloorFilter:
         self._p_oo = OFFSET_SIGMA_S**2
         self._p_os = 0.0
         self._p_ss = SKEW_SIGMA**2
+        self._scatter = 0.0
+        self._first: list[tuple[float, float]] = []
         self._windows = 0
         self._late_in_a_row = 0
         self._window_end_s = None
@@ -118,6 +124,8 @@ class FloorFilter:
         self._least_latency = 0.0
 
     def _close_window(self) -> None:
+        if not self._windows:
+            self._guess_skew()
         count, mean_over = self._count, self._sum_rest / self._count - self._least_rest
         at_s, latency_s = self._least_s, self._least_latency
         self._clear_window()
@@ -125,14 +133,19 @@ class FloorFilter:
         # the same standard deviation; the sample mean over the minimum is mu (1 - 1/n)
         excess_s = mean_over / max(count - 1, 1)
         measured_s = latency_s - excess_s
-        variance = excess_s**2 + STAMP_FLOOR_S**2
+        # what no exponential explains shows in the windows' own scatter: tails, beats
+        variance = excess_s**2 + STAMP_FLOOR_S**2 + SCATTER_SHARE * self._scatter
         if not self._windows:
             self._at_s, self._offset, self._windows = at_s, measured_s, 1
             self._p_oo = variance
             return
         self._predict(at_s)
         innovation = measured_s - self._offset
-        sigma = math.sqrt(self._p_oo + variance)
+        total = self._p_oo + variance
+        sigma = math.sqrt(total)
+        if self._windows > 1:
+            seen = min(innovation**2, SCATTER_CLIP * total) - self._p_oo
+            self._scatter += SCATTER_GAIN * (max(seen, 0.0) - self._scatter)
         if innovation > GATE_SIGMAS * sigma and self._late_in_a_row < LATE_WINDOWS_LIMIT:
             self._late_in_a_row += 1
             self._late_total += 1
@@ -148,6 +161,33 @@ class FloorFilter:
                 self._p_oo += innovation**2  # the earlier floor was none: believe the new one
         self._late_in_a_row = 0
         self._update(measured_s - self._offset, variance)
+
+    def _guess_skew(self) -> None:
+        """Detrend the first window by the floors of its two halves.
+
+        Without that its least latency stands at its end, up to 640 us off.
+        """
+        middle = len(self._first) // 2
+        early = min(self._first[:middle], key=lambda pair: pair[1])
+        late = min(self._first[middle:], key=lambda pair: pair[1])
+        apart_s = late[0] - early[0]
+        skew = (late[1] - early[1]) / apart_s if apart_s > 0.0 else math.inf
+        rows, self._first = self._first, []
+        if abs(skew) > SKEW_SIGMA:
+            return  # a stall hides the floor of one half: leave it to the filter
+        self._skew = skew
+        self._clear_window()
+        for device_s, latency_s in rows:
+            self._take(device_s, latency_s)
+        half_excess_s = self._sum_rest / self._count - self._least_rest
+        self._p_ss = (FIRST_SKEW_SIGMA + 4.0 * half_excess_s / middle / apart_s) ** 2
+
+    def _take(self, device_s: float, latency_s: float) -> None:
+        rest = latency_s - self._skew * (device_s - self._at_s)
+        self._sum_rest += rest
+        self._count += 1
+        if rest < self._least_rest:
+            self._least_rest, self._least_s, self._least_latency = rest, device_s, latency_s
 
     def _step(self, measured_s: float, variance: float) -> None:
         self._steps += 1

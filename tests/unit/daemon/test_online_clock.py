@@ -129,6 +129,13 @@ def test_no_stamps_raise(stamps: list[tuple[int, int]], sequences: list[int]) ->
     clock.report()
 
 
+def test_a_clock_that_stands_still_takes_no_memory() -> None:
+    clock = OnlineClock(1e6, 32)
+    for at in range(10_000):
+        assert clock.observe(77, at * 10_000_000, 0, 0) <= at * 10_000_000
+    assert len(clock._floor._first) <= 4096
+
+
 def test_pings_bracket_the_truth() -> None:
     clock = OnlineClock(1e6, 32)
     rng = np.random.default_rng(1)
