@@ -153,7 +153,7 @@ class AttitudeWork:
         one = self.stretches[stretch]
         measured, slope = one.measured(self.lag_s)
         full = measured - one.track.rate_rad_s @ self.gain.T - self.bias
-        clipped, glitches = _clip(full)
+        clipped, glitches = _clip(full, one.track.rate_rad_s)
         rate = one.track.rate_rad_s + (full - clipped) @ np.linalg.inv(self.gain).T
         return Cleaned(measured, slope, rate, clipped, glitches)
 
@@ -239,8 +239,14 @@ def _floor(totals: Sequence[FloatArray]) -> FloatArray:
     return lowest
 
 
-def _clip(residual: FloatArray) -> tuple[FloatArray, int]:
-    """Return the residual with glitches cut to their limit, and how many there are."""
-    limit = GLITCH_SIGMA * 1.4826 * np.median(np.abs(residual), axis=0) + 1e-12
+def _clip(residual: FloatArray, rate: FloatArray) -> tuple[FloatArray, int]:
+    """Return the residual with glitches cut to their limit, and how many there are.
+
+    Markers seen at another angle are noisier, so the limit is set by the faster half of
+    the motion and not by the rests.
+    """
+    speed = np.linalg.norm(rate, axis=1)
+    fast = np.abs(residual[speed >= np.median(speed)])
+    limit = GLITCH_SIGMA * 1.4826 * np.median(fast, axis=0) + 1e-12
     clipped = np.clip(residual, -limit, limit)
     return clipped, int(np.sum(np.any(clipped != residual, axis=1)))
