@@ -80,6 +80,8 @@ def _map(path: Path) -> memoryview:
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(f"{path} does not exist", "name a recording that does") from error
+    except ValueError as error:  # mmap of a file that has been emptied meanwhile
+        raise InputError(f"{path} is empty", "something else empties it") from error
     except OSError as error:
         raise MachineError(f"cannot read {path}: {error.strerror}") from error
 

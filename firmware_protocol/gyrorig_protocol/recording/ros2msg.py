@@ -9,6 +9,7 @@ Source: the MCAP registry on `ros2msg`; the ROS 2 interface definition language.
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 from gyrorig_protocol.errors import InputError
 
@@ -39,6 +40,7 @@ def short_name(type_name: str) -> str:
     return type_name.replace("/msg/", "/")
 
 
+@lru_cache(maxsize=64)
 def parse_definitions(type_name: str, text: str) -> Definitions:
     """The fields of `type_name` and of each dependency in `text`, by short name.
 
