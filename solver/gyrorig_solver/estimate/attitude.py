@@ -16,6 +16,7 @@ low-pass and the reference's own smoothing differ (measured on `broad`: +1.7 % a
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,7 +69,8 @@ def fit_attitude(
     last = work.run()
     information = last.information()
     inflation = work.score_inflation(last)
-    decision = decide(information / max(1.0, inflation), NAMES)
+    bands = _by_frequency(stretches, work, band_hz)
+    decision = decide(information / (max(1.0, inflation) * bands.widening**2), NAMES)
     before, after = _held_out(work)
     largest = max(reference.largest_turn_rad() for _, reference in recordings)
     warnings = (
@@ -95,7 +97,7 @@ def fit_attitude(
         warnings=warnings,
         distrust=(
             *(() if work.converged else ("the fit did not settle; look at the residual",)),
-            *_by_frequency(stretches, work, band_hz),
+            *bands.distrust,
         ),
         diagnostics=_diagnostics(work),
         extra={"band_hz": band_hz, "reference_angle_noise_rad": _reference_noise_rad(work)},
@@ -103,23 +105,35 @@ def fit_attitude(
     return gyro_fit(evidence, [samples for samples, _ in recordings])
 
 
-def _by_frequency(stretches: list[Stretch], work: AttitudeWork, band_hz: float) -> tuple[str, ...]:
-    """Say so when a lower band tells another gain: then neither is the sensor's.
+@dataclass(frozen=True, slots=True)
+class _Bands:
+    """Whether a lower band tells the same gain."""
+
+    widening: float  # of the standard deviations, 1 where the bands agree
+    distrust: tuple[str, ...]
+
+
+def _by_frequency(stretches: list[Stretch], work: AttitudeWork, band_hz: float) -> _Bands:
+    """Compare with a fit on a lower band: if they differ, neither is the sensor's gain.
 
     A reference that was smoothed, or that shares errors with the gyro, shows here (the
-    car's pose: gains 2 % at 1 Hz, 5 % at 5 Hz, each good to 0.3 % by its own residual).
+    car's pose: gains 1 % at 1 Hz, 5 % at 5 Hz, each good to 0.3 % by its own residual).
     """
     lower = AttitudeWork(stretches, LOWER_BAND * band_hz)
     decision = decide(lower.run().information(), NAMES)
     std = np.sqrt(np.diag(decision.covariance)[:9] + np.diag(decision.hidden)[:9])
     change = (lower.estimate - work.estimate)[:9]
     worst = int(np.argmax(np.abs(change) / std))
-    if abs(change[worst]) < BAND_SIGMA * std[worst]:
-        return ()
-    return (
-        f"up to {LOWER_BAND * band_hz:g} Hz {NAMES[worst]} is {1e3 * change[worst]:+.1f}e-3 away, "
-        f"{abs(change[worst]) / std[worst]:.1f} standard deviations: the reference is smoothed or "
-        "not independent of the gyro; use another reference for gains",
+    off = float(abs(change[worst]) / std[worst])
+    if off < BAND_SIGMA:
+        return _Bands(1.0, ())
+    return _Bands(
+        off,
+        (
+            f"up to {LOWER_BAND * band_hz:g} Hz {NAMES[worst]} is {1e3 * change[worst]:+.1f}e-3 "
+            f"away, {off:.1f} standard deviations, and all are widened by that: the reference is "
+            "smoothed or not independent of the gyro; use another reference for gains",
+        ),
     )
 
 

@@ -26,7 +26,7 @@ class Evidence:
 
     estimate: FloatArray  # (13,), in the order of NAMES; unobserved directions at nominal
     decision: Decision
-    reduced_chi2: float
+    reduced_chi2: float  # nan where nothing in the data checks the noise model
     outliers: int
     rms_before_rad_s: float
     rms_after_rad_s: float
@@ -37,6 +37,7 @@ class Evidence:
     distrust: tuple[str, ...] = ()
     diagnostics: FitDiagnostics | None = None
     extra: Mapping[str, float] | None = None
+    chi2_limit: float = LIMITED_CHI2  # above it the noise model is not believed
 
 
 def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
@@ -48,7 +49,7 @@ def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
     """
     found = conclude(evidence.estimate, NAMES, evidence.decision, evidence.words)
     reasons = list(evidence.distrust)
-    if evidence.reduced_chi2 > LIMITED_CHI2:
+    if evidence.reduced_chi2 > evidence.chi2_limit:
         reasons.append(
             f"the residual is {evidence.reduced_chi2:.2f} times what its noise model says, and the "
             "standard deviations are widened by that; look at the residual over time"

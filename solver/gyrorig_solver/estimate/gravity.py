@@ -89,7 +89,7 @@ def fit_gravity(
     evidence = Evidence(
         estimate=np.concatenate([work.gain.ravel(), rest_bias.mean(axis=0), [0.0]]),
         decision=decide(information, NAMES),
-        reduced_chi2=1.0,
+        reduced_chi2=float("nan"),  # the moves' own spread is their noise model
         outliers=work.downweighed,
         rms_before_rad_s=work.rms_rad_s(np.eye(3)),
         rms_after_rad_s=work.rms_rad_s(work.gain),

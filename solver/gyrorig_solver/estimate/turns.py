@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import FloatArray
@@ -92,7 +93,8 @@ def fit_turns(
     evidence = Evidence(
         estimate=work.estimate,
         decision=decide(information / inflation, NAMES),
-        reduced_chi2=spread if freedom > 0 else 1.0,
+        reduced_chi2=spread if freedom > 0 else float("nan"),
+        chi2_limit=float(chi2.ppf(0.99, freedom)) / freedom if freedom > 0 else np.inf,
         outliers=0,
         rms_before_rad_s=work.rms_rad_s(nominal=True),
         rms_after_rad_s=work.rms_rad_s(nominal=False),
