@@ -23,6 +23,7 @@ from gyrorig_solver.reference.motion import ReferenceMotion
 NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
 ROUNDS = 12
 CONVERGED_SIGMA = 1e-2  # largest last step, in standard deviations
+FRESH_ROUNDS = 2  # rounds after which the reference's derivatives stay as they are
 SPIKE_SIGMA = 6.0  # a sample this far off is no sample of the model's noise
 SEARCH_S = 0.3  # the lag is looked for within this range first
 MOVING_RAD_S = 0.003  # the reference turns faster than this: moving
@@ -95,6 +96,7 @@ class _Work:
         self._gain, self._bias, self._lag_s = np.eye(3), np.zeros(3), 0.0
         self._good = [s.good for s in series]
         self._predicted: list[Predicted] = []
+        self._rounds = 0
         self._models: list[BlockModel] = []
 
     def begin(self) -> None:
@@ -143,6 +145,7 @@ class _Work:
         self._lag_s += float(np.clip(step[12], -0.05, 0.05))
         nuisance = carry[:, -1] - carry[:, :-1] @ step
         self._reference = self._reference.moved(self._as_reference(nuisance))
+        self._rounds += 1
         self._predict()
         self._judge()
         self._fit_noise()
@@ -192,7 +195,15 @@ class _Work:
         return np.concatenate([nuisance[g:], nuisance[:g]])
 
     def _predict(self) -> None:
-        self._predicted = [predict(s, self._reference, self._lag_s) for s in self._series]
+        # Once near the solution the derivatives hardly change, and they cost most.
+        fresh = self._rounds < FRESH_ROUNDS
+        found = [predict(s, self._reference, self._lag_s, fresh) for s in self._series]
+        if not fresh:
+            found = [
+                replace(new, shared=old.shared, local=old.local)
+                for new, old in zip(found, self._predicted, strict=True)
+            ]
+        self._predicted = found
         self._blocks()
 
     def _blocks(self) -> None:
@@ -262,7 +273,7 @@ def _correlation_lag(series: Series, reference: ReferenceMotion) -> tuple[float,
 
     Speeds (norms) do not care how the sensor is mounted. The mean is taken out of both.
     """
-    predicted = predict(series, reference, 0.0)
+    predicted = predict(series, reference, 0.0, derivatives=False)
     use = series.good & predicted.known
     if use.sum() < 10:
         return 0.0, -1.0

@@ -11,7 +11,7 @@ own small DCT, so the cost grows with the length and not with length times moves
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import dct, idct
+from scipy.fft import dct, idct, next_fast_len
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.noise import NoiseModel
@@ -95,6 +95,7 @@ def normal_equations(
     spectrum = dct(stage, axis=0, norm="ortho")
     left = dct(residual, axis=0, norm="ortho")
     variance = noise.variance(n)
+    variances: dict[int, FloatArray] = {}
     for axis in range(3):
         row = gain[axis]
         columns = np.empty((n, 5 + shared_count))
@@ -114,7 +115,7 @@ def normal_equations(
                 axis=0,
                 norm="ortho",
             )
-            _local(model, row, axis, noise, back, index, information, score)
+            _local(model, row, axis, noise, back, index, information, score, variances)
     return Normal(information, score)
 
 
@@ -127,8 +128,9 @@ def _local(
     index: FloatArray,
     information: FloatArray,
     score: FloatArray,
+    variances: dict[int, FloatArray],
 ) -> None:
-    """Add the local columns' share of one axis."""
+    """Add the local columns' share of one axis; `variances` keeps what windows need."""
     n = back.shape[0]
     base = 13 + model.shared.shape[0]
     reach = max(4, round(WINDOW_S * noise.sampling.rate_hz))
@@ -143,10 +145,14 @@ def _local(
         information[base + k, index] += cross[:-1]
         information[index, base + k] += cross[:-1]
         score[base + k] += cross[-1]
-        begin, end = max(0, first - reach), min(n, first + values.size + reach)
-        window = np.zeros(end - begin)
+        size = min(n, next_fast_len(values.size + 2 * reach))
+        begin = min(max(0, first - reach), n - size)
+        end = begin + size
+        window = np.zeros(size)
         window[first - begin : first - begin + values.size] = values
-        spread = dct(window, norm="ortho") / noise.variance(window.size)[:, axis]
+        if size not in variances:
+            variances[size] = noise.variance(size)
+        spread = dct(window, norm="ortho") / variances[size][:, axis]
         weighed = idct(spread, norm="ortho")
         for other in range(k, len(stretches)):
             start, theirs = stretches[other]

@@ -113,13 +113,15 @@ class Predicted:
     known: BoolArray  # (n,)
 
 
-def predict(series: Series, reference: ReferenceMotion, lag_s: float) -> Predicted:
+def predict(
+    series: Series, reference: ReferenceMotion, lag_s: float, derivatives: bool = True
+) -> Predicted:
     """Evaluate the reference `lag_s` before each sample and send it through the low-pass.
 
     Where no bandwidth is recorded there is no filter, and the lag holds all of its delay.
     """
     edges = series.edges_s(lag_s)
-    found = reference.evaluate(edges)
+    found = reference.evaluate(edges, derivatives)
     step_s = float(edges[-1] - edges[0]) / (edges.size - 1)
     known_fine = np.all(np.isfinite(found.rate_rad_s), axis=1)
     rate = np.where(known_fine[:, None], found.rate_rad_s, 0.0)

@@ -56,8 +56,11 @@ class ReferenceMotion(Protocol):
         """True where the rates come from differences of noisy attitudes."""
         ...
 
-    def evaluate(self, edges_s: FloatArray) -> Evaluated:
-        """Return the mean stage rate between consecutive times, shape (n + 1,)."""
+    def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
+        """Return the mean stage rate between consecutive times, shape (n + 1,).
+
+        Without `derivatives` the columns are left out: no local ones, no shared ones.
+        """
         ...
 
     def moved(self, step: FloatArray) -> Self:

@@ -8,6 +8,11 @@ any extra delay that lies before the sample, and the least width W_min leaves on
 constant that no poll can show: uniform, standard deviation W_min/sqrt(12). It goes into
 the time offset's uncertainty and into nothing else.
 
+Whether a controller counts a step when it begins or when it is done is not known either:
+the count may lag the motion, and may be cut instead of rounded, by up to half a step;
+both are fitted. The lag cannot be told from late starts where all moves have one speed,
+and the covariance of the starts says so.
+
 Speed and acceleration are fitted too, each with a tight prior at what was told: a
 controller's timer cannot make every speed (unit's notes, section 7: up to 0.1 %).
 """
@@ -22,6 +27,8 @@ from gyrorig_solver.reference.trapezoid import Trapezoid
 
 LOG_SPEED_STD = 1e-2
 LOG_ACCELERATION_STD = 1e-2
+COUNT_STD_STEPS = 0.5  # of the count's lag and of its offset, prior
+LATE_SHARE_STD = 0.3  # of phi, prior, about one half
 STEP_VARIANCE = 1.0 / 12.0
 _STEP = 1e-4  # relative step of the numerical derivative by speed and acceleration
 
@@ -72,13 +79,14 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
     extra = np.clip(width - least, 0.0, None)
     base_s = polls.lo_s + least / 2.0
     shared = motion.classes + 2
-    parameters = np.zeros(shared + 2)  # log speeds, log accelerations, count offset, phi
+    # Log speeds, log accelerations, count's offset, count's lag, phi.
+    parameters = np.zeros(shared + 3)
     parameters[-1] = 0.5
     prior = np.concatenate(
         [
             np.full(motion.classes, LOG_SPEED_STD**-2),
             np.full(2, LOG_ACCELERATION_STD**-2),
-            [4.0, 1.0 / 0.3**2],
+            [COUNT_STD_STEPS**-2.0, COUNT_STD_STEPS**-2.0, LATE_SHARE_STD**-2.0],
         ]
     )
     centre = parameters.copy()
@@ -140,7 +148,7 @@ class _System:
     ) -> None:
         self._count, self._classes = len(moves), classes
         self._rows: list[tuple[int, int, int, FloatArray, FloatArray, FloatArray]] = []
-        offset, phi = parameters[-2], parameters[-1]
+        offset, lag, phi = parameters[-3:]
         at_s = base_s + phi * extra_s
         for k, move in enumerate(moves):
             first, last = np.searchsorted(at_s, [move.start_s - 0.01, move.end_s + 0.01])
@@ -152,13 +160,15 @@ class _System:
             speed = profile.speed_at_steps_s(since)
             gone = move.sign * (polls.steps[near, move.axis] - move.from_steps)
             active = speed > 0.0
-            residual = gone - profile.position_steps(since) - move.sign * offset * active
+            residual = gone - profile.position_steps(since)
+            residual -= (move.sign * offset - lag) * active
             slopes = np.column_stack(
                 [
                     -speed,
                     _slope(move.profile, told, since, 0),
                     _slope(move.profile, told, since, 1),
                     move.sign * active,
+                    -1.0 * active,
                     speed * extra_s[near],
                 ]
             )
@@ -209,6 +219,7 @@ class _System:
                     k,
                     self._count + speed_class,
                     self._count + self._classes + axis,
+                    size - 3,
                     size - 2,
                     size - 1,
                 ]

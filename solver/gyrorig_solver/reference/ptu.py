@@ -105,17 +105,25 @@ class PtuReference:
             angle[rest.axis, at] += self.shift[len(self.starts.moves) + k] * share
         return np.asarray(angle * np.array(self.rad_per_step)[:, None], dtype=np.float64)
 
-    def evaluate(self, edges_s: FloatArray) -> Evaluated:
-        """Return mean stage rates between `edges_s` and their derivatives."""
+    def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
+        """Return mean stage rates between `edges_s` and, if asked, their derivatives."""
         angle = self.angles_rad(edges_s)
         width = np.diff(edges_s)
         axis_rate = np.diff(angle, axis=1) / width
         tilt = (angle[1, :-1] + angle[1, 1:]) / 2.0
         rate = stage_rate(tilt, axis_rate[0], axis_rate[1])
         rate[~self._known(edges_s)] = np.nan
+        if not derivatives:
+            return Evaluated(rate, (), np.zeros((0, width.size, 3)))
         turn = _Turn(self.rad_per_step, tilt, axis_rate[0], width)
+        return Evaluated(rate, *self._columns(edges_s, turn))
+
+    def _columns(
+        self, edges_s: FloatArray, turn: "_Turn"
+    ) -> tuple[tuple[LocalColumn, ...], FloatArray]:
+        """Return the derivatives by each start and rest, and by speeds and accelerations."""
         classes = self.motion.classes
-        shared = np.zeros((classes + 2, width.size, 3))
+        shared = np.zeros((classes + 2, edges_s.size - 1, 3))
         local = []
         for k, move in enumerate(self.starts.moves):
             at = self._span(k, edges_s)
@@ -130,7 +138,7 @@ class PtuReference:
             spot, share = self._standing(rest, edges_s)
             at = slice(spot.start, max(spot.start, spot.stop - 1))
             local.append(LocalColumn(at.start, turn.rate(rest.axis, share, at)))
-        return Evaluated(rate, tuple(local), shared)
+        return tuple(local), shared
 
     def _next_start(self, k: int, time_s: FloatArray) -> int:
         """Return the index at which the axis of move `k` sets off again, or the end."""

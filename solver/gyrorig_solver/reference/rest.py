@@ -42,8 +42,9 @@ class RestReference:
         """False: zero is exact."""
         return False
 
-    def evaluate(self, edges_s: FloatArray) -> Evaluated:
+    def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
         """Return zero rate inside the rests, nan outside."""
+        del derivatives
         rate = np.full((edges_s.size - 1, 3), np.nan)
         for rest in self.rests:
             inside = (edges_s[:-1] >= rest.begin_s) & (edges_s[1:] <= rest.end_s)
