@@ -6,7 +6,7 @@
 PYTHON ?= python3
 VENV   := .venv
 OUT    ?= demo
-SEED   ?= 7
+SEED   ?=
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
@@ -19,8 +19,8 @@ help:  ## this text
 	@echo
 	@echo "Then: $(VENV)/bin/gyrorig --help"
 
-demo: $(VENV)/.solver  ## the whole way on an emulated rig; writes $(OUT)/ (SEED=7 makes another board)
-	@$(VENV)/bin/gyrorig demo --out $(OUT) --seed $(SEED)
+demo: $(VENV)/.solver  ## the whole way on an emulated rig; writes demo/ (SEED=7 is another rig)
+	@$(VENV)/bin/gyrorig demo --out $(OUT) $(if $(SEED),--seed $(SEED))
 
 test: $(VENV)/.dev  ## every test
 	@$(VENV)/bin/python -m pytest -q -n 2 -m "not bench"

@@ -45,9 +45,7 @@ class DaemonFailedError(GyrorigError):
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
-    default=7,
-    show_default=True,
-    help="Another seed is another rig, board and noise.",
+    help="Another rig, board and noise. [default: the one in config/rig.yaml]",
 )
 @click.option(
     "--program",
@@ -56,7 +54,7 @@ class DaemonFailedError(GyrorigError):
 )
 @json_option
 @click.pass_obj
-def demo_command(terminal: Terminal, out: Path, seed: int, program: Path | None) -> int:
+def demo_command(terminal: Terminal, out: Path, seed: int | None, program: Path | None) -> int:
     r"""Go the whole way on an emulated rig: record, check, solve, compare with the truth.
 
     \b
@@ -68,7 +66,8 @@ def demo_command(terminal: Terminal, out: Path, seed: int, program: Path | None)
         out.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise MachineError(f"cannot make the folder {out}, {fault.strerror}", "--out") from fault
-    terminal.say(f"1  recording on an emulated rig, seed {seed}, program {program.stem}")
+    which = "" if seed is None else f", seed {seed}"
+    terminal.say(f"1  recording on an emulated rig{which}, program {program.stem}")
     path, truth = _record(out, seed, program)
     recording = read_recording(path)
     terminal.say(f"   {path}\n2  checking it")
@@ -96,7 +95,7 @@ def demo_command(terminal: Terminal, out: Path, seed: int, program: Path | None)
     return code
 
 
-def _record(out: Path, seed: int, program: Path) -> tuple[Path, dict[str, Any]]:
+def _record(out: Path, seed: int | None, program: Path) -> tuple[Path, dict[str, Any]]:
     """Run the daemon on the emulated rig; return its recording and the truth behind it.
 
     Raises:
@@ -107,7 +106,8 @@ def _record(out: Path, seed: int, program: Path) -> tuple[Path, dict[str, Any]]:
     command = daemon_command(
         "record",
         *("--config", str(project_file("rig.yaml")), "--program", str(program)),
-        *("--out", str(out), "--seed", str(seed), "--truth", str(truth_path), "--json"),
+        *("--out", str(out), "--truth", str(truth_path), "--json"),
+        *(() if seed is None else ("--seed", str(seed))),
     )
     said = _run(command)
     truth = parse_yaml(truth_path.read_bytes(), str(truth_path), InputError)
