@@ -11,8 +11,8 @@ w + S_w G' (G S_w G' + S_y)^-1 (y - G w - b), whose error is uncorrelated with t
 residual (Deming's regression, by frequency). All of it happens in the DCT domain, where
 the residual's density, found in bins, weighs each frequency. Only frequencies up to
 `BAND_HZ` count: a gain and a delay are what a sensor is at low frequency; above, its
-low-pass and the reference's own smoothing differ (measured on `broad`: +1.7 % at 5 Hz,
-+3 % at 8 Hz, -5 % at 14 Hz).
+low-pass and the reference's own smoothing differ (measured on `broad` 07: +1 to +2 % at
+5 Hz, +3 to +4 % at 8 Hz, -4 to +6 % at 14 Hz).
 """
 
 from collections.abc import Sequence
@@ -72,15 +72,6 @@ def fit_attitude(
     bands = _by_frequency(stretches, work, band_hz)
     decision = decide(information / (max(1.0, inflation) * bands.widening**2), NAMES)
     before, after = _held_out(work)
-    largest = max(reference.largest_turn_rad() for _, reference in recordings)
-    warnings = (
-        ()
-        if largest < LONG_TURN_RAD
-        else (
-            f"up to {np.degrees(largest):.0f} deg between two attitudes: a faster reference "
-            "would follow the path between them",
-        )
-    )
     evidence = Evidence(
         estimate=work.estimate,
         decision=decision,
@@ -94,7 +85,7 @@ def fit_attitude(
         ),
         words=WORDS,
         terms=("bias", "scale", "nonorthogonality", "misalignment", "time_offset"),
-        warnings=warnings,
+        warnings=_warnings([reference for _, reference in recordings]),
         distrust=(
             *(() if work.converged else ("the fit did not settle; look at the residual",)),
             *bands.distrust,
@@ -103,6 +94,16 @@ def fit_attitude(
         extra={"band_hz": band_hz, "reference_angle_noise_rad": _reference_noise_rad(work)},
     )
     return gyro_fit(evidence, [samples for samples, _ in recordings])
+
+
+def _warnings(references: Sequence[AttitudeReference]) -> tuple[str, ...]:
+    largest = max(reference.largest_turn_rad() for reference in references)
+    if largest < LONG_TURN_RAD:
+        return ()
+    return (
+        f"up to {np.degrees(largest):.0f} deg between two attitudes: a faster reference would "
+        "follow the path between them",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,14 +81,10 @@ def fit_gravity(
     moves = _moves(samples, poses, rest_bias)
     work = _Work(moves)
     converged = work.run()
-    information = np.zeros((13, 13))
-    information[:9, :9] = work.information()
-    scatter = rest_bias.std(axis=0, ddof=1)
-    information[9:12, 9:12] = np.diag(len(rest_bias) / np.maximum(scatter, 1e-7) ** 2)
     sigma_rad = work.sigma_rad
     evidence = Evidence(
         estimate=np.concatenate([work.gain.ravel(), rest_bias.mean(axis=0), [0.0]]),
-        decision=decide(information, NAMES),
+        decision=decide(_information(work, rest_bias), NAMES),
         reduced_chi2=float("nan"),  # the moves' own spread is their noise model
         outliers=work.downweighed,
         rms_before_rad_s=work.rms_rad_s(np.eye(3)),
@@ -111,6 +107,15 @@ def fit_gravity(
         },
     )
     return gyro_fit(evidence, [samples])
+
+
+def _information(work: "_Work", rest_bias: FloatArray) -> FloatArray:
+    """Return the information on `NAMES`: the gain's from the moves, the bias' from the rests."""
+    information = np.zeros((13, 13))
+    information[:9, :9] = work.information()
+    scatter = np.maximum(rest_bias.std(axis=0, ddof=1), 1e-7)
+    information[9:12, 9:12] = np.diag(len(rest_bias) / scatter**2)
+    return information
 
 
 def _rest_bias(samples: GyroSamples, poses: Poses) -> FloatArray:

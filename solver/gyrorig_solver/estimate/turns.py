@@ -76,23 +76,11 @@ def fit_turns(
         )
     work = _Work(turned, np.array(rests), axis_std_rad)
     work.run()
-    information = work.information()
     spread, freedom = work.spread()
     inflation = max(1.0, spread) if freedom > 0 else 1.0
-    hidden_axes = "".join(k for i, k in enumerate("xyz") if not work.seen[i])
-    warnings = (
-        f"angles and axes are as stated, to {np.degrees(turned[0].turn.std_rad):.2g} deg and "
-        f"{np.degrees(axis_std_rad):.2g} deg: the result is no better than those"
-        + ("" if freedom > 0 else "; nothing in the data checks them"),
-        *(
-            (f"scale and misalignment take unseen columns ({hidden_axes}) as nominal to 0.1",)
-            if hidden_axes
-            else ()
-        ),
-    )
     evidence = Evidence(
         estimate=work.estimate,
-        decision=decide(information / inflation, NAMES),
+        decision=decide(work.information() / inflation, NAMES),
         reduced_chi2=spread if freedom > 0 else float("nan"),
         chi2_limit=float(chi2.ppf(0.99, freedom)) / freedom if freedom > 0 else np.inf,
         outliers=0,
@@ -100,9 +88,21 @@ def fit_turns(
         rms_after_rad_s=work.rms_rad_s(nominal=False),
         reference=f"{len(turned)} turns by known angles, {len(rests)} rests",
         words=WORDS,
-        warnings=warnings,
+        warnings=_warnings(work, turned[0].turn.std_rad, axis_std_rad, freedom > 0),
     )
     return gyro_fit(evidence, [samples for samples, _ in recordings])
+
+
+def _warnings(work: "_Work", std_rad: float, axis_std_rad: float, checked: bool) -> tuple[str, ...]:
+    said = (
+        f"angles and axes are as stated, to {np.degrees(std_rad):.2g} deg and "
+        f"{np.degrees(axis_std_rad):.2g} deg: the result is no better than those"
+    )
+    said += "" if checked else "; nothing in the data checks them"
+    hidden = "".join(axis for axis, seen in zip("xyz", work.seen, strict=True) if not seen)
+    if not hidden:
+        return (said,)
+    return said, f"scale and misalignment take unseen columns ({hidden}) as nominal to 0.1"
 
 
 def _inside(samples: GyroSamples, over: Interval) -> FloatArray:

@@ -1,8 +1,8 @@
 """Measurements made elsewhere, turned into recordings of format 1.
 
 What to use when: `load_import_map`, then `import_measurements`. The map says which column
-is what (`mapping`); `columns` reads tables and archives, `streams` makes counts and
-stamps of them, `sections` finds rests and known turns, `writing` puts it all into a file.
+is what (`mapping`); `columns` reads tables and archives, `streams` and `times` make counts
+and stamps of them, `sections` finds rests and known turns, `writing` puts it all into a file.
 """
 
 from gyrorig_solver.importers.mapping import ImportMap, check_import_map, load_import_map

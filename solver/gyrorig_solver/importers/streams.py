@@ -17,7 +17,13 @@ from gyrorig_solver.importers.mapping import (
     AttitudeColumns,
     GyroColumns,
     ImportMap,
-    TimeBase,
+)
+from gyrorig_solver.importers.times import (
+    at_samples,
+    device_clock,
+    nanoseconds,
+    read_times,
+    said_rate,
 )
 
 # Contract: physical units become int32 counts with a scale fine enough to lose nothing.
@@ -27,8 +33,6 @@ ACCEL_COUNT_M_S2 = 1e-6
 TEMPERATURE_COUNT_C = 0.002
 TEMPERATURE_ZERO_C = 25.0
 STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
-UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-LATEST_S = 2**31 - 1  # builtin_interfaces/Time counts seconds in an int32
 INT32 = np.iinfo(np.int32)
 
 
@@ -108,9 +112,9 @@ def read_streams(columns: Columns, mapping: ImportMap) -> tuple[ImuStream, Attit
         status |= np.where(valid, int(ImuStatus.TEMPERATURE_VALID), 0)
         metadata["temperature_scale_c"] = repr(TEMPERATURE_COUNT_C)
         metadata["temperature_offset_c"] = repr(TEMPERATURE_ZERO_C)
-    device_time, clock = _device_clock(mapping.time, time_s, row)
+    device_time, clock = device_clock(mapping.time, time_s, row)
     imu = ImuStream(
-        host_time_ns=_ns(time_s[row]),
+        host_time_ns=nanoseconds(time_s[row]),
         device_time=device_time,
         row=row.astype(np.int64),
         time_s=time_s[row],
@@ -118,72 +122,10 @@ def read_streams(columns: Columns, mapping: ImportMap) -> tuple[ImuStream, Attit
         temperature=temperature,
         gyro=gyro_counts,
         accel=accel,
-        metadata=metadata | clock | _odr(columns, mapping.time),
+        metadata=metadata | clock | said_rate(columns, mapping.time),
         notes=tuple(notes),
     )
     return imu, _attitude(columns, mapping.attitude, time_s) if mapping.attitude else None
-
-
-def read_times(columns: Columns, base: TimeBase, rows: int, of: str) -> FloatArray:
-    """Return a stream's times in s, shape (rows,).
-
-    Raises:
-        InputError: their number differs, or they stand still, run back or leave what a
-            recording can hold. Arrival times may stand still.
-    """
-    if base.key is not None:
-        time_s = columns.matrix([base.key], 1)[:, 0] * UNIT_S[base.unit]
-    else:
-        time_s = np.arange(rows) / _rate(columns, base)
-    time_s = time_s + base.origin_s
-    if time_s.size != rows:
-        raise InputError(f"{of}: {time_s.size} times for {rows} rows", "check the map's time key")
-    bad = ~np.isfinite(time_s) | (time_s < 0.0) | (time_s >= LATEST_S)
-    if bad.any():
-        at = int(np.argmax(bad))
-        raise InputError(
-            f"{of}: row {at} has the time {time_s[at]} s", "check the unit, or set origin_s"
-        )
-    step = np.diff(time_s)
-    back = step < 0.0 if base.stamp == "arrival" else step <= 0.0
-    if back.any():
-        at = int(np.argmax(back)) + 1
-        raise InputError(
-            f"{of}: time stands still or runs back at row {at}", "sort the rows, or repair them"
-        )
-    return np.asarray(time_s, dtype=np.float64)
-
-
-def _rate(columns: Columns, base: TimeBase) -> float:
-    rate = base.rate_hz
-    if base.rate_key is not None:
-        rate = float(columns.matrix([base.rate_key], 1)[0, 0])
-    if rate is None or not np.isfinite(rate) or rate <= 0.0:
-        raise InputError(f"the sample rate is {rate}", "it must be a positive number")
-    return rate
-
-
-def _odr(columns: Columns, base: TimeBase) -> dict[str, str]:
-    said = base.rate_hz is not None or base.rate_key is not None
-    return {"odr_hz": repr(_rate(columns, base))} if said else {}
-
-
-def _device_clock(
-    base: TimeBase, time_s: FloatArray, row: IntArray
-) -> tuple[IntArray, dict[str, str]]:
-    """Return ticks and what they are worth.
-
-    One time column is the host's and the device's time both. Where it holds arrivals,
-    the sensor's own clock is its sample count: a floor under the arrivals' bursts finds
-    the true rate, which no single arrival tells.
-    """
-    if base.stamp == "arrival":
-        return row.astype(np.int64), {"tick_hz": repr(base.rate_hz), "counter_bits": "64"}
-    return _ns(time_s[row]), {"tick_hz": "1000000000.0", "counter_bits": "64"}
-
-
-def _ns(time_s: FloatArray) -> IntArray:
-    return np.asarray(np.rint(time_s * 1e9), dtype=np.int64)
 
 
 def _gyro_scale(columns: GyroColumns) -> float:
@@ -205,7 +147,7 @@ def _accel(
     """Return counts at the gyro's samples, where they are valid, and the scale."""
     values = columns.matrix(part.keys, 3)
     base_s = read_times(columns, part.time, len(values), "accel") if part.time else None
-    picked = _at_samples(values, base_s, time_s, row, "accel", notes)
+    picked = at_samples(values, base_s, time_s, row, "accel", notes)
     valid = np.all(np.isfinite(picked), axis=1)
     picked = np.where(valid[:, None], picked, part.offset_counts if part.unit == "counts" else 0.0)
     if part.unit == "counts" and part.scale_m_s2 is not None:
@@ -222,46 +164,10 @@ def _temperature(
         raise ValueError("the map has no temperature")
     values = columns.matrix([part.key], 1)
     base_s = read_times(columns, part.time, len(values), "temperature") if part.time else None
-    picked = _at_samples(values, base_s, time_s, row, "temperature", notes)[:, 0]
+    picked = at_samples(values, base_s, time_s, row, "temperature", notes)[:, 0]
     counts = np.rint((picked - TEMPERATURE_ZERO_C) / TEMPERATURE_COUNT_C)
     valid = np.isfinite(counts) & (np.abs(counts) <= 32767)
     return np.where(valid, counts, 0.0).astype(np.int64), valid
-
-
-def _at_samples(
-    values: FloatArray,
-    base_s: FloatArray | None,
-    time_s: FloatArray,
-    row: IntArray,
-    what: str,
-    notes: list[str],
-) -> FloatArray:
-    """Return the values that belong to the gyro's samples, nan where none is near.
-
-    A stream with other times than the gyro's is not resampled: each sample gets the
-    nearest value if that is within half a sample, and the recording says how far off.
-    """
-    if base_s is None:
-        if len(values) != time_s.size:
-            raise InputError(
-                f"{what} has {len(values)} rows, the gyro {time_s.size}", "give it a time base"
-            )
-        return values[row]
-    if base_s.size == time_s.size and np.array_equal(base_s, time_s):
-        return values[row]
-    after = np.clip(np.searchsorted(base_s, time_s[row]), 1, max(base_s.size - 1, 1))
-    if base_s.size < 2:
-        raise InputError(f"{what} has {base_s.size} rows", "leave it out of the map")
-    nearer = np.abs(base_s[after - 1] - time_s[row]) <= np.abs(base_s[after] - time_s[row])
-    nearest = np.where(nearer, after - 1, after)
-    off = np.abs(base_s[nearest] - time_s[row])
-    near = off <= 0.5 * float(np.median(np.diff(time_s)))
-    largest_ms = 1e3 * float(off[near].max()) if near.any() else 0.0
-    notes.append(
-        f"{what}: nearest value taken, {int((~near).sum())} samples without one, "
-        f"largest shift {largest_ms:.3f} ms"
-    )
-    return np.where(near[:, None], values[nearest], np.nan)
 
 
 def _attitude(columns: Columns, part: AttitudeColumns, time_s: FloatArray) -> AttitudeStream:
@@ -282,7 +188,7 @@ def _attitude(columns: Columns, part: AttitudeColumns, time_s: FloatArray) -> At
         raise InputError("the attitude columns hold no unit quaternions", "check keys and order")
     std_rad = float(np.radians(part.std_deg)) if part.std_deg else float("nan")
     return AttitudeStream(
-        _ns(base_s[there]), values[there] / length[:, None], std_rad, int((~there).sum())
+        nanoseconds(base_s[there]), values[there] / length[:, None], std_rad, int((~there).sum())
     )
 
 
