@@ -19,8 +19,8 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import FloatArray
 
-# A night of one board at 800 Hz has 23 million samples; ten columns of that fit a desk's memory.
-MAX_ROWS = 25_000_000
+# About 200 bytes a row are held (measured on 2 million rows): ten million take 2 GB.
+MAX_ROWS = 10_000_000
 MAX_ARCHIVE_BYTES = 4_000_000_000
 ROWS_AT_A_TIME = 200_000
 MAX_HEADER_CHARS = 100_000
