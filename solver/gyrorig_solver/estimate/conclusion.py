@@ -1,7 +1,7 @@
-"""From an estimate and its information to a `GyroFit`, for references other than a unit.
+"""From an estimate and its information to a `GyroFit`, whatever the reference was.
 
-What to use when: `gyro_fit` at the end of `attitude`, `turns` and `gravity`; each of them
-only adds what is its own.
+What to use when: `gyro_fit` at the end of `motion`, `attitude`, `turns` and `gravity`;
+each of them only adds what is its own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.observability import BIAS_NAMES, Decision, conclude
-from gyrorig_solver.estimate.result import Clock, FitDiagnostics, GyroFit
+from gyrorig_solver.estimate.result import Clock, FitDiagnostics, GyroFit, NoiseLevels
 from gyrorig_solver.model.gain import GAIN_NAMES
 from gyrorig_solver.samples import GyroSamples
 
@@ -38,6 +38,9 @@ class Evidence:
     diagnostics: FitDiagnostics | None = None
     extra: Mapping[str, float] | None = None
     chi2_limit: float = LIMITED_CHI2  # above it the noise model is not believed
+    noise: NoiseLevels | None = None
+    rate_range_rad_s: tuple[float, float] | None = None  # None: of all samples
+    clock_truth: str = "the recording's own times"
 
 
 def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
@@ -55,7 +58,6 @@ def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
             "standard deviations are widened by that; look at the residual over time"
         )
     reasons += [f"not identified: {text}" for text in found.observability.reasons]
-    rates = np.concatenate([s.rate_rad_s[s.good] for s in samples])
     return GyroFit(
         method="likelihood",
         terms=evidence.terms,
@@ -70,22 +72,27 @@ def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
         order=found.order,
         covariance=found.covariance,
         observability=found.observability,
-        noise=None,
+        noise=evidence.noise,
         reduced_chi2=evidence.reduced_chi2,
         samples=sum(s.good.size for s in samples),
         lost=sum(s.lost for s in samples),
         outliers=evidence.outliers,
-        rate_range_rad_s=(float(rates.min()), float(rates.max())),
+        rate_range_rad_s=evidence.rate_range_rad_s or _rates(samples),
         rms_before_rad_s=evidence.rms_before_rad_s,
         rms_after_rad_s=evidence.rms_after_rad_s,
         temperature_range_degc=_temperatures(samples),
-        clock=_clock(samples[0]),
+        clock=_clock(samples[0], evidence.clock_truth),
         reference=evidence.reference,
         warnings=(*evidence.warnings, *_sample_warnings(samples)),
         distrust=tuple(reasons),
         diagnostics=evidence.diagnostics,
         extra=dict(evidence.extra or {}),
     )
+
+
+def _rates(samples: Sequence[GyroSamples]) -> tuple[float, float]:
+    good = [s.rate_rad_s[s.good] for s in samples]
+    return float(min(r.min() for r in good)), float(max(r.max() for r in good))
 
 
 def _temperatures(samples: Sequence[GyroSamples]) -> tuple[float, float] | None:
@@ -95,7 +102,7 @@ def _temperatures(samples: Sequence[GyroSamples]) -> tuple[float, float] | None:
     return float(min(t.min() for t in there)), float(max(t.max() for t in there))
 
 
-def _clock(samples: GyroSamples) -> Clock:
+def _clock(samples: GyroSamples, truth: str) -> Clock:
     return Clock(
         skew_ppm=samples.clock.skew_ppm,
         wander_bound_s=samples.clock.wander_bound_s,
@@ -103,16 +110,20 @@ def _clock(samples: GyroSamples) -> Clock:
         latency_max_s=float(samples.clock.latency_s[2]),
         restarts=samples.clock.restarts,
         wraps=samples.clock.wraps,
-        truth="the recording's own times",
+        truth=truth,
     )
 
 
 def _sample_warnings(samples: Sequence[GyroSamples]) -> list[str]:
-    said = []
-    lost = sum(s.lost for s in samples)
-    if lost:
-        said.append(f"{lost} samples are missing by the board's own counter")
-    saturated = sum(int(np.sum(~s.good)) for s in samples)
-    if saturated:
-        said.append(f"{saturated} samples are saturated or repeated and were not used")
-    return said
+    repeated = sum(s.repeated for s in samples)
+    counts = (
+        (sum(s.lost for s in samples), "samples are missing by the board's own counter"),
+        (repeated, "samples are repeats of one before and were not used"),
+        (
+            sum(int(np.sum(~s.good)) for s in samples) - repeated,
+            "samples are saturated and were not used; use a larger full scale or lower rates",
+        ),
+        (sum(s.late for s in samples), "samples came after a younger one"),
+        (sum(s.clock.restarts for s in samples), "times the board's clock began anew"),
+    )
+    return [f"{count} {text}" for count, text in counts if count > 0]

@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 
 from gyrorig_solver.clocks import map_clock
+from gyrorig_solver.estimate.motion import fit_motion
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.model.gain import factorise
 from gyrorig_solver.reference.moves import Exchange, MotionReader
 from gyrorig_solver.reference.polls import Polls, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.samples import GyroSamples
-from gyrorig_solver.solve import PTU_WORDS, solve_samples
+from gyrorig_solver.solve import PTU_WORDS
 
 RAD_PER_STEP = float(np.radians(185.142857 / 3600.0))
 LOW_PASS_DELAY_S = np.sqrt(2.0) / (2.0 * np.pi * 25.0)  # Butterworth, second order, 25 Hz
@@ -61,7 +62,7 @@ def samples_of(rig: Any, rate: np.ndarray | None = None) -> GyroSamples:
 
 
 def fit(rig: Any, rate: np.ndarray | None = None) -> GyroFit:
-    return solve_samples(samples_of(rig, rate), reference_of(rig), PTU_WORDS)
+    return fit_motion(samples_of(rig, rate), reference_of(rig), PTU_WORDS)
 
 
 def truth(rig: Any) -> dict[str, float]:
