@@ -8,8 +8,8 @@ does not hold what its opcode says, either its content is damaged, and its lengt
 leads to the next record, or its length is, and the walk would read noise. So the walk
 goes by the length only when that leads to something that looks like a record and does
 not jump over a landmark; else it goes on at the next landmark. Landmarks are chunks,
-whose header is redundant enough to be recognised, and the checksummed copy of the
-metadata, which is known by its name (`_LANDMARK`).
+whose header is redundant enough to be recognised, and our own checksummed copies,
+which are known by their names (`_LANDMARK`).
 
 Source: the MCAP format specification, section "Records".
 """
@@ -27,14 +27,12 @@ from gyrorig_protocol.recording.summary import MAGIC, Summary
 
 FRAME_BYTES = 9  # opcode and length
 _FRAME = struct.Struct("<BQ")
-# Metadata records carry no checksum of their own; this attachment, which does, repeats them.
-METADATA_COPY = "gyrorig.metadata.json"
 _MAX_COPY_BYTES = 1 << 20  # a search tries each, so that none may cost much
 # A chunk: opcode, length, three times u64 and the CRC, then one of the three compressions.
-# The copy: opcode, length, two times u64, its name.
+# A copy (see `copies`): opcode, length, two times u64, a name that begins with ours.
 _LANDMARK = re.compile(
     rb"\x06.{36}(?:\x00\x00\x00\x00|\x03\x00\x00\x00lz4|\x04\x00\x00\x00zstd)"
-    rb"|\x09.{24}\x15\x00\x00\x00gyrorig\.metadata\.json",
+    rb"|\x09.{24}.\x00\x00\x00gyrorig\.",
     re.DOTALL,
 )
 
@@ -245,7 +243,7 @@ def _looks_like_record(data: memoryview, at: int, limit: int) -> bool:
 
 
 def _next_landmark(data: memoryview, start: int, limit: int) -> int:
-    """Where the next chunk or copy of the metadata begins at or behind `start`, else `limit`."""
+    """Where the next chunk or copy begins at or behind `start`, else `limit`."""
     at = start - 1
     while match := _LANDMARK.search(data, at + 1, limit):
         at = match.start()

@@ -11,20 +11,18 @@ message index and are proven (`chunks`), and whole records are gathered by numpy
 one buffer per channel, into which the fields are views (`arrays`).
 """
 
-import json
 import mmap
 import stat
 from pathlib import Path
 
 from gyrorig_protocol.errors import InputError, MachineError
 from gyrorig_protocol.recording.collect import Collector
-from gyrorig_protocol.recording.framing import METADATA_COPY, Walk, walk
+from gyrorig_protocol.recording.copies import NAMES, Metadata, read_channels, read_metadata
+from gyrorig_protocol.recording.framing import Walk, walk
+from gyrorig_protocol.recording.head import FORMAT
 from gyrorig_protocol.recording.losses import Loss, LossCause
 from gyrorig_protocol.recording.recording import Recording, board_of, is_board_id
 from gyrorig_protocol.recording.summary import MAGIC, Summary, read_summary
-from gyrorig_protocol.recording.writer import FORMAT
-
-Metadata = dict[str, dict[str, str]]
 
 
 def read_recording(path: Path) -> Recording:
@@ -49,6 +47,9 @@ def read_recording(path: Path) -> Recording:
     _check_format(path, metadata)
     if found.profile != "ros2":
         found.notes.append(f"the profile is {found.profile!r}, not 'ros2'")
+    copied = read_channels(found.attachments)
+    copied.fill_from(found.declared)
+    found.declared = copied
     collector = Collector(path, data, found, summary.declared)
     collector.take_all()
     topics = collector.topics()
@@ -59,7 +60,7 @@ def read_recording(path: Path) -> Recording:
     return Recording(
         path=path,
         metadata=metadata,
-        attachments=tuple(a for a in found.attachments if a.name != METADATA_COPY),
+        attachments=tuple(a for a in found.attachments if a.name not in NAMES),
         topics=topics,
         losses=tuple(found.losses),
         notes=tuple(found.notes),
@@ -94,33 +95,12 @@ def _metadata(found: Walk) -> Metadata:
             same = "twice, alike" if metadata[name] == record else "twice; the last one counts"
             found.notes.append(f"metadata {name!r} is there {same}")
         metadata[name] = record
-    copy = _metadata_copy(found)
+    copy = read_metadata(found.attachments)
     for name, record in copy.items():
         if metadata.get(name) != record:
             text = f"metadata {name!r} is damaged; its checksummed copy is used"
             found.losses.append(Loss(LossCause.METADATA, 0, 0, 0, text))
     return copy or metadata
-
-
-def _metadata_copy(found: Walk) -> Metadata:
-    for attachment in found.attachments:
-        if attachment.name != METADATA_COPY:
-            continue
-        try:
-            copy = json.loads(attachment.data)
-        except (ValueError, RecursionError):
-            copy = None
-        if _is_metadata(copy):
-            return dict(copy)
-        found.notes.append(f"attachment {METADATA_COPY} holds no metadata")
-    return {}
-
-
-def _is_metadata(copy: object) -> bool:
-    return isinstance(copy, dict) and all(
-        isinstance(record, dict) and all(isinstance(value, str) for value in record.values())
-        for record in copy.values()
-    )
 
 
 def _check_format(path: Path, metadata: Metadata) -> None:

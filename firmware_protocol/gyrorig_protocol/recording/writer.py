@@ -13,11 +13,9 @@ a torn record in the middle would hide everything behind it from most readers.
 Source: the recording contract, format 1, section "File".
 """
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Self, TypeVar, cast
@@ -28,41 +26,29 @@ from mcap.writer import CompressionType, Writer
 
 from gyrorig_protocol.errors import MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.copies import (
+    CHANNELS_COPY,
+    MEDIA_TYPE,
+    METADATA_COPY,
+    channels_copy,
+    metadata_copy,
+)
 from gyrorig_protocol.recording.disk_file import DiskFile, sync_directory
-from gyrorig_protocol.recording.framing import METADATA_COPY
+from gyrorig_protocol.recording.head import Attachment, complete_metadata, software
 from gyrorig_protocol.recording.imu_array import pack_imu
 from gyrorig_protocol.recording.messages import ImuRaw, Message, imu_topic
 from gyrorig_protocol.recording.schemas import SCHEMAS
+
+__all__ = ["Attachment", "RecordingWriter", "software", "unfinished"]
 
 T = TypeVar("T")
 
 IntArray = npt.NDArray[np.integer]
 
-FORMAT = "1"
 FLUSH_NS = 1_000_000_000  # contract: "flushed to a complete chunk at least once a second"
 SYNC_NS = 10_000_000_000  # contract: "synced to disk at least every 10 s"
 # A chunk of 1 MiB stalls the writing thread by about 14 ms, one of 16 MiB by 160 ms.
 CHUNK_BYTES = 1 << 20
-
-_REQUIRED = ("session", "anchor_utc_ns", "anchor_monotonic_raw_ns")
-
-
-def software() -> str:
-    """`gyrorig <version>`, as the file's library and metadata name it."""
-    try:
-        return f"gyrorig {version('gyrorig')}"
-    except PackageNotFoundError:
-        return "gyrorig unknown"
-
-
-@dataclass(frozen=True, slots=True)
-class Attachment:
-    """A file carried inside a recording."""
-
-    name: str
-    media_type: str
-    data: bytes
-    log_time_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -108,11 +94,12 @@ class RecordingWriter:
     ) -> None:
         if path.suffix != ".mcap":
             raise ValueError(f"a recording is named .mcap, not {path.name}")
-        records = _complete(metadata)
+        records = complete_metadata(metadata)
         self._final = path
         self._part = unfinished(path)
         self._channels: dict[str, _Channel] = {}
         self._schemas: dict[str, int] = {}
+        self._uncopied: dict[int, tuple[str, str]] = {}  # channels since the last copy
         self._safe = _Safe()
         self._last_flush_ns: int | None = None
         self._last_sync_ns: int | None = None
@@ -320,14 +307,17 @@ class RecordingWriter:
         self._mcap.start(profile="ros2", library=software())
         for name, record in records.items():
             self._mcap.add_metadata(name, dict(record))
-        copy = json.dumps(records).encode()
-        for one in (*attachments, Attachment(METADATA_COPY, "application/json", copy)):
-            self._mcap.add_attachment(
-                one.log_time_ns, one.log_time_ns, one.name, one.media_type, one.data
-            )
+        copy = Attachment(METADATA_COPY, MEDIA_TYPE, metadata_copy(records))
+        for one in (*attachments, copy):
+            self._attach(one)
         self._mark_safe()
         self._file.sync()
         sync_directory(self._part.parent)
+
+    def _attach(self, one: Attachment) -> None:
+        self._mcap.add_attachment(
+            one.log_time_ns, one.log_time_ns, one.name, one.media_type, one.data
+        )
 
     def _channel(self, topic: str, type_name: str) -> _Channel:
         known = self._channels.get(topic)
@@ -341,6 +331,7 @@ class RecordingWriter:
                 topic, "cdr", self._schemas[type_name], {"offered_qos_profiles": ""}
             )
             known = self._channels[topic] = _Channel(number, type_name)
+            self._uncopied[number] = (topic, type_name)
         if known.type != type_name:
             raise ValueError(f"{topic} holds {known.type}, not {type_name}")
         return known
@@ -356,6 +347,10 @@ class RecordingWriter:
     def _flush(self) -> None:
         self._mcap.flush()  # type: ignore[no-untyped-call]
         self._mark_safe()
+        if self._uncopied:
+            self._attach(Attachment(CHANNELS_COPY, MEDIA_TYPE, channels_copy(self._uncopied)))
+            self._uncopied.clear()
+            self._mark_safe()
 
     def _mark_safe(self) -> None:
         self._safe.position = self._file.tell()
@@ -399,26 +394,6 @@ class RecordingWriter:
         except OSError as error:
             return f"its last bytes may be torn ({error.strerror})"
         return f"its first {self._safe.position} bytes are whole and kept"
-
-
-def _complete(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
-    """Check the metadata against the contract and fill in what the writer knows."""
-    records = {name: dict(record) for name, record in metadata.items()}
-    for name, record in records.items():
-        for key, value in record.items():
-            if not isinstance(key, str) or not isinstance(value, str):
-                raise ValueError(f"metadata {name}: {key!r}: {value!r} is not text")
-    own = records.get("gyrorig", {})
-    missing = [key for key in _REQUIRED if key not in own]
-    if missing:
-        raise ValueError(f"metadata gyrorig lacks {', '.join(missing)}")
-    own = {"format": FORMAT, "software": software(), "part": "0", "previous": ""} | own
-    if own["format"] != FORMAT:
-        raise ValueError(f"this writes format {FORMAT}, not {own['format']}")
-    records["gyrorig"] = own
-    if "rig" in own:
-        records.setdefault("foxglove", {"deviceName": own["rig"]})
-    return records
 
 
 def unfinished(path: Path) -> Path:

@@ -193,6 +193,22 @@ def test_every_sound_chunk_behind_a_damaged_one_is_read(tmp_path: Path, script: 
     assert last > second
 
 
+def test_the_first_chunk_of_an_unfinished_file_is_damaged(tmp_path: Path, script: Any) -> None:
+    path = script.write(tmp_path / "a.mcap")
+    (first_end, first), *_, (last_end, last) = chunk_ends(path)
+    wanted: dict[str, list[Any]] = {}
+    for topic, message, _ in script.entries[first:last]:
+        wanted.setdefault(topic, []).append(message)
+    chunk_at = path.read_bytes().index(b"zstd") - 41
+    for damaged_at in (chunk_at, chunk_at + 5, chunk_at + 43, first_end - 5):
+        damaged = bytearray(path.read_bytes()[:last_end])
+        damaged[damaged_at] ^= 0x11
+        found = read_bytes(tmp_path, bytes(damaged))
+        assert isinstance(found, Recording)
+        assert contents(found) == wanted
+        assert found.lost_messages in {first, None}
+
+
 def test_a_wrong_index_does_not_matter(tmp_path: Path, script: Any) -> None:
     path = script.write(tmp_path / "a.mcap")
     intact = path.read_bytes()
