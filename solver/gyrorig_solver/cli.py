@@ -7,6 +7,7 @@ where an error becomes a line and an exit code. The commands are in
 
 import importlib
 import json
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -78,7 +79,8 @@ def run(arguments: Sequence[str]) -> int:
         )
         sys.stdout.flush()
     except BrokenPipeError:
-        sys.stderr.close()
+        # Whoever read our words went away; what is left of them goes nowhere, silently.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (KeyboardInterrupt, click.Abort):
         return _fail(terminal, "stopped by the keyboard", _INTERRUPTED)

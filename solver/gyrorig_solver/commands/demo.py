@@ -6,8 +6,8 @@ calibration, a report, and at the end what was found beside what the emulator hi
 
 import contextlib
 import json
-import signal
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_op
 
 FAR_OFF = 3.5  # standard deviations; 13 right ones exceed it in 6 of 1000 demos
 USUAL = 2.0
+HALT_PATIENCE_S = 20.0  # a unit comes to rest from full speed, and the file is closed
 
 
 class DaemonFailedError(GyrorigError):
@@ -118,19 +119,24 @@ def _record(out: Path, seed: int | None, program: Path) -> tuple[Path, dict[str,
 
 
 def _run(command: list[str]) -> str:
-    """Run the daemon to its end, and let it halt the unit when the keyboard stops us."""
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603
+    """Run the daemon to its end, and let it halt the unit when the keyboard stops us.
+
+    On a terminal its progress and its faults go there directly.
+    """
+    watched = sys.stderr.isatty()
+    with subprocess.Popen(  # noqa: S603 - our own interpreter, no shell
+        command, stdout=subprocess.PIPE, stderr=None if watched else subprocess.PIPE, text=True
+    ) as process:
         try:
-            said, _ = process.communicate()
+            said, faults = process.communicate()
         except KeyboardInterrupt:
             # The terminal sent it the same signal; it halts the unit and closes the file.
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(20.0)
-            if process.poll() is None:
-                process.send_signal(signal.SIGTERM)
+                process.wait(HALT_PATIENCE_S)
+            process.terminate()
             raise
     if process.returncode:
-        reason = "its own line above says why"
+        reason = (faults or "").strip().rpartition("\n")[2] or "its own line above says why"
         with contextlib.suppress(json.JSONDecodeError, KeyError, TypeError):
             reason = json.loads(said)["error"]
         failed = DaemonFailedError("the daemon could not record", reason)

@@ -104,6 +104,20 @@ def test_what_is_no_recording_is_one_line_and_3(
     assert json.loads(captured.out)["exit_code"] == 3
 
 
+def test_a_reader_that_goes_away_is_no_fault() -> None:
+    line = f"{sys.executable} -m gyrorig_solver solve --help | true; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert done.returncode in (0, 1)
+
+
+def test_a_demo_that_cannot_record_says_why_in_one_line(tmp_path: Path, capsys: Captured) -> None:
+    program = tmp_path / "far.yaml"
+    program.write_text("schema: gyrorig/program/1\nname: far\nsteps: [{move: {pan_deg: 999.0}}]\n")
+    assert cli.run(["demo", "--out", str(tmp_path / "out"), "--program", str(program)]) == 2
+    assert "pan" in one_line(capsys.readouterr().err)
+
+
 def test_a_fault_of_the_program_is_one_line_and_1(
     capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
