@@ -71,11 +71,16 @@ class _Archive:
         with np.load(path, allow_pickle=False) as loaded:
             for key in dict.fromkeys(wanted):
                 try:
-                    self._arrays[key] = np.asarray(loaded[key]).astype(np.float64)
-                except (ValueError, TypeError) as error:
+                    found = loaded[key]
+                except ValueError as error:  # objects: pickles are never opened
                     raise InputError(
                         f"{path.name}: {key} holds no numbers", _line(error)
                     ) from error
+                if found.dtype.kind not in "biuf":
+                    raise InputError(
+                        f"{path.name}: {key} holds no numbers", f"it holds {found.dtype}"
+                    )
+                self._arrays[key] = found.astype(np.float64)
         self._name = path.name
 
     def matrix(self, keys: Sequence[str], width: int) -> FloatArray:

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from gyrorig_protocol.documents import dump_yaml
-from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import (
     REFERENCE_ATTITUDE_TOPIC,
@@ -62,9 +62,11 @@ def import_measurements(
 
     Raises:
         InputError: the input is not what the map says; nothing is written.
-        UsageError: the map contradicts itself, or `out` exists.
+        UsageError: the map contradicts itself, or `out` exists or is not named `.mcap`.
         MachineError: the disk refused; nothing is left.
     """
+    if out.suffix != ".mcap":
+        raise UsageError(f"{out.name} is no name for a recording", "end it in .mcap")
     mapping = check_import_map(mapping, "import map")
     name = BoardId(board if board is not None else mapping.board)
     columns = open_columns(source, wanted_keys(mapping))

@@ -16,7 +16,8 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from gyrorig_protocol.documents import parse_yaml, read_as
-from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.errors import InputError, MachineError, UsageError
+from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver.importers import ImportMap, check_import_map, import_measurements
 from gyrorig_solver.importers.columns import open_columns
 
@@ -165,6 +166,9 @@ def test_turns_and_rests_become_phases(tmp_path: Path) -> None:
         (lambda d: d.__setitem__("t", d["t"][:-1]), "199 times for 200 rows"),
         (lambda d: d.pop("g"), "has no 'g'"),
         (lambda d: d.__setitem__("g", np.array([object()] * 9)), "g holds no numbers"),
+        (lambda d: d.__setitem__("g", d["g"] * 1j), "g holds no numbers: it holds complex128"),
+        (lambda d: d.__setitem__("g", d["g"][None]), "differ in length"),
+        (lambda d: d.__setitem__("t", np.array(["x"] * 200)), "t holds no numbers"),
     ],
 )
 def test_hostile_archives_are_refused_in_one_line(
@@ -236,6 +240,23 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="exists"):
         import_measurements(source, mapped(), tmp_path / "o.mcap")
     assert (tmp_path / "o.mcap").read_bytes() == b"precious"
+
+
+def test_a_recording_ends_in_mcap(tmp_path: Path) -> None:
+    source = archive(tmp_path / "in.npz", **sound())
+    with pytest.raises(UsageError, match="end it in"):
+        import_measurements(source, mapped(), tmp_path / "o.bag")
+
+
+def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise MachineError("no space left")
+
+    monkeypatch.setattr(RecordingWriter, "write_imu_array", refuse)
+    source = archive(tmp_path / "in.npz", **sound())
+    with pytest.raises(MachineError):
+        import_measurements(source, mapped(), tmp_path / "o.mcap")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in.npz"]
 
 
 def test_the_contract_judge_agrees(tmp_path: Path, contract_judge: Path) -> None:
