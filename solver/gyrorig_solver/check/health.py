@@ -37,7 +37,8 @@ class BoardHealth:
     latency_median_s: float
     latency_max_s: float
     clock_pings: int
-    observability: Observability | None  # None: there is nothing to compare the rates with
+    observability: Observability | None  # None: it cannot be calibrated by this alone
+    no_reference: str = ""  # why it cannot
     fault: str = ""  # why the board cannot be used at all
 
 
@@ -163,6 +164,7 @@ def _board(recording: Recording, board: BoardId) -> BoardHealth:
             str(board), sensor, count, *(0.0, 0.0), *(0, 0, 0, 0), *(0.0, 0.0, 0.0), 0, None,
             fault=str(fault),
         )  # fmt: skip
+    seen, no_reference = _observability(recording, samples)
     duration_s = float(samples.host_s[-1] - samples.host_s[0])
     clock = samples.clock
     return BoardHealth(
@@ -179,18 +181,20 @@ def _board(recording: Recording, board: BoardId) -> BoardHealth:
         latency_median_s=float(clock.latency_s[0]),
         latency_max_s=float(clock.latency_s[2]),
         clock_pings=int(recording.clock_pings(board).size),
-        observability=_observability(recording, samples),
+        observability=seen,
+        no_reference=no_reference,
     )
 
 
-def _observability(recording: Recording, samples: GyroSamples) -> Observability | None:
-    """Return what can be shown, None where nothing says how the board was turned."""
+def _observability(recording: Recording, samples: GyroSamples) -> tuple[Observability | None, str]:
+    """Return what can be shown; or None, and why this recording alone calibrates nothing."""
     try:
         if recording.ptu_positions().size:
-            return capability(samples, ptu_reference(recording, samples.origin_ns), PTU_WORDS)
-        return solve_recordings([recording], samples.board).observability
-    except GyrorigError:
-        return None
+            reference = ptu_reference(recording, samples.origin_ns)
+            return capability(samples, reference, PTU_WORDS), ""
+        return solve_recordings([recording], samples.board).observability, ""
+    except GyrorigError as fault:
+        return None, str(fault)
 
 
 def _why(seen: Observability) -> str:
@@ -214,9 +218,7 @@ def _board_problems(board: BoardHealth) -> list[str]:
     if board.restarts:
         out.append(f"{name} started anew {board.restarts} times: check its supply and its cable")
     if board.observability is None:
-        out.append(
-            f"nothing tells how {name} was turned: record with a unit, or import a reference"
-        )
+        out.append(f"{name} cannot be calibrated by this alone, {board.no_reference}")
     elif board.observability.unobservable:
         hidden = ", ".join(collapsed(board.observability.unobservable))
         out.append(f"{name} cannot show {hidden}: {_why(board.observability)}")

@@ -104,7 +104,7 @@ def _board_words(board: BoardHealth) -> list[str]:
     ]
     seen = board.observability
     if seen is None:
-        lines.append(f"{blank}can calibrate: nothing, there is no reference motion")
+        lines.append(f"{blank}can calibrate: nothing by itself")
     else:
         lines.append(f"{blank}can calibrate: {seen.rank} of {seen.of} parameters")
     return lines

@@ -55,7 +55,7 @@ def _page(data: ReportData) -> dict[str, Any]:
         ),
         "unobservable": collapsed(seen.unobservable),
         "clock": view.clock_rows(data.clock) if data.clock is not None else [],
-        "reference": data.reference,
+        "reference": data.reference.rstrip("."),
         "nominal_scale": f"{scale:.9g} rad/s" if scale else "the nominal scale",
         "lag_text": view.lag_text(calibration),
         "validity": _validity(calibration),

@@ -27,6 +27,7 @@ from gyrorig_solver.report import figures
 from gyrorig_solver.report.data import ReportData
 
 SINGULAR = 1e6  # condition of a gain matrix that undoes nothing; the paper's method makes such
+_NO_SECOND_CLOCK_S = 1e-9  # stamps that agree to rounding are one and the same clock
 _AXIS_COLOURS = ("var(--x)", "var(--y)", "var(--z)")
 _LEFT, _RIGHT = 30.0, 170.0  # of the allowed range in a bar that is 200 wide
 
@@ -134,6 +135,11 @@ def pictures(data: FitDiagnostics, calibration: Calibration) -> Pictures:
 
 def clock_rows(clock: Clock) -> list[tuple[str, str]]:
     """Return what the board's clock did, as names and texts."""
+    if clock.latency_max_s < _NO_SECOND_CLOCK_S:
+        return [
+            ("stamps", "one column of times: there is no second clock to set beside it"),
+            ("common gain rests on", clock.truth),
+        ]
     speed = "faster" if clock.skew_ppm > 0.0 else "slower"
     rows = [
         ("speed", f"{short(abs(clock.skew_ppm))} ppm {speed} than the capture clock"),

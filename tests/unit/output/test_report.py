@@ -87,6 +87,13 @@ def test_the_verdict_comes_first_then_the_numbers(
     assert limited.count("not observable from this motion") == 9
 
 
+def test_a_refused_result_is_not_offered_for_use(good_fit: GyroFit, provenance: Provenance) -> None:
+    refused = " ".join(page_of(report(replace(good_fit, reduced_chi2=400.0), provenance)).words)
+    assert "Refused" in refused
+    assert "How to use it" not in refused
+    assert "How to use it" in " ".join(page_of(report(good_fit, provenance)).words)
+
+
 def test_hostile_names_are_only_text(good_fit: GyroFit, provenance: Provenance) -> None:
     document = made(replace(good_fit, warnings=(EVIL,), distrust=(EVIL,)), provenance)
     board = msgspec.structs.replace(document.board, id=EVIL, uid=EVIL, sensor=EVIL)
