@@ -19,6 +19,7 @@ METADATA_COPY = "gyrorig.metadata.json"
 CHANNELS_COPY = "gyrorig.channels.json"
 NAMES = frozenset({METADATA_COPY, CHANNELS_COPY})
 MEDIA_TYPE = "application/json"
+_MAX_DIGITS = 5  # a channel's number takes 16 bits
 
 Metadata = dict[str, dict[str, str]]
 
@@ -47,10 +48,10 @@ def read_channels(attachments: Iterable[AttachmentRecord]) -> Declared:
     found = Declared()
     for content in _contents(attachments, CHANNELS_COPY):
         for number, channel in content.items():
+            if not number.isdecimal() or len(number) > _MAX_DIGITS:
+                continue
             match channel:
-                case [str(topic), str(kind)] if (
-                    kind in SCHEMAS and number.isdecimal() and len(number) <= 5
-                ):
+                case [str(topic), str(kind)] if kind in SCHEMAS:
                     # Schema numbers of the file are not negative.
                     found.channels[int(number)] = Channel(topic, "cdr", -int(number))
                     schema = Schema(kind, "ros2msg", SCHEMAS[kind].encode())
