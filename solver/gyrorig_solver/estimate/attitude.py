@@ -31,7 +31,7 @@ from gyrorig_solver.samples import GyroSamples
 
 BAND_HZ = 5.0
 # A fit on this share of the band must agree within this many of its standard deviations.
-LOWER_BAND = 0.4
+LOWER_BAND = 0.2
 BAND_SIGMA = 4.0
 MOVING_RAD_S = 0.05  # for pictures
 HELD_OUT_WINDOW_S = 10.0

@@ -17,8 +17,10 @@ from gyrorig_solver.estimate.observability import decide, prior_std
 
 ROUNDS = 15
 CONVERGED_SIGMA = 1e-3
-BINS = 24
-FEWEST_IN_BIN = 12
+# Fewer in a bin, and weights that were found in the residual overfit it: with 12 the true
+# errors were 1.2 times the standard deviations over 30 simulated runs, with 80 1.02 to 1.09.
+BINS = 10
+FEWEST_IN_BIN = 80
 # A residual this many robust deviations off in time is a glitch of the reference.
 GLITCH_SIGMA = 8.0
 # The score's variance is judged over chunks of this length, longer than its correlation.
@@ -132,7 +134,7 @@ class AttitudeWork:
             totals.append(dct(now.measured, axis=0, norm="ortho")[1:])
             ones.append(one[kept])
         residual = np.concatenate(residuals)
-        variance = _by_bin(residual**2, self.bin)
+        variance = _by_bin(residual**2, self.bin, self.frequency_hz)
         gyro_noise = np.minimum(_floor(totals), variance)
         share = 1.0 - gyro_noise / variance  # of the residual that the reference brings
         rate = np.concatenate(rates) + (share * residual) @ inverse.T
@@ -220,11 +222,21 @@ def _bins(frequency_hz: FloatArray) -> IntArray:
     return found
 
 
-def _by_bin(power: FloatArray, bins: IntArray) -> FloatArray:
-    """Return each coefficient's expected power: the mean of its bin, shape as `power`."""
-    count = np.maximum(np.bincount(bins), 1)
-    mean = np.stack([np.bincount(bins, power[:, i]) / count for i in range(3)], axis=1)
-    return np.asarray(np.maximum(mean, 1e-30)[bins], dtype=np.float64)
+def _by_bin(power: FloatArray, bins: IntArray, frequency_hz: FloatArray) -> FloatArray:
+    """Return each coefficient's expected power: bin means, joined by straight lines in log-log.
+
+    The fit has taken four parameters an axis out of the power; that share is put back.
+    """
+    f = np.log(np.maximum(frequency_hz, np.min(frequency_hz[frequency_hz > 0.0])))
+    count = np.bincount(bins).astype(np.float64)
+    centre = np.bincount(bins, f) / count
+    found = np.empty_like(power)
+    for i in range(3):
+        mean = np.maximum(np.bincount(bins, power[:, i]) / count, 1e-30)
+        line = np.exp(np.interp(f, centre, np.log(mean)))
+        level = np.bincount(bins, power[:, i] / line) / count
+        found[:, i] = line * np.maximum(level, 1e-30)[bins]
+    return np.asarray(found * power.shape[0] / max(power.shape[0] - 4, 1), dtype=np.float64)
 
 
 def _floor(totals: Sequence[FloatArray]) -> FloatArray:
