@@ -118,7 +118,7 @@ def _by_frequency(stretches: list[Stretch], work: AttitudeWork, band_hz: float) 
     """Compare with a fit on a lower band: if they differ, neither is the sensor's gain.
 
     A reference that was smoothed, or that shares errors with the gyro, shows here (the
-    car's pose: gains 1 % at 1 Hz, 5 % at 5 Hz, each good to 0.3 % by its own residual).
+    car's pose: gain.xx 0.4 % at 1 Hz, 4.5 % at 5 Hz, each good to 0.5 % by its own residual).
     """
     lower = AttitudeWork(stretches, LOWER_BAND * band_hz)
     decision = decide(lower.run().information(), NAMES)
