@@ -83,8 +83,8 @@ def read_as(value: object, kind: type[T], name: str, error: type[GyrorigError] =
 def dump_yaml(document: Mapping[str, Any]) -> str:
     """Return `document` as YAML that version 1.1 and 1.2 readers take alike.
 
-    Strings are quoted, floats have a point, mappings keep their order, and there are
-    no aliases and no tags.
+    Strings are quoted, floats have a point, lists of numbers stand on one line, mappings
+    keep their order, and there are no aliases and no tags.
 
     Raises:
         TypeError: a value is neither a mapping, sequence, string, number, bool nor None.
@@ -170,6 +170,10 @@ def _objection_to_value(value: object) -> tuple[str, str] | None:
     return None
 
 
+class _Row(list[Any]):
+    """A list of numbers: written on one line, as a person reads a vector."""
+
+
 class _Quoted(str):
     """A string that is written in quotes."""
 
@@ -194,6 +198,11 @@ def _float(dumper: Any, number: float) -> Any:
     return dumper.represent_scalar("tag:yaml.org,2002:float", text)
 
 
+def _row(dumper: Any, row: "_Row") -> Any:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", list(row), flow_style=True)
+
+
+_PlainDumper.add_representer(_Row, _row)
 _PlainDumper.add_representer(_Quoted, _quoted)
 _PlainDumper.add_representer(float, _float)
 
@@ -203,7 +212,9 @@ def _plain(value: object) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        items = [_plain(item) for item in value]
+        numbers = all(item is None or isinstance(item, int | float) for item in items)
+        return _Row(items) if numbers else items
     if isinstance(value, str):
         return _Quoted(value)
     if value is None or isinstance(value, bool):

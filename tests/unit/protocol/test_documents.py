@@ -73,7 +73,7 @@ class Colour(enum.IntEnum):
 
 def test_enumerations_and_numpy_floats_are_dumped_as_numbers() -> None:
     text = dump_yaml({"a": Colour.RED, "b": np.float64(1.5), "c": (True, None)})
-    assert text == "a: 3\nb: 1.5\nc:\n- true\n- null\n"
+    assert text == "a: 3\nb: 1.5\nc: [true, null]\n"
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, b"x", {1, 2}, np.int64(3), 1j])
