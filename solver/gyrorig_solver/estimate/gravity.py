@@ -81,10 +81,11 @@ def fit_gravity(
     moves = _moves(samples, poses, rest_bias)
     work = _Work(moves)
     converged = work.run()
-    sigma_rad = work.sigma_rad
+    information = _information(work, rest_bias)
+    sigma_rad = work.sigma_rad  # of the gain that is reported
     evidence = Evidence(
         estimate=np.concatenate([work.gain.ravel(), rest_bias.mean(axis=0), [0.0]]),
-        decision=decide(_information(work, rest_bias), NAMES),
+        decision=decide(information, NAMES),
         reduced_chi2=float("nan"),  # the moves' own spread is their noise model
         outliers=work.downweighed,
         rms_before_rad_s=work.rms_rad_s(np.eye(3)),
