@@ -16,7 +16,7 @@ from typing import NoReturn
 import click
 
 from gyrorig_protocol.errors import GyrorigError, UsageError
-from gyrorig_solver.commands.terminal import Terminal, version_text
+from gyrorig_solver.commands.terminal import Terminal, printable, version_text
 
 # command: (module of gyrorig_solver.commands, its one-line help). The help stands here so
 # that `gyrorig --help` need not import scipy.
@@ -120,7 +120,7 @@ def _report(terminal: Terminal, fault: Exception, arguments: Sequence[str]) -> i
 
 
 def _fail(terminal: Terminal, text: str, code: int) -> int:
-    line = " ".join(text.split())
+    line = printable(" ".join(text.split()))
     sys.stderr.write(f"gyrorig: {line}\n")
     if terminal.json:
         sys.stdout.write(json.dumps({"error": line, "exit_code": code}) + "\n")

@@ -46,7 +46,7 @@ def check_command(terminal: Terminal, recordings: tuple[Path, ...], board: str |
             faults.append(fault)
             failed.append({"recording": str(path), "error": str(fault)})
             if len(recordings) > 1:
-                click.echo(f"gyrorig: {fault}", err=True)
+                terminal.complain(str(fault))
             continue
         terminal.say(words(examined[-1]))
     if len(recordings) == 1 and faults:
@@ -114,8 +114,4 @@ def _plain(health: Health) -> dict[str, Any]:
     plain = asdict(health)
     plain["problems"] = list(health.problems)
     plain["identifiable"] = health.identifiable
-    for board in plain["boards"]:
-        seen = board["observability"]
-        if seen is not None and seen["condition"] == float("inf"):
-            seen["condition"] = None
     return plain

@@ -80,9 +80,7 @@ def solve_command(
     if len(faults) == 1 and not solved:
         raise faults[0]
     for failure in failed:
-        click.echo(
-            f"gyrorig: {failure['board'] or failure['recording']}: {failure['error']}", err=True
-        )
+        terminal.complain(f"{failure['board'] or failure['recording']}: {failure['error']}")
     if not solved:
         terminal.emit({"boards": [], "failed": failed, "exit_code": faults[0].exit_code})
         return faults[0].exit_code

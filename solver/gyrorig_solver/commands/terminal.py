@@ -6,6 +6,7 @@ only on a terminal.
 """
 
 import json
+import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,6 +26,23 @@ def version_text() -> str:
     return version("gyrorig")
 
 
+def printable(text: str) -> str:
+    """Return `text` without what would steer a terminal; lines stay lines.
+
+    Names in recordings come from devices and strangers.
+    """
+    return "".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def finite(value: Any) -> Any:
+    """Return `value` with null for numbers that JSON has no word for."""
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 @dataclass(slots=True)
 class Terminal:
     """The way from a command to the person, or program, that called it."""
@@ -35,17 +53,21 @@ class Terminal:
     def say(self, text: str) -> None:
         """Write a result to standard output, unless it shall be JSON."""
         if not self.json:
-            click.echo(text)
+            click.echo(printable(text))
 
     def emit(self, result: Mapping[str, Any]) -> None:
         """Write the one JSON object of `--json`; nothing without that option."""
         if self.json:
-            click.echo(json.dumps(result, allow_nan=False))
+            click.echo(json.dumps(finite(result), allow_nan=False))
 
     def progress(self, text: str) -> None:
         """Say what is being done, on standard error, if that is a terminal."""
         if sys.stderr.isatty():
-            click.echo(text, err=True)
+            click.echo(printable(text), err=True)
+
+    def complain(self, text: str) -> None:
+        """Say in one line, on standard error, what one of several inputs met."""
+        click.echo(f"gyrorig: {printable(' '.join(text.split()))}", err=True)
 
 
 def _set_json(context: click.Context, _parameter: click.Parameter, value: bool) -> None:

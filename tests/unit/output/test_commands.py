@@ -12,6 +12,7 @@ import yaml
 
 from gyrorig_solver import cli
 from gyrorig_solver.calibration.document import parse_calibration
+from gyrorig_solver.commands.terminal import finite, printable
 
 ROOT = Path(__file__).parents[3]
 COMMANDS = ["demo", "import", "check", "solve"]
@@ -42,6 +43,19 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], 
         return made[program, seed]
 
     return record
+
+
+def test_texts_from_strangers_do_not_steer_the_terminal(capsys: Captured) -> None:
+    assert printable("a\x1b[2J\u202eb\nc µ") == "a\\x1b[2J\\u202eb\nc µ"
+    assert cli.run(["check", "a\x1b[2J.mcap"]) == 3
+    assert "\x1b" not in capsys.readouterr().err
+
+
+def test_numbers_that_json_does_not_know_are_null() -> None:
+    assert finite({"a": [float("nan"), 1.0], "b": (float("inf"),)}) == {
+        "a": [None, 1.0],
+        "b": [None],
+    }
 
 
 def one_line(captured: str) -> str:
