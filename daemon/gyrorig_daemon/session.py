@@ -16,7 +16,7 @@ from pathlib import Path
 from gyrorig_daemon.config import PTU_PORT, RigConfig
 from gyrorig_daemon.links.board_link import BoardLink, BoardSinks
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
-from gyrorig_daemon.links.hub import PortHub
+from gyrorig_daemon.links.hub import PortHub, PortsGoneError
 from gyrorig_daemon.links.pump import Pump, StopFlag
 from gyrorig_daemon.motion import (
     Executor,
@@ -99,7 +99,8 @@ def record_session(hub: PortHub, order: SessionOrder, around: Surroundings) -> P
         session.carry_out()
         path = session.finish()
     except GyrorigError as fault:
-        words = [fault.remedy, *session.give_up(fault.what)]
+        can_halt = not isinstance(fault, PortsGoneError)
+        words = [fault.remedy, *session.give_up(fault.what, can_halt)]
         raise type(fault)(fault.what, "; ".join(word for word in words if word)) from fault
     except BaseException as fault:
         session.give_up(f"{type(fault).__name__}")
@@ -171,7 +172,7 @@ class _Session:
         halt_and_confirm(self._pump, self._unit, self._poller)
         return self._recorder.close()
 
-    def give_up(self, why: str) -> list[str]:
+    def give_up(self, why: str, can_halt: bool = True) -> list[str]:
         """Halt whatever moves and keep what was recorded; return what to tell."""
         self._pump.ignore_stop()
         told: list[str] = []
@@ -182,7 +183,7 @@ class _Session:
                 self._event(EventKind.PHASE_END, phase, "aborted")
         except MachineError:
             self._recorder.mute()
-        if self._client.identified:
+        if self._client.identified and can_halt:
             told.append(self._halt())
         if self._recorder.is_open:
             with contextlib.suppress(GyrorigError):

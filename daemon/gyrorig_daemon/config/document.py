@@ -25,7 +25,7 @@ Baud = Literal[
     600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000,
     921600, 1000000, 2000000,
 ]  # fmt: skip
-PortPath = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+PortPath = Annotated[str, msgspec.Meta(max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 Heading = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
 
@@ -182,9 +182,12 @@ def read_document(path: Path) -> bytes:
         UsageError: there is no such file, or it cannot be read.
     """
     try:
-        return path.read_bytes()
+        text = path.read_bytes()
     except OSError as fault:
         raise UsageError(f"{path} cannot be read", f"{fault.strerror}") from fault
+    if not text.strip():
+        raise UsageError(f"{path} is empty", "see config/ for examples")
+    return text
 
 
 def _check_board(board: BoardPort, name: str) -> None:

@@ -5,6 +5,7 @@ device as it comes. Nobody on the other side means that bytes are lost, as on a 
 a device does not wait for a listener, and a new client finds no old bytes.
 """
 
+import contextlib
 import os
 import select
 import termios
@@ -39,16 +40,19 @@ class _Pty:
         self.open = False
 
     def look(self) -> None:
-        """Note whether a client is there; throw away what one left behind."""
+        """Note whether a client is there; throw away what one has left unread."""
         now_open = not self._poll.poll(0)
         if self.open and not now_open:
-            slave = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-            termios.tcflush(slave, termios.TCIOFLUSH)
-            tty.setraw(slave)
-            os.close(slave)
+            # Refused where the client has left the port exclusive: it clears up itself then.
+            with contextlib.suppress(OSError):
+                slave = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                termios.tcflush(slave, termios.TCIFLUSH)
+                tty.setraw(slave)
+                os.close(slave)
         self.open = now_open
 
     def read(self) -> bytes:
+        """Return what was written; also by a client that has closed since."""
         try:
             return os.read(self.master, _READ_BYTES)
         except OSError:  # nothing there, or the client left
@@ -85,15 +89,21 @@ class PtyServer:
         """
         self._devices = rig.devices
         self._ptys: dict[str, _Pty] = {}
-        self._links: list[Path] = []
+        self._links: list[tuple[Path, str]] = []
         try:
             for port in self._devices:
                 self._ptys[port] = _Pty()
+        except OSError as fault:
+            self.close()
+            raise MachineError("a pty cannot be opened", f"{fault.strerror}") from fault
+        try:
             if links is not None:
                 self._make_links(links)
         except OSError as fault:
             self.close()
-            raise MachineError("a pty cannot be opened", f"{fault.strerror}") from fault
+            raise MachineError(
+                f"links cannot be made in {links}: {fault.strerror}", "choose --links"
+            ) from fault
         self._by_fd = {pty.master: port for port, pty in self._ptys.items()}
 
     @property
@@ -112,7 +122,8 @@ class PtyServer:
                 ready, _, _ = select.select(readers, (), (), self._wait_s())
             except InterruptedError:
                 continue
-            for fd in ready:
+            closed = [pty.master for pty in self._ptys.values() if not pty.open]
+            for fd in (*ready, *closed):
                 port = self._by_fd[fd]
                 data = self._ptys[port].read()
                 if data:
@@ -120,8 +131,10 @@ class PtyServer:
 
     def close(self) -> None:
         """Remove the links and close every pty. Closing twice is no fault."""
-        for link in self._links:
-            link.unlink(missing_ok=True)
+        for link, path in self._links:
+            with contextlib.suppress(OSError):
+                if str(link.readlink()) == path:  # another emulator may have put its own there
+                    link.unlink()
         for pty in self._ptys.values():
             pty.close()
         self._links, self._ptys = [], {}
@@ -146,4 +159,4 @@ class PtyServer:
             if link.is_symlink():
                 link.unlink()
             link.symlink_to(pty.path)
-            self._links.append(link)
+            self._links.append((link, pty.path))

@@ -1,13 +1,11 @@
 """The emulated rig as a process: open, tell where, run until stopped.
 
-What to use when: `serve` from a command line, with `stop_on_signals()` for its `stop`;
-`PtyServer` itself where the caller wants the loop in its own hands.
+What to use when: `serve` from a command line; `PtyServer` itself where the caller wants
+the loop in its own hands.
 """
 
-import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import FrameType
 
 from gyrorig_daemon.emulator.pty_server import PtyServer
 from gyrorig_daemon.emulator.rig import EmulatedRig
@@ -36,16 +34,3 @@ def serve(
         server.run(stop)
     finally:
         server.close()
-
-
-def stop_on_signals() -> Callable[[], bool]:
-    """Take SIGTERM and SIGINT as the wish to stop; return whether one has come."""
-    stopped = False
-
-    def note(_signal: int, _frame: FrameType | None) -> None:
-        nonlocal stopped
-        stopped = True
-
-    for wanted in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(wanted, note)
-    return lambda: stopped

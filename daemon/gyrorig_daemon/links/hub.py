@@ -8,6 +8,8 @@ under a virtual clock.
 from dataclasses import dataclass
 from typing import Protocol
 
+from gyrorig_protocol.errors import MachineError
+
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
@@ -26,6 +28,13 @@ class WriteStamp:
     after_ns: int
 
 
+class PortsGoneError(MachineError):
+    """Every port was lost at once; what can be said to the devices has been said.
+
+    Example: the acquisition process was killed.
+    """
+
+
 class PortHub(Protocol):
     """All ports of a rig, by name, on one raw monotonic clock."""
 
@@ -38,11 +47,16 @@ class PortHub(Protocol):
 
         Raises:
             DeviceError: the port hung up, or did not take the bytes before the deadline.
+            PortsGoneError: nothing reaches any port any more.
         """
         ...
 
     def read(self, deadline_ns: int) -> Chunk | None:
-        """Return the next chunk of any port in the order of time, None at the deadline."""
+        """Return the next chunk of any port in the order of time, None at the deadline.
+
+        Raises:
+            PortsGoneError: nothing comes from any port any more.
+        """
         ...
 
     def close(self) -> None:

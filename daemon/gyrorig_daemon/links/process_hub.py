@@ -9,11 +9,13 @@ import sys
 from collections import deque
 from dataclasses import dataclass
 from types import TracebackType
+from typing import NoReturn
 
 from gyrorig_daemon.links import wire
 from gyrorig_daemon.links.acquire import PIPE_BYTES, raw_ns
-from gyrorig_daemon.links.hub import Chunk, WriteStamp
-from gyrorig_daemon.links.serial_port import RefusedError, candidates, open_port
+from gyrorig_daemon.links.farewell import say_farewell
+from gyrorig_daemon.links.hub import Chunk, PortsGoneError, WriteStamp
+from gyrorig_daemon.links.serial_port import candidates
 from gyrorig_protocol.errors import BusyError, DeviceError, GyrorigError, MachineError, UsageError
 
 WRITE_DEADLINE_NS = 2_000_000_000
@@ -50,15 +52,21 @@ class AcquisitionHub:
         self._parser = wire.ReportParser()
         self._reports: deque[wire.Report] = deque()
         self._chunks: deque[Chunk] = deque()
+        self._gone: str | None = None  # why nothing can be said any more
         self.dropped_bytes = 0
         wanted = [[s.path, s.baud, s.farewell] for s in self._settings]
-        self._child = subprocess.Popen(  # noqa: S603 - our own module by our own interpreter
-            [sys.executable, "-m", "gyrorig_daemon.links.acquire", json.dumps(wanted)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            start_new_session=True,  # a Ctrl-C at the terminal is for the daemon alone
-        )
+        try:
+            self._child = subprocess.Popen(  # noqa: S603 - our own module, our own interpreter
+                [sys.executable, "-m", "gyrorig_daemon.links.acquire", json.dumps(wanted)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                bufsize=0,
+                start_new_session=True,  # a Ctrl-C at the terminal is for the daemon alone
+            )
+        except OSError as fault:
+            raise MachineError(
+                f"the acquisition process cannot be started: {fault.strerror}", "make room for it"
+            ) from fault
         if self._child.stdin is None or self._child.stdout is None:
             raise MachineError("the acquisition process has no pipes", "start again")
         self._orders_fd = self._child.stdin.fileno()
@@ -91,6 +99,7 @@ class AcquisitionHub:
 
         Raises:
             DeviceError: the port hung up, or did not take the bytes in 2 s.
+            PortsGoneError: the acquisition process is gone, or hangs.
         """
         deadline_ns = raw_ns() + WRITE_DEADLINE_NS
         index = self._index[port]
@@ -99,7 +108,9 @@ class AcquisitionHub:
         while True:
             report = self._next_report(deadline_ns + WRITE_DEADLINE_NS)
             if report is None:
-                raise MachineError("the acquisition process does not answer", "start again")
+                self._child.kill()
+                self._child.wait()
+                self._lose_ports("the acquisition process did not answer and was ended")
             if report.port == index and report.kind == wire.WRITTEN:
                 return WriteStamp(report.first_ns, report.second_ns)
             if report.port == index and report.kind == wire.FAULT:
@@ -114,7 +125,7 @@ class AcquisitionHub:
         """Return the next chunk, None at the deadline.
 
         Raises:
-            MachineError: the acquisition process is gone.
+            PortsGoneError: the acquisition process is gone.
         """
         while not self._chunks:
             report = self._next_report(deadline_ns)
@@ -154,39 +165,51 @@ class AcquisitionHub:
             self.dropped_bytes += report.second_ns
 
     def _send(self, order: bytes) -> None:
+        if self._gone is not None:
+            raise PortsGoneError(self._gone)
         try:
             os.write(self._orders_fd, order)
-        except OSError as fault:
-            self._child_is_gone(fault)
+        except OSError:
+            self._child_is_gone()
 
     def _next_report(self, deadline_ns: int) -> wire.Report | None:
         while not self._reports:
+            if self._gone is not None:
+                raise PortsGoneError(self._gone)
             wait_s = max(0.0, (deadline_ns - raw_ns()) * 1e-9)
             ready, _, _ = select.select([self._reports_fd], [], [], wait_s)
             if not ready:
                 return None
             data = os.read(self._reports_fd, PIPE_BYTES)
             if not data:
-                self._child_is_gone(None)
+                self._child_is_gone()
             self._reports.extend(self._parser.feed(data))
         return self._reports.popleft()
 
-    def _child_is_gone(self, fault: OSError | None) -> None:
+    def _child_is_gone(self) -> NoReturn:
+        """Say that the acquisition process has ended by itself.
+
+        Raises:
+            PortsGoneError: always.
+        """
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._child.wait(CLOSE_DEADLINE_S)
+        self._lose_ports(f"the acquisition process ended (status {self._child.returncode})")
+
+    def _lose_ports(self, why: str) -> NoReturn:
         """Say the farewells ourselves: the process that had the ports is no more.
 
         Raises:
-            MachineError: always.
+            PortsGoneError: always.
         """
-        for settings in self._settings:
-            if settings.farewell:
-                with contextlib.suppress(RefusedError, OSError):
-                    fd = open_port(settings.path, settings.baud)
-                    os.write(fd, settings.farewell.encode("ascii"))
-                    os.close(fd)
-        raise MachineError(
-            f"the acquisition process ended (status {self._child.poll()})",
-            "the unit was told to halt; start again",
-        ) from fault
+        self._gone = why
+        wanted = [settings for settings in self._settings if settings.farewell]
+        heard = [say_farewell(s.path, s.baud, s.farewell) for s in wanted]
+        if not wanted:
+            raise PortsGoneError(why, "start again")
+        if all(heard):
+            raise PortsGoneError(why, "the unit was told to halt and answered; start again")
+        raise PortsGoneError(why, "the unit was told to halt and did not answer; look at it")
 
 
 def refusal(port: str, path: str, reason: str, text: str) -> GyrorigError:

@@ -1,8 +1,9 @@
 """Opening a serial port for one owner: raw, exclusive, quick.
 
 Taken twice: TIOCEXCL keeps out every opener but root, flock keeps out those that ask
-(pyserial's `exclusive`), root included. Only the standard library: the acquisition
-process imports this.
+(pyserial's `exclusive`), root included. A pseudo-terminal gets the lock only: its
+TIOCEXCL outlives whoever set it for as long as the other end is open, and then keeps
+out its next user. Only the standard library: the acquisition process imports this.
 """
 
 import contextlib
@@ -23,6 +24,8 @@ _TIOCSSERIAL = 0x541F
 # line discipline, 19 control characters, and both speeds as numbers
 _TCGETS2 = 0x802C542A
 _TCSETS2 = 0x402C542B
+_TIOCGEXCL = 0x80045440
+_PTY_MAJORS = range(136, 144)  # Unix98 pseudo-terminals (kernel's devices.txt)
 _BOTHER = 0o010000
 _CBAUD = 0o010017
 _TERMIOS2 = struct.Struct("=4I20sII")
@@ -49,8 +52,7 @@ def open_port(path: str, baud: int) -> int:
     try:
         if not os.isatty(fd):
             raise RefusedError("foreign", "it is no serial port")
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        fcntl.ioctl(fd, termios.TIOCEXCL)
+        _take_for_ourselves(fd)
         make_raw(fd, baud)
         _make_quick(fd)
     except BlockingIOError as fault:
@@ -63,6 +65,22 @@ def open_port(path: str, baud: int) -> int:
         os.close(fd)
         raise
     return fd
+
+
+def _take_for_ourselves(fd: int) -> None:
+    """Keep other programs out.
+
+    Raises:
+        BlockingIOError: one of them was first.
+    """
+    fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    alone = bytearray(4)
+    with contextlib.suppress(OSError):  # unknown before Linux 3.8
+        fcntl.ioctl(fd, _TIOCGEXCL, alone)
+    if any(alone):  # to root the kernel does not say so itself
+        raise BlockingIOError(errno.EAGAIN, "another program holds it alone")
+    if os.major(os.fstat(fd).st_rdev) not in _PTY_MAJORS:
+        fcntl.ioctl(fd, termios.TIOCEXCL)
 
 
 def make_raw(fd: int, baud: int) -> None:

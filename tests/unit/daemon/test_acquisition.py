@@ -14,11 +14,13 @@ from pathlib import Path
 import pytest
 
 from gyrorig_daemon.links.acquire import raw_ns
+from gyrorig_daemon.links.hub import PortsGoneError
 from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.wire import CHUNK, REPORT, ReportParser
 from gyrorig_protocol.errors import BusyError, DeviceError, MachineError, UsageError
 
 SECOND_NS = 1_000_000_000
+TIOCGEXCL = 0x80045440  # <asm-generic/ioctls.h>
 
 
 class Line:
@@ -27,14 +29,14 @@ class Line:
     def __init__(self) -> None:
         self.fd, held = pty.openpty()
         self.path = os.ttyname(held)
-        self._held = held
+        self.held = held
 
     def read(self, seconds: float = 5.0) -> bytes:
         ready, _, _ = select.select([self.fd], [], [], seconds)
         return os.read(self.fd, 4096) if ready else b""
 
     def close(self) -> None:
-        for fd in (self.fd, self._held):
+        for fd in (self.fd, self.held):
             with suppress(OSError):
                 os.close(fd)
 
@@ -161,3 +163,30 @@ def test_reports_do_not_depend_on_cuts(cut: int) -> None:
     pieces = [stream[at : at + cut] for at in range(0, len(stream), cut)]
     assert [report for piece in pieces for report in parser.feed(piece)] == whole
     assert len(whole) == 3
+
+
+def test_a_pty_stays_usable_for_the_next_program(line: Line) -> None:
+    with AcquisitionHub({"a": PortSettings(line.path, 9600)}):
+        alone = fcntl.ioctl(line.held, TIOCGEXCL, b"\0\0\0\0")
+    assert alone == b"\0\0\0\0"  # it would stay as long as our end is open
+
+
+def test_a_port_that_another_holds_exclusively_is_busy(line: Line) -> None:
+    fcntl.ioctl(line.held, termios.TIOCEXCL)
+    with pytest.raises(BusyError, match=line.path):
+        AcquisitionHub({"a": PortSettings(line.path, 9600)})
+
+
+def test_an_acquisition_that_hangs_is_ended_and_the_unit_halted(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gyrorig_daemon.links.process_hub.WRITE_DEADLINE_NS", SECOND_NS // 5)
+    monkeypatch.setattr("gyrorig_daemon.links.farewell.PATIENCE_S", 0.05)
+    with AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")}) as hub:
+        hub._child.send_signal(signal.SIGSTOP)
+        with pytest.raises(PortsGoneError, match="did not answer and was ended"):
+            hub.write("a", b"V ")
+        assert line.read() == b" H "
+        for again in (lambda: hub.write("a", b"V "), lambda: hub.read(raw_ns())):
+            with pytest.raises(PortsGoneError):
+                again()

@@ -1,10 +1,12 @@
 """The virtual hub, and that whoever drives a device gets the same bytes from it."""
 
+import os
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from gyrorig_daemon.emulator.settings import BoardSettings, PtuFaults, PtuSettin
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.hub import Chunk, PortHub
 from gyrorig_protocol.board import HelloRequest, TimeRequest
-from gyrorig_protocol.errors import DeviceError
+from gyrorig_protocol.errors import DeviceError, MachineError
 
 SECOND = 1_000_000_000
 ORIGIN = 5 * SECOND
@@ -235,3 +237,58 @@ def test_links_name_the_ports(tmp_path: Path) -> None:
     assert (tmp_path / "ports" / "board-A").is_symlink()
     server.close()
     assert list((tmp_path / "ports").iterdir()) == []
+
+
+class Ear:
+    """A device that only listens."""
+
+    def __init__(self) -> None:
+        self.heard = b""
+
+    def receive(self, data: bytes, at_ns: int) -> None:
+        self.heard += data
+
+    def next_output_ns(self) -> int | None:
+        return None
+
+    def take_output(self, until_ns: int) -> list[tuple[int, bytes]]:
+        return []
+
+
+class Ears:
+    """A rig of them."""
+
+    def __init__(self, *names: str) -> None:
+        self.devices = {name: Ear() for name in names}
+
+
+def test_a_client_that_writes_and_leaves_is_heard() -> None:
+    rig = Ears("ptu")
+    server = PtyServer(cast(EmulatedRig, rig))
+    turns = iter(range(100))
+    client = os.open(server.paths["ptu"], os.O_RDWR | os.O_NOCTTY)
+    os.write(client, b" H ")
+    os.close(client)  # before the server has looked even once
+    server.run(lambda: rig.devices["ptu"].heard != b"" or next(turns) == 99)
+    client = os.open(server.paths["ptu"], os.O_RDWR | os.O_NOCTTY)
+    server.run(lambda: next(turns) > 3)  # now it knows of the client
+    os.write(client, b"V ")
+    os.close(client)
+    server.run(lambda: len(rig.devices["ptu"].heard) > 3 or next(turns) == 99)
+    server.close()
+    assert rig.devices["ptu"].heard == b" H V "
+
+
+def test_links_of_a_later_emulator_are_left_to_it(tmp_path: Path) -> None:
+    first = PtyServer(cast(EmulatedRig, Ears("ptu")), tmp_path)
+    second = PtyServer(cast(EmulatedRig, Ears("ptu")), tmp_path)
+    first.close()
+    assert str((tmp_path / "ptu").readlink()) == second.paths["ptu"]
+    second.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_links_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(MachineError, match="links cannot be made"):
+        PtyServer(cast(EmulatedRig, Ears("ptu")), tmp_path / "file" / "deeper")
