@@ -41,6 +41,7 @@ class Polls:
     hi_s: FloatArray  # (n,), latest
     steps: FloatArray  # (n, 2), pan and tilt
     valid: BoolArray  # (n, 2), True where the exchange answered that axis
+    constant_width_s: float = 0.0  # all instants together may be off by half of this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +111,7 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
         log_speed=parameters[: motion.classes],
         log_acceleration=parameters[motion.classes : shared],
         information=marginal,
-        common_std_s=least / float(np.sqrt(12.0)),
+        common_std_s=(least + polls.constant_width_s) / float(np.sqrt(12.0)),
         instant_std_s=scatter_s,
         late_share=float(parameters[-1]),
         explained=system.explained(scatter_s),

@@ -1,12 +1,14 @@
 """From a recording's exchanges with the unit to the reference motion."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import FloatArray, IntArray
+from gyrorig_solver.reference.counter import counter_instants
 from gyrorig_solver.reference.moves import AXES, Exchange, Motion, MotionReader
 from gyrorig_solver.reference.polls import Polls, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
@@ -71,6 +73,7 @@ def _polls(
     steps = np.column_stack([raw["pan_steps"], raw["tilt_steps"]]).astype(np.float64)
     order = np.argsort(lo, kind="stable")
     polls = Polls(lo[order], hi[order], steps[order], valid[order])
+    polls = _by_counter(polls, raw["controller_time"][order].astype(np.int64), metadata)
     at_rest = []
     for axis, name in enumerate(AXES):
         answered = np.flatnonzero(polls.valid[:, axis])
@@ -78,6 +81,21 @@ def _polls(
             raise InputError(f"the unit never answered its {name} position", "record again")
         at_rest.append(int(polls.steps[answered[0], axis]))
     return polls, (at_rest[0], at_rest[1])
+
+
+def _by_counter(polls: Polls, ticks: IntArray, metadata: Mapping[str, str]) -> Polls:
+    """Return the polls with their instants from the controller's counter, where it has one."""
+    text = metadata.get("counter_hz", "")
+    try:
+        counter_hz = float(text or 0.0)
+    except ValueError as fault:
+        raise InputError(f"metadata counter_hz is {text[:40]!r}", "it must be a number") from fault
+    if not (np.isfinite(counter_hz) and counter_hz > 0.0 and np.all(ticks >= 0)):
+        return polls
+    found = counter_instants(ticks, polls.lo_s, polls.hi_s, counter_hz)
+    if found is None:
+        return polls
+    return replace(polls, lo_s=found.at_s, hi_s=found.at_s, constant_width_s=found.width_s)
 
 
 def _resolution(recording: Recording, metadata: Mapping[str, str], axis: str) -> float:
