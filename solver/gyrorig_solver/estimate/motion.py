@@ -8,17 +8,23 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gyrorig_solver.arrays import BoolArray
+from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.conclusion import TERMS, Evidence, gyro_fit
 from gyrorig_solver.estimate.likelihood import MOVING_RAD_S, Solution, solve_likelihood
+from gyrorig_solver.estimate.rest_to_rest import CrossCheck, Path, cross_check
 from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit, NoiseLevels
 from gyrorig_solver.estimate.series import Series, build_series
 from gyrorig_solver.reference.motion import ReferenceMotion
+from gyrorig_solver.reference.polls import STEP_VARIANCE
+from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.samples import GyroSamples
 
 # Whitened variance while moving over that at rest: above this, motion is not explained.
 CHI2_LIMIT = 1.25
 HELD_OUT_WINDOW_S = 10.0
+STANDING_RAD_S = 1e-4  # through the low-pass, a rest decays below this within 0.1 s
+REST_TO_REST_HZ = 0.2  # a move and its rests last some seconds
+DISAGREEMENT_P = 1e-4  # of the second opinion, one in ten thousand by chance
 SPIKES_WORTH_A_WORD = 1e-3  # share of the samples
 
 
@@ -46,6 +52,13 @@ def fit_motion(
     chi2 = _reduced_chi2(solution, moving)
     before, after = _held_out(solution)
     turning = np.concatenate([m.rate @ solution.gain.T for m in solution.models])
+    second = _second_opinion(solution, series)
+    if second is not None and second.p_value < DISAGREEMENT_P:
+        warnings = (
+            *warnings,
+            f"the turns from rest to rest disagree with the rates by {second.largest_sigma:.1f} "
+            "standard deviations: timing is the suspect; look at clocks and commands",
+        )
     if solution.outliers > SPIKES_WORTH_A_WORD * samples.good.size:
         warnings = (*warnings, f"{solution.outliers} samples were set aside as spikes")
     evidence = Evidence(
@@ -65,6 +78,7 @@ def fit_motion(
         noise=_levels(solution),
         rate_range_rad_s=(float(turning.min()), float(turning.max())),
         clock_truth="the host's capture clock",
+        extra=_said(second),
     )
     return gyro_fit(evidence, [samples])
 
@@ -115,6 +129,43 @@ def _held_out(solution: Solution) -> tuple[float, float]:
     )
 
 
+def _second_opinion(solution: Solution, series: list[Series]) -> CrossCheck | None:
+    """Compare the fit with the turns from rest to rest, where a unit made them."""
+    reference = solution.reference
+    if not isinstance(reference, PtuReference):
+        return None
+    paths = []
+    for stretch, model in zip(series, solution.models, strict=True):
+        time_s = _block_times(stretch) - solution.estimate[12]
+        moving = np.linalg.norm(model.rate, axis=1) > STANDING_RAD_S
+        paths.append(Path(time_s, model.measured, model.used, moving, reference.angles_rad(time_s)))
+    density = float(solution.noise.density(np.array([REST_TO_REST_HZ])).max())
+    step_rad = float(np.max(np.abs(reference.rad_per_step)))
+    return cross_check(
+        paths,
+        solution.gain,
+        solution.bias_rad_s,
+        solution.decision,
+        density,
+        STEP_VARIANCE * step_rad**2,
+    )
+
+
+def _said(second: CrossCheck | None) -> dict[str, float]:
+    if second is None:
+        return {}
+    return {
+        "rest_to_rest_moves": float(second.moves),
+        "rest_to_rest_p_value": second.p_value,
+        "rest_to_rest_largest_sigma": second.largest_sigma,
+    }
+
+
+def _block_times(series: Series) -> FloatArray:
+    n = series.blocks * series.block
+    return np.asarray(series.time_s[:n].reshape(series.blocks, series.block).mean(axis=1))
+
+
 def _levels(solution: Solution) -> NoiseLevels:
     levels = np.sqrt(solution.noise.levels)
     return NoiseLevels(
@@ -140,10 +191,7 @@ def _distrust(solution: Solution, chi2: float) -> tuple[str, ...]:
 def _diagnostics(
     solution: Solution, series: list[Series], moving: list[BoolArray]
 ) -> FitDiagnostics:
-    times = []
-    for s in series:
-        n = s.blocks * s.block
-        times.append(s.time_s[:n].reshape(s.blocks, s.block).mean(axis=1))
+    times = [_block_times(s) for s in series]
     used = np.concatenate([m.used for m in solution.models])[:, None]
     residual = np.concatenate(solution.residuals)
     spectrum = solution.spectrum
