@@ -7,6 +7,7 @@ seen to stand still, and the recording closed.
 """
 
 import contextlib
+import os
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ from gyrorig_daemon.motion import (
     PtuClient,
     Unit,
     halt_and_confirm,
+    identify_unit,
     open_unit,
     plan_program,
 )
@@ -141,10 +143,13 @@ class _Session:
     def prepare(self) -> None:
         """Get to know boards and unit, check the program, open the recording."""
         order = self._order
+        check_folder(order.out_dir)
+        version = identify_unit(self._client)  # first of all: it may be turning yet
         for board in self._boards:
             board.identify()
-        may_home = order.may_home or order.config.ptu.home_without_asking
-        unit = open_unit(self._client, order.config.ptu, order.program.settings, may_home)
+        ptu, settings = order.config.ptu, order.program.settings
+        may_home = order.may_home or ptu.home_without_asking
+        unit = open_unit(self._client, ptu, settings, version, may_home)
         self._unit = unit
         self._log.use_unit(unit.facts)
         poller = Poller(unit, order.config.ptu.poll.rate_hz, self._log.take_position)
@@ -296,6 +301,19 @@ class _Session:
         now_ns = self._around.capture.utc_ns(self._pump.now_ns())
         event = SessionEvent(now_ns, int(kind), phase, text)
         self._recorder.hold(SESSION_EVENT_TOPIC, event, now_ns)
+
+
+def check_folder(folder: Path) -> None:
+    """Make sure that a recording can be made in `folder`, and make nothing yet.
+
+    Raises:
+        MachineError: it, or the nearest folder above it that exists, takes no files.
+    """
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise MachineError(f"{there} is no folder", "choose --out")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise MachineError(f"{there} may not be written to", "choose --out")
 
 
 def make_folder(folder: Path) -> None:

@@ -91,12 +91,13 @@ class Executor:
                     last, changed_ns = here, now_ns
                 if self._poller.is_at(targets):
                     return
-            stalled = now_ns - changed_ns > STALL_S * 1e9
+            # a unit that does not answer is the poller's to complain of
+            stalled = position is not None and now_ns - changed_ns > STALL_S * 1e9
             if stalled or now_ns > deadline_ns:
                 raise DeviceError(
                     f"the unit stands at {last} instead of "
                     f"{', '.join(f'{axis.word} {at}' for axis, at in targets.items())} steps",
-                    "something is in its way, or it lost power; it was halted",
+                    "something is in its way, or it lost power",
                 )
 
     def _poll_for(self, seconds: float) -> None:

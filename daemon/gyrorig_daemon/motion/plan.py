@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gyrorig_daemon.config import CommandLimits
-from gyrorig_daemon.motion.unit import AxisFacts, UnitFacts
+from gyrorig_daemon.motion.facts import AxisFacts, UnitFacts
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import Home, MotionProgram, Move, Rest, unrolled
 from gyrorig_protocol.ptu import Axis

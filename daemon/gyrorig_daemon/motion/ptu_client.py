@@ -108,7 +108,7 @@ class PtuClient:
         self._parser = PtuReplyParser()
         self._raw = bytearray()
         self._reply: Reply | None = None
-        self._in_flight = False
+        self._in_flight: PtuCommand | None = None
         self._garbled = False
         self._limit_hit = False
         self._last_request_ns: int | None = None
@@ -138,12 +138,12 @@ class PtuClient:
         self._parser.expect(command.text)
         self._reply, self._garbled, self._limit_hit = None, False, False
         self._raw.clear()
-        self._in_flight = True
+        self._in_flight = command
         stamp = self._pump.write(self._port, command.encode())
         self._last_request_ns = stamp.before_ns
         wait_s = max(self._timeout_s, command.patience_s) if timeout_s is None else timeout_s
         self._pump.run_until(stamp.after_ns + int(wait_s * 1e9), self._is_over)
-        self._in_flight = False
+        self._in_flight = None
         done = self._finish(command, stamp.before_ns, stamp.after_ns)
         self.counts.exchanges += 1
         self.counts.polls += is_poll
@@ -181,11 +181,15 @@ class PtuClient:
             DeviceError: the unit does not acknowledge.
         """
         self._check_port()
-        if self._in_flight:
-            # An exchange was broken off: halt at once, then let its answer go by, so that
-            # it is not taken for the halt's.
-            self._in_flight = False
+        broken_off, self._in_flight = self._in_flight, None
+        if broken_off is not None:
+            # Halt at once, then let the answers go by, so that they are not taken for those
+            # of the next order. A unit that homes or computes answers when it has done that.
             self._pump.write(self._port, f" {HALT.text} ".encode("ascii"))
+            known, patience_ns = self.counts.stale, int(broken_off.patience_s * 1e9)
+            self._pump.run_until(
+                self._pump.now_ns() + patience_ns, lambda: self.counts.stale > known or self.gone
+            )
             self.drain()
         self._last_request_ns = None
         self.order(HALT)
@@ -221,7 +225,7 @@ class PtuClient:
         for event in self._parser.feed(chunk.data, chunk.received_ns):
             match event:
                 case Reply():
-                    if self._in_flight and self._reply is None:
+                    if self._in_flight is not None and self._reply is None:
                         self._reply = event
                     else:
                         self.counts.stale += 1
@@ -234,7 +238,7 @@ class PtuClient:
                         self.lost_synchrony = "the unit has restarted"
                 case FrameError():
                     self.counts.frame_errors += 1
-                    self._garbled = self._in_flight
+                    self._garbled = self._in_flight is not None
 
     def _take_limit(self, axis: Axis) -> None:
         self.counts.limit_flags += 1

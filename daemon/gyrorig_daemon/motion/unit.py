@@ -1,4 +1,4 @@
-"""Who is on the port, what it can do, and what it is set to: known before it moves.
+"""Who is on the port, and how it is made ready: known before it moves.
 
 Nothing moves an unknown device: first a version that a pan-tilt unit would answer, then
 a halt, then the modes, one at a time. Resolution and limits are read after homing,
@@ -8,6 +8,13 @@ because an E46 does not know its gear before its first reset (reference: ptu-e46
 from dataclasses import dataclass
 
 from gyrorig_daemon.config import PtuPort
+from gyrorig_daemon.motion.facts import (
+    ARCSEC_PER_DEG,
+    UnitFacts,
+    read_facts,
+    read_integer,
+    read_resolution_arcsec,
+)
 from gyrorig_daemon.motion.ptu_client import DRAIN_S, PtuClient
 from gyrorig_protocol.errors import DeviceError, UsageError
 from gyrorig_protocol.program import UnitSettings
@@ -25,18 +32,13 @@ from gyrorig_protocol.ptu import (
     query,
     read,
     require_done,
-    require_integer,
-    require_resolution_arcsec,
 )
 from gyrorig_protocol.ptu.commands import (
     ECHO_OFF,
     IMMEDIATE,
     INDEPENDENT_SPEED,
-    QUERY_COUNTER_HZ,
     QUERY_LIMITS,
-    QUERY_MODEL,
     QUERY_POWER,
-    QUERY_SERIAL,
     QUERY_VERSION,
     RESET,
     TERSE,
@@ -45,70 +47,8 @@ from gyrorig_protocol.ptu.commands import (
     query_step_mode,
 )
 
-ARCSEC_PER_DEG = 3600.0
 BOTH = (Axis.PAN, Axis.TILT)
-
-
-@dataclass(frozen=True, slots=True)
-class AxisFacts:
-    """One axis as the unit describes it; steps, steps/s and steps/s^2."""
-
-    resolution_arcsec: float
-    min_steps: int
-    max_steps: int
-    lower_speed: int
-    upper_speed: int
-    base_speed: int
-    acceleration: int
-    sign: int
-
-    @property
-    def steps_per_deg(self) -> float:
-        """Counted steps for a degree in the rig's sense of rotation."""
-        return self.sign * ARCSEC_PER_DEG / self.resolution_arcsec
-
-    def to_steps(self, angle_deg: float) -> int:
-        """Return the position nearest to an angle."""
-        return round(angle_deg * self.steps_per_deg)
-
-    def to_speed(self, speed_deg_s: float) -> int:
-        """Return the speed in steps/s nearest to one in deg/s."""
-        return round(speed_deg_s * abs(self.steps_per_deg))
-
-
-@dataclass(frozen=True, slots=True)
-class UnitFacts:
-    """One unit as it introduced itself."""
-
-    model: str
-    firmware: str
-    serial: str
-    dialect: Dialect
-    counter_hz: int | None
-    pan: AxisFacts
-    tilt: AxisFacts
-    baud: int
-
-    def axis(self, axis: Axis) -> AxisFacts:
-        """Return the facts of one axis."""
-        return self.pan if axis is Axis.PAN else self.tilt
-
-    def metadata(self) -> dict[str, str]:
-        """Return the recording's `gyrorig.ptu` record; unknown values are left out."""
-        record = {"model": self.model, "dialect": self.dialect.value, "firmware": self.firmware}
-        if self.serial:
-            record["serial"] = self.serial
-        for name, axis in (("pan", self.pan), ("tilt", self.tilt)):
-            record[f"{name}_resolution_arcsec"] = repr(axis.resolution_arcsec)
-            record[f"{name}_min_steps"] = str(axis.min_steps)
-            record[f"{name}_max_steps"] = str(axis.max_steps)
-            record[f"{name}_base_speed"] = str(axis.base_speed)
-            record[f"{name}_upper_speed"] = str(axis.upper_speed)
-            record[f"{name}_acceleration"] = str(axis.acceleration)
-        record["baud"] = str(self.baud)
-        if self.counter_hz is not None:
-            record["counter_hz"] = str(self.counter_hz)
-        return record
+_BOUNDS = (Quantity.MINIMUM, Quantity.MAXIMUM)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,29 +59,44 @@ class Unit:
     facts: UnitFacts
 
 
-def open_unit(client: PtuClient, config: PtuPort, settings: UnitSettings, may_home: bool) -> Unit:
-    """Identify the unit, home it if need be and allowed, apply settings, read its facts.
+def identify_unit(client: PtuClient) -> Version:
+    """Make sure that a pan-tilt unit is on the port, and halt it.
+
+    Whoever was here before may have left it turning.
+
+    Raises:
+        DeviceError: silent, not a pan-tilt unit, or it does not halt.
+    """
+    version = _identify(client)
+    client.halt()
+    return version
+
+
+def open_unit(
+    client: PtuClient, config: PtuPort, settings: UnitSettings, version: Version, may_home: bool
+) -> Unit:
+    """Home the unit if need be and allowed, apply settings, read its facts.
 
     Args:
         client: the line to it.
         config: dialect and signs.
         settings: what the program wants it set to.
+        version: what `identify_unit` returned.
         may_home: the operator agrees to a sweep of both axes over their whole range.
 
     Raises:
-        DeviceError: silent, not a pan-tilt unit, or it refuses what it must do.
+        DeviceError: it refuses what it must do.
         UsageError: it needs homing and may not, or cannot do the settings.
     """
-    version = _identify(client)
-    client.halt()  # what was here before may have left it turning
     for command in (ECHO_OFF, TERSE, INDEPENDENT_SPEED, IMMEDIATE):
         require_done(command, client.ask(command))
     dialect = _dialect(client, config, version)
     client.min_interval_s = offers(dialect).min_command_interval_s
     _home_if_needed(client, may_home)
     client.expects_banner = False
-    _apply(client, config, settings)
-    facts = _read_facts(client, config, version, dialect)
+    _apply(client, settings)
+    signs = {Axis.PAN: config.pan_sign, Axis.TILT: config.tilt_sign}
+    facts = read_facts(client, version, dialect, signs)
     for command in _for_the_record():
         client.ask(command)
     return Unit(client, facts)
@@ -166,6 +121,12 @@ def _identify(client: PtuClient) -> Version:
             f"no pan-tilt unit answers on {client.where} at {client.baud} baud",
             "check its power, the cable, the port and the baud rate",
         )
+    if set(heard.decode("latin-1")) <= set(QUERY_VERSION.encode().decode("ascii")):
+        raise DeviceError(
+            f"what is on {client.where} only sends back what it is sent",
+            "if it is a pan-tilt unit that homes after power-up, wait until it stands; "
+            "otherwise check the ports in the rig's configuration",
+        )
     raise DeviceError(
         f"what is on {client.where} is no pan-tilt unit: to V it says {heard[:40]!r}",
         "check the ports in the rig's configuration; it was not moved",
@@ -184,7 +145,7 @@ def _dialect(client: PtuClient, config: PtuPort, version: Version) -> Dialect:
 
 
 def _home_if_needed(client: PtuClient, may_home: bool) -> None:
-    bounds = [_integer(client, query(axis, bound)) for axis in BOTH for bound in _BOUNDS]
+    bounds = [read_integer(client, query(axis, bound)) for axis in BOTH for bound in _BOUNDS]
     if any(bounds[:2]) and any(bounds[2:]):
         return  # an axis that was never homed has both limits 0 (manual v3.00D)
     if not may_home:
@@ -201,12 +162,12 @@ def _home_if_needed(client: PtuClient, may_home: bool) -> None:
         require_done(RESET, reply)
     finally:
         client.resetting = False
-    bounds = [_integer(client, query(axis, bound)) for axis in BOTH for bound in _BOUNDS]
+    bounds = [read_integer(client, query(axis, bound)) for axis in BOTH for bound in _BOUNDS]
     if not (any(bounds[:2]) and any(bounds[2:])):
         raise DeviceError("the unit was homed and still has no limits", "switch it off and on")
 
 
-def _apply(client: PtuClient, config: PtuPort, settings: UnitSettings) -> None:
+def _apply(client: PtuClient, settings: UnitSettings) -> None:
     """Set speeds and acceleration, at rest; the unit recomputes its tables for seconds."""
     wanted = (
         (Quantity.UPPER_SPEED, settings.upper_speed_deg_s),
@@ -214,58 +175,29 @@ def _apply(client: PtuClient, config: PtuPort, settings: UnitSettings) -> None:
         (Quantity.ACCELERATION, settings.acceleration_deg_s2),
     )
     for axis in BOTH:
-        command = query(axis, Quantity.RESOLUTION)
-        arcsec = require_resolution_arcsec(command, client.ask(command))
+        arcsec = read_resolution_arcsec(client, axis)
         for quantity, value_deg in wanted:
             if value_deg is None:
                 continue
             steps = round(value_deg * ARCSEC_PER_DEG / arcsec)
-            if _integer(client, query(axis, quantity)) == steps:
-                continue
-            client.order(assign(axis, quantity, steps))
-            answered = _integer(client, query(axis, quantity))
-            if answered != steps:
-                name = quantity.name.lower().replace("_", " ")
-                raise DeviceError(
-                    f"the unit took a {axis.word} {name} of {answered} instead of {steps}",
-                    "choose one that it can do in the program's settings",
-                )
+            if read_integer(client, query(axis, quantity)) != steps:
+                _set(client, axis, quantity, steps, value_deg)
 
 
-def _read_facts(
-    client: PtuClient, config: PtuPort, version: Version, dialect: Dialect
-) -> UnitFacts:
-    model = serial = ""
-    counter_hz: int | None = None
-    if offers(dialect).short_identity:
-        model = _text(client, QUERY_MODEL)
-        serial = _text(client, QUERY_SERIAL)
-    if offers(dialect).motion_with_counter:
-        counter_hz = _integer(client, QUERY_COUNTER_HZ)
-    return UnitFacts(
-        model=model or version.controller or "unknown",
-        firmware=version.number,
-        serial=serial,
-        dialect=dialect,
-        counter_hz=counter_hz,
-        pan=_axis_facts(client, Axis.PAN, config.pan_sign),
-        tilt=_axis_facts(client, Axis.TILT, config.tilt_sign),
-        baud=client.baud,
-    )
-
-
-def _axis_facts(client: PtuClient, axis: Axis, sign: int) -> AxisFacts:
-    command = query(axis, Quantity.RESOLUTION)
-    return AxisFacts(
-        resolution_arcsec=require_resolution_arcsec(command, client.ask(command)),
-        min_steps=_integer(client, query(axis, Quantity.MINIMUM)),
-        max_steps=_integer(client, query(axis, Quantity.MAXIMUM)),
-        lower_speed=_integer(client, query(axis, Quantity.LOWER_SPEED)),
-        upper_speed=_integer(client, query(axis, Quantity.UPPER_SPEED)),
-        base_speed=_integer(client, query(axis, Quantity.BASE_SPEED)),
-        acceleration=_integer(client, query(axis, Quantity.ACCELERATION)),
-        sign=sign,
-    )
+def _set(client: PtuClient, axis: Axis, quantity: Quantity, steps: int, value_deg: float) -> None:
+    name = f"{axis.word} {quantity.name.lower().replace('_', ' ')}"
+    reply = client.ask(assign(axis, quantity, steps))
+    if not reply.ok:
+        raise UsageError(
+            f"the unit refuses a {name} of {value_deg:g} deg: {reply.text}",
+            "change the program's settings",
+        )
+    answered = read_integer(client, query(axis, quantity))
+    if answered != steps:
+        raise UsageError(
+            f"the unit took a {name} of {answered} instead of {steps} steps",
+            "choose one that it can do in the program's settings",
+        )
 
 
 def _for_the_record() -> tuple[PtuCommand, ...]:
@@ -274,15 +206,3 @@ def _for_the_record() -> tuple[PtuCommand, ...]:
         f(axis) for axis in BOTH for f in (query_step_mode, query_hold_power, query_move_power)
     ]
     return (QUERY_LIMITS, *modes, QUERY_POWER)
-
-
-def _integer(client: PtuClient, command: PtuCommand) -> int:
-    return require_integer(command, client.ask(command))
-
-
-def _text(client: PtuClient, command: PtuCommand) -> str:
-    answer = read(command, client.ask(command))
-    return answer if isinstance(answer, str) else ""
-
-
-_BOUNDS = (Quantity.MINIMUM, Quantity.MAXIMUM)

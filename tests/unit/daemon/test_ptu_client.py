@@ -9,7 +9,7 @@ import pytest
 from gyrorig_daemon.config import PTU_PORT, PtuPort
 from gyrorig_daemon.links.hub import Chunk, WriteStamp
 from gyrorig_daemon.links.pump import Pump, StopFlag, StopRequestedError
-from gyrorig_daemon.motion import Exchange, Poller, PtuClient, open_unit
+from gyrorig_daemon.motion import Exchange, Poller, PtuClient, Unit, identify_unit, open_unit
 from gyrorig_protocol.errors import DeviceError, UsageError
 from gyrorig_protocol.program import UnitSettings
 from gyrorig_protocol.ptu import Axis, Quantity, query
@@ -97,9 +97,13 @@ def client_for(answers: Answers) -> tuple[PtuClient, ScriptedHub, list[Exchange]
     return client, hub, seen
 
 
+def made_ready(client: PtuClient, settings: UnitSettings, *, may_home: bool) -> Unit:
+    return open_unit(client, PtuPort("x"), settings, identify_unit(client), may_home)
+
+
 def test_a_unit_is_known_before_it_is_told_anything() -> None:
     client, hub, seen = client_for(ScriptedUnit())
-    unit = open_unit(client, PtuPort("x"), UnitSettings(), may_home=False)
+    unit = made_ready(client, UnitSettings(), may_home=False)
     assert hub.heard[:2] == ["V", "H"]
     assert unit.facts.dialect == "d46"
     assert unit.facts.metadata()["pan_max_steps"] == "3090"
@@ -114,7 +118,7 @@ def test_settings_are_set_and_read_back() -> None:
     unit = ScriptedUnit()
     client, hub, _ = client_for(unit)
     settings = UnitSettings(base_speed_deg_s=3.0, acceleration_deg_s2=200.0)
-    facts = open_unit(client, PtuPort("x"), settings, may_home=False).facts
+    facts = made_ready(client, settings, may_home=False).facts
     assert (facts.pan.base_speed, facts.tilt.acceleration) == (58, 3889)
     assert hub.heard.count("PB58") == 1
 
@@ -122,13 +126,13 @@ def test_settings_are_set_and_read_back() -> None:
 def test_an_unhomed_unit_needs_consent() -> None:
     client, hub, _ = client_for(ScriptedUnit(homed=False))
     with pytest.raises(UsageError, match="--home"):
-        open_unit(client, PtuPort("x"), UnitSettings(), may_home=False)
+        made_ready(client, UnitSettings(), may_home=False)
     assert "R" not in hub.heard
 
 
 def test_homing_flags_are_no_loss_of_synchrony() -> None:
     client, hub, _ = client_for(ScriptedUnit(homed=False))
-    unit = open_unit(client, PtuPort("x"), UnitSettings(), may_home=True)
+    unit = made_ready(client, UnitSettings(), may_home=True)
     assert hub.heard.count("R") == 1
     assert unit.facts.pan.max_steps == 3090
     assert client.lost_synchrony is None
@@ -138,7 +142,7 @@ def test_homing_flags_are_no_loss_of_synchrony() -> None:
 def test_a_silent_port_is_said_to_be_silent() -> None:
     client, hub, _ = client_for(lambda _: None)
     with pytest.raises(DeviceError, match="no pan-tilt unit answers on /dev/unit at 9600"):
-        open_unit(client, PtuPort("x"), UnitSettings(), may_home=True)
+        made_ready(client, UnitSettings(), may_home=True)
     assert set(hub.heard) == {"V"}
 
 
@@ -146,7 +150,7 @@ def test_a_silent_port_is_said_to_be_silent() -> None:
 def test_what_is_no_unit_is_not_moved(noise: bytes) -> None:
     client, hub, _ = client_for(lambda _: noise)
     with pytest.raises(DeviceError, match="is no pan-tilt unit"):
-        open_unit(client, PtuPort("x"), UnitSettings(), may_home=True)
+        made_ready(client, UnitSettings(), may_home=True)
     assert set(hub.heard) == {"V"}
 
 
@@ -154,8 +158,30 @@ def test_a_refused_setting_is_told_with_the_units_words() -> None:
     unit = ScriptedUnit()
     unit.odd["PA3889"] = b"! Pan acceleration cannot exceed 3000 positions/sec^2\r\n"
     client, _, _ = client_for(unit)
-    with pytest.raises(DeviceError, match="cannot exceed 3000"):
-        open_unit(client, PtuPort("x"), UnitSettings(acceleration_deg_s2=200.0), may_home=False)
+    with pytest.raises(UsageError, match=r"pan acceleration of 200 deg.*cannot exceed 3000"):
+        made_ready(client, UnitSettings(acceleration_deg_s2=200.0), may_home=False)
+
+
+def test_a_digit_lost_on_the_line_does_not_become_a_fact() -> None:
+    unit = ScriptedUnit()
+    cut = {"PR": iter([b"* 18.142857\r\n"]), "TU": iter([b"* 290\r\n", b"* 2902\r\n", b"* 92\r\n"])}
+    client, _, _ = client_for(lambda c: next(cut.get(c, iter(())), None) or unit(c))
+    facts = made_ready(client, UnitSettings(), may_home=False).facts
+    assert (facts.pan.resolution_arcsec, facts.tilt.upper_speed) == (185.142857, 2902)
+
+
+def test_a_fact_that_is_never_said_twice_is_none() -> None:
+    unit, numbers = ScriptedUnit(), iter(range(100))
+    client, _, _ = client_for(lambda c: b"* %d\r\n" % next(numbers) if c == "PX" else unit(c))
+    with pytest.raises(DeviceError, match="'PX' differently each time"):
+        made_ready(client, UnitSettings(), may_home=False)
+
+
+def test_what_only_echoes_may_be_a_unit_that_homes() -> None:
+    client, hub, _ = client_for(lambda c: c.encode() + b" ")
+    with pytest.raises(DeviceError, match=r"only sends back .* wait until it stands"):
+        made_ready(client, UnitSettings(), may_home=True)
+    assert set(hub.heard) == {"V"}
 
 
 def test_a_lost_answer_costs_one_timeout_and_is_asked_again() -> None:
@@ -185,7 +211,7 @@ def test_garbage_is_counted_and_asked_again() -> None:
 def test_a_limit_flag_in_a_poll_is_lost_synchrony() -> None:
     unit = ScriptedUnit()
     client, _, _ = client_for(unit)
-    found = open_unit(client, PtuPort("x"), UnitSettings(), may_home=False)
+    found = made_ready(client, UnitSettings(), may_home=False)
     poller = Poller(found, None, lambda _: None)
     assert poller.where() == {Axis.PAN: 0, Axis.TILT: 0}
     unit.odd["PP"] = b"!P* 100\r\n"
@@ -196,7 +222,7 @@ def test_a_limit_flag_in_a_poll_is_lost_synchrony() -> None:
 
 def test_a_d46_is_asked_ten_times_a_second_for_its_axes_in_turn() -> None:
     client, hub, seen = client_for(ScriptedUnit())
-    found = open_unit(client, PtuPort("x"), UnitSettings(), may_home=False)
+    found = made_ready(client, UnitSettings(), may_home=False)
     poller = Poller(found, None, lambda _: None)
     poller.where()
     del hub.heard[:]

@@ -385,6 +385,24 @@ def test_a_stop_in_motion_halts_and_closes(tmp_path: Path) -> None:
     assert commands(recording)[-1].command == "H"
 
 
+def test_a_stop_while_homing_waits_for_the_sweep_to_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path, RIG.replace("emulator: {", "emulator: {homed: false, "))
+    write = bench.hub.write
+
+    def stop_then(port: str, data: bytes) -> object:
+        if data == b"R ":
+            bench.stop.request("SIGINT")
+        return write(port, data)
+
+    monkeypatch.setattr(bench.hub, "write", stop_then)
+    with pytest.raises(StopRequestedError, match=r"SIGINT: the unit is halted$"):
+        bench.record(may_home=True)
+    assert bench.is_still()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_obstacle_is_not_waited_for_forever(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -441,5 +459,44 @@ def test_a_full_disk_keeps_what_was_written(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(MachineError, match="file"):
-        Bench(tmp_path / "file" / "deeper").record()
+    bench = Bench(tmp_path / "file" / "deeper")
+    with pytest.raises(MachineError, match="file is no folder"):
+        bench.record()
+    assert bench.hub.now_ns() == ORIGIN_NS  # not even a question was asked
+
+
+def test_a_folder_that_takes_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)
+    with pytest.raises(MachineError, match="may not be written to"):
+        Bench(tmp_path / "out" / "deeper").record()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_unit_is_halted_before_the_boards_are_waited_for(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, change=board_with(silent=True))
+    write, heard = bench.hub.write, []
+
+    def listen(port: str, data: bytes) -> object:
+        heard.append((port, data))
+        return write(port, data)
+
+    bench.hub.write = listen  # type: ignore[method-assign,assignment]
+    with pytest.raises(DeviceError, match="silent"):
+        bench.record()
+    ports = [port for port, _ in heard]
+    assert ("ptu", b"H ") in heard[: ports.index("board:B-1")]
+
+
+def test_a_unit_that_falls_silent_is_said_to_be_silent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path)
+    write, now_ns = bench.hub.write, bench.hub.now_ns
+
+    def cut_off(port: str, data: bytes) -> object:
+        late = port == "ptu" and now_ns() > ORIGIN_NS + 4_000_000_000
+        return write(port, b" " if late else data)
+
+    monkeypatch.setattr(bench.hub, "write", cut_off)
+    with pytest.raises(DeviceError, match="does not answer 'BT'"):
+        bench.record("name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n")

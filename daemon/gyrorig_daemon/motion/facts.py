@@ -1,0 +1,181 @@
+"""What a unit can do and what it is set to, as it says itself.
+
+No answer carries a check: a byte lost on the line makes another number of it, and a
+wrong resolution or speed would spoil the whole recording. So each fact is asked for until
+two answers in a row agree.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+from gyrorig_daemon.motion.ptu_client import PtuClient
+from gyrorig_protocol.errors import DeviceError
+from gyrorig_protocol.ptu import (
+    Axis,
+    Dialect,
+    PtuCommand,
+    Quantity,
+    Reply,
+    Version,
+    offers,
+    query,
+    read,
+    require_integer,
+    require_resolution_arcsec,
+)
+from gyrorig_protocol.ptu.commands import QUERY_COUNTER_HZ, QUERY_MODEL, QUERY_SERIAL
+
+T = TypeVar("T", int, float, str)
+
+ARCSEC_PER_DEG = 3600.0
+READINGS = 6  # of one fact, until two in a row agree
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFacts:
+    """One axis as the unit describes it; steps, steps/s and steps/s^2."""
+
+    resolution_arcsec: float
+    min_steps: int
+    max_steps: int
+    lower_speed: int
+    upper_speed: int
+    base_speed: int
+    acceleration: int
+    sign: int
+
+    @property
+    def steps_per_deg(self) -> float:
+        """Counted steps for a degree in the rig's sense of rotation."""
+        return self.sign * ARCSEC_PER_DEG / self.resolution_arcsec
+
+    def to_steps(self, angle_deg: float) -> int:
+        """Return the position nearest to an angle."""
+        return round(angle_deg * self.steps_per_deg)
+
+    def to_speed(self, speed_deg_s: float) -> int:
+        """Return the speed in steps/s nearest to one in deg/s."""
+        return round(speed_deg_s * abs(self.steps_per_deg))
+
+
+@dataclass(frozen=True, slots=True)
+class UnitFacts:
+    """One unit as it introduced itself."""
+
+    model: str
+    firmware: str
+    serial: str
+    dialect: Dialect
+    counter_hz: int | None
+    pan: AxisFacts
+    tilt: AxisFacts
+    baud: int
+
+    def axis(self, axis: Axis) -> AxisFacts:
+        """Return the facts of one axis."""
+        return self.pan if axis is Axis.PAN else self.tilt
+
+    def metadata(self) -> dict[str, str]:
+        """Return the recording's `gyrorig.ptu` record; unknown values are left out."""
+        record = {"model": self.model, "dialect": self.dialect.value, "firmware": self.firmware}
+        if self.serial:
+            record["serial"] = self.serial
+        for name, axis in (("pan", self.pan), ("tilt", self.tilt)):
+            record[f"{name}_resolution_arcsec"] = repr(axis.resolution_arcsec)
+            record[f"{name}_min_steps"] = str(axis.min_steps)
+            record[f"{name}_max_steps"] = str(axis.max_steps)
+            record[f"{name}_base_speed"] = str(axis.base_speed)
+            record[f"{name}_upper_speed"] = str(axis.upper_speed)
+            record[f"{name}_acceleration"] = str(axis.acceleration)
+        record["baud"] = str(self.baud)
+        if self.counter_hz is not None:
+            record["counter_hz"] = str(self.counter_hz)
+        return record
+
+
+def read_facts(
+    client: PtuClient, version: Version, dialect: Dialect, signs: Mapping[Axis, int]
+) -> UnitFacts:
+    """Ask a homed unit for everything that a recording and a plan need.
+
+    Raises:
+        DeviceError: it does not answer, or never says the same twice.
+    """
+    model = serial = ""
+    counter_hz: int | None = None
+    if offers(dialect).short_identity:
+        model = _sure(client, QUERY_MODEL, _as_text)
+        serial = _sure(client, QUERY_SERIAL, _as_text)
+    if offers(dialect).motion_with_counter:
+        counter_hz = read_integer(client, QUERY_COUNTER_HZ)
+    pan, tilt = (_axis_facts(client, axis, signs[axis]) for axis in (Axis.PAN, Axis.TILT))
+    return UnitFacts(
+        model=model or version.controller or "unknown",
+        firmware=version.number,
+        serial=serial,
+        dialect=dialect,
+        counter_hz=counter_hz,
+        pan=pan,
+        tilt=tilt,
+        baud=client.baud,
+    )
+
+
+def read_integer(client: PtuClient, command: PtuCommand) -> int:
+    """Return an integer that the unit has said twice.
+
+    Raises:
+        DeviceError: it does not answer, not with an integer, or never says the same twice.
+    """
+    return _sure(client, command, require_integer)
+
+
+def read_resolution_arcsec(client: PtuClient, axis: Axis) -> float:
+    """Return an axis' resolution, said twice.
+
+    Raises:
+        DeviceError: as `read_integer`.
+    """
+    return _sure(client, query(axis, Quantity.RESOLUTION), require_resolution_arcsec)
+
+
+def _axis_facts(client: PtuClient, axis: Axis, sign: int) -> AxisFacts:
+    def integer(quantity: Quantity) -> int:
+        return read_integer(client, query(axis, quantity))
+
+    return AxisFacts(
+        resolution_arcsec=read_resolution_arcsec(client, axis),
+        min_steps=integer(Quantity.MINIMUM),
+        max_steps=integer(Quantity.MAXIMUM),
+        lower_speed=integer(Quantity.LOWER_SPEED),
+        upper_speed=integer(Quantity.UPPER_SPEED),
+        base_speed=integer(Quantity.BASE_SPEED),
+        acceleration=integer(Quantity.ACCELERATION),
+        sign=sign,
+    )
+
+
+def _sure(client: PtuClient, command: PtuCommand, convert: Callable[[PtuCommand, Reply], T]) -> T:
+    before: T | None = None
+    fault: DeviceError | None = None
+    for _ in range(READINGS):
+        try:
+            value = convert(command, client.ask(command))
+        except DeviceError as refused:
+            if client.gone:
+                raise
+            before, fault = None, refused
+            continue
+        if value == before:
+            return value
+        before = value
+    raise fault or DeviceError(
+        f"the pan-tilt unit on {client.where} answers {command.text!r} differently each time",
+        "check the cable and the baud rate",
+    )
+
+
+def _as_text(command: PtuCommand, reply: Reply) -> str:
+    answer = read(command, reply)
+    return answer if isinstance(answer, str) else ""
