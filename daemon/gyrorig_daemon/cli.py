@@ -1,187 +1,71 @@
-"""The command `gyrorigd`: what a rig does.
+"""The entrance of `gyrorigd`: every error becomes one line and an exit code.
 
-Errors are one line on standard error and an exit code: 0 done; 1 failed, or stopped by a
-signal (the unit is halted and the recording closed then); 2 wrong usage or
-configuration; 75 a port is busy.
+0 done; 1 failed, or stopped by a signal (the unit is halted and the recording closed
+then); 2 wrong usage or configuration; 75 a port is busy. Nothing large is imported before
+signals are taken care of: an impatient Ctrl-C ends the process without a traceback.
 """
 
-import json
-import secrets
+import os
 import signal
-import socket
 import sys
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from pathlib import Path
-from types import FrameType
-from typing import Any
+import traceback
+from collections.abc import Sequence
 
-import click
-
-from gyrorig_daemon import record
-from gyrorig_daemon.config import load_rig, read_document
-from gyrorig_daemon.links.pump import StopFlag
-from gyrorig_daemon.session import SessionOrder
-from gyrorig_protocol.errors import GyrorigError
-from gyrorig_protocol.program import parse_program
-from gyrorig_protocol.recording.writer import software
-
-_FILE = click.Path(path_type=Path, dir_okay=False)
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(software(), message="%(version)s")
-def cli() -> None:
-    """What a rig does: record sessions, emulate a rig.
-
-    Example: gyrorigd record --config config/rig.yaml --program config/programs/quick.yaml
-    """
-
-
-@cli.command("record")
-@click.option("--config", "config_path", type=_FILE, required=True, help="The rig (YAML).")
-@click.option("--program", "program_path", type=_FILE, required=True, help="The motion (YAML).")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("recordings"),
-    show_default=True,
-    help="The folder that recordings go to.",
-)
-@click.option("--home", is_flag=True, help="The unit may sweep both axes to find its zero.")
-@click.option(
-    "--simulated-time",
-    is_flag=True,
-    help="Emulated rigs only: faster than time, straight into the recording.",
-)
-@click.option("--seed", type=click.IntRange(min=0), help="Of the emulated rig.")
-@click.option("--session", help="The session's name; otherwise drawn.")
-@click.option("--truth", type=_FILE, help="Write what the emulated rig hides here (YAML).")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def record_command(**options: Any) -> None:
-    """Record one session: identify the rig, carry out the program, write a recording.
-
-    Nothing moves before every device has said who it is and the whole program fits the
-    unit's limits. On any end the unit is halted and the recording closed.
-
-    Example: gyrorigd record --config config/rig.yaml --program config/programs/full.yaml
-    --out recordings
-    """
-    _guarded(lambda: _record(options), options["as_json"])
-
-
-@cli.command("emulate")
-@click.option("--config", "config_path", type=_FILE, required=True, help="The rig (YAML).")
-@click.option("--seed", type=click.IntRange(min=0), help="Another rig, board and noise.")
-@click.option("--truth", type=_FILE, help="Write what the emulated rig hides here (YAML).")
-@click.option(
-    "--links",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="A folder for links with the ports' names.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print the ports as one JSON object.")
-@click.option("--until-eof", is_flag=True, help="End when standard input ends.")
-def emulate_command(**options: Any) -> None:
-    """Open the emulated unit and boards on ptys, print their paths, run until stopped.
-
-    Any program can talk to them. Only ports that read `emulated` in the configuration
-    are opened.
-
-    Example: gyrorigd emulate --config config/rig.yaml
-    """
-    _guarded(lambda: _emulate(options), options["as_json"])
+TRACEBACK = "GYRORIG_TRACEBACK"  # set to anything: show where a fault comes from
 
 
 def main() -> None:
-    """Run `gyrorigd`."""
-    cli(prog_name="gyrorigd")
+    """Run `gyrorigd` and leave with its exit code."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until a command takes it
+    sys.exit(run(sys.argv[1:]))
 
 
-def _record(options: dict[str, Any]) -> dict[str, Any]:
-    config_path, program_path = options["config_path"], options["program_path"]
-    config_text, program_text = read_document(config_path), read_document(program_path)
-    order = SessionOrder(
-        config=load_rig(config_path),
-        config_text=config_text,
-        program=parse_program(program_text, program_path.name),
-        program_text=program_text,
-        out_dir=options["out"],
-        session=options["session"] or secrets.token_hex(4),
-        may_home=options["home"],
-    )
-    with _stop_by_signal() as stop:
-        call = record.Call(
-            order=order,
-            config_path=config_path,
-            seed=options["seed"],
-            truth=options["truth"],
-            host=socket.gethostname(),
-            stop=stop,
-            progress=_progress if sys.stderr.isatty() else record.no_progress,
-        )
-        run = record.in_simulated_time if options["simulated_time"] else record.in_real_time
-        path = run(call)
-    if not options["as_json"]:
-        click.echo(str(path))
-    return {"recording": str(path)}
+def run(arguments: Sequence[str]) -> int:
+    """Carry out a command line and return its exit code."""
+    from gyrorig_daemon.commands import cli  # noqa: PLC0415 - see above
 
-
-def _emulate(options: dict[str, Any]) -> dict[str, Any]:
-    config = load_rig(options["config_path"])
-    ended = threading.Event()
-    for number in _SIGNALS:
-        signal.signal(number, lambda *_: ended.set())
-    if options["until_eof"]:
-        threading.Thread(target=_wait_for_eof, args=(ended,), daemon=True).start()
-
-    def announce(ports: Mapping[str, str]) -> None:
-        if options["as_json"]:
-            click.echo(json.dumps({"ports": dict(ports)}))
-        else:
-            for name, path in ports.items():
-                click.echo(f"{name}\t{path}")
+    try:
+        returned = cli.main(list(arguments), prog_name="gyrorigd", standalone_mode=False)
         sys.stdout.flush()
-
-    record.emulate(config, options["seed"], options["truth"], announce, ended, options["links"])
-    return {}
-
-
-def _wait_for_eof(ended: threading.Event) -> None:
-    while sys.stdin.buffer.read(4096):
-        pass
-    ended.set()
-
-
-def _guarded(run: Callable[[], dict[str, Any]], as_json: bool) -> None:
-    """Run a command; a fault is one line, or one object, and its exit code."""
-    try:
-        result = run()
-    except GyrorigError as fault:
-        if as_json:
-            click.echo(json.dumps({"error": str(fault), "exit_code": fault.exit_code}))
-        click.echo(f"gyrorigd: {fault}", err=True)
-        sys.exit(fault.exit_code)
-    if as_json and result:
-        click.echo(json.dumps(result))
+    except BrokenPipeError:
+        # Whoever read our words went away; what is left of them goes nowhere, silently.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as fault:  # noqa: BLE001, RUF100 - the edge: every error becomes one line
+        if os.environ.get(TRACEBACK):
+            traceback.print_exc()
+        return _report(fault, "--json" in arguments)
+    return returned if isinstance(returned, int) else 0
 
 
-@contextmanager
-def _stop_by_signal() -> Iterator[StopFlag]:
-    """Turn the first signal into a request to stop; the unit is halted before the end."""
-    stop = StopFlag()
+def _report(fault: Exception, as_json: bool) -> int:
+    """Say in one line what `fault` is, and return the exit code for it."""
+    import json  # noqa: PLC0415
 
-    def request(number: int, frame: FrameType | None) -> None:
-        stop.request(signal.Signals(number).name)
+    import click  # noqa: PLC0415
 
-    before = {number: signal.signal(number, request) for number in _SIGNALS}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    from gyrorig_protocol.errors import GyrorigError  # noqa: PLC0415
 
-
-def _progress(done: int, total: int) -> None:
-    click.echo(f"\rstep {done} of {total} ", nl=done == total, err=True)
+    if isinstance(fault, click.exceptions.NoArgsIsHelpError):
+        click.echo(fault.format_message(), err=True)
+        return 2
+    code = 1
+    if isinstance(fault, GyrorigError):
+        text, code = str(fault), fault.exit_code
+    elif isinstance(fault, click.ClickException):
+        context = getattr(fault, "ctx", None)
+        where = "gyrorigd" if context is None else context.command_path
+        text, code = f"{fault.format_message().rstrip('.')} (see {where} --help)", 2
+    elif isinstance(fault, OSError):
+        text = f"{fault.filename or 'this computer'}: {fault.strerror or fault}"
+    else:
+        text = (
+            f"a fault of the program, {type(fault).__name__}: {fault}; "
+            f"with {TRACEBACK}=1 it shows where"
+        )
+    text = " ".join(text.split())
+    if as_json:
+        click.echo(json.dumps({"error": text, "exit_code": code}))
+    over_progress = "\r\x1b[K" if sys.stderr.isatty() else ""
+    click.echo(f"{over_progress}gyrorigd: {text}", err=True)
+    return code

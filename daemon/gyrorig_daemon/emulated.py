@@ -104,14 +104,27 @@ class EmulatorProcess:
             command += ["--seed", str(run.seed)]
         if run.truth is not None:
             command += ["--truth", str(run.truth)]
-        self._process = subprocess.Popen(  # noqa: S603 - ourselves
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
-        )
+        try:
+            self._process = subprocess.Popen(  # noqa: S603 - ourselves
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,  # what it has to tell it tells as JSON
+                start_new_session=True,
+            )
+        except OSError as fault:
+            raise MachineError(
+                f"the emulated rig cannot be started: {fault.strerror}", "make room for it"
+            ) from fault
         line = b"" if self._process.stdout is None else self._process.stdout.readline()
-        if not line:
+        told = json.loads(line) if line else {}
+        if "ports" not in told:
             self.close()
-            raise MachineError("the emulated rig did not start", "run gyrorigd emulate to see why")
-        self.paths: Mapping[str, str] = json.loads(line)["ports"]
+            raise MachineError(
+                f"the emulated rig did not start: {told.get('error', 'it says nothing')}",
+                "run gyrorigd emulate to see more",
+            )
+        self.paths: Mapping[str, str] = told["ports"]
 
     def close(self) -> None:
         """End it. Closing twice is no fault."""

@@ -98,6 +98,8 @@ def in_simulated_time(call: Call) -> Path:
         raise UsageError("a real rig has no simulated time", "leave out --simulated-time")
     settings = rig_settings(config, call.seed)
     rig = EmulatedRig(settings, ORIGIN_NS)
+    if call.truth is not None:
+        write_truth(call.truth, rig.truth_document())  # refused now rather than at the end
     hub = VirtualHub(rig)
     capture = CaptureClock(time.time_ns(), hub.now_ns())
 

@@ -214,6 +214,87 @@ def test_documents_that_are_wrong(tmp_path: Path, rig: str, program: str, words:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["frob"], "No such command 'frob'"),
+        (["record"], "Missing option '--config'"),
+        (["record", "--config", ".", "--program", "x"], "is a directory"),
+        (["emulate", "--config", "x", "--seed", "-1"], "--seed"),
+        (["emulate", "--config", "none.yaml"], "none.yaml cannot be read"),
+    ],
+)
+def test_wrong_usage_is_one_line(arguments: list[str], words: str) -> None:
+    ended = run(*arguments)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert words in ended.stderr
+    assert ended.stderr.startswith("gyrorigd: ")
+    assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["../../x", "", "a\nb", "x" * 300])
+def test_a_session_is_named_as_a_file_can_be(tmp_path: Path, name: str) -> None:
+    arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
+    ended = run(*arguments, "--simulated-time", "--session", name)
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+    assert "is no name for a session" in ended.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("time", [["--simulated-time"], []])
+def test_a_truth_that_cannot_be_written_is_refused_first(tmp_path: Path, time: list[str]) -> None:
+    arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
+    ended = run(*arguments, *time, "--truth", str(tmp_path / "none" / "truth.yaml"), "--json")
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert "cannot be written" in ended.stderr
+    assert json.loads(ended.stdout)["exit_code"] == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_documents_may_come_through_pipes(tmp_path: Path) -> None:
+    arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
+    reading, writing = os.pipe()
+    os.write(writing, (tmp_path / "rig.yaml").read_bytes())
+    os.close(writing)
+    arguments[arguments.index("--config") + 1] = f"/dev/fd/{reading}"
+    ended = subprocess.run(
+        [*GYRORIGD, *arguments, "--simulated-time"], pass_fds=[reading], check=False
+    )
+    os.close(reading)
+    assert ended.returncode == 0
+
+
+def test_an_interrupt_at_the_start_leaves_no_traceback(tmp_path: Path) -> None:
+    script = "import os, signal, sys; sys.argv = ['gyrorigd', '--version'];"
+    # a Ctrl-C in the middle of the imports, at the same place each time
+    script += (
+        "from importlib.abc import MetaPathFinder\n"
+        "class Finder(MetaPathFinder):\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'gyrorig_daemon.commands':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "from gyrorig_daemon.cli import main; main()\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (-signal.SIGINT, "", "")
+
+
+def test_a_fault_of_the_program_is_one_line_too() -> None:
+    script = (
+        "import sys; sys.argv = ['gyrorigd', 'emulate', '--config', 'x'];"
+        "import gyrorig_daemon.commands as c; c.load_rig = lambda _: 1 / 0;"
+        "from gyrorig_daemon.cli import main; main()"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert "ZeroDivisionError" in ended.stderr
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["record", "--help"], ["emulate", "--help"]])
 def test_help_has_an_example(arguments: list[str]) -> None:
     ended = run(*arguments)
@@ -225,17 +306,20 @@ def test_the_version_is_told() -> None:
     assert run("--version").stdout.startswith("gyrorig ")
 
 
-def test_emulate_ends_on_a_signal(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_emulate_ends_on_a_signal(tmp_path: Path, number: signal.Signals) -> None:
     (tmp_path / "rig.yaml").write_text(RIG.format(ptu="emulated", board="emulated"))
     process = subprocess.Popen(
-        [*GYRORIGD, "emulate", "--config", tmp_path / "rig.yaml"],
+        [*GYRORIGD, "emulate", "--config", tmp_path / "rig.yaml", "--until-eof"],
+        stdin=subprocess.PIPE,  # still open: its end is not what ends it
         stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
     )
     if process.stdout is None:
         raise AssertionError
-    with process.stdout:
-        names = {process.stdout.readline().split("\t")[0] for _ in range(2)}
-        process.terminate()
-        assert process.wait(20) == 0
-    assert names == {"ptu", "board:B-1"}
+    names = {process.stdout.readline().split("\t")[0] for _ in range(2)}
+    process.send_signal(number)
+    assert process.wait(20) == 0
+    _, told = process.communicate()
+    assert (names, told) == ({"ptu", "board:B-1"}, "")

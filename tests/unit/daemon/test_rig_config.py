@@ -69,3 +69,15 @@ def test_what_is_wrong_is_named(change: tuple[str, str], word: str) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"none\.yaml"):
         load_rig(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("port", ['"a\\0b"', '"a\\nb"', '""'])
+def test_a_port_is_a_path(port: str) -> None:
+    with pytest.raises(UsageError, match=r"\$\.ptu\.port"):
+        parse_rig(GOOD.replace("port: emulated, baud", f"port: {port}, baud"), "rig.yaml")
+
+
+def test_an_empty_document_is_called_empty(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text(" \n")
+    with pytest.raises(UsageError, match=r"rig\.yaml is empty"):
+        load_rig(tmp_path / "rig.yaml")

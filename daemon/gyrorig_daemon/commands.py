@@ -1,0 +1,180 @@
+"""What `gyrorigd` can be told to do: its commands and their options."""
+
+import json
+import os
+import secrets
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import click
+
+from gyrorig_daemon import record
+from gyrorig_daemon.config import load_rig, parse_rig, read_document
+from gyrorig_daemon.links.pump import StopFlag
+from gyrorig_daemon.session import SessionOrder
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.program import parse_program
+from gyrorig_protocol.recording.writer import software
+
+_FILE = click.Path(path_type=Path, dir_okay=False)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(software(), message="%(version)s")
+def cli() -> None:
+    """What a rig does: record sessions, emulate a rig.
+
+    Example: gyrorigd record --config config/rig.yaml --program config/programs/quick.yaml
+    """
+
+
+@cli.command("record")
+@click.option("--config", "config_path", type=_FILE, required=True, help="The rig (YAML).")
+@click.option("--program", "program_path", type=_FILE, required=True, help="The motion (YAML).")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("recordings"),
+    show_default=True,
+    help="The folder that recordings go to.",
+)
+@click.option("--home", is_flag=True, help="The unit may sweep both axes to find its zero.")
+@click.option(
+    "--simulated-time",
+    is_flag=True,
+    help="Emulated rigs only: faster than time, straight into the recording.",
+)
+@click.option("--seed", type=click.IntRange(min=0), help="Of the emulated rig.")
+@click.option("--session", help="The session's name; otherwise drawn.")
+@click.option("--truth", type=_FILE, help="Write what the emulated rig hides here (YAML).")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def record_command(**options: Any) -> None:
+    """Record one session: identify the rig, carry out the program, write a recording.
+
+    Nothing moves before every device has said who it is and the whole program fits the
+    unit's limits. On any end the unit is halted and the recording closed.
+
+    Example: gyrorigd record --config config/rig.yaml --program config/programs/full.yaml
+    --out recordings
+    """
+    _print(_record(options), options["as_json"])
+
+
+@cli.command("emulate")
+@click.option("--config", "config_path", type=_FILE, required=True, help="The rig (YAML).")
+@click.option("--seed", type=click.IntRange(min=0), help="Another rig, board and noise.")
+@click.option("--truth", type=_FILE, help="Write what the emulated rig hides here (YAML).")
+@click.option(
+    "--links",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="A folder for links with the ports' names.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the ports as one JSON object.")
+@click.option("--until-eof", is_flag=True, help="End when standard input ends.")
+def emulate_command(**options: Any) -> None:
+    """Open the emulated unit and boards on ptys, print their paths, run until stopped.
+
+    Any program can talk to them. Only ports that read `emulated` in the configuration
+    are opened.
+
+    Example: gyrorigd emulate --config config/rig.yaml
+    """
+    _emulate(options)
+
+
+def _record(options: dict[str, Any]) -> dict[str, Any]:
+    config_path, program_path = options["config_path"], options["program_path"]
+    config_text, program_text = read_document(config_path), read_document(program_path)
+    order = SessionOrder(
+        config=parse_rig(config_text, config_path.name),
+        config_text=config_text,
+        program=parse_program(program_text, program_path.name),
+        program_text=program_text,
+        out_dir=options["out"],
+        session=_session_name(options["session"]),
+        may_home=options["home"],
+    )
+    with _stop_by_signal() as stop:
+        call = record.Call(
+            order=order,
+            config_path=config_path,
+            seed=options["seed"],
+            truth=options["truth"],
+            host=socket.gethostname(),
+            stop=stop,
+            progress=_progress if sys.stderr.isatty() else record.no_progress,
+        )
+        run = record.in_simulated_time if options["simulated_time"] else record.in_real_time
+        path = run(call)
+    if not options["as_json"]:
+        click.echo(str(path))
+    return {"recording": str(path)}
+
+
+def _session_name(told: str | None) -> str:
+    """Return a name that can be part of a file's."""
+    try:
+        return secrets.token_hex(4) if told is None else BoardId(told)
+    except InputError as fault:
+        raise UsageError(f"{told!r:.50} is no name for a session", fault.remedy) from fault
+
+
+def _emulate(options: dict[str, Any]) -> None:
+    config = load_rig(options["config_path"])
+    ended = threading.Event()
+    for number in _SIGNALS:
+        signal.signal(number, lambda *_: ended.set())
+    if options["until_eof"]:
+        threading.Thread(target=_wait_for_eof, args=(ended,), daemon=True).start()
+
+    def announce(ports: Mapping[str, str]) -> None:
+        if options["as_json"]:
+            click.echo(json.dumps({"ports": dict(ports)}))
+        else:
+            for name, path in ports.items():
+                click.echo(f"{name}\t{path}")
+        sys.stdout.flush()
+
+    record.emulate(config, options["seed"], options["truth"], announce, ended, options["links"])
+
+
+def _wait_for_eof(ended: threading.Event) -> None:
+    # not through sys.stdin: a thread that holds its lock breaks the interpreter's end
+    with suppress(OSError):
+        while os.read(0, 4096):
+            pass
+    ended.set()
+
+
+def _print(result: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(result))
+
+
+@contextmanager
+def _stop_by_signal() -> Iterator[StopFlag]:
+    """Turn the first signal into a request to stop; the unit is halted before the end."""
+    stop = StopFlag()
+
+    def request(number: int, frame: FrameType | None) -> None:
+        stop.request(signal.Signals(number).name)
+
+    before = {number: signal.signal(number, request) for number in _SIGNALS}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _progress(done: int, total: int) -> None:
+    click.echo(f"\rstep {done} of {total} ", nl=done == total, err=True)
