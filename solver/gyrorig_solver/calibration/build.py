@@ -28,6 +28,7 @@ from gyrorig_solver.calibration.document import (
     Observability,
     Parameter,
     Quality,
+    SecondOpinion,
     SolvedInput,
     SolverRecord,
     Units,
@@ -182,6 +183,17 @@ def _noise(fit: GyroFit) -> dict[str, NoiseFigure]:
     }
 
 
+def _second_opinion(fit: GyroFit) -> SecondOpinion | None:
+    found = fit.extra
+    if "rest_to_rest_p_value" not in found:
+        return None
+    return SecondOpinion(
+        moves=int(found["rest_to_rest_moves"]),
+        p_value=found["rest_to_rest_p_value"],
+        largest_sigma=found["rest_to_rest_largest_sigma"],
+    )
+
+
 def _quality(fit: GyroFit, profile: SensorProfile | None) -> Quality:
     before, after = _number(fit.rms_before_rad_s), _number(fit.rms_after_rad_s)
     return Quality(
@@ -193,4 +205,5 @@ def _quality(fit: GyroFit, profile: SensorProfile | None) -> Quality:
         ),
         warnings=[*fit.warnings, *profile_warnings(fit, profile)],
         outliers=int(fit.outliers),
+        rest_to_rest=_second_opinion(fit),
     )

@@ -117,6 +117,14 @@ class HeldOut(_Document, frozen=True):
     unit: str = "rad/s"
 
 
+class SecondOpinion(_Document, frozen=True):
+    """The turns from rest to rest beside the rates: blind to timing, so a judge of it."""
+
+    moves: int
+    p_value: float  # of the difference, in the combined uncertainty; small is bad
+    largest_sigma: float
+
+
 class Quality(_Document, frozen=True, omit_defaults=True):
     """How well the model explains the data. `reduced_chi2` is 1 when noise is all that is left."""
 
@@ -125,6 +133,7 @@ class Quality(_Document, frozen=True, omit_defaults=True):
     held_out: HeldOut | None = None
     efficiency: dict[str, float] | None = None
     outliers: int | None = None
+    rest_to_rest: SecondOpinion | None = None
 
 
 class Trust(_Document, frozen=True):

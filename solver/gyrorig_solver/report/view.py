@@ -104,6 +104,10 @@ def tiles(data: ReportData) -> list[Tile]:
     chi2 = calibration.quality.reduced_chi2
     if chi2 is not None:
         out.append(Tile("reduced chi²", "", short(chi2), "1 when only noise is left"))
+    second = calibration.quality.rest_to_rest
+    if second is not None:
+        words = f"largest difference to the turns from rest to rest ({second.moves} moves)"
+        out.append(Tile("second opinion", "", f"{second.largest_sigma:.1f} σ", words))
     return out
 
 
