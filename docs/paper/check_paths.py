@@ -11,7 +11,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
-from docs.paper.markdown import Block, matrix, number, numbers, show, table
+from docs.markdown import Block, matrix, number, numbers, show, table
 from docs.paper.motion import Corners, Motion, along, calibrated, paths
 
 from gyrorig_solver.arrays import FloatArray

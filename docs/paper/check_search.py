@@ -13,7 +13,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
-from docs.paper.markdown import Block, number, show, table
+from docs.markdown import Block, number, show, table
 from docs.paper.motion import along, calibrated, paths
 from docs.paper.printed import GY80
 

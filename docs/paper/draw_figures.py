@@ -14,8 +14,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import matplotlib as mpl
 import numpy as np
+from docs.markdown import Block, number, numbers, show, table
 from docs.paper.check_estimators import true_gain
-from docs.paper.markdown import Block, number, numbers, show, table
 from docs.paper.motion import (
     RATE_HZ,
     Motion,

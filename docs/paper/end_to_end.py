@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 import yaml
-from docs.paper.markdown import Block, number, numbers, show, table
+from docs.markdown import Block, number, numbers, show, table
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.arrays import BoolArray, FloatArray
