@@ -174,11 +174,12 @@ def _reasons(
 ) -> tuple[str, ...]:
     """Say each unobserved group in words, once."""
     share = np.diag(hidden) / prior_std(names) ** 2
+    # A column shares in a hidden direction when a tenth of its prior comes back.
+    columns = [c for k, c in enumerate("xyz") if share[k:9:3].max() > 0.1 and c in words]
     said: list[str] = []
-    for k, column in enumerate("xyz"):
-        # A column shares in a hidden direction when a tenth of its prior comes back.
-        if share[k:9:3].max() > 0.1 and column in words:
-            said.append(f"column {column} of the gain: {words[column]}")
+    for text in dict.fromkeys(words[c] for c in columns):
+        alike = [c for c in columns if words[c] == text]
+        said.append(f"column{'s' * (len(alike) > 1)} {', '.join(alike)} of the gain: {text}")
     if any(n.startswith("bias") for n in lost) and "bias" in words:
         said.append(f"bias: {words['bias']}")
     if "time_offset" in lost and "time_offset" in words:

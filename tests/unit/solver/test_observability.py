@@ -53,3 +53,9 @@ def test_units_do_not_decide() -> None:
     weighed = information("xyz")
     weighed[9:, 9:] *= 1e12
     assert decide(weighed, NAMES).rank == 12
+
+
+def test_columns_with_one_reason_are_named_together() -> None:
+    words = {"x": "it lay still", "y": "it lay still", "z": "it lay still"}
+    found = conclude(IDENTITY, NAMES, decide(information(""), NAMES), words)
+    assert found.observability.reasons == ("columns x, y, z of the gain: it lay still",)
