@@ -9,6 +9,7 @@ first who they are) is held until then.
 import queue
 import threading
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,10 +39,15 @@ class _Entry:
     message: Message
     log_ns: int
     publish_ns: int
+    skipped: int = 0  # messages of this topic before it that found the queue full
 
 
 class Recorder:
-    """Takes messages from one thread, in the order of their log times on each topic."""
+    """Takes messages from one thread, in the order of their log times on each topic.
+
+    What finds the queue full is dropped, counted, and left out of its topic's message
+    sequence, so that a reader sees where it is missing.
+    """
 
     def __init__(self, threaded: bool) -> None:
         """Begin without a file; `hold` and `put` before `open` as each says."""
@@ -52,6 +58,7 @@ class Recorder:
         self._thread: threading.Thread | None = None
         self._fault: GyrorigError | None = None
         self._muted = False
+        self._skipped: Counter[str] = Counter()
         self.high_water = 0
         self.dropped = 0
         self.written = 0
@@ -104,13 +111,17 @@ class Recorder:
         if self._writer is None or self._muted:
             return
         self.check()
-        entry = _Entry(topic, message, log_ns, log_ns if publish_ns is None else publish_ns)
+        skipped = self._skipped[topic]
+        taken_ns = log_ns if publish_ns is None else publish_ns
+        entry = _Entry(topic, message, log_ns, taken_ns, skipped)
         if not self._threaded:
             self._write(self._writer, entry)
             return
         try:
             self._queue.put_nowait(entry)
+            self._skipped[topic] = 0
         except queue.Full:
+            self._skipped[topic] += 1
             self.dropped += 1
         self.high_water = max(self.high_water, self._queue.qsize())
 
@@ -166,6 +177,8 @@ class Recorder:
 
     def _write(self, writer: RecordingWriter, entry: _Entry) -> None:
         try:
+            if entry.skipped:
+                writer.skip(entry.topic, entry.skipped)
             writer.write(entry.topic, entry.message, entry.log_ns, entry.publish_ns)
         except GyrorigError as fault:
             self._fault = fault

@@ -234,6 +234,15 @@ class RecordingWriter:
 
         self._guard(append_all)
 
+    def skip(self, topic: str, count: int = 1) -> None:
+        """Leave a gap in a channel's message sequence: `count` messages never came here.
+
+        Before the first message of a topic there is nothing that a gap could follow.
+        """
+        channel = self._channels.get(topic)
+        if channel is not None:
+            channel.sequence = (channel.sequence + count) & 0xFFFFFFFF
+
     def tick(self, now_ns: int) -> None:
         """Close the chunk and sync the file when they are due.
 

@@ -1,16 +1,20 @@
 """The queue in front of the writer: order, what comes too early, and a disk that fails."""
 
 import errno
+import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 
 from gyrorig_daemon.recorder import Recorder, RecordingPlan
 from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.recording.disk_file import DiskFile
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.writer import RecordingWriter
 
 TOPIC = "/session/event"
 METADATA = {"gyrorig": {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}}
@@ -34,6 +38,42 @@ def test_held_messages_come_first_and_early_ones_are_forgotten(
     texts = [m.text for m in read_recording(path).messages(TOPIC) if isinstance(m, SessionEvent)]
     assert texts == [f"note {at}" for at in range(2, 500)]
     assert recorder.dropped == 0
+
+
+def test_what_finds_the_queue_full_leaves_a_gap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gyrorig_daemon.recorder.recorder.QUEUE_LIMIT", 3)
+    stuck, write = threading.Event(), RecordingWriter.write
+
+    def slow(*arguments: Any, **named: Any) -> None:
+        taken.release()
+        stuck.wait()
+        write(*arguments, **named)
+
+    taken = threading.Semaphore(0)
+    monkeypatch.setattr(RecordingWriter, "write", slow)
+    recorder = Recorder(threaded=True)
+    recorder.open(RecordingPlan(tmp_path / "a.mcap", METADATA, ()))
+    recorder.put(TOPIC, event(0), 0)
+    taken.acquire()  # the writer has it, and is stuck: three more fit
+    for at in range(1, 9):
+        recorder.put(TOPIC, event(at), at)
+    assert recorder.dropped == 5
+    stuck.set()
+    for _ in range(3):
+        taken.acquire()  # the queue is empty again
+    for at in range(9, 11):
+        recorder.put(TOPIC, event(at), at)
+    recording = read_recording(recorder.close())
+    texts = [m.text for m in recording.messages(TOPIC) if isinstance(m, SessionEvent)]
+    assert texts == [f"note {at}" for at in (0, 1, 2, 3, 9, 10)]
+    assert message_sequences(tmp_path / "a.mcap") == [0, 1, 2, 3, 9, 10]
+
+
+def message_sequences(path: Path) -> list[int]:
+    with path.open("rb") as file:
+        return [message.sequence for _, _, message in make_reader(file).iter_messages([TOPIC])]
 
 
 def failing_after(count: int, code: int) -> Callable[[DiskFile, bytes], int]:

@@ -263,6 +263,22 @@ def test_a_reset_starts_clock_sequence_and_boot_anew() -> None:
     )
 
 
+def test_a_board_that_starts_anew_neither_hears_nor_answers() -> None:
+    _, emulated = board(replace(PLAIN, slow_hz=50.0, faults=BoardFaults(reset_at_s=(2.0,))))
+    before = len(frames(emulated, 1.9))
+    assert before > 0
+    # one question just before the reset, one in the silence, one cut by its end, one after it
+    emulated.receive(TimeRequest(1, 0).encode(), 2 * SECOND - 300_000)
+    for nonce, at_s in ((2, 2.2), (3, 2.49995), (4, 2.6)):
+        emulated.receive(TimeRequest(nonce, 0).encode(), round(at_s * SECOND))
+    sent = emulated.take_output(3 * SECOND)
+    assert not [at for at, _ in sent if 2.001 * SECOND < at < 2.5 * SECOND]
+    got = FrameParser().feed(b"".join(data for _, data in sent), 0)
+    answers = [e.frame for e in got if isinstance(e, FrameEvent) and isinstance(e.frame, TimeReply)]
+    assert [answer.nonce for answer in answers] == [4]
+    assert answers[0].device_receive == pytest.approx(600_000, abs=2_000)
+
+
 def sequences(faults: BoardFaults) -> tuple[list[int], int]:
     got = frames(board(replace(PLAIN, slow_hz=0.0, faults=faults))[1], 3.0)
     bad = sum(isinstance(f, FrameFault) for f in got)

@@ -75,6 +75,15 @@ def test_no_folder(tmp_path: Path, contract_metadata: Any) -> None:
         RecordingWriter(tmp_path / "none" / "a.mcap", contract_metadata)
 
 
+def test_messages_lost_before_the_writer_leave_a_gap(out: RecordingWriter) -> None:
+    out.skip(TOPIC, 5)  # nothing before it that a gap could follow
+    out.write(TOPIC, imu(T))
+    out.skip(TOPIC, 2)
+    out.write(TOPIC, imu(T + 1))
+    out.write(TOPIC, imu(T + 2))
+    assert read_recording(out.close()).imu(B1)["message_sequence"].tolist() == [0, 3, 4]
+
+
 def test_mistakes_of_the_caller(out: RecordingWriter) -> None:
     out.write(TOPIC, imu(T))
     mistakes: list[Callable[[], None]] = [

@@ -98,6 +98,9 @@ class EmulatedBoard:
         if self.settings.format != "gcb1" or self.settings.faults.silent:
             return
         for byte, arrived_ns in zip(data, arrivals, strict=True):
+            if self._is_down(arrived_ns):
+                self._parser = FrameParser()
+                continue
             for event in self._parser.feed(bytes([byte]), arrived_ns):
                 if isinstance(event, FrameEvent):
                     self._answer(event.frame, arrived_ns)
@@ -144,6 +147,8 @@ class EmulatedBoard:
             ready_ns = self._frames[0][0] if sample else self._misc[0][0]
             start_ns = max(ready_ns, self._free_ns)
             data = self._frames[0][1] if sample else self._misc[0][2](start_ns)
+            if not sample and self._is_down(start_ns):
+                data = b""  # an answer that a reset overtook
             self._head = (start_ns + len(data) * self._byte_ns, data, sample)
         return self._head
 
@@ -194,7 +199,7 @@ class EmulatedBoard:
             number = self._before_model + block.first + row
             boot_ns = self.clock.started_ns(last_ns)
             if boot_ns is not None:
-                if last_ns < boot_ns + round(self.settings.faults.reset_silence_s * 1e9):
+                if self._is_down(last_ns):
                     continue
                 number = (
                     block.first + row - self._imu.samples_before((boot_ns - self._origin_ns) * 1e-9)
@@ -257,6 +262,13 @@ class EmulatedBoard:
             air_temperature_decidegc=bmp085_raw(temperature),
             supply_mv=_SUPPLY_MV,
         ).encode()
+
+    def _is_down(self, at_ns: int) -> bool:
+        """Return whether the board starts anew just then: deaf and dumb."""
+        started_ns = self.clock.started_ns(at_ns)
+        if started_ns is None:
+            return False
+        return at_ns < started_ns + round(self.settings.faults.reset_silence_s * 1e9)
 
     def _boot(self, at_ns: int) -> int:
         return _BOOT + sum(reset_ns <= at_ns for reset_ns in self._resets_ns)
