@@ -7,13 +7,14 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import ImuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.clocks import ClockMap, map_clock
 from gyrorig_solver.clocks.pings import LinkFloor, Pings, link_floor
 from gyrorig_solver.clocks.unwrap import unwrap_sequence
 
-SATURATED, REPEATED, ACCEL_VALID, TEMPERATURE_VALID = 1 << 1, 1 << 3, 1 << 8, 1 << 10
+NOT_GOOD = ImuStatus.SATURATED | ImuStatus.REPEATED
 FULL_CODE = 32767  # a 16-bit part at the end of its range, whatever its status bit says
 
 
@@ -31,7 +32,7 @@ class GyroSamples:
     rate_rad_s: FloatArray  # (n, 3), counts times nominal scale, sensor frame
     good: BoolArray  # (n,), False where saturated or repeated
     accel_m_s2: FloatArray | None  # (n, 3)
-    temperature_degc: FloatArray | None  # (n,)
+    temperature_degc: FloatArray | None  # (n,), nan where a sample has none
     quantum_rad_s: float
     clock: ClockMap
     floor: LinkFloor | None  # the link's least latency, taken out of `time_s` where known
@@ -102,7 +103,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     sixteen_bit = np.abs(gyro).max() <= FULL_CODE + 1
     full = (np.abs(gyro).max(axis=1) >= FULL_CODE) if sixteen_bit else np.zeros(len(raw), np.bool_)
     accel_scale = number(metadata, "accel_scale_m_s2")
-    has_accel = bool(np.mean(status & ACCEL_VALID != 0) > 0.5)
+    has_accel = bool(np.mean(status & ImuStatus.ACCEL_VALID != 0) > 0.5)
     return GyroSamples(
         board=board,
         metadata=metadata,
@@ -112,7 +113,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         number=numbers,
         segment=clock.segment[keep],
         rate_rad_s=gyro * scale,
-        good=(status & (SATURATED | REPEATED) == 0) & ~full,
+        good=(status & NOT_GOOD == 0) & ~full,
         accel_m_s2=raw["accel"].astype(np.float64) * accel_scale
         if has_accel and accel_scale
         else None,
@@ -121,7 +122,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         clock=clock,
         floor=floor,
         lost=lost,
-        repeated=int(np.sum(status & REPEATED != 0)) + int(np.sum(~keep & ~clock.late)),
+        repeated=int(np.sum(status & ImuStatus.REPEATED != 0)) + int(np.sum(~keep & ~clock.late)),
         late=int(np.sum(clock.late)),
     )
 
@@ -189,6 +190,7 @@ def _temperature(raw: IntArray, status: IntArray, metadata: Mapping[str, str]) -
         offset = float(metadata["temperature_offset_c"])
     except (KeyError, ValueError):
         return None
-    if not np.any(status & TEMPERATURE_VALID):
+    valid = status & ImuStatus.TEMPERATURE_VALID != 0
+    if not valid.any():
         return None
-    return np.asarray(raw.astype(np.float64) * scale + offset, dtype=np.float64)
+    return np.where(valid, raw.astype(np.float64) * scale + offset, np.nan)

@@ -99,7 +99,7 @@ def _temperatures(samples: Sequence[GyroSamples]) -> tuple[float, float] | None:
     there = [s.temperature_degc for s in samples if s.temperature_degc is not None]
     if not there:
         return None
-    return float(min(t.min() for t in there)), float(max(t.max() for t in there))
+    return float(min(np.nanmin(t) for t in there)), float(max(np.nanmax(t) for t in there))
 
 
 def _clock(samples: GyroSamples, truth: str) -> Clock:

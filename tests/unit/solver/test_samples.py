@@ -133,3 +133,17 @@ def test_a_board_that_is_not_there(written: Write) -> None:
 def test_a_scale_that_is_none(written: Write, scale: str) -> None:
     with pytest.raises(InputError, match="gyro_scale_rad_s"):
         written(meta={"gyro_scale_rad_s": scale})
+
+
+def test_only_samples_with_a_temperature_have_one(written: Write) -> None:
+    status = np.zeros(N, np.int64)
+    status[::10] = 1 << 10
+    raw = np.full(N, 30, np.int64)
+    samples = written(
+        status=status,
+        temperature=raw,
+        meta={"temperature_scale_c": "0.5", "temperature_offset_c": "10"},
+    )
+    assert samples.temperature_degc is not None
+    assert np.nanmax(samples.temperature_degc) == np.nanmin(samples.temperature_degc) == 25.0
+    assert np.isnan(samples.temperature_degc).sum() == N - N // 10
