@@ -6,11 +6,11 @@ the ports differ between a rig on the desk and one that exists as a program.
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 
-from gyrorig_protocol.board import ColumnMap
+from gyrorig_protocol.board import ColumnMap, Sample
 from gyrorig_protocol.documents import parse_yaml, read_as
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
@@ -18,6 +18,9 @@ from gyrorig_protocol.identity import BoardId
 SCHEMA = "gyrorig/rig/1"
 EMULATED = "emulated"
 PTU_PORT = "ptu"  # the hub's name of the unit's port; boards have "board:<id>"
+
+BITS_PER_BYTE = 10  # 8N1
+LINE_RESERVE = 1.2  # rates are up to 8 % above nominal, and answers need room too
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Sign = Literal[-1, 1]
@@ -162,6 +165,8 @@ def parse_rig(text: str | bytes, name: str) -> RigConfig:
         raise UsageError(f"{name} names a port twice", "give each device its own port")
     for board in rig.boards:
         _check_board(board, name)
+        if board.port == EMULATED:
+            _check_emulated_line(board, rig.emulator.odr_hz, name)
     _check_limits(rig.ptu.limits, name)
     return rig
 
@@ -204,6 +209,18 @@ def _check_board(board: BoardPort, name: str) -> None:
         raise UsageError(
             f"{name}: board {board.id} sends text and cannot say what it is",
             "give facts: uid, sensor and, for counts, gyro_scale_rad_s",
+        )
+
+
+def _check_emulated_line(board: BoardPort, odr_hz: int, name: str) -> None:
+    """Refuse a line that cannot carry the samples: they would come later and later."""
+    frame = Sample(0, 0, 0, (0, 0, 0), (0, 0, 0), 0).encode()
+    needed = len(frame) * BITS_PER_BYTE * odr_hz * LINE_RESERVE
+    if board.baud < needed:
+        enough = min(baud for baud in get_args(Baud) if baud >= needed)
+        raise UsageError(
+            f"{name}: board {board.id} cannot send {odr_hz} samples a second at {board.baud} baud",
+            f"give it a baud of {enough} or more",
         )
 
 

@@ -81,3 +81,12 @@ def test_an_empty_document_is_called_empty(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text(" \n")
     with pytest.raises(UsageError, match=r"rig\.yaml is empty"):
         load_rig(tmp_path / "rig.yaml")
+
+
+@pytest.mark.parametrize(("odr_hz", "least"), [(100, 38400), (200, 115200), (800, 460800)])
+def test_an_emulated_line_must_carry_its_samples(odr_hz: int, least: int) -> None:
+    rig = "rig: x\nptu: {{port: emulated}}\nboards: [{{id: A, port: emulated, baud: {baud}}}]\n"
+    rig += "emulator: {{odr_hz: {odr_hz}}}\n"
+    with pytest.raises(UsageError, match=f"baud of {least} or more"):
+        parse_rig(rig.format(baud=9600, odr_hz=odr_hz), "rig.yaml")
+    assert parse_rig(rig.format(baud=least, odr_hz=odr_hz), "rig.yaml").boards[0].baud == least
