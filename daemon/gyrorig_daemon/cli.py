@@ -26,7 +26,8 @@ def run(arguments: Sequence[str]) -> int:
 
     try:
         returned = cli.main(list(arguments), prog_name="gyrorigd", standalone_mode=False)
-        sys.stdout.flush()
+        if sys.stdout is not None:  # closed by whoever started us
+            sys.stdout.flush()
     except BrokenPipeError:
         # Whoever read our words went away; what is left of them goes nowhere, silently.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

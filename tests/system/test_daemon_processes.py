@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import shlex
 import signal
 import subprocess
 import sys
@@ -262,6 +263,14 @@ def test_documents_may_come_through_pipes(tmp_path: Path) -> None:
     )
     os.close(reading)
     assert ended.returncode == 0
+
+
+def test_nobody_need_listen(tmp_path: Path) -> None:
+    arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
+    command = shlex.join([*GYRORIGD, *arguments, "--simulated-time"])
+    for unheard in (f"{command} >&-", f"{command} | true"):
+        ended = subprocess.run(["bash", "-c", unheard], capture_output=True, text=True, check=False)
+        assert (ended.returncode, ended.stderr) == (0, "")
 
 
 def test_an_interrupt_at_the_start_leaves_no_traceback(tmp_path: Path) -> None:
