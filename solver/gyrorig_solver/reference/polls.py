@@ -1,4 +1,4 @@
-"""When each move started, from the counts that the controller answered.
+"""When each order took hold and where each rest is, from the counts that were answered.
 
 A poll says: at some instant between the request's last byte and the reply's first, the
 count was c. Neither the quantum of the count nor the instant is known better, and both
@@ -6,7 +6,8 @@ are put in as what they are: the count is uniform over one step, the instant is
 lo + W_min/2 + phi (W - W_min), where W is the window's width, phi (fitted) the share of
 any extra delay that lies before the sample, and the least width W_min leaves one
 constant that no poll can show: uniform, standard deviation W_min/sqrt(12). It goes into
-the time offset's uncertainty and into nothing else.
+the time offset's uncertainty and into nothing else. A controller's counter makes all
+windows one (see `counter`).
 
 Whether a controller counts a step when it begins or when it is done is not known either:
 the count may lag the motion, and may be cut instead of rounded, by up to half a step;
@@ -15,22 +16,31 @@ and the covariance of the starts says so.
 
 Speed and acceleration are fitted too, each with a tight prior at what was told: a
 controller's timer cannot make every speed (unit's notes, section 7: up to 0.1 %).
+
+A rest may lie anywhere within its count: a unit may round a target and count along. The
+polls on the way show it, and how far rests lie off their counts in general is chosen by
+the likelihood of all polls (see `rests`).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.reference.moves import Motion, Move, started
-from gyrorig_solver.reference.trapezoid import Trapezoid
+from gyrorig_solver.reference.rests import likeliest_variance, loosened_rests
+from gyrorig_solver.reference.slopes import slopes
 
 LOG_SPEED_STD = 1e-2
 LOG_ACCELERATION_STD = 1e-2
 COUNT_STD_STEPS = 0.5  # of the count's lag and of its offset, prior
 LATE_SHARE_STD = 0.3  # of phi, prior, about one half
 STEP_VARIANCE = 1.0 / 12.0
-_STEP = 1e-4  # relative step of the numerical derivative by speed and acceleration
+FIRST_START_STD_S = 1.0  # a start that no poll saw stays where it was told
+LATER_START_STD_S = 0.02  # orders on the way are carried out about as late as others
+EDGE_STEPS = 1.5  # counts this near to a rest are rounded one way and say little
+ROUNDS = 7
+_SEARCH_S = np.arange(0.0, 0.3, 0.005)  # how late orders may be
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,96 +53,158 @@ class Polls:
     valid: BoolArray  # (n, 2), True where the exchange answered that axis
     constant_width_s: float = 0.0  # all instants together may be off by half of this
 
+    def resting(self, axis: int, after_s: float, before_s: float) -> int | None:
+        """Return the count that an axis showed between two times, None where none was polled."""
+        inside = (self.lo_s > after_s) & (self.hi_s < before_s) & self.valid[:, axis]
+        counts = self.steps[inside, axis]
+        if counts.size < 2:
+            return None
+        return round(float(np.median(counts)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartTimes:
-    """Moves with fitted starts, and what is known of starts, speeds and accelerations."""
+    """Moves with fitted starts, and what is known of starts, rests, speeds, accelerations."""
 
     moves: tuple[Move, ...]
+    rest_steps: FloatArray  # (rests,), off the count
     log_speed: FloatArray  # (classes,), found relative to told
     log_acceleration: FloatArray  # (2,)
-    information: FloatArray  # (k + classes + 2,) squared: starts, log speeds, log accelerations
+    information: FloatArray  # starts, rests, log speeds, log accelerations, squared
     common_std_s: float  # one shift of all starts together that polls cannot show
     instant_std_s: float  # scatter of the sample instant inside its window
     late_share: float  # phi
+    rest_variance: float  # of a rest about its count, steps^2
     explained: bool  # False: the counts do not follow the moves that were told
 
 
-def altered(profile: Trapezoid, log_speed: float, log_acceleration: float) -> Trapezoid:
-    """Return the profile at a speed and acceleration off by these factors' logarithms."""
-    return Trapezoid(
-        profile.distance_steps,
-        profile.speed_steps_s * float(np.exp(log_speed)),
-        profile.acceleration_steps_s2 * float(np.exp(log_acceleration)),
-        profile.base_speed_steps_s,
-    )
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """Which parameter is where: starts, rests, log speeds, log accelerations, count, phi."""
+
+    first: tuple[int, ...]  # each move's first start
+    starts: int
+    rests: int
+    classes: int
+
+    @classmethod
+    def of(cls, motion: Motion) -> "_Layout":
+        counts = [len(move.orders) for move in motion.moves]
+        first = tuple(int(n) for n in np.concatenate([[0], np.cumsum(counts)])[:-1])
+        return cls(first, sum(counts), len(motion.rests), motion.classes)
+
+    @property
+    def rest(self) -> int:
+        return self.starts
+
+    @property
+    def speed(self) -> int:
+        return self.starts + self.rests
+
+    @property
+    def ramp(self) -> int:
+        return self.speed + self.classes
+
+    @property
+    def kept(self) -> int:
+        """All but the count's offset, its lag, and phi."""
+        return self.ramp + 2
+
+    @property
+    def size(self) -> int:
+        return self.kept + 3
 
 
 def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
-    """Fit start times, speeds and accelerations to the polled counts.
+    """Fit starts, rests, speeds and accelerations to the polled counts.
 
-    Gauss-Newton in counts, five rounds; each poll weighs by the count's quantum and the
-    instant's scatter at the speed of that moment, the scatter being estimated from the
-    residuals. Only polls near a move take part: rests carry no time.
+    Gauss-Newton in counts; each poll weighs by the count's quantum and the instant's
+    scatter at the speed of that moment, the scatter being estimated from the residuals.
+    Only polls of moving axes take part: at rest a count carries no time.
     """
+    layout = _Layout.of(motion)
     width = polls.hi_s - polls.lo_s
     least = float(np.percentile(width, 1.0)) if width.size else 0.0
     extra = np.clip(width - least, 0.0, None)
     base_s = polls.lo_s + least / 2.0
-    shared = motion.classes + 2
-    # Log speeds, log accelerations, count's offset, count's lag, phi.
-    parameters = np.zeros(shared + 3)
-    parameters[-1] = 0.5
-    prior = np.concatenate(
-        [
-            np.full(motion.classes, LOG_SPEED_STD**-2),
-            np.full(2, LOG_ACCELERATION_STD**-2),
-            [COUNT_STD_STEPS**-2.0, COUNT_STD_STEPS**-2.0, LATE_SHARE_STD**-2.0],
-        ]
-    )
-    centre = parameters.copy()
-    moves = _first_guess(motion.moves, polls, base_s + 0.5 * extra)
+    centre = np.zeros(layout.size)
+    centre[: layout.starts] = _first_guess(motion.moves, polls, base_s + 0.5 * extra)
+    centre[-1] = 0.5
+    parameters = centre.copy()
+    weight = _prior(motion, layout)
     scatter_s = max(least / np.sqrt(12.0), 1e-6)
-    for _ in range(6):
-        system = _System(moves, polls, base_s, extra, parameters, motion.classes)
+    rest_variance = STEP_VARIANCE
+    standing = slice(layout.rest, layout.speed)
+    for _ in range(ROUNDS):
+        system = _System(motion, layout, polls, base_s, extra, parameters)
         scatter_s = system.scatter_s(scatter_s)
-        information, score = system.normal(scatter_s, prior, prior * (centre - parameters))
-        step = np.linalg.solve(information, score)
-        count = len(moves)
-        moves = started(moves, np.array([m.start_s for m in moves]) + step[:count])
-        parameters = parameters + step[count:]
-    count = len(moves)
-    keep, drop = slice(0, count + shared), slice(count + shared, None)
+        information, score = system.normal(scatter_s)
+        information[np.arange(layout.size), np.arange(layout.size)] += weight
+        score += weight * (centre - parameters)
+        rest_variance = likeliest_variance(information, score, standing, parameters[standing])
+        at = np.arange(layout.rest, layout.speed)
+        information[at, at] += 1.0 / rest_variance
+        score[at] -= parameters[at] / rest_variance
+        parameters = parameters + np.linalg.solve(information, score)
+    keep, drop = slice(0, layout.kept), slice(layout.kept, None)
     marginal = information[keep, keep] - information[keep, drop] @ np.linalg.solve(
         information[drop, drop], information[drop, keep]
     )
     return StartTimes(
-        moves=moves,
-        log_speed=parameters[: motion.classes],
-        log_acceleration=parameters[motion.classes : shared],
-        information=marginal,
+        moves=started(motion.moves, parameters[: layout.starts]),
+        rest_steps=parameters[standing],
+        log_speed=parameters[layout.speed : layout.ramp],
+        log_acceleration=parameters[layout.ramp : layout.kept],
+        information=loosened_rests(marginal, standing),
         common_std_s=(least + polls.constant_width_s) / float(np.sqrt(12.0)),
         instant_std_s=scatter_s,
         late_share=float(parameters[-1]),
+        rest_variance=rest_variance,
         explained=system.explained(scatter_s),
     )
 
 
-def _first_guess(moves: tuple[Move, ...], polls: Polls, at_s: FloatArray) -> tuple[Move, ...]:
-    """Start each move where the middle of its travel, as polled, says it did."""
-    starts = []
+def _prior(motion: Motion, layout: _Layout) -> FloatArray:
+    """Return one over the prior variance of every parameter, rests apart."""
+    weight = np.zeros(layout.size)
+    weight[: layout.starts] = LATER_START_STD_S**-2
+    weight[list(layout.first)] = FIRST_START_STD_S**-2
+    weight[layout.speed : layout.ramp] = LOG_SPEED_STD**-2
+    weight[layout.ramp : layout.kept] = LOG_ACCELERATION_STD**-2
+    weight[layout.kept :] = [COUNT_STD_STEPS**-2, COUNT_STD_STEPS**-2, LATE_SHARE_STD**-2]
+    return weight
+
+
+def _first_guess(moves: tuple[Move, ...], polls: Polls, at_s: FloatArray) -> FloatArray:
+    """Start each move as late as fits its counts best, all its orders alike."""
+    starts: list[float] = []
+    still, told = np.zeros(1 + max((max(m.classes) for m in moves), default=0)), 0.0
     for move in moves:
-        length = move.profile.duration_s
-        near = (
-            (at_s > move.told_s) & (at_s < move.told_s + length + 0.5) & polls.valid[:, move.axis]
+        orders_s = np.array([order.told_s for order in move.orders])
+        course = move.course(orders_s, still, told)
+        first, last = np.searchsorted(at_s, [move.told_s, course.end_s + float(_SEARCH_S[-1])])
+        near = np.arange(first, last)
+        near = near[polls.valid[near, move.axis]]
+        # The course shifts as a whole, so one evaluation serves every delay tried.
+        since = at_s[near][None, :] - _SEARCH_S[:, None]
+        off = np.abs(
+            polls.steps[near, move.axis] - course.position_steps(since.ravel()).reshape(since.shape)
         )
-        gone = move.sign * (polls.steps[near, move.axis] - move.from_steps)
-        way = gone / move.profile.distance_steps
-        middle = (way > 0.1) & (way < 0.9)
-        grid = np.linspace(0.0, length, 400)
-        since = np.interp(gone[middle], move.profile.position_steps(grid), grid)
-        starts.append(float(np.median(at_s[near][middle] - since)) if middle.any() else move.told_s)
-    return started(moves, np.array(starts))
+        worth = np.sum(np.minimum(off, 50.0), axis=1)
+        late_s = float(_SEARCH_S[int(np.argmin(worth))]) if near.size else 0.0
+        starts += (orders_s + late_s).tolist()
+    return np.array(starts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """The polls of one move."""
+
+    index: IntArray  # of the parameters that matter
+    residual: FloatArray
+    slopes: FloatArray  # (polls, parameters)
+    speed: FloatArray  # steps/s, not signed
+    share: FloatArray  # of an independent count that each poll is worth
 
 
 class _System:
@@ -140,49 +212,88 @@ class _System:
 
     def __init__(
         self,
-        moves: tuple[Move, ...],
+        motion: Motion,
+        layout: _Layout,
         polls: Polls,
         base_s: FloatArray,
         extra_s: FloatArray,
         parameters: FloatArray,
-        classes: int,
     ) -> None:
-        self._count, self._classes = len(moves), classes
-        self._rows: list[tuple[int, int, int, FloatArray, FloatArray, FloatArray]] = []
-        offset, lag, phi = parameters[-3:]
-        at_s = base_s + phi * extra_s
-        for k, move in enumerate(moves):
-            first, last = np.searchsorted(at_s, [move.start_s - 0.01, move.end_s + 0.01])
-            near = np.arange(first, last)
-            near = near[polls.valid[near, move.axis]]
-            since = at_s[near] - move.start_s
-            told = (parameters[move.speed_class], parameters[classes + move.axis])
-            profile = altered(move.profile, *told)
-            speed = profile.speed_at_steps_s(since)
-            gone = move.sign * (polls.steps[near, move.axis] - move.from_steps)
-            active = speed > 0.0
-            residual = gone - profile.position_steps(since)
-            residual -= (move.sign * offset - lag) * active
-            slopes = np.column_stack(
-                [
-                    -speed,
-                    _slope(move.profile, told, since, 0),
-                    _slope(move.profile, told, since, 1),
-                    move.sign * active,
-                    -1.0 * active,
-                    speed * extra_s[near],
-                ]
-            )
-            self._rows.append((k, move.speed_class, move.axis, residual, slopes, speed))
+        self._size = layout.size
+        self._rows: list[_Rows] = []
+        self._layout, self._parameters = layout, parameters
+        at_s = base_s + parameters[-1] * extra_s
+        arrivals = {rest.arrival: k for k, rest in enumerate(motion.rests)}
+        departures = {rest.departure: k for k, rest in enumerate(motion.rests)}
+        for k, move in enumerate(motion.moves):
+            rests = (departures[k], arrivals[k])
+            rows = self._move(k, move, rests, polls, at_s, extra_s)
+            if rows is not None:
+                self._rows.append(rows)
+
+    def _move(
+        self,
+        k: int,
+        move: Move,
+        rests: tuple[int, int],
+        polls: Polls,
+        at_s: FloatArray,
+        extra_s: FloatArray,
+    ) -> _Rows | None:
+        layout, found = self._layout, self._parameters
+        own = layout.first[k] + np.arange(len(move.orders))
+        log_speed = found[layout.speed : layout.ramp]
+        log_ramp = float(found[layout.ramp + move.axis])
+        course = move.course(found[own], log_speed, log_ramp)
+        first, last = np.searchsorted(at_s, [found[own[0]], course.end_s])
+        near = np.arange(first, last)
+        near = near[polls.valid[near, move.axis]]
+        spacing_s = float(np.median(np.diff(at_s[near]))) if near.size > 2 else 0.0
+        counted = polls.steps[near, move.axis]
+        speed = course.speed_steps_s(at_s[near])
+        position = course.position_steps(at_s[near])
+        edge = np.minimum(np.abs(position - move.from_steps), np.abs(position - move.to_steps))
+        use = (speed != 0.0) & (edge > EDGE_STEPS)
+        if not use.any():
+            return None
+        near, counted, speed, position = near[use], counted[use], speed[use], position[use]
+        at = at_s[near]
+        share = course.share(at)
+        sign = np.sign(speed)
+        from_rest, to_rest = layout.rest + rests[0], layout.rest + rests[1]
+        offset, lag = found[-3], found[-2]
+        model = position + (1.0 - share) * found[from_rest] + share * found[to_rest]
+        by = slopes(move, found[own], log_speed, log_ramp, at)
+        index = [
+            *own,
+            from_rest,
+            to_rest,
+            *(layout.speed + c for c in move.classes),
+            layout.ramp + move.axis,
+            *range(layout.kept, layout.size),
+        ]
+        columns = [
+            *by.starts,
+            1.0 - share,
+            share,
+            *by.speeds,
+            by.acceleration,
+            np.ones_like(sign),
+            -sign,
+            speed * extra_s[near],
+        ]
+        return _Rows(
+            index=np.array(index, dtype=np.int64),
+            residual=counted - model - offset + sign * lag,
+            slopes=np.column_stack(columns),
+            speed=np.abs(speed),
+            share=np.minimum(1.0, np.abs(speed) * spacing_s) if spacing_s else np.ones_like(speed),
+        )
 
     def scatter_s(self, before_s: float) -> float:
         """Return the instant's scatter that the residuals show, robustly."""
-        residual = np.concatenate([r[3] for r in self._rows] or [np.zeros(0)])
-        speed = np.concatenate([r[5] for r in self._rows] or [np.zeros(0)])
-        if residual.size < 10:
-            return before_s
+        residual, speed = self._joined()
         near = np.abs(residual) < 5.0 * np.sqrt(STEP_VARIANCE + (speed * before_s) ** 2) + 1.0
-        near &= speed > 0.0
         if near.sum() < 10:
             return before_s
         weight = speed[near] ** 2 / (STEP_VARIANCE + (speed[near] * before_s) ** 2) ** 2
@@ -192,51 +303,26 @@ class _System:
 
     def explained(self, scatter_s: float) -> bool:
         """True when nine in ten counts lie within five deviations of the told motion."""
-        residual = np.concatenate([r[3] for r in self._rows] or [np.zeros(0)])
-        speed = np.concatenate([r[5] for r in self._rows] or [np.zeros(0)])
+        residual, speed = self._joined()
         if not residual.size:
             return True
         limit = 5.0 * np.sqrt(STEP_VARIANCE + (speed * scatter_s) ** 2) + 1.0
         return bool(np.mean(np.abs(residual) < limit) > 0.9) and scatter_s < 0.05
 
-    def normal(
-        self, scatter_s: float, prior: FloatArray, pull: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the normal matrix and score of (starts, shared parameters)."""
-        size = self._count + prior.size
-        information, score = np.zeros((size, size)), np.zeros(size)
-        shared = np.arange(self._count, size)
-        information[shared, shared] = prior
-        score[shared] = pull
-        # A start that no poll saw stays where it was told, within a second.
-        starts = np.arange(self._count)
-        information[starts, starts] += 1.0
-        for k, speed_class, axis, residual, slopes, speed in self._rows:
-            sigma = np.sqrt(STEP_VARIANCE + (speed * scatter_s) ** 2)
-            # Tukey-like limit: a count that cannot be (a garbled reply) has no vote.
-            weight = np.where(np.abs(residual) < 6.0 * sigma + 1.0, sigma**-2, 0.0)
-            index = np.array(
-                [
-                    k,
-                    self._count + speed_class,
-                    self._count + self._classes + axis,
-                    size - 3,
-                    size - 2,
-                    size - 1,
-                ]
-            )
-            information[np.ix_(index, index)] += slopes.T @ (weight[:, None] * slopes)
-            score[index] += slopes.T @ (weight * residual)
+    def normal(self, scatter_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the normal matrix and score of all parameters, without any prior."""
+        information, score = np.zeros((self._size, self._size)), np.zeros(self._size)
+        for rows in self._rows:
+            sigma = np.sqrt(STEP_VARIANCE + (rows.speed * scatter_s) ** 2)
+            # A count that cannot be (a garbled reply) has no vote. Polls of one and the
+            # same step repeat each other's rounding and share theirs.
+            sound = np.abs(rows.residual) < 6.0 * sigma + 1.0
+            weight = np.where(sound, rows.share * sigma**-2, 0.0)
+            weighed = rows.slopes.T * weight
+            information[np.ix_(rows.index, rows.index)] += weighed @ rows.slopes
+            score[rows.index] += weighed @ rows.residual
         return information, score
 
-
-def _slope(
-    profile: Trapezoid, told: tuple[float, float], since_s: FloatArray, which: int
-) -> FloatArray:
-    """Return the position's derivative by log speed (0) or log acceleration (1)."""
-    up, down = list(told), list(told)
-    up[which] += _STEP
-    down[which] -= _STEP
-    higher = altered(profile, up[0], up[1]).position_steps(since_s)
-    lower = altered(profile, down[0], down[1]).position_steps(since_s)
-    return np.asarray((higher - lower) / (2.0 * _STEP), dtype=np.float64)
+    def _joined(self) -> tuple[FloatArray, FloatArray]:
+        residual = np.concatenate([r.residual for r in self._rows] or [np.zeros(0)])
+        return residual, np.concatenate([r.speed for r in self._rows] or [np.zeros(0)])

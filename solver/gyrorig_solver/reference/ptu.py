@@ -1,48 +1,37 @@
-"""The pan-tilt unit as the reference: told trapezoids, started when the polls say.
+"""The pan-tilt unit as the reference: the moves it was told, timed by its answers.
 
-Unknowns, each held by what is known of it and fitted with the board's own parameters:
+Unknowns, each held by what the polls know of it and fitted with the board's own parameters:
 
-- one start time for each move (from the polls);
-- where the axis stands at each rest, inside the one step that its count names. A count
-  is an interval: a controller may round a target, a stepper rests off its detent;
-- the speed of each class of moves told the same speed, and each axis' acceleration
-  (from the polls, which see them to 1e-4: a timer cannot make every speed).
+- when each order took hold: one for each move, one more for each change on the way;
+- where the axis stands at each rest, inside the one step that its count names;
+- the speed of each class of orders told the same speed, and each axis' acceleration
+  (the polls see them to 1e-4: a timer cannot make every speed).
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.reference.kinematics import stage_rate
+from gyrorig_solver.reference.course import Course
+from gyrorig_solver.reference.kinematics import AxisTurn, stage_rate
 from gyrorig_solver.reference.motion import Evaluated, LocalColumn
-from gyrorig_solver.reference.moves import Motion, Move
-from gyrorig_solver.reference.polls import STEP_VARIANCE, StartTimes, altered
-from gyrorig_solver.reference.trapezoid import Trapezoid
-
-_STEP = 1e-4  # relative step of the numerical derivatives by speed and acceleration
+from gyrorig_solver.reference.moves import Motion, Move, Rest
+from gyrorig_solver.reference.polls import StartTimes
+from gyrorig_solver.reference.slopes import slopes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rest:
-    """One rest of one axis: from the move that came here to the move that left."""
-
-    axis: int
-    arrival: int | None  # index of the move, None for the rest before the first
-    departure: int | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PtuReference:
     """Pan and tilt over time. Unknowns in order: starts, rests, log speeds, log ramps."""
 
     motion: Motion
     starts: StartTimes
-    rests: tuple[_Rest, ...]
     rad_per_step: tuple[float, float]  # pan and tilt, with the sign of the unit
     information: FloatArray  # of all unknowns, squared
-    shift: FloatArray  # unknowns minus what is known of them
+    shift: FloatArray  # unknowns minus what the polls say
     span_s: tuple[float, float]  # where the polls saw the unit
 
     @classmethod
@@ -54,15 +43,8 @@ class PtuReference:
         span_s: tuple[float, float],
     ) -> Self:
         """Return the reference at what the polls say."""
-        rests = _rests(starts.moves)
-        count, size = len(starts.moves), starts.information.shape[0]
-        information = np.zeros((size + len(rests), size + len(rests)))
-        polled = np.concatenate([np.arange(count), len(rests) + np.arange(count, size)])
-        information[np.ix_(polled, polled)] = starts.information
-        standing = count + np.arange(len(rests))
-        information[standing, standing] = 1.0 / STEP_VARIANCE
-        shift = np.zeros(information.shape[0])
-        return cls(motion, starts, rests, rad_per_step, information, shift, span_s)
+        shift = np.zeros(starts.information.shape[0])
+        return cls(motion, starts, rad_per_step, starts.information, shift, span_s)
 
     @property
     def description(self) -> str:
@@ -93,16 +75,18 @@ class PtuReference:
         angle = np.repeat(
             np.array(self.motion.rest_steps, dtype=np.float64)[:, None], time_s.size, axis=1
         )
+        for counted_s, axis, steps in self.motion.recounts:
+            angle[axis, np.searchsorted(time_s, counted_s) :] = steps
         for k, move in enumerate(self.starts.moves):
-            start, profile = self._start(k), self._profile(move)
-            first, last = np.searchsorted(time_s, [start, start + profile.duration_s])
-            travel = profile.position_steps(time_s[first:last] - start)
-            angle[move.axis, first:last] = move.from_steps + move.sign * travel
+            course = self._courses[k]
+            first, last = np.searchsorted(time_s, [course.start_s[0], course.end_s])
+            angle[move.axis, first:last] = course.position_steps(time_s[first:last])
             # Until the next move of this axis writes over it.
-            angle[move.axis, last : self._next_start(k, time_s)] = move.to_steps
-        for k, rest in enumerate(self.rests):
+            angle[move.axis, last : self._until(move.axis, course.end_s, time_s)] = course.steps[-1]
+        standing = self.starts.rest_steps + self.shift[self._rest : self._speed]
+        for rest, off in zip(self.motion.rests, standing, strict=True):
             at, share = self._standing(rest, time_s)
-            angle[rest.axis, at] += self.shift[len(self.starts.moves) + k] * share
+            angle[rest.axis, at] += off * share
         return np.asarray(angle * np.array(self.rad_per_step)[:, None], dtype=np.float64)
 
     def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
@@ -115,80 +99,91 @@ class PtuReference:
         rate[~self._known(edges_s)] = np.nan
         if not derivatives:
             return Evaluated(rate, (), np.zeros((0, width.size, 3)))
-        turn = _Turn(self.rad_per_step, tilt, axis_rate[0], width)
+        turn = AxisTurn(self.rad_per_step, tilt, axis_rate[0], width)
         return Evaluated(rate, *self._columns(edges_s, turn))
 
     def _columns(
-        self, edges_s: FloatArray, turn: "_Turn"
+        self, edges_s: FloatArray, turn: AxisTurn
     ) -> tuple[tuple[LocalColumn, ...], FloatArray]:
         """Return the derivatives by each start and rest, and by speeds and accelerations."""
         classes = self.motion.classes
         shared = np.zeros((classes + 2, edges_s.size - 1, 3))
         local = []
         for k, move in enumerate(self.starts.moves):
-            at = self._span(k, edges_s)
-            since = edges_s[at.start : at.stop + 1] - self._start(k)
-            profile = self._profile(move)
-            earlier = -move.sign * profile.speed_at_steps_s(since)
-            local.append(LocalColumn(at.start, turn.rate(move.axis, earlier, at)))
-            for row, which in ((move.speed_class, 0), (classes + move.axis, 1)):
-                slope = move.sign * _slope(profile, since, which)
+            at = self._span(self._courses[k], edges_s)
+            found = slopes(move, *self._unknowns(k), edges_s[at.start : at.stop + 1])
+            local += [LocalColumn(at.start, turn.rate(move.axis, s, at)) for s in found.starts]
+            for row, slope in zip(move.classes, found.speeds, strict=True):
                 shared[row, at] += turn.rate(move.axis, slope, at)
-        for rest in self.rests:
+            shared[classes + move.axis, at] += turn.rate(move.axis, found.acceleration, at)
+        for rest in self.motion.rests:
             spot, share = self._standing(rest, edges_s)
             at = slice(spot.start, max(spot.start, spot.stop - 1))
             local.append(LocalColumn(at.start, turn.rate(rest.axis, share, at)))
         return tuple(local), shared
 
-    def _next_start(self, k: int, time_s: FloatArray) -> int:
-        """Return the index at which the axis of move `k` sets off again, or the end."""
-        own = self.starts.moves[k].axis
-        for later in range(k + 1, len(self.starts.moves)):
-            if self.starts.moves[later].axis == own:
-                return int(np.searchsorted(time_s, self._start(later)))
-        return int(time_s.size)
+    @property
+    def _rest(self) -> int:
+        return sum(len(move.orders) for move in self.starts.moves)
 
-    def _start(self, k: int) -> float:
-        return self.starts.moves[k].start_s + float(self.shift[k])
+    @property
+    def _speed(self) -> int:
+        return self._rest + len(self.motion.rests)
 
-    def _profile(self, move: Move) -> Trapezoid:
-        shared = len(self.starts.moves) + len(self.rests)
-        speed = self.starts.log_speed[move.speed_class] + self.shift[shared + move.speed_class]
-        ramp = (
-            self.starts.log_acceleration[move.axis]
-            + self.shift[shared + self.motion.classes + move.axis]
-        )
-        return altered(move.profile, float(speed), float(ramp))
+    @cached_property
+    def _courses(self) -> tuple[Course, ...]:
+        """Each move's course at the unknowns of now."""
+        moves = self.starts.moves
+        return tuple(move.course(*self._unknowns(k)) for k, move in enumerate(moves))
 
-    def _span(self, k: int, edges_s: FloatArray) -> slice:
-        """Return the intervals that touch move `k`."""
-        start = self._start(k)
-        end = start + self._profile(self.starts.moves[k]).duration_s
-        first = max(0, int(np.searchsorted(edges_s, start)) - 2)
-        last = min(edges_s.size - 1, int(np.searchsorted(edges_s, end)) + 2)
+    @cached_property
+    def _first(self) -> tuple[int, ...]:
+        """Each move's first start among the unknowns."""
+        counts = [len(move.orders) for move in self.starts.moves]
+        return tuple(int(n) for n in np.concatenate([[0], np.cumsum(counts)]))
+
+    def _unknowns(self, k: int) -> tuple[FloatArray, FloatArray, float]:
+        """Return what a course of move `k` needs: starts, log speeds, its log acceleration."""
+        move: Move = self.starts.moves[k]
+        own = slice(self._first[k], self._first[k + 1])
+        ramp = self._speed + self.motion.classes
+        log_speed = self.starts.log_speed + self.shift[self._speed : ramp]
+        log_ramp = self.starts.log_acceleration[move.axis] + self.shift[ramp + move.axis]
+        return move.starts_s + self.shift[own], log_speed, float(log_ramp)
+
+    def _until(self, axis: int, after_s: float, time_s: FloatArray) -> int:
+        """Return the index at which an axis sets off or is counted anew, or the end."""
+        later = [
+            float(course.start_s[0])
+            for move, course in zip(self.starts.moves, self._courses, strict=True)
+            if move.axis == axis and course.start_s[0] > after_s
+        ]
+        later += [at for at, own, _ in self.motion.recounts if own == axis and at > after_s]
+        return int(np.searchsorted(time_s, min(later))) if later else int(time_s.size)
+
+    def _span(self, course: Course, edges_s: FloatArray) -> slice:
+        """Return the intervals that touch a course."""
+        first = max(0, int(np.searchsorted(edges_s, course.start_s[0])) - 2)
+        last = min(edges_s.size - 1, int(np.searchsorted(edges_s, course.end_s)) + 2)
         return slice(first, max(first, last))
 
-    def _standing(self, rest: _Rest, time_s: FloatArray) -> tuple[slice, FloatArray]:
+    def _standing(self, rest: Rest, time_s: FloatArray) -> tuple[slice, FloatArray]:
         """Return the times that a rest's own offset reaches, and its share there.
 
-        The share rises with the arriving move's travel and falls with the leaving one's.
+        The share rises with the arriving move's way and falls with the leaving one's.
         """
         begin, end = 0, time_s.size
         if rest.arrival is not None:
-            begin = max(0, int(np.searchsorted(time_s, self._start(rest.arrival))) - 1)
+            begin = max(0, int(np.searchsorted(time_s, self._courses[rest.arrival].start_s[0])) - 1)
         if rest.departure is not None:
-            leaving = self._profile(self.starts.moves[rest.departure])
-            done_s = self._start(rest.departure) + leaving.duration_s
+            done_s = self._courses[rest.departure].end_s
             end = min(end, int(np.searchsorted(time_s, done_s)) + 1)
         inside = time_s[begin : max(begin, end)]
         share = np.ones(inside.size)
-        for move_index, sign in ((rest.arrival, 1.0), (rest.departure, -1.0)):
-            if move_index is None:
-                continue
-            move = self.starts.moves[move_index]
-            travel = self._profile(move).position_steps(inside - self._start(move_index))
-            done = travel / move.profile.distance_steps
-            share += (done - 1.0) if sign > 0.0 else -done
+        if rest.arrival is not None:
+            share += self._courses[rest.arrival].share(inside) - 1.0
+        if rest.departure is not None:
+            share -= self._courses[rest.departure].share(inside)
         return slice(begin, max(begin, end)), share
 
     def _known(self, edges_s: FloatArray) -> BoolArray:
@@ -198,42 +193,3 @@ class PtuReference:
         for lost_begin, lost_end, _ in self.motion.unknown:
             known &= (end < lost_begin) | (begin > lost_end)
         return np.asarray(known, dtype=np.bool_)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Turn:
-    """How a small change of one axis' position changes the stage rate."""
-
-    rad_per_step: tuple[float, float]
-    tilt_rad: FloatArray  # (n,), at the intervals' middles
-    pan_rate_rad_s: FloatArray  # (n,)
-    width_s: FloatArray  # (n,)
-
-    def rate(self, axis: int, change_steps: FloatArray, at: slice) -> FloatArray:
-        """Return d(stage rate) over the intervals `at`, from the change at their edges."""
-        angle = self.rad_per_step[axis] * change_steps
-        speed = np.diff(angle) / self.width_s[at]
-        sine, cosine = np.sin(self.tilt_rad[at]), np.cos(self.tilt_rad[at])
-        if axis == 0:
-            return np.column_stack([np.zeros_like(speed), speed * sine, speed * cosine])
-        lean = (angle[:-1] + angle[1:]) / 2.0
-        pan = self.pan_rate_rad_s[at]
-        return np.column_stack([speed, pan * cosine * lean, -pan * sine * lean])
-
-
-def _rests(moves: tuple[Move, ...]) -> tuple[_Rest, ...]:
-    """Return every rest of both axes, in the order of axes and time."""
-    rests = []
-    for axis in (0, 1):
-        own = [k for k, move in enumerate(moves) if move.axis == axis]
-        pairs = zip([None, *own], [*own, None], strict=True)
-        rests += [_Rest(axis, arrival, departure) for arrival, departure in pairs]
-    return tuple(rests)
-
-
-def _slope(profile: Trapezoid, since_s: FloatArray, which: int) -> FloatArray:
-    """Return the position's derivative by log speed (0) or log acceleration (1)."""
-    up = altered(profile, _STEP * (which == 0), _STEP * (which == 1))
-    down = altered(profile, -_STEP * (which == 0), -_STEP * (which == 1))
-    change = up.position_steps(since_s) - down.position_steps(since_s)
-    return np.asarray(change / (2.0 * _STEP), dtype=np.float64)

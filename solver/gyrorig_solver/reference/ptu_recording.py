@@ -44,7 +44,7 @@ def ptu_reference(recording: Recording, origin_ns: int) -> PtuReference:
         )
         for c in recording.ptu_commands()
     ]
-    motion = MotionReader(_settings(metadata), steps).read(exchanges)
+    motion = MotionReader(_settings(metadata), steps, polls.resting).read(exchanges)
     span = (float(polls.lo_s[0]), float(polls.hi_s[-1]))
     motion = _checked(motion, polls)
     return PtuReference.of(motion, fit_starts(motion, polls), rad_per_step, span)
@@ -114,7 +114,7 @@ def _settings(metadata: Mapping[str, str]) -> dict[str, float]:
     """Return the numeric settings that a move is made of."""
     settings = {}
     for axis in AXES:
-        for kind in ("base_speed", "acceleration", "speed"):
+        for kind in ("base_speed", "acceleration", "speed", "min_steps", "max_steps"):
             text = metadata.get(f"{axis}_{kind}")
             if text is None:
                 continue
@@ -130,14 +130,15 @@ def _settings(metadata: Mapping[str, str]) -> dict[str, float]:
 def _checked(motion: Motion, polls: Polls) -> Motion:
     """Mark what the polls contradict: a rest where the count is not the target's."""
     unknown = list(motion.unknown)
+    still = np.zeros(motion.classes)
     for axis in (0, 1):
         own = [m for m in motion.moves if m.axis == axis]
         for move, following in zip(own, [*own[1:], None], strict=False):
-            begin = move.told_s + move.profile.duration_s + 1.0
+            begin = move.course(move.starts_s, still, 0.0).end_s + 1.0
             end = following.told_s if following else np.inf
             resting = (polls.lo_s > begin) & (polls.hi_s < end) & polls.valid[:, axis]
             counts = polls.steps[resting, axis]
             if counts.size and np.median(np.abs(counts - move.to_steps)) > 1.0:
                 last = end if np.isfinite(end) else float(polls.hi_s[-1])
                 unknown.append((move.told_s, last, "the unit is not where it was sent"))
-    return Motion(motion.moves, motion.rest_steps, tuple(unknown), motion.classes)
+    return replace(motion, unknown=tuple(unknown))
