@@ -17,8 +17,8 @@ import click
 
 from gyrorig_daemon import record
 from gyrorig_daemon.config import load_rig, parse_rig, read_document
+from gyrorig_daemon.description import SessionOrder
 from gyrorig_daemon.links.pump import StopFlag
-from gyrorig_daemon.session import SessionOrder
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import parse_program

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
+from gyrorig_daemon.description import SessionOrder
 from gyrorig_daemon.links.acquire import raw_ns
 from gyrorig_daemon.links.capture_clock import (
     CaptureClock,
@@ -23,7 +24,6 @@ from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.session import (
     Progress,
-    SessionOrder,
     Surroundings,
     no_progress,
     record_session,

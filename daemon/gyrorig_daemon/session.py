@@ -7,15 +7,20 @@ seen to stand still, and the recording closed.
 """
 
 import contextlib
-import os
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 
-from gyrorig_daemon.config import PTU_PORT, RigConfig
-from gyrorig_daemon.links.board_link import BoardLink, BoardSinks
+from gyrorig_daemon.config import PTU_PORT
+from gyrorig_daemon.description import (
+    SessionOrder,
+    check_folder,
+    describe_session,
+    make_folder,
+)
+from gyrorig_daemon.links.board_link import BoardLink
+from gyrorig_daemon.links.board_samples import BoardSinks
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.links.hub import PortHub, PortsGoneError
 from gyrorig_daemon.links.pump import Pump, StopFlag
@@ -36,7 +41,6 @@ from gyrorig_daemon.recorder.ptu_log import PtuLog
 from gyrorig_daemon.recorder.timers import DiagnosticsTimer, HostClockTimer, WriterTimer
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.program import MotionProgram
 from gyrorig_protocol.recording.messages import (
     SESSION_EVENT_TOPIC,
     ClockPing,
@@ -46,26 +50,12 @@ from gyrorig_protocol.recording.messages import (
     clock_topic,
     imu_topic,
 )
-from gyrorig_protocol.recording.writer import Attachment
 
 Progress = Callable[[int, int], None]
 
 
 def no_progress(done: int, total: int) -> None:
     """Tell nobody."""
-
-
-@dataclass(frozen=True, slots=True)
-class SessionOrder:
-    """What shall be recorded."""
-
-    config: RigConfig
-    config_text: bytes
-    program: MotionProgram
-    program_text: bytes
-    out_dir: Path
-    session: str
-    may_home: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +146,7 @@ class _Session:
         start = poller.where()
         self._poller = poller
         self._steps = plan_program(order.program, unit.facts, order.config.ptu.limits, start)
-        self._recorder.open(self._plan(unit))
+        self._recorder.open(self._describe(unit))
         self._start_timers()
 
     def carry_out(self) -> None:
@@ -219,46 +209,13 @@ class _Session:
             return f"the unit could not be seen to halt ({fault.what})"
         return "the unit is halted"
 
-    def _plan(self, unit: Unit) -> RecordingPlan:
+    def _describe(self, unit: Unit) -> RecordingPlan:
         order, around = self._order, self._around
-        capture, config = around.capture, order.config
-        begun = datetime.fromtimestamp(capture.anchor_utc_ns * 1e-9, UTC)
-        name = f"{begun:%Y%m%dT%H%M%SZ}_{config.rig}_{order.session}.mcap"
-        metadata: dict[str, dict[str, str]] = {
-            "gyrorig": {
-                "format": "1",
-                "session": order.session,
-                "rig": config.rig,
-                "part": "0",
-                "previous": "",
-                "anchor_utc_ns": str(capture.anchor_utc_ns),
-                "anchor_monotonic_raw_ns": str(capture.anchor_raw_ns),
-                "host": around.host,
-            },
-            "gyrorig.ptu": unit.facts.metadata(),
-            "foxglove": {"deviceName": config.rig},
-        }
-        for board in self._boards:
-            metadata[f"gyrorig.board.{board.board_id}"] = board.metadata()
-        site = {
-            key: repr(value)
-            for key in config.site.__struct_fields__
-            if (value := getattr(config.site, key)) is not None
-        }
-        if site:
-            metadata["gyrorig.site"] = site
-        now_ns = capture.utc_ns(self._pump.now_ns())
-        attachments = [
-            Attachment("rig.yaml", "application/yaml", order.config_text, now_ns),
-            Attachment("program.yaml", "application/yaml", order.program_text, now_ns),
-        ]
-        for board in self._boards:
-            for number, payload in enumerate(board.hello_bytes):
-                text = payload[1:]  # behind the frame's type
-                attached = f"hello.{board.board_id}.{number}.json"
-                attachments.append(Attachment(attached, "application/json", text, now_ns))
         make_folder(order.out_dir)
-        return RecordingPlan(order.out_dir / name, metadata, attachments)
+        now_ns = self._pump.now_ns()
+        return describe_session(
+            order, around.capture, around.host, unit.facts, self._boards, now_ns
+        )
 
     def _start_timers(self) -> None:
         now_ns = self._pump.now_ns()
@@ -301,28 +258,3 @@ class _Session:
         now_ns = self._around.capture.utc_ns(self._pump.now_ns())
         event = SessionEvent(now_ns, int(kind), phase, text)
         self._recorder.hold(SESSION_EVENT_TOPIC, event, now_ns)
-
-
-def check_folder(folder: Path) -> None:
-    """Make sure that a recording can be made in `folder`, and make nothing yet.
-
-    Raises:
-        MachineError: it, or the nearest folder above it that exists, takes no files.
-    """
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise MachineError(f"{there} is no folder", "choose --out")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise MachineError(f"{there} may not be written to", "choose --out")
-
-
-def make_folder(folder: Path) -> None:
-    """Make sure that recordings can go to `folder`.
-
-    Raises:
-        MachineError: it cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as fault:
-        raise MachineError(f"{folder} cannot be made: {fault.strerror}", "choose --out") from fault

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrorig_daemon.config import RigConfig, parse_rig
+from gyrorig_daemon.description import SessionOrder
 from gyrorig_daemon.emulated import rig_settings
 from gyrorig_daemon.emulator.physics.clock import DeviceClock
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
-from gyrorig_daemon.session import SessionOrder, Surroundings, record_session
+from gyrorig_daemon.session import Surroundings, record_session
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import MotionProgram, Rest, Step
 from gyrorig_protocol.recording.messages import PTU_POSITION_TOPIC, imu_topic

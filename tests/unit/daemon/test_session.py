@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from gyrorig_daemon.config import RigConfig, parse_rig
+from gyrorig_daemon.description import SessionOrder
 from gyrorig_daemon.emulated import rig_settings
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, PtuFaults, RigSettings
@@ -19,7 +20,7 @@ from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.links.hub import Chunk
 from gyrorig_daemon.links.pump import StopFlag, StopRequestedError
-from gyrorig_daemon.session import SessionOrder, Surroundings, record_session
+from gyrorig_daemon.session import Surroundings, record_session
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, UsageError
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.messages import PtuCommandRecord, SessionEvent

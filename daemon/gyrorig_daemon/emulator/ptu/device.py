@@ -17,7 +17,8 @@ from gyrorig_daemon.emulator.physics.clock import DeviceClock
 from gyrorig_daemon.emulator.physics.stage import Stage
 from gyrorig_daemon.emulator.ptu.language import ILLEGAL, Answer
 from gyrorig_daemon.emulator.ptu.unit import PtuUnit, make_axis_state
-from gyrorig_daemon.emulator.ptu.unit_commands import VERSIONS, run_command, run_homing
+from gyrorig_daemon.emulator.ptu.unit_answers import VERSIONS
+from gyrorig_daemon.emulator.ptu.unit_commands import run_command, run_homing
 from gyrorig_daemon.emulator.settings import PtuSettings
 
 _DELIMITERS = b" \r\n"

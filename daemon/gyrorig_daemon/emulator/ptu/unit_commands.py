@@ -1,13 +1,13 @@
-"""Commands of the unit as a whole: modes, resets, queries of both axes, identity.
+"""Commands of the unit as a whole: modes, resets, orders to both axes.
 
 `run_command` is the entrance: it finds the command in the tables here or among those of
 an axis, and answers what the firmware answers to an unknown one.
 """
 
-import math
 import re
 from collections.abc import Callable
 
+from gyrorig_daemon.emulator.ptu import unit_answers as answers
 from gyrorig_daemon.emulator.ptu.language import (
     DONE,
     ILLEGAL,
@@ -24,16 +24,7 @@ from gyrorig_daemon.emulator.settings import StepMode
 
 UnitHandler = Callable[[PtuUnit, float], Answer]
 
-VERSIONS = {
-    "d46": "Pan-Tilt Controller v2.14.0r1(D46-C14/E), (C)1991-2006 Directed Perception, Inc., "
-    "All Rights Reserved",
-    "e46": "Pan-Tilt Controller v3.4.2r0(E46-C16/E), (C)1991-2014 FLIR Commercial Systems, Inc., "
-    "All Rights Reserved",
-}
-SHORT_VERSION = "v3.4.2r0"
-MODEL = "PTU-E46-17.5"
 BAUDS = (600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
-_MOTOR_WARM_UP_S = 600.0
 
 
 def run_command(unit: PtuUnit, text: str, time_s: float) -> Answer:
@@ -50,10 +41,6 @@ def run_command(unit: PtuUnit, text: str, time_s: float) -> Answer:
     return run_axis_command(unit, text, time_s) or ILLEGAL
 
 
-def _echo(unit: PtuUnit, _time_s: float) -> Answer:
-    return always("Echoing ON" if unit.echo else "Echoing OFF")
-
-
 def _set_echo(on: bool) -> UnitHandler:
     def handler(unit: PtuUnit, _time_s: float) -> Answer:
         unit.echo = on
@@ -62,25 +49,12 @@ def _set_echo(on: bool) -> UnitHandler:
     return handler
 
 
-def _feedback(unit: PtuUnit, _time_s: float) -> Answer:
-    return always(f"ASCII {'verbose' if unit.verbose else 'terse'} mode")
-
-
 def _set_feedback(verbose: bool) -> UnitHandler:
     def handler(unit: PtuUnit, _time_s: float) -> Answer:
         unit.verbose = verbose
         return DONE
 
     return handler
-
-
-def _limits(unit: PtuUnit, _time_s: float) -> Answer:
-    texts = {
-        "E": "Limit bounds are ENABLED (soft limits enabled)",
-        "D": "Limit bounds are DISABLED",
-        "U": "Limit bounds are user defined bounds",
-    }
-    return always(texts[unit.limits])
 
 
 def _limits_enabled(unit: PtuUnit, _time_s: float) -> Answer:
@@ -109,10 +83,6 @@ def _slaved(unit: PtuUnit, _time_s: float) -> Answer:
     return DONE
 
 
-def _execution(unit: PtuUnit, _time_s: float) -> Answer:
-    return always("SLAVED execution mode" if unit.slaved else "IMMEDIATE execution mode")
-
-
 def _await(unit: PtuUnit, time_s: float) -> Answer:
     unit.release(time_s)
     return Answer(done_s=unit.rests_at_s())
@@ -127,14 +97,6 @@ def _halt(letters: tuple[Letter, ...]) -> UnitHandler:
     return handler
 
 
-def _mode(unit: PtuUnit, _time_s: float) -> Answer:
-    name = "Velocity" if unit.velocity else "Independent"
-    if unit.settings.dialect == "e46":
-        return always(f"PTU is in {name} Mode")
-    long_name = "pure velocity" if unit.velocity else "independent (default)"
-    return always(f"PTU is in {long_name} speed control mode")
-
-
 def _set_velocity(on: bool) -> UnitHandler:
     def handler(unit: PtuUnit, time_s: float) -> Answer:
         if unit.velocity != on:
@@ -144,34 +106,6 @@ def _set_velocity(on: bool) -> UnitHandler:
         return DONE
 
     return handler
-
-
-def _motion_text(unit: PtuUnit, time_s: float) -> str:
-    pan, tilt = unit.pan_tilt()
-    return (
-        f"P({pan.count(time_s)},{tilt.count(time_s)}) "
-        f"S({pan.speed_now(time_s)},{tilt.speed_now(time_s)})"
-    )
-
-
-def _motion(unit: PtuUnit, time_s: float) -> Answer:
-    return always(_motion_text(unit, time_s))
-
-
-def _counter_value(unit: PtuUnit, time_s: float) -> int:
-    return int(unit.clock.ticks(unit.to_ns(time_s)) % 2**unit.settings.counter_bits)
-
-
-def _motion_with_counter(unit: PtuUnit, time_s: float) -> Answer:
-    return always(f"{_motion_text(unit, time_s)} {_counter_value(unit, time_s)}")
-
-
-def _counter(unit: PtuUnit, time_s: float) -> Answer:
-    return always(str(_counter_value(unit, time_s)))
-
-
-def _counter_hz(unit: PtuUnit, _time_s: float) -> Answer:
-    return always(str(round(unit.settings.counter_hz)))
 
 
 def _reset(letters: tuple[Letter, ...]) -> UnitHandler:
@@ -196,10 +130,6 @@ def _power_up_reset(on: bool) -> UnitHandler:
     return handler
 
 
-def _power_up_query(unit: PtuUnit, _time_s: float) -> Answer:
-    return always("Reset at power up is " + ("ON" if unit.resets_at_power_up else "OFF"))
-
-
 def _save(unit: PtuUnit, _time_s: float) -> Answer:
     unit.eeprom_writes += 1
     return DONE
@@ -219,52 +149,24 @@ def _restore(unit: PtuUnit, time_s: float) -> Answer:
     return DONE
 
 
-def _version(unit: PtuUnit, _time_s: float) -> Answer:
-    return always(VERSIONS[unit.settings.dialect])
-
-
-def _short_version(_unit: PtuUnit, _time_s: float) -> Answer:
-    return always(SHORT_VERSION)
-
-
-def _model(_unit: PtuUnit, _time_s: float) -> Answer:
-    return always(MODEL)
-
-
-def _serial(unit: PtuUnit, _time_s: float) -> Answer:
-    return always(unit.settings.serial)
-
-
-def _power(unit: PtuUnit, time_s: float) -> Answer:
-    """Supply and temperatures in deg F; the motors warm the head over ten minutes."""
-    warm = -math.expm1(-time_s / _MOTOR_WARM_UP_S)
-    head, pan, tilt = (round(start + gain * warm) for start, gain in ((77, 9), (79, 18), (78, 16)))
-    if unit.settings.dialect == "d46":
-        return always(f"Input 30 VDC @ {head} degF")
-    return always(f"30.0,{head},{pan},{tilt}")
-
-
-def _menu(_unit: PtuUnit, _time_s: float) -> Answer:
-    return always("Commands: PP TP PO TO PS TS PD TD PA TA PB TB PU TU PL TL PR TR PN TN PX TX")
-
-
 def _monitor_off(_unit: PtuUnit, _time_s: float) -> Answer:
     return DONE
 
 
 _COMMANDS: dict[str, UnitHandler] = {
-    "E": _echo, "EE": _set_echo(True), "ED": _set_echo(False),
-    "F": _feedback, "FV": _set_feedback(True), "FT": _set_feedback(False),
-    "L": _limits, "LE": _limits_enabled, "LD": _limits_disabled, "LU": _limits_user,
-    "I": _immediate, "S": _slaved, "IQ": _execution, "A": _await,
+    "E": answers.echo, "EE": _set_echo(True), "ED": _set_echo(False),
+    "F": answers.feedback, "FV": _set_feedback(True), "FT": _set_feedback(False),
+    "L": answers.limits, "LE": _limits_enabled, "LD": _limits_disabled, "LU": _limits_user,
+    "I": _immediate, "S": _slaved, "IQ": answers.execution, "A": _await,
     "H": _halt(LETTERS), "HP": _halt(("P",)), "HT": _halt(("T",)),
-    "C": _mode, "CI": _set_velocity(False), "CV": _set_velocity(True),
-    "B": _motion, "BT": _motion_with_counter, "CNT": _counter, "CNF": _counter_hz,
+    "C": answers.mode, "CI": _set_velocity(False), "CV": _set_velocity(True),
+    "B": answers.motion, "BT": answers.motion_with_counter,
+    "CNT": answers.counter, "CNF": answers.counter_hz,
     "R": _reset(("T", "P")), "RP": _reset(("P",)), "RT": _reset(("T",)),
-    "RE": _power_up_reset(True), "RD": _power_up_reset(False), "RQ": _power_up_query,
+    "RE": _power_up_reset(True), "RD": _power_up_reset(False), "RQ": answers.power_up_query,
     "DS": _save, "DR": _restore, "DF": _restore,
-    "V": _version, "VV": _short_version, "VM": _model, "VS": _serial,
-    "O": _power, "?": _menu, "MD": _monitor_off,
+    "V": answers.version, "VV": answers.short_version, "VM": answers.model, "VS": answers.serial,
+    "O": answers.power, "?": answers.menu, "MD": _monitor_off,
 }  # fmt: skip
 _E_SERIES = frozenset({"B", "BT", "CNT", "CNF", "IQ", "VV", "VM", "VS"})
 

@@ -1,0 +1,174 @@
+"""One board's samples: counted, dated on the capture clock, handed on.
+
+What to use when: `BoardLink` for a board on a port; `SampleStream` is the half of it that
+no port is needed for. A sample's time is the map's of its own stamp; where there is no
+map yet, or the board sends no stamps, it is the arrival.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gyrorig_daemon.clocks import OnlineClock
+from gyrorig_daemon.config import BoardPort
+from gyrorig_daemon.links.capture_clock import CaptureClock
+from gyrorig_protocol.board import Batch, FrameEvent, Hello, Sample
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import ClockPing, ImuRaw, ImuStatus
+
+FRAME_OVERHEAD_BYTES = 5  # check 2, stuffing 1, delimiters 2
+BITS_PER_BYTE = 10
+SEQUENCE_BITS = 16
+DEFAULT_TICK_HZ = 1e6
+PERIOD_TOLERANCE = 0.2  # rates are off by 5 % as a rule, by 8 % with an RC oscillator
+_ACCEL_VALID = int(ImuStatus.ACCEL_VALID)  # flags of an enum cost a microsecond each
+_TEMPERATURE_VALID = int(ImuStatus.TEMPERATURE_VALID)
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSinks:
+    """Where a board's messages go; publish times are on the capture clock."""
+
+    sample: Callable[[BoardId, ImuRaw, int], None]
+    ping: Callable[[BoardId, ClockPing], None]
+    note: Callable[[str], None]
+    fault: Callable[[str], None]
+
+
+@dataclass(slots=True)
+class BoardCounts:
+    """What came, and what was lost, by cause."""
+
+    samples: int = 0
+    missing: int = 0  # by the board's own counter
+    duplicated: int = 0
+    reordered: int = 0
+    restarts: int = 0
+    pings: int = 0
+    silences: int = 0
+    unmapped: int = 0  # samples whose publish_time is their arrival
+    hung_up: int = 0
+
+
+class SampleStream:
+    """From frames to messages, with the board's clock and its counts."""
+
+    def __init__(self, config: BoardPort, capture: CaptureClock, sinks: BoardSinks) -> None:
+        """Begin without a map of the board's clock."""
+        self._config = config
+        self._capture = capture
+        self._sinks = sinks
+        self._board_id = config.board_id
+        self._speaks = config.format == "gcb1"
+        self._hello: Hello | None = None
+        self._last_sequence: int | None = None
+        self._last_batch: tuple[int, int] | None = None  # last sequence and its stamp
+        self.counts = BoardCounts()
+        self.clock = self._new_clock()
+
+    def use_hello(self, hello: Hello) -> None:
+        """Take what the board says of its clock and its rate; the first time, map anew."""
+        is_first, self._hello = self._hello is None, hello
+        if is_first:
+            self.clock = self._new_clock()
+
+    def restart(self) -> None:
+        """The board says that it has started anew: nothing before holds for what follows."""
+        self.clock.restart()
+        self._last_sequence = None
+
+    def take(self, frame: Sample | Batch, event: FrameEvent) -> None:
+        """Count, date and hand on what a frame holds."""
+        match frame:
+            case Sample():
+                samples = [frame]
+            case Batch():
+                samples = frame.samples(self._period_ticks(frame))
+        self._count(samples)
+        last = samples[-1]
+        arrival_ns = event.received_ns
+        mapped_ns = arrival_ns
+        if last.device_time is not None:
+            wire_ns = self.wire_ns(len(event.payload) + self._overhead())
+            mapped_ns = self.clock.observe(last.device_time, arrival_ns, wire_ns, last.sequence)
+            self._note_restarts()
+        for sample in samples:
+            taken_ns: int | None = mapped_ns
+            if sample is not last and sample.device_time is not None:
+                taken_ns = self.clock.map_ns(sample.device_time)
+            if taken_ns is None or taken_ns == arrival_ns:
+                self.counts.unmapped += 1
+                taken_ns = arrival_ns
+            self._emit(sample, arrival_ns, taken_ns)
+
+    def _emit(self, sample: Sample, arrival_ns: int, taken_ns: int) -> None:
+        status = sample.flags & 0xFF
+        if sample.accel is not None:
+            status |= _ACCEL_VALID
+        if sample.temperature is not None:
+            status |= _TEMPERATURE_VALID
+        message = ImuRaw(
+            host_time_ns=self._capture.utc_ns(arrival_ns),
+            device_time=sample.device_time or 0,
+            sequence=sample.sequence,
+            status=status,
+            temperature=sample.temperature or 0,
+            gyro=sample.gyro,
+            accel=sample.accel or (0, 0, 0),
+        )
+        self._sinks.sample(self._board_id, message, self._capture.utc_ns(taken_ns))
+
+    def _count(self, samples: list[Sample]) -> None:
+        self.counts.samples += len(samples)
+        first = samples[0].sequence
+        if self._last_sequence is not None:
+            step = (first - self._last_sequence) % (1 << SEQUENCE_BITS)
+            if step == 0:
+                self.counts.duplicated += 1
+            elif step >= 1 << (SEQUENCE_BITS - 1):
+                self.counts.reordered += 1
+                return  # the one that was counted as missing has come
+            else:
+                self.counts.missing += step - 1
+        self._last_sequence = samples[-1].sequence
+
+    def _new_clock(self) -> OnlineClock:
+        facts, columns = self._config.facts, self._config.columns
+        tick_hz = facts.tick_hz or (columns and columns.tick_hz) or DEFAULT_TICK_HZ
+        if self._hello is not None:
+            tick_hz = self._hello.tick_hz
+        bits = 32 if self._speaks else facts.counter_bits or 64
+        return OnlineClock(tick_hz, bits, SEQUENCE_BITS if self._speaks else 32)
+
+    def _period_ticks(self, batch: Batch) -> float:
+        """Return the ticks between two samples of a batch.
+
+        As they passed since the last batch, because a nominal rate is no clock; the
+        nominal one where no batch came before, or what passed cannot be a period.
+        """
+        hello = self._hello
+        rate_hz = None if hello is None else hello.sensors[0].rate_hz
+        nominal = 0.0 if hello is None or rate_hz is None else hello.tick_hz / rate_hz
+        last = (batch.sequence + len(batch.gyro) - 1) % (1 << SEQUENCE_BITS)
+        before, self._last_batch = self._last_batch, (last, batch.device_time)
+        if before is None:
+            return nominal
+        steps = (last - before[0]) % (1 << SEQUENCE_BITS)
+        passed = (batch.device_time - before[1]) % (1 << 32)
+        period = passed / steps if steps else 0.0
+        if nominal and abs(period / nominal - 1.0) > PERIOD_TOLERANCE:
+            return nominal
+        return period
+
+    def _overhead(self) -> int:
+        return FRAME_OVERHEAD_BYTES if self._speaks else 0
+
+    def wire_ns(self, byte_count: int) -> int:
+        """Return how long so many bytes are on the wire."""
+        return byte_count * BITS_PER_BYTE * 1_000_000_000 // self._config.baud
+
+    def _note_restarts(self) -> None:
+        restarts = self.clock.restarts
+        if restarts > self.counts.restarts:
+            self.counts.restarts = restarts
+            self._last_sequence = None
+            self._sinks.fault(f"board {self._board_id} has restarted its clock")
