@@ -1,10 +1,11 @@
 """An import from beginning to end: one file in, one recording out, or nothing at all."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import GyrorigError, UsageError
@@ -18,6 +19,8 @@ from gyrorig_protocol.recording.messages import (
     SessionEvent,
 )
 from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
+from gyrorig_solver.arrays import IntArray
+from gyrorig_solver.clocks.mapping import map_clock
 from gyrorig_solver.importers.columns import open_columns
 from gyrorig_solver.importers.mapping import ImportMap, check_import_map
 from gyrorig_solver.importers.sections import Phase, read_phases
@@ -27,7 +30,9 @@ from gyrorig_solver.importers.streams import (
     read_streams,
     wanted_keys,
 )
+from gyrorig_solver.importers.times import nanoseconds
 
+NS = 1_000_000_000
 # About ten seconds of a fast board between two looks at the other topics.
 SAMPLES_AT_A_TIME = 4096
 
@@ -72,9 +77,12 @@ def import_measurements(
     columns = open_columns(source, wanted_keys(mapping))
     imu, attitude = read_streams(columns, mapping)
     phases = read_phases(columns, mapping, imu, source.parent)
+    in_bursts = bool(phases) and mapping.time.stamp == "arrival"
+    taken_ns = _taken_ns(imu) if in_bursts else imu.host_time_ns
+    imu, attitude, taken_ns = _not_before_zero(imu, attitude, taken_ns)
     writer = RecordingWriter(out, _metadata(mapping, imu, name, out), [_attached(mapping)])
     try:
-        _write(writer, name, imu, _others(source, imu, attitude, phases))
+        _write(writer, name, imu, _others(source, imu, attitude, phases, taken_ns))
         path = writer.close()
     except (GyrorigError, ValueError, KeyboardInterrupt):
         writer.path.unlink(missing_ok=True)
@@ -115,18 +123,53 @@ def _attached(mapping: ImportMap) -> Attachment:
     return Attachment("import-map.yaml", "application/yaml", text.encode())
 
 
+def _taken_ns(imu: ImuStream) -> IntArray:
+    """Return when samples that came in bursts were taken: by the clock that reads them back.
+
+    A phase is from sample to sample. Dated by arrivals it would lose the samples that
+    were taken before the first of them arrived.
+    """
+    first_ns = imu.host_time_ns[0]
+    clock = map_clock(
+        imu.device_time,
+        np.asarray((imu.host_time_ns - first_ns) * 1e-9, dtype=np.float64),
+        float(imu.metadata["tick_hz"]),
+        int(imu.metadata["counter_bits"]),
+    )
+    return np.asarray(first_ns + nanoseconds(clock.time_s), dtype=np.int64)
+
+
+def _not_before_zero(
+    imu: ImuStream, attitude: AttitudeStream | None, taken_ns: IntArray
+) -> tuple[ImuStream, AttitudeStream | None, IntArray]:
+    """Return all of it later by whole seconds, if a sample was taken before time 0."""
+    later_ns = NS * -int(min(0, taken_ns.min()) // NS)
+    if later_ns == 0:
+        return imu, attitude, taken_ns
+    note = f"every time is later by {later_ns // NS} s, so that none is before 0"
+    imu = replace(imu, host_time_ns=imu.host_time_ns + later_ns, notes=(*imu.notes, note))
+    if attitude is not None:
+        attitude = replace(attitude, host_time_ns=attitude.host_time_ns + later_ns)
+    return imu, attitude, taken_ns + later_ns
+
+
 def _others(
-    source: Path, imu: ImuStream, attitude: AttitudeStream | None, phases: list[Phase]
+    source: Path,
+    imu: ImuStream,
+    attitude: AttitudeStream | None,
+    phases: list[Phase],
+    taken_ns: IntArray,
 ) -> list[_Dated]:
     """Return every message that is no sample, in the order of time."""
-    start, end = int(imu.host_time_ns[0]), int(imu.host_time_ns[-1])
+    start = int(min(imu.host_time_ns[0], taken_ns[0]))
+    end = int(max(imu.host_time_ns[-1], taken_ns[-1]))
     events = [SessionEvent(start, EventKind.PHASE_BEGIN, "program", "")]
     events += [
         SessionEvent(start, EventKind.NOTE, "program", text)
         for text in (f"imported from {source.name}", *imu.notes)
     ]
     for phase in phases:
-        begin_ns, end_ns = int(imu.host_time_ns[phase.first]), int(imu.host_time_ns[phase.last])
+        begin_ns, end_ns = int(taken_ns[phase.first]), int(taken_ns[phase.last])
         events.append(SessionEvent(begin_ns, EventKind.PHASE_BEGIN, phase.name, phase.text))
         events.append(SessionEvent(end_ns, EventKind.PHASE_END, phase.name, phase.text))
     events.append(SessionEvent(end, EventKind.PHASE_END, "program", ""))

@@ -17,9 +17,12 @@ from mcap_ros2.decoder import DecoderFactory
 
 from gyrorig_protocol.documents import parse_yaml, read_as
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
+from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver.importers import ImportMap, check_import_map, import_measurements
 from gyrorig_solver.importers.columns import open_columns
+from gyrorig_solver.reference.turns import read_turns
+from gyrorig_solver.samples import load_samples
 
 BASE = """
 schema: gyrorig/import/1
@@ -95,6 +98,26 @@ def test_arrivals_keep_the_sample_count_as_the_clock(tmp_path: Path) -> None:
     )
     found = messages(summary.path, "/board/B1/imu_raw")
     assert [m.device_time for m in found] == list(range(50))
+
+
+@pytest.mark.parametrize(("first_s", "later_s"), [(0.0, 1.0), (7.0, 0.0)])
+def test_a_turn_of_samples_in_bursts_holds_every_sample(
+    tmp_path: Path, first_s: float, later_s: float
+) -> None:
+    """The first samples of a burst were taken before any of them arrived."""
+    arrival_s = first_s + np.repeat(np.arange(10) * 0.05, 5)
+    text = BASE.replace("unit: s}", "unit: s, stamp: arrival, rate_hz: 100.0}")
+    text += "turns: [{axis: [1.0, 0.0, 0.0], angle_deg: 360.0, std_deg: 1.0}]\n"
+    source = archive(tmp_path / "in.npz", t=arrival_s, g=np.zeros((50, 3)))
+    summary = import_measurements(source, mapped(text), tmp_path / "o.mcap")
+    recording = read_recording(summary.path)
+    samples = load_samples(recording, "B1")
+    (turn,) = read_turns(recording.events(), samples.origin_ns).turns
+    assert samples.time_s[0] == pytest.approx(-0.04, abs=1e-6)
+    assert turn.over.begin_s == pytest.approx(samples.time_s[0], abs=1e-6)
+    assert turn.over.end_s == pytest.approx(samples.time_s[-1], abs=1e-6)
+    first = messages(summary.path, "/board/B1/imu_raw")[0].host_time
+    assert first.sec + first.nanosec * 1e-9 == pytest.approx(first_s + later_s)
 
 
 def test_lost_attitudes_and_rates_are_left_out_and_counted(tmp_path: Path) -> None:
