@@ -8,13 +8,12 @@ estimator's own, so the two cannot disagree about what it means to be observable
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.observability import BIAS_NAMES, conclude, decide
+from gyrorig_solver.estimate.information import NAMES, white_information
+from gyrorig_solver.estimate.observability import conclude, decide
 from gyrorig_solver.estimate.result import Observability
-from gyrorig_solver.model.gain import GAIN_NAMES
 from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.samples import GyroSamples
 
-NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
 _GRID_HZ = 50.0  # motions of a unit change within tenths of a second
 _MAX_POINTS = 200_000
 
@@ -30,15 +29,8 @@ def capability(
         words: for each gain column, `bias` and `time_offset`, why it may be hidden.
     """
     rate, step_s = _stage_rate(samples, reference)
-    information = np.zeros((13, 13))
-    turning = np.gradient(rate, step_s, axis=0)
-    for axis in range(3):
-        design = np.zeros((len(rate), 13))
-        design[:, 3 * axis : 3 * axis + 3] = rate
-        design[:, 9 + axis] = 1.0
-        design[:, 12] = -turning[:, axis]  # a later sample tells of an earlier rate
-        variance = _noise_density(samples, axis) / (2.0 * step_s)
-        information += design.T @ design / variance
+    density = np.array([_noise_density(samples, axis) for axis in range(3)])
+    information = white_information(rate, step_s, density)
     estimate = np.concatenate([np.eye(3).ravel(), np.zeros(4)])
     return conclude(estimate, NAMES, decide(information, NAMES), words).observability
 

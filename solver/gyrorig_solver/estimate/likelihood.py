@@ -13,14 +13,13 @@ from scipy.fft import dct, idct
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.estimate.information import NAMES, loosened, marginalise
 from gyrorig_solver.estimate.noise import NoiseModel, Sampling, Spectrum, binned, fit_levels
 from gyrorig_solver.estimate.normal import BlockModel, Normal, block_model, normal_equations
-from gyrorig_solver.estimate.observability import BIAS_NAMES, Decision, decide, prior_std
+from gyrorig_solver.estimate.observability import Decision, decide, prior_std
 from gyrorig_solver.estimate.series import Predicted, Series, low_pass_delay_s, predict
-from gyrorig_solver.model.gain import GAIN_NAMES
 from gyrorig_solver.reference.motion import ReferenceMotion
 
-NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
 ROUNDS = 12
 CONVERGED_SIGMA = 1e-2  # largest last step, in standard deviations
 FRESH_ROUNDS = 2  # rounds after which the reference's derivatives stay as they are
@@ -128,23 +127,14 @@ class _Work:
 
     def round(self) -> float:
         """Take one Gauss-Newton step; return its largest size in standard deviations."""
-        total = self._normal()
-        reference_info = self._reference.information
-        pull = reference_info @ self._reference.pull
-        information, score = _with_prior(total, reference_info, pull, self._shared_count())
-        own, rest = slice(0, 13), slice(13, None)
-        inner = information[rest, rest]
-        carry = np.linalg.solve(inner, np.column_stack([information[rest, own], score[rest]]))
-        marginal = information[own, own] - information[own, rest] @ carry[:, :-1]
-        marginal_score = score[own] - information[own, rest] @ carry[:, -1]
-        decision = decide(marginal, NAMES)
-        step = decision.inverse @ marginal_score
-        self._marginal, self._decision = marginal, decision
+        marginal = marginalise(self._normal(), self._reference, self._shared_count())
+        decision = decide(marginal.information, NAMES)
+        step = decision.inverse @ marginal.score
+        self._marginal, self._decision = marginal.information, decision
         self._gain = self._gain + step[:9].reshape(3, 3)
         self._bias = self._bias + step[9:12]
         self._lag_s += float(np.clip(step[12], -0.05, 0.05))
-        nuisance = carry[:, -1] - carry[:, :-1] @ step
-        self._reference = self._reference.moved(self._as_reference(nuisance))
+        self._reference = self._reference.moved(self._as_reference(marginal.nuisance(step)))
         self._rounds += 1
         self._predict()
         self._judge()
@@ -157,7 +147,7 @@ class _Work:
         delay_s = low_pass_delay_s(self._series[0])
         estimate = np.concatenate([self._gain.ravel(), self._bias, [self._lag_s + delay_s]])
         common = float(np.hypot(self._reference.common_std_s, stamp_std_s))
-        information = _loosened(self._marginal, 12, common)
+        information = loosened(self._marginal, 12, common)
         noise = self._noise
         return Solution(
             estimate=estimate,
@@ -239,28 +229,6 @@ class _Work:
         ]
         self._spectrum = binned(filled, self._sampling.rate_hz)
         self._noise = fit_levels(self._spectrum, self._sampling)
-
-
-def _with_prior(
-    total: Normal, reference_information: FloatArray, pull: FloatArray, shared: int
-) -> tuple[FloatArray, FloatArray]:
-    """Add what the reference knows of its unknowns, reordered to (shared, local)."""
-    local = reference_information.shape[0] - shared
-    order = np.concatenate([local + np.arange(shared), np.arange(local)]).astype(np.int64)
-    information, score = total.information.copy(), total.score.copy()
-    information[13:, 13:] += reference_information[np.ix_(order, order)]
-    score[13:] += pull[order]
-    return information, score
-
-
-def _loosened(information: FloatArray, index: int, std: float) -> FloatArray:
-    """Return the information after independent noise of `std` enters one parameter."""
-    if std <= 0.0:
-        return information
-    column = information[:, index]
-    # Woodbury: (C + s^2 e e')^-1 = I - I e e' I / (1/s^2 + e' I e).
-    lost = np.outer(column, column) / (std**-2 + information[index, index])
-    return np.asarray(information - lost, dtype=np.float64)
 
 
 def _whiten(residual: FloatArray, noise: NoiseModel) -> FloatArray:

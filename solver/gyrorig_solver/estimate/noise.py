@@ -146,14 +146,21 @@ def fit_levels(spectrum: Spectrum, sampling: Sampling) -> NoiseModel:
         high = spectrum.frequency_hz > np.median(spectrum.frequency_hz)
         white = float(np.median(power[high] / np.maximum(shape[0][high], 1e-6)))
         white = max(white, quantum * 1e-3, 1e-30)
-        # Where each process would meet the white noise in an ordinary MEMS part (L3G4200D:
-        # 0.03 dps/sqrt(Hz), 4 mdps, 0.3 mdps/sqrt(s)): flicker at 0.01 Hz, random walk at
-        # 0.003 Hz; a differentiated attitude at 30 Hz.
-        start = white * np.array(
-            [1.0, np.pi * 0.01, (2 * np.pi * 0.003) ** 2 / 2.0, (2 * np.pi * 30.0) ** -2]
-        )
+        start = ordinary_levels(white)
         levels[axis] = _fit_axis(power, spectrum.count, shape, quantum, start, active)
     return NoiseModel(levels, sampling)
+
+
+def ordinary_levels(white: float) -> FloatArray:
+    """Return N^2, B^2, K^2, D^2 of an ordinary MEMS part with that N^2, shape (4,).
+
+    The processes meet the white noise (L3G4200D: 0.03 dps/sqrt(Hz), 4 mdps,
+    0.3 mdps/sqrt(s)) at 0.01 Hz for flicker and 0.003 Hz for the random walk; a
+    differentiated attitude at 30 Hz.
+    """
+    return white * np.array(
+        [1.0, np.pi * 0.01, (2 * np.pi * 0.003) ** 2 / 2.0, (2 * np.pi * 30.0) ** -2]
+    )
 
 
 def _fit_axis(

@@ -65,6 +65,14 @@ class Series:
         return mean, count > 0.5
 
 
+def grids(rate_hz: float, bandwidth_hz: float | None) -> tuple[int, int]:
+    """Return samples to a block and fine intervals to a sample, for samples at a rate."""
+    block = max(1, round(rate_hz / SERIES_HZ))
+    least_hz = max(FINE_HZ, 5.0 * (bandwidth_hz or 0.0))
+    fine = max(1, int(np.ceil(least_hz / rate_hz)))
+    return block, fine + 1 - fine % 2
+
+
 def build_series(samples: GyroSamples) -> tuple[list[Series], Sampling]:
     """Cut the samples into series.
 
@@ -73,10 +81,7 @@ def build_series(samples: GyroSamples) -> tuple[list[Series], Sampling]:
     """
     period_s = samples.period_s
     rate_hz = 1.0 / period_s
-    block = max(1, round(rate_hz / SERIES_HZ))
-    least_hz = max(FINE_HZ, 5.0 * (samples.bandwidth_hz or 0.0))
-    fine = max(1, int(np.ceil(least_hz * period_s)))
-    fine += 1 - fine % 2
+    block, fine = grids(rate_hz, samples.bandwidth_hz)
     step = np.diff(samples.number) * period_s
     cut = (np.diff(samples.segment) != 0) | (step > LONGEST_GAP_S)
     bounds = np.concatenate([[0], np.flatnonzero(cut) + 1, [samples.number.size]])
