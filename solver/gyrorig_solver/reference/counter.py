@@ -13,12 +13,16 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.clocks.envelope import Envelope, hull_line, piecewise_envelope
-from gyrorig_solver.clocks.mapping import KNOT_SPACING_S, LINE_UP_TO_S, WANDER_PER_SQRT_S
 from gyrorig_solver.clocks.unwrap import unwrap_ticks
 
 FEWEST = 50  # fewer exchanges do not fix a line better than each fixes its own instant
 # A counter whose samples fall outside their own exchanges is not the counter it says it is.
 INSIDE_SHARE = 0.99
+# Up to here one line follows a crystal; beyond, it wanders by about this (time
+# synchronisation notes, section 0 point 3 and section 2).
+LINE_UP_TO_S = 120.0
+KNOT_SPACING_S = 10.0
+WANDER_PER_SQRT_S = 1e-8
 SLACK_S = 2e-4  # a wandering clock against a straight line, over two minutes
 
 
@@ -46,7 +50,7 @@ def counter_instants(
         return None
     bits = 32 if int(ticks.max()) < 2**32 else 64
     clock = unwrap_ticks(ticks, lo_s, counter_hz, bits)
-    if clock.restarts or clock.late.any():
+    if clock.segment.any() or clock.late.any():
         return None
     device_s = clock.device_s
     latest = _envelope(device_s, hi_s - device_s)

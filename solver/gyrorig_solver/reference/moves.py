@@ -35,7 +35,7 @@ Resting = Callable[[int, float, float], int | None]  # axis, after, before -> co
 class Exchange:
     """One command and its answer, times in s on the capture clock."""
 
-    request_s: float
+    request_s: float  # when its last byte was on the line
     reply_s: float
     ok: bool
     command: str

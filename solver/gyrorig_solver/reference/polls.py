@@ -36,8 +36,8 @@ LOG_ACCELERATION_STD = 1e-2
 COUNT_STD_STEPS = 0.5  # of the count's lag and of its offset, prior
 LATE_SHARE_STD = 0.3  # of phi, prior, about one half
 STEP_VARIANCE = 1.0 / 12.0
-FIRST_START_STD_S = 1.0  # a start that no poll saw stays where it was told
-LATER_START_STD_S = 0.02  # orders on the way are carried out about as late as others
+SEEN_START_STD_S = 1.0  # of a start that counts show: no more than a brace
+UNSEEN_START_STD_S = 0.02  # of one that they may not show, about the delay of the others
 EDGE_STEPS = 1.5  # counts this near to a rest are rounded one way and say little
 ROUNDS = 7
 _SEARCH_S = np.arange(0.0, 0.3, 0.005)  # how late orders may be
@@ -127,11 +127,12 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
     least = float(np.percentile(width, 1.0)) if width.size else 0.0
     extra = np.clip(width - least, 0.0, None)
     base_s = polls.lo_s + least / 2.0
+    delays = _Delays(motion.moves, _first_guess(motion.moves, polls, base_s + 0.5 * extra))
     centre = np.zeros(layout.size)
-    centre[: layout.starts] = _first_guess(motion.moves, polls, base_s + 0.5 * extra)
+    centre[: layout.starts] = delays.guess_s
     centre[-1] = 0.5
     parameters = centre.copy()
-    weight = _prior(motion, layout)
+    weight = _prior(layout, delays.seen)
     scatter_s = max(least / np.sqrt(12.0), 1e-6)
     rest_variance = STEP_VARIANCE
     standing = slice(layout.rest, layout.speed)
@@ -140,6 +141,7 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
         scatter_s = system.scatter_s(scatter_s)
         information, score = system.normal(scatter_s)
         information[np.arange(layout.size), np.arange(layout.size)] += weight
+        centre[: layout.starts] = delays.expected_s(parameters[: layout.starts])
         score += weight * (centre - parameters)
         rest_variance = likeliest_variance(information, score, standing, parameters[standing])
         at = np.arange(layout.rest, layout.speed)
@@ -164,11 +166,34 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
     )
 
 
-def _prior(motion: Motion, layout: _Layout) -> FloatArray:
+class _Delays:
+    """How late orders take hold: alike, as far as counts do not show each for itself.
+
+    The first order of a move shows in its counts. A change on the way may not, and no more
+    a move that was not polled on its way (awaited, or too short).
+    """
+
+    def __init__(self, moves: tuple[Move, ...], late_s: FloatArray) -> None:
+        """Begin with how late each move seems to be, nan where its counts do not show it."""
+        self._told_s = np.array([order.told_s for move in moves for order in move.orders])
+        late = np.repeat(late_s, [len(move.orders) for move in moves])
+        first = [k == 0 for move in moves for k in range(len(move.orders))]
+        self.seen = np.array(first, dtype=np.bool_) & np.isfinite(late)
+        usual_s = float(np.median(late[self.seen])) if self.seen.any() else 0.0
+        self.guess_s = self._told_s + np.where(np.isfinite(late), late, usual_s)
+
+    def expected_s(self, starts_s: FloatArray) -> FloatArray:
+        """Return where each start is expected: as it is, or as late as those that are seen."""
+        if not self.seen.any():
+            return self.guess_s
+        usual_s = float(np.median((starts_s - self._told_s)[self.seen]))
+        return np.where(self.seen, self.guess_s, self._told_s + usual_s)
+
+
+def _prior(layout: _Layout, seen: BoolArray) -> FloatArray:
     """Return one over the prior variance of every parameter, rests apart."""
     weight = np.zeros(layout.size)
-    weight[: layout.starts] = LATER_START_STD_S**-2
-    weight[list(layout.first)] = FIRST_START_STD_S**-2
+    weight[: layout.starts] = np.where(seen, SEEN_START_STD_S**-2, UNSEEN_START_STD_S**-2)
     weight[layout.speed : layout.ramp] = LOG_SPEED_STD**-2
     weight[layout.ramp : layout.kept] = LOG_ACCELERATION_STD**-2
     weight[layout.kept :] = [COUNT_STD_STEPS**-2, COUNT_STD_STEPS**-2, LATE_SHARE_STD**-2]
@@ -176,24 +201,24 @@ def _prior(motion: Motion, layout: _Layout) -> FloatArray:
 
 
 def _first_guess(moves: tuple[Move, ...], polls: Polls, at_s: FloatArray) -> FloatArray:
-    """Start each move as late as fits its counts best, all its orders alike."""
-    starts: list[float] = []
-    still, told = np.zeros(1 + max((max(m.classes) for m in moves), default=0)), 0.0
-    for move in moves:
-        orders_s = np.array([order.told_s for order in move.orders])
-        course = move.course(orders_s, still, told)
+    """Return how late each move fits its counts best, nan where no poll saw it on its way."""
+    late = np.full(len(moves), np.nan)
+    still = np.zeros(1 + max((max(move.classes) for move in moves), default=0))
+    for k, move in enumerate(moves):
+        told_s = np.array([order.told_s for order in move.orders])
+        course = move.course(told_s, still, 0.0)
         first, last = np.searchsorted(at_s, [move.told_s, course.end_s + float(_SEARCH_S[-1])])
         near = np.arange(first, last)
-        near = near[polls.valid[near, move.axis]]
-        # The course shifts as a whole, so one evaluation serves every delay tried.
+        counted = polls.steps[near, move.axis]
+        on_way = (counted != move.from_steps) & (counted != move.to_steps)
+        if not np.any(on_way & polls.valid[near, move.axis]):
+            continue
+        near, counted = near[polls.valid[near, move.axis]], counted[polls.valid[near, move.axis]]
+        # The course shifts as a whole, so one course serves every delay tried.
         since = at_s[near][None, :] - _SEARCH_S[:, None]
-        off = np.abs(
-            polls.steps[near, move.axis] - course.position_steps(since.ravel()).reshape(since.shape)
-        )
-        worth = np.sum(np.minimum(off, 50.0), axis=1)
-        late_s = float(_SEARCH_S[int(np.argmin(worth))]) if near.size else 0.0
-        starts += (orders_s + late_s).tolist()
-    return np.array(starts)
+        off = np.abs(counted - course.position_steps(since))
+        late[k] = _SEARCH_S[int(np.argmin(np.sum(np.minimum(off, 50.0), axis=1)))]
+    return late
 
 
 @dataclass(frozen=True, slots=True, eq=False)

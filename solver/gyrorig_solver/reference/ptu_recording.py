@@ -30,14 +30,16 @@ def ptu_reference(recording: Recording, origin_ns: int) -> PtuReference:
         InputError: there are too few polls, or the metadata lack what a move is made of.
     """
     metadata = recording.metadata.get("gyrorig.ptu", {})
-    polls, steps = _polls(recording, metadata, origin_ns)
+    byte_s = _byte_s(metadata)
+    polls, steps = _polls(recording, metadata, byte_s, origin_ns)
     rad_per_step = (
         _resolution(recording, metadata, "pan"),
         _resolution(recording, metadata, "tilt"),
     )
     exchanges = [
         Exchange(
-            (c.request_time_ns - origin_ns) * 1e-9,
+            # It cannot act before its last byte, the delimiter, has arrived.
+            (c.request_time_ns - origin_ns) * 1e-9 + (len(c.command.strip()) + 1) * byte_s,
             (c.reply_time_ns - origin_ns) * 1e-9,
             c.code == OK,
             c.command,
@@ -51,7 +53,7 @@ def ptu_reference(recording: Recording, origin_ns: int) -> PtuReference:
 
 
 def _polls(
-    recording: Recording, metadata: Mapping[str, str], origin_ns: int
+    recording: Recording, metadata: Mapping[str, str], byte_s: float, origin_ns: int
 ) -> tuple[Polls, tuple[int, int]]:
     """Return the polls that may be used, and where both axes stood at the first."""
     raw = recording.ptu_positions()
@@ -60,10 +62,6 @@ def _polls(
         raise InputError(
             f"{recording.path.name} has {raw.size} positions of the unit", "record with polling on"
         )
-    try:
-        byte_s = BITS_PER_BYTE / float(metadata.get("baud", "9600"))
-    except ValueError as fault:
-        raise InputError("metadata baud is no number", "the recording is damaged") from fault
     request = (times_ns(raw["request_time"]) - origin_ns) * 1e-9
     first = (times_ns(raw["first_byte_time"]) - origin_ns) * 1e-9
     # The unit cannot sample before it has the query, nor after its answer has begun.
@@ -81,6 +79,14 @@ def _polls(
             raise InputError(f"the unit never answered its {name} position", "record again")
         at_rest.append(int(polls.steps[answered[0], axis]))
     return polls, (at_rest[0], at_rest[1])
+
+
+def _byte_s(metadata: Mapping[str, str]) -> float:
+    """Return how long a byte takes on the unit's line."""
+    try:
+        return BITS_PER_BYTE / float(metadata.get("baud", "9600"))
+    except (ValueError, ZeroDivisionError) as fault:
+        raise InputError("metadata baud is no number", "the recording is damaged") from fault
 
 
 def _by_counter(polls: Polls, ticks: IntArray, metadata: Mapping[str, str]) -> Polls:
