@@ -28,7 +28,7 @@ class GyroSamples:
     time_s: FloatArray  # (n,), not decreasing inside a segment
     host_s: FloatArray  # (n,), arrival
     number: IntArray  # (n,), sample count since the segment's first, gaps left open
-    segment: IntArray  # (n,), counts restarts of the board
+    segment: IntArray  # (n,), counts restarts of the board and steps of its clock
     rate_rad_s: FloatArray  # (n, 3), counts times nominal scale, sensor frame
     good: BoolArray  # (n,), False where saturated or repeated
     accel_m_s2: FloatArray | None  # (n, 3)
@@ -94,8 +94,9 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     host_ns = times_ns(raw["host_time"])
     origin_ns = int(host_ns[0])
     host_s: FloatArray = np.asarray((host_ns - origin_ns) * 1e-9, dtype=np.float64)
-    clock = _clock(raw["device_time"].astype(np.int64), host_s, metadata)
-    keep, numbers, lost = _numbers(raw["sequence"].astype(np.int64), clock)
+    sequence = raw["sequence"].astype(np.int64)
+    clock = _clock(raw["device_time"].astype(np.int64), host_s, sequence, metadata)
+    keep, numbers, lost = _numbers(sequence, clock)
     floor = _floor(recording, board, raw["device_time"].astype(np.int64), host_s, clock)
     raw, host_s = raw[keep], host_s[keep]
     gyro = raw["gyro"].astype(np.float64)
@@ -127,13 +128,15 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     )
 
 
-def _clock(ticks: IntArray, host_s: FloatArray, metadata: Mapping[str, str]) -> ClockMap:
+def _clock(
+    ticks: IntArray, host_s: FloatArray, sequence: IntArray, metadata: Mapping[str, str]
+) -> ClockMap:
     """Map device time; a source with one time column has it as both, in nanoseconds."""
     tick_hz = number(metadata, "tick_hz")
     if tick_hz is None or (metadata.get("link") == "file" and not np.any(np.diff(ticks))):
         ticks, tick_hz = np.rint(host_s * 1e9).astype(np.int64), 1e9
     bits = int(number(metadata, "counter_bits") or 64)
-    return map_clock(ticks, host_s, tick_hz, bits)
+    return map_clock(ticks, host_s, tick_hz, bits, sequence)
 
 
 def _floor(
@@ -165,7 +168,7 @@ def _numbers(sequence: IntArray, clock: ClockMap) -> tuple[BoolArray, IntArray, 
     keep = np.ones(sequence.size, dtype=np.bool_)
     numbers = np.zeros(sequence.size, dtype=np.int64)
     lost = 0
-    for k in range(clock.restarts + 1):
+    for k in range(clock.segments):
         inside = np.flatnonzero(clock.segment == k)
         period = float(np.median(np.diff(clock.time_s[inside]))) if inside.size > 1 else 1.0
         expected = (clock.time_s[inside] - clock.time_s[inside[0]]) / max(period, 1e-9)

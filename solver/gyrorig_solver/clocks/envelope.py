@@ -13,7 +13,11 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import csr_matrix, lil_matrix
 
-from gyrorig_solver.arrays import FloatArray, IntArray
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+
+_FAR_S = 1e5  # how far an envelope is continued
+_BLOCK = 32  # points looked at together when a hull is thinned
+_PIECE = 1 << 16  # and how many blocks' points at a time: bounds the memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,13 +29,14 @@ class Envelope:
 
     def at(self, device_s: FloatArray) -> FloatArray:
         """Return the envelope's delay at device times, continued straight at both ends."""
-        inner = np.interp(device_s, self.knot_s, self.delay_s)
-        if self.knot_s.size < 2:
-            return np.asarray(inner, dtype=np.float64)
-        slope = np.diff(self.delay_s) / np.diff(self.knot_s)
-        below, above = device_s < self.knot_s[0], device_s > self.knot_s[-1]
-        inner = np.where(below, self.delay_s[0] + slope[0] * (device_s - self.knot_s[0]), inner)
-        return np.where(above, self.delay_s[-1] + slope[-1] * (device_s - self.knot_s[-1]), inner)
+        knot_s, delay_s = self.knot_s, self.delay_s
+        if knot_s.size > 1:
+            slope = np.diff(delay_s) / np.diff(knot_s)
+            far_s = _FAR_S + float(knot_s[-1] - knot_s[0])
+            knot_s = np.concatenate([[knot_s[0] - far_s], knot_s, [knot_s[-1] + far_s]])
+            ends = delay_s[0] - slope[0] * far_s, delay_s[-1] + slope[-1] * far_s
+            delay_s = np.concatenate([[ends[0]], delay_s, [ends[1]]])
+        return np.asarray(np.interp(device_s, knot_s, delay_s), dtype=np.float64)
 
 
 def lower_hull(x: FloatArray, y: FloatArray) -> IntArray:
@@ -44,36 +49,59 @@ def lower_hull(x: FloatArray, y: FloatArray) -> IntArray:
     Andrew's monotone chain; points far above their neighbours are dropped first, block
     by block, which leaves the hull as it is and makes it linear in practice.
     """
-    index = _hull_candidates(x, y) if x.size > 512 else np.arange(x.size)
-    corners: list[int] = []
-    for i in index:
-        if corners and x[corners[-1]] == x[i]:
-            if y[corners[-1]] <= y[i]:
+    index = np.arange(x.size)
+    while index.size > 4 * _BLOCK:
+        kept = _thinned(x, y) if index.size == x.size else index[_thinned(x[index], y[index])]
+        if kept.size > 0.7 * index.size:
+            break
+        index = kept
+    xs, ys = x[index].tolist(), y[index].tolist()
+    chain: list[int] = []
+    for i in range(len(xs)):
+        if chain and xs[chain[-1]] == xs[i]:
+            if ys[chain[-1]] <= ys[i]:
                 continue
-            corners.pop()
-        while len(corners) > 1:
-            a, b = corners[-2], corners[-1]
-            cross = (x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a])
-            if cross > 0.0:
+            chain.pop()
+        while len(chain) > 1:
+            a, b = chain[-2], chain[-1]
+            if (xs[b] - xs[a]) * (ys[i] - ys[a]) - (ys[b] - ys[a]) * (xs[i] - xs[a]) > 0.0:
                 break
-            corners.pop()
-        corners.append(int(i))
-    return np.array(corners, dtype=np.int64)
+            chain.pop()
+        chain.append(i)
+    return np.asarray(index[chain], dtype=np.int64)
 
 
-def _hull_candidates(x: FloatArray, y: FloatArray) -> IntArray:
-    """Return the points that may be corners of the lower hull, block by block.
+def _thinned(x: FloatArray, y: FloatArray) -> IntArray:
+    """Return the points that may be corners of the lower hull.
 
     A corner is never above the chords from its block's lowest point to the block's two
     ends, so whatever lies above them is dropped and no corner is lost.
     """
-    keep = np.zeros(y.size, dtype=np.bool_)
-    for start in range(0, y.size, 64):
-        at, block = x[start : start + 64], y[start : start + 64]
-        low = int(np.argmin(block))
-        ends = [0, low, block.size - 1]
-        keep[start : start + 64] = block <= np.interp(at, at[ends], block[ends]) + 1e-15
-    return np.flatnonzero(keep).astype(np.int64)
+    whole = x.size // _BLOCK * _BLOCK
+    kept = [
+        start + np.flatnonzero(_below_chords(x[start:end], y[start:end]))
+        for start in range(0, whole, _PIECE)
+        for end in [min(start + _PIECE, whole)]
+    ]
+    kept.append(np.arange(whole, x.size))
+    return np.concatenate(kept).astype(np.int64)
+
+
+def _below_chords(x: FloatArray, y: FloatArray) -> BoolArray:
+    at, delay = x.reshape(-1, _BLOCK), y.reshape(-1, _BLOCK)
+    row = np.arange(at.shape[0])
+    low = delay.argmin(axis=1)
+    at_low, least = at[row, low][:, None], delay[row, low][:, None]
+    left = np.arange(_BLOCK)[None, :] <= low[:, None]
+    end = np.where(left, at[:, :1], at[:, -1:]) - at_low
+    rise = np.where(left, delay[:, :1], delay[:, -1:]) - least
+    with np.errstate(divide="ignore", invalid="ignore"):
+        chord = np.where(end != 0.0, (at - at_low) / end * rise, 0.0)
+    # On the chord to rounding is below it: dropping too few costs time only.
+    below = delay - least <= chord + 1e-15
+    below[row, low] = True
+    below[:, [0, -1]] = True
+    return np.asarray(below.ravel(), dtype=np.bool_)
 
 
 def hull_line(x: FloatArray, y: FloatArray) -> Envelope:
@@ -110,24 +138,17 @@ def piecewise_envelope(
     """
     count = max(1, round((x[-1] - x[0]) / knot_spacing_s))
     knots = np.linspace(x[0], x[-1], count + 1)
-    cell = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, count - 1)
     width = np.diff(knots)
-    fraction = (x - knots[cell]) / width[cell]
-    pull = np.bincount(cell, 1.0 - fraction, count + 1)
-    pull += np.concatenate([[0.0], np.bincount(cell, fraction, count)])
-    rows = np.concatenate(
-        [
-            inside[lower_hull(x[inside], y[inside])]
-            for inside in np.split(np.arange(x.size), np.searchsorted(cell, np.arange(1, count)))
-            if inside.size
-        ]
-    )
+    edges = np.searchsorted(x, knots)
+    edges[0], edges[-1] = 0, x.size
+    rows, cell, pull = _constraints(x, y, knots, edges)
+    fraction = (x[rows] - knots[cell]) / width[cell]
     bends = count - 1
     # Unknowns: the knots' delays, then the positive and negative part of each bend.
     under: Any = csr_matrix(
         (
-            np.concatenate([1.0 - fraction[rows], fraction[rows]]),
-            (np.tile(np.arange(rows.size), 2), np.concatenate([cell[rows], cell[rows] + 1])),
+            np.concatenate([1.0 - fraction, fraction]),
+            (np.tile(np.arange(rows.size), 2), np.concatenate([cell, cell + 1])),
         ),
         shape=(rows.size, count + 1 + 2 * bends),
     )
@@ -151,3 +172,24 @@ def piecewise_envelope(
     if not result.success:
         return hull_line(x, y)
     return Envelope(knots, low + result.x[: count + 1] * 1e-6)
+
+
+def _constraints(
+    x: FloatArray, y: FloatArray, knots: FloatArray, edges: IntArray
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return the hull corners of every cell, their cells, and how points pull at the knots."""
+    pull = np.zeros(knots.size)
+    rows: list[IntArray] = []
+    cells: list[IntArray] = []
+    for k in range(knots.size - 1):
+        a, b = int(edges[k]), int(edges[k + 1])
+        if a == b:
+            continue
+        part = x[a:b]
+        right = float(np.sum(part - knots[k]) / (knots[k + 1] - knots[k]))
+        pull[k] += (b - a) - right
+        pull[k + 1] += right
+        corners = a + lower_hull(part, y[a:b])
+        rows.append(corners)
+        cells.append(np.full(corners.size, k, dtype=np.int64))
+    return np.concatenate(rows), np.concatenate(cells), pull

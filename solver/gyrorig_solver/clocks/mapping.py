@@ -1,18 +1,17 @@
 """Sample times on the capture clock, from a board's ticks and the frames' arrivals."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
-from gyrorig_solver.clocks.envelope import Envelope, hull_line, piecewise_envelope
+from gyrorig_solver.clocks.faults import ClockFault
+from gyrorig_solver.clocks.floor import Floor, find_floor
 from gyrorig_solver.clocks.unwrap import unwrap_ticks
 
-# Up to here one line follows a crystal; beyond, it wanders (notes, section 0, point 3).
-LINE_UP_TO_S = 120.0
-KNOT_SPACING_S = 10.0
-# Frequency random walk of a crystal on a desk, per sqrt(s) (notes, section 2; an assumption).
-WANDER_PER_SQRT_S = 1e-8
+_PIECE = 1 << 19  # samples mapped at a time: bounds the memory
+_FOR_QUANTILES = 1 << 20  # delays that say enough of their distribution
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,16 +23,34 @@ class ClockMap:
     """
 
     time_s: FloatArray  # (n,), capture clock, seconds since the recording's origin
-    segment: IntArray  # (n,), counts restarts of the device's clock
+    segment: IntArray  # (n,), counts segments between restarts and steps
     late: BoolArray  # (n,)
     skew_ppm: float  # of the device's clock against the capture clock, longest segment
     wander_bound_s: float  # e* of the notes, section 2: what an ideal envelope leaves
     latency_s: FloatArray  # (3,), median, 99th percentile and largest delay above the floor
     restarts: int
     wraps: int
+    steps: int = 0  # of one of the clocks, while the device ran on
+    faults: tuple[ClockFault, ...] = ()  # the restarts and steps, with their places
+    method: str = "line"  # what the longest segment's times rest on
+    sigma_s: float = 0.0  # predicted wander of the times, longest segment
+    disagreement_s: float = 0.0  # rms between envelope and smoother, where both were made
+    structured: str = ""  # why the latency is no mere jitter, "" where it is
+    walk_per_sqrt_s: float = field(default=float("nan"))  # of the clock's rate, if found
+
+    @property
+    def segments(self) -> int:
+        """How many stretches of continuous device time there are."""
+        return int(self.segment[-1]) + 1 if self.segment.size else 0
 
 
-def map_clock(ticks: IntArray, host_s: FloatArray, tick_hz: float, counter_bits: int) -> ClockMap:
+def map_clock(
+    ticks: IntArray,
+    host_s: FloatArray,
+    tick_hz: float,
+    counter_bits: int,
+    sequence: IntArray | None = None,
+) -> ClockMap:
     """Return sample times from raw ticks and arrival times.
 
     Args:
@@ -41,59 +58,57 @@ def map_clock(ticks: IntArray, host_s: FloatArray, tick_hz: float, counter_bits:
         host_s: arrival of each frame's last byte, shape (n,), not decreasing.
         tick_hz: nominal ticks per second.
         counter_bits: width of the tick counter.
+        sequence: the sample counter as sent, shape (n,), where there is one.
     """
-    clock = unwrap_ticks(ticks, host_s, tick_hz, counter_bits)
-    time_s = np.empty_like(host_s)
-    skews: list[tuple[float, float]] = []
-    delays = np.empty_like(host_s)
-    bound_s = 0.0
-    for k in range(clock.restarts + 1):
-        inside = np.flatnonzero(clock.segment == k)
-        x = clock.device_s[inside]
-        y = host_s[inside] - x
-        order = np.argsort(x, kind="stable")
-        envelope, mean_s = _envelope(x[order], y[order])
-        floor = envelope.at(x)
-        time_s[inside] = x + floor
-        delays[inside] = y - floor
-        span = float(x.max() - x.min())
-        skews.append((span, _slope(envelope)))
-        bound_s = max(bound_s, _bound(mean_s, inside.size, span))
-    skew = max(skews)[1]
+    clock = unwrap_ticks(ticks, host_s, tick_hz, counter_bits, sequence)
+    edges = np.searchsorted(clock.segment, np.arange(int(clock.segment[-1]) + 2))
+    floors: list[tuple[float, Floor]] = []
+    # The lags become the times in place: 8 h at 800 Hz are 184 MB an array.
+    times = host_s - clock.device_s
+    delays: list[FloatArray] = []
+    largest_s, every = 0.0, max(1, host_s.size // _FOR_QUANTILES)
+    for a, b in pairwise(edges.tolist()):
+        x, y = clock.device_s[a:b], times[a:b]
+        found = find_floor(*_in_order(x, y))
+        floors.append((float(x[-1] - x[0]), found))
+        for start in range(a, b, _PIECE):
+            rows = slice(start, min(start + _PIECE, b))
+            floor = found.envelope.at(clock.device_s[rows])
+            late_s = times[rows] - floor
+            largest_s = max(largest_s, float(late_s.max()))
+            delays.append(late_s[::every])
+            times[rows] = clock.device_s[rows] + floor
+    chief = max(floors, key=lambda pair: pair[0])[1]
+    skew = _slope(chief)
     return ClockMap(
-        time_s=time_s,
+        time_s=times,
         segment=clock.segment,
         late=clock.late,
         skew_ppm=-1e6 * skew / (1.0 + skew),
-        wander_bound_s=bound_s,
-        latency_s=np.array([*np.percentile(delays, (50.0, 99.0)), delays.max()]),
+        wander_bound_s=max(found.bound_s for _, found in floors),
+        latency_s=np.array([*np.percentile(np.concatenate(delays), (50.0, 99.0)), largest_s]),
         restarts=clock.restarts,
         wraps=clock.wraps,
+        steps=clock.steps,
+        faults=clock.faults,
+        method=chief.method,
+        sigma_s=chief.sigma_s,
+        disagreement_s=chief.disagreement_s,
+        structured=next((found.structured for _, found in floors if found.structured), ""),
+        walk_per_sqrt_s=chief.walk_per_sqrt_s,
     )
 
 
-def _envelope(x: FloatArray, y: FloatArray) -> tuple[Envelope, float]:
-    """Return the envelope and the mean delay above it, without the stalls."""
-    line = hull_line(x, y)
-    above = y - line.at(x)
-    mean_s = float(np.median(above)) / np.log(2.0)  # the mean of an exponential
-    if x[-1] - x[0] <= LINE_UP_TO_S or mean_s <= 0.0:
-        return line, mean_s
-    # One unit of slope change costs as much as lifting the points by mean/wander does
-    # (notes, section 3.2: the knob is mu/q; too weak is safer than too stiff).
-    change = WANDER_PER_SQRT_S * np.sqrt(KNOT_SPACING_S)
-    return piecewise_envelope(x, y, KNOT_SPACING_S, mean_s / change), mean_s
+def _in_order(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return both sorted by the first; late samples are few, mostly none."""
+    if np.all(x[1:] >= x[:-1]):
+        return x, y
+    order = np.argsort(x, kind="stable")
+    return x[order], y[order]
 
 
-def _slope(envelope: Envelope) -> float:
-    if envelope.knot_s.size < 2:
+def _slope(floor: Floor) -> float:
+    knot_s, delay_s = floor.envelope.knot_s, floor.envelope.delay_s
+    if knot_s.size < 2:
         return 0.0
-    span = envelope.knot_s[-1] - envelope.knot_s[0]
-    return float((envelope.delay_s[-1] - envelope.delay_s[0]) / span)
-
-
-def _bound(mean_s: float, samples: int, span_s: float) -> float:
-    """Return e* = (mu/f)^0.6 q^0.4 (notes, section 2), 0 where there is no jitter."""
-    if mean_s <= 0.0 or span_s <= 0.0:
-        return 0.0
-    return float((mean_s / (samples / span_s)) ** 0.6 * WANDER_PER_SQRT_S**0.4)
+    return float((delay_s[-1] - delay_s[0]) / (knot_s[-1] - knot_s[0]))

@@ -114,6 +114,9 @@ def _clock(samples: GyroSamples, truth: str) -> Clock:
     )
 
 
+_STRUCTURED = "the link beats with the sample rate, let the daemon ping the board or record longer"
+
+
 def _sample_warnings(samples: Sequence[GyroSamples]) -> list[str]:
     repeated = sum(s.repeated for s in samples)
     counts = (
@@ -125,5 +128,10 @@ def _sample_warnings(samples: Sequence[GyroSamples]) -> list[str]:
         ),
         (sum(s.late for s in samples), "samples came after a younger one"),
         (sum(s.clock.restarts for s in samples), "times the board's clock began anew"),
+        (sum(s.clock.steps for s in samples), "times the board's clock or the host's jumped"),
     )
-    return [f"{count} {text}" for count, text in counts if count > 0]
+    structured = {s.clock.structured for s in samples if s.clock.structured}
+    return [
+        *(f"{count} {text}" for count, text in counts if count > 0),
+        *(f"structured latency: {text}; {_STRUCTURED}" for text in sorted(structured)),
+    ]
