@@ -1,7 +1,9 @@
 """Samples made from a known truth, without a recording in between."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,11 @@ from scipy.spatial.transform import Rotation
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.clocks import ClockMap
 from gyrorig_solver.samples import GyroSamples
+
+# The scripts of docs are run from the checkout, where a reader finds them.
+ROOT = Path(__file__).resolve().parents[3]
+if str(ROOT) not in sys.path:
+    sys.path.insert(0, str(ROOT))
 
 GAIN = np.array([[1.021, 0.013, -0.006], [-0.009, 0.984, 0.017], [0.004, -0.011, 1.008]])
 BIAS_RAD_S = np.array([0.011, -0.024, 0.006])

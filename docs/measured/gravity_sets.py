@@ -1,0 +1,142 @@
+"""`imu_tk_xsens` and `mpu6050_raw_counts`: gravity between rests, no other reference."""
+
+import numpy as np
+from docs.markdown import number, table
+from docs.measured.printed import (
+    IMU_CALIBRATION_BIAS_COUNTS,
+    IMU_CALIBRATION_SCALE_RAD_S,
+    IMU_TK,
+)
+from docs.measured.sessions import Measured, gain_and_std, value_and_std
+from docs.measured.tables import AXES, findings, gains_beside, reasons, untold
+
+from gyrorig_solver.calibration.wording import GROUPS, entries, quantity
+from gyrorig_solver.model.gain import factorise
+
+OFFSET_COUNTS = 32768  # of the Xsens' offset binary, as config/imports/imu-tk-xsens.yaml has it
+
+
+def xsens_found(measured: Measured) -> str:
+    """The result beside imu_tk's own, in the same factors."""
+    calibration = measured.calibration("XSENS-MTI")
+    factors = factorise(IMU_TK.gain(_scale_rad_s(measured, "xsens")))
+    theirs = {
+        "scale": factors.scale,
+        "nonorthogonality": factors.nonorthogonality,
+        "misalignment": factors.misalignment_rad,
+    }
+    rows = []
+    for group in GROUPS:
+        if group.name not in theirs:
+            continue
+        for label, (value, std), other in zip(
+            group.labels,
+            entries(calibration.parameters[group.name]),
+            theirs[group.name],
+            strict=True,
+        ):
+            if value is None or std is None:
+                raise ValueError(f"{group.name} {label} has no value")
+            text, spread = quantity(value * group.factor, std * group.factor)
+            shown, _ = quantity(float(other) * group.factor, std * group.factor)
+            unit = "" if group.unit == "1" else f", {group.unit}"
+            off = number((value - float(other)) / std, 2)
+            rows.append([f"{group.name} {label}{unit}", f"{text} ± {spread}", shown, off])
+    return table(["parameter", "gyrorig", "imu_tk", "difference / std"], rows)
+
+
+def xsens_gains(measured: Measured) -> str:
+    """The nine gains beside imu_tk's."""
+    ours = gain_and_std(measured.calibration("XSENS-MTI"))
+    theirs = IMU_TK.gain(_scale_rad_s(measured, "xsens"))
+    return gains_beside(ours, theirs, ("gyrorig", "imu_tk"), 5)
+
+
+def xsens_bias(measured: Measured) -> str:
+    """The bias beside imu_tk's two."""
+    scale = _scale_rad_s(measured, "xsens")
+    bias, std = value_and_std(measured.calibration("XSENS-MTI"), "bias")
+    held = np.degrees((IMU_TK.b_counts - OFFSET_COUNTS) * scale)
+    freed = np.degrees((IMU_TK.bias_freed_counts - OFFSET_COUNTS) * scale)
+    loaded = measured.load("xsens")
+    begun = loaded.at_rest(loaded.samples.time_s)  # the map names the first 50 s only
+    first = np.degrees(loaded.samples.rate_rad_s[begun].mean(axis=0))
+    rows = [
+        [
+            AXES[i],
+            f"{number(np.degrees(bias[i]), 4)} ± {number(np.degrees(std[i]), 4)}",
+            number(first[i], 4),
+            number(held[i], 4),
+            number(freed[i], 4),
+        ]
+        for i in range(3)
+    ]
+    titles = [
+        "gyrorig, °/s",
+        "mean of the first 50 s, °/s",
+        "imu_tk, first rest, °/s",
+        "imu_tk, bias fitted too, °/s",
+    ]
+    return table(["axis", *titles], rows)
+
+
+def xsens_doubts(measured: Measured) -> str:
+    """What this session does not tell."""
+    return reasons({"session": measured.calibration("XSENS-MTI")})
+
+
+def raw_counts_found(measured: Measured) -> str:
+    """The rest and the poses."""
+    return findings(
+        {
+            "at rest": measured.calibration("MPU6050-RAW", 1),
+            "poses": measured.calibration("MPU6050-RAW", 2),
+        }
+    )
+
+
+def raw_counts_untold(measured: Measured) -> str:
+    """Which parameters are refused."""
+    rows = [
+        [title, untold(measured.calibration("MPU6050-RAW", version))]
+        for title, version in (("at rest", 1), ("poses", 2))
+    ]
+    return table(["recording", "no value"], rows)
+
+
+def raw_counts_doubts(measured: Measured) -> str:
+    """Why they are refused."""
+    return reasons(
+        {
+            "at rest": measured.calibration("MPU6050-RAW", 1),
+            "poses": measured.calibration("MPU6050-RAW", 2),
+        }
+    )
+
+
+def raw_counts_beside(measured: Measured) -> str:
+    """The poses beside what the authors' own program left in their repository."""
+    scale = _scale_rad_s(measured, "poses")
+    calibration = measured.calibration("MPU6050-RAW", 2)
+    theirs_bias = np.degrees(IMU_CALIBRATION_BIAS_COUNTS * scale)
+    theirs_scale = scale / IMU_CALIBRATION_SCALE_RAD_S
+    rows = []
+    for group in GROUPS:
+        if group.name not in ("bias", "scale"):
+            continue
+        theirs = theirs_bias if group.name == "bias" else theirs_scale
+        for label, (value, std), other in zip(
+            group.labels, entries(calibration.parameters[group.name]), theirs, strict=True
+        ):
+            ours, apart = "-", "-"
+            if value is not None and std is not None:
+                text, spread = quantity(value * group.factor, std * group.factor)
+                ours = f"{text} ± {spread}"
+                apart = number((value * group.factor - float(other)) / (std * group.factor), 2)
+            unit = "" if group.unit == "1" else f", {group.unit}"
+            rows.append([f"{group.name} {label}{unit}", ours, number(float(other), 4), apart])
+    return table(["parameter", "gyrorig", "ImuCalibration", "difference / std"], rows)
+
+
+def _scale_rad_s(measured: Measured, name: str) -> float:
+    return measured.load(name).samples.quantum_rad_s

@@ -1,0 +1,220 @@
+"""The commands of the page, run as a reader runs them, and what comes of them.
+
+What to use when: `measured_folder` for the folder of measurements; `run_all` imports, checks and
+solves every set in an empty folder and keeps what was said. The numbers of the page are read
+from the calibrations that it leaves there.
+"""
+
+import contextlib
+import io
+import os
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import times_ns
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.calibration.document import Calibration, parse_calibration
+from gyrorig_solver.calibration.store import CalibrationStore
+from gyrorig_solver.cli import run
+from gyrorig_solver.model.gain import FACTOR_NAMES, GainFactors, factor_jacobian
+from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
+from gyrorig_solver.reference.turns import Interval, KnownTurn, read_turns
+from gyrorig_solver.samples import GyroSamples, load_samples
+
+ROOT = Path(__file__).resolve().parents[2]
+VARIABLE = "GYRORIG_DATA"
+STORE = "calibrations"
+
+# In the order of the page. Boards of `broad` are named by unit: 02, 05, 07 share one.
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "broad": (
+        "gyrorig import broad $GYRORIG_DATA/broad/02_undisturbed_slow_rotation_B.npz"
+        " --board BROAD-1 --out 02.mcap",
+        "gyrorig import broad $GYRORIG_DATA/broad/05_undisturbed_slow_rotation_with_breaks_B.npz"
+        " --board BROAD-1 --out 05.mcap",
+        "gyrorig import broad $GYRORIG_DATA/broad/07_undisturbed_fast_rotation_B.npz"
+        " --board BROAD-1 --out 07.mcap",
+        "gyrorig import broad $GYRORIG_DATA/broad/24_disturbed_tapping_A.npz"
+        " --board BROAD-2 --out 24.mcap",
+        "gyrorig import broad $GYRORIG_DATA/broad/03_undisturbed_slow_rotation_C.npz"
+        " --board BROAD-2 --out 03.mcap",
+        "gyrorig check 02.mcap 05.mcap 07.mcap 24.mcap 03.mcap",
+        "gyrorig solve 02.mcap",
+        "gyrorig solve 05.mcap",
+        "gyrorig solve 07.mcap",
+        "gyrorig solve 24.mcap",
+        "gyrorig solve 03.mcap",
+    ),
+    "imu-tk-xsens": (
+        "gyrorig import imu-tk-xsens $GYRORIG_DATA/imu_tk_xsens/xsens_raw.npz --out xsens.mcap",
+        "gyrorig check xsens.mcap",
+        "gyrorig solve xsens.mcap",
+    ),
+    "imucal-ferraris": (
+        "gyrorig import imucal-ferraris $GYRORIG_DATA/imucal_ferraris/example_ferraris_session.csv"
+        " --out ferraris.mcap",
+        "gyrorig check ferraris.mcap",
+        "gyrorig solve ferraris.mcap",
+    ),
+    "mpu6050-serial-log": (
+        "gyrorig import mpu6050-serial-log-rest"
+        " $GYRORIG_DATA/mpu6050_serial_log/unmoved-with-x-pointing-forward-10min.npz"
+        " --out rest.mcap",
+        "gyrorig import mpu6050-serial-log-turn"
+        " $GYRORIG_DATA/mpu6050_serial_log/rotate-ccw-around-x-pointing-forward.npz"
+        " --out forward.mcap",
+        "gyrorig import mpu6050-serial-log-turn"
+        " $GYRORIG_DATA/mpu6050_serial_log/rotate-ccw-around-x-pointing-up.npz --out up.mcap",
+        "gyrorig check rest.mcap forward.mcap up.mcap",
+        "gyrorig solve forward.mcap up.mcap",
+        "gyrorig solve rest.mcap forward.mcap up.mcap",
+    ),
+    "mpu6050-raw-counts": (
+        "gyrorig import mpu6050-raw-counts-rest"
+        " $GYRORIG_DATA/mpu6050_raw_counts/example_data_tinit_calc.npz --out still.mcap",
+        "gyrorig import mpu6050-raw-counts-poses"
+        " $GYRORIG_DATA/mpu6050_raw_counts/example_data_calibration.npz --out poses.mcap",
+        "gyrorig check still.mcap poses.mcap",
+        "gyrorig solve still.mcap",
+        "gyrorig solve poses.mcap",
+    ),
+    "car-imu-can": (
+        "gyrorig import car-imu-can $GYRORIG_DATA/car_imu_can/can_frames.npz --out can.mcap",
+        "gyrorig import car-imu-can $GYRORIG_DATA/car_imu_can/imu_pose.npz --out car.mcap",
+        "gyrorig check car.mcap",
+        "gyrorig solve car.mcap",
+    ),
+}
+
+
+def measured_folder() -> Path:
+    """The folder of measurements: $GYRORIG_DATA, or shared/data beside the checkout.
+
+    Raises:
+        SystemExit: it is not there.
+    """
+    named = os.environ.get(VARIABLE)
+    folder = Path(named) if named else ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        raise SystemExit(
+            f"no measured data at {folder}: set {VARIABLE} to the folder with broad, imu_tk_xsens, "
+            "imucal_ferraris, mpu6050_serial_log, mpu6050_raw_counts and car_imu_can"
+        )
+    return folder.resolve()
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """One command that was run."""
+
+    line: str
+    exit_code: int
+    said: str
+    complained: str  # on standard error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """One imported recording as the estimators take it."""
+
+    samples: GyroSamples
+    turns: tuple[KnownTurn, ...]
+    rests: tuple[Interval, ...]
+    attitude: AttitudeReference | None
+
+    def at_rest(self, time_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """True where a time is in one of the rests."""
+        still = np.zeros(time_s.size, np.bool_)
+        for rest in self.rests:
+            still |= (time_s >= rest.begin_s) & (time_s <= rest.end_s)
+        return still
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Every set, imported, checked and solved below one folder."""
+
+    data: Path
+    folder: Path
+    done: Mapping[str, tuple[Done, ...]]
+
+    def calibration(self, board: str, version: int = 1) -> Calibration:
+        """A version that `gyrorig solve` wrote."""
+        path = CalibrationStore(self.folder / STORE).versions(BoardId(board))[version - 1].path
+        return parse_calibration(path.read_bytes(), path.name)
+
+    def recordings(self) -> list[Path]:
+        """The recordings that `gyrorig import` wrote."""
+        return sorted(self.folder.glob("*.mcap"))
+
+    def load(self, name: str) -> Loaded:
+        """Read a recording back."""
+        recording = read_recording(self.folder / f"{name}.mcap")
+        samples = load_samples(recording, recording.board_ids[0])
+        phases = read_turns(recording.events(), samples.origin_ns)
+        raw = recording.reference_attitude()
+        attitude = None
+        if raw.size:
+            time_s = (times_ns(raw["host_time"]) - samples.origin_ns) * 1e-9
+            attitude = read_attitude(
+                np.asarray(time_s, np.float64), raw["orientation"], raw["standard_deviation"]
+            )
+        return Loaded(samples, phases.turns, phases.rests, attitude)
+
+
+def run_all(data: Path, folder: Path) -> Measured:
+    """Run every command of the page.
+
+    Args:
+        data: the measurements.
+        folder: an empty one, for the recordings and the store.
+    """
+    done = {}
+    with contextlib.chdir(folder):
+        for name, lines in COMMANDS.items():
+            done[name] = tuple(_run(line, data) for line in lines)
+    return Measured(data, folder, done)
+
+
+def _run(line: str, data: Path) -> Done:
+    words = [word.replace(f"${VARIABLE}", str(data)) for word in shlex.split(line)[1:]]
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run(words)
+    return Done(line, code, out.getvalue(), err.getvalue())
+
+
+def numbers_of(values: list[float | None] | float | None) -> FloatArray:
+    """A parameter's values, nan where the document has null."""
+    listed = values if isinstance(values, list) else [values]
+    return np.array([np.nan if v is None else v for v in listed], dtype=np.float64)
+
+
+def value_and_std(calibration: Calibration, name: str) -> tuple[FloatArray, FloatArray]:
+    """A parameter of a calibration document, and its standard deviation."""
+    parameter = calibration.parameters[name]
+    return numbers_of(parameter.value), numbers_of(parameter.std)
+
+
+def gain_and_std(calibration: Calibration) -> tuple[FloatArray, FloatArray]:
+    """G = S T M and the standard deviation of each entry, from the document's covariance.
+
+    For a calibration in which every factor is observable.
+    """
+    factors = GainFactors(
+        *(
+            value_and_std(calibration, name)[0]
+            for name in ("scale", "nonorthogonality", "misalignment")
+        )
+    )
+    at = [calibration.covariance.order.index(name) for name in FACTOR_NAMES]
+    covariance = np.array(calibration.covariance.matrix)[np.ix_(at, at)]
+    back = np.linalg.inv(factor_jacobian(factors))
+    std = np.sqrt(np.diag(back @ covariance @ back.T)).reshape(3, 3)
+    return factors.gain, np.asarray(std, dtype=np.float64)

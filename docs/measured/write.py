@@ -1,0 +1,73 @@
+"""Put the numbers of the measured sets into docs/measured-data.md, or check that they are there.
+
+    python docs/measured/write.py            write every block
+    python docs/measured/write.py --check    change nothing; 1 if a block differs
+
+Imports, checks and solves the six sets with the commands that the page shows, in a folder that
+is thrown away; half a minute. The measurements are not part of this repository: $GYRORIG_DATA is
+their folder, shared/data beside the checkout if it is not set.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from docs.blocks import write_or_check
+from docs.markdown import Block
+from docs.measured import attitude_sets, gravity_sets, tables, turn_sets
+from docs.measured.sessions import COMMANDS, Measured, measured_folder, run_all
+
+DOCUMENT = Path(__file__).resolve().parents[1] / "measured-data.md"
+TABLES: dict[str, Callable[[Measured], str]] = {
+    "exit-codes": tables.codes,
+    "broad-found": attitude_sets.broad_found,
+    "broad-held-out": attitude_sets.broad_held_out,
+    "broad-bias": attitude_sets.broad_bias,
+    "broad-gains": attitude_sets.broad_gains,
+    "broad-doubts": attitude_sets.broad_doubts,
+    "xsens-found": gravity_sets.xsens_found,
+    "xsens-gains": gravity_sets.xsens_gains,
+    "xsens-bias": gravity_sets.xsens_bias,
+    "xsens-doubts": gravity_sets.xsens_doubts,
+    "ferraris-found": turn_sets.ferraris_found,
+    "ferraris-gains": turn_sets.ferraris_gains,
+    "ferraris-bias": turn_sets.ferraris_bias,
+    "ferraris-doubts": turn_sets.ferraris_doubts,
+    "serial-found": turn_sets.serial_found,
+    "serial-sums": turn_sets.serial_sums,
+    "serial-refused": turn_sets.serial_refused,
+    "serial-untold": turn_sets.serial_untold,
+    "raw-counts-found": gravity_sets.raw_counts_found,
+    "raw-counts-untold": gravity_sets.raw_counts_untold,
+    "raw-counts-doubts": gravity_sets.raw_counts_doubts,
+    "raw-counts-beside": gravity_sets.raw_counts_beside,
+    "car-found": attitude_sets.car_found,
+    "car-doubts": attitude_sets.car_doubts,
+    "car-refused": attitude_sets.car_refused,
+}
+
+
+def blocks(measured: Measured) -> dict[str, Block]:
+    """Every block of the page, for one run of the commands."""
+    lines = {f"{name}-commands": partial(tables.commands, measured.done[name]) for name in COMMANDS}
+    return {**lines, **{name: partial(made, measured) for name, made in TABLES.items()}}
+
+
+def main() -> int:
+    """Write or check the document; the exit code."""
+    parser = argparse.ArgumentParser(description="numbers of docs/measured-data.md")
+    parser.add_argument("--check", action="store_true", help="change nothing, 1 if it differs")
+    asked = parser.parse_args()
+    data = measured_folder()
+    with tempfile.TemporaryDirectory() as folder:
+        made = blocks(run_all(data, Path(folder)))
+        return write_or_check(DOCUMENT, made, asked.check, "python docs/measured/write.py")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""docs/measured-data.md holds what its commands give, and what they write keeps the contracts.
+
+Every command of the page is run once, in this process: half a minute.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from docs import blocks
+from docs.measured import sessions, write
+
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.solve import solve_recordings
+
+DECIMAL = re.compile(r"\d+\.\d+")
+pytestmark = pytest.mark.timeout(400)  # the first of them runs every command
+CAN_SHOW_ALL, NOT_IDENTIFIABLE, REFUSED = 0, 4, 3
+
+
+@pytest.fixture(scope="module")
+def measured(measured_data: Path, tmp_path_factory: pytest.TempPathFactory) -> sessions.Measured:
+    return sessions.run_all(measured_data.resolve(), tmp_path_factory.mktemp("measured"))
+
+
+@pytest.fixture(scope="module")
+def document() -> str:
+    return write.DOCUMENT.read_text(encoding="utf-8")
+
+
+def test_commands_leave_with_the_codes_of_the_contract(measured: sessions.Measured) -> None:
+    refused = []
+    for done in measured.done.values():
+        for one in done:
+            assert one.exit_code in (CAN_SHOW_ALL, NOT_IDENTIFIABLE, REFUSED), one.complained
+            if one.exit_code == REFUSED:
+                refused.append(one)
+                assert len(one.complained.splitlines()) == 1
+            else:
+                assert one.complained == ""
+    # The two that the page shows: no gyro in it, and no rest for the bias.
+    assert ["can_frames" in one.line for one in refused] == [False, True]
+    assert "no rest to take the bias from" in refused[0].complained
+
+
+def test_what_they_write_keeps_the_contracts(
+    measured: sessions.Measured, contract_judge: Path
+) -> None:
+    recordings = measured.recordings()
+    results = sorted((measured.folder / sessions.STORE).rglob("*.yaml"))
+    assert (len(recordings), len(results)) == (13, 11)
+    judged = subprocess.run(
+        [sys.executable, contract_judge, *recordings, *results],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert judged.returncode == 0, judged.stdout + judged.stderr
+
+
+def test_every_block_is_in_the_page_once(measured: sessions.Measured, document: str) -> None:
+    names = blocks.block_names(document)
+    assert len(set(names)) == len(names)
+    assert set(names) == set(write.blocks(measured))
+
+
+def test_blocks_are_what_the_commands_give(measured: sessions.Measured, document: str) -> None:
+    """The words must agree, a number within 1 % or three of its last digit.
+
+    Less than any of the standard deviations beside them.
+    """
+    pytest.importorskip("imucal")
+    kept = blocks.bodies(document)
+    for name, block in write.blocks(measured).items():
+        assert blocks.unlike(kept[name], block() + "\n", 0.01, 3.0) == "", name
+
+
+def test_decimals_in_prose_stand_in_a_block_too(document: str) -> None:
+    """A number that is written by hand is one that a command gave."""
+    made = " ".join(blocks.bodies(document).values())
+    by_hand = set(DECIMAL.findall(blocks.BLOCK.sub("", document)))
+    assert {number for number in by_hand if number not in made} == set()
+
+
+def test_gains_of_a_document_are_those_of_the_fit(measured: sessions.Measured) -> None:
+    """The page goes back from S, T, M and their covariance; the solver has G at first hand."""
+    fit = solve_recordings([read_recording(measured.folder / "ferraris.mcap")], "FERRARIS")
+    gain, std = sessions.gain_and_std(measured.calibration("FERRARIS"))
+    np.testing.assert_allclose(gain, fit.gain, atol=1e-12)
+    np.testing.assert_allclose(std, fit.gain_std, rtol=1e-6)
+
+
+def test_without_the_data_the_script_says_what_to_do(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, str(Path(write.__file__)), "--check"],
+        cwd=tmp_path,
+        env={**os.environ, sessions.VARIABLE: str(tmp_path / "nowhere")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("no measured data at")
+    assert "set GYRORIG_DATA" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
