@@ -47,7 +47,9 @@ def cli() -> None:
     show_default=True,
     help="The folder that recordings go to.",
 )
-@click.option("--home", is_flag=True, help="The unit may sweep both axes to find its zero.")
+@click.option(
+    "--home", is_flag=True, help="Home the unit first: both axes sweep their whole range."
+)
 @click.option(
     "--simulated-time",
     is_flag=True,
@@ -101,7 +103,7 @@ def _record(options: dict[str, Any]) -> dict[str, Any]:
         program_text=program_text,
         out_dir=options["out"],
         session=_session_name(options["session"]),
-        may_home=options["home"],
+        home=options["home"],
     )
     with _stop_by_signal() as stop:
         call = record.Call(

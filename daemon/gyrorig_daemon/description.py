@@ -26,7 +26,7 @@ class SessionOrder:
     program_text: bytes
     out_dir: Path
     session: str
-    may_home: bool = False
+    home: bool = False  # sweep both axes first, also where the unit says it knows its zero
 
 
 def describe_session(

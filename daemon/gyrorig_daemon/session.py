@@ -26,6 +26,7 @@ from gyrorig_daemon.links.hub import PortHub, PortsGoneError
 from gyrorig_daemon.links.pump import Pump, StopFlag
 from gyrorig_daemon.motion import (
     Executor,
+    Homing,
     PhaseSink,
     PlannedStep,
     Poller,
@@ -138,8 +139,12 @@ class _Session:
         for board in self._boards:
             board.identify()
         ptu, settings = order.config.ptu, order.program.settings
-        may_home = order.may_home or ptu.home_without_asking
-        unit = open_unit(self._client, ptu, settings, version, may_home)
+        homing = Homing.NEVER
+        if order.home:
+            homing = Homing.ALWAYS
+        elif ptu.home_without_asking:
+            homing = Homing.IF_NEEDED
+        unit = open_unit(self._client, ptu, settings, version, homing)
         self._unit = unit
         self._log.use_unit(unit.facts)
         poller = Poller(unit, order.config.ptu.poll.rate_hz, self._log.take_position)

@@ -72,6 +72,7 @@ class BoardLink:
         self._last_sample_ns = pump.now_ns()
         self._last_asked_ns = pump.now_ns()
         self._silent = False
+        self._is_deaf = False  # its port takes no bytes
         self._pings: dict[int, tuple[int, int]] = {}
         self._next_nonce = rng.getrandbits(32)
         self._first_bytes = b""
@@ -131,7 +132,7 @@ class BoardLink:
             self._silent = True
             self.counts.silences += 1
             self._sinks.fault(f"{self._where()} has sent no sample for {SILENCE_S:g} s")
-        if not self._speaks:
+        if not self._speaks or self._is_deaf:
             return
         try:
             if silent and now_ns - self._last_asked_ns > HELLO_EVERY_S * 1e9:
@@ -139,8 +140,11 @@ class BoardLink:
                 self._pump.write(self._config.hub_port, HelloRequest().encode())
             elif self.hello is not None and not silent:
                 self._ping(now_ns)
-        except DeviceError:
-            self._lose()
+        except DeviceError as fault:
+            # Its samples may go on; if it hung up, the port says so itself. Each further
+            # question would hold up everything else until its deadline.
+            self._is_deaf = True
+            self._sinks.fault(f"{fault.what}; it is asked no more")
 
     def _ping(self, now_ns: int) -> None:
         nonce = self._next_nonce

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import NoReturn
 
@@ -18,7 +19,8 @@ from gyrorig_daemon.links.hub import Chunk, PortsGoneError, WriteStamp
 from gyrorig_daemon.links.serial_port import candidates
 from gyrorig_protocol.errors import BusyError, DeviceError, GyrorigError, MachineError, UsageError
 
-WRITE_DEADLINE_NS = 2_000_000_000
+WRITE_DEADLINE_NS = 500_000_000  # a port that takes nothing holds up all others so long
+REPORT_DEADLINE_NS = 4_000_000_000
 OPEN_DEADLINE_NS = 15_000_000_000
 CLOSE_DEADLINE_S = 2.0
 
@@ -54,6 +56,7 @@ class AcquisitionHub:
         self._chunks: deque[Chunk] = deque()
         self._gone: str | None = None  # why nothing can be said any more
         self.dropped_bytes = 0
+        self._refuse_twins()
         wanted = [[s.path, s.baud, s.farewell] for s in self._settings]
         try:
             self._child = subprocess.Popen(  # noqa: S603 - our own module, our own interpreter
@@ -98,7 +101,7 @@ class AcquisitionHub:
         """Write all of `data`; what arrives meanwhile is kept for `read`.
 
         Raises:
-            DeviceError: the port hung up, or did not take the bytes in 2 s.
+            DeviceError: the port hung up, or did not take the bytes in half a second.
             PortsGoneError: the acquisition process is gone, or hangs.
         """
         deadline_ns = raw_ns() + WRITE_DEADLINE_NS
@@ -106,7 +109,7 @@ class AcquisitionHub:
         order = wire.ORDER.pack(wire.WRITE, index, len(data), deadline_ns) + data
         self._send(order)
         while True:
-            report = self._next_report(deadline_ns + WRITE_DEADLINE_NS)
+            report = self._next_report(deadline_ns + REPORT_DEADLINE_NS)
             if report is None:
                 self._child.kill()
                 self._child.wait()
@@ -157,6 +160,16 @@ class AcquisitionHub:
             return
         reason, _, text = report.data.decode(errors="replace").partition("\n")
         raise refusal(self._names[report.port], self._settings[report.port].path, reason, text)
+
+    def _refuse_twins(self) -> None:
+        """Two names of one port are a mistake of the configuration, not a busy port."""
+        seen: dict[Path, str] = {}
+        for settings in self._settings:
+            other = seen.setdefault(Path(settings.path).resolve(), settings.path)
+            if other != settings.path:
+                raise UsageError(
+                    f"{other} and {settings.path} are one port", "give each device its own port"
+                )
 
     def _keep(self, report: wire.Report) -> None:
         if report.kind == wire.CHUNK:

@@ -11,11 +11,12 @@ from gyrorig_daemon.motion.facts import UnitFacts
 from gyrorig_daemon.motion.plan import PlannedStep, plan_duration_s, plan_program
 from gyrorig_daemon.motion.poller import Poller
 from gyrorig_daemon.motion.ptu_client import Exchange, Position, PtuClient
-from gyrorig_daemon.motion.unit import Unit, identify_unit, open_unit
+from gyrorig_daemon.motion.unit import Homing, Unit, identify_unit, open_unit
 
 __all__ = [
     "Exchange",
     "Executor",
+    "Homing",
     "PhaseSink",
     "PlannedStep",
     "Poller",

@@ -69,7 +69,8 @@ class Poller:
             self._silent += 1
         if checked and self._client.lost_synchrony is not None:
             raise DeviceError(
-                f"synchrony lost: {self._client.lost_synchrony}", "home the unit, then start again"
+                f"synchrony lost: {self._client.lost_synchrony}",
+                "clear the rig, then start again with --home",
             )
         if self._silent >= SILENT_POLLS:
             raise self._client.silence(command)

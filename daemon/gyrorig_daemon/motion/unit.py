@@ -6,6 +6,7 @@ because an E46 does not know its gear before its first reset (reference: ptu-e46
 """
 
 from dataclasses import dataclass
+from enum import Enum
 
 from gyrorig_daemon.config import PtuPort
 from gyrorig_daemon.motion.facts import (
@@ -51,6 +52,14 @@ BOTH = (Axis.PAN, Axis.TILT)
 _BOUNDS = (Quantity.MINIMUM, Quantity.MAXIMUM)
 
 
+class Homing(Enum):
+    """Whether the unit may, or shall, sweep both axes to find its zero."""
+
+    NEVER = "never"
+    IF_NEEDED = "if needed"
+    ALWAYS = "always"  # after lost steps a unit does not know that it needs it
+
+
 @dataclass(frozen=True, slots=True)
 class Unit:
     """An identified unit that is homed and at rest."""
@@ -73,7 +82,7 @@ def identify_unit(client: PtuClient) -> Version:
 
 
 def open_unit(
-    client: PtuClient, config: PtuPort, settings: UnitSettings, version: Version, may_home: bool
+    client: PtuClient, config: PtuPort, settings: UnitSettings, version: Version, homing: Homing
 ) -> Unit:
     """Home the unit if need be and allowed, apply settings, read its facts.
 
@@ -82,7 +91,7 @@ def open_unit(
         config: dialect and signs.
         settings: what the program wants it set to.
         version: what `identify_unit` returned.
-        may_home: the operator agrees to a sweep of both axes over their whole range.
+        homing: whether the operator agrees to a sweep of both axes over their whole range.
 
     Raises:
         DeviceError: it refuses what it must do.
@@ -92,7 +101,7 @@ def open_unit(
         require_done(command, client.ask(command))
     dialect = _dialect(client, config, version)
     client.min_interval_s = offers(dialect).min_command_interval_s
-    _home_if_needed(client, may_home)
+    _home(client, homing)
     client.expects_banner = False
     _apply(client, settings)
     signs = {Axis.PAN: config.pan_sign, Axis.TILT: config.tilt_sign}
@@ -144,11 +153,12 @@ def _dialect(client: PtuClient, config: PtuPort, version: Version) -> Dialect:
     return found
 
 
-def _home_if_needed(client: PtuClient, may_home: bool) -> None:
+def _home(client: PtuClient, homing: Homing) -> None:
     bounds = [read_integer(client, query(axis, bound)) for axis in BOTH for bound in _BOUNDS]
-    if any(bounds[:2]) and any(bounds[2:]):
-        return  # an axis that was never homed has both limits 0 (manual v3.00D)
-    if not may_home:
+    # an axis that was never homed has both limits 0 (manual v3.00D)
+    if any(bounds[:2]) and any(bounds[2:]) and homing is not Homing.ALWAYS:
+        return
+    if homing is Homing.NEVER:
         raise UsageError(
             "the unit is not homed, and homing sweeps both axes over their whole range",
             "clear the rig and give --home",

@@ -99,6 +99,13 @@ def test_a_missing_port_is_named() -> None:
         AcquisitionHub({"ptu": PortSettings("/dev/none-such", 9600)})
 
 
+def test_two_names_of_one_port_are_refused(line: Line, tmp_path: Path) -> None:
+    (tmp_path / "unit").symlink_to(line.path)
+    settings = [PortSettings(path, 9600) for path in (line.path, str(tmp_path / "unit"))]
+    with pytest.raises(UsageError, match="are one port"):
+        AcquisitionHub(dict(zip(("ptu", "board:A"), settings, strict=True)))
+
+
 def test_a_file_is_no_port(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.touch()
@@ -180,7 +187,7 @@ def test_a_port_that_another_holds_exclusively_is_busy(line: Line) -> None:
 def test_an_acquisition_that_hangs_is_ended_and_the_unit_halted(
     line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gyrorig_daemon.links.process_hub.WRITE_DEADLINE_NS", SECOND_NS // 5)
+    monkeypatch.setattr("gyrorig_daemon.links.process_hub.REPORT_DEADLINE_NS", SECOND_NS // 5)
     monkeypatch.setattr("gyrorig_daemon.links.farewell.PATIENCE_S", 0.05)
     with AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")}) as hub:
         hub._child.send_signal(signal.SIGSTOP)

@@ -9,7 +9,15 @@ import pytest
 from gyrorig_daemon.config import PTU_PORT, PtuPort
 from gyrorig_daemon.links.hub import Chunk, WriteStamp
 from gyrorig_daemon.links.pump import Pump, StopFlag, StopRequestedError
-from gyrorig_daemon.motion import Exchange, Poller, PtuClient, Unit, identify_unit, open_unit
+from gyrorig_daemon.motion import (
+    Exchange,
+    Homing,
+    Poller,
+    PtuClient,
+    Unit,
+    identify_unit,
+    open_unit,
+)
 from gyrorig_protocol.errors import DeviceError, UsageError
 from gyrorig_protocol.program import UnitSettings
 from gyrorig_protocol.ptu import Axis, Quantity, query
@@ -97,13 +105,13 @@ def client_for(answers: Answers) -> tuple[PtuClient, ScriptedHub, list[Exchange]
     return client, hub, seen
 
 
-def made_ready(client: PtuClient, settings: UnitSettings, *, may_home: bool) -> Unit:
-    return open_unit(client, PtuPort("x"), settings, identify_unit(client), may_home)
+def made_ready(client: PtuClient, settings: UnitSettings, *, homing: Homing = Homing.NEVER) -> Unit:
+    return open_unit(client, PtuPort("x"), settings, identify_unit(client), homing)
 
 
 def test_a_unit_is_known_before_it_is_told_anything() -> None:
     client, hub, seen = client_for(ScriptedUnit())
-    unit = made_ready(client, UnitSettings(), may_home=False)
+    unit = made_ready(client, UnitSettings())
     assert hub.heard[:2] == ["V", "H"]
     assert unit.facts.dialect == "d46"
     assert unit.facts.metadata()["pan_max_steps"] == "3090"
@@ -118,7 +126,7 @@ def test_settings_are_set_and_read_back() -> None:
     unit = ScriptedUnit()
     client, hub, _ = client_for(unit)
     settings = UnitSettings(base_speed_deg_s=3.0, acceleration_deg_s2=200.0)
-    facts = made_ready(client, settings, may_home=False).facts
+    facts = made_ready(client, settings).facts
     assert (facts.pan.base_speed, facts.tilt.acceleration) == (58, 3889)
     assert hub.heard.count("PB58") == 1
 
@@ -126,13 +134,25 @@ def test_settings_are_set_and_read_back() -> None:
 def test_an_unhomed_unit_needs_consent() -> None:
     client, hub, _ = client_for(ScriptedUnit(homed=False))
     with pytest.raises(UsageError, match="--home"):
-        made_ready(client, UnitSettings(), may_home=False)
+        made_ready(client, UnitSettings())
     assert "R" not in hub.heard
+
+
+@pytest.mark.parametrize(
+    ("homed", "homing", "sweeps"),
+    [(True, Homing.IF_NEEDED, 0), (True, Homing.ALWAYS, 1), (False, Homing.ALWAYS, 1)],
+)
+def test_a_unit_that_believes_in_its_zero_can_be_homed(
+    homed: bool, homing: Homing, sweeps: int
+) -> None:
+    client, hub, _ = client_for(ScriptedUnit(homed=homed))
+    made_ready(client, UnitSettings(), homing=homing)
+    assert hub.heard.count("R") == sweeps
 
 
 def test_homing_flags_are_no_loss_of_synchrony() -> None:
     client, hub, _ = client_for(ScriptedUnit(homed=False))
-    unit = made_ready(client, UnitSettings(), may_home=True)
+    unit = made_ready(client, UnitSettings(), homing=Homing.IF_NEEDED)
     assert hub.heard.count("R") == 1
     assert unit.facts.pan.max_steps == 3090
     assert client.lost_synchrony is None
@@ -142,7 +162,7 @@ def test_homing_flags_are_no_loss_of_synchrony() -> None:
 def test_a_silent_port_is_said_to_be_silent() -> None:
     client, hub, _ = client_for(lambda _: None)
     with pytest.raises(DeviceError, match="no pan-tilt unit answers on /dev/unit at 9600"):
-        made_ready(client, UnitSettings(), may_home=True)
+        made_ready(client, UnitSettings(), homing=Homing.IF_NEEDED)
     assert set(hub.heard) == {"V"}
 
 
@@ -150,7 +170,7 @@ def test_a_silent_port_is_said_to_be_silent() -> None:
 def test_what_is_no_unit_is_not_moved(noise: bytes) -> None:
     client, hub, _ = client_for(lambda _: noise)
     with pytest.raises(DeviceError, match="is no pan-tilt unit"):
-        made_ready(client, UnitSettings(), may_home=True)
+        made_ready(client, UnitSettings(), homing=Homing.IF_NEEDED)
     assert set(hub.heard) == {"V"}
 
 
@@ -159,14 +179,14 @@ def test_a_refused_setting_is_told_with_the_units_words() -> None:
     unit.odd["PA3889"] = b"! Pan acceleration cannot exceed 3000 positions/sec^2\r\n"
     client, _, _ = client_for(unit)
     with pytest.raises(UsageError, match=r"pan acceleration of 200 deg.*cannot exceed 3000"):
-        made_ready(client, UnitSettings(acceleration_deg_s2=200.0), may_home=False)
+        made_ready(client, UnitSettings(acceleration_deg_s2=200.0))
 
 
 def test_a_digit_lost_on_the_line_does_not_become_a_fact() -> None:
     unit = ScriptedUnit()
     cut = {"PR": iter([b"* 18.142857\r\n"]), "TU": iter([b"* 290\r\n", b"* 2902\r\n", b"* 92\r\n"])}
     client, _, _ = client_for(lambda c: next(cut.get(c, iter(())), None) or unit(c))
-    facts = made_ready(client, UnitSettings(), may_home=False).facts
+    facts = made_ready(client, UnitSettings()).facts
     assert (facts.pan.resolution_arcsec, facts.tilt.upper_speed) == (185.142857, 2902)
 
 
@@ -174,13 +194,13 @@ def test_a_fact_that_is_never_said_twice_is_none() -> None:
     unit, numbers = ScriptedUnit(), iter(range(100))
     client, _, _ = client_for(lambda c: b"* %d\r\n" % next(numbers) if c == "PX" else unit(c))
     with pytest.raises(DeviceError, match="'PX' differently each time"):
-        made_ready(client, UnitSettings(), may_home=False)
+        made_ready(client, UnitSettings())
 
 
 def test_what_only_echoes_may_be_a_unit_that_homes() -> None:
     client, hub, _ = client_for(lambda c: c.encode() + b" ")
     with pytest.raises(DeviceError, match=r"only sends back .* wait until it stands"):
-        made_ready(client, UnitSettings(), may_home=True)
+        made_ready(client, UnitSettings(), homing=Homing.IF_NEEDED)
     assert set(hub.heard) == {"V"}
 
 
@@ -211,7 +231,7 @@ def test_garbage_is_counted_and_asked_again() -> None:
 def test_a_limit_flag_in_a_poll_is_lost_synchrony() -> None:
     unit = ScriptedUnit()
     client, _, _ = client_for(unit)
-    found = made_ready(client, UnitSettings(), may_home=False)
+    found = made_ready(client, UnitSettings())
     poller = Poller(found, None, lambda _: None)
     assert poller.where() == {Axis.PAN: 0, Axis.TILT: 0}
     unit.odd["PP"] = b"!P* 100\r\n"
@@ -222,7 +242,7 @@ def test_a_limit_flag_in_a_poll_is_lost_synchrony() -> None:
 
 def test_a_d46_is_asked_ten_times_a_second_for_its_axes_in_turn() -> None:
     client, hub, seen = client_for(ScriptedUnit())
-    found = made_ready(client, UnitSettings(), may_home=False)
+    found = made_ready(client, UnitSettings())
     poller = Poller(found, None, lambda _: None)
     poller.where()
     del hub.heard[:]

@@ -201,7 +201,7 @@ def test_an_unhomed_unit_is_homed_with_consent_only(tmp_path: Path) -> None:
     text = RIG.replace("emulator: {", "emulator: {homed: false, ")
     with pytest.raises(UsageError, match="--home"):
         Bench(tmp_path / "without", text).record()
-    recording = read_recording(Bench(tmp_path / "with", text).record(may_home=True))
+    recording = read_recording(Bench(tmp_path / "with", text).record(home=True))
     reset = next(c for c in commands(recording) if c.command == "R")
     assert "!T" in reset.reply
     assert recording.metadata["gyrorig.ptu"]["pan_max_steps"] == "3090"
@@ -309,6 +309,23 @@ def test_a_board_that_falls_silent_is_noted(tmp_path: Path) -> None:
     assert any("sends samples again" in event.text for event in events(recording))
 
 
+def test_a_board_that_takes_no_questions_is_recorded_without(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    write = bench.hub.write
+
+    def stuck(port: str, data: bytes) -> object:
+        if port != "ptu" and bench.hub.now_ns() > ORIGIN_NS + 3_000_000_000:
+            raise DeviceError("board:B-1 cannot be written: it does not take bytes")
+        return write(port, data)
+
+    bench.hub.write = stuck  # type: ignore[method-assign,assignment]
+    recording = read_recording(bench.record())
+    told = [event.text for event in events(recording) if event.kind == 3]
+    assert told == ["board:B-1 cannot be written: it does not take bytes; it is asked no more"]
+    last_ns = int(recording.array(POSITION)["log_time"][-1])
+    assert last_ns - int(recording.array(IMU)["log_time"][-1]) < 200_000_000
+
+
 class Scripted(VirtualHub):
     """The emulated rig, with the unit's bytes replaced from a moment on."""
 
@@ -399,7 +416,7 @@ def test_a_stop_while_homing_waits_for_the_sweep_to_end(
 
     monkeypatch.setattr(bench.hub, "write", stop_then)
     with pytest.raises(StopRequestedError, match=r"SIGINT: the unit is halted$"):
-        bench.record(may_home=True)
+        bench.record(home=True)
     assert bench.is_still()
     assert list(tmp_path.iterdir()) == []
 
