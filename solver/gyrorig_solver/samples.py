@@ -109,7 +109,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         board=board,
         metadata=metadata,
         origin_ns=origin_ns,
-        time_s=clock.time_s[keep] - (floor.middle_s if floor else 0.0),
+        time_s=_from_floor(clock.time_s[keep], floor),
         host_s=host_s,
         number=numbers,
         segment=clock.segment[keep],
@@ -156,7 +156,11 @@ def _floor(
         device_send=raw["device_send"].astype(np.int64),
     )
     bits = int(number(metadata, "counter_bits") or 64)
-    return link_floor(pings, ticks, host_s, clock.time_s, tick_hz, bits)
+    return link_floor(pings, ticks, host_s, clock, tick_hz, bits)
+
+
+def _from_floor(time_s: FloatArray, floor: LinkFloor | None) -> FloatArray:
+    return time_s if floor is None else time_s - floor.middle_at(time_s)
 
 
 def _numbers(sequence: IntArray, clock: ClockMap) -> tuple[BoolArray, IntArray, int]:

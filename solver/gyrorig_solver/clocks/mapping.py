@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.clocks.envelope import Envelope
 from gyrorig_solver.clocks.faults import ClockFault
 from gyrorig_solver.clocks.floor import Floor, find_floor
 from gyrorig_solver.clocks.unwrap import unwrap_ticks
@@ -37,6 +38,7 @@ class ClockMap:
     disagreement_s: float = 0.0  # rms between envelope and smoother, where both were made
     structured: str = ""  # why the latency is no mere jitter, "" where it is
     walk_per_sqrt_s: float = field(default=float("nan"))  # of the clock's rate, if found
+    floor: Envelope | None = None  # of the longest segment, over its own device time
 
     @property
     def segments(self) -> int:
@@ -96,6 +98,7 @@ def map_clock(
         disagreement_s=chief.disagreement_s,
         structured=next((found.structured for _, found in floors if found.structured), ""),
         walk_per_sqrt_s=chief.walk_per_sqrt_s,
+        floor=chief.envelope,
     )
 
 

@@ -76,6 +76,65 @@ def raw_ticks(device_s: FloatArray, first: int = 0) -> IntArray:
     return np.asarray((np.floor(device_s * TICK_HZ).astype(np.int64) + first) % WRAP, np.int64)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PingTrial:
+    """A stream and two-way exchanges over one link, and the stream's true times."""
+
+    true_s: FloatArray
+    ticks: IntArray
+    host_s: FloatArray
+    send_s: FloatArray
+    receive_s: FloatArray
+    device_receive: IntArray
+    device_send: IntArray
+
+
+def ping_trial(
+    link: str, seed: int, seconds: float = 75.0, skew: float = 50e-6, rate_hz: float = 100.0
+) -> PingTrial:
+    """Return a timer-driven stream with pings at random moments, five a second.
+
+    Args:
+        link: `uart`, `usb` (1 ms frames both ways) or `ftdi` (16 ms latency timer).
+        seed: everything follows from it.
+        seconds: its length.
+        skew: of the device's clock, which also times the stream.
+        rate_hz: of the stream.
+    """
+    rng = np.random.default_rng([seed, len(link)])
+    phase_s = rng.uniform(0.0, 0.016)
+
+    def framed(at_s: FloatArray, frame_s: float, phase_s: float = 0.0) -> FloatArray:
+        due_s = (np.floor((at_s + phase_s) / frame_s) + 1.0) * frame_s - phase_s
+        # The wire, the interrupt and the copy take some time even at best.
+        return np.asarray(due_s + 50e-6 + rng.exponential(50e-6, at_s.size), np.float64)
+
+    def travel(at_s: FloatArray, down: bool) -> FloatArray:
+        if link == "uart":
+            return np.asarray(at_s + 5e-4 + rng.exponential(3e-4, at_s.size), np.float64)
+        if link == "ftdi" and down:
+            return framed(at_s, 0.016, phase_s)
+        return framed(at_s, USB_FRAME_S)
+
+    true_s = np.arange(int(seconds * rate_hz)) / rate_hz / (1.0 + skew)
+    send_s = random_instants(seconds, 5.0, rng)
+    device_receive_s = travel(send_s, down=False)
+    device_send_s = device_receive_s + 50e-6 + rng.exponential(1e-3, send_s.size)
+    receive_s = travel(device_send_s, down=True)
+    held = rng.uniform(size=send_s.size) < 0.01
+    receive_s[held] += rng.uniform(0.005, 0.2, int(held.sum()))
+    every_s = np.concatenate([true_s, device_receive_s, device_send_s])
+    order = np.argsort(every_s)
+    shown_s = np.empty(every_s.size)
+    shown_s[order] = device_clock(every_s[order], rng, skew, 1e-8)
+    stamps = np.floor(shown_s * TICK_HZ).astype(np.int64)
+    n, p = true_s.size, send_s.size
+    return PingTrial(
+        true_s, stamps[:n] % WRAP, stalled(travel(true_s, down=True), rng),
+        send_s, receive_s, stamps[n : n + p], stamps[n + p :],
+    )  # fmt: skip
+
+
 FAULTS = (
     "none",
     "wrap",

@@ -146,7 +146,7 @@ def test_pings_hold_the_least_latency_between_bounds(seed: int) -> None:
         np.floor(received * 1e6 * (1.0 + 40e-6)).astype(np.int64),
         np.floor(answered * 1e6 * (1.0 + 40e-6)).astype(np.int64),
     )
-    bounds = link_floor(pings, ticks, host, clock.time_s, 1e6, 32)
+    bounds = link_floor(pings, ticks, host, clock, 1e6, 32)
     assert bounds is not None
     shift = float(np.mean(clock.time_s - true))
     assert bounds.low_s - 2e-6 < shift < bounds.high_s + 2e-6
