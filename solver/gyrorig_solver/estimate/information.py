@@ -4,8 +4,7 @@ The information does not depend on the counts, so the same functions serve the f
 the check of a recording before any fit, and a program that was never run.
 
 What to use when: `marginalise` for a fit's normal equations; `motion_information` for a
-motion and a noise without counts; `white_information` for a quick look at a motion that is
-taken as exactly known, in white noise.
+motion and a noise without counts; `white_information` for a quick look in white noise.
 """
 
 from dataclasses import dataclass
@@ -88,13 +87,17 @@ def motion_information(
     return marginalise(total, reference, int(model.shared.shape[0])).information
 
 
-def white_information(rate_rad_s: FloatArray, step_s: float, density: FloatArray) -> FloatArray:
-    """Return what a motion that is exactly known tells in white noise.
+def white_information(
+    rate_rad_s: FloatArray, step_s: float, density: FloatArray, loose: FloatArray | None = None
+) -> FloatArray:
+    """Return what a motion that is nearly known tells in white noise.
 
     Args:
         rate_rad_s: stage rate on a uniform grid, shape (n, 3).
         step_s: of the grid.
         density: one-sided noise density of each sensor axis, (rad/s)^2/Hz, shape (3,).
+        loose: how the stage rate changes with each of the motion's unknowns, taken in
+            units of what is not known of it, shape (k, n, 3). They are marginalised.
 
     Returns:
         Information over `NAMES` at nominal gain, shape (13, 13).
@@ -103,9 +106,15 @@ def white_information(rate_rad_s: FloatArray, step_s: float, density: FloatArray
     design = np.column_stack([rate_rad_s, np.ones(len(rate_rad_s)), -turning])
     gram = design.T @ design * (2.0 * step_s)
     information = np.zeros((13, 13))
+    count = 0 if loose is None else loose.shape[0]
+    cross, inner = np.zeros((13, count)), np.eye(count)
     for axis in range(3):
         at = [3 * axis, 3 * axis + 1, 3 * axis + 2, 9 + axis, 12]
         # A later sample tells of an earlier rate: the offset's column is the turning, negated.
         of = [0, 1, 2, 3, 4 + axis]
         information[np.ix_(at, at)] += gram[np.ix_(of, of)] / density[axis]
-    return information
+        if loose is not None:
+            weighed = loose[:, :, axis] * (2.0 * step_s / density[axis])
+            cross[at] += (weighed @ design[:, of]).T
+            inner += weighed @ loose[:, :, axis].T
+    return np.asarray(information - cross @ np.linalg.solve(inner, cross.T), dtype=np.float64)

@@ -1,0 +1,173 @@
+"""`gyrorig plan`: what a program will tell, and the one that tells most, before motors move."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.profile import SensorProfile, parse_profile
+from gyrorig_protocol.program import MotionProgram, parse_program
+from gyrorig_solver.calibration.profiles import find_profile
+from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option
+from gyrorig_solver.plan.criterion import CRITERIA, Criterion, cost
+from gyrorig_solver.plan.document import program_text, write_new
+from gyrorig_solver.plan.predict import Prediction, predict
+from gyrorig_solver.plan.rig import Rig, load_rig
+from gyrorig_solver.plan.search import Found, find_program
+from gyrorig_solver.plan.words import hidden, table
+
+SHORTEST_S, LONGEST_S = 5.0, 3600.0
+
+
+@click.command("plan")
+@click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="The rig (YAML): its limits and speeds.",
+)
+@click.option("--seconds", type=float, help="How long a recording may last.  [default: 75]")
+@click.option(
+    "--program",
+    "program_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Predict this program. Without --seconds nothing is searched.",
+)
+@click.option(
+    "--criterion",
+    type=click.Choice(CRITERIA),
+    default="worst",
+    show_default=True,
+    help="Which standard deviation counts: of the gain's nine entries, or of its factors.",
+)
+@click.option("--sensor", help="A profile: a name in config/boards, or a file.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the program here, for gyrorigd record.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, help="Of the programs drawn.")
+@json_option
+@click.pass_obj
+def plan_command(terminal: Terminal, /, **options: Any) -> int:
+    r"""Find the motion program that tells most about a board in a given time.
+
+    Prints the standard deviations that a calibration made with it will have. With
+    --program it prints those of that program; with both, side by side. Leaves with 4
+    when the program that it judges cannot show a parameter.
+
+    \b
+    Example:
+      gyrorig plan --rig config/rig.yaml --seconds 75 --out planned.yaml
+    """
+    rig = load_rig(options["rig_path"])
+    sensor = rig.sensor(_profile(options["sensor"] or rig.sensor_name))
+    seconds: float | None = options["seconds"]
+    given: Prediction | None = None
+    if options["program_path"] is not None:
+        terminal.progress("predicting the program given")
+        given = predict(_program(options["program_path"]), rig.unit, sensor)
+    elif seconds is None:
+        seconds = 75.0
+    found: Found | None = None
+    if seconds is not None:
+        if not SHORTEST_S <= seconds <= LONGEST_S:
+            raise UsageError(
+                f"--seconds {seconds:g} is out of reach", f"{SHORTEST_S:g} to {LONGEST_S:g}"
+            )
+        found = find_program(
+            rig.unit, sensor, seconds, options["criterion"], options["seed"], terminal.progress
+        )
+    elif options["out"] is not None:
+        raise UsageError("--out without --seconds has nothing to write", "give --seconds")
+    shown = [p for p in (given, found.prediction if found else None) if p is not None]
+    terminal.say(f"{rig.name}, {sensor.name}: predicted standard deviations\n{table(shown)}")
+    for reason in hidden(shown[0]):
+        terminal.say(f"  {shown[0].program.name} cannot show {reason}")
+    if found is not None:
+        _write(terminal, found, rig, options["criterion"], options["out"])
+    code = NOT_IDENTIFIABLE if shown[-1].observability.unobservable else 0
+    terminal.emit(
+        {
+            "rig": rig.name,
+            "sensor": sensor.name,
+            "given": _plain(given, options["criterion"]) if given else None,
+            "planned": _plain(found.prediction, options["criterion"]) if found else None,
+            "judged": found.judged if found else 0,
+            "file": str(options["out"]) if found and options["out"] else None,
+            "exit_code": code,
+        }
+    )
+    return code
+
+
+def _profile(named: str) -> SensorProfile:
+    path = Path(named)
+    if path.suffix in (".yaml", ".yml"):
+        return parse_profile(_read(path), path.name)
+    profile = find_profile(named)
+    if profile is None:
+        raise UsageError(
+            f"no profile of {named!r:.60} in config/boards", "name another with --sensor"
+        )
+    return profile
+
+
+def _program(path: Path) -> MotionProgram:
+    return parse_program(_read(path), path.name)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as fault:
+        raise UsageError(f"{path} cannot be read", f"{fault.strerror}") from fault
+
+
+def _write(
+    terminal: Terminal, found: Found, rig: Rig, criterion: Criterion, out: Path | None
+) -> None:
+    """Say what was chosen, and write it where it was asked for."""
+    terminal.say(
+        f"  chosen from {found.judged} programs: {criterion} standard deviation "
+        f"{found.cost * 1e6:.1f} ppm"
+    )
+    if out is None:
+        terminal.say("  give --out FILE to write it")
+        return
+    program = found.program
+    text = program_text(
+        MotionProgram(
+            name=out.stem,
+            steps=program.steps,
+            settings=program.settings,
+            description=f"made by gyrorig plan for {rig.name}: least {criterion} standard "
+            f"deviation in {found.prediction.duration_s:.1f} s",
+        )
+    )
+    parse_program(text, out.name)
+    write_new(out, text)
+    terminal.say(f"  program               {out}")
+
+
+def _plain(prediction: Prediction, criterion: Criterion) -> dict[str, Any]:
+    seen = prediction.observability
+    return {
+        "name": prediction.program.name,
+        "duration_s": prediction.duration_s,
+        "moves": prediction.moves,
+        "std": dict(prediction.std),
+        "gain_std": np.asarray(prediction.gain_std).tolist(),
+        "time_offset_by_motion_std_s": prediction.motion_offset_std_s,
+        "cost": cost(prediction.decision, criterion),
+        "observability": {
+            "rank": seen.rank,
+            "of": seen.of,
+            "condition": seen.condition,
+            "unobservable": list(seen.unobservable),
+            "reasons": list(seen.reasons),
+        },
+    }

@@ -1,0 +1,198 @@
+"""The programs among which the planner chooses: a cycle over poses, repeated.
+
+A way visits the poses of tilt from the lowest to the highest and back. At each pose pan
+sweeps `passes` times over its span and tilt may swing to the far end and back; on the way
+to the next pose pan may turn along. At its end pan may weave: go there and back in parts
+while tilt goes to and fro with each part. Every move ends in a short rest. A cycle is a way
+and the same way with pan mirrored: each rate comes with both signs, so that no gain looks
+like a bias.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.program import MotionProgram, Move, Repeat, Rest, Step, UnitSettings
+from gyrorig_solver.plan.timeline import lay_out
+from gyrorig_solver.plan.unit import UnitModel
+
+# Low, so that moves ramp: up to the base speed a unit starts at once, and rings.
+BASE_SPEED_DEG_S = 3.0
+STATIC_S = 2.0  # at least, at each end: for the noise at rest, and for the first polls
+MARGIN_DEG = 1.0  # from the unit's limits, which homing moves by a step or so
+
+Place = tuple[float, float]  # pan and tilt, deg
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """Where and how fast a program may turn."""
+
+    pan_deg: tuple[float, float]
+    tilt_deg: tuple[float, float]
+    pan_speed_deg_s: float
+    tilt_speed_deg_s: float
+
+    @classmethod
+    def of(cls, unit: UnitModel, fastest_deg_s: float) -> "Space":
+        """Return the space of a unit, `fastest_deg_s` being what the sensor may see."""
+        spans = []
+        for axis in unit.axes:
+            margin = min(MARGIN_DEG, (axis.high_deg - axis.low_deg) / 10.0)
+            spans.append((axis.low_deg + margin, axis.high_deg - margin))
+        # Rounded down, as a person would write them.
+        fast = [int(min(axis.fastest_deg_s, fastest_deg_s) * 10.0) / 10.0 for axis in unit.axes]
+        return cls(spans[0], spans[1], fast[0], fast[1])
+
+    @property
+    def home(self) -> tuple[float, float]:
+        """The allowed place nearest to pan 0, tilt 0."""
+        pan, tilt = (min(max(0.0, low), high) for low, high in (self.pan_deg, self.tilt_deg))
+        return pan, tilt
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """One member of the family. Fractions are of what the space allows."""
+
+    poses: int  # of tilt, evenly from the lowest to the highest
+    passes: int  # of pan, at each pose
+    swings: int  # of tilt alone, there and back, at each pose
+    along: bool  # pan turns along on the way to the next pose
+    weave: int  # parts of pan's way in which tilt goes to and fro; 0: none
+    pan_span: float
+    tilt_span: float
+    pan_speed: float
+    tilt_speed: float
+    acceleration_deg_s2: float
+    dwell_s: float
+
+    @property
+    def sound(self) -> bool:
+        """False where pan would never turn."""
+        return self.passes > 0 or self.along or self.weave > 0
+
+    def settings(self, space: Space) -> UnitSettings:
+        """Return what the unit is told before the first move."""
+        return UnitSettings(
+            base_speed_deg_s=BASE_SPEED_DEG_S,
+            acceleration_deg_s2=self.acceleration_deg_s2,
+            default_speed_deg_s=round(self.pan_speed * space.pan_speed_deg_s, 1),
+        )
+
+    def way(self, space: Space) -> tuple[Place, ...]:
+        """Return the places of one way, from one end of pan to the other."""
+        return tuple(self._place(pan, tilt, space) for pan, tilt in self._way())
+
+    def cycle(self, space: Space) -> tuple[Place, ...]:
+        """Return the places of a cycle, the last as the first."""
+        way = self._way()
+        mirrored = [(-pan, tilt) for pan, tilt in way[1:]]
+        return tuple(self._place(pan, tilt, space) for pan, tilt in (*way, *mirrored))
+
+    def steps(self, places: Sequence[Place], space: Space) -> tuple[Step, ...]:
+        """Return moves from the first place through all others, a rest after each."""
+        pan_speed = round(self.pan_speed * space.pan_speed_deg_s, 1)
+        tilt_speed = round(self.tilt_speed * space.tilt_speed_deg_s, 1)
+        out = []
+        for (pan_before, tilt_before), (pan, tilt) in pairwise(places):
+            turns, leans = pan != pan_before, tilt != tilt_before
+            if not turns and not leans:
+                continue
+            move = Move(
+                pan_deg=pan if turns else None,
+                tilt_deg=tilt if leans else None,
+                pan_speed_deg_s=pan_speed if turns else None,
+                tilt_speed_deg_s=tilt_speed if leans else None,
+            )
+            out += [Step(move=move), Step(rest=Rest(self.dwell_s))]
+        return tuple(out)
+
+    def _place(self, pan: float, tilt: float, space: Space) -> Place:
+        return (
+            _within(space.pan_deg, pan * self.pan_span),
+            _within(space.tilt_deg, tilt * self.tilt_span),
+        )
+
+    def _way(self) -> list[tuple[float, float]]:
+        pan, tilt = -1.0, -1.0
+        places = [(pan, tilt)]
+        for to_pan, to_tilt in self._moves():
+            pan = pan if to_pan is None else to_pan
+            tilt = tilt if to_tilt is None else to_tilt
+            places.append((pan, tilt))
+        if pan < 0.0:
+            places.append((1.0, tilt))
+        return places
+
+    def _moves(self) -> Iterator[tuple[float | None, float | None]]:
+        """Yield where each move goes, both axes from -1 to 1; None: stays."""
+        pan = -1.0
+        level = [-1.0 + 2.0 * k / (self.poses - 1) for k in range(self.poses)]
+        way = [*range(self.poses), *range(self.poses - 2, 0, -1)]
+        for here, following in zip(way, [*way[1:], 0], strict=True):
+            for _ in range(self.passes):
+                pan = -pan
+                yield pan, None
+            for _ in range(self.swings):
+                yield None, -1.0 if level[here] > 0.0 else 1.0
+                yield None, level[here]
+            if self.along:
+                pan = -pan
+            yield (pan if self.along else None), level[following]
+        parts = range(1, self.weave + 1)
+        for turn in (1.0, -1.0):
+            for k in parts:
+                at = pan * turn * (1.0 - 2.0 * k / self.weave)
+                yield at, (1.0 if k % 2 else -1.0)
+
+
+def program_of(design: Design, space: Space, unit: UnitModel, seconds: float) -> MotionProgram:
+    """Return a design as a program that lasts as long as it may.
+
+    Whole cycles, then as far on the way and back again as time allows, home, and what is
+    left as rests.
+
+    Raises:
+        UsageError: not even one cycle fits.
+    """
+    way = design.way(space)
+    cycle = design.steps(design.cycle(space), space)
+
+    def made(cycles: int, extra: int, static_s: float) -> MotionProgram:
+        rest = Step(rest=Rest(static_s, "static"))
+        repeat = (Step(repeat=Repeat(cycles, cycle)),) if cycles else ()
+        more = design.steps((*way[: extra + 1], *reversed(way[:extra])), space)
+        lead = design.steps((space.home, way[0]), space)
+        back = design.steps((way[0], space.home), space)
+        return MotionProgram(
+            "planned",
+            (rest, *lead, *repeat, *more, *back[:1], rest),
+            settings=design.settings(space),
+        )
+
+    def lasts_s(program: MotionProgram) -> float:
+        return lay_out(program, unit).duration_s
+
+    fixed_s = lasts_s(made(0, 0, STATIC_S))
+    cycle_s = lasts_s(made(1, 0, STATIC_S)) - fixed_s
+    cycles = int((seconds - fixed_s) / cycle_s)
+    if cycles < 1:
+        raise UsageError(
+            f"{seconds:g} s is too short for a program that shows anything",
+            f"this one needs {fixed_s + cycle_s:.0f} s",
+        )
+    extra = len(way) - 1
+    while extra > 0 and lasts_s(made(cycles, extra, STATIC_S)) > seconds:
+        extra -= 1
+    # A rest ends with the question that is under way then.
+    late_s = 2.0 * unit.poll_interval_s
+    left_s = max(0.0, seconds - lasts_s(made(cycles, extra, STATIC_S)) - late_s)
+    return made(cycles, extra, STATIC_S + int(left_s / 2.0 * 100.0) / 100.0)
+
+
+def _within(span: tuple[float, float], at: float) -> float:
+    """Return a place in a span, `at` from -1 to 1, to a tenth of a degree."""
+    middle, half = (span[0] + span[1]) / 2.0, (span[1] - span[0]) / 2.0
+    return round(middle + at * half, 1) + 0.0

@@ -1,0 +1,101 @@
+"""What a program will tell about a board: standard deviations before any motor moves.
+
+The program is carried out on paper (`timeline`), its answers go through the solver's own
+fit of the motion, and the solver's own normal equations give the information: starts,
+rests within their steps, speeds and accelerations are unknowns here as they are there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.program import MotionProgram
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.estimate.information import NAMES, loosened, motion_information
+from gyrorig_solver.estimate.observability import Concluded, Decision, conclude, decide
+from gyrorig_solver.estimate.result import Observability
+from gyrorig_solver.estimate.series import SHORTEST_SERIES, Series, grids
+from gyrorig_solver.plan.sensor import SensorModel
+from gyrorig_solver.plan.timeline import Timeline, lay_out
+from gyrorig_solver.plan.unit import ARCSEC_PER_DEG, UnitModel
+from gyrorig_solver.reference.moves import MotionReader
+from gyrorig_solver.reference.polls import fit_starts
+from gyrorig_solver.reference.ptu import PtuReference
+from gyrorig_solver.solve import PTU_WORDS
+
+NOMINAL = np.concatenate([np.eye(3).ravel(), np.zeros(4)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """What a calibration made with a program would say of itself."""
+
+    program: MotionProgram
+    duration_s: float
+    moves: int
+    decision: Decision  # what is seen of gain, bias and time offset
+    concluded: Concluded  # values are nominal; standard deviations are what is predicted
+    motion_offset_std_s: float  # of the time offset, from the motion alone
+
+    @property
+    def observability(self) -> Observability:
+        """As in the calibration."""
+        return self.concluded.observability
+
+    @property
+    def std(self) -> dict[str, float]:
+        """By the names of the calibration, in its units; nan where it cannot be shown."""
+        return self.concluded.std
+
+    @property
+    def gain_std(self) -> FloatArray:
+        """Of the gain's entries, shape (3, 3); nan where they cannot be shown."""
+        return self.concluded.gain_std
+
+
+def predict(program: MotionProgram, unit: UnitModel, sensor: SensorModel) -> Prediction:
+    """Return what a program will tell about a sensor on a unit.
+
+    Raises:
+        UsageError: a step leaves the unit's limits, or the program is too short.
+    """
+    timeline = lay_out(program, unit)
+    series = _series(timeline.duration_s, sensor, program.name)
+    reference = reference_of(timeline, unit)
+    information = motion_information(series, reference, sensor.noise, np.eye(3))
+    alone = decide(information, NAMES)
+    common_s = float(np.hypot(reference.common_std_s, sensor.stamp_std_s))
+    decision = decide(loosened(information, 12, common_s), NAMES)
+    return Prediction(
+        program=program,
+        duration_s=timeline.duration_s,
+        moves=len(reference.starts.moves),
+        decision=decision,
+        concluded=conclude(NOMINAL, NAMES, decision, PTU_WORDS),
+        motion_offset_std_s=float(np.sqrt(alone.covariance[12, 12])),
+    )
+
+
+def reference_of(timeline: Timeline, unit: UnitModel) -> PtuReference:
+    """Return the motion as the solver will know it from the answers."""
+    motion = MotionReader(timeline.settings, timeline.start_steps).read(timeline.exchanges)
+    polls = timeline.polls(unit)
+    pan, tilt = (np.radians(axis.resolution_arcsec / ARCSEC_PER_DEG) for axis in unit.axes)
+    span_s = (0.0, timeline.duration_s)
+    return PtuReference.of(motion, fit_starts(motion, polls), (float(pan), float(tilt)), span_s)
+
+
+def _series(duration_s: float, sensor: SensorModel, name: str) -> Series:
+    block, fine = grids(sensor.odr_hz, sensor.bandwidth_hz)
+    count = int(duration_s * sensor.odr_hz)
+    if count < SHORTEST_SERIES * block:
+        raise UsageError(f"{name} lasts {duration_s:.1f} s", "a calibration needs longer")
+    return Series(
+        time_s=np.asarray((np.arange(count) + 0.5) / sensor.odr_hz, dtype=np.float64),
+        rate_rad_s=np.zeros((count, 3)),
+        good=np.ones(count, dtype=np.bool_),
+        block=block,
+        fine=fine,
+        bandwidth_hz=sensor.bandwidth_hz,
+    )

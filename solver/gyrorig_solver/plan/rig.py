@@ -1,0 +1,155 @@
+"""What a rig's configuration says about the unit and the boards on it.
+
+The daemon's own reader checks the whole document; here only what shapes a prediction is
+read, and the rest is left alone.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from gyrorig_protocol.board import TimeReply, TimeRequest
+from gyrorig_protocol.documents import parse_yaml, read_as
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.profile import SensorProfile
+from gyrorig_protocol.ptu import Dialect
+from gyrorig_solver.plan.sensor import SensorModel, sensor_model
+from gyrorig_solver.plan.unit import BITS_PER_BYTE, AxisModel, UnitModel, unit_model
+
+EMULATED = "emulated"
+DEFAULT_SENSOR = "L3G4200D"
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+
+
+class _Limits(msgspec.Struct, frozen=True):
+    pan_min_deg: float | None = None
+    pan_max_deg: float | None = None
+    tilt_min_deg: float | None = None
+    tilt_max_deg: float | None = None
+    speed_deg_s: Positive | None = None
+
+
+class _Polling(msgspec.Struct, frozen=True):
+    rate_hz: Positive | None = None
+
+
+class _Unit(msgspec.Struct, frozen=True):
+    port: str
+    baud: Annotated[int, msgspec.Meta(ge=300)] = 9600
+    dialect: Literal["auto", "d46", "e46"] = "auto"
+    limits: _Limits = _Limits()
+    poll: _Polling = _Polling()
+
+
+class _Facts(msgspec.Struct, frozen=True):
+    sensor: str | None = None
+    odr_hz: Positive | None = None
+    bandwidth_hz: Positive | None = None
+    gyro_full_scale_dps: Positive | None = None
+
+
+class _Board(msgspec.Struct, frozen=True):
+    id: str
+    port: str
+    baud: Annotated[int, msgspec.Meta(ge=300)] = 115200
+    format: Literal["gcb1", "text"] = "gcb1"
+    facts: _Facts = _Facts()
+
+
+class _Emulator(msgspec.Struct, frozen=True):
+    dialect: Literal["d46", "e46"] = "e46"
+    command_time_ms: Annotated[float, msgspec.Meta(ge=0.0)] = 10.0
+    odr_hz: Positive = 100.0
+    bandwidth_hz: Positive | None = None
+    gyro_full_scale_dps: Positive = 250.0
+
+
+class _Rig(msgspec.Struct, frozen=True):
+    schema: Literal["gyrorig/rig/1"]
+    rig: str
+    ptu: _Unit
+    boards: Annotated[tuple[_Board, ...], msgspec.Meta(min_length=1)]
+    emulator: _Emulator = _Emulator()
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A rig as a prediction needs it. The first board stands for all."""
+
+    name: str
+    unit: UnitModel
+    sensor_name: str
+    odr_hz: float | None
+    bandwidth_hz: float | None
+    full_scale_dps: float | None
+    stamp_std_s: float
+
+    def sensor(self, profile: SensorProfile) -> SensorModel:
+        """Return the sensor of a data sheet on this rig.
+
+        Raises:
+            UsageError: the data sheet lacks the noise, or the range that is set.
+        """
+        return sensor_model(
+            profile, self.odr_hz, self.bandwidth_hz, self.full_scale_dps, self.stamp_std_s
+        )
+
+
+def load_rig(path: Path) -> Rig:
+    """Return the rig that a file describes.
+
+    Raises:
+        UsageError: the file cannot be read, is not a rig, or allows no motion.
+    """
+    try:
+        text = path.read_bytes()
+    except OSError as fault:
+        raise UsageError(f"{path} cannot be read", f"{fault.strerror}") from fault
+    document = read_as(parse_yaml(text, path.name), _Rig, path.name)
+    unit, board, emulator = document.ptu, document.boards[0], document.emulator
+    emulated = unit.port == EMULATED
+    named: str = unit.dialect if unit.dialect != "auto" else "e46"
+    model = unit_model(
+        Dialect(emulator.dialect if emulated else named),
+        unit.baud,
+        emulator.command_time_ms * 1e-3 if emulated else None,
+        unit.poll.rate_hz,
+    )
+    facts = board.facts
+    simulated = board.port == EMULATED
+    return Rig(
+        name=document.rig,
+        unit=_limited(model, unit.limits, path.name),
+        sensor_name=DEFAULT_SENSOR if simulated else facts.sensor or DEFAULT_SENSOR,
+        odr_hz=emulator.odr_hz if simulated else facts.odr_hz,
+        bandwidth_hz=emulator.bandwidth_hz if simulated else facts.bandwidth_hz,
+        full_scale_dps=emulator.gyro_full_scale_dps if simulated else facts.gyro_full_scale_dps,
+        stamp_std_s=_ping_std_s(board.baud) if board.format == "gcb1" else 0.0,
+    )
+
+
+def _ping_std_s(baud: int) -> float:
+    """Return what pings leave unknown of a link's latency: the wire time of one exchange."""
+    request, reply = TimeRequest(0, 0).encode(), TimeReply(0, 0, 0, 0).encode()
+    return (len(request) + len(reply)) * BITS_PER_BYTE / baud / float(np.sqrt(12.0))
+
+
+def _limited(unit: UnitModel, limits: _Limits, name: str) -> UnitModel:
+    """Return the unit inside what the rig allows."""
+
+    def axis(of: AxisModel, low_deg: float | None, high_deg: float | None, word: str) -> AxisModel:
+        low = of.low_deg if low_deg is None else max(of.low_deg, low_deg)
+        high = of.high_deg if high_deg is None else min(of.high_deg, high_deg)
+        fastest = min(of.fastest_deg_s, limits.speed_deg_s or of.fastest_deg_s)
+        if not low < high or fastest <= of.slowest_deg_s:
+            raise UsageError(f"{name}: the limits of {word} allow no motion", "widen them")
+        return replace(of, low_deg=low, high_deg=high, fastest_deg_s=fastest)
+
+    return replace(
+        unit,
+        pan=axis(unit.pan, limits.pan_min_deg, limits.pan_max_deg, "pan"),
+        tilt=axis(unit.tilt, limits.tilt_min_deg, limits.tilt_max_deg, "tilt"),
+    )

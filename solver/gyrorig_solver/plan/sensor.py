@@ -1,0 +1,91 @@
+"""A gyroscope as its data sheet has it: noise, quantum, sample rate, low-pass."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.profile import SensorProfile
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.estimate.noise import NoiseModel, Sampling, ordinary_levels
+from gyrorig_solver.estimate.series import grids
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorModel:
+    """What of a sensor and its link decides how well it can be calibrated."""
+
+    name: str
+    odr_hz: float
+    bandwidth_hz: float | None
+    quantum_rad_s: float
+    full_scale_rad_s: float
+    levels: FloatArray  # (3, 4), squares: N^2, B^2, K^2, D^2 as in `NoiseModel`
+    stamp_std_s: float  # what is not known of the samples' own times, one shift of all
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The noise of the block means that the solver works with."""
+        block, _ = grids(self.odr_hz, self.bandwidth_hz)
+        sampling = Sampling(
+            rate_hz=self.odr_hz / block,
+            block=block,
+            bandwidth_hz=self.bandwidth_hz,
+            quantum_rad_s=self.quantum_rad_s,
+            differentiated=False,
+        )
+        return NoiseModel(self.levels, sampling)
+
+
+def sensor_model(
+    profile: SensorProfile,
+    odr_hz: float | None = None,
+    bandwidth_hz: float | None = None,
+    full_scale_dps: float | None = None,
+    stamp_std_s: float = 0.0,
+) -> SensorModel:
+    """Return a sensor as its data sheet has it; what is not said is its usual setting.
+
+    Without an output rate it is the lowest of the data sheet, without a bandwidth the
+    widest at that rate, without a full scale the smallest that measures 250 deg/s.
+
+    Args:
+        profile: the data sheet. Flicker and random walk, which none gives, are those of
+            an ordinary part with that noise density.
+        odr_hz: output data rate.
+        bandwidth_hz: of the low-pass.
+        full_scale_dps: the range set.
+        stamp_std_s: what will not be known of the samples' times.
+
+    Raises:
+        UsageError: the data sheet has no noise density or no such range.
+    """
+    if profile.noise_density_dps_rthz is None:
+        raise UsageError(
+            f"the profile of {profile.sensor} has no noise_density_dps_rthz",
+            "without noise nothing can be predicted; add it",
+        )
+    if odr_hz is None:
+        odr_hz = min((entry.odr_hz for entry in profile.low_pass), default=100.0)
+    if bandwidth_hz is None:
+        fitting = [e.bandwidth_hz for e in profile.low_pass if e.odr_hz == odr_hz]
+        bandwidth_hz = max(fitting[0]) if fitting and fitting[0] else None
+    density = float(np.radians(profile.noise_density_dps_rthz))
+    wanted = full_scale_dps or min(
+        (r.full_scale_dps for r in profile.ranges if r.full_scale_dps >= 250.0), default=250.0
+    )
+    chosen = next((r for r in profile.ranges if r.full_scale_dps == wanted), None)
+    if chosen is None:
+        there = ", ".join(f"{r.full_scale_dps:g}" for r in profile.ranges)
+        raise UsageError(
+            f"the profile of {profile.sensor} has no range of {wanted:g} deg/s", f"it has {there}"
+        )
+    return SensorModel(
+        name=profile.sensor,
+        odr_hz=odr_hz,
+        bandwidth_hz=bandwidth_hz,
+        quantum_rad_s=float(np.radians(chosen.sensitivity_mdps * 1e-3)),
+        full_scale_rad_s=float(np.radians(chosen.full_scale_dps)),
+        levels=np.tile(ordinary_levels(density**2), (3, 1)),
+        stamp_std_s=stamp_std_s,
+    )

@@ -1,0 +1,90 @@
+"""A pan-tilt unit before anybody has asked it: limits, speeds, and how it answers.
+
+The figures are a PTU-E46 or D46 with a 17.5:1 gear in half steps (reference: unit's notes,
+sections 4 and 5). The daemon asks the unit itself and refuses what it cannot do.
+"""
+
+from dataclasses import dataclass
+
+from gyrorig_protocol.ptu import Dialect, offers
+
+ARCSEC_PER_DEG = 3600.0
+BITS_PER_BYTE = 10  # 8N1
+RESOLUTION_ARCSEC = 185.142857  # D46 user's manual v2.14, half step
+PAN_STEPS = (-3090, 3090)  # command reference manual v3.00D
+TILT_STEPS = (-903, 601)  # the narrower of the two units that were seen
+SPEED_STEPS_S = (31, 2902)
+BASE_SPEED_STEPS_S, ACCELERATION_STEPS_S2 = 1000.0, 2000.0  # as delivered
+# Bytes of an order, of its answer, and of the terse answers to BT and to PP.
+ORDER_BYTES, ANSWER_BYTES, MOTION_BYTES, POSITION_BYTES, QUERY_BYTES = 7, 3, 44, 9, 3
+
+
+@dataclass(frozen=True, slots=True)
+class AxisModel:
+    """What one axis can do. Angles and speeds are those the rig allows, if that is less."""
+
+    resolution_arcsec: float
+    low_deg: float
+    high_deg: float
+    slowest_deg_s: float
+    fastest_deg_s: float
+
+    def steps(self, angle_deg: float) -> int:
+        """Return the count nearest to an angle, or to a speed in deg/s."""
+        return round(angle_deg * ARCSEC_PER_DEG / self.resolution_arcsec)
+
+
+@dataclass(frozen=True, slots=True)
+class UnitModel:
+    """A unit and its line, as far as they shape a recording."""
+
+    pan: AxisModel
+    tilt: AxisModel
+    order_interval_s: float  # from one order to the next
+    poll_interval_s: float  # from one question for the position to the next
+    window_s: float  # in which the count is taken, unknown when
+    both_at_once: bool  # one answer holds both axes and the controller's counter
+    base_speed_steps_s: float = BASE_SPEED_STEPS_S
+    acceleration_steps_s2: float = ACCELERATION_STEPS_S2
+
+    @property
+    def axes(self) -> tuple[AxisModel, AxisModel]:
+        """Pan and tilt."""
+        return self.pan, self.tilt
+
+
+def unit_model(
+    dialect: Dialect,
+    baud: int,
+    command_s: float | None = None,
+    poll_rate_hz: float | None = None,
+) -> UnitModel:
+    """Return a unit of a dialect on a line.
+
+    Args:
+        dialect: its language.
+        baud: of the line.
+        command_s: how long the controller thinks about a command; None: as long as the
+            vendor wants between two.
+        poll_rate_hz: commands a second, None for the vendor's limit.
+    """
+    offered = offers(dialect)
+    byte_s = BITS_PER_BYTE / baud
+    thought_s = offered.min_command_interval_s if command_s is None else command_s
+    least_s = 1.0 / poll_rate_hz if poll_rate_hz else offered.min_command_interval_s
+    answer = MOTION_BYTES if offered.motion_with_counter else POSITION_BYTES
+    resolution = RESOLUTION_ARCSEC
+    slowest, fastest = (s * resolution / ARCSEC_PER_DEG for s in SPEED_STEPS_S)
+
+    def axis(steps: tuple[int, int]) -> AxisModel:
+        low, high = (s * resolution / ARCSEC_PER_DEG for s in steps)
+        return AxisModel(resolution, low, high, slowest, fastest)
+
+    return UnitModel(
+        pan=axis(PAN_STEPS),
+        tilt=axis(TILT_STEPS),
+        order_interval_s=max(least_s, thought_s + (ORDER_BYTES + ANSWER_BYTES) * byte_s),
+        poll_interval_s=max(least_s, thought_s + (QUERY_BYTES + answer) * byte_s),
+        window_s=thought_s,
+        both_at_once=offered.motion_with_counter,
+    )
