@@ -16,7 +16,6 @@ from gyrorig_solver.estimate.motion import fit_motion
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.estimate.turns import fit_turns
 from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
-from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.reference.ptu_recording import ptu_reference
 from gyrorig_solver.reference.rest import RestReference, mostly_at_rest
 from gyrorig_solver.reference.turns import TurnReference, read_turns
@@ -58,7 +57,7 @@ def solve_recordings(recordings: Sequence[Recording], board: str) -> GyroFit:
             )
         recording, samples = loaded[0]
         reference = ptu_reference(recording, samples.origin_ns)
-        return fit_motion(samples, reference, PTU_WORDS, _ptu_warnings(reference))
+        return fit_motion(samples, reference, PTU_WORDS, reference.warnings)
     attitudes = [(s, _attitude(r, s)) for r, s in loaded if "/reference/attitude" in r.topics]
     if attitudes:
         return fit_attitude(attitudes)
@@ -93,13 +92,6 @@ def _by_gravity(
     site = recording.metadata.get("gyrorig.site", {})
     gravity = number(site, "gravity_m_s2") or STANDARD_GRAVITY_M_S2
     return fit_gravity(samples, gravity, found.rests[0] if found.rests else None)
-
-
-def _ptu_warnings(reference: PtuReference) -> tuple[str, ...]:
-    said = [f"motion unknown for a while: {why}" for _, _, why in reference.motion.unknown]
-    if not reference.starts.explained:
-        said.append("the polled positions do not follow the commands; check for lost steps")
-    return tuple(dict.fromkeys(said))
 
 
 def solve_recording(recording: Recording, board: str) -> GyroFit:

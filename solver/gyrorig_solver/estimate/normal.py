@@ -137,6 +137,8 @@ def _local(
     stretches = [
         (first, values @ row) for first, values in zip(model.local_first, model.local, strict=True)
     ]
+    starts = np.array([first for first, _ in stretches])
+    stops = starts + np.array([values.size for _, values in stretches])
     for k, (first, values) in enumerate(stretches):
         if not values.any():
             continue
@@ -154,11 +156,10 @@ def _local(
             variances[size] = noise.variance(size)
         spread = dct(window, norm="ortho") / variances[size][:, axis]
         weighed = idct(spread, norm="ortho")
-        for other in range(k, len(stretches)):
+        # Most columns are far from each other where there are many.
+        for other in k + np.flatnonzero((starts[k:] < end) & (stops[k:] > begin)):
             start, theirs = stretches[other]
             low, high = max(begin, start), min(end, start + theirs.size)
-            if low >= high:
-                continue
             value = float(weighed[low - begin : high - begin] @ theirs[low - start : high - start])
             information[base + k, base + other] += value
             if other != k:

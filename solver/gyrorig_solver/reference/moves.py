@@ -27,6 +27,7 @@ _STEP_MODE = re.compile(r"W([PT])[FHQEA]\s*")
 # An order that comes this soon after the predicted rest may still find the axis moving.
 _MARGIN_S = 0.02
 _LONGEST_WAIT_S = 0.2  # of the margin for slow controllers; an awaited move answers at its end
+_LOOK_S = 0.5
 
 Resting = Callable[[int, float, float], int | None]  # axis, after, before -> count, if polled
 
@@ -324,6 +325,7 @@ class MotionReader:
     def _order(self, exchange: Exchange, axis: _Axis, kind: Kind, steps: float) -> None:
         moving = self._moving(exchange, axis)
         if not moving:
+            self._look(exchange, axis)
             target = steps + (axis.steps if kind == "by" else 0)
             if target == axis.steps:
                 return
@@ -346,6 +348,13 @@ class MotionReader:
         axis.move()
         wait_s = min(max(exchange.reply_s - exchange.request_s, 0.0), _LONGEST_WAIT_S)
         axis.busy_until_s += _MARGIN_S + wait_s
+
+    def _look(self, exchange: Exchange, axis: _Axis) -> None:
+        """Believe the counts polled at rest where no command brought the axis there."""
+        after_s = max(axis.busy_until_s, exchange.request_s - _LOOK_S)
+        stood = self._resting(axis.index, after_s, exchange.request_s)
+        if stood is not None and abs(stood - axis.steps) > 1:
+            axis.steps = stood
 
     def _close(self, axis: _Axis, until_s: float) -> None:
         """Take the move under way as done; where a halt left it, the counts say."""

@@ -52,6 +52,14 @@ class PtuReference:
         return f"{len(self.starts.moves)} moves as the pan-tilt unit was told, timed by its answers"
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know of this reference."""
+        said = [f"motion unknown for a while: {why}" for _, _, why in self.motion.unknown]
+        if not self.starts.explained:
+            said.append("the polled positions do not follow the commands; check for lost steps")
+        return tuple(dict.fromkeys(said))
+
+    @property
     def pull(self) -> FloatArray:
         """Back to what is known."""
         return -self.shift

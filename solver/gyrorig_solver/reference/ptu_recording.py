@@ -8,6 +8,7 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import FloatArray, IntArray
+from gyrorig_solver.reference.counted import CountedReference, counted_reference
 from gyrorig_solver.reference.counter import counter_instants
 from gyrorig_solver.reference.moves import AXES, Exchange, Motion, MotionReader
 from gyrorig_solver.reference.polls import Polls, fit_starts
@@ -17,10 +18,16 @@ PAN_VALID, TILT_VALID, SYNCHRONY_LOST, HOMING = 1 << 0, 1 << 1, 1 << 2, 1 << 3
 BITS_PER_BYTE = 10  # 8N1
 QUERY_BYTES = 3  # `BT ` or `PP `
 OK = 0
+MOST_UNEXPLAINED = 0.5  # of the counts on the way: then the counts alone tell more
+MOST_STEPS_OFF = 4.0  # the count's own step, its lag, and some for a start
+WIDEST_STARTS_S = 0.005  # a start that was not polled
+MARGIN_S = 0.3  # about an answer that the commands do not explain
 
 
-def ptu_reference(recording: Recording, origin_ns: int) -> PtuReference:
+def ptu_reference(recording: Recording, origin_ns: int) -> PtuReference | CountedReference:
     """Return the unit's motion as it was told and polled.
+
+    Where most of what it counted on its way is not what it was told, the counts alone.
 
     Args:
         recording: with `/ptu/position`, `/ptu/command` and the metadata `gyrorig.ptu`.
@@ -47,9 +54,62 @@ def ptu_reference(recording: Recording, origin_ns: int) -> PtuReference:
         for c in recording.ptu_commands()
     ]
     motion = MotionReader(_settings(metadata), steps, polls.resting).read(exchanges)
+    return explained_reference(_checked(motion, polls), polls, rad_per_step)
+
+
+def explained_reference(
+    motion: Motion, polls: Polls, rad_per_step: tuple[float, float]
+) -> PtuReference | CountedReference:
+    """Return the told motion where it explains the counts, else the counted one.
+
+    A stretch that the told motion does not explain is left out, unless most are such.
+    """
     span = (float(polls.lo_s[0]), float(polls.hi_s[-1]))
-    motion = _checked(motion, polls)
-    return PtuReference.of(motion, fit_starts(motion, polls), rad_per_step, span)
+    reference = PtuReference.of(motion, fit_starts(motion, polls), rad_per_step, span)
+    left_out, share = unexplained(reference, polls)
+    if share > MOST_UNEXPLAINED:
+        why = "the commands do not explain how the unit moved"
+        return counted_reference(polls, rad_per_step, why if motion.moves else "no move was told")
+    if not left_out:
+        return reference
+    why = "the counts do not follow the commands"
+    lost = tuple((begin, end, why) for begin, end in left_out)
+    return replace(reference, motion=replace(motion, unknown=(*motion.unknown, *lost)))
+
+
+def unexplained(reference: PtuReference, polls: Polls) -> tuple[list[tuple[float, float]], float]:
+    """Return where the counts leave the told motion, and the share of moving counts there.
+
+    Times that the commands leave unknown count as unexplained too.
+    """
+    at_s = (polls.lo_s + polls.hi_s) / 2.0
+    slack_s = (polls.hi_s - polls.lo_s) / 2.0 + WIDEST_STARTS_S
+    steps = reference.angles_rad(at_s) / np.array(reference.rad_per_step)[:, None]
+    known = np.ones(at_s.size, dtype=np.bool_)
+    for begin, end, _ in reference.motion.unknown:
+        known &= (at_s < begin) | (at_s > end)
+    spans: list[tuple[float, float]] = []
+    moving_count = lost_count = 0
+    for axis in (0, 1):
+        use = polls.valid[:, axis]
+        time_s, counted, told = at_s[use], polls.steps[use, axis], steps[axis, use]
+        moving = np.zeros(time_s.size, dtype=np.bool_)
+        changed = np.diff(counted) != 0.0
+        moving[1:] |= changed
+        moving[:-1] |= changed
+        speed = np.abs(np.gradient(counted, time_s)) + np.abs(np.gradient(told, time_s))
+        off = np.abs(counted - told) > MOST_STEPS_OFF + speed * slack_s[use]
+        # One garbled answer is no motion; it takes two neighbours.
+        off[1:-1] &= off[:-2] | off[2:]
+        moving_count += int(moving.sum())
+        lost_count += int(np.sum(moving & (off | ~known[use])))
+        for index in np.flatnonzero(off & known[use]):
+            begin, end = float(time_s[index]) - MARGIN_S, float(time_s[index]) + MARGIN_S
+            if spans and begin < spans[-1][1] + MARGIN_S and begin > spans[-1][0]:
+                spans[-1] = (spans[-1][0], end)
+            else:
+                spans.append((begin, end))
+    return spans, lost_count / max(1, moving_count)
 
 
 def _polls(

@@ -73,19 +73,23 @@ def simulate() -> Callable[..., TestRig]:
         bandwidth: float = 25.0,
         noise: float = 1.0,
         pan: int = 1200,
+        off_count: float = 0.0,
     ) -> TestRig:
         rng = np.random.default_rng(seed)
+        # A unit that rounds what it is told to a count but stands where it was told.
+        beside = np.random.default_rng([seed, 1])
         acceleration = 4000.0
         plan: list[tuple[int, int, float]] = []
         for tilt in tilts:
             plan.append((1, tilt, 600.0))
             plan += [(0, pan, 1400.0), (0, -pan, 1400.0), (0, 0, 700.0)]
-        t, where = 8.0, [0, 0]
+        t, where, stood = 8.0, [0, 0], [0.0, 0.0]
         exchanges, moves = [], []
         for axis, target, speed in plan:
-            distance = abs(target - where[axis])
-            if distance == 0:
+            if target == where[axis]:
                 continue
+            stand = target + float(beside.uniform(-off_count, off_count))
+            distance = abs(stand - stood[axis])
             letter = "PT"[axis]
             exchanges.append((t, t + 0.003, f"{letter}S{speed:.0f}"))
             exchanges.append((t + 0.01, t + 0.013, f"{letter}P{target}"))
@@ -94,7 +98,7 @@ def simulate() -> Callable[..., TestRig]:
             moves.append((axis, start, float(distance), speed, sign, target))
             peak = min(speed, np.sqrt(acceleration * distance))
             t = start + distance / peak + peak / acceleration + rng.uniform(0.3, 0.6)
-            where[axis] = target
+            where[axis], stood[axis] = target, stand
         end = t + 8.0
         fine = np.arange(int(end * FINE_HZ)) / FINE_HZ
         rates = np.zeros((2, fine.size))

@@ -168,7 +168,7 @@ SETTINGS = {
 def read(exchanges: list[Exchange], rests: dict[int, int] | None = None) -> Motion:
     def resting(axis: int, after_s: float, before_s: float) -> int | None:
         assert after_s < before_s
-        return (rests or {}).get(axis)
+        return (rests or {}).get(axis) if after_s > 3.0 else None
 
     return MotionReader(SETTINGS, (0, 0), resting).read(exchanges)
 
@@ -237,6 +237,12 @@ def test_homing_counts_anew() -> None:
     assert [(m.from_steps, m.to_steps) for m in motion.moves] == [(0, 300), (0, 100)]
     assert motion.recounts == ((9.01, 0, 0),)
     assert len(motion.unknown) == 1
+
+
+def test_a_move_begins_where_the_counts_say() -> None:
+    """Another program moved the axis: the command that did it is not recorded."""
+    motion = read(told_at([(0.0, "PS500"), (1.0, "PP300"), (9.0, "PP100")]), {0: -55})
+    assert [(m.from_steps, m.to_steps) for m in motion.moves] == [(0, 300), (-55, 100)]
 
 
 def test_what_is_not_known_is_said() -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 
 from gyrorig_solver.clocks import map_clock
 from gyrorig_solver.estimate.motion import fit_motion
@@ -78,11 +79,15 @@ def truth(rig: Any) -> dict[str, float]:
     return {**named, "time_offset": rig.lag_s + LOW_PASS_DELAY_S}
 
 
-def test_errors_are_as_large_as_claimed(simulate: Simulate) -> None:
-    """Eight boards: joint chi-squared below its 99.9 % point; no parameter beyond 4 sigma."""
+@pytest.mark.parametrize("off_count", [0.0, 0.5])
+def test_errors_are_as_large_as_claimed(simulate: Simulate, off_count: float) -> None:
+    """Eight boards: joint chi-squared inside its 99.8 % span; no parameter beyond 4 sigma.
+
+    Once the unit rests exactly on its counts, once anywhere within them.
+    """
     total = 0.0
     for seed in range(8):
-        rig = simulate(seed)
+        rig = simulate(seed, off_count=off_count)
         found = fit(rig)
         true = truth(rig)
         error = np.array([found.value(n) - true[n] for n in found.order])
@@ -91,6 +96,7 @@ def test_errors_are_as_large_as_claimed(simulate: Simulate) -> None:
         z = error / np.sqrt(np.diag(found.covariance))
         assert np.abs(z).max() < 4.0
         total += float(error @ np.linalg.solve(found.covariance, error))
+        assert (reference_of(rig).starts.rest_variance > 0.05 / 12.0) == (off_count > 0.0)
     # 8 x 13 degrees of freedom; scipy.stats.chi2.ppf([0.001, 0.999], 104) = 65.1, 154.3. A
     # little lower, because the constant of the polls is the same in all eight and is uniform.
     assert 55.0 < total < 154.3

@@ -1,0 +1,272 @@
+"""The pan-tilt unit as the reference where its commands do not explain it: counts alone.
+
+What to use when: a recording without commands, moved by another program or by hand, or
+whose counts do not follow what it was told. Each stretch of motion is a smoothing spline
+(see `stretches`); its coefficients are unknowns held by what the counts say, so that the
+board's own evidence takes part and every uncertainty is carried. It costs precision: the
+commands know a ramp to 1e-4, counts know it to a part of a step.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.reference.kinematics import AxisTurn, stage_rate
+from gyrorig_solver.reference.motion import Evaluated, LocalColumn
+from gyrorig_solver.reference.polls import STEP_VARIANCE, Polls
+from gyrorig_solver.reference.stretches import PINNED, Stretch, find_spans, fit_stretch
+
+LAG_STD_STEPS = 0.5 / np.sqrt(3.0)  # of the count behind the motion: within half a step
+SLOW_STEPS_S = 100.0  # slower than this, the direction that the lag has is not quite known
+LONGEST_SILENCE_S = 0.25  # between two counts on the way; a ramp fits into more
+MOST_COEFFICIENTS = 3000  # a solve grows with their cube; about two minutes of motion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CountedReference:
+    """Pan and tilt over time. Unknowns: rests, inner coefficients, then the count's lag."""
+
+    stretches: tuple[Stretch, ...]  # by axis, then by time
+    standing: tuple[tuple[int, ...], tuple[int, ...]]  # counts at each axis' rests
+    unknown: tuple[tuple[float, float, str], ...]  # begin, end, why
+    rad_per_step: tuple[float, float]
+    values: FloatArray  # of the unknowns now, steps; rests counted from `standing`
+    centre: FloatArray  # what the counts say of them
+    information: FloatArray  # and how well
+    common_std_s: float
+    span_s: tuple[float, float]
+    why: str
+
+    @property
+    def description(self) -> str:
+        """One sentence: what the rates are compared with."""
+        return f"{len(self.stretches)} stretches of motion as the pan-tilt unit counted them"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know of this reference."""
+        said = [f"motion unknown for a while: {why}" for _, _, why in self.unknown]
+        return tuple(dict.fromkeys([f"{self.why}: the motion is taken from its counts", *said]))
+
+    @property
+    def pull(self) -> FloatArray:
+        """Back to what is known."""
+        return self.centre - self.values
+
+    @property
+    def differentiated(self) -> bool:
+        """False: the spline is exact, its coefficients are unknowns."""
+        return False
+
+    def moved(self, step: FloatArray) -> Self:
+        """Return the reference with its unknowns changed by `step`."""
+        return replace(self, values=self.values + step)
+
+    def angles_rad(self, time_s: FloatArray) -> FloatArray:
+        """Return pan and tilt at times, shape (2, n)."""
+        angle = np.empty((2, time_s.size))
+        for axis in (0, 1):
+            level = self.standing[axis][0] + self.values[self._rest(axis, 0)]
+            angle[axis] = level
+            for k, stretch, full in self._splines(axis):
+                first, last = np.searchsorted(time_s, [stretch.begin_s, stretch.end_s])
+                inside = time_s[first:last]
+                angle[axis, first:last] = stretch.position_steps(inside, full)
+                angle[axis, first:last] += self.values[-1] * _direction(stretch, full, inside)
+                level = self.standing[axis][k + 1] + self.values[self._rest(axis, k + 1)]
+                angle[axis, last:] = level
+        return np.asarray(angle * np.array(self.rad_per_step)[:, None], dtype=np.float64)
+
+    def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
+        """Return mean stage rates between `edges_s` and, if asked, their derivatives."""
+        angle = self.angles_rad(edges_s)
+        width = np.diff(edges_s)
+        axis_rate = np.diff(angle, axis=1) / width
+        tilt = (angle[1, :-1] + angle[1, 1:]) / 2.0
+        rate = stage_rate(tilt, axis_rate[0], axis_rate[1])
+        rate[~self._known(edges_s)] = np.nan
+        if not derivatives:
+            return Evaluated(rate, (), np.zeros((0, width.size, 3)))
+        turn = AxisTurn(self.rad_per_step, tilt, axis_rate[0], width)
+        local = [*self._rest_columns(edges_s, turn), *self._inner_columns(edges_s, turn)]
+        lag = np.zeros((1, width.size, 3))
+        for axis in (0, 1):
+            change = np.zeros(edges_s.size)
+            for _, stretch, full in self._splines(axis):
+                first, last = np.searchsorted(edges_s, [stretch.begin_s, stretch.end_s])
+                change[first:last] = _direction(stretch, full, edges_s[first:last])
+            lag[0] += turn.rate(axis, change, slice(0, width.size))
+        return Evaluated(rate, tuple(local), lag)
+
+    def _rest(self, axis: int, k: int) -> int:
+        return k + (len(self.standing[0]) if axis else 0)
+
+    def _own(self, axis: int) -> list[Stretch]:
+        return [stretch for stretch in self.stretches if stretch.axis == axis]
+
+    def _splines(self, axis: int) -> list[tuple[int, Stretch, FloatArray]]:
+        """Return an axis' stretches, numbered, each with all of its coefficients."""
+        found = []
+        at = len(self.standing[0]) + len(self.standing[1])
+        at += sum(stretch.inner for stretch in self._own(0)) if axis else 0
+        for k, stretch in enumerate(self._own(axis)):
+            inner = self.values[at : at + stretch.inner]
+            at += stretch.inner
+            ends = (self.values[self._rest(axis, k)], self.values[self._rest(axis, k + 1)])
+            found.append((k, stretch, stretch.full((float(ends[0]), float(ends[1])), inner)))
+        return found
+
+    def _rest_columns(self, edges_s: FloatArray, turn: AxisTurn) -> list[LocalColumn]:
+        columns = []
+        for axis in (0, 1):
+            own = self._own(axis)
+            for k in range(len(self.standing[axis])):
+                arrival, departure = own[k - 1] if k else None, own[k] if k < len(own) else None
+                begin_s = arrival.begin_s if arrival else -np.inf
+                end_s = departure.end_s if departure else np.inf
+                first, last = np.searchsorted(edges_s, [begin_s, end_s])
+                first, last = max(0, int(first) - 1), min(edges_s.size, int(last) + 1)
+                inside = edges_s[first:last]
+                share = np.ones(inside.size)
+                if arrival:
+                    share -= 1.0 - _held(arrival, inside, arrival.intervals)
+                if departure:
+                    share -= 1.0 - _held(departure, inside, 0)
+                at = slice(first, max(first, last - 1))
+                columns.append(LocalColumn(first, turn.rate(axis, share, at)))
+        return columns
+
+    def _inner_columns(self, edges_s: FloatArray, turn: AxisTurn) -> list[LocalColumn]:
+        columns = []
+        for stretch in self.stretches:
+            knots_s = stretch.begin_s + stretch.knot_s * np.arange(-3, stretch.intervals + 5)
+            at_knot = np.searchsorted(edges_s, knots_s)
+            for k in range(PINNED, PINNED + stretch.inner):
+                # The k-th function lives on four intervals, from the (k - 3)-th knot on.
+                first = max(0, int(at_knot[k]) - 1)
+                last = min(edges_s.size, int(at_knot[k + 4]) + 1)
+                inside = edges_s[first:last]
+                value = _one(stretch, inside, k)
+                at = slice(first, max(first, last - 1))
+                columns.append(LocalColumn(first, turn.rate(stretch.axis, value, at)))
+        return columns
+
+    def _known(self, edges_s: FloatArray) -> BoolArray:
+        begin, end = edges_s[:-1], edges_s[1:]
+        known = (begin >= self.span_s[0]) & (end <= self.span_s[1])
+        for lost_begin, lost_end, _ in self.unknown:
+            known &= (end < lost_begin) | (begin > lost_end)
+        return np.asarray(known, dtype=np.bool_)
+
+
+def counted_reference(
+    polls: Polls, rad_per_step: tuple[float, float], why: str
+) -> CountedReference:
+    """Return the motion that the counts alone tell of.
+
+    Args:
+        polls: of one recording, in the order of time.
+        rad_per_step: pan and tilt, with the sign of the unit.
+        why: what is wrong with the commands, in words.
+    """
+    width = polls.hi_s - polls.lo_s
+    least = float(np.percentile(width, 1.0))
+    extra = np.clip(width - least, 0.0, None)
+    at_s, spread_s = polls.lo_s + (least + extra) / 2.0, extra / np.sqrt(12.0)
+    limit = (float(polls.lo_s[0]), float(polls.hi_s[-1]))
+    stretches: list[Stretch] = []
+    standing: list[tuple[int, ...]] = []
+    unknown: list[tuple[float, float, str]] = []
+    room = MOST_COEFFICIENTS
+    for axis in (0, 1):
+        use = polls.valid[:, axis]
+        time_s, steps, spread = at_s[use], polls.steps[use, axis], spread_s[use]
+        spans = find_spans(time_s, steps)
+        counts = [round(float(steps[0]))]
+        for begin_s, end_s in spans:
+            inside = (time_s >= begin_s) & (time_s <= end_s)
+            after = round(float(steps[np.searchsorted(time_s, end_s, side="right") - 1]))
+            if begin_s < limit[0] or end_s > limit[1]:
+                unknown.append((begin_s, end_s, "the recording begins or ends on the way"))
+            longest_s = float(np.max(np.diff(time_s[inside]), initial=0.0))
+            if longest_s > LONGEST_SILENCE_S:
+                unknown.append((begin_s, end_s, "the unit did not answer on its way"))
+            stretch = fit_stretch(
+                axis,
+                (begin_s, end_s),
+                (counts[-1], after),
+                time_s[inside],
+                steps[inside],
+                spread[inside],
+            )
+            if stretch.inner > room:
+                words = "the counted motion is longer than can be fitted without commands"
+                unknown.append((begin_s, np.inf, words))
+                break
+            room -= stretch.inner
+            stretches.append(stretch)
+            counts.append(after)
+        standing.append(tuple(counts))
+    centre, information = _joined(stretches, standing)
+    constant_s = least + polls.constant_width_s + float(np.median(extra))
+    return CountedReference(
+        stretches=tuple(stretches),
+        standing=(standing[0], standing[1]),
+        unknown=tuple(unknown),
+        rad_per_step=rad_per_step,
+        values=centre.copy(),
+        centre=centre,
+        information=information,
+        common_std_s=constant_s / float(np.sqrt(12.0)),
+        span_s=limit,
+        why=why,
+    )
+
+
+def _joined(
+    stretches: list[Stretch], standing: list[tuple[int, ...]]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the likeliest unknowns and their information, all stretches together."""
+    rests = len(standing[0]) + len(standing[1])
+    size = rests + sum(stretch.inner for stretch in stretches) + 1
+    information, pull = np.zeros((size, size)), np.zeros(size)
+    at = np.arange(rests)
+    information[at, at] = 1.0 / STEP_VARIANCE
+    information[-1, -1] = LAG_STD_STEPS**-2.0
+    inner, rest = rests, {0: 0, 1: len(standing[0])}
+    for stretch in stretches:
+        before = rest[stretch.axis]
+        index = np.concatenate([[before], inner + np.arange(stretch.inner), [before + 1]])
+        information[np.ix_(index, index)] += stretch.information
+        pull[index] += stretch.pull
+        inner += stretch.inner
+        rest[stretch.axis] += 1
+    return np.asarray(np.linalg.solve(information, pull), dtype=np.float64), information
+
+
+def _one(stretch: Stretch, time_s: FloatArray, k: int) -> FloatArray:
+    """Return the k-th basis function at times, zero outside its stretch."""
+    values, first = stretch.basis(time_s)
+    column = k - first
+    inside = (column >= 0) & (column < 4)
+    inside &= (time_s >= stretch.begin_s) & (time_s <= stretch.end_s)
+    return np.where(inside, values[np.arange(time_s.size), np.clip(column, 0, 3)], 0.0)
+
+
+def _held(stretch: Stretch, time_s: FloatArray, first: int) -> FloatArray:
+    """Return the sum of the three functions of the rest at one end, 1 beyond that end."""
+    clipped = np.clip(time_s, stretch.begin_s, stretch.end_s)
+    total = np.zeros(time_s.size)
+    for k in range(first, first + PINNED):
+        total += _one(stretch, clipped, k)
+    return total
+
+
+def _direction(stretch: Stretch, full: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Return the sign of the speed, smoothed where it is slow."""
+    step_s = 1e-3
+    later = stretch.position_steps(time_s + step_s, full)
+    speed = (later - stretch.position_steps(time_s - step_s, full)) / (2.0 * step_s)
+    return np.asarray(speed / np.hypot(speed, SLOW_STEPS_S), dtype=np.float64)

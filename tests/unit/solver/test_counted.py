@@ -1,0 +1,178 @@
+"""Motion from counts alone: the spline's own claim, its derivatives, and what is chosen when."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from gyrorig_solver.clocks import map_clock
+from gyrorig_solver.estimate.motion import fit_motion
+from gyrorig_solver.model.gain import factorise
+from gyrorig_solver.reference.counted import CountedReference, counted_reference
+from gyrorig_solver.reference.course import Instruction, Limits, lay
+from gyrorig_solver.reference.kinematics import stage_rate
+from gyrorig_solver.reference.moves import Exchange, MotionReader
+from gyrorig_solver.reference.polls import Polls
+from gyrorig_solver.reference.ptu import PtuReference
+from gyrorig_solver.reference.ptu_recording import explained_reference
+from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.solve import PTU_WORDS
+
+STEP_RAD = float(np.radians(185.142857 / 3600.0))
+LAW = Limits(1200.0, 4000.0, 60.0)
+# Seconds, axis, target: pan at three tilts.
+MOVES = [(2.0, 1, -500), (4.5, 0, 1500), (8.0, 0, -1000), (12.0, 1, 300), (14.0, 0, 1500),
+         (18.0, 0, -1200), (22.0, 1, 0), (24.0, 0, 0)]  # fmt: skip
+LENGTH_S, FINE_HZ = 30.0, 2000.0
+SETTINGS = {
+    f"{axis}_{kind}": value
+    for axis in ("pan", "tilt")
+    for kind, value in (("base_speed", 60.0), ("acceleration", 4000.0), ("speed", 1200.0))
+}
+
+
+@dataclass(frozen=True)
+class Made:
+    """One run in plain arrays; the unit counts the steps that it has made."""
+
+    time_s: np.ndarray
+    steps: np.ndarray  # (2, n), true
+    polls: Polls
+
+
+def make(seed: int) -> Made:
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(0.0, LENGTH_S, 1.0 / FINE_HZ)
+    steps = np.zeros((2, time_s.size))
+    stood = [0.0, 0.0]
+    for told_s, axis, target in MOVES:
+        start_s = told_s + float(rng.uniform(0.0, 0.01))
+        course = lay(stood[axis], [Instruction(start_s, "to", float(target), LAW)])
+        after = time_s >= start_s
+        steps[axis, after] = course.position_steps(time_s[after])
+        stood[axis] = float(target)
+    request_s = np.arange(0.1, LENGTH_S - 0.1, 0.012)
+    at_s = request_s + 0.0025 + rng.exponential(2e-4, request_s.size)
+    hi_s = at_s + 0.0025 + rng.exponential(2e-4, request_s.size)
+    true = np.stack([np.interp(at_s, time_s, s) for s in steps])
+    rising = np.stack([np.interp(at_s + 1e-3, time_s, s) for s in steps]) >= true
+    counted = np.where(rising, np.floor(true + 1e-6), np.ceil(true - 1e-6)).T
+    polls = Polls(request_s, hi_s, counted, np.ones(counted.shape, dtype=np.bool_))
+    return Made(time_s, steps, polls)
+
+
+def reference_of(made: Made) -> CountedReference:
+    return counted_reference(made.polls, (STEP_RAD, STEP_RAD), "no move was told")
+
+
+def test_counts_alone_follow_the_motion() -> None:
+    made = make(1)
+    reference = reference_of(made)
+    assert reference.unknown == ()
+    found = reference.angles_rad(made.time_s) / STEP_RAD
+    # The count lags by up to a step, which is the lag's own parameter.
+    assert np.sqrt(np.mean((found - made.steps) ** 2)) < 0.6
+    assert np.abs(found - made.steps).max() < 2.5
+
+
+def test_derivatives_are_the_differences() -> None:
+    made = make(2)
+    reference = reference_of(made)
+    edges = np.linspace(0.5, 29.5, 2901)
+    here = reference.evaluate(edges)
+    size = reference.values.size
+    assert len(here.local) + here.shared.shape[0] == size == reference.information.shape[0]
+    for k in [0, 3, 5, 7, 40, size // 2, size - 30, size - 1]:
+        step = np.zeros(size)
+        step[k] = 1e-3
+        change = reference.moved(step).evaluate(edges, derivatives=False).rate_rad_s
+        column = np.zeros_like(change)
+        if k < len(here.local):
+            local = here.local[k]
+            column[local.first : local.first + local.values.shape[0]] = local.values
+        else:
+            column = here.shared[k - len(here.local)]
+        assert (change - here.rate_rad_s) / 1e-3 == pytest.approx(column, abs=2e-6)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_board_is_calibrated_by_counts_alone(seed: int) -> None:
+    made = make(seed)
+    rng = np.random.default_rng(seed)
+    rate = np.gradient(made.steps * STEP_RAD, 1.0 / FINE_HZ, axis=1)
+    omega = stage_rate(made.steps[1] * STEP_RAD, rate[0], rate[1])
+    seen = signal.lfilter(*signal.butter(2, 25.0, fs=FINE_HZ), omega, axis=0)
+    gain = np.eye(3) + rng.normal(scale=0.02, size=(3, 3))
+    bias = rng.normal(scale=0.02, size=3)
+    every = round(FINE_HZ / 100.0)
+    y = (seen @ gain.T + bias)[::every]
+    y = y + rng.normal(scale=3e-3, size=y.shape)
+    found = fit_motion(samples_of(made.time_s[::every], y), reference_of(made), PTU_WORDS)
+    assert found.identified
+    factors = factorise(gain)
+    true = [*bias, *factors.scale, *factors.nonorthogonality, *factors.misalignment_rad]
+    error = np.array([found.value(name) for name in found.order[:12]]) - true
+    covariance = found.covariance[:12, :12]
+    assert np.abs(error / np.sqrt(np.diag(covariance))).max() < 4.0
+    # scipy.stats.chi2.ppf(0.999, 12) = 32.9
+    assert error @ np.linalg.solve(covariance, error) < 32.9
+    assert max(found.std[name] for name in found.order[3:12]) < 2e-3
+
+
+def test_commands_are_used_where_they_explain_the_counts() -> None:
+    made = make(5)
+    told = [Exchange(at, at + 0.005, True, f"{'PT'[axis]}P{to}") for at, axis, to in MOVES]
+
+    def chosen(exchanges: list[Exchange]) -> PtuReference | CountedReference:
+        motion = MotionReader(SETTINGS, (0, 0), made.polls.resting).read(exchanges)
+        return explained_reference(motion, made.polls, (STEP_RAD, STEP_RAD))
+
+    whole = chosen(told)
+    assert isinstance(whole, PtuReference)
+    assert whole.warnings == ()
+    without = chosen([*told[:2], *told[3:]])
+    assert isinstance(without, PtuReference)
+    assert any("do not follow" in words for words in without.warnings)
+    rate = without.evaluate(np.array([9.0, 9.01, 15.0, 15.01])).rate_rad_s
+    assert np.isnan(rate[0]).all()
+    assert np.isfinite(rate[2]).all()
+    none = chosen([])
+    assert isinstance(none, CountedReference)
+    assert any("no move was told" in words for words in none.warnings)
+
+
+def test_a_recording_that_ends_on_the_way_says_so() -> None:
+    made = make(6)
+    early = made.polls.lo_s < 15.0
+    polls = made.polls
+    cut = Polls(polls.lo_s[early], polls.hi_s[early], polls.steps[early], polls.valid[early])
+    reference = counted_reference(cut, (STEP_RAD, STEP_RAD), "no move was told")
+    assert any("ends on the way" in words for words in reference.warnings)
+    rate = reference.evaluate(np.array([5.0, 5.01, 14.5, 14.51])).rate_rad_s
+    assert np.isfinite(rate[0]).all()
+    assert np.isnan(rate[2]).all()
+
+
+def samples_of(time_s: np.ndarray, rate_rad_s: np.ndarray) -> GyroSamples:
+    n = time_s.size
+    clock = map_clock(np.rint(time_s * 1e6).astype(np.int64), time_s, 1e6, 64)
+    return GyroSamples(
+        board="B",
+        metadata={"bandwidth_hz": "25"},
+        origin_ns=0,
+        time_s=time_s,
+        host_s=time_s,
+        number=np.arange(n),
+        segment=np.zeros(n, dtype=np.int64),
+        rate_rad_s=rate_rad_s,
+        good=np.ones(n, dtype=np.bool_),
+        accel_m_s2=None,
+        temperature_degc=None,
+        quantum_rad_s=1e-6,
+        clock=clock,
+        floor=None,
+        lost=0,
+        repeated=0,
+        late=0,
+    )
