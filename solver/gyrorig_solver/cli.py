@@ -78,7 +78,8 @@ def run(arguments: Sequence[str]) -> int:
         returned = cli.main(
             args=list(arguments), prog_name="gyrorig", standalone_mode=False, obj=terminal
         )
-        sys.stdout.flush()
+        if sys.stdout is not None:  # closed by whoever started us
+            sys.stdout.flush()
     except BrokenPipeError:
         # Whoever read our words went away; what is left of them goes nowhere, silently.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -7,6 +7,7 @@ estimator's own, so the two cannot disagree about what it means to be observable
 
 import numpy as np
 
+from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.information import NAMES, white_information
 from gyrorig_solver.estimate.observability import conclude, decide
@@ -16,6 +17,7 @@ from gyrorig_solver.samples import GyroSamples
 
 _GRID_HZ = 50.0  # motions of a unit change within tenths of a second
 _MAX_POINTS = 200_000
+_FEWEST_POINTS = 16
 
 
 def capability(
@@ -27,6 +29,9 @@ def capability(
         samples: of one board.
         reference: the stage's motion, on the samples' time axis.
         words: for each gain column, `bias` and `time_offset`, why it may be hidden.
+
+    Raises:
+        InputError: the motion is known nowhere in the recording.
     """
     rate, step_s = _stage_rate(samples, reference)
     density = np.array([_noise_density(samples, axis) for axis in range(3)])
@@ -42,6 +47,11 @@ def _stage_rate(samples: GyroSamples, reference: ReferenceMotion) -> tuple[Float
     edges = np.linspace(start, end, count + 1)
     rate = reference.evaluate(edges).rate_rad_s
     known = np.isfinite(rate).all(axis=1)
+    if known.sum() < _FEWEST_POINTS:
+        raise InputError(
+            f"the unit's motion is not known while board {samples.board} sampled",
+            "look at the faults noted in the recording, and record again",
+        )
     return rate[known], float(edges[1] - edges[0])
 
 

@@ -107,7 +107,7 @@ def tiles(data: ReportData) -> list[Tile]:
     second = calibration.quality.rest_to_rest
     if second is not None:
         words = f"largest difference to the turns from rest to rest ({second.moves} moves)"
-        out.append(Tile("second opinion", "", f"{second.largest_sigma:.1f} σ", words))
+        out.append(Tile("second opinion", "", f"{second.largest_sigma:.1f} sd", words))
     return out
 
 

@@ -10,6 +10,8 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.check.capability import capability
+from gyrorig_solver.reference.rest import RestReference
 from gyrorig_solver.samples import GyroSamples, load_samples
 
 START_NS = 1_790_000_000_000_000_000
@@ -147,3 +149,8 @@ def test_only_samples_with_a_temperature_have_one(written: Write) -> None:
     assert samples.temperature_degc is not None
     assert np.nanmax(samples.temperature_degc) == np.nanmin(samples.temperature_degc) == 25.0
     assert np.isnan(samples.temperature_degc).sum() == N - N // 10
+
+
+def test_a_motion_that_is_nowhere_known_shows_nothing(written: Write) -> None:
+    with pytest.raises(InputError, match="motion is not known while board B sampled"):
+        capability(written(), RestReference(()), {})
