@@ -39,7 +39,9 @@ STEP_VARIANCE = 1.0 / 12.0
 SEEN_START_STD_S = 1.0  # of a start that counts show: no more than a brace
 UNSEEN_START_STD_S = 0.02  # of one that they may not show, about the delay of the others
 EDGE_STEPS = 1.5  # counts this near to a rest are rounded one way and say little
-ROUNDS = 7
+ROUNDS = 8
+JUDGING_ROUNDS = (3, 4)  # the starts are near enough by then to judge the rests by
+SETTLED_S = 5e-6  # a start that moves by less, a tenth of what is known of it, is in place
 _SEARCH_S = np.arange(0.0, 0.3, 0.005)  # how late orders may be
 
 
@@ -55,8 +57,10 @@ class Polls:
 
     def resting(self, axis: int, after_s: float, before_s: float) -> int | None:
         """Return the count that an axis showed between two times, None where none was polled."""
-        inside = (self.lo_s > after_s) & (self.hi_s < before_s) & self.valid[:, axis]
-        counts = self.steps[inside, axis]
+        first, last = np.searchsorted(self.lo_s, [after_s, before_s], side="right")
+        near = slice(int(first), int(last))
+        inside = (self.hi_s[near] < before_s) & self.valid[near, axis]
+        counts = self.steps[near, axis][inside]
         if counts.size < 2:
             return None
         return round(float(np.median(counts)))
@@ -136,18 +140,22 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
     scatter_s = max(least / np.sqrt(12.0), 1e-6)
     rest_variance = STEP_VARIANCE
     standing = slice(layout.rest, layout.speed)
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         system = _System(motion, layout, polls, base_s, extra, parameters)
         scatter_s = system.scatter_s(scatter_s)
         information, score = system.normal(scatter_s)
         information[np.arange(layout.size), np.arange(layout.size)] += weight
         centre[: layout.starts] = delays.expected_s(parameters[: layout.starts])
         score += weight * (centre - parameters)
-        rest_variance = likeliest_variance(information, score, standing, parameters[standing])
+        if turn in JUDGING_ROUNDS:
+            rest_variance = likeliest_variance(information, score, standing, parameters[standing])
         at = np.arange(layout.rest, layout.speed)
         information[at, at] += 1.0 / rest_variance
         score[at] -= parameters[at] / rest_variance
-        parameters = parameters + np.linalg.solve(information, score)
+        step = np.linalg.solve(information, score)
+        parameters = parameters + step
+        if turn > JUDGING_ROUNDS[-1] and np.abs(step[: layout.starts]).max(initial=0.0) < SETTLED_S:
+            break
     keep, drop = slice(0, layout.kept), slice(layout.kept, None)
     marginal = information[keep, keep] - information[keep, drop] @ np.linalg.solve(
         information[drop, drop], information[drop, keep]
@@ -248,11 +256,12 @@ class _System:
         self._rows: list[_Rows] = []
         self._layout, self._parameters = layout, parameters
         at_s = base_s + parameters[-1] * extra_s
-        arrivals = {rest.arrival: k for k, rest in enumerate(motion.rests)}
-        departures = {rest.departure: k for k, rest in enumerate(motion.rests)}
+        rests = motion.rests
+        arrivals = {rest.arrival: k for k, rest in enumerate(rests)}
+        departures = {rest.departure: k for k, rest in enumerate(rests)}
         for k, move in enumerate(motion.moves):
-            rests = (departures[k], arrivals[k])
-            rows = self._move(k, move, rests, polls, at_s, extra_s)
+            ends = (departures[k], arrivals[k])
+            rows = self._move(k, move, ends, polls, at_s, extra_s)
             if rows is not None:
                 self._rows.append(rows)
 

@@ -90,9 +90,10 @@ class PtuReference:
             first, last = np.searchsorted(time_s, [course.start_s[0], course.end_s])
             angle[move.axis, first:last] = course.position_steps(time_s[first:last])
             # Until the next move of this axis writes over it.
-            angle[move.axis, last : self._until(move.axis, course.end_s, time_s)] = course.steps[-1]
+            until = np.searchsorted(time_s, self._left_s[k])
+            angle[move.axis, last:until] = course.steps[-1]
         standing = self.starts.rest_steps + self.shift[self._rest : self._speed]
-        for rest, off in zip(self.motion.rests, standing, strict=True):
+        for rest, off in zip(self._rests, standing, strict=True):
             at, share = self._standing(rest, time_s)
             angle[rest.axis, at] += off * share
         return np.asarray(angle * np.array(self.rad_per_step)[:, None], dtype=np.float64)
@@ -124,19 +125,23 @@ class PtuReference:
             for row, slope in zip(move.classes, found.speeds, strict=True):
                 shared[row, at] += turn.rate(move.axis, slope, at)
             shared[classes + move.axis, at] += turn.rate(move.axis, found.acceleration, at)
-        for rest in self.motion.rests:
+        for rest in self._rests:
             spot, share = self._standing(rest, edges_s)
             at = slice(spot.start, max(spot.start, spot.stop - 1))
             local.append(LocalColumn(at.start, turn.rate(rest.axis, share, at)))
         return tuple(local), shared
 
-    @property
+    @cached_property
+    def _rests(self) -> tuple[Rest, ...]:
+        return self.motion.rests
+
+    @cached_property
     def _rest(self) -> int:
         return sum(len(move.orders) for move in self.starts.moves)
 
-    @property
+    @cached_property
     def _speed(self) -> int:
-        return self._rest + len(self.motion.rests)
+        return self._rest + len(self._rests)
 
     @cached_property
     def _courses(self) -> tuple[Course, ...]:
@@ -159,15 +164,20 @@ class PtuReference:
         log_ramp = self.starts.log_acceleration[move.axis] + self.shift[ramp + move.axis]
         return move.starts_s + self.shift[own], log_speed, float(log_ramp)
 
-    def _until(self, axis: int, after_s: float, time_s: FloatArray) -> int:
-        """Return the index at which an axis sets off or is counted anew, or the end."""
-        later = [
-            float(course.start_s[0])
-            for move, course in zip(self.starts.moves, self._courses, strict=True)
-            if move.axis == axis and course.start_s[0] > after_s
-        ]
-        later += [at for at, own, _ in self.motion.recounts if own == axis and at > after_s]
-        return int(np.searchsorted(time_s, min(later))) if later else int(time_s.size)
+    @cached_property
+    def _left_s(self) -> tuple[float, ...]:
+        """When each move's axis sets off again after it, or is counted anew."""
+        left = [np.inf, np.inf]
+        found = []
+        for move, course in zip(self.starts.moves[::-1], self._courses[::-1], strict=True):
+            counted = [
+                at
+                for at, axis, _ in self.motion.recounts
+                if axis == move.axis and at > course.end_s
+            ]
+            found.append(min([left[move.axis], *counted]))
+            left[move.axis] = float(course.start_s[0])
+        return tuple(found[::-1])
 
     def _span(self, course: Course, edges_s: FloatArray) -> slice:
         """Return the intervals that touch a course."""
