@@ -197,6 +197,8 @@ def _temperature(raw: IntArray, status: IntArray, metadata: Mapping[str, str]) -
         offset = float(metadata["temperature_offset_c"])
     except (KeyError, ValueError):
         return None
+    if not (np.isfinite(scale) and np.isfinite(offset)):
+        return None
     valid = status & ImuStatus.TEMPERATURE_VALID != 0
     if not valid.any():
         return None

@@ -15,6 +15,7 @@ from gyrorig_solver.reference.polls import Polls, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
 
 PAN_VALID, TILT_VALID, SYNCHRONY_LOST, HOMING = 1 << 0, 1 << 1, 1 << 2, 1 << 3
+FACTORY_BAUD = 9600.0
 BITS_PER_BYTE = 10  # 8N1
 QUERY_BYTES = 3  # `BT ` or `PP `
 OK = 0
@@ -141,22 +142,36 @@ def _polls(
     return polls, (at_rest[0], at_rest[1])
 
 
+def _number(metadata: Mapping[str, str], key: str) -> float | None:
+    """Return an entry as a finite number, None where there is none.
+
+    Raises:
+        InputError: the entry is there and is no such number.
+    """
+    text = metadata.get(key, "")
+    if not text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"metadata {key} is {text[:40]!r}", "it must be a finite number")
+    return value
+
+
 def _byte_s(metadata: Mapping[str, str]) -> float:
     """Return how long a byte takes on the unit's line."""
-    try:
-        return BITS_PER_BYTE / float(metadata.get("baud", "9600"))
-    except (ValueError, ZeroDivisionError) as fault:
-        raise InputError("metadata baud is no number", "the recording is damaged") from fault
+    baud = _number(metadata, "baud") or FACTORY_BAUD
+    if baud < 0.0:
+        raise InputError(f"metadata baud is {baud}", "it must be positive")
+    return BITS_PER_BYTE / baud
 
 
 def _by_counter(polls: Polls, ticks: IntArray, metadata: Mapping[str, str]) -> Polls:
     """Return the polls with their instants from the controller's counter, where it has one."""
-    text = metadata.get("counter_hz", "")
-    try:
-        counter_hz = float(text or 0.0)
-    except ValueError as fault:
-        raise InputError(f"metadata counter_hz is {text[:40]!r}", "it must be a number") from fault
-    if not (np.isfinite(counter_hz) and counter_hz > 0.0 and np.all(ticks >= 0)):
+    counter_hz = _number(metadata, "counter_hz") or 0.0
+    if not (counter_hz > 0.0 and np.all(ticks >= 0)):
         return polls
     found = counter_instants(ticks, polls.lo_s, polls.hi_s, counter_hz)
     if found is None:
@@ -168,12 +183,13 @@ def _resolution(recording: Recording, metadata: Mapping[str, str], axis: str) ->
     """Return rad per step with the unit's sign, as the recording's own angles have it."""
     raw = recording.ptu_positions()
     far = int(np.argmax(np.abs(raw[f"{axis}_steps"].astype(np.int64))))
-    if raw[f"{axis}_steps"][far] != 0:
-        return float(raw[axis][far] / raw[f"{axis}_steps"][far])
-    try:
-        return float(np.radians(float(metadata[f"{axis}_resolution_arcsec"]) / 3600.0))
-    except (KeyError, ValueError) as fault:
-        raise InputError(f"metadata lack {axis}_resolution_arcsec", "record again") from fault
+    steps, angle = int(raw[f"{axis}_steps"][far]), float(raw[axis][far])
+    if steps != 0 and np.isfinite(angle) and angle != 0.0:
+        return angle / steps
+    arcsec = _number(metadata, f"{axis}_resolution_arcsec")
+    if not arcsec:
+        raise InputError(f"metadata lack {axis}_resolution_arcsec", "record again")
+    return float(np.radians(arcsec / 3600.0))
 
 
 def _settings(metadata: Mapping[str, str]) -> dict[str, float]:
@@ -181,15 +197,9 @@ def _settings(metadata: Mapping[str, str]) -> dict[str, float]:
     settings = {}
     for axis in AXES:
         for kind in ("base_speed", "acceleration", "speed", "min_steps", "max_steps"):
-            text = metadata.get(f"{axis}_{kind}")
-            if text is None:
-                continue
-            try:
-                settings[f"{axis}_{kind}"] = float(text)
-            except ValueError as fault:
-                raise InputError(
-                    f"metadata {axis}_{kind} is {text[:40]!r}", "it must be a number"
-                ) from fault
+            value = _number(metadata, f"{axis}_{kind}")
+            if value is not None:
+                settings[f"{axis}_{kind}"] = value
     return settings
 
 
