@@ -6,10 +6,11 @@ import numpy as np
 
 from gyrorig_solver.estimate.observability import Decision
 from gyrorig_solver.model.gain import factor_jacobian, factorise
+from gyrorig_solver.plan.sensor import MOUNT
 
 Criterion = Literal["worst", "mean", "worst-factor", "mean-factor"]
 CRITERIA: tuple[str, ...] = get_args(Criterion)
-_FACTORS = factor_jacobian(factorise(np.eye(3)))
+_FACTORS = factor_jacobian(factorise(MOUNT))
 
 
 def cost(decision: Decision, criterion: Criterion) -> float:

@@ -12,6 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import MotionProgram, Move, Repeat, Rest, Step, UnitSettings
 from gyrorig_solver.plan.timeline import lay_out
@@ -21,6 +23,22 @@ from gyrorig_solver.plan.unit import UnitModel
 BASE_SPEED_DEG_S = 3.0
 STATIC_S = 2.0  # at least, at each end: for the noise at rest, and for the first polls
 MARGIN_DEG = 1.0  # from the unit's limits, which homing moves by a step or so
+
+# What each number of a design may be. Accelerations up to what the shipped programs use; a
+# dwell of 0.3 s lets the mechanics ring down (unit's notes, section 7: 10 to 60 Hz, Q 5 to 20).
+CHOICES: dict[str, tuple[float, ...]] = {
+    "poses": (2, 3, 4, 5),
+    "passes": (0, 1, 2, 3, 4),
+    "swings": (0, 1, 2, 3, 4),
+    "along": (False, True),
+    "weave": (0, 2, 4, 6),
+    "pan_span": (0.25, 0.4, 0.55, 0.7, 0.85, 1.0),
+    "tilt_span": (0.4, 0.6, 0.8, 1.0),
+    "pan_speed": (0.4, 0.6, 0.8, 1.0),
+    "tilt_speed": (0.4, 0.6, 0.8, 1.0),
+    "acceleration_deg_s2": (100.0, 150.0, 200.0),
+    "dwell_s": (0.3, 0.5, 0.8),
+}
 
 Place = tuple[float, float]  # pan and tilt, deg
 
@@ -146,6 +164,12 @@ class Design:
             for k in parts:
                 at = pan * turn * (1.0 - 2.0 * k / self.weave)
                 yield at, (1.0 if k % 2 else -1.0)
+
+
+def drawn(rng: np.random.Generator) -> Design:
+    """Return a design whose every number is one of its choices, drawn evenly."""
+    picked = {name: choices[int(rng.integers(len(choices)))] for name, choices in CHOICES.items()}
+    return Design(**picked)  # type: ignore[arg-type] # the table holds each field's own kind
 
 
 def program_of(design: Design, space: Space, unit: UnitModel, seconds: float) -> MotionProgram:

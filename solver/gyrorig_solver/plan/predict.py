@@ -13,10 +13,10 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import MotionProgram
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.information import NAMES, loosened, motion_information
-from gyrorig_solver.estimate.observability import Concluded, Decision, conclude, decide
+from gyrorig_solver.estimate.observability import Concluded, Decision, conclude, decide, prior_std
 from gyrorig_solver.estimate.result import Observability
 from gyrorig_solver.estimate.series import SHORTEST_SERIES, Series, grids
-from gyrorig_solver.plan.sensor import SensorModel
+from gyrorig_solver.plan.sensor import MOUNT, SensorModel
 from gyrorig_solver.plan.timeline import Timeline, lay_out
 from gyrorig_solver.plan.unit import ARCSEC_PER_DEG, UnitModel
 from gyrorig_solver.reference.moves import MotionReader
@@ -24,6 +24,7 @@ from gyrorig_solver.reference.polls import fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.solve import PTU_WORDS
 
+ORDINARY = np.concatenate([MOUNT.ravel(), np.zeros(4)])
 NOMINAL = np.concatenate([np.eye(3).ravel(), np.zeros(4)])
 
 
@@ -35,7 +36,7 @@ class Prediction:
     duration_s: float
     moves: int
     decision: Decision  # what is seen of gain, bias and time offset
-    concluded: Concluded  # values are nominal; standard deviations are what is predicted
+    concluded: Concluded  # standard deviations are predicted, values an ordinary board's
     motion_offset_std_s: float  # of the time offset, from the motion alone
 
     @property
@@ -63,7 +64,7 @@ def predict(program: MotionProgram, unit: UnitModel, sensor: SensorModel) -> Pre
     timeline = lay_out(program, unit)
     series = _series(timeline.duration_s, sensor, program.name)
     reference = reference_of(timeline, unit)
-    information = motion_information(series, reference, sensor.noise, np.eye(3))
+    information = motion_information(series, reference, sensor.noise, MOUNT)
     alone = decide(information, NAMES)
     common_s = float(np.hypot(reference.common_std_s, sensor.stamp_std_s))
     decision = decide(loosened(information, 12, common_s), NAMES)
@@ -72,7 +73,7 @@ def predict(program: MotionProgram, unit: UnitModel, sensor: SensorModel) -> Pre
         duration_s=timeline.duration_s,
         moves=len(reference.starts.moves),
         decision=decision,
-        concluded=conclude(NOMINAL, NAMES, decision, PTU_WORDS),
+        concluded=conclude(_found(decision), NAMES, decision, PTU_WORDS),
         motion_offset_std_s=float(np.sqrt(alone.covariance[12, 12])),
     )
 
@@ -84,6 +85,12 @@ def reference_of(timeline: Timeline, unit: UnitModel) -> PtuReference:
     pan, tilt = (np.radians(axis.resolution_arcsec / ARCSEC_PER_DEG) for axis in unit.axes)
     span_s = (0.0, timeline.duration_s)
     return PtuReference.of(motion, fit_starts(motion, polls), (float(pan), float(tilt)), span_s)
+
+
+def _found(decision: Decision) -> FloatArray:
+    """Return what a fit of an ordinary board finds: what it cannot see stays nominal."""
+    unseen = decision.hidden @ ((ORDINARY - NOMINAL) / prior_std(NAMES) ** 2)
+    return np.asarray(ORDINARY - unseen, dtype=np.float64)
 
 
 def _series(duration_s: float, sensor: SensorModel, name: str) -> Series:

@@ -1,8 +1,8 @@
 """Looking for the program that tells most in a given time.
 
 Many designs are drawn and judged quickly: the noise taken as white, the motion as known but
-for the rests, a cycle standing for the whole. The best are walked downhill, one number at a time.
-The best of a few kinds, and then those near the best of all, are judged by the full
+for the rests, a cycle standing for the whole. The best are walked downhill, one number
+at a time. The best of a few kinds, and then those near the best of all, are judged by the full
 prediction, which decides. The same seed gives the same program.
 """
 
@@ -17,7 +17,7 @@ from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.information import NAMES, white_information
 from gyrorig_solver.estimate.observability import decide
 from gyrorig_solver.plan.criterion import Criterion, cost
-from gyrorig_solver.plan.family import STATIC_S, Design, Space, program_of
+from gyrorig_solver.plan.family import CHOICES, STATIC_S, Design, Space, drawn, program_of
 from gyrorig_solver.plan.predict import Prediction, predict
 from gyrorig_solver.plan.sensor import SensorModel
 from gyrorig_solver.plan.timeline import HALT_S, Timeline, lay_out
@@ -33,22 +33,6 @@ MIRRORED = np.array([1.0, -1.0, -1.0])  # of the stage rate, when pan turns the 
 LONGEST_WAY = 40  # moves; a longer one is no cycle any more
 # Zero rate and scale of a part of its family leave so much of the range for the motion.
 USABLE_RANGE = 0.75
-
-# What each number of a design may be. Accelerations up to what the shipped programs use; a
-# dwell of 0.3 s lets the mechanics ring down (unit's notes, section 7: 10 to 60 Hz, Q 5 to 20).
-CHOICES: dict[str, tuple[float, ...]] = {
-    "poses": (2, 3, 4, 5),
-    "passes": (0, 1, 2, 3, 4),
-    "swings": (0, 1, 2, 3, 4),
-    "along": (False, True),
-    "weave": (0, 2, 4, 6),
-    "pan_span": (0.25, 0.4, 0.55, 0.7, 0.85, 1.0),
-    "tilt_span": (0.4, 0.6, 0.8, 1.0),
-    "pan_speed": (0.4, 0.6, 0.8, 1.0),
-    "tilt_speed": (0.4, 0.6, 0.8, 1.0),
-    "acceleration_deg_s2": (100.0, 150.0, 200.0),
-    "dwell_s": (0.3, 0.5, 0.8),
-}
 
 Progress = Callable[[str], None]
 
@@ -92,13 +76,13 @@ def find_program(
     space = Space.of(unit, float(np.degrees(sensor.full_scale_rad_s)) * USABLE_RANGE)
     quick = _Quick(unit, sensor, space, seconds, criterion)
     rng = np.random.default_rng(seed)
-    drawn = sorted({_draw(rng) for _ in range(DRAWN)}, key=repr)
-    progress(f"judging {len(drawn)} programs quickly")
-    ranked = sorted(drawn, key=quick.cost)
+    designs = sorted({drawn(rng) for _ in range(DRAWN)}, key=repr)
+    progress(f"judging {len(designs)} programs quickly")
+    ranked = sorted(designs, key=quick.cost)
     if not np.isfinite(quick.cost(ranked[0])):
         raise UsageError(
             f"{seconds:g} s is too short for a program that shows all parameters",
-            f"give --seconds {_least_s(quick, drawn):.0f} or more",
+            f"give --seconds {_least_s(quick, designs):.0f} or more",
         )
     for number, design in enumerate(ranked[:WALKED], start=1):
         progress(f"improving program {number} of {WALKED}")
@@ -173,8 +157,9 @@ class _Quick:
         timeline = lay_out(lasting((*lead, *design.steps(way, space))), self._unit)
         way_s = timeline.program_s - begin_s
         fixed_s = lay_out(lasting((rest, *lead, *back[:1], rest)), self._unit).duration_s
-        self.least_s[design] = fixed_s + 2.0 * way_s
-        if self._seconds < fixed_s + 2.0 * way_s:
+        # The two halves of a cycle may differ by a question for the position or two.
+        self.least_s[design] = fixed_s + 2.0 * way_s + 4.0 * self._unit.poll_interval_s
+        if self._seconds < self.least_s[design]:
             return float("inf")
         count = max(16, round(way_s * GRID_HZ))
         edges_s = begin_s + np.linspace(0.0, way_s, count + 1)
@@ -207,11 +192,6 @@ def _rests(timeline: Timeline, edges_s: FloatArray, turn: AxisTurn) -> FloatArra
     return np.stack(found) if found else np.zeros((0, edges_s.size - 1, 3))
 
 
-def _draw(rng: np.random.Generator) -> Design:
-    picked = {name: choices[int(rng.integers(len(choices)))] for name, choices in CHOICES.items()}
-    return Design(**picked)  # type: ignore[arg-type] # the table holds each field's own kind
-
-
 def _downhill(design: Design, quick: _Quick) -> None:
     """Change one number at a time, to any of its choices, as long as that helps."""
     here, value = design, quick.cost(design)
@@ -226,7 +206,7 @@ def _neighbours(design: Design) -> Iterator[Design]:
     for name, choices in CHOICES.items():
         for choice in choices:
             if choice != getattr(design, name):
-                yield replace(design, **{name: choice})  # type: ignore[arg-type] # as in _draw
+                yield replace(design, **{name: choice})  # type: ignore[arg-type] # as in drawn
 
 
 def _differs_in(design: Design, other: Design, names: tuple[str, ...]) -> bool:

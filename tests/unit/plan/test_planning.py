@@ -1,0 +1,170 @@
+"""The planned program against the paper's, predicted and recorded; and the command."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrorig_protocol.program import MotionProgram, parse_program, unrolled
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver import cli
+from gyrorig_solver.model.gain import FACTOR_NAMES
+from gyrorig_solver.plan.criterion import cost
+from gyrorig_solver.plan.document import program_text
+from gyrorig_solver.plan.family import Space, drawn, program_of
+from gyrorig_solver.plan.predict import predict
+from gyrorig_solver.plan.rig import Rig
+from gyrorig_solver.plan.search import find_program
+from gyrorig_solver.plan.sensor import SensorModel
+from gyrorig_solver.plan.timeline import lay_out
+from gyrorig_solver.solve import solve_recording
+
+ROOT = Path(__file__).parents[3]
+RIG = str(ROOT / "config" / "rig.yaml")
+PAPER = str(ROOT / "config" / "programs" / "paper.yaml")
+Captured = pytest.CaptureFixture[str]
+Record = Callable[[Path, int], tuple[Path, dict[str, Any]]]
+
+
+@pytest.fixture(scope="module")
+def planned(
+    rig: Rig,
+    sensor: SensorModel,
+    shipped: Callable[[str], MotionProgram],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
+    """A program made by the command, no longer than the paper's."""
+    paper = predict(shipped("paper"), rig.unit, sensor)
+    out = tmp_path_factory.mktemp("planned") / "planned.yaml"
+    seconds = f"{paper.duration_s + 0.02:.2f}"
+    assert cli.run(["plan", "--rig", RIG, "--seconds", seconds, "--out", str(out), "--json"]) == 0
+    return out
+
+
+def test_beats_the_paper_at_equal_duration(
+    planned: Path, rig: Rig, sensor: SensorModel, shipped: Callable[[str], MotionProgram]
+) -> None:
+    ours = predict(parse_program(planned.read_bytes(), "planned"), rig.unit, sensor)
+    paper = predict(shipped("paper"), rig.unit, sensor)
+    assert ours.duration_s <= paper.duration_s + 0.02
+    assert (ours.observability.rank, paper.observability.rank) == (12, 9)
+    assert not ours.observability.unobservable
+    seen = [name for name, std in paper.std.items() if np.isfinite(std)]
+    for name in seen:
+        # The bias is as good as the sensor's drift lets any motion of that length make it.
+        least = 1.015 if name.startswith("bias") else 1.0
+        assert ours.std[name] < least * paper.std[name], name
+    visible = np.isfinite(paper.gain_std)
+    assert visible.sum() == 6
+    assert np.all(ours.gain_std[visible] < 0.5 * paper.gain_std[visible])
+    assert ours.motion_offset_std_s < 0.5 * paper.motion_offset_std_s
+
+
+def test_emulated_rig_confirms_it(
+    planned: Path, record: Record, rig: Rig, sensor: SensorModel
+) -> None:
+    path, truth = record(planned, 4)
+    recording = read_recording(path)
+    fit = solve_recording(recording, recording.board_ids[0])
+    assert fit.observability.rank == 12
+    assert not fit.distrust
+    assert fit.noise is not None
+    levels = [fit.noise.angle_random_walk, fit.noise.bias_instability, fit.noise.rate_random_walk]
+    noisy = replace(sensor, levels=np.column_stack([*levels, np.zeros(3)]) ** 2)
+    found = predict(parse_program(planned.read_bytes(), "planned"), rig.unit, noisy)
+    for name, std in fit.std.items():
+        assert found.std[name] == pytest.approx(std, rel=0.2), name
+    off = fit.gain - np.array(truth["boards"]["GY80-1"]["STM"])
+    assert np.abs(off / found.gain_std).max() < 4.0
+
+
+def test_same_seed_same_program_and_criteria_differ(rig: Rig, sensor: SensorModel) -> None:
+    one = find_program(rig.unit, sensor, 35.0, "mean", seed=3)
+    two = find_program(rig.unit, sensor, 35.0, "mean", seed=3)
+    assert one.program == two.program
+    assert one.prediction.duration_s <= 35.0
+    assert one.cost == cost(one.prediction.decision, "mean") == one.prediction.gain_std.mean()
+    assert cost(one.prediction.decision, "worst") == one.prediction.gain_std.max()
+    factors = [one.prediction.std[name] for name in FACTOR_NAMES]
+    assert cost(one.prediction.decision, "mean-factor") == pytest.approx(np.mean(factors))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_design_stays_inside_and_in_time(seed: int, rig: Rig) -> None:
+    rng = np.random.default_rng(seed)
+    design = drawn(rng)
+    space = Space.of(rig.unit, 187.5)
+    cycle = design.cycle(space)
+    assert cycle[0] == cycle[-1]
+    made = program_of(design, space, rig.unit, 600.0)
+    timeline = lay_out(made, rig.unit)  # raises where a limit is left
+    assert 599.0 < timeline.duration_s <= 600.0
+    assert timeline.end_steps == (0, 0)
+    assert parse_program(program_text(made), "made") == made
+    assert sum(1 for _ in unrolled(made.steps, "made")) > 4
+
+
+def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
+    assert cli.run(["plan", "--rig", RIG, "--program", PAPER]) == 4
+    said = capsys.readouterr().out
+    assert "9 of 12" in said
+    assert "paper cannot show column y of the gain" in said
+    assert cli.run(["plan", "--rig", RIG, "--program", PAPER, "--json"]) == 4
+    told = json.loads(capsys.readouterr().out)
+    assert told["exit_code"] == 4
+    assert told["given"]["observability"]["rank"] == 9
+    assert told["given"]["std"]["scale.y"] is None
+    assert told["planned"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--seconds", "1"], "out of reach"),
+        (["--seconds", "nan"], "out of reach"),
+        (["--seconds", "8"], "too short for a program that shows all parameters"),
+        (["--out", "x.yaml", "--program", PAPER], "give --seconds"),
+        (["--sensor", "../../etc"], "no profile of"),
+        (["--sensor", "missing.yaml"], "cannot be read"),
+        (["--program", "missing.yaml"], "cannot be read"),
+        (["--criterion", "best"], "criterion"),
+    ],
+)
+def test_wrong_usage_is_one_line(arguments: list[str], said: str, capsys: Captured) -> None:
+    assert cli.run(["plan", "--rig", RIG, *arguments]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "schema: gyrorig/rig/2\n",
+        "{schema: gyrorig/rig/1, rig: r, ptu: {port: p}, boards: []}",
+        "{schema: gyrorig/rig/1, rig: r, ptu: {port: p, baud: fast}, boards: [{id: b, port: q}]}",
+        "{schema: gyrorig/rig/1, rig: r, ptu: {port: p, limits: {tilt_min_deg: 40.0}}, "
+        "boards: [{id: b, port: q}]}",
+        "a: &x [1]\nb: *x\n",
+    ],
+)
+def test_bad_rigs_are_one_line(text: str, tmp_path: Path, capsys: Captured) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert cli.run(["plan", "--rig", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("gyrorig: ")
+    assert error.count("\n") == 1
+
+
+def test_never_overwrites(planned: Path, capsys: Captured) -> None:
+    before = planned.read_bytes()
+    assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--out", str(planned)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert planned.read_bytes() == before
+    assert [p.name for p in planned.parent.iterdir()] == ["planned.yaml"]

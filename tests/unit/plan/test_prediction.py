@@ -1,0 +1,112 @@
+"""What is predicted against what `solve` says of itself on recordings of the emulated rig."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.program import MotionProgram, parse_program
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.estimate.result import NoiseLevels
+from gyrorig_solver.plan.predict import predict
+from gyrorig_solver.plan.rig import Rig, load_rig
+from gyrorig_solver.plan.sensor import SensorModel
+from gyrorig_solver.plan.timeline import lay_out
+from gyrorig_solver.samples import load_samples
+from gyrorig_solver.solve import solve_recording
+
+PROGRAMS = Path(__file__).parents[3] / "config" / "programs"
+Record = Callable[[Path, int], tuple[Path, dict[str, Any]]]
+
+
+def with_noise(sensor: SensorModel, noise: NoiseLevels) -> SensorModel:
+    """Return a sensor with a board's own noise: parts differ by 25 % from their sheet."""
+    levels = [noise.angle_random_walk, noise.bias_instability, noise.rate_random_walk, np.zeros(3)]
+    return replace(sensor, levels=np.column_stack(levels) ** 2)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("quick", 1), ("full", 2), ("paper", 3)])
+def test_as_solve_says_of_itself(
+    name: str,
+    seed: int,
+    record: Record,
+    rig: Rig,
+    sensor: SensorModel,
+    shipped: Callable[[str], MotionProgram],
+) -> None:
+    path, _ = record(PROGRAMS / f"{name}.yaml", seed)
+    recording = read_recording(path)
+    board = recording.board_ids[0]
+    fit = solve_recording(recording, board)
+    assert fit.noise is not None
+    found = predict(shipped(name), rig.unit, with_noise(sensor, fit.noise))
+    assert found.observability.unobservable == fit.observability.unobservable
+    assert found.observability.rank == fit.observability.rank
+    for parameter, std in fit.std.items():
+        assert found.std[parameter] == pytest.approx(std, rel=0.2, nan_ok=True), parameter
+    assert found.gain_std == pytest.approx(fit.gain_std, rel=0.2, nan_ok=True)
+    samples = load_samples(recording, board)
+    assert found.duration_s == pytest.approx(np.ptp(samples.time_s), abs=0.4)
+
+
+def test_paper_program_cannot_show_the_roll_column(
+    rig: Rig, sensor: SensorModel, shipped: Callable[[str], MotionProgram]
+) -> None:
+    found = predict(shipped("paper"), rig.unit, sensor)
+    assert found.observability.rank == 9
+    assert np.isnan(found.gain_std[:, 1]).all()
+    assert "sweep it at +T and at -T" in found.observability.reasons[0]
+
+
+def program(text: str) -> MotionProgram:
+    return parse_program(f"{{schema: gyrorig/program/1, name: t, steps: [{text}]}}", "t")
+
+
+@pytest.mark.parametrize(
+    ("steps", "said"),
+    [
+        ("{move: {pan_deg: 170.0}}", "step 1 of t turns pan to 170 deg"),
+        ("{move: {tilt_deg: -50.0}}", "step 1 of t turns tilt to -50 deg"),
+        ("{rest: {seconds: 1.0}}, {move: {pan_deg: 9.0, speed_deg_s: 160.0}}", "at 160 deg/s"),
+        ("{move: {pan_deg: 9.0, speed_deg_s: 1.0}}", "pan at 1 deg/s"),
+        ("{rest: {seconds: 0.1}}", "needs longer"),
+    ],
+)
+def test_programs_that_cannot_be(rig: Rig, sensor: SensorModel, steps: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        predict(program(steps), rig.unit, sensor)
+
+
+def test_axes_that_start_together_move_together(rig: Rig) -> None:
+    timeline = lay_out(program("{move: {pan_deg: 90.0, tilt_deg: 20.0}}"), rig.unit)
+    pan, tilt = (courses[0] for courses in timeline.courses)
+    assert pan.start_s[0] == tilt.start_s[0]
+    assert [e.command for e in timeline.exchanges] == [
+        "PS583",
+        "TS583",
+        "S",
+        "PP1750",
+        "TP389",
+        "I",
+    ]
+    assert timeline.end_steps == (1750, 389)
+    assert pan.end_s < timeline.program_s < pan.end_s + 0.1
+
+
+def test_rigs_limits_bind(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(
+        "{schema: gyrorig/rig/1, rig: r, boards: [{id: b, port: /dev/b}], ptu: {port: /dev/p, "
+        "dialect: d46, limits: {pan_max_deg: 50.0, speed_deg_s: 40.0}}}",
+        encoding="utf-8",
+    )
+    unit = load_rig(path).unit
+    assert unit.pan.high_deg == 50.0
+    assert unit.pan.low_deg < -158.0
+    assert unit.tilt.fastest_deg_s == 40.0
+    assert not unit.both_at_once
+    assert unit.poll_interval_s >= 0.1
