@@ -15,8 +15,8 @@ from gyrorig_solver.estimate.rest_to_rest import CrossCheck, Path, cross_check
 from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit, NoiseLevels
 from gyrorig_solver.estimate.series import Series, build_series
 from gyrorig_solver.reference.motion import ReferenceMotion
-from gyrorig_solver.reference.polls import STEP_VARIANCE
 from gyrorig_solver.reference.ptu import PtuReference
+from gyrorig_solver.reference.rests import DETENT_VARIANCE
 from gyrorig_solver.samples import GyroSamples
 
 # Whitened variance while moving over that at rest: above this, motion is not explained.
@@ -147,7 +147,7 @@ def _second_opinion(solution: Solution, series: list[Series]) -> CrossCheck | No
         solution.bias_rad_s,
         solution.decision,
         density,
-        STEP_VARIANCE * step_rad**2,
+        (reference.starts.rest_variance + DETENT_VARIANCE) * step_rad**2,
     )
 
 
