@@ -140,7 +140,7 @@ class Judge:
     def _judge_lag(self, at: int, wraps: int, host_s: float, device_s: float) -> None:
         """Begin a segment if the floor after the step is not the floor before it."""
         s = self._stream
-        shift_s, scatter_s, seen_s = self._floors(at, wraps)
+        shift_s, scatter_s, known_s, seen_s = self._floors(at, wraps)
         limit_s = max(0.75 * s.jump_s, 5.0 * scatter_s) + SKEW_LIMIT * host_s
         jumped = (
             s.sequence is not None
@@ -152,13 +152,16 @@ class Judge:
             limit_s = max(limit_s, 0.1 + SKEW_LIMIT * host_s)
             if shift_s > 0.0 and seen_s < DRAIN_S + min(shift_s, BEFORE_S):
                 return
+            # What came first may have waited in a queue, and shown no floor yet.
+            if -BEFORE_S < shift_s < 0.0 and known_s < DRAIN_S:
+                return
         if abs(shift_s) <= limit_s:
             return
         anew = abs(shift_s) > 0.5 and self._young(at)
         self._new(FaultKind.RESTART if anew else FaultKind.STEP, at, shift_s)
 
-    def _floors(self, at: int, wraps: int) -> tuple[float, float, float]:
-        """Return the floor's shift over a step, its scatter before, and the time seen after."""
+    def _floors(self, at: int, wraps: int) -> tuple[float, float, float, float]:
+        """Return the floor's shift over a step, its scatter before, the times before and after."""
         s = self._stream
         begin = self.begins[-1] if self.begins else 0
         first = max(begin, int(np.searchsorted(s.host_s, s.host_s[at - 1] - BEFORE_S)))
@@ -172,7 +175,8 @@ class Judge:
         floor_s = float(floors.min())
         scatter_s = float(np.median(floors) - floor_s)
         seen_s = float(s.host_s[min(last, s.host_s.size) - 1] - s.host_s[at])
-        return float(after.min()) - floor_s, scatter_s, seen_s
+        known_s = float(s.host_s[at - 1] - s.host_s[first])
+        return float(after.min()) - floor_s, scatter_s, known_s, seen_s
 
     def _lag_s(self, rows: slice, origin: int, wraps: int) -> FloatArray:
         """Return arrival minus device time against a sample, whole wraps taken out."""

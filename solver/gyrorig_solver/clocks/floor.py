@@ -18,7 +18,12 @@ from gyrorig_solver.clocks.smoother import WINDOW_S, Smoothed, least_delays, mem
 LINE_UP_TO_S = 120.0
 # In proportion to the window that balances jitter and wander, from and to.
 KNOT_SPACING_S = (2.0, 30.0)
+# One slope change costs what the delays' likelihood pays for it, mu over the walk's deviation
+# across an interval, and somewhat less: too stiff errs by more than too soft (notes, section
+# 3.2). Of 0.3, 0.5, 0.7 and 1 this is the best in the grid of bench_clocks.py.
+SOFTNESS = 0.6
 STRUCTURED_SPACING_S = 60.0  # notes, section 3.3: beats of cascaded quantisers
+LONGEST_SPACING_S = 600.0  # beyond, a warming crystal bends away from a chord
 WAVE_SHARE = 0.2  # of the power: less is no beat
 # Frequency random walk of a crystal on a desk, per sqrt(s) (notes, section 2; an
 # assumption, replaced by the smoother's finding in long recordings).
@@ -89,7 +94,7 @@ def _short(x: FloatArray, y: FloatArray, line: Envelope, mean_s: float, period_s
     spread_s = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
     structured = ""
     if spread_s > limit_s and memory(rest) > MEMORY_LIMIT:
-        structured = f"the least delays of {WINDOW_S:g} s drift by {spread_s * 1e6:.0f} us"
+        structured = f"the least delays of {WINDOW_S:g} s drift by {_short_time(spread_s)}"
     # Notes, section 2: a line under n points, if many lie near the floor.
     sigma_s = max(2.45 * mean_s / x.size, 0.3 * windows.sigma_s)
     return Floor(
@@ -117,7 +122,7 @@ def _long(x: FloatArray, y: FloatArray, second: Smoothed, mean_s: float, period_
     structured = ""
     if apart_s > DISAGREEMENT_LIMIT * sigma_s + LEAST_STRUCTURE_S:
         structured = (
-            f"envelope and smoother differ by {apart_s * 1e6:.0f} us, "
+            f"envelope and smoother differ by {_short_time(apart_s)}, "
             f"{apart_s / sigma_s:.0f} times what they should"
         )
     elif second.memory > MEMORY_LIMIT and noise_s > LEAST_STRUCTURE_S:
@@ -142,9 +147,12 @@ def _long(x: FloatArray, y: FloatArray, second: Smoothed, mean_s: float, period_
 def _envelope(
     x: FloatArray, y: FloatArray, spacing_s: float, mean_s: float, walk: float
 ) -> Envelope:
-    # One slope change costs what the delays' likelihood pays for it: mu over the walk's
-    # deviation across an interval (notes, section 3.2: too weak is the safer side).
-    return piecewise_envelope(x, y, spacing_s, mean_s / (walk * np.sqrt(spacing_s)))
+    stiffness = SOFTNESS * mean_s / (walk * np.sqrt(spacing_s))
+    return piecewise_envelope(x, y, spacing_s, stiffness)
+
+
+def _short_time(value_s: float) -> str:
+    return f"{value_s * 1e3:.0f} ms" if value_s >= 2e-3 else f"{value_s * 1e6:.0f} us"
 
 
 def _rms_apart(first: Envelope, second: Smoothed) -> float:
@@ -155,11 +163,17 @@ def _rms_apart(first: Envelope, second: Smoothed) -> float:
 def _beyond_beat_s(second: Smoothed) -> float:
     """Return two periods of the strongest wave in the least delays, a minute where none is."""
     at_s, least_s = second.windows.at_s, second.windows.least_s
-    trend = np.polynomial.Polynomial.fit(at_s, least_s, 3)
-    rest = least_s - trend(at_s)
+    # The clock's own wander is slower than any beat worth waiting for.
+    around = round(LONGEST_SPACING_S / float(np.median(np.diff(at_s))))
+    if at_s.size > 2 * around:
+        mean = np.convolve(np.pad(least_s, around // 2, mode="edge"), np.ones(around) / around)
+        rest = (least_s - mean[around - 1 :][: at_s.size])[around // 2 : -around // 2]
+    else:
+        rest = least_s - np.polynomial.Polynomial.fit(at_s, least_s, 3)(at_s)
     limit = 6.0 * float(np.median(np.abs(rest)))
     power = np.abs(np.fft.rfft(np.clip(rest, -limit, limit))[1:]) ** 2
     at = int(np.argmax(power))
     if power[at] < WAVE_SHARE * power.sum():
         return STRUCTURED_SPACING_S
-    return max(STRUCTURED_SPACING_S, 2.0 * float(at_s[-1] - at_s[0]) / (at + 1))
+    beat_s = rest.size / (at + 1) * float(np.median(np.diff(at_s)))
+    return float(np.clip(2.0 * beat_s, STRUCTURED_SPACING_S, LONGEST_SPACING_S))

@@ -10,7 +10,7 @@ the hulls can err, the one-way mapping does (a stream that beats with USB frames
 times follow the midpoint.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -178,10 +178,16 @@ def _two_way(
         for k in range(PARTS)
     ]
     error_s = float(np.sqrt(np.mean([np.var(part) for part in apart])))
+    # Two sigmas of what the parts say, for delays that are rare near their floor.
+    wide = replace(
+        two_way,
+        low_error_s=two_way.low_error_s + 2.0 * error_s,
+        high_error_s=two_way.high_error_s + 2.0 * error_s,
+    )
     return LinkFloor(
         float(np.mean(low_at)),
         float(np.mean(high_at)),
-        two_way,
+        wide,
         drifts=float(np.std(middle)) > DRIFT_SIGMAS * error_s,
     )
 

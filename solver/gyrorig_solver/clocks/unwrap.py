@@ -154,9 +154,12 @@ def _falls(device_s: FloatArray, segment: IntArray, host_s: FloatArray) -> list[
                 for i, j in [(int(rows[k]), int(rows[k + 512]) if k + 512 < rows.size else b)]
             ]
         )
-        floor_s = np.lib.stride_tricks.sliding_window_view(lag_s, _FLOOR_WINDOWS).min(axis=1)[:-1]
+        past = np.lib.stride_tricks.sliding_window_view(lag_s, _FLOOR_WINDOWS)[:-1]
+        floor_s = past.min(axis=1)
+        scatter_s = np.median(past, axis=1) - floor_s
         apart_s = np.diff(host_s[rows])[_FLOOR_WINDOWS - 1 :]
-        fell = lag_s[_FLOOR_WINDOWS:] < floor_s - _FALL_S - 2e-3 * apart_s
+        limit_s = np.maximum(_FALL_S, 5.0 * scatter_s) + 2e-3 * apart_s
+        fell = lag_s[_FLOOR_WINDOWS:] < floor_s - limit_s
         last = -_FLOOR_WINDOWS
         for w in np.flatnonzero(fell).tolist():
             if w - last >= _FLOOR_WINDOWS:

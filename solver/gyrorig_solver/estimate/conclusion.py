@@ -114,7 +114,7 @@ def _clock(samples: GyroSamples, truth: str) -> Clock:
     )
 
 
-_STRUCTURED = "the link beats with the sample rate, let the daemon ping the board or record longer"
+_STRUCTURED = "sample times may err by as much; pings of the board would tell"
 
 
 def _sample_warnings(samples: Sequence[GyroSamples]) -> list[str]:

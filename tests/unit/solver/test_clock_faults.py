@@ -81,3 +81,12 @@ def test_every_segment_has_times_of_its_own() -> None:
     assert clock.restarts == 1
     assert clock.latency_s[0] < 1e-3
     assert np.all(np.abs(trial.host_s - clock.time_s) < 0.25)
+
+
+def test_a_queue_at_the_start_is_no_step() -> None:
+    """As a real serial log begins: a few old samples, a third of a second of none, then a burst."""
+    true_s = np.arange(3000) / 100.0
+    host_s = np.maximum(true_s + 1e-3, 0.55)
+    host_s[:12] = true_s[:12] + 0.131
+    clock = unwrap_ticks(raw_ticks(true_s), host_s, TICK_HZ, 32, np.arange(3000))
+    assert clock.faults == ()

@@ -1,0 +1,208 @@
+"""How well clocks are mapped offline, against clocks and links whose truth is known.
+
+Each line is one of the bars of the time synchronisation notes, section 10. "Wander" is
+the rms of (estimated minus true time) after its constant part, which no one-way stamp can
+show; e* = (mu/f)^0.6 q^0.4 is what an ideal envelope leaves. Everything is seeded and
+simulated; nothing here waits.
+
+Run: python tests/bench/bench_clocks.py [--quick]
+"""
+
+import argparse
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrorig_solver.clocks import map_clock, unwrap_ticks
+from gyrorig_solver.clocks import simulated as sim
+from gyrorig_solver.clocks.envelope import hull_line
+from gyrorig_solver.clocks.floor import bound_s, find_floor
+from gyrorig_solver.clocks.pings import Pings, link_floor
+from gyrorig_solver.clocks.smoother import smooth
+
+FloatArray = NDArray[np.float64]
+US = 1e6
+Row = tuple[str, str, str, bool]
+
+
+def wander(estimated_s: FloatArray, true_s: FloatArray) -> tuple[float, float]:
+    """Return rms and largest error after the constant part, us."""
+    error = (estimated_s - true_s) * US
+    error -= error.mean()
+    return float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
+
+
+def grid(quick: bool) -> Iterator[Row]:
+    """18 combinations of jitter, rate and wander over half an hour, in units of e*."""
+    envelopes, smoothers = [], []
+    seconds = 600.0 if quick else 1800.0
+    for mean_s in (1e-4, 3e-4, 1e-3):
+        for rate_hz in (100.0, 400.0):
+            for walk in (1e-9, 1e-8, 1e-7):
+                rng = np.random.default_rng([round(mean_s * US), int(rate_hz), round(walk * 1e9)])
+                true_s = np.arange(int(seconds * rate_hz)) / rate_hz
+                x = sim.device_clock(true_s, rng, 50e-6, walk)
+                y = sim.uart(true_s, rng, mean_s) - x
+                best_us = bound_s(mean_s, 1.0 / rate_hz, walk) * US
+                floor = find_floor(x, y)
+                if floor.method != "envelope" or floor.structured:
+                    raise SystemExit(f"{mean_s} {rate_hz} {walk}: {floor.method}")
+                second = smooth(x, y, hull_line(x, y), mean_s)
+                envelopes.append(wander(x + floor.envelope.at(x), true_s)[0] / best_us)
+                if second is not None:
+                    smoothers.append(wander(x + second.floor.at(x), true_s)[0] / best_us)
+    for name, ratios, goal in (("envelope", envelopes, 0.8), ("smoother", smoothers, 2.0)):
+        yield (
+            f"exp. jitter, wander, {seconds / 60:.0f} min, grid of 18: {name}",
+            f"<= {goal} e*",
+            f"{min(ratios):.2f} to {max(ratios):.2f} e*",
+            max(ratios) <= goal,
+        )
+
+
+def line(quick: bool) -> Iterator[Row]:
+    """A line under 30000 points."""
+    errors = []
+    for seed in range(20 if quick else 200):
+        rng = np.random.default_rng(seed)
+        x = np.arange(30_000) / 400.0
+        y = 20e-6 * x + rng.exponential(3e-4, x.size)
+        errors.append(wander(hull_line(x, y).at(x), 20e-6 * x)[0])
+    unit_us = 3e-4 / 30_000 * US
+    rms = float(np.sqrt(np.mean(np.square(errors)))) / unit_us
+    yield "75 s line, n = 30000", "<= 3 mu/n", f"{rms:.2f} mu/n rms of {len(errors)}", rms <= 3.0
+
+
+def usb_frames(quick: bool) -> Iterator[Row]:
+    """20 Hz clock frames at random phase against 1 ms USB frames."""
+    for seconds in (75.0, 600.0):
+        found = []
+        for skew in (0.5e-6, 5e-6, 50e-6):
+            for seed in range(3 if quick else 10):
+                rng = np.random.default_rng([seed, int(seconds), round(skew * 1e7)])
+                true_s = sim.random_instants(seconds, 20.0, rng)
+                ticks = sim.raw_ticks(sim.device_clock(true_s, rng, skew, 1e-8))
+                clock = map_clock(ticks, sim.usb(true_s, rng), sim.TICK_HZ, 32)
+                found.append(wander(clock.time_s, true_s)[0])
+        rms = float(np.sqrt(np.mean(np.square(found))))
+        yield (
+            f"USB 1 ms, random clock frames, 0.5 to 50 ppm, {seconds:.0f} s",
+            "<= 10 us",
+            f"{rms:.1f} us rms of {len(found)} runs, the worst {max(found):.1f}",
+            rms <= 10.0,
+        )
+
+
+def long_session(quick: bool) -> Iterator[Row]:
+    """Eight hours with 5 ppm of warming up."""
+    hours = 1.0 if quick else 8.0
+    for name, rate_hz, goal_us in (
+        ("UART 100 Hz", 100.0, 0.5), ("UART 800 Hz", 800.0, 0.5),
+        ("USB 100 Hz", 100.0, 10.0), ("USB clock frames", 20.0, 10.0),
+    ):  # fmt: skip
+        rng = np.random.default_rng(3)
+        n = int(hours * 3600.0 * rate_hz)
+        true_s = np.arange(n) / rate_hz
+        if name == "USB clock frames":
+            true_s = sim.random_instants(hours * 3600.0, rate_hz, rng)
+        elif name.startswith("USB"):
+            # The sensor's own oscillator times it, a few percent off and wandering.
+            walk = np.cumsum(rng.normal(size=n)) / np.sqrt(rate_hz)
+            true_s = np.cumsum(rng.uniform(0.97, 1.03) / rate_hz * (1.0 + 1e-6 * walk))
+        shown_s = sim.device_clock(true_s, rng, 50e-6, 1e-8, 5e-6)
+        ticks = sim.raw_ticks(shown_s, sim.WRAP - 10_000_000)
+        del shown_s
+        host_s = sim.uart(true_s, rng, 3e-4) if name.startswith("UART") else sim.usb(true_s, rng)
+        sequence = np.arange(n) % 65_536
+        held_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+        begun = time.process_time()
+        clock = map_clock(ticks, host_s, sim.TICK_HZ, 32, sequence)
+        took_s = time.process_time() - begun
+        more_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3 - held_mb
+        rms, largest = wander(clock.time_s, true_s)
+        yield (
+            f"{hours:.0f} h, warm-up 5 ppm, q 1e-8: {name}",
+            f"<= {goal_us} us, max <= 50",
+            f"{rms:.2f} us, max {largest:.0f} ({clock.method}, {took_s:.1f} s, {more_mb:+.0f} MB)",
+            rms <= goal_us and largest <= 50.0 and not clock.faults,
+        )
+
+
+def faults(quick: bool) -> Iterator[Row]:
+    """Each fault, and none, in streams of a minute."""
+    trials = 60 if quick else 300
+    wrong = false = 0
+    for fault in sim.FAULTS:
+        for seed in range(trials):
+            trial = sim.fault_trial(fault, seed)
+            clock = unwrap_ticks(trial.ticks, trial.host_s, sim.TICK_HZ, 32, trial.sequence)
+            begins = tuple(found.index for found in clock.faults)
+            bad = sim.judged_wrong(trial, begins, clock.steps, np.flatnonzero(clock.late))
+            bad |= clock.wraps != trial.wraps
+            wrong += bad and bool(trial.begins)
+            false += bad and not trial.begins
+    yield (
+        f"faults: {', '.join(sim.FAULTS[1:])}; {len(sim.FAULTS)} x {trials}",
+        "0 wrong, 0 false",
+        f"{wrong} wrong, {false} false",
+        wrong == false == 0,
+    )
+
+
+def two_way(quick: bool) -> Iterator[Row]:
+    """Whether the certified interval holds the truth at every sample."""
+    for link in ("uart", "usb", "ftdi"):
+        missed = samples = 0
+        widths, errors, wanders = [], [], []
+        for seconds in (75.0, 600.0):
+            for seed in range(5 if quick else 40):
+                trial = sim.ping_trial(link, seed, seconds)
+                clock = map_clock(trial.ticks, trial.host_s, sim.TICK_HZ, 32)
+                pings = Pings(
+                    trial.send_s, trial.receive_s, trial.device_receive, trial.device_send
+                )
+                floor = link_floor(pings, trial.ticks, trial.host_s, clock, sim.TICK_HZ, 32)
+                if floor is None:
+                    raise SystemExit(f"{link} {seconds} {seed}: no interval")
+                low, high = floor.bounds_at(clock.time_s)
+                latency = clock.time_s - trial.true_s
+                # Stamps are rounded down to a tick of 1 us, both the stream's and the ping's.
+                missed += int(np.sum((latency < low - 2e-6) | (latency > high + 2e-6)))
+                samples += latency.size
+                widths.append(float(np.mean(high - low)) * 1e3)
+                middle_s = clock.time_s - floor.middle_at(clock.time_s)
+                errors.append(float(np.mean(middle_s - trial.true_s)) * US)
+                wanders.append(wander(middle_s, trial.true_s)[0])
+        yield (
+            f"two-way interval, {link}, 375 pings and more",
+            "holds the truth",
+            f"{missed} of {samples} outside; {np.mean(widths):.2f} ms wide, midpoint "
+            f"{np.sqrt(np.mean(np.square(errors))):.1f} us off, wander {np.mean(wanders):.1f} us",
+            missed == 0,
+        )
+
+
+def main() -> int:
+    """Print the table; return 1 where a bar is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--quick", action="store_true", help="fewer seeds, shorter sessions")
+    quick = parser.parse_args().quick
+    parts: tuple[Callable[[bool], Iterator[Row]], ...] = (
+        grid, line, usb_frames, long_session, faults, two_way,
+    )  # fmt: skip
+    missed = 0
+    print("| item | goal | measured | |\n|---|---|---|---|")  # noqa: T201
+    for part in parts:
+        for item, goal, measured, reached in part(quick):
+            held = "yes" if reached else "NO"
+            print(f"| {item} | {goal} | {measured} | {held} |", flush=True)  # noqa: T201
+            missed += not reached
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
