@@ -40,6 +40,7 @@ class BoardHealth:
     observability: Observability | None  # None: it cannot be calibrated by this alone
     no_reference: str = ""  # why it cannot
     fault: str = ""  # why the board cannot be used at all
+    clock_steps: int = 0  # of its clock or the host's, while it ran on
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +184,7 @@ def _board(recording: Recording, board: BoardId) -> BoardHealth:
         clock_pings=int(recording.clock_pings(board).size),
         observability=seen,
         no_reference=no_reference,
+        clock_steps=clock.steps,
     )
 
 
@@ -217,6 +219,11 @@ def _board_problems(board: BoardHealth) -> list[str]:
         out.append(f"{name} repeats {board.repeated} samples: it is read faster than it measures")
     if board.restarts:
         out.append(f"{name} started anew {board.restarts} times: check its supply and its cable")
+    if board.clock_steps:
+        out.append(
+            f"{name}'s clock or the host's jumped {board.clock_steps} times: "
+            "do not suspend the host, check the board's firmware"
+        )
     if board.observability is None:
         out.append(f"{name} cannot be calibrated by this alone, {board.no_reference}")
     elif board.observability.unobservable:
