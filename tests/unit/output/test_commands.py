@@ -15,7 +15,7 @@ from gyrorig_solver.calibration.document import parse_calibration
 from gyrorig_solver.commands.terminal import finite, printable
 
 ROOT = Path(__file__).parents[3]
-COMMANDS = ["demo", "import", "check", "solve"]
+COMMANDS = ["demo", "import", "check", "solve", "plan"]
 Captured = pytest.CaptureFixture[str]
 
 
