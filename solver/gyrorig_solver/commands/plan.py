@@ -18,7 +18,7 @@ from gyrorig_solver.plan.rig import Rig, load_rig
 from gyrorig_solver.plan.search import Found, find_program
 from gyrorig_solver.plan.words import hidden, table
 
-SHORTEST_S, LONGEST_S = 5.0, 3600.0
+SHORTEST_S, LONGEST_S = 5.0, 900.0  # for more, carry a program out again
 
 
 @click.command("plan")

@@ -7,6 +7,7 @@ prediction, which decides. The same seed gives the same program.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,10 +81,7 @@ def find_program(
     progress(f"judging {len(designs)} programs quickly")
     ranked = sorted(designs, key=quick.cost)
     if not np.isfinite(quick.cost(ranked[0])):
-        raise UsageError(
-            f"{seconds:g} s is too short for a program that shows all parameters",
-            f"give --seconds {_least_s(quick, designs):.0f} or more",
-        )
+        raise _too_short(quick, seconds)
     for number, design in enumerate(ranked[:WALKED], start=1):
         progress(f"improving program {number} of {WALKED}")
         _downhill(design, quick)
@@ -93,14 +91,17 @@ def find_program(
         for number, design in enumerate(designs, start=1):
             progress(f"predicting {what} {number} of {len(designs)}")
             if design not in found and np.isfinite(quick.cost(design)):
-                prediction = predict(program_of(design, space, unit, seconds), unit, sensor)
-                value = cost(prediction.decision, criterion)
-                found[design] = Found(design, prediction, value, 0)
+                with suppress(UsageError):  # its cycle is a little longer than it seemed
+                    prediction = predict(program_of(design, space, unit, seconds), unit, sensor)
+                    value = cost(prediction.decision, criterion)
+                    found[design] = Found(design, prediction, value, quick.judged)
+        if not found:
+            raise _too_short(quick, seconds)
         return min(found, key=lambda d: found[d].cost)
 
     best = judge(quick.best_kinds(KINDS), "kind")
     best = judge([d for d in _neighbours(best) if _differs_in(d, best, NEAR)], "neighbour")
-    return replace(found[best], judged=quick.judged)
+    return found[best]
 
 
 class _Quick:
@@ -213,6 +214,9 @@ def _differs_in(design: Design, other: Design, names: tuple[str, ...]) -> bool:
     return any(getattr(design, name) != getattr(other, name) for name in names)
 
 
-def _least_s(quick: _Quick, designs: list[Design]) -> float:
-    """Return about how long the shortest of all drawn programs lasts."""
-    return float(np.ceil(min(quick.least_s[d] for d in designs if d in quick.least_s)))
+def _too_short(quick: _Quick, seconds: float) -> UsageError:
+    """Return what to say where nothing fits: the shortest of the programs drawn lasts longer."""
+    return UsageError(
+        f"{seconds:g} s is too short for a program that shows all parameters",
+        f"give --seconds {np.ceil(min(quick.least_s.values())):.0f} or more",
+    )

@@ -6,6 +6,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.profile import SensorProfile
+from gyrorig_protocol.profile.document import Range
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.noise import NoiseModel, Sampling, ordinary_levels
 from gyrorig_solver.estimate.series import grids
@@ -76,15 +77,7 @@ def sensor_model(
         fitting = [e.bandwidth_hz for e in profile.low_pass if e.odr_hz == odr_hz]
         bandwidth_hz = max(fitting[0]) if fitting and fitting[0] else None
     density = float(np.radians(profile.noise_density_dps_rthz))
-    wanted = full_scale_dps or min(
-        (r.full_scale_dps for r in profile.ranges if r.full_scale_dps >= 250.0), default=250.0
-    )
-    chosen = next((r for r in profile.ranges if r.full_scale_dps == wanted), None)
-    if chosen is None:
-        there = ", ".join(f"{r.full_scale_dps:g}" for r in profile.ranges)
-        raise UsageError(
-            f"the profile of {profile.sensor} has no range of {wanted:g} deg/s", f"it has {there}"
-        )
+    chosen = _range(profile, full_scale_dps)
     return SensorModel(
         name=profile.sensor,
         odr_hz=odr_hz,
@@ -94,3 +87,16 @@ def sensor_model(
         levels=np.tile(ordinary_levels(density**2), (3, 1)),
         stamp_std_s=stamp_std_s,
     )
+
+
+def _range(profile: SensorProfile, full_scale_dps: float | None) -> Range:
+    wanted = full_scale_dps or min(
+        (r.full_scale_dps for r in profile.ranges if r.full_scale_dps >= 250.0), default=250.0
+    )
+    chosen = next((r for r in profile.ranges if r.full_scale_dps == wanted), None)
+    if chosen is None:
+        there = ", ".join(f"{r.full_scale_dps:g}" for r in profile.ranges)
+        raise UsageError(
+            f"the profile of {profile.sensor} has no range of {wanted:g} deg/s", f"it has {there}"
+        )
+    return chosen

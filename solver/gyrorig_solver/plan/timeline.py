@@ -20,6 +20,7 @@ from gyrorig_solver.reference.moves import AXES, Exchange
 from gyrorig_solver.reference.polls import Polls
 
 HALT_S = 0.3  # after the program the daemon halts the unit and watches it stand
+LONGEST_S = 3600.0  # what a prediction needs grows with the cube of the moves
 ARRIVED = 2  # answers at the target
 JITTER_S = 2.5e-4  # of a serial line; without it polls and steps could beat
 GOLDEN = 0.6180339887498949
@@ -181,6 +182,10 @@ class _Run:
         return told_s
 
     def _poll(self, count: int) -> None:
+        if self.now_s + count * self.unit.poll_interval_s > LONGEST_S:
+            raise UsageError(
+                f"{self.program.name} lasts longer than {LONGEST_S:g} s", "predict a part of it"
+            )
         if count > 0:
             self.blocks.append((self.now_s, count))
             self.now_s += count * self.unit.poll_interval_s

@@ -126,6 +126,7 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
     [
         (["--seconds", "1"], "out of reach"),
         (["--seconds", "nan"], "out of reach"),
+        (["--seconds", "1e9"], "out of reach"),
         (["--seconds", "8"], "too short for a program that shows all parameters"),
         (["--out", "x.yaml", "--program", PAPER], "give --seconds"),
         (["--sensor", "../../etc"], "no profile of"),

@@ -74,6 +74,7 @@ def program(text: str) -> MotionProgram:
         ("{rest: {seconds: 1.0}}, {move: {pan_deg: 9.0, speed_deg_s: 160.0}}", "at 160 deg/s"),
         ("{move: {pan_deg: 9.0, speed_deg_s: 1.0}}", "pan at 1 deg/s"),
         ("{rest: {seconds: 0.1}}", "needs longer"),
+        ("{repeat: {times: 9999, steps: [{rest: {seconds: 80000.0}}]}}", "lasts longer than"),
     ],
 )
 def test_programs_that_cannot_be(rig: Rig, sensor: SensorModel, steps: str, said: str) -> None:
