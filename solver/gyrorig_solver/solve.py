@@ -5,6 +5,7 @@ What to use when: `solve_recordings` is the whole way for one board. The estimat
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -48,6 +49,12 @@ def solve_recordings(recordings: Sequence[Recording], board: str) -> GyroFit:
         InputError: the board is not there, or there is no reference of any kind.
         UsageError: several recordings of a unit's motion at once.
     """
+    fit = _by_best_reference(recordings, board)
+    missing = tuple(f"{r.path.name}: {loss.text}" for r in recordings for loss in r.losses)
+    return replace(fit, warnings=(*missing, *fit.warnings))
+
+
+def _by_best_reference(recordings: Sequence[Recording], board: str) -> GyroFit:
     loaded = [(recording, load_samples(recording, board)) for recording in recordings]
     if any("/ptu/position" in r.topics for r in recordings):
         if len(recordings) > 1:

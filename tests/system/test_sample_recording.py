@@ -47,6 +47,18 @@ def test_every_parameter_is_within_its_deviations(contracts: Path) -> None:
     assert error @ np.linalg.solve(fit.covariance, error) < 34.5
 
 
+def test_a_cut_recording_is_solved_and_says_what_is_lost(contracts: Path, tmp_path: Path) -> None:
+    whole = (contracts / "sample.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap.part"
+    cut.write_bytes(whole[: len(whole) * 9 // 10])
+    recording = read_recording(cut)
+    fit = solve_recording(recording, "GY80-P4242")
+    assert recording.losses
+    assert [w for w in fit.warnings if "cut.mcap.part: " in w] == [
+        f"cut.mcap.part: {loss.text}" for loss in recording.losses
+    ]
+
+
 def test_solving_again_changes_no_number(contracts: Path) -> None:
     first, second = (
         solve_recording(read_recording(contracts / "sample.mcap"), "GY80-P4242") for _ in range(2)
