@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.messages import EventKind
+from gyrorig_protocol.recording.messages import EventKind, PtuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.calibration.build import Provenance
@@ -29,9 +29,9 @@ from gyrorig_solver.calibration.document import (
 )
 from gyrorig_solver.estimate.paper import FAILURES, PaperResult, calibrate_as_printed
 from gyrorig_solver.model.gain import rotation_vector
+from gyrorig_solver.reference.ptu_recording import OUT_OF_STEP
 from gyrorig_solver.samples import GyroSamples
 
-PAN_VALID, TILT_VALID, LOST_OR_HOMING = 1 << 0, 1 << 1, 1 << 2 | 1 << 3
 _EXACT = 1e-9  # S T M and STM agree, and M is a rotation, to this: the contract's own bound
 
 
@@ -167,11 +167,11 @@ def _angles(
 ) -> tuple[FloatArray, FloatArray, FloatArray, tuple[float, float]]:
     """Return sample times, pan and tilt interpolated to them, and the span of the polls."""
     polls = recording.ptu_positions()
-    polls = polls[polls["status"] & LOST_OR_HOMING == 0]
+    polls = polls[polls["status"] & OUT_OF_STEP == 0]
     middle = (times_ns(polls["request_time"]) + times_ns(polls["reply_time"])) // 2
     middle_s = (middle - samples.origin_ns) * 1e-9
     out, low, high = [], -math.inf, math.inf
-    for axis, valid in (("pan", PAN_VALID), ("tilt", TILT_VALID)):
+    for axis, valid in (("pan", PtuStatus.PAN_ANSWERED), ("tilt", PtuStatus.TILT_ANSWERED)):
         has = polls["status"] & valid != 0
         if int(has.sum()) < 2:
             raise InputError(

@@ -7,16 +7,15 @@ import numpy as np
 
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.messages import EventKind
+from gyrorig_protocol.recording.messages import EventKind, PtuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.calibration.wording import collapsed
 from gyrorig_solver.check.capability import capability
 from gyrorig_solver.estimate.result import Observability
-from gyrorig_solver.reference.ptu_recording import ptu_reference
+from gyrorig_solver.reference.ptu_recording import OUT_OF_STEP, ptu_reference
 from gyrorig_solver.samples import GyroSamples, load_samples
 from gyrorig_solver.solve import PTU_WORDS, solve_recordings
 
-LOST_OR_HOMING = 1 << 2 | 1 << 3
 _LOST_SHARE = 0.02  # more than this and a calibration is limited
 
 
@@ -134,14 +133,14 @@ def _unit(recording: Recording) -> UnitHealth | None:
     polls = recording.ptu_positions()
     if not polls.size:
         return None
-    good = polls[polls["status"] & LOST_OR_HOMING == 0]
+    good = polls[polls["status"] & OUT_OF_STEP == 0]
     at = times_ns(polls["reply_time"])
     span_s = max(float(at[-1] - at[0]) * 1e-9, 1e-9)
     commands = recording.ptu_commands()
     return UnitHealth(
         polls=int(polls.size),
         poll_rate_hz=(polls.size - 1) / span_s,
-        unsynchronised=int(np.sum(polls["status"] & (1 << 2) != 0)),
+        unsynchronised=int(np.sum(polls["status"] & PtuStatus.SYNCHRONY_LOST != 0)),
         pan_deg=_range_deg(good["pan"]),
         tilt_deg=_range_deg(good["tilt"]),
         commands=len(commands),

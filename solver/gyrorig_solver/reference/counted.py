@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.reference.kinematics import AxisTurn, stage_rate
+from gyrorig_solver.reference.kinematics import AxisTurn
 from gyrorig_solver.reference.motion import Evaluated, LocalColumn
 from gyrorig_solver.reference.polls import STEP_VARIANCE, Polls
 from gyrorig_solver.reference.stretches import PINNED, Stretch, find_spans, fit_stretch
@@ -81,23 +81,18 @@ class CountedReference:
 
     def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
         """Return mean stage rates between `edges_s` and, if asked, their derivatives."""
-        angle = self.angles_rad(edges_s)
-        width = np.diff(edges_s)
-        axis_rate = np.diff(angle, axis=1) / width
-        tilt = (angle[1, :-1] + angle[1, 1:]) / 2.0
-        rate = stage_rate(tilt, axis_rate[0], axis_rate[1])
+        rate, turn = AxisTurn.along(self.angles_rad(edges_s), edges_s, self.rad_per_step)
         rate[~self._known(edges_s)] = np.nan
         if not derivatives:
-            return Evaluated(rate, (), np.zeros((0, width.size, 3)))
-        turn = AxisTurn(self.rad_per_step, tilt, axis_rate[0], width)
+            return Evaluated(rate, (), np.zeros((0, len(rate), 3)))
         local = [*self._rest_columns(edges_s, turn), *self._inner_columns(edges_s, turn)]
-        lag = np.zeros((1, width.size, 3))
+        lag = np.zeros((1, len(rate), 3))
         for axis in (0, 1):
             change = np.zeros(edges_s.size)
             for _, stretch, full in self._splines(axis):
                 first, last = np.searchsorted(edges_s, [stretch.begin_s, stretch.end_s])
                 change[first:last] = _direction(stretch, full, edges_s[first:last])
-            lag[0] += turn.rate(axis, change, slice(0, width.size))
+            lag[0] += turn.rate(axis, change, slice(0, len(rate)))
         return Evaluated(rate, tuple(local), lag)
 
     def _rest(self, axis: int, k: int) -> int:

@@ -5,6 +5,7 @@ omega = (tilt_rate, pan_rate sin(tilt), pan_rate cos(tilt)).
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -28,6 +29,22 @@ class AxisTurn:
     tilt_rad: FloatArray  # (n,), at the intervals' middles
     pan_rate_rad_s: FloatArray  # (n,)
     width_s: FloatArray  # (n,)
+
+    @classmethod
+    def along(
+        cls, angle_rad: FloatArray, edges_s: FloatArray, rad_per_step: tuple[float, float]
+    ) -> tuple[FloatArray, Self]:
+        """Return the mean stage rate between edges, (n, 3), and how axes change it there.
+
+        Args:
+            angle_rad: pan and tilt at the edges, shape (2, n + 1).
+            edges_s: shape (n + 1,).
+            rad_per_step: of pan and tilt.
+        """
+        width = np.diff(edges_s)
+        pan_rate, tilt_rate = np.diff(angle_rad, axis=1) / width
+        tilt = (angle_rad[1, :-1] + angle_rad[1, 1:]) / 2.0
+        return stage_rate(tilt, pan_rate, tilt_rate), cls(rad_per_step, tilt, pan_rate, width)
 
     def rate(self, axis: int, change_steps: FloatArray, at: slice) -> FloatArray:
         """Return d(stage rate) over the intervals `at`, from the change at their edges."""

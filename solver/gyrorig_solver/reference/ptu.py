@@ -16,7 +16,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.reference.course import Course
-from gyrorig_solver.reference.kinematics import AxisTurn, stage_rate
+from gyrorig_solver.reference.kinematics import AxisTurn
 from gyrorig_solver.reference.motion import Evaluated, LocalColumn
 from gyrorig_solver.reference.moves import Motion, Move, Rest
 from gyrorig_solver.reference.polls import StartTimes
@@ -100,15 +100,10 @@ class PtuReference:
 
     def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
         """Return mean stage rates between `edges_s` and, if asked, their derivatives."""
-        angle = self.angles_rad(edges_s)
-        width = np.diff(edges_s)
-        axis_rate = np.diff(angle, axis=1) / width
-        tilt = (angle[1, :-1] + angle[1, 1:]) / 2.0
-        rate = stage_rate(tilt, axis_rate[0], axis_rate[1])
+        rate, turn = AxisTurn.along(self.angles_rad(edges_s), edges_s, self.rad_per_step)
         rate[~self._known(edges_s)] = np.nan
         if not derivatives:
-            return Evaluated(rate, (), np.zeros((0, width.size, 3)))
-        turn = AxisTurn(self.rad_per_step, tilt, axis_rate[0], width)
+            return Evaluated(rate, (), np.zeros((0, len(rate), 3)))
         return Evaluated(rate, *self._columns(edges_s, turn))
 
     def _columns(

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.messages import PtuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.reference.counted import CountedReference, counted_reference
@@ -14,7 +15,7 @@ from gyrorig_solver.reference.moves import AXES, Exchange, Motion, MotionReader
 from gyrorig_solver.reference.polls import Polls, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
 
-PAN_VALID, TILT_VALID, SYNCHRONY_LOST, HOMING = 1 << 0, 1 << 1, 1 << 2, 1 << 3
+OUT_OF_STEP = PtuStatus.SYNCHRONY_LOST | PtuStatus.HOMING  # what such a poll says is no angle
 FACTORY_BAUD = 9600.0
 BITS_PER_BYTE = 10  # 8N1
 QUERY_BYTES = 3  # `BT ` or `PP `
@@ -118,7 +119,7 @@ def _polls(
 ) -> tuple[Polls, tuple[int, int]]:
     """Return the polls that may be used, and where both axes stood at the first."""
     raw = recording.ptu_positions()
-    raw = raw[raw["status"] & (HOMING | SYNCHRONY_LOST) == 0]
+    raw = raw[raw["status"] & OUT_OF_STEP == 0]
     if raw.size < 2:
         raise InputError(
             f"{recording.path.name} has {raw.size} positions of the unit", "record with polling on"
@@ -128,7 +129,9 @@ def _polls(
     # The unit cannot sample before it has the query, nor after its answer has begun.
     lo: FloatArray = np.asarray(request + QUERY_BYTES * byte_s, dtype=np.float64)
     hi: FloatArray = np.asarray(np.maximum(first - byte_s, lo), dtype=np.float64)
-    valid = np.column_stack([raw["status"] & PAN_VALID != 0, raw["status"] & TILT_VALID != 0])
+    valid = np.column_stack(
+        [raw["status"] & bit != 0 for bit in (PtuStatus.PAN_ANSWERED, PtuStatus.TILT_ANSWERED)]
+    )
     steps = np.column_stack([raw["pan_steps"], raw["tilt_steps"]]).astype(np.float64)
     order = np.argsort(lo, kind="stable")
     polls = Polls(lo[order], hi[order], steps[order], valid[order])
