@@ -1,0 +1,37 @@
+"""The arrow's algebra against dense linear algebra."""
+
+import numpy as np
+import pytest
+
+from gyrorig_solver.arrow import Arrow, eliminate, solve_arrow
+
+
+def _made(local: int, shared: int) -> tuple[np.ndarray, Arrow, np.ndarray]:
+    rng = np.random.default_rng(local)
+    size = local + shared
+    jacobian = np.zeros((6 * size, size))
+    for row in jacobian:
+        if local:
+            at = rng.integers(0, local)
+            row[at : min(local, at + 3)] = rng.normal(size=min(local, at + 3) - at)
+        row[local:] = rng.normal(size=shared)
+    dense = jacobian.T @ jacobian + 1e-6 * np.eye(size)
+    return dense, Arrow.from_dense(dense, shared), rng.normal(size=size)
+
+
+@pytest.mark.parametrize("local", [0, 1, 40])
+def test_solves_as_the_dense_system(local: int) -> None:
+    dense, arrow, score = _made(local, 5)
+    expected = np.linalg.solve(dense, score)
+    np.testing.assert_allclose(solve_arrow(arrow, score), expected, rtol=1e-6, atol=1e-9)
+    found = eliminate(arrow, score)
+    covariance = np.linalg.inv(dense)[local:, local:]
+    np.testing.assert_allclose(np.linalg.inv(found.information), covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(arrow.times(score), dense @ score, rtol=1e-9, atol=1e-9)
+
+
+def test_adds_and_gives_back_the_dense_matrix() -> None:
+    dense, arrow, _ = _made(20, 3)
+    np.testing.assert_allclose((arrow + arrow).to_dense(), 2.0 * dense)
+    assert Arrow.zero(4, 2).size == (4, 2)
+    assert not Arrow.zero(4, 2).to_dense().any()
