@@ -12,8 +12,9 @@ def _made(local: int, shared: int) -> tuple[np.ndarray, Arrow, np.ndarray]:
     jacobian = np.zeros((6 * size, size))
     for row in jacobian:
         if local:
-            at = rng.integers(0, local)
-            row[at : min(local, at + 3)] = rng.normal(size=min(local, at + 3) - at)
+            at = int(rng.integers(0, local))
+            end = min(local, at + 3)
+            row[at:end] = rng.normal(size=end - at)
         row[local:] = rng.normal(size=shared)
     dense = jacobian.T @ jacobian + 1e-6 * np.eye(size)
     return dense, Arrow.from_dense(dense, shared), rng.normal(size=size)
