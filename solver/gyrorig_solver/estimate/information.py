@@ -43,7 +43,7 @@ def marginalise(total: Normal, reference: ReferenceMotion, shared: int) -> Margi
         reference: holds the knowledge, local unknowns first.
         shared: how many of its unknowns act everywhere.
     """
-    known, pull = reference.information, reference.information @ reference.pull
+    known, pull = reference.information.to_dense(), reference.information.times(reference.pull)
     local = known.shape[0] - shared
     order = np.concatenate([local + np.arange(shared), np.arange(local)]).astype(np.int64)
     information, score = total.information.copy(), total.score.copy()

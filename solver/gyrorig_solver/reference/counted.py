@@ -13,6 +13,7 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.arrow import Arrow
 from gyrorig_solver.reference.kinematics import AxisTurn
 from gyrorig_solver.reference.motion import Evaluated, LocalColumn
 from gyrorig_solver.reference.polls import STEP_VARIANCE, Polls
@@ -34,7 +35,7 @@ class CountedReference:
     rad_per_step: tuple[float, float]
     values: FloatArray  # of the unknowns now, steps; rests counted from `standing`
     centre: FloatArray  # what the counts say of them
-    information: FloatArray  # and how well
+    information: Arrow  # and how well
     common_std_s: float
     span_s: tuple[float, float]
     why: str
@@ -130,11 +131,12 @@ class CountedReference:
                 if departure:
                     share -= 1.0 - _held(departure, inside, 0)
                 at = slice(first, max(first, last - 1))
-                columns.append(LocalColumn(first, turn.rate(axis, share, at)))
+                columns.append(LocalColumn(self._rest(axis, k), first, turn.rate(axis, share, at)))
         return columns
 
     def _inner_columns(self, edges_s: FloatArray, turn: AxisTurn) -> list[LocalColumn]:
         columns = []
+        unknown = len(self.standing[0]) + len(self.standing[1])
         for stretch in self.stretches:
             knots_s = stretch.begin_s + stretch.knot_s * np.arange(-3, stretch.intervals + 5)
             at_knot = np.searchsorted(edges_s, knots_s)
@@ -145,7 +147,8 @@ class CountedReference:
                 inside = edges_s[first:last]
                 value = _one(stretch, inside, k)
                 at = slice(first, max(first, last - 1))
-                columns.append(LocalColumn(first, turn.rate(stretch.axis, value, at)))
+                columns.append(LocalColumn(unknown, first, turn.rate(stretch.axis, value, at)))
+                unknown += 1
         return columns
 
     def _known(self, edges_s: FloatArray) -> BoolArray:
@@ -213,7 +216,7 @@ def counted_reference(
         rad_per_step=rad_per_step,
         values=centre.copy(),
         centre=centre,
-        information=information,
+        information=Arrow.from_dense(information, 1),
         common_std_s=constant_s / float(np.sqrt(12.0)),
         span_s=limit,
         why=why,

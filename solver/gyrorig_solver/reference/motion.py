@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from typing import Protocol, Self
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrow import Arrow
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalColumn:
     """A derivative of the stage rate that is zero outside one stretch."""
 
+    unknown: int  # which of the reference's unknowns, local ones first
     first: int  # index of its first interval
     values: FloatArray  # (m, 3), stage rate per unit of the unknown
 
@@ -24,8 +26,8 @@ class Evaluated:
     """A reference over consecutive intervals."""
 
     rate_rad_s: FloatArray  # (n, 3), mean stage rate; nan where it is not known
-    local: tuple[LocalColumn, ...]  # one for each local unknown
-    shared: FloatArray  # (g, n, 3), derivatives by the unknowns that act everywhere
+    local: tuple[LocalColumn, ...]  # of the local unknowns that act between these edges
+    shared: FloatArray  # (g, n, 3), by the shared unknowns that act on the rate
 
 
 class ReferenceMotion(Protocol):
@@ -37,8 +39,11 @@ class ReferenceMotion(Protocol):
         ...
 
     @property
-    def information(self) -> FloatArray:
-        """What is known of the unknowns, (k + g) squared: local ones, then shared ones."""
+    def information(self) -> Arrow:
+        """What is known of the unknowns: local ones, then shared ones.
+
+        Those that do not act on the rate come last among the local and the shared ones.
+        """
         ...
 
     @property

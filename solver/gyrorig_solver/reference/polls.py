@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.arrow import Arrow
 from gyrorig_solver.reference.moves import Motion, Move, started
 from gyrorig_solver.reference.rests import likeliest_variance, loosened_rests
 from gyrorig_solver.reference.slopes import slopes
@@ -74,7 +75,7 @@ class StartTimes:
     rest_steps: FloatArray  # (rests,), off the count
     log_speed: FloatArray  # (classes,), found relative to told
     log_acceleration: FloatArray  # (2,)
-    information: FloatArray  # starts, rests, log speeds, log accelerations, squared
+    information: Arrow  # starts, rests; shared: log speeds, log accelerations
     common_std_s: float  # one shift of all starts together that polls cannot show
     instant_std_s: float  # scatter of the sample instant inside its window
     late_share: float  # phi
@@ -165,7 +166,7 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
         rest_steps=parameters[standing],
         log_speed=parameters[layout.speed : layout.ramp],
         log_acceleration=parameters[layout.ramp : layout.kept],
-        information=loosened_rests(marginal, standing),
+        information=Arrow.from_dense(loosened_rests(marginal, standing), layout.classes + 2),
         common_std_s=(least + polls.constant_width_s) / float(np.sqrt(12.0)),
         instant_std_s=scatter_s,
         late_share=float(parameters[-1]),

@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.arrow import Arrow
 from gyrorig_solver.reference.course import Course
 from gyrorig_solver.reference.kinematics import AxisTurn
 from gyrorig_solver.reference.motion import Evaluated, LocalColumn
@@ -30,7 +31,7 @@ class PtuReference:
     motion: Motion
     starts: StartTimes
     rad_per_step: tuple[float, float]  # pan and tilt, with the sign of the unit
-    information: FloatArray  # of all unknowns, squared
+    information: Arrow  # of all unknowns
     shift: FloatArray  # unknowns minus what the polls say
     span_s: tuple[float, float]  # where the polls saw the unit
 
@@ -43,7 +44,7 @@ class PtuReference:
         span_s: tuple[float, float],
     ) -> Self:
         """Return the reference at what the polls say."""
-        shift = np.zeros(starts.information.shape[0])
+        shift = np.zeros(sum(starts.information.size))
         return cls(motion, starts, rad_per_step, starts.information, shift, span_s)
 
     @property
@@ -116,14 +117,17 @@ class PtuReference:
         for k, move in enumerate(self.starts.moves):
             at = self._span(self._courses[k], edges_s)
             found = slopes(move, *self._unknowns(k), edges_s[at.start : at.stop + 1])
-            local += [LocalColumn(at.start, turn.rate(move.axis, s, at)) for s in found.starts]
+            local += [
+                LocalColumn(self._first[k] + n, at.start, turn.rate(move.axis, slope, at))
+                for n, slope in enumerate(found.starts)
+            ]
             for row, slope in zip(move.classes, found.speeds, strict=True):
                 shared[row, at] += turn.rate(move.axis, slope, at)
             shared[classes + move.axis, at] += turn.rate(move.axis, found.acceleration, at)
-        for rest in self._rests:
+        for n, rest in enumerate(self._rests):
             spot, share = self._standing(rest, edges_s)
             at = slice(spot.start, max(spot.start, spot.stop - 1))
-            local.append(LocalColumn(at.start, turn.rate(rest.axis, share, at)))
+            local.append(LocalColumn(self._rest + n, at.start, turn.rate(rest.axis, share, at)))
         return tuple(local), shared
 
     @cached_property

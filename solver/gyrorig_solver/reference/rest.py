@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrow import Arrow
 from gyrorig_solver.reference.motion import Evaluated
 from gyrorig_solver.reference.turns import Interval
 
@@ -23,9 +24,9 @@ class RestReference:
         return f"{len(self.rests)} rests, in which nothing turned"
 
     @property
-    def information(self) -> FloatArray:
+    def information(self) -> Arrow:
         """There are no unknowns."""
-        return np.zeros((0, 0))
+        return Arrow.zero(0, 0)
 
     @property
     def pull(self) -> FloatArray:

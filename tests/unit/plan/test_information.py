@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 import pytest
 
+from gyrorig_solver.arrow import Arrow
 from gyrorig_solver.estimate.information import motion_information, white_information
 from gyrorig_solver.estimate.noise import NoiseModel, Sampling
 from gyrorig_solver.estimate.series import Series
@@ -29,8 +30,8 @@ class KnownMotion:
     differentiated: bool = False
 
     @property
-    def information(self) -> np.ndarray:
-        return np.zeros((0, 0))
+    def information(self) -> Arrow:
+        return Arrow.zero(0, 0)
 
     @property
     def pull(self) -> np.ndarray:
