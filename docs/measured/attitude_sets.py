@@ -1,6 +1,5 @@
 """`broad` and `car_imu_can`: gyros beside a reference attitude."""
 
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -10,9 +9,7 @@ from docs.measured.tables import MILLI, findings, reasons, refusals
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration.document import Calibration
-from gyrorig_solver.estimate.rotation import RotationError, window_rotation_error
 
-WINDOW_S = 1.0
 # trial: (board, version) as the page's commands make them
 VERSIONS = {
     "02": ("BROAD-1", 1),
@@ -20,9 +17,9 @@ VERSIONS = {
     "07": ("BROAD-1", 3),
     "24": ("BROAD-2", 1),
     "03": ("BROAD-2", 2),
+    "33": ("BROAD-3", 1),
 }
 SAME_UNIT = (("02", "05", "07"), ("24", "03"))
-HELD_OUT = (("02", "07"), ("02", "05"), ("24", "03"))  # fitted on, judged on
 
 
 def trial(measured: Measured, name: str) -> Calibration:
@@ -68,7 +65,7 @@ def broad_bias(measured: Measured) -> str:
     rows = []
     for name in VERSIONS:
         bias, std = value_and_std(trial(measured, name), "bias")
-        rest = _rest_bias(measured.load(name))
+        rest = rest_bias(measured.load(name))
         cells = [
             f"{number(np.degrees(float(b)), 3)} ± {number(np.degrees(float(s)), 3)}"
             f" / {number(np.degrees(float(r)), 3)}"
@@ -78,72 +75,18 @@ def broad_bias(measured: Measured) -> str:
     return table(["trial", *(f"{a}, fitted / at rest, °/s" for a in "xyz")], rows)
 
 
-def _rest_bias(loaded: Loaded) -> FloatArray:
+def rest_bias(loaded: Loaded) -> FloatArray:
+    """The mean rate of a trial's rests."""
     # The mean: these gyros count in steps of 0.061 deg/s, and a median is one of the steps.
     still = loaded.at_rest(loaded.samples.time_s)
     return np.asarray(loaded.samples.rate_rad_s[still].mean(axis=0), np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Way:
-    """One way of using a gyro: what is taken from the fit."""
-
-    words: str
-    offset_s: float
-    bias_rad_s: FloatArray
-    gain: FloatArray
-
-
-def broad_held_out(measured: Measured) -> str:
-    """Rotation error on trials that the fit has not seen."""
-    rows = []
-    for train, test in HELD_OUT:
-        loaded = measured.load(test)
-        errors = {way.words: _error(loaded, way) for way in _ways(measured, train, test, loaded)}
-        lagged = errors["time offset"].angle_rad
-        for words, error in errors.items():
-            low, high = np.degrees(error.interval_rad)
-            closer = 100.0 * float(np.mean(error.angle_rad < lagged))
-            rows.append(
-                [
-                    f"{train} → {test}",
-                    words,
-                    number(float(np.degrees(error.rms_rad)), 3),
-                    f"{number(low, 3)} to {number(high, 3)}",
-                    number(float(np.degrees(error.median_rad)), 3),
-                    "" if words == "time offset" else number(closer, 0),
-                    str(error.angle_rad.size),
-                ]
-            )
-    head = ["fitted → judged on", "used of the fit", "rms, °", "95 %, °", "median, °"]
-    return table([*head, "closer than with time offset only, %", "windows"], rows)
-
-
-def _ways(measured: Measured, train: str, test: str, loaded: Loaded) -> list[_Way]:
-    offset_s, bias, gain = _fit(trial(measured, train))
-    own_offset_s, own_bias, own_gain = _fit(trial(measured, test))
-    rest, nominal = _rest_bias(loaded), np.eye(3)
-    return [
-        _Way("nothing (raw)", 0.0, rest, nominal),
-        _Way("time offset", offset_s, rest, nominal),
-        _Way("time offset, gain", offset_s, rest, gain),
-        _Way("all: calibrated", offset_s, bias, gain),
-        _Way(f"(the fit of {test} itself)", own_offset_s, own_bias, own_gain),
-    ]
-
-
-def _fit(calibration: Calibration) -> tuple[float, FloatArray, FloatArray]:
+def fit_of(measured: Measured, name: str) -> tuple[float, FloatArray, FloatArray]:
+    """Time offset in s, bias and gain of one trial's fit."""
+    calibration = trial(measured, name)
     offset_s = float(value_and_std(calibration, "time_offset")[0][0])
     return offset_s, value_and_std(calibration, "bias")[0], gain_and_std(calibration)[0]
-
-
-def _error(loaded: Loaded, way: _Way) -> RotationError:
-    samples, attitude = loaded.samples, loaded.attitude
-    if attitude is None:
-        raise ValueError(f"{samples.board} has no reference attitude")
-    rate = (samples.rate_rad_s - way.bias_rad_s) @ np.linalg.inv(way.gain).T
-    moving = ~loaded.at_rest(attitude.time_s)
-    return window_rotation_error(samples.time_s - way.offset_s, rate, attitude, WINDOW_S, moving)
 
 
 def car_found(measured: Measured) -> str:

@@ -2,6 +2,7 @@
 
 import numpy as np
 from docs.markdown import number, table
+from docs.measured.held_out_moves import OFFSET_COUNTS
 from docs.measured.printed import (
     IMU_CALIBRATION_BIAS_COUNTS,
     IMU_CALIBRATION_SCALE_RAD_S,
@@ -10,39 +11,40 @@ from docs.measured.printed import (
 from docs.measured.sessions import Measured, gain_and_std, value_and_std
 from docs.measured.tables import AXES, findings, gains_beside, reasons, untold
 
+from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration.wording import GROUPS, entries, quantity
 from gyrorig_solver.model.gain import factorise
-
-OFFSET_COUNTS = 32768  # of the Xsens' offset binary, as config/imports/imu-tk-xsens.yaml has it
 
 
 def xsens_found(measured: Measured) -> str:
     """The result beside imu_tk's own, in the same factors."""
     calibration = measured.calibration("XSENS-MTI")
-    factors = factorise(IMU_TK.gain(_scale_rad_s(measured, "xsens")))
-    theirs = {
-        "scale": factors.scale,
-        "nonorthogonality": factors.nonorthogonality,
-        "misalignment": factors.misalignment_rad,
-    }
-    rows = []
+    scale_rad_s = _scale_rad_s(measured, "xsens")
+    theirs = _factors(IMU_TK.gain(scale_rad_s))
+    spread = IMU_TK.spread(_factors, scale_rad_s)
+    rows, at = [], 0
     for group in GROUPS:
-        if group.name not in theirs:
+        if group.name not in ("scale", "nonorthogonality", "misalignment"):
             continue
-        for label, (value, std), other in zip(
-            group.labels,
-            entries(calibration.parameters[group.name]),
-            theirs[group.name],
-            strict=True,
+        for label, (value, std) in zip(
+            group.labels, entries(calibration.parameters[group.name]), strict=True
         ):
             if value is None or std is None:
                 raise ValueError(f"{group.name} {label} has no value")
-            text, spread = quantity(value * group.factor, std * group.factor)
-            shown, _ = quantity(float(other) * group.factor, std * group.factor)
+            other, other_std = float(theirs[at]), float(spread[at])
+            at += 1
+            ours = " ± ".join(quantity(value * group.factor, std * group.factor))
+            its = " ± ".join(quantity(other * group.factor, other_std * group.factor))
             unit = "" if group.unit == "1" else f", {group.unit}"
-            off = number((value - float(other)) / std, 2)
-            rows.append([f"{group.name} {label}{unit}", f"{text} ± {spread}", shown, off])
-    return table(["parameter", "gyrorig", "imu_tk", "difference / std"], rows)
+            off = number((value - other) / float(np.hypot(std, other_std)), 2)
+            rows.append([f"{group.name} {label}{unit}", ours, its, off])
+    return table(["parameter", "gyrorig", "imu_tk", "difference / combined std"], rows)
+
+
+def _factors(gain: FloatArray) -> FloatArray:
+    """Scale, non-orthogonality and misalignment in a row."""
+    found = factorise(gain)
+    return np.concatenate([found.scale, found.nonorthogonality, found.misalignment_rad])
 
 
 def xsens_gains(measured: Measured) -> str:

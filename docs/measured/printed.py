@@ -1,6 +1,7 @@
 """Results of others on the same files, as their own programs printed them."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +13,9 @@ class ImuTkResult:
     """x' = T K (x - b): counts into rad/s in the accelerometer's frame."""
 
     T: FloatArray  # (3, 3)
+    T_std: FloatArray  # (3, 3), zero on the diagonal, which is not fitted
     K_rad_s: FloatArray  # (3,), per count
+    K_std_rad_s: FloatArray  # (3,)
     b_counts: FloatArray  # (3,)
     bias_freed_counts: FloatArray  # (3,), when its program also fits the bias
 
@@ -20,9 +23,27 @@ class ImuTkResult:
         """G of our model: reading in counts x `scale_rad_s` per true rate."""
         return np.asarray(np.linalg.inv(self.T @ np.diag(self.K_rad_s)) * scale_rad_s)
 
+    def spread(self, of: Callable[[FloatArray], FloatArray], scale_rad_s: float) -> FloatArray:
+        """Standard deviation of what `of` makes of the gain, by its nine parameters' own.
+
+        Without their correlations, which are not printed.
+        """
+        made = of(self.gain(scale_rad_s))
+        square = np.zeros_like(made)
+        for i, j in np.ndindex(3, 3):
+            moved = self.T.copy()
+            moved[i, j] += self.T_std[i, j]
+            square += (of(replace(self, T=moved).gain(scale_rad_s)) - made) ** 2
+        for i in range(3):
+            scales = self.K_rad_s.copy()
+            scales[i] += self.K_std_rad_s[i]
+            square += (of(replace(self, K_rad_s=scales).gain(scale_rad_s)) - made) ** 2
+        return np.asarray(np.sqrt(square), np.float64)
+
 
 # imu_tk (Kyle-ak/imu_tk, commit 7780270), `test_imu_calib xsens_acc.mat xsens_gyro.mat`: threshold
 # multiplier 6, 37 moves, first 50 s at rest, g = 9.81744; bias held at the mean of the first rest.
+# Its standard deviations are those of its least squares' covariance, scaled by the residual.
 IMU_TK = ImuTkResult(
     T=np.array(
         [
@@ -31,7 +52,9 @@ IMU_TK = ImuTkResult(
             [0.0253067, -0.0025513, 1.0],
         ]
     ),
+    T_std=np.array([[0.0, 0.0010, 0.0011], [0.0010, 0.0, 0.0014], [0.0011, 0.0010, 0.0]]),
     K_rad_s=np.array([2.09295e-4, 2.09899e-4, 2.09483e-4]),
+    K_std_rad_s=np.array([1.4e-7, 1.3e-7, 1.9e-7]),
     b_counts=np.array([32777.1, 32459.8, 32511.8]),
     bias_freed_counts=np.array([32771.1, 32458.4, 32513.3]),
 )

@@ -44,12 +44,15 @@ COMMANDS: dict[str, tuple[str, ...]] = {
         " --board BROAD-2 --out 24.mcap",
         "gyrorig import broad $GYRORIG_DATA/broad/03_undisturbed_slow_rotation_C.npz"
         " --board BROAD-2 --out 03.mcap",
-        "gyrorig check 02.mcap 05.mcap 07.mcap 24.mcap 03.mcap",
+        "gyrorig import broad $GYRORIG_DATA/broad/33_disturbed_attached_magnet_2cm.npz"
+        " --board BROAD-3 --out 33.mcap",
+        "gyrorig check 02.mcap 05.mcap 07.mcap 24.mcap 03.mcap 33.mcap",
         "gyrorig solve 02.mcap",
         "gyrorig solve 05.mcap",
         "gyrorig solve 07.mcap",
         "gyrorig solve 24.mcap",
         "gyrorig solve 03.mcap",
+        "gyrorig solve 33.mcap",
     ),
     "imu-tk-xsens": (
         "gyrorig import imu-tk-xsens $GYRORIG_DATA/imu_tk_xsens/xsens_raw.npz --out xsens.mcap",

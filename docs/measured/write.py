@@ -19,18 +19,29 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from docs.blocks import write_or_check
 from docs.markdown import Block
-from docs.measured import attitude_sets, gravity_sets, tables, turn_sets
+from docs.measured import (
+    attitude_sets,
+    cross_validation,
+    gravity_sets,
+    held_out_moves,
+    tables,
+    turn_sets,
+)
 from docs.measured.sessions import COMMANDS, Measured, measured_folder, run_all
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "measured-data.md"
 TABLES: dict[str, Callable[[Measured], str]] = {
     "exit-codes": tables.codes,
     "broad-found": attitude_sets.broad_found,
-    "broad-held-out": attitude_sets.broad_held_out,
+    "broad-held-out": cross_validation.held_out,
+    "broad-factors": cross_validation.factors,
+    "broad-summary": cross_validation.summary,
+    "broad-bands": cross_validation.bands,
     "broad-bias": attitude_sets.broad_bias,
     "broad-gains": attitude_sets.broad_gains,
     "broad-doubts": attitude_sets.broad_doubts,
     "xsens-found": gravity_sets.xsens_found,
+    "xsens-held-out": held_out_moves.held_out,
     "xsens-gains": gravity_sets.xsens_gains,
     "xsens-bias": gravity_sets.xsens_bias,
     "xsens-doubts": gravity_sets.xsens_doubts,

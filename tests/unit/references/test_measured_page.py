@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from docs import blocks
-from docs.measured import sessions, write
+from docs.measured import held_out_moves, sessions, write
+from docs.measured.printed import IMU_TK
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.solve import solve_recordings
@@ -52,7 +53,7 @@ def test_what_they_write_keeps_the_contracts(
 ) -> None:
     recordings = measured.recordings()
     results = sorted((measured.folder / sessions.STORE).rglob("*.yaml"))
-    assert (len(recordings), len(results)) == (13, 11)
+    assert (len(recordings), len(results)) == (14, 12)
     judged = subprocess.run(
         [sys.executable, contract_judge, *recordings, *results],
         capture_output=True,
@@ -92,6 +93,21 @@ def test_gains_of_a_document_are_those_of_the_fit(measured: sessions.Measured) -
     gain, std = sessions.gain_and_std(measured.calibration("FERRARIS"))
     np.testing.assert_allclose(gain, fit.gain, atol=1e-12)
     np.testing.assert_allclose(std, fit.gain_std, rtol=1e-6)
+
+
+def test_imu_tk_method_run_here_gives_what_its_program_printed(
+    measured: sessions.Measured,
+) -> None:
+    """On all moves: each entry of the gain within a third of the standard deviation it printed."""
+    loaded = measured.load("xsens")
+    samples = loaded.samples
+    moves, _ = held_out_moves.find_moves(samples, loaded.rests[0])
+    scale_rad_s = samples.quantum_rad_s
+    first = (IMU_TK.b_counts - held_out_moves.OFFSET_COUNTS) * scale_rad_s
+    found = held_out_moves.gain_as_imu_tk(samples, moves, first, 0.76 * np.eye(3))
+    std = IMU_TK.spread(lambda gain: gain, scale_rad_s)
+    assert len(moves) == 37  # as its program counts them
+    assert np.abs((found - IMU_TK.gain(scale_rad_s)) / std).max() < 1.0 / 3.0
 
 
 def test_without_the_data_the_script_says_what_to_do(tmp_path: Path) -> None:
