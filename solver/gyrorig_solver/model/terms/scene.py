@@ -1,0 +1,255 @@
+"""What a physical cause may look at: a part of one board's series at the fit's current state.
+
+What to use when: `Scene.build` from plain arrays: the edges of a grid of intervals, already
+moved by the lag of the samples behind the motion, and the reference's pan and tilt there;
+`seen` and `seen_at_stage` to learn what of a rate shows in the block means; `turned` and
+`turn_column` to go from angles of the axes to stage rates.
+
+The grid has `fine` intervals to a sample instant, an odd number so that one is centred on
+it, and `block` instants to a mean. On the series' own fine grid that is what the samples
+saw, exactly. A coarser grid (a few intervals to a block, each standing for an instant) is
+as good for derivatives and several times faster.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.model.low_pass import LowPass
+from gyrorig_solver.model.terms.temperature import Temperature
+from gyrorig_solver.reference.course import Course
+from gyrorig_solver.reference.kinematics import AxisTurn
+
+STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901
+MOVING_RAD_S = 1e-4  # an axis slower than this stands; a step (0.05 deg) takes 10 s then
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """Where the rig stands (contract: metadata `gyrorig.site`); None where it is not said."""
+
+    latitude_deg: float | None = None  # north positive
+    heading_deg: float | None = None  # of the base's y axis, clockwise from true north
+    gravity_m_s2: float = STANDARD_GRAVITY_M_S2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """What stays the same over a recording of one board."""
+
+    site: Site = Site()
+    temperature: Temperature | None = None
+    rad_per_step: tuple[float, float] | None = None  # pan and tilt, with the unit's sign
+    courses: tuple[tuple[int, Course], ...] = ()  # axis (0 pan, 1 tilt) and profile of moves
+    begin_s: float = 0.0  # of the recording, on its time axis
+    end_s: float = 0.0
+    power_on_s: float | None = None  # of the board; None: not known
+    full_scale_rad_s: float | None = None  # of the configured range
+    quantum_rad_s: float = 0.0  # one count
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A part of a series; see the module. Arrays over n intervals."""
+
+    edges_s: FloatArray  # (n + 1,)
+    angle_rad: FloatArray  # (2, n + 1), pan and tilt at the edges
+    known: BoolArray  # (n,), False where the motion is not known
+    rate_rad_s: FloatArray  # (n, 3), of the stage, its own frame; zero where not known
+    turn: AxisTurn  # what small changes of the angles (in rad) do to that rate
+    gain: FloatArray  # (3, 3), G = S T M
+    bias_rad_s: FloatArray  # (3,)
+    setting: Setting
+    use: BoolArray  # (blocks * block,), instants that take part
+    block: int
+    fine: int
+    lead: int  # instants before the first block, in which the filter settles
+    low_pass: LowPass | None
+    has_angles: bool  # False: a reference without pan and tilt
+    arrived: tuple[float, float]  # direction of each axis' last move before this part, or 0
+
+    @classmethod
+    def build(
+        cls,
+        edges_s: FloatArray,
+        angle_rad: FloatArray | None,
+        use: BoolArray,
+        *,
+        block: int,
+        fine: int,
+        bandwidth_hz: float | None,
+        gain: FloatArray,
+        bias_rad_s: FloatArray | None = None,
+        rate_rad_s: FloatArray | None = None,
+        known: BoolArray | None = None,
+        setting: Setting | None = None,
+        arrived: tuple[float, float] = (0.0, 0.0),
+    ) -> Self:
+        """Return the scene of one part.
+
+        Args:
+            edges_s: of the intervals, shape (n + 1,), n a multiple of `fine`; what is more
+                than `use.size * fine` intervals lies before the first block.
+            angle_rad: pan and tilt there, shape (2, n + 1); None where there are none.
+            use: which instants take part, whole blocks.
+            block: instants to a block mean.
+            fine: intervals to an instant, odd.
+            bandwidth_hz: of the sensor's low-pass, None where it is not to be put in.
+            gain: G of the fit now.
+            bias_rad_s: of the fit now.
+            rate_rad_s: mean stage rate between edges, (n, 3), nan where unknown; made of
+                the angles where it is not given.
+            known: (n,), False where the angles are not to be believed.
+            setting: of the recording.
+            arrived: the sign of each axis' last motion before this part, 0 if unknown.
+        """
+        n = edges_s.size - 1
+        angle = np.zeros((2, n + 1)) if angle_rad is None else angle_rad
+        found, turn = AxisTurn.along(angle, edges_s, (1.0, 1.0))
+        rate = found if rate_rad_s is None else rate_rad_s
+        sure: BoolArray = np.asarray(np.isfinite(rate).all(axis=1), dtype=np.bool_)
+        if known is not None:
+            sure = np.asarray(sure & known)
+        step_s = float(edges_s[-1] - edges_s[0]) / n
+        return cls(
+            edges_s=edges_s,
+            angle_rad=angle,
+            known=sure,
+            rate_rad_s=np.where(sure[:, None], rate, 0.0),
+            turn=turn,
+            gain=gain,
+            bias_rad_s=np.zeros(3) if bias_rad_s is None else bias_rad_s,
+            setting=setting or Setting(begin_s=float(edges_s[0]), end_s=float(edges_s[-1])),
+            use=use,
+            block=block,
+            fine=fine,
+            lead=n // fine - use.size,
+            low_pass=None if bandwidth_hz is None else LowPass(bandwidth_hz, 1.0 / step_s),
+            has_angles=angle_rad is not None,
+            arrived=arrived,
+        )
+
+    @property
+    def n(self) -> int:
+        """How many intervals there are."""
+        return self.edges_s.size - 1
+
+    @property
+    def blocks(self) -> int:
+        """How many block means there are."""
+        return self.use.size // self.block
+
+    @cached_property
+    def step_s(self) -> float:
+        """The usual width of an interval."""
+        return float(self.edges_s[-1] - self.edges_s[0]) / self.n
+
+    @cached_property
+    def time_s(self) -> FloatArray:
+        """Middles of the intervals, shape (n,)."""
+        return np.asarray((self.edges_s[:-1] + self.edges_s[1:]) / 2.0, dtype=np.float64)
+
+    @property
+    def tilt_rad(self) -> FloatArray:
+        """Tilt at the middles, shape (n,)."""
+        return self.turn.tilt_rad
+
+    @cached_property
+    def pan_rad(self) -> FloatArray:
+        """Pan at the middles, shape (n,)."""
+        return np.asarray((self.angle_rad[0, :-1] + self.angle_rad[0, 1:]) / 2.0, np.float64)
+
+    @property
+    def pan_rate_rad_s(self) -> FloatArray:
+        """Pan rate, shape (n,)."""
+        return self.turn.pan_rate_rad_s
+
+    @cached_property
+    def tilt_rate_rad_s(self) -> FloatArray:
+        """Tilt rate, shape (n,)."""
+        return np.asarray(np.diff(self.angle_rad[1]) / self.turn.width_s, np.float64)
+
+    @cached_property
+    def moving(self) -> BoolArray:
+        """Whether pan and tilt turn, shape (2, n)."""
+        rates = np.stack([self.pan_rate_rad_s, self.tilt_rate_rad_s])
+        return np.asarray(np.abs(rates) > MOVING_RAD_S, dtype=np.bool_)
+
+    @cached_property
+    def sensor_rate_rad_s(self) -> FloatArray:
+        """What the sensor turns by its own axes, G omega, shape (n, 3), without bias."""
+        return np.asarray(self.rate_rad_s @ self.gain.T, dtype=np.float64)
+
+    @cached_property
+    def specific_force_m_s2(self) -> FloatArray:
+        """What an accelerometer at rest reads in the stage frame, level rig, shape (n, 3)."""
+        g = self.setting.site.gravity_m_s2
+        zero = np.zeros(self.n)
+        return np.column_stack([zero, g * np.sin(self.tilt_rad), g * np.cos(self.tilt_rad)])
+
+    @cached_property
+    def filtered_rad_s(self) -> FloatArray:
+        """G omega behind the low-pass, shape (n, 3)."""
+        return self.low_passed(self.sensor_rate_rad_s)
+
+    @cached_property
+    def filtered_slope_rad_s2(self) -> FloatArray:
+        """Its time derivative, shape (n, 3)."""
+        return np.asarray(np.gradient(self.filtered_rad_s, self.step_s, axis=0), np.float64)
+
+    def low_passed(self, sensor_rate: FloatArray) -> FloatArray:
+        """Return rates of shape (..., n, 3) behind the sensor's low-pass."""
+        if self.low_pass is None:
+            return sensor_rate
+        n = self.n
+        flat = np.moveaxis(sensor_rate.reshape(-1, n, 3), 0, 1).reshape(n, -1)
+        out = self.low_pass.apply(flat).reshape(n, -1, 3)
+        return np.ascontiguousarray(np.moveaxis(out, 1, 0)).reshape(sensor_rate.shape)
+
+    def read(self, output: FloatArray) -> FloatArray:
+        """Return the block means, (..., blocks, 3), of what leaves the low-pass, (..., n, 3).
+
+        Zero where no instant of a block takes part.
+        """
+        begin = self.fine // 2 + self.lead * self.fine
+        at = output[..., begin :: self.fine, :]
+        shape = (*at.shape[:-2], self.blocks, self.block, 3)
+        if self.use.all():
+            return np.asarray(at.reshape(shape).mean(axis=-2), dtype=np.float64)
+        weight = self.use.reshape(self.blocks, self.block, 1)
+        count = np.maximum(weight.sum(axis=1), 1)
+        return np.asarray(np.where(weight, at.reshape(shape), 0.0).sum(axis=-2) / count)
+
+    def seen(self, sensor_rate: FloatArray) -> FloatArray:
+        """Return what of a rate at the sensor, (..., n, 3), shows in the block means."""
+        return self.read(self.low_passed(sensor_rate))
+
+    def seen_at_stage(self, stage_rate: FloatArray) -> FloatArray:
+        """Return what of a change of the stage's rate, (..., n, 3), shows."""
+        sure = np.where(self.known[:, None], stage_rate, 0.0)
+        return self.seen(np.asarray(sure @ self.gain.T, dtype=np.float64))
+
+    def turned(self, change_rad: FloatArray) -> FloatArray:
+        """Return the change of the stage's rate, (n, 3), exactly, by angles off at the edges.
+
+        Args:
+            change_rad: true minus told pan and tilt, shape (2, n + 1).
+        """
+        rate, _ = AxisTurn.along(self.angle_rad + change_rad, self.edges_s, (1.0, 1.0))
+        told, _ = AxisTurn.along(self.angle_rad, self.edges_s, (1.0, 1.0))
+        return np.asarray(rate - told, dtype=np.float64)
+
+    def turn_column(self, axis: int, change_rad: FloatArray) -> FloatArray:
+        """Return that change, (n, 3), to first order, for one axis, shape (n + 1,)."""
+        return self.turn.rate(axis, change_rad, slice(0, self.n))
+
+
+def by_axis(seen: FloatArray) -> FloatArray:
+    """Return a signal of three sensor axes taken apart, shape (3, blocks, 3)."""
+    apart = np.zeros((3, *seen.shape))
+    for axis in range(3):
+        apart[axis, :, axis] = seen[:, axis]
+    return apart

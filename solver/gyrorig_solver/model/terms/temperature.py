@@ -1,0 +1,113 @@
+"""A board's temperature as its gyro feels it: readings made smooth, and the die's lag.
+
+Sensors report in steps (1 K on an L3G4200D, refreshed once a second) while a board's
+temperature is a slow thing (minutes): a staircase would put false edges into every thermal
+column. What to use when: `Temperature.of` once for a recording; `at` in every scene.
+
+Source: Whittaker's graduation, Eilers, "A perfect smoother", Anal. Chem. 75 (2003) 3631:
+minimises sum (z - T)^2 + lambda sum (second difference of z)^2; its response is
+1/(1 + (omega tau)^4) with lambda = (tau/step)^4.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.linalg import solveh_banded
+from scipy.signal import lfilter
+
+from gyrorig_solver.arrays import FloatArray
+
+STEP_S = 1.0  # of the grid that is made smooth
+# Slower than this is kept, boards take minutes; coarse readings are smoothed for longer.
+SMOOTHED_S = 5.0
+FINE_K = 0.1  # readings of this step need no more
+LONGEST_SMOOTHED_S = 20.0
+FEWEST = 8  # readings
+FIRST_S = 20.0  # over which the slope at the beginning is taken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Temperature:
+    """One board's temperature over a recording, on a grid of `STEP_S`."""
+
+    time_s: FloatArray  # (m,)
+    degc: FloatArray  # (m,)
+    mean_degc: float  # what thermal causes count from
+
+    @classmethod
+    def of(
+        cls, time_s: FloatArray, readings_degc: FloatArray, mean_degc: float | None = None
+    ) -> Self | None:
+        """Return the smoothed temperature, None where there are too few readings.
+
+        Args:
+            time_s: shape (n,), not decreasing.
+            readings_degc: shape (n,), nan where a sample has none.
+            mean_degc: to count from, common to a board's recordings; else this one's mean.
+        """
+        some = np.isfinite(readings_degc)
+        if some.sum() < FEWEST:
+            return None
+        grid_s, degc = _smooth(time_s[some], readings_degc[some])
+        return cls(grid_s, degc, float(degc.mean()) if mean_degc is None else mean_degc)
+
+    @property
+    def span_k(self) -> float:
+        """Warmest minus coldest."""
+        return float(np.ptp(self.degc))
+
+    def at(self, time_s: FloatArray, lag_s: float = 0.0) -> FloatArray:
+        """Return the die's temperature minus the mean, shape as `time_s`.
+
+        Args:
+            time_s: on the recording's axis.
+            lag_s: above 0, the thermometer is late, T_die = T + lag dT/dt; below 0, the
+                die is, dT_die/dt = (T - T_die)/|lag|. To first order both are the former.
+        """
+        rise = self.degc - self.mean_degc
+        if lag_s > 0.0:
+            rise = rise + lag_s * np.gradient(rise, STEP_S)
+        elif lag_s < 0.0:
+            rise = _late(rise, -lag_s)
+        return np.asarray(np.interp(time_s, self.time_s, rise), dtype=np.float64)
+
+
+def _late(rise: FloatArray, tau_s: float) -> FloatArray:
+    """Return x of x' = (u - x)/tau, exact for u linear between grid times.
+
+    Begun where it would be had u always risen as it does at first.
+    """
+    many = min(rise.size - 1, round(FIRST_S / STEP_S))
+    slope = (rise[many] - rise[0]) / (many * STEP_S)
+    decay = float(np.exp(-STEP_S / tau_s))
+    share = (1.0 - decay) * tau_s / STEP_S
+    driven = np.empty_like(rise)
+    driven[0] = rise[0] - tau_s * slope
+    driven[1:] = (share - decay) * rise[:-1] + (1.0 - share) * rise[1:]
+    return np.asarray(lfilter([1.0], [1.0, -decay], driven), dtype=np.float64)
+
+
+def _smooth(time_s: FloatArray, degc: FloatArray) -> tuple[FloatArray, FloatArray]:
+    count = max(4, int(np.ceil((time_s[-1] - time_s[0]) / STEP_S)) + 1)
+    cell = np.minimum(((time_s - time_s[0]) / STEP_S + 0.5).astype(np.int64), count - 1)
+    weight = np.bincount(cell, minlength=count).astype(np.float64)
+    total = np.bincount(cell, degc, minlength=count)
+    # A cell counts once, whatever the rate of its readings.
+    here = (weight > 0.0).astype(np.float64)
+    mean = total / np.maximum(weight, 1.0)
+    steps = np.diff(np.unique(degc))
+    quantum = float(np.min(steps[steps > 1e-6], initial=np.inf))
+    quantum = quantum if np.isfinite(quantum) else FINE_K
+    long_s = SMOOTHED_S * np.sqrt(max(1.0, quantum / FINE_K))
+    stiffness = (min(long_s, LONGEST_SMOOTHED_S) / STEP_S) ** 4
+    # Upper bands of W + lambda D'D; the rows of D are 1, -2, 1.
+    bands = np.zeros((3, count))
+    bands[2] = here
+    row = (1.0, -2.0, 1.0)
+    for first in range(3):
+        for second in range(first, 3):
+            product = stiffness * row[first] * row[second]
+            bands[2 - second + first, second : count - 2 + second] += product
+    found = solveh_banded(bands, mean * here)
+    return time_s[0] + STEP_S * np.arange(count), np.asarray(found, dtype=np.float64)

@@ -1,0 +1,158 @@
+"""A small rig of this folder's own: angles over time, and the sensor's chain in fine steps.
+
+Nothing here comes from the solver but the interface that is tested: the chain below is a
+second formulation (a continuous-time filter integrated exactly, direct averages).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import cont2discrete, lfilter, lfilter_zi
+
+from gyrorig_solver.model.terms.scene import Scene, Setting, Site
+from gyrorig_solver.model.terms.temperature import Temperature
+
+Array = NDArray[np.float64]
+
+GAIN = np.array([[1.01, 0.02, -0.015], [-0.012, 0.985, 0.03], [0.008, -0.021, 1.006]])
+RATE_HZ = 200.0
+BLOCK = 2
+FINE = 5
+BANDWIDTH_HZ = 50.0
+SECONDS = 30.0
+
+
+def trapezoids(
+    time_s: Array, moves: list[tuple[float, float]], speed: float, ramp_s: float
+) -> Array:
+    """Angle over time: each move (begin, angle) at a speed, ramps of `ramp_s`, analytic."""
+    angle = np.zeros_like(time_s)
+    for begin, way in moves:
+        sign, size = np.sign(way), abs(way)
+        cruise = size / speed - ramp_s
+        u = np.clip(time_s - begin, 0.0, ramp_s)
+        v = np.clip(time_s - begin - ramp_s, 0.0, cruise)
+        w = np.clip(time_s - begin - ramp_s - cruise, 0.0, ramp_s)
+        angle += sign * speed * (u**2 / (2 * ramp_s) + v + w - w**2 / (2 * ramp_s))
+    return angle
+
+
+def pan_of(time_s: Array) -> Array:
+    """Sweeps to and fro, at two speeds, with a stop on the way."""
+    moves = [(1.0, 1.2), (3.5, -1.9), (6.5, 0.5), (8.0, 0.9), (11.0, -1.4), (14.5, 1.5)]
+    slow = [(18.0, -1.0), (22.5, 0.6), (26.5, -0.5)]
+    return trapezoids(time_s, moves, 1.0, 0.4) + trapezoids(time_s, slow, 0.4, 0.2)
+
+
+def tilt_of(time_s: Array) -> Array:
+    """Four poses, with a reversal."""
+    moves = [(5.6, 0.5), (10.1, -0.9), (17.0, 0.7), (25.2, -0.4)]
+    return trapezoids(time_s, moves, 0.8, 0.2)
+
+
+def temperature_of(time_s: Array) -> Array:
+    """Up and down again, smooth: as fast as a board can."""
+    return np.asarray(25.0 + 6.0 * np.sin(2 * np.pi * time_s / 80.0))
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The scene of a whole run, and how the same run goes in fine steps."""
+
+    scene: Scene
+    pan: Callable[[Array], Array]
+    tilt: Callable[[Array], Array]
+    temperature: Callable[[Array], Array]
+    build: Callable[..., Scene]
+    gain: Array
+
+    def difference(self, sensor_rate: Callable[[Array], Array]) -> Array:
+        """What an effect, given by the whole rate with it, changes in the block means."""
+        return self.measured(sensor_rate) - self.measured(self.base())
+
+    def measured(self, sensor_rate: Callable[[Array], Array]) -> Array:
+        """Block means of a rate at the sensor given as a function of time, (blocks, 3)."""
+        per = 8  # steps to a fine interval of the scene
+        step_s = 1.0 / RATE_HZ / FINE / per
+        n = (self.scene.n) * per
+        time_s = self.scene.edges_s[0] + step_s * (np.arange(n) + 0.5)
+        # Second-order Butterworth, w^2/(s^2 + sqrt(2) w s + w^2), held over each step.
+        w = 2 * np.pi * BANDWIDTH_HZ
+        num, den, _ = cont2discrete(
+            (np.array([w * w]), np.array([1.0, np.sqrt(2.0) * w, w * w])), step_s
+        )
+        rate = sensor_rate(time_s)
+        steady = lfilter_zi(num[0], den)[:, None] * rate[0]
+        out, _ = lfilter(num[0], den, rate, axis=0, zi=steady)
+        return self.sampled(
+            lambda t: np.stack([np.interp(t, time_s + step_s / 2, o) for o in out.T], 1)
+        )
+
+    def sampled(self, output: Callable[[Array], Array]) -> Array:
+        """Block means of what leaves the filter, a function of time."""
+        at = output(self.sample_times_s)
+        return np.asarray(at.reshape(-1, BLOCK, 3).mean(axis=1))
+
+    @property
+    def sample_times_s(self) -> Array:
+        """When samples are taken."""
+        middles = (self.scene.edges_s[:-1] + self.scene.edges_s[1:]) / 2
+        return np.asarray(middles[FINE // 2 :: FINE])
+
+    def sensor(
+        self, pan: Callable[[Array], Array], tilt: Callable[[Array], Array]
+    ) -> Callable[[Array], Array]:
+        """Rate at the sensor of a run given by its angles, differentiated finely."""
+
+        def rate(time_s: Array) -> Array:
+            h = 0.5 * (time_s[1] - time_s[0])
+            pan_rate = (pan(time_s + h) - pan(time_s - h)) / (2 * h)
+            tilt_rate = (tilt(time_s + h) - tilt(time_s - h)) / (2 * h)
+            t = (tilt(time_s + h) + tilt(time_s - h)) / 2
+            stage = np.column_stack([tilt_rate, pan_rate * np.sin(t), pan_rate * np.cos(t)])
+            return np.asarray(stage @ GAIN.T)
+
+        return rate
+
+    def base(self) -> Callable[[Array], Array]:
+        """Rate at the sensor without any effect."""
+        return self.sensor(pan_of, tilt_of)
+
+
+def build(
+    seconds: float = SECONDS, site: Site | None = None, with_temperature: bool = True
+) -> Scene:
+    n = round(seconds * RATE_HZ)
+    edges = (np.arange(n * FINE + 1) - FINE / 2) / FINE / RATE_HZ
+    grid = np.arange(-1.0, seconds + 2.0)
+    temperature = Temperature(grid, temperature_of(grid), 26.0)
+    step = 0.0514 * np.pi / 180
+    setting = Setting(
+        site=site or Site(52.0, 30.0),
+        temperature=temperature if with_temperature else None,
+        rad_per_step=(step, step),
+        begin_s=0.0,
+        end_s=seconds,
+        power_on_s=-5.0,
+        full_scale_rad_s=4.36,
+        quantum_rad_s=1.5e-4,
+    )
+    return Scene.build(
+        edges,
+        np.stack([pan_of(edges), tilt_of(edges)]),
+        np.ones(n, dtype=np.bool_),
+        block=BLOCK,
+        fine=FINE,
+        bandwidth_hz=BANDWIDTH_HZ,
+        gain=GAIN,
+        bias_rad_s=np.array([0.01, -0.02, 0.005]),
+        setting=setting,
+    )
+
+
+@pytest.fixture(scope="session")
+def rig() -> Rig:
+    return Rig(build(), pan_of, tilt_of, temperature_of, build, GAIN)

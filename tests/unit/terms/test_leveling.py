@@ -1,0 +1,126 @@
+"""Gravity at rest against attitudes composed by scipy's rotations: what it tells and what not."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.model.terms.leveling import (
+    LEVEL_STD_RAD,
+    lean_by_gyro,
+    tilt_zero_from_accelerometer,
+)
+
+TILTS = np.radians([-60.0, -35.0, -10.0, 15.0, 30.0])
+PANS = np.radians([-150.0, -60.0, 20.0, 110.0])
+STD = 0.002
+
+
+def about(axis: str, angle_rad: Any) -> Rotation:
+    """Rotation about x, y or z by one angle or many."""
+    unit = np.eye(3)["xyz".index(axis)]
+    return Rotation.from_rotvec(np.multiply.outer(np.asarray(angle_rad), unit))
+
+
+def readings(
+    pan: np.ndarray,
+    tilt: np.ndarray,
+    zero: float,
+    mount: Rotation,
+    lean: tuple[float, float],
+    rng: np.random.Generator,
+    std: float = STD,
+) -> np.ndarray:
+    """A board's accelerometer with its own scale and bias, on a leaning unit."""
+    up = np.array([lean[0], lean[1], 1.0])
+    stage = about("z", pan) * about("x", tilt + zero)
+    force = 9.81 * stage.inv().apply(up / np.linalg.norm(up))
+    felt = mount.apply(force) * np.array([1.02, 0.97, 1.01])
+    return np.asarray(felt + np.array([0.3, -0.4, 0.8]) + rng.normal(0.0, std, felt.shape))
+
+
+def grid() -> tuple[np.ndarray, np.ndarray]:
+    pan, tilt = np.meshgrid(PANS, TILTS)
+    return pan.ravel(), tilt.ravel()
+
+
+def test_offset_and_lean_come_back_with_their_errors() -> None:
+    pan, tilt = grid()
+    rng = np.random.default_rng(3)
+    off = []
+    for _ in range(300):
+        zero, mount_x = rng.normal(0.0, 0.01, 2)
+        lean = (float(rng.normal(0.0, 0.01)), float(rng.normal(0.0, 0.01)))
+        mount = Rotation.from_rotvec([mount_x, 0.0, 0.0])
+        found = tilt_zero_from_accelerometer(
+            pan, tilt, readings(pan, tilt, zero, mount, lean, rng), STD
+        )
+        off.append(
+            [
+                (found.offset_rad - (zero - mount_x)) / found.offset_std_rad,
+                *((found.lean_rad - np.array(lean)) / found.lean_std_rad),
+            ]
+        )
+        assert found.pans_tell
+    spread = np.std(off, axis=0)
+    assert np.all((spread > 0.85) & (spread < 1.15))
+    assert np.all(np.abs(np.mean(off, axis=0)) < 0.25)
+
+
+def test_mount_and_zero_are_one() -> None:
+    """The same readings from a zero and from a mount: nothing may tell them apart."""
+    pan, tilt = grid()
+    found = [
+        tilt_zero_from_accelerometer(
+            pan,
+            tilt,
+            readings(
+                pan,
+                tilt,
+                zero,
+                Rotation.from_rotvec([mount, 0, 0]),
+                (0, 0),
+                np.random.default_rng(0),
+            ),
+            STD,
+        )
+        for zero, mount in ((0.02, 0.0), (0.0, -0.02), (0.05, 0.03))
+    ]
+    for one in found:
+        assert one.offset_rad == pytest.approx(0.02, abs=4 * one.offset_std_rad)
+
+
+def test_at_one_pan_lean_and_offset_are_one() -> None:
+    pan = np.full(TILTS.size, 0.6)
+    lean = (0.01, 0.02)
+    rng = np.random.default_rng(1)
+    reading = readings(pan, TILTS, 0.005, Rotation.identity(), lean, rng)
+    found = tilt_zero_from_accelerometer(pan, TILTS, reading, STD)
+    assert not found.pans_tell
+    assert found.offset_std_rad == pytest.approx(LEVEL_STD_RAD, rel=0.1)
+    forward = lean[1] * np.cos(0.6) - lean[0] * np.sin(0.6)
+    assert found.upright_rad == pytest.approx(0.005 + forward, abs=4 * found.upright_std_rad)
+    assert found.upright_std_rad < 1e-3
+    # The gyro, which knows m - z = -0.005 by the rates, brings out the lean.
+    value, std = lean_by_gyro(found, -0.005, 1e-4, die_tolerance_rad=0.01)
+    assert value == pytest.approx(forward, abs=4 * found.upright_std_rad)
+    assert 0.01 < std < 0.0101
+
+
+def test_other_mounts_are_turned_back_first() -> None:
+    pan, tilt = grid()
+    upside = Rotation.from_matrix(np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]))
+    reading = readings(pan, tilt, 0.015, upside, (0.0, 0.0), np.random.default_rng(2))
+    found = tilt_zero_from_accelerometer(pan, tilt, reading, STD, nominal=upside.as_matrix())
+    assert found.offset_rad == pytest.approx(0.015, abs=4 * found.offset_std_rad)
+    assert found.bias_m_s2 == pytest.approx([0.3, -0.4, 0.8], abs=0.03)
+    assert found.reduced_chi2 == pytest.approx(1.0, abs=0.6)
+
+
+@pytest.mark.parametrize("tilts", [[0.0, 0.0, 0.001], [0.0, 0.1, 0.2], [-0.5, 0.5]])
+def test_too_small_an_arc_is_refused(tilts: list[float]) -> None:
+    pan, tilt = np.zeros(len(tilts)), np.array(tilts)
+    with pytest.raises(InputError, match="do not separate"):
+        tilt_zero_from_accelerometer(pan, tilt, np.zeros((len(tilts), 3)), STD)
