@@ -14,9 +14,10 @@ import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.arrow import Arrow
+from gyrorig_solver.reference.evidence import STEP_VARIANCE
 from gyrorig_solver.reference.kinematics import AxisTurn
 from gyrorig_solver.reference.motion import Evaluated, LocalColumn
-from gyrorig_solver.reference.polls import STEP_VARIANCE, Polls
+from gyrorig_solver.reference.polls import Polls
 from gyrorig_solver.reference.stretches import PINNED, Stretch, find_spans, fit_stretch
 
 LAG_STD_STEPS = 0.5 / np.sqrt(3.0)  # of the count behind the motion: within half a step

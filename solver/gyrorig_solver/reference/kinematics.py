@@ -4,7 +4,9 @@ Attitude R = Rz(pan) Rx(tilt), stage to base. In the stage frame
 omega = (tilt_rate, pan_rate sin(tilt), pan_rate cos(tilt)).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -21,7 +23,7 @@ def stage_rate(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class AxisTurn:
     """How a small change of one axis' position changes the stage rate."""
 
@@ -44,15 +46,41 @@ class AxisTurn:
         width = np.diff(edges_s)
         pan_rate, tilt_rate = np.diff(angle_rad, axis=1) / width
         tilt = (angle_rad[1, :-1] + angle_rad[1, 1:]) / 2.0
-        return stage_rate(tilt, pan_rate, tilt_rate), cls(rad_per_step, tilt, pan_rate, width)
+        turn = cls(rad_per_step, tilt, pan_rate, width)
+        return np.column_stack([tilt_rate, pan_rate * turn.sine, pan_rate * turn.cosine]), turn
+
+    @cached_property
+    def sine(self) -> FloatArray:
+        """Of the tilt, shape (n,)."""
+        return _of_runs(np.sin, self.tilt_rad)
+
+    @cached_property
+    def cosine(self) -> FloatArray:
+        """Of the tilt, shape (n,)."""
+        return _of_runs(np.cos, self.tilt_rad)
 
     def rate(self, axis: int, change_steps: FloatArray, at: slice) -> FloatArray:
         """Return d(stage rate) over the intervals `at`, from the change at their edges."""
         angle = self.rad_per_step[axis] * change_steps
-        speed = np.diff(angle) / self.width_s[at]
-        sine, cosine = np.sin(self.tilt_rad[at]), np.cos(self.tilt_rad[at])
+        speed = np.diff(angle)
+        speed /= self.width_s[at]
+        found = np.zeros((speed.size, 3))
         if axis == 0:
-            return np.column_stack([np.zeros_like(speed), speed * sine, speed * cosine])
-        lean = (angle[:-1] + angle[1:]) / 2.0
-        pan = self.pan_rate_rad_s[at]
-        return np.column_stack([speed, pan * cosine * lean, -pan * sine * lean])
+            np.multiply(speed, self.sine[at], out=found[:, 1])
+            np.multiply(speed, self.cosine[at], out=found[:, 2])
+            return found
+        found[:, 0] = speed
+        lean = 0.5 * self.pan_rate_rad_s[at] * (angle[:-1] + angle[1:])
+        np.multiply(lean, self.cosine[at], out=found[:, 1])
+        np.multiply(lean, -self.sine[at], out=found[:, 2])
+        return found
+
+
+def _of_runs(function: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
+    """Return a function of values of which most repeat their neighbour: an axis at rest."""
+    first = np.flatnonzero(values[1:] != values[:-1]) + 1
+    if 2 * first.size > values.size:
+        return function(values)
+    first = np.concatenate([[0], first])[: values.size]
+    count = np.diff(np.concatenate([first, [values.size]]))
+    return np.repeat(function(values[first]), count)

@@ -23,27 +23,35 @@ the likelihood of all polls (see `rests`).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.arrow import Arrow
+from gyrorig_solver.reference.evidence import (
+    COUNT_UNKNOWNS,
+    STEP_VARIANCE,
+    AxisCounts,
+    CountUnknowns,
+    Evidence,
+)
+from gyrorig_solver.reference.guess import first_guess
 from gyrorig_solver.reference.moves import Motion, Move, started
-from gyrorig_solver.reference.rests import likeliest_variance, loosened_rests
-from gyrorig_solver.reference.slopes import slopes
+from gyrorig_solver.reference.rests import likeliest_variance, with_detents
+from gyrorig_solver.reference.table import MoveTable, Unknowns
 
 LOG_SPEED_STD = 1e-2
 LOG_ACCELERATION_STD = 1e-2
 COUNT_STD_STEPS = 0.5  # of the count's lag and of its offset, prior
 LATE_SHARE_STD = 0.3  # of phi, prior, about one half
-STEP_VARIANCE = 1.0 / 12.0
 SEEN_START_STD_S = 1.0  # of a start that counts show: no more than a brace
 UNSEEN_START_STD_S = 0.02  # of one that they may not show, about the delay of the others
-EDGE_STEPS = 1.5  # counts this near to a rest are rounded one way and say little
 ROUNDS = 8
-JUDGING_ROUNDS = (3, 4)  # the starts are near enough by then to judge the rests by
-SETTLED_S = 5e-6  # a start that moves by less, a tenth of what is known of it, is in place
-_SEARCH_S = np.arange(0.0, 0.3, 0.005)  # how late orders may be
+NEAR_S = 1e-3  # starts that move by less are near enough to judge the rests by
+LATEST_JUDGING = 3  # round from which they are near enough in any case
+JUDGINGS = 2
+SETTLED_S = 2e-6  # starts that move by less, a tenth of what is known of them, are in place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,57 +75,49 @@ class Polls:
         return round(float(np.median(counts)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StartTimes:
-    """Moves with fitted starts, and what is known of starts, rests, speeds, accelerations."""
+    """The moves as the polls saw them, and how well."""
 
-    moves: tuple[Move, ...]
-    rest_steps: FloatArray  # (rests,), off the count
-    log_speed: FloatArray  # (classes,), found relative to told
-    log_acceleration: FloatArray  # (2,)
-    information: Arrow  # starts, rests; shared: log speeds, log accelerations
+    table: MoveTable
+    found: Unknowns
+    # Over starts, rests as the stage has them, rests as counted; shared: log speeds, log
+    # accelerations, the count's offset, its lag, and phi.
+    information: Arrow
     common_std_s: float  # one shift of all starts together that polls cannot show
     instant_std_s: float  # scatter of the sample instant inside its window
     late_share: float  # phi
-    rest_variance: float  # of a rest about its count, steps^2
+    rest_variance: float  # of a counted rest about its count, steps^2
     explained: bool  # False: the counts do not follow the moves that were told
+
+    @cached_property
+    def moves(self) -> tuple[Move, ...]:
+        """The moves with fitted starts."""
+        return started(self.table.moves, self.found.starts_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Layout:
-    """Which parameter is where: starts, rests, log speeds, log accelerations, count, phi."""
+    """Which unknown is where: starts, rests, log speeds, log accelerations, count, phi."""
 
-    first: tuple[int, ...]  # each move's first start
-    starts: int
-    rests: int
-    classes: int
+    starts: slice
+    rests: slice
+    speeds: slice
+    ramps: slice
 
     @classmethod
-    def of(cls, motion: Motion) -> "_Layout":
-        counts = [len(move.orders) for move in motion.moves]
-        first = tuple(int(n) for n in np.concatenate([[0], np.cumsum(counts)])[:-1])
-        return cls(first, sum(counts), len(motion.rests), motion.classes)
-
-    @property
-    def rest(self) -> int:
-        return self.starts
-
-    @property
-    def speed(self) -> int:
-        return self.starts + self.rests
-
-    @property
-    def ramp(self) -> int:
-        return self.speed + self.classes
-
-    @property
-    def kept(self) -> int:
-        """All but the count's offset, its lag, and phi."""
-        return self.ramp + 2
+    def of(cls, table: MoveTable) -> "_Layout":
+        rest = table.starts
+        speed = rest + table.rests
+        ramp = speed + table.classes
+        return cls(slice(0, rest), slice(rest, speed), slice(speed, ramp), slice(ramp, ramp + 2))
 
     @property
     def size(self) -> int:
-        return self.kept + 3
+        return int(self.ramps.stop) + COUNT_UNKNOWNS
+
+    def unknowns(self, at: FloatArray) -> Unknowns:
+        return Unknowns(at[self.starts], at[self.rests], at[self.speeds], at[self.ramps])
 
 
 def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
@@ -125,54 +125,60 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
 
     Gauss-Newton in counts; each poll weighs by the count's quantum and the instant's
     scatter at the speed of that moment, the scatter being estimated from the residuals.
-    Only polls of moving axes take part: at rest a count carries no time.
     """
-    layout = _Layout.of(motion)
-    width = polls.hi_s - polls.lo_s
-    least = float(np.percentile(width, 1.0)) if width.size else 0.0
-    extra = np.clip(width - least, 0.0, None)
-    base_s = polls.lo_s + least / 2.0
-    delays = _Delays(motion.moves, _first_guess(motion.moves, polls, base_s + 0.5 * extra))
+    table = MoveTable.of(motion)
+    layout = _Layout.of(table)
+    counts, least_s = _counts(polls)
+    delays = _Delays(table, first_guess(table, counts))
     centre = np.zeros(layout.size)
-    centre[: layout.starts] = delays.guess_s
+    centre[layout.starts] = delays.guess_s
     centre[-1] = 0.5
-    parameters = centre.copy()
+    at = centre.copy()
     weight = _prior(layout, delays.seen)
-    scatter_s = max(least / np.sqrt(12.0), 1e-6)
-    rest_variance = STEP_VARIANCE
-    standing = slice(layout.rest, layout.speed)
+    scatter_s = max(least_s / float(np.sqrt(12.0)), 1e-6)
+    rest_variance, judged, moved_s = STEP_VARIANCE, 0, np.inf
+    spacing_s: FloatArray | None = None
     for turn in range(ROUNDS):
-        system = _System(motion, layout, polls, base_s, extra, parameters)
-        scatter_s = system.scatter_s(scatter_s)
-        information, score = system.normal(scatter_s)
-        information[np.arange(layout.size), np.arange(layout.size)] += weight
-        centre[: layout.starts] = delays.expected_s(parameters[: layout.starts])
-        score += weight * (centre - parameters)
-        if turn in JUDGING_ROUNDS:
-            rest_variance = likeliest_variance(information, score, standing, parameters[standing])
-        at = np.arange(layout.rest, layout.speed)
-        information[at, at] += 1.0 / rest_variance
-        score[at] -= parameters[at] / rest_variance
-        step = np.linalg.solve(information, score)
-        parameters = parameters + step
-        if turn > JUDGING_ROUNDS[-1] and np.abs(step[: layout.starts]).max(initial=0.0) < SETTLED_S:
+        evidence = Evidence.of(table, counts, layout.unknowns(at), CountUnknowns(*at[-3:]))
+        spacing_s = evidence.spacing_s() if spacing_s is None else spacing_s
+        scatter_s = evidence.scatter_s(scatter_s)
+        chain = evidence.equations(scatter_s, spacing_s)
+        centre[layout.starts] = delays.expected_s(at[layout.starts])
+        chain.hold(weight, centre - at)
+        if judged < JUDGINGS and (moved_s < NEAR_S or turn >= LATEST_JUDGING):
+            rest_variance = likeliest_variance(chain, layout.rests, at[layout.rests])
+            judged += 1
+        held = np.zeros(layout.size)
+        held[layout.rests] = 1.0 / rest_variance
+        chain.hold(held, -at)
+        step = chain.solve()
+        at = at + step
+        # Of all together: one poll that is now in and now out of the sum must not hold all.
+        moved_s = float(np.sqrt(np.mean(step[layout.starts] ** 2))) if table.starts else 0.0
+        if judged == JUDGINGS and moved_s < SETTLED_S:
             break
-    keep, drop = slice(0, layout.kept), slice(layout.kept, None)
-    marginal = information[keep, keep] - information[keep, drop] @ np.linalg.solve(
-        information[drop, drop], information[drop, keep]
-    )
     return StartTimes(
-        moves=started(motion.moves, parameters[: layout.starts]),
-        rest_steps=parameters[standing],
-        log_speed=parameters[layout.speed : layout.ramp],
-        log_acceleration=parameters[layout.ramp : layout.kept],
-        information=Arrow.from_dense(loosened_rests(marginal, standing), layout.classes + 2),
-        common_std_s=(least + polls.constant_width_s) / float(np.sqrt(12.0)),
+        table=table,
+        found=layout.unknowns(at),
+        information=with_detents(chain, table.starts),
+        common_std_s=(least_s + polls.constant_width_s) / float(np.sqrt(12.0)),
         instant_std_s=scatter_s,
-        late_share=float(parameters[-1]),
+        late_share=float(at[-1]),
         rest_variance=rest_variance,
-        explained=system.explained(scatter_s),
+        explained=evidence.explained(scatter_s),
     )
+
+
+def _counts(polls: Polls) -> tuple[tuple[AxisCounts, AxisCounts], float]:
+    """Return each axis' own counts, and the least width of an exchange."""
+    width = polls.hi_s - polls.lo_s
+    least_s = float(np.percentile(width, 1.0)) if width.size else 0.0
+    base_s, extra_s = polls.lo_s + least_s / 2.0, np.clip(width - least_s, 0.0, None)
+    pan, tilt = (
+        AxisCounts(base_s[use], extra_s[use], polls.steps[use, axis])
+        for axis, use in enumerate(polls.valid.T)
+    )
+    return (pan, tilt), least_s
 
 
 class _Delays:
@@ -182,12 +188,13 @@ class _Delays:
     a move that was not polled on its way (awaited, or too short).
     """
 
-    def __init__(self, moves: tuple[Move, ...], late_s: FloatArray) -> None:
+    def __init__(self, table: MoveTable, late_s: FloatArray) -> None:
         """Begin with how late each move seems to be, nan where its counts do not show it."""
-        self._told_s = np.array([order.told_s for move in moves for order in move.orders])
-        late = np.repeat(late_s, [len(move.orders) for move in moves])
-        first = [k == 0 for move in moves for k in range(len(move.orders))]
-        self.seen = np.array(first, dtype=np.bool_) & np.isfinite(late)
+        self._told_s = table.told_s
+        late = np.repeat(late_s, np.diff(table.first))
+        self.seen = np.zeros(late.size, dtype=np.bool_)
+        self.seen[table.first[:-1]] = True
+        self.seen &= np.isfinite(late)
         usual_s = float(np.median(late[self.seen])) if self.seen.any() else 0.0
         self.guess_s = self._told_s + np.where(np.isfinite(late), late, usual_s)
 
@@ -200,164 +207,10 @@ class _Delays:
 
 
 def _prior(layout: _Layout, seen: BoolArray) -> FloatArray:
-    """Return one over the prior variance of every parameter, rests apart."""
+    """Return one over the prior variance of every unknown, rests apart."""
     weight = np.zeros(layout.size)
-    weight[: layout.starts] = np.where(seen, SEEN_START_STD_S**-2, UNSEEN_START_STD_S**-2)
-    weight[layout.speed : layout.ramp] = LOG_SPEED_STD**-2
-    weight[layout.ramp : layout.kept] = LOG_ACCELERATION_STD**-2
-    weight[layout.kept :] = [COUNT_STD_STEPS**-2, COUNT_STD_STEPS**-2, LATE_SHARE_STD**-2]
+    weight[layout.starts] = np.where(seen, SEEN_START_STD_S**-2, UNSEEN_START_STD_S**-2)
+    weight[layout.speeds] = LOG_SPEED_STD**-2
+    weight[layout.ramps] = LOG_ACCELERATION_STD**-2
+    weight[-COUNT_UNKNOWNS:] = [COUNT_STD_STEPS**-2, COUNT_STD_STEPS**-2, LATE_SHARE_STD**-2]
     return weight
-
-
-def _first_guess(moves: tuple[Move, ...], polls: Polls, at_s: FloatArray) -> FloatArray:
-    """Return how late each move fits its counts best, nan where no poll saw it on its way."""
-    late = np.full(len(moves), np.nan)
-    still = np.zeros(1 + max((max(move.classes) for move in moves), default=0))
-    for k, move in enumerate(moves):
-        told_s = np.array([order.told_s for order in move.orders])
-        course = move.course(told_s, still, 0.0)
-        first, last = np.searchsorted(at_s, [move.told_s, course.end_s + float(_SEARCH_S[-1])])
-        near = np.arange(first, last)
-        counted = polls.steps[near, move.axis]
-        on_way = (counted != move.from_steps) & (counted != move.to_steps)
-        if not np.any(on_way & polls.valid[near, move.axis]):
-            continue
-        near, counted = near[polls.valid[near, move.axis]], counted[polls.valid[near, move.axis]]
-        # The course shifts as a whole, so one course serves every delay tried.
-        since = at_s[near][None, :] - _SEARCH_S[:, None]
-        off = np.abs(counted - course.position_steps(since))
-        late[k] = _SEARCH_S[int(np.argmin(np.sum(np.minimum(off, 50.0), axis=1)))]
-    return late
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """The polls of one move."""
-
-    index: IntArray  # of the parameters that matter
-    residual: FloatArray
-    slopes: FloatArray  # (polls, parameters)
-    speed: FloatArray  # steps/s, not signed
-    share: FloatArray  # of an independent count that each poll is worth
-
-
-class _System:
-    """The residuals of all polls near moves at one set of parameters, and their slopes."""
-
-    def __init__(
-        self,
-        motion: Motion,
-        layout: _Layout,
-        polls: Polls,
-        base_s: FloatArray,
-        extra_s: FloatArray,
-        parameters: FloatArray,
-    ) -> None:
-        self._size = layout.size
-        self._rows: list[_Rows] = []
-        self._layout, self._parameters = layout, parameters
-        at_s = base_s + parameters[-1] * extra_s
-        rests = motion.rests
-        arrivals = {rest.arrival: k for k, rest in enumerate(rests)}
-        departures = {rest.departure: k for k, rest in enumerate(rests)}
-        for k, move in enumerate(motion.moves):
-            ends = (departures[k], arrivals[k])
-            rows = self._move(k, move, ends, polls, at_s, extra_s)
-            if rows is not None:
-                self._rows.append(rows)
-
-    def _move(
-        self,
-        k: int,
-        move: Move,
-        rests: tuple[int, int],
-        polls: Polls,
-        at_s: FloatArray,
-        extra_s: FloatArray,
-    ) -> _Rows | None:
-        layout, found = self._layout, self._parameters
-        own = layout.first[k] + np.arange(len(move.orders))
-        log_speed = found[layout.speed : layout.ramp]
-        log_ramp = float(found[layout.ramp + move.axis])
-        course = move.course(found[own], log_speed, log_ramp)
-        first, last = np.searchsorted(at_s, [found[own[0]], course.end_s])
-        near = np.arange(first, last)
-        near = near[polls.valid[near, move.axis]]
-        spacing_s = float(np.median(np.diff(at_s[near]))) if near.size > 2 else 0.0
-        counted = polls.steps[near, move.axis]
-        speed = course.speed_steps_s(at_s[near])
-        position = course.position_steps(at_s[near])
-        edge = np.minimum(np.abs(position - move.from_steps), np.abs(position - move.to_steps))
-        use = (speed != 0.0) & (edge > EDGE_STEPS)
-        if not use.any():
-            return None
-        near, counted, speed, position = near[use], counted[use], speed[use], position[use]
-        at = at_s[near]
-        share = course.share(at)
-        sign = np.sign(speed)
-        from_rest, to_rest = layout.rest + rests[0], layout.rest + rests[1]
-        offset, lag = found[-3], found[-2]
-        model = position + (1.0 - share) * found[from_rest] + share * found[to_rest]
-        by = slopes(move, found[own], log_speed, log_ramp, at)
-        index = [
-            *own,
-            from_rest,
-            to_rest,
-            *(layout.speed + c for c in move.classes),
-            layout.ramp + move.axis,
-            *range(layout.kept, layout.size),
-        ]
-        columns = [
-            *by.starts,
-            1.0 - share,
-            share,
-            *by.speeds,
-            by.acceleration,
-            np.ones_like(sign),
-            -sign,
-            speed * extra_s[near],
-        ]
-        return _Rows(
-            index=np.array(index, dtype=np.int64),
-            residual=counted - model - offset + sign * lag,
-            slopes=np.column_stack(columns),
-            speed=np.abs(speed),
-            share=np.minimum(1.0, np.abs(speed) * spacing_s) if spacing_s else np.ones_like(speed),
-        )
-
-    def scatter_s(self, before_s: float) -> float:
-        """Return the instant's scatter that the residuals show, robustly."""
-        residual, speed = self._joined()
-        near = np.abs(residual) < 5.0 * np.sqrt(STEP_VARIANCE + (speed * before_s) ** 2) + 1.0
-        if near.sum() < 10:
-            return before_s
-        weight = speed[near] ** 2 / (STEP_VARIANCE + (speed[near] * before_s) ** 2) ** 2
-        excess = float(np.sum(weight * (residual[near] ** 2 - STEP_VARIANCE)))
-        found = excess / float(np.sum(weight * speed[near] ** 2))
-        return float(np.sqrt(max(found, 1e-12)))
-
-    def explained(self, scatter_s: float) -> bool:
-        """True when nine in ten counts lie within five deviations of the told motion."""
-        residual, speed = self._joined()
-        if not residual.size:
-            return True
-        limit = 5.0 * np.sqrt(STEP_VARIANCE + (speed * scatter_s) ** 2) + 1.0
-        return bool(np.mean(np.abs(residual) < limit) > 0.9) and scatter_s < 0.05
-
-    def normal(self, scatter_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the normal matrix and score of all parameters, without any prior."""
-        information, score = np.zeros((self._size, self._size)), np.zeros(self._size)
-        for rows in self._rows:
-            sigma = np.sqrt(STEP_VARIANCE + (rows.speed * scatter_s) ** 2)
-            # A count that cannot be (a garbled reply) has no vote. Polls of one and the
-            # same step repeat each other's rounding and share theirs.
-            sound = np.abs(rows.residual) < 6.0 * sigma + 1.0
-            weight = np.where(sound, rows.share * sigma**-2, 0.0)
-            weighed = rows.slopes.T * weight
-            information[np.ix_(rows.index, rows.index)] += weighed @ rows.slopes
-            score[rows.index] += weighed @ rows.residual
-        return information, score
-
-    def _joined(self) -> tuple[FloatArray, FloatArray]:
-        residual = np.concatenate([r.residual for r in self._rows] or [np.zeros(0)])
-        return residual, np.concatenate([r.speed for r in self._rows] or [np.zeros(0)])
