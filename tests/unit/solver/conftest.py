@@ -5,11 +5,17 @@ the low-pass is an analogue second-order Butterworth applied by FFT, and coloure
 is white noise shaped by FFT.
 """
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+if str(ROOT) not in sys.path:
+    sys.path.insert(0, str(ROOT))
 
 RAD_PER_STEP = np.radians(185.142857 / 3600.0)
 FINE_HZ = 4000.0

@@ -1,0 +1,108 @@
+"""What the solver is given: samples, an exact reference, or a unit's orders and answers.
+
+The only module here that knows the solver's types.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from tests.bench.accuracy.board import Board, Counts
+from tests.bench.accuracy.profile import RAD_PER_STEP, FloatArray, Path
+from tests.bench.accuracy.unit import Session
+
+from gyrorig_solver.arrow import Arrow
+from gyrorig_solver.clocks.mapping import ClockMap
+from gyrorig_solver.reference.motion import Evaluated, ReferenceMotion
+from gyrorig_solver.reference.moves import Exchange, MotionReader
+from gyrorig_solver.reference.polls import Polls
+from gyrorig_solver.reference.ptu_recording import explained_reference
+from gyrorig_solver.samples import GyroSamples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExactReference:
+    """A stage whose motion is known; nothing of it is left to be fitted."""
+
+    path: Path
+
+    @property
+    def description(self) -> str:
+        """One sentence: what the rates are compared with."""
+        return "the simulated motion itself"
+
+    @property
+    def information(self) -> Arrow:
+        """There are no unknowns."""
+        return Arrow.zero(0, 0)
+
+    @property
+    def pull(self) -> FloatArray:
+        """There are no unknowns."""
+        return np.zeros(0)
+
+    @property
+    def common_std_s(self) -> float:
+        """Its times are exact."""
+        return 0.0
+
+    @property
+    def differentiated(self) -> bool:
+        """False: the motion is exact."""
+        return False
+
+    def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
+        """Return the mean stage rate between consecutive times."""
+        del derivatives
+        rate = self.path.mean_rate_rad_s(edges_s)
+        return Evaluated(rate, (), np.zeros((0, edges_s.size - 1, 3)))
+
+    def moved(self, step: FloatArray) -> "ExactReference":
+        """Return the same: there is nothing to change."""
+        del step
+        return self
+
+
+def answered_reference(session: Session) -> ReferenceMotion:
+    """Return the reference that the solver makes of a unit's orders and answers."""
+    answers = session.answers
+    valid = np.column_stack([answers.axis == 0, answers.axis == 1])
+    steps = np.column_stack([np.where(valid[:, k], answers.steps, 0.0) for k in (0, 1)])
+    polls = Polls(answers.lo_s, answers.hi_s, steps, valid)
+    exchanges = [Exchange(told, answered, True, text) for told, answered, text in session.orders]
+    motion = MotionReader(session.settings, (0, 0), polls.resting).read(exchanges)
+    return explained_reference(motion, polls, (RAD_PER_STEP, RAD_PER_STEP))
+
+
+def samples_of(board: Board, counts: Counts) -> GyroSamples:
+    """Return the samples as loaded from a recording whose clock is known."""
+    n = counts.time_s.size
+    segment, number = np.zeros(n, dtype=np.int64), np.arange(n)
+    clock = ClockMap(
+        time_s=counts.time_s,
+        segment=segment,
+        late=np.zeros(n, dtype=np.bool_),
+        skew_ppm=0.0,
+        wander_bound_s=0.0,
+        latency_s=np.zeros(3),
+        restarts=0,
+        wraps=0,
+    )
+    return GyroSamples(
+        board="simulated",
+        metadata={"bandwidth_hz": repr(board.bandwidth_hz)},
+        origin_ns=0,
+        time_s=counts.time_s,
+        host_s=counts.time_s,
+        number=number,
+        segment=segment,
+        rate_rad_s=counts.rate_rad_s,
+        good=np.ones(n, dtype=np.bool_),
+        accel_m_s2=None,
+        temperature_degc=None,
+        quantum_rad_s=board.levels[0].quantum_rad_s,
+        clock=clock,
+        floor=None,
+        lost=0,
+        repeated=0,
+        late=0,
+    )

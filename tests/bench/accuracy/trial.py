@@ -1,0 +1,119 @@
+"""One simulated run: drawn, solved, and held against the truth and the bound."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path as File
+from typing import Any
+
+import numpy as np
+from tests.bench.accuracy.board import NAMES, Board, Counts, draw_board, factors, sample
+from tests.bench.accuracy.bound import bound
+from tests.bench.accuracy.given import ExactReference, answered_reference, samples_of
+from tests.bench.accuracy.profile import FloatArray
+from tests.bench.accuracy.unit import Session, carry_out
+
+from gyrorig_protocol.program import MotionProgram, parse_program
+from gyrorig_solver.estimate.motion import fit_motion
+from gyrorig_solver.estimate.result import GyroFit
+from gyrorig_solver.solve import PTU_WORDS
+
+PROGRAMS = File(__file__).resolve().parents[3] / "config" / "programs"
+HEAD_S, TAIL_S = 0.5, 0.4  # of polls without samples at both ends
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One kind of run."""
+
+    name: str
+    program: str  # a file of config/programs
+    rate_hz: float = 100.0
+    bandwidth_hz: float = 25.0
+    baud: float | None = None  # None: the stage's motion is known exactly
+    spikes: float = 0.0  # share of samples hit
+    number: int = 0  # cases of one number have the same boards, noise and unit
+
+
+def run(case: Case, seed: int) -> dict[str, Any]:
+    """Return what came of one run, ready for JSON.
+
+    `error`, `std` and `bound` are over `NAMES`; `best` is the error of a linear estimate that
+    reaches the bound, on the same noise.
+    """
+    rng = np.random.default_rng([case.number, seed])
+    session = carry_out(_program(case.program), case.baud or 115_200.0, rng)
+    board = draw_board(case.rate_hz, case.bandwidth_hz, rng)
+    counts = sample(board, session.path, (HEAD_S, session.end_s - TAIL_S), rng)
+    best = bound(board, session, counts, profile_known=case.baud is None)
+    found = solve(
+        board, session, counts if not case.spikes else spiked(board, counts, case.spikes, rng), case
+    )
+    true = truth(board, counts)
+    error = np.array([found.value(name) for name in NAMES]) - true
+    at = {name: k for k, name in enumerate(found.order)}
+    shown = [name for name in NAMES if name in at]
+    pick = np.array([at[name] for name in shown])
+    covariance = found.covariance[np.ix_(pick, pick)]
+    left = error[[NAMES.index(name) for name in shown]]
+    return {
+        "seed": seed,
+        "error": error.tolist(),
+        "std": [found.std[name] for name in NAMES],
+        "bound": np.sqrt(np.diag(best.covariance)).tolist(),
+        "best": best.error.tolist(),
+        "best_chi2": float(best.error @ np.linalg.solve(best.covariance, best.error)),
+        "chi2": float(left @ np.linalg.solve(covariance, left)),
+        "shown": len(shown),
+        "bias_at_begin": (error[:3] + true[:3] - counts.bias_rad_s[0]).tolist(),
+        "common_s": 0.0 if case.baud is None else session.common_s,
+        "common_std_s": 0.0 if case.baud is None else session.least_s / float(np.sqrt(12.0)),
+        "outliers": found.outliers,
+        "reduced_chi2": found.reduced_chi2,
+        "reference": found.reference,
+        "warnings": list(found.warnings),
+        "distrust": list(found.distrust),
+        "noise": [
+            (found.noise.angle_random_walk / [level.white for level in board.levels]).tolist(),
+            (found.noise.bias_instability / [level.flicker for level in board.levels]).tolist(),
+            (found.noise.rate_random_walk / [level.walk for level in board.levels]).tolist(),
+        ]
+        if found.noise
+        else [],
+        "duration_s": session.end_s,
+    }
+
+
+def solve(board: Board, session: Session, counts: Counts, case: Case) -> GyroFit:
+    """Return the solver's fit."""
+    samples = samples_of(board, counts)
+    if case.baud is None:
+        return fit_motion(samples, ExactReference(session.path), PTU_WORDS)
+    return fit_motion(samples, answered_reference(session), PTU_WORDS)
+
+
+def truth(board: Board, counts: Counts) -> FloatArray:
+    """Return the true parameters in the order of `NAMES`; the bias is its mean."""
+    return np.concatenate([counts.bias_rad_s.mean(axis=0), factors(board.gain), [board.delay_s]])
+
+
+def spiked(board: Board, counts: Counts, share: float, rng: np.random.Generator) -> Counts:
+    """Return the counts with glitches: single samples, runs of three, torn bytes."""
+    rate = counts.rate_rad_s.copy()
+    n, quantum = rate.shape[0], board.levels[0].quantum_rad_s
+    hit = 0
+    while hit < share * n:
+        at, axis, kind = int(rng.integers(n - 3)), int(rng.integers(3)), int(rng.integers(3))
+        sign = float(rng.choice([-1.0, 1.0]))
+        if kind == 0:
+            rate[at, axis] += sign * quantum * round(float(rng.uniform(200, 20_000)))
+        elif kind == 1:
+            rate[at : at + 3] += quantum * np.rint(rng.uniform(-5000, 5000, size=3))
+        else:
+            rate[at, axis] += sign * 256.0 * quantum
+        hit += 3 if kind == 1 else 1
+    return replace(counts, rate_rad_s=rate)
+
+
+@cache
+def _program(name: str) -> MotionProgram:
+    return parse_program((PROGRAMS / name).read_text(encoding="utf-8"), name)
