@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2
-
-from gyrorig_protocol.program import MotionProgram, parse_program
-from gyrorig_solver.model.gain import factorise
 from tests.bench.accuracy.board import NAMES, draw_board, factor_slopes, factors, sample, seen
 from tests.bench.accuracy.bound import bound
 from tests.bench.accuracy.noise import Covariance, Levels
 from tests.bench.accuracy.profile import RAD_PER_STEP, Path, Trapezoid
 from tests.bench.accuracy.unit import carry_out
+
+from gyrorig_protocol.program import MotionProgram, parse_program
+from gyrorig_solver.model.gain import factorise
 
 SHORT = """
 schema: gyrorig/program/1
