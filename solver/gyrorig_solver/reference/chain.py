@@ -13,7 +13,6 @@ from typing import Self
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.sparse import csc_array
 
 from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.reference.table import MoveTable
@@ -118,23 +117,17 @@ class Chain:
         size = 2.0 * float(np.sum(np.log(factor[0]))) + float(np.linalg.slogdet(left[:, :-1])[1])
         return explained - float(at @ at) / variance - size - at.size * float(np.log(variance))
 
-    def sparse(self) -> csc_array:
-        """Return the local unknowns' part, as they are numbered."""
-        n = self.place.size
-        number = np.empty(n, dtype=np.int64)
-        number[self.place] = np.arange(n)
+    def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """Return rows, columns and values of the local unknowns' part, as they are numbered."""
+        number = np.empty_like(self.place)
+        number[self.place] = np.arange(self.place.size)
         off, at = np.nonzero(self.band)
         one, two, value = number[at + off], number[at], self.band[off, at]
         twice = off > 0
-        return csc_array(
-            (
-                np.concatenate([value, value[twice]]),
-                (
-                    np.concatenate([one, two[twice]]),
-                    np.concatenate([two, one[twice]]),
-                ),
-            ),
-            shape=(n, n),
+        return (
+            np.concatenate([one, two[twice]]),
+            np.concatenate([two, one[twice]]),
+            np.concatenate([value, value[twice]]),
         )
 
     def _eliminated(self, band: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -11,9 +11,12 @@ from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.reference.counted import CountedReference, counted_reference
 from gyrorig_solver.reference.counter import counter_instants
+from gyrorig_solver.reference.evidence import grouped_median
 from gyrorig_solver.reference.moves import AXES, Exchange, Motion, MotionReader
 from gyrorig_solver.reference.polls import Polls, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
+from gyrorig_solver.reference.table import MoveTable
+from gyrorig_solver.reference.track import lay_tracks
 
 OUT_OF_STEP = PtuStatus.SYNCHRONY_LOST | PtuStatus.HOMING  # what such a poll says is no angle
 FACTORY_BAUD = 9600.0
@@ -23,6 +26,7 @@ OK = 0
 MOST_UNEXPLAINED = 0.5  # of the counts on the way: then the counts alone tell more
 MOST_STEPS_OFF = 4.0  # the count's own step, its lag, and some for a start
 WIDEST_STARTS_S = 0.005  # a start that was not polled
+SETTLED_AFTER_S = 1.0  # after the told end of a move
 MARGIN_S = 0.3  # about an answer that the commands do not explain
 
 
@@ -84,7 +88,7 @@ def unexplained(reference: PtuReference, polls: Polls) -> tuple[list[tuple[float
 
     Times that the commands leave unknown count as unexplained too.
     """
-    at_s = (polls.lo_s + polls.hi_s) / 2.0
+    at_s = np.maximum.accumulate((polls.lo_s + polls.hi_s) / 2.0)
     slack_s = (polls.hi_s - polls.lo_s) / 2.0 + WIDEST_STARTS_S
     steps = reference.angles_rad(at_s) / np.array(reference.rad_per_step)[:, None]
     known = np.ones(at_s.size, dtype=np.bool_)
@@ -105,12 +109,14 @@ def unexplained(reference: PtuReference, polls: Polls) -> tuple[list[tuple[float
         off[1:-1] &= off[:-2] | off[2:]
         moving_count += int(moving.sum())
         lost_count += int(np.sum(moving & (off | ~known[use])))
-        for index in np.flatnonzero(off & known[use]):
-            begin, end = float(time_s[index]) - MARGIN_S, float(time_s[index]) + MARGIN_S
-            if spans and begin < spans[-1][1] + MARGIN_S and begin > spans[-1][0]:
-                spans[-1] = (spans[-1][0], end)
-            else:
-                spans.append((begin, end))
+        lost_s = time_s[off & known[use]]
+        # Two answers within the margins of each other leave nothing between them.
+        new = np.flatnonzero(np.diff(lost_s, prepend=-np.inf) >= 3.0 * MARGIN_S)
+        last = np.append(new, lost_s.size)[1:] - 1
+        spans += [
+            (float(lost_s[a]) - MARGIN_S, float(lost_s[b]) + MARGIN_S)
+            for a, b in zip(new, last, strict=True)
+        ]
     return spans, lost_count / max(1, moving_count)
 
 
@@ -209,15 +215,22 @@ def _settings(metadata: Mapping[str, str]) -> dict[str, float]:
 def _checked(motion: Motion, polls: Polls) -> Motion:
     """Mark what the polls contradict: a rest where the count is not the target's."""
     unknown = list(motion.unknown)
-    still = np.zeros(motion.classes)
-    for axis in (0, 1):
-        own = [m for m in motion.moves if m.axis == axis]
-        for move, following in zip(own, [*own[1:], None], strict=False):
-            begin = move.course(move.starts_s, still, 0.0).end_s + 1.0
-            end = following.told_s if following else np.inf
-            resting = (polls.lo_s > begin) & (polls.hi_s < end) & polls.valid[:, axis]
-            counts = polls.steps[resting, axis]
-            if counts.size and np.median(np.abs(counts - move.to_steps)) > 1.0:
-                last = end if np.isfinite(end) else float(polls.hi_s[-1])
-                unknown.append((move.told_s, last, "the unit is not where it was sent"))
+    table = MoveTable.of(motion)
+    tracks = lay_tracks(table, table.as_told)
+    for axis, track in enumerate(tracks):
+        own = table.own[axis]
+        if own.size == 0:
+            continue
+        told_s = table.told_s[table.first[own]]
+        until_s = np.append(told_s[1:], np.inf)
+        use = np.flatnonzero(polls.valid[:, axis])
+        move = np.searchsorted(told_s, polls.lo_s[use], side="right") - 1
+        use, move = use[move >= 0], move[move >= 0]
+        resting = polls.lo_s[use] > track.end_s[move] + SETTLED_AFTER_S
+        resting &= polls.hi_s[use] < until_s[move]
+        use, move = use[resting], move[resting]
+        off = np.abs(polls.steps[use, axis] - table.to_steps[own[move]])
+        for k in np.flatnonzero(grouped_median(off, move, own.size) > 1.0):
+            last_s = until_s[k] if np.isfinite(until_s[k]) else polls.hi_s[-1]
+            unknown.append((float(told_s[k]), float(last_s), "the unit is not where it was sent"))
     return replace(motion, unknown=tuple(unknown))

@@ -8,7 +8,7 @@ counts cannot show it, so the gyro sees another rest than they do.
 """
 
 import numpy as np
-from scipy.sparse import block_array, csc_array, diags_array
+from scipy.sparse import csc_array
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.arrow import Arrow
@@ -47,19 +47,22 @@ def with_detents(chain: Chain, starts: int) -> Arrow:
         Over starts, rests as the stage has them, rests as counted; then the shared ones.
     """
     n = chain.place.size
-    local = chain.sparse()
-    own, cross = local[:starts, :starts], local[:starts, starts:]
-    tie = diags_array(np.full(n - starts, 1.0 / DETENT_VARIANCE))
-    joined = block_array(
-        [
-            [own, None, cross],
-            [None, tie, -tie],
-            [cross.T, -tie, local[starts:, starts:] + tie],
-        ],
-        format="csc",
+    row, column, value = chain.entries()
+    stage = np.arange(starts, n)
+    counted = stage + n - starts
+    row, column = (np.where(at < starts, at, at + n - starts) for at in (row, column))
+    tie = np.full(n - starts, 1.0 / DETENT_VARIANCE)
+    local = csc_array(
+        (
+            np.concatenate([value, tie, tie, -tie, -tie]),
+            (
+                np.concatenate([row, stage, counted, stage, counted]),
+                np.concatenate([column, stage, counted, counted, stage]),
+            ),
+        ),
+        shape=(2 * n - starts, 2 * n - starts),
     )
+    cross = np.zeros((2 * n - starts, chain.cross.shape[1]))
     beside = chain.cross[chain.place]
-    none = np.zeros((n - starts, beside.shape[1]))
-    return Arrow(
-        csc_array(joined), np.concatenate([beside[:starts], none, beside[starts:]]), chain.shared
-    )
+    cross[:starts], cross[n:] = beside[:starts], beside[starts:]
+    return Arrow(local, cross, chain.shared)

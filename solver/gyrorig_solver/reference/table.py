@@ -10,6 +10,16 @@ from gyrorig_solver.reference.moves import Motion, Move
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Unknowns:
+    """What a motion's courses need to be laid."""
+
+    starts_s: FloatArray  # (s,)
+    rest_steps: FloatArray  # (r,), off the count
+    log_speed: FloatArray  # (classes,)
+    log_acceleration: FloatArray  # (2,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class MoveTable:
     """m moves with s starts (one for each order), and r rests between them.
 
@@ -87,6 +97,11 @@ class MoveTable:
         """How many rests there are, one more than moves on each axis."""
         return len(self.moves) + 2
 
+    @property
+    def as_told(self) -> Unknowns:
+        """What the courses would be if every order took hold when it was written."""
+        return Unknowns(self.told_s, np.zeros(self.rests), np.zeros(self.classes), np.zeros(2))
+
     def first_rest(self, axis: int) -> int:
         """Return the number of an axis' first rest."""
         return self.own[0].size + 1 if axis else 0
@@ -103,13 +118,3 @@ class MoveTable:
     def orders(self, move: int) -> slice:
         """Return which starts are a move's."""
         return slice(int(self.first[move]), int(self.first[move + 1]))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Unknowns:
-    """What a motion's courses need to be laid."""
-
-    starts_s: FloatArray  # (s,)
-    rest_steps: FloatArray  # (r,), off the count
-    log_speed: FloatArray  # (classes,)
-    log_acceleration: FloatArray  # (2,)

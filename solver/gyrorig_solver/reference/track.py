@@ -48,7 +48,7 @@ class Track:
             return self.at(time_s)
         first, last = np.searchsorted(self.start_s, time_s[[0, -1]], side="right")
         legs = np.arange(max(0, int(first) - 1), max(1, int(last)))
-        begun = np.searchsorted(time_s, self.start_s[legs[1:]])
+        begun = np.maximum.accumulate(np.searchsorted(time_s, self.start_s[legs[1:]]))
         count = np.diff(np.concatenate([[0], begun, [time_s.size]]))
         return Spots(self, np.repeat(legs, count), time_s - np.repeat(self.start_s[legs], count))
 
