@@ -171,16 +171,19 @@ class Measured:
         return Loaded(samples, phases.turns, phases.rests, attitude)
 
 
-def run_all(data: Path, folder: Path) -> Measured:
-    """Run every command of the page.
+def run_all(
+    data: Path, folder: Path, commands: Mapping[str, tuple[str, ...]] = COMMANDS
+) -> Measured:
+    """Run every command of the page, or those given.
 
     Args:
         data: the measurements.
         folder: an empty one, for the recordings and the store.
+        commands: by set.
     """
     done = {}
     with contextlib.chdir(folder):
-        for name, lines in COMMANDS.items():
+        for name, lines in commands.items():
             done[name] = tuple(_run(line, data) for line in lines)
     return Measured(data, folder, done)
 

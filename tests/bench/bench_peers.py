@@ -1,0 +1,95 @@
+"""Other ways of calibrating a gyroscope beside ours, on the same data in one run.
+
+Simulated, 75 s, in units of the Cramer-Rao bound of the known motion: pan at tilts of both
+signs, and the paper's own cycle; once with the unit's angles given to all, once with its
+answers only. imucal on its own kind of session. Then the recordings of others, held out, and
+the CPU time of each on 75 s at 800 Hz, one BLAS thread.
+
+A peer that is not installed is named and left out: none is needed by this project.
+
+Run: python tests/bench/bench_peers.py [--seeds 20] [--repeat 7]
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: the ratios are of one thread
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from docs.measured.sessions import measured_folder
+from tests.bench.peers import factor_graph, figures, measured, turns
+from tests.bench.peers.recording import CROSS, SWEEPS
+
+ALL, NO_ROLL = (0, 1, 2), (0, 2)
+
+
+def say(text: str) -> None:
+    """Print what is known so far; the whole takes minutes."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def simulated(seeds: int) -> None:
+    """Print the tables of the simulated recordings."""
+    say(f"\nEach rms error is good to {figures.spread_percent(seeds):.0f} %, one sigma.")
+    for title, program, columns in (
+        ("Pan at tilts of both signs", SWEEPS, ALL),
+        ("The paper's cycle: pan at tilt 0, tilt at pan 0", CROSS, NO_ROLL),
+    ):
+        for known in (True, False):
+            given = "the unit's angles given" if known else "the unit's answers only"
+            say(f"\n{title}; {given}; {seeds} runs\n")
+            errors, bounds = figures.runs(program, seeds, known, columns)
+            say(figures.accuracy(errors, bounds, known))
+            if columns != ALL and known:
+                say("")
+                say(figures.hidden_column(errors))
+    say(f"\nSix rests and three whole turns, imucal's kind of session; {seeds} runs\n")
+    say(figures.turned(seeds))
+
+
+def others() -> None:
+    """Print the tables of the measured recordings, or why there are none."""
+    try:
+        data = measured_folder()
+    except SystemExit as missing:
+        say(f"\nleft out, measured recordings: {missing}")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        found = measured.imported(data, Path(folder))
+        say("\nMotion capture (broad): one trial fitted, another of the same unit judged\n")
+        say(measured.motion_capture(found))
+        say("\nGravity (imu_tk_xsens): half of the moves fitted, the other half judged\n")
+        say(measured.gravity(found))
+        if turns.imucal_installed():
+            say("\nTurns by hand (imucal_ferraris), imucal beside ours\n")
+            say(measured.hand_turns(found))
+
+
+def main() -> int:
+    """Run everything; the exit code."""
+    parser = argparse.ArgumentParser(description="other ways of calibrating beside ours")
+    parser.add_argument("--seeds", type=int, default=20, help="runs of each kind")
+    parser.add_argument("--repeat", type=int, default=7, help="of each time; the median counts")
+    asked = parser.parse_args()
+    begun = time.monotonic()
+    for name, there in (
+        (factor_graph.PACKAGE, factor_graph.installed()),
+        ("imucal", turns.imucal_installed()),
+    ):
+        if not there:
+            say(f"left out, {name} is not installed here: pip install {name}")
+    simulated(asked.seeds)
+    others()
+    say("")
+    say(figures.times(asked.repeat))
+    say(f"\n{time.monotonic() - begun:.0f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

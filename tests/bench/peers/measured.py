@@ -1,0 +1,124 @@
+"""The peers on recordings that others measured: motion capture, gravity, turns by hand.
+
+What to use when: `imported` once, then `motion_capture`, `gravity` and `hand_turns`. A peer that
+wants a pan-tilt unit is left out. All are judged on data that they have not seen.
+"""
+
+from collections.abc import Callable
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+from docs.markdown import number, table
+from docs.measured import held_out_moves, turn_sets
+from docs.measured.attitude_sets import SAME_UNIT, rest_bias
+from docs.measured.sessions import COMMANDS, Loaded, Measured, run_all
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+from tests.bench.accuracy.profile import FloatArray
+from tests.bench.peers.methods import OURS, peers
+from tests.bench.peers.recording import Table
+
+from gyrorig_solver.estimate.attitude import fit_attitude
+from gyrorig_solver.estimate.rotation import window_rotation_error
+from gyrorig_solver.estimate.turns import fit_turns
+from gyrorig_solver.reference.turns import TurnReference
+
+SETS = ("broad", "imu-tk-xsens", "imucal-ferraris")
+WINDOW_S = 1.0
+# Both sides through one low-pass of about 8 Hz: differentiated motion capture is noise above.
+SMOOTH_S = 0.02
+NOTHING = np.concatenate([np.eye(3).ravel(), np.zeros(4)])
+
+
+def imported(data: Path, folder: Path) -> Measured:
+    """Import the sets into an empty folder; nothing is solved."""
+    lines = {name: tuple(line for line in COMMANDS[name] if " import " in line) for name in SETS}
+    return run_all(data, folder, lines)
+
+
+def motion_capture(measured: Measured) -> str:
+    """Held-out rotation error of every ordered pair of one unit's trials, for each method."""
+    loaded = {name: measured.load(name) for unit in SAME_UNIT for name in unit}
+    pairs = [pair for unit in SAME_UNIT for pair in permutations(unit, 2)]
+    ways: dict[str, Callable[[Loaded], FloatArray]] = {
+        "raw": lambda _: NOTHING,
+        **{peer.name: _of_table(peer.run) for peer in peers() if peer.any_reference},
+        OURS: _ours,
+    }
+    errors = {}
+    for name, way in ways.items():
+        found = {trial: way(one) for trial, one in loaded.items()}
+        errors[name] = [_judged(loaded[test], found[train]) for train, test in pairs]
+    rows = []
+    for name, found_deg in errors.items():
+        ratio = float(np.exp(np.mean(np.log(np.array(found_deg) / np.array(errors[OURS])))))
+        rows.append([name, *(number(one, 3) for one in found_deg), number(ratio, 2)])
+    head = ["rms of 1 s, °", *(f"{a} → {b}" for a, b in pairs), f"mean ratio to {OURS}"]
+    return table(head, rows)
+
+
+def gravity(measured: Measured) -> str:
+    """Held-out moves beside imu_tk's own result and its method."""
+    return held_out_moves.held_out(measured)
+
+
+def hand_turns(measured: Measured) -> str:
+    """How far imucal's gain and ours are apart on imucal's own session."""
+    one = measured.load("ferraris")
+    ours = fit_turns([(one.samples, TurnReference(one.turns, one.rests))])
+    theirs, _ = turn_sets.imucal_result(measured)
+    apart = float(np.abs(ours.gain - theirs).max())
+    std = float(ours.gain_std.max())
+    return f"largest difference of the nine gains {apart:.1e}; our standard deviation {std:.1e}"
+
+
+def _ours(one: Loaded) -> FloatArray:
+    if one.attitude is None:
+        raise ValueError(f"{one.samples.board} has no reference attitude")
+    found = fit_attitude([(one.samples, one.attitude)])
+    return np.concatenate([found.gain.ravel(), found.bias_rad_s, [found.time_offset_s]])
+
+
+def _of_table(run: Callable[[Table], FloatArray]) -> Callable[[Loaded], FloatArray]:
+    return lambda one: run(_table(one))
+
+
+def _judged(one: Loaded, found: FloatArray) -> float:
+    """Rotation error in degrees with gain and offset as found; the bias is the rests' own."""
+    if one.attitude is None:
+        raise ValueError(f"{one.samples.board} has no reference attitude")
+    rate = (one.samples.rate_rad_s - rest_bias(one)) @ np.linalg.inv(found[:9].reshape(3, 3)).T
+    time_s = one.samples.time_s - np.nan_to_num(found[12])
+    moving = ~one.at_rest(one.attitude.time_s)
+    error = window_rotation_error(time_s, rate, one.attitude, WINDOW_S, moving)
+    return float(np.degrees(error.rms_rad))
+
+
+def _table(one: Loaded) -> Table:
+    """The reference differentiated, interpolated to the samples and smoothed as they are."""
+    samples, attitude = one.samples, one.attitude
+    if attitude is None:
+        raise ValueError(f"{samples.board} has no reference attitude")
+    there = np.all(np.isfinite(attitude.orientation_xyzw), axis=1)
+    turned = Rotation.from_quat(attitude.orientation_xyzw[there])
+    at_s = attitude.time_s[there]
+    step_s = np.diff(at_s)
+    rate = (turned[:-1].inv() * turned[1:]).as_rotvec() / step_s[:, None]
+    middle_s, time_s = (at_s[1:] + at_s[:-1]) / 2.0, samples.time_s
+    stage = np.column_stack([np.interp(time_s, middle_s, rate[:, k]) for k in range(3)])
+    width = SMOOTH_S / samples.period_s
+    # A gap, with what the filter carries out of it, is not used.
+    lost = np.interp(time_s, middle_s, (step_s > 2.0 * np.median(step_s)).astype(np.float64)) > 0.0
+    reach = np.ones(2 * int(np.ceil(4.0 * width)) + 1)
+    return Table(
+        time_s=time_s,
+        rate_hz=1.0 / samples.period_s,
+        raw_rad_s=samples.rate_rad_s,
+        measured_rad_s=gaussian_filter1d(samples.rate_rad_s, width, axis=0),
+        stage_rad_s=gaussian_filter1d(stage, width, axis=0),
+        static=np.asarray(one.at_rest(time_s)),
+        use=np.asarray(samples.good & (np.convolve(lost, reach, "same") < 0.5)),
+        pan_rad=np.zeros(time_s.size),
+        tilt_rad=np.zeros(time_s.size),
+    )

@@ -1,0 +1,144 @@
+"""The methods, one function each: a table of both sides in, a gain, a bias and an offset out.
+
+What to use when: `peers` for all that run here, `ours` for the fit they stand beside. Each peer
+is written as its own users would write it; nan stands for what it does not estimate.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from tests.bench.accuracy.profile import FloatArray
+from tests.bench.peers import factor_graph
+from tests.bench.peers.recording import Recording, Table
+
+from gyrorig_solver.estimate import rest_to_rest
+from gyrorig_solver.estimate.motion import fit_motion
+from gyrorig_solver.estimate.observability import decide
+from gyrorig_solver.estimate.paper import AS_TABLED, PaperReading, calibrate_as_printed
+from gyrorig_solver.estimate.paper_matrices import gain_by_pseudoinverse
+from gyrorig_solver.solve import PTU_WORDS
+
+STILL_RAD_S = 1e-3
+HIDDEN = 1e-6  # variance in hidden directions from which an entry has no value
+OURS = "gyrorig"
+PINV = "eq. 7 (pinv) on integrated body rates"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Peer:
+    """One other way of calibrating."""
+
+    name: str
+    run: Callable[[Table], FloatArray]
+    blind: str  # what it cannot see, in words
+    any_reference: bool  # False: it wants a pan-tilt unit
+
+
+def peers() -> tuple[Peer, ...]:
+    """Every peer that runs here."""
+    found = [
+        Peer(PINV, pinv, "the time offset; it spoils the gain", True),
+        Peer("paper, as printed", paper, "roll, the time offset", False),
+        Peer("paper, as tabled", paper_as_tabled, "roll, the time offset", False),
+        Peer("rest to rest only", rests_only, "the time offset", False),
+        Peer("SciPy, numeric Jacobian", numeric, "that a column is hidden", True),
+    ]
+    if factor_graph.installed():
+        named = f"GTSAM {factor_graph.version()}"
+        found.append(Peer(named, factor_graph.solve, "which column is hidden", True))
+    return tuple(found)
+
+
+def ours(recording: Recording) -> FloatArray:
+    """The whole fit, its reference made of the orders and answers."""
+    found = fit_motion(recording.samples, recording.reference(), PTU_WORDS)
+    return np.concatenate([found.gain.ravel(), found.bias_rad_s, [found.time_offset_s]])
+
+
+def pinv(table: Table) -> FloatArray:
+    """Eq. 7 alone, on integrated rates of both sides, with the bias of the static rest.
+
+    The friendliest reading: eq. 12 is replaced by what the stage really turned.
+    """
+    measured_rad, stage_rad = integrated(table)
+    gain = gain_by_pseudoinverse(measured_rad.T, stage_rad.T).gain
+    return np.concatenate([gain.ravel(), _static_bias(table), [np.nan]])
+
+
+def integrated(table: Table) -> tuple[FloatArray, FloatArray]:
+    """Return the integrals of both sides' rates, shape (n - 1, 3) each."""
+    both = table.use[1:] & table.use[:-1]
+    step_s = (np.diff(table.time_s) * both)[:, None]
+    measured, stage = (
+        np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step_s, axis=0)
+        for rate in (table.raw_rad_s - _static_bias(table), table.stage_rad_s)
+    )
+    return measured, stage
+
+
+def _static_bias(table: Table) -> FloatArray:
+    return np.asarray(table.raw_rad_s[table.static].mean(axis=0))
+
+
+def paper(table: Table, reading: PaperReading | None = None) -> FloatArray:
+    """Eq. 6 to 12 with the bias of the quasi-static test, as `--method paper` runs them."""
+    found = calibrate_as_printed(
+        table.time_s, table.raw_rad_s, table.pan_rad, table.tilt_rad, table.static, reading=reading
+    )
+    return np.concatenate([found.STM.ravel(), found.bias_rad_s, [np.nan]])
+
+
+def paper_as_tabled(table: Table) -> FloatArray:
+    """The same read so that its result has the form of the paper's Table 3."""
+    return paper(table, AS_TABLED)
+
+
+def numeric(table: Table) -> FloatArray:
+    """SciPy's Levenberg-Marquardt with a numeric Jacobian: S, T, M, bias and offset."""
+    stage = CubicSpline(table.time_s, table.stage_rad_s)
+    time_s, measured = table.time_s[table.use], table.measured_rad_s[table.use]
+
+    def residual(values: FloatArray) -> FloatArray:
+        turned = np.asarray(stage(time_s - values[12]))
+        return np.asarray((measured - turned @ as_gain(values[:9]).T - values[9:12]).ravel())
+
+    start = np.concatenate([np.ones(3), np.zeros(10)])
+    found = least_squares(residual, start, method="lm", x_scale="jac").x
+    return np.concatenate([as_gain(found[:9]).ravel(), found[9:]])
+
+
+def as_gain(factors: FloatArray) -> FloatArray:
+    """G = S T M of three scales, three skews and a rotation vector."""
+    lower = np.eye(3)
+    lower[[1, 2, 2], [0, 0, 1]] = factors[3:6]
+    turn = Rotation.from_rotvec(factors[6:9]).as_matrix()
+    return np.asarray(np.diag(factors[:3]) @ lower @ turn)
+
+
+def rests_only(table: Table) -> FloatArray:
+    """Our second opinion as the only estimator: what turned from rest to rest."""
+    path = rest_to_rest.Path(
+        time_s=table.time_s,
+        rate_rad_s=table.raw_rad_s,
+        used=table.use,
+        moving=np.linalg.norm(table.stage_rad_s, axis=1) > STILL_RAD_S,
+        angles_rad=np.stack([table.pan_rad, table.tilt_rad]),
+    )
+    static = table.raw_rad_s[table.static]
+    turns = rest_to_rest._turns(path, 2.0 * float(static.var(axis=0).max()) / table.rate_hz, 1e-9)
+    gain, bias = np.eye(3), static.mean(axis=0)
+    for _ in range(rest_to_rest.ROUNDS):
+        information, score = np.zeros((12, 12)), np.zeros(12)
+        for turn in turns:
+            left, jacobian = rest_to_rest._linearised(turn, gain, bias)
+            information += jacobian.T @ jacobian / turn.variance_rad2
+            score += jacobian.T @ left / turn.variance_rad2
+        decision = decide(information, rest_to_rest.NAMES)
+        step = decision.inverse @ score
+        gain, bias = gain + step[:9].reshape(3, 3), bias + step[9:]
+    shown = np.where(np.diag(decision.hidden) < HIDDEN, np.append(gain.ravel(), bias), np.nan)
+    return np.append(shown, np.nan)
