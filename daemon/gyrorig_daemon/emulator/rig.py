@@ -4,20 +4,24 @@ What to use when: `EmulatedRig` from settings, then a `VirtualHub` over it for s
 time, or `serve` for ptys in real time. `truth_document` is what a judge compares with.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from gyrorig_daemon.emulator.board import EmulatedBoard
+from gyrorig_daemon.emulator.causes import hang
 from gyrorig_daemon.emulator.device import EmulatedDevice
-from gyrorig_daemon.emulator.physics.axis import AxisTruth, StepperAxis
+from gyrorig_daemon.emulator.physics.axis import ARCSEC_RAD, AxisTruth, StepperAxis
 from gyrorig_daemon.emulator.physics.clock import DeviceClock
+from gyrorig_daemon.emulator.physics.effects.hooks import AxisHooks
+from gyrorig_daemon.emulator.physics.effects.play import Play
 from gyrorig_daemon.emulator.physics.latency import HostLatency
 from gyrorig_daemon.emulator.physics.motion_law import MotionLaw
 from gyrorig_daemon.emulator.physics.stage import Stage
 from gyrorig_daemon.emulator.ptu import EmulatedPtu
 from gyrorig_daemon.emulator.settings import PtuSettings, RigSettings
-from gyrorig_daemon.emulator.truth import RigTruth, draw_rig_truth
+from gyrorig_daemon.emulator.truth import BoardTruth, RigTruth, draw_rig_truth
 
 PTU_PORT = "ptu"
 
@@ -46,13 +50,23 @@ class EmulatedRig:
         self.settings = settings
         self.origin_ns = origin_ns
         self.truth = truth or draw_rig_truth(settings)
+        self.hooks = hang(self.truth.hidden, self.truth.seed)
         root = np.random.default_rng([settings.seed, _RUN_STREAM])
         latency_rng, ptu_rng, counter_rng, *board_rngs = root.spawn(3 + len(settings.boards))
         unit = settings.ptu or PtuSettings()
         self.stage = Stage(
-            pan=_axis(unit, unit.pan_sign, self.truth.pan_scale_error, unit.power_up_pan_steps),
-            tilt=_axis(unit, unit.tilt_sign, self.truth.tilt_scale_error, unit.power_up_tilt_steps),
+            pan=StepperAxis(
+                _axis_truth(unit, unit.pan_sign, self.truth.pan_scale_error, self.hooks.pan),
+                _law(unit),
+                float(unit.power_up_pan_steps),
+            ),
+            tilt=StepperAxis(
+                _axis_truth(unit, unit.tilt_sign, self.truth.tilt_scale_error, self.hooks.tilt),
+                _law(unit),
+                float(unit.power_up_tilt_steps),
+            ),
             tilt_axis_error_rad=self.truth.tilt_axis_error_rad,
+            ground_rate_rad_s=self.hooks.ground_rate_rad_s,
         )
         self.ptu: EmulatedPtu | None = None
         if settings.ptu is not None:
@@ -60,7 +74,12 @@ class EmulatedRig:
             self.ptu = EmulatedPtu(unit, self.stage, counter, origin_ns, ptu_rng)
         self.boards = {
             board.name: EmulatedBoard(
-                board, self.truth.boards[board.name], self.stage, origin_ns, rng
+                board,
+                self._board_truth(board.name),
+                self.stage,
+                origin_ns,
+                rng,
+                self.hooks.board(board.name),
             )
             for board, rng in zip(settings.boards, board_rngs, strict=True)
         }
@@ -90,8 +109,27 @@ class EmulatedRig:
                 document["boards"][name]["mean_bias_rad_s"] = mean.tolist()
         return document
 
+    def _board_truth(self, name: str) -> BoardTruth:
+        """Return a board's truth as the physics takes it: quiet, or in a room that swings."""
+        truth, settings = self.truth.boards[name], self.settings
+        imu = replace(truth.imu, soak_k=settings.soak_k, soak_period_s=settings.soak_period_s)
+        return replace(truth, imu=imu.without_noise() if settings.noise_free else imu)
 
-def _axis(unit: PtuSettings, sign: int, scale_error: float, true_steps: int) -> StepperAxis:
-    truth = AxisTruth(unit.resolution_arcsec, scale_error, sign)
-    law = MotionLaw(unit.base_speed_steps_s, unit.speed_steps_s, unit.acceleration_steps_s2)
-    return StepperAxis(truth, law, float(true_steps))
+
+def _law(unit: PtuSettings) -> MotionLaw:
+    return MotionLaw(unit.base_speed_steps_s, unit.speed_steps_s, unit.acceleration_steps_s2)
+
+
+def _axis_truth(unit: PtuSettings, sign: int, scale_error: float, hooks: AxisHooks) -> AxisTruth:
+    step_rad = unit.resolution_arcsec * ARCSEC_RAD
+    return AxisTruth(
+        resolution_arcsec=unit.resolution_arcsec,
+        scale_error=scale_error,
+        sign=sign,
+        acceleration_error=hooks.acceleration_error,
+        base_speed_added_steps_s=hooks.base_speed_added_rad_s / step_rad,
+        s_curve_s=hooks.s_curve_s,
+        slip=hooks.slip,
+        play=(Play(hooks.gap_rad / step_rad),) if hooks.gap_rad > 0.0 else (),
+        effects=tuple(hooks.angles),
+    )

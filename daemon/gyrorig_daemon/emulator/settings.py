@@ -118,9 +118,25 @@ class BoardSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class HideOrder:
+    """What to hide in a rig; see `causes`. What is left out is drawn from the seed."""
+
+    cause: str  # an id of the catalogue, or `random`
+    place: str = ""
+    size: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class RigSettings:
     """A whole emulated rig."""
 
     seed: int = 1
     ptu: PtuSettings | None = PtuSettings()
     boards: tuple[BoardSettings, ...] = (BoardSettings(),)
+    hide: tuple[HideOrder, ...] = ()
+    noise_free: bool = False  # the sensors neither scatter nor wander; words stay rounded
+    about_s: float = 60.0  # how long the session will last: events come in its middle
+    soak_k: float = 0.0  # the room warms up by this and cools down again ...
+    soak_period_s: float = 120.0  # ... in this time
+    latitude_deg: float | None = None  # of the site; unknown: drawn where it is needed
+    heading_deg: float | None = None

@@ -8,15 +8,18 @@ values, to be set beside what a solver found. Spreads are those of the parts: L3
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrorig_daemon.emulator.causes import Hidden, draw_hidden, hang
 from gyrorig_daemon.emulator.physics.clock import ClockTruth
+from gyrorig_daemon.emulator.physics.effects.hooks import RigHooks
 from gyrorig_daemon.emulator.physics.imu import ImuTruth
 from gyrorig_daemon.emulator.physics.latency import LatencyTruth
+from gyrorig_daemon.emulator.physics.rotation import rotation_matrix
 from gyrorig_daemon.emulator.settings import BoardSettings, PtuSettings, RigSettings
 
 FloatArray = NDArray[np.float64]
@@ -73,10 +76,11 @@ class RigTruth:
     controller_clock: ClockTruth
     latency: LatencyTruth
     boards: Mapping[str, BoardTruth]
+    hidden: tuple[Hidden, ...] = ()
 
     def to_document(self) -> dict[str, Any]:
-        """Return plain values with units in the names."""
-        return {
+        """Return plain values with units in the names; `hidden` only where something is."""
+        document: dict[str, Any] = {
             "seed": self.seed,
             "note": "y = STM omega(t - tau_s) through the low-pass + bias; STM = S T M",
             "pan_scale_error": self.pan_scale_error,
@@ -86,15 +90,42 @@ class RigTruth:
             "host_latency_floor_s": self.latency.floor_s,
             "boards": {name: board.to_document() for name, board in self.boards.items()},
         }
+        if self.hidden:
+            document["hidden"] = {"causes": [one.to_document() for one in self.hidden]}
+        return document
+
+    def with_hooks(self, hooks: RigHooks) -> "RigTruth":
+        """Return the truth with those causes in it that are a value of it."""
+        boards = dict(self.boards)
+        for name, hung in hooks.boards.items():
+            imu = boards[name].imu
+            imu = replace(
+                imu,
+                tau_s=imu.tau_s + hung.tau_added_s,
+                bandwidth_hz=imu.bandwidth_hz * hung.bandwidth_factor,
+            )
+            boards[name] = replace(boards[name], imu=imu)
+        return replace(
+            self,
+            pan_scale_error=self.pan_scale_error + hooks.pan.scale_error,
+            tilt_scale_error=self.tilt_scale_error + hooks.tilt.scale_error,
+            tilt_axis_error_rad=self.tilt_axis_error_rad + hooks.tilt_axis_error_rad,
+            boards=boards,
+        )
 
 
 def draw_rig_truth(settings: RigSettings) -> RigTruth:
-    """Return the truth of a rig, a pure function of its settings."""
+    """Return the truth of a rig, a pure function of its settings.
+
+    Raises:
+        UsageError: what is to be hidden cannot be; see `causes.draw_hidden`.
+    """
     root = np.random.SeedSequence(settings.seed)
     ptu_seed, *board_seeds = root.spawn(1 + len(settings.boards))
     rng = np.random.default_rng(ptu_seed)
     counter = settings.ptu or PtuSettings()
-    return RigTruth(
+    hidden = draw_hidden(settings)
+    base = RigTruth(
         seed=settings.seed,
         pan_scale_error=0.0,
         tilt_scale_error=0.0,
@@ -110,7 +141,9 @@ def draw_rig_truth(settings: RigSettings) -> RigTruth:
             board.name: draw_board_truth(board, np.random.default_rng(seed))
             for board, seed in zip(settings.boards, board_seeds, strict=True)
         },
+        hidden=hidden,
     )
+    return base.with_hooks(hang(hidden, settings.seed))
 
 
 def draw_board_truth(settings: BoardSettings, rng: np.random.Generator) -> BoardTruth:
@@ -143,16 +176,6 @@ def draw_board_truth(settings: BoardSettings, rng: np.random.Generator) -> Board
         warm_up_s=float(rng.uniform(120.0, 600.0)),
     )
     return BoardTruth(imu, scale, skewing, _draw_board_clock(rng), stamp_jitter_s=2e-6)
-
-
-def rotation_matrix(vector: FloatArray) -> FloatArray:
-    """Return the rotation by `vector` (axis times angle in rad, (3,)): Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
 def _draw_board_clock(rng: np.random.Generator) -> ClockTruth:

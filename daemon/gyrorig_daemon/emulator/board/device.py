@@ -28,6 +28,7 @@ from gyrorig_daemon.emulator.board.encode import (
 )
 from gyrorig_daemon.emulator.line import InLine, byte_ns
 from gyrorig_daemon.emulator.physics.clock import DeviceClock
+from gyrorig_daemon.emulator.physics.effects.hooks import BoardHooks
 from gyrorig_daemon.emulator.physics.imu import BiasPath, ImuModel, ImuTruth, SampleBlock
 from gyrorig_daemon.emulator.physics.stage import Stage
 from gyrorig_daemon.emulator.settings import BoardSettings
@@ -63,8 +64,10 @@ class EmulatedBoard:
         stage: Stage,
         origin_ns: int,
         rng: np.random.Generator,
+        hooks: BoardHooks | None = None,
     ) -> None:
-        """Power the board up at `origin_ns`."""
+        """Power the board up at `origin_ns`; `hooks` hold what is wrong with it."""
+        self._hooks = hooks or BoardHooks()
         self.settings = settings
         self.truth = truth
         self._stage = stage
@@ -157,7 +160,8 @@ class EmulatedBoard:
     def _configure(self, imu: ImuTruth, start_s: float, rng: np.random.Generator) -> None:
         """Start the sensor; its first sample comes a period later."""
         self._encoder = SampleEncoder(self.settings, self._changed)
-        self._imu = ImuModel(imu, self._stage, start_s, rng, self._encoder.samples_per_frame)
+        step = self._encoder.samples_per_frame
+        self._imu = ImuModel(imu, self._stage, start_s, rng, step, self._hooks)
 
     def _reconfigure(self, block_end_ns: int) -> None:
         """Do what SETs that came before the end of the block want, and acknowledge."""
@@ -183,6 +187,7 @@ class EmulatedBoard:
         ).astype(np.int64)
         self._first_frame = self._frame_count + 1
         self._frame_count += count // self._encoder.samples_per_frame
+        self._lost = self._draw_lost(count // self._encoder.samples_per_frame)
         self._bias_path.add(float(block.time_s[0]), block.bias_rad_s)
         self._load(block, 0)
 
@@ -195,6 +200,8 @@ class EmulatedBoard:
         step = self._encoder.samples_per_frame
         frames: list[Frame] = []
         for row in range(0, len(stamped_ns), step):
+            if self._lost[row // step]:
+                continue
             last_ns = stamped_ns[row + step - 1]
             number = self._before_model + block.first + row
             boot_ns = self.clock.started_ns(last_ns)
@@ -209,6 +216,11 @@ class EmulatedBoard:
         faulty = with_faults(self.settings.faults, self._first_frame, frames)
         # With nothing to send there is still a time at which the next block begins.
         self._frames = deque((faulty or [(stamped_ns[-1] + _BUS_READ_NS, b"")])[sent:])
+
+    def _draw_lost(self, frames: int) -> NDArray[np.bool_]:
+        """Return which frames of the next block never come, (frames,)."""
+        lost = self._hooks.lost
+        return np.zeros(frames, dtype=np.bool_) if lost is None else lost.draw(frames)
 
     def _current(self) -> SampleBlock:
         if self._block is None:

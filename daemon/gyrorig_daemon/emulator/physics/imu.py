@@ -5,19 +5,22 @@
 with G = S T M. Samples come in blocks on a fixed grid of the sensor's own oscillator. A
 block is computed ahead of time; when a command changes the motion inside it, it is
 computed again from the same draws, so that what was already sent stays true and nothing
-depends on who asked when.
+depends on who asked when. What else may be wrong with a sensor hangs on `hooks`.
 """
 
 import math
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrorig_daemon.emulator.physics.effects.hooks import BoardHooks
+from gyrorig_daemon.emulator.physics.effects.sensor import Moments
 from gyrorig_daemon.emulator.physics.lowpass import block_filter
 from gyrorig_daemon.emulator.physics.noise import BiasWander, white_step_sigma
-from gyrorig_daemon.emulator.physics.stage import Stage
+from gyrorig_daemon.emulator.physics.stage import Stage, StageMotion
+from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -49,6 +52,18 @@ class ImuTruth:
     ambient_degc: float
     self_heating_k: float
     warm_up_s: float
+    soak_k: float = 0.0  # see `temperature`
+    soak_period_s: float = 120.0
+
+    def without_noise(self) -> "ImuTruth":
+        """Return the same sensor as it would be if it had no noise and did not wander."""
+        return replace(
+            self,
+            noise_density_rad_s_rthz=np.zeros(3),
+            bias_instability_rad_s=np.zeros(3),
+            rate_random_walk=np.zeros(3),
+            accel_noise_m_s2=0.0,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +73,7 @@ class SampleBlock:
     first: int  # number of the first sample since the sensor started
     time_s: FloatArray  # of data-ready, since the origin, (n,)
     gyro: IntArray  # (n, 3)
+    rate_rad_s: FloatArray  # what the gyro's words were made of, (n, 3)
     accel: IntArray  # (n, 3)
     temperature_degc: FloatArray  # (n,)
     saturated: NDArray[np.bool_]  # (n,)
@@ -102,9 +118,20 @@ class ImuModel:
         start_s: float,
         rng: np.random.Generator,
         multiple: int = 1,
+        hooks: BoardHooks | None = None,
     ) -> None:
-        """Power on at `start_s` after the origin; a block has a multiple of `multiple` samples."""
+        """Power on at `start_s` after the origin.
+
+        Args:
+            truth: the sensor.
+            stage: what it sits on.
+            start_s: when it is switched on.
+            rng: where its noise comes from.
+            multiple: a block has a multiple of so many samples.
+            hooks: what is wrong with it besides its noise and its gain.
+        """
         self.truth = truth
+        self._hooks = hooks or BoardHooks()
         self._stage = stage
         self._period_s = 1.0 / truth.odr_hz
         self._substeps = max(1, math.ceil(SUBSTEP_HZ * self._period_s))
@@ -112,6 +139,14 @@ class ImuModel:
         self._dt_s = self._period_s / self._substeps
         self._filter = block_filter(truth.bandwidth_hz, self._dt_s, self._substeps, self._samples)
         self._start_s = start_s
+        self._temperature = BoardTemperature(
+            truth.ambient_degc,
+            truth.self_heating_k,
+            truth.warm_up_s,
+            start_s,
+            truth.soak_k,
+            truth.soak_period_s,
+        )
         self._noise_rng, self._wander_rng, self._accel_rng = rng.spawn(3)
         self._sigma = white_step_sigma(truth.noise_density_rad_s_rthz, self._dt_s)
         self._wander = BiasWander(
@@ -125,6 +160,7 @@ class ImuModel:
         self._wander_from, self._wander_to = np.zeros(3), np.zeros(3)
         self._noise: FloatArray = np.zeros((0, 3))
         self._accel_noise: FloatArray = np.zeros((0, 3))
+        self._early: FloatArray | None = None
         self._first = -self._samples
         self._revision = -1
         self._block: SampleBlock | None = None
@@ -143,6 +179,11 @@ class ImuModel:
         self._accel_noise = self.truth.accel_noise_m_s2 * self._accel_rng.standard_normal(
             (self._samples, 3)
         )
+        for effect in self._hooks.words:
+            effect.draw(self._samples)
+        if self._hooks.jitter is not None:
+            late_s = self._hooks.jitter.draw_s(self._samples)
+            self._early = np.minimum(late_s / self._dt_s, self._substeps)
         return self._compute()
 
     def refreshed(self) -> SampleBlock | None:
@@ -152,35 +193,69 @@ class ImuModel:
         return self._compute()
 
     def _compute(self) -> SampleBlock:
-        truth, n = self.truth, self._samples
+        truth, n, hooks = self.truth, self._samples, self._hooks
         self._revision = self._stage.revision
         ready_s = self._start_s + self._first * self._period_s
-        motion_s = ready_s - truth.tau_s
-        rates = self._stage.body_rates_rad_s(motion_s, self._dt_s, n * self._substeps)
-        output, self._end_state = self._filter.run(self._state, rates @ truth.gain.T + self._noise)
+        lag_s, growth = hooks.lag(ready_s)
+        motion_s = ready_s - truth.tau_s - lag_s
+        dt_s = self._dt_s * (1.0 - growth)
+        felt = self._felt(self._stage.motion(motion_s, dt_s, n * self._substeps), ready_s)
+        output, self._end_state = self._filter.run(self._state, felt + self._noise, self._early)
         part = (np.arange(n) + 1.0)[:, None] / n
         bias = truth.bias_rad_s + self._wander_from + part * (self._wander_to - self._wander_from)
+        time_s: FloatArray = ready_s + self._period_s * (np.arange(n, dtype=np.float64) + 1.0)
+        for effect in hooks.biases:
+            bias = bias + effect.added_rad_s(time_s, self._temperature)
         measured = output + bias
+        if hooks.limit_rad_s is not None:
+            measured = np.clip(measured, -hooks.limit_rad_s, hooks.limit_rad_s)
+        measured = measured * hooks.count_factor
         counts = np.rint(measured / truth.gyro_scale_rad_s).astype(np.int64)
         beyond = (np.abs(counts) > INT16_MAX) | (np.abs(measured) > truth.gyro_limit_rad_s)
-        time_s: FloatArray = ready_s + self._period_s * (np.arange(n, dtype=np.float64) + 1.0)
+        counts = np.clip(counts, -INT16_MAX - 1, INT16_MAX)
+        for word in hooks.words:
+            counts = word.changed(counts)
         return SampleBlock(
             first=self._first,
             time_s=time_s,
-            gyro=np.clip(counts, -INT16_MAX - 1, INT16_MAX),
-            accel=self._accel(motion_s + self._period_s),
-            temperature_degc=self._temperature_degc(time_s),
+            gyro=counts,
+            rate_rad_s=measured,
+            accel=self._accel(motion_s + self._period_s, time_s),
+            temperature_degc=self._temperature.degc(time_s),
             saturated=np.asarray(beyond.any(axis=1)),
             bias_rad_s=bias.mean(axis=0),
         )
 
-    def _accel(self, start_s: float) -> IntArray:
+    def _felt(self, motion: StageMotion, ready_s: float) -> FloatArray:
+        """Return the rate that the sensor element feels in each substep, (m, 3)."""
+        truth, hooks = self.truth, self._hooks
+        if not hooks.mounts and not hooks.rates:
+            return np.asarray(motion.body_rate_rad_s @ truth.gain.T)
+        middles = np.arange(len(motion.pan_rad), dtype=np.float64) + 0.5
+        time_s: FloatArray = ready_s + self._dt_s * middles
+        rates: FloatArray = motion.body_rate_rad_s @ truth.mounting.T
+        force = self._stage.gravity_at_tilt_m_s2(motion.tilt_rad) @ truth.mounting.T
+        for mount in hooks.mounts:
+            rates, force = mount.turned(time_s, rates), mount.turned(time_s, force)
+        moments = Moments(
+            time_s=time_s,
+            pan_rate_rad_s=motion.pan_rate_rad_s,
+            tilt_rate_rad_s=motion.tilt_rate_rad_s,
+            sensor_rad_s=rates @ (truth.gain @ truth.mounting.T).T,
+            force_m_s2=force,
+            temperature=self._temperature,
+        )
+        felt = moments.sensor_rad_s
+        for effect in hooks.rates:
+            felt = felt + effect.added_rad_s(moments)
+        return felt
+
+    def _accel(self, start_s: float, time_s: FloatArray) -> IntArray:
         truth = self.truth
         stage = self._stage.gravity_stage_m_s2(start_s, self._period_s, self._samples)
-        felt = (stage @ truth.mounting.T) * truth.accel_gain + truth.accel_bias_m_s2
+        turned = stage @ truth.mounting.T
+        for mount in self._hooks.mounts:
+            turned = mount.turned(time_s, turned)
+        felt = turned * truth.accel_gain + truth.accel_bias_m_s2
         counts = np.rint((felt + self._accel_noise) / truth.accel_scale_m_s2).astype(np.int64)
         return np.clip(counts, -INT16_MAX - 1, INT16_MAX)
-
-    def _temperature_degc(self, time_s: FloatArray) -> FloatArray:
-        warm = -np.expm1(-(time_s - self._start_s) / self.truth.warm_up_s)
-        return self.truth.ambient_degc + self.truth.self_heating_k * warm

@@ -47,16 +47,36 @@ class BlockFilter:
     forced: FloatArray  # (samples, samples * substeps): outputs from the input
     end_free: FloatArray  # (2, 2)
     end_forced: FloatArray  # (2, samples * substeps)
+    free_by_reach: FloatArray  # (samples * substeps + 1, 2): output after so many substeps
+    response: FloatArray  # (samples * substeps,): output so many substeps after a unit input
 
-    def run(self, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def run(
+        self, state: FloatArray, inputs: FloatArray, early: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return outputs (samples, k) and the final state (2, k).
 
         Args:
             state: at the start of the block, shape (2, k).
             inputs: one row a substep, shape (samples * substeps, k).
+            early: substeps by which each output is taken too early, 0 to `substeps`, need
+                not be whole, shape (samples,).
         """
-        outputs = self.free @ state + self.forced @ inputs
+        free, forced = (self.free, self.forced) if early is None else self._early(early)
+        outputs = free @ state + forced @ inputs
         return outputs, self.end_free @ state + self.end_forced @ inputs
+
+    def _early(self, early: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return `free` and `forced` of outputs taken early: between two whole substeps."""
+        whole = np.minimum(np.floor(early).astype(np.int64), self.substeps - 1)
+        part = (early - whole)[:, None]
+        reach = self.substeps * np.arange(1, self.samples + 1) - whole
+        matrices = []
+        for steps in (reach, reach - 1):
+            delay = steps[:, None] - 1 - np.arange(self.samples * self.substeps)
+            forced = np.where(delay >= 0, self.response[np.maximum(delay, 0)], 0.0)
+            matrices.append((self.free_by_reach[steps], forced))
+        (free, forced), (free_before, forced_before) = matrices
+        return (1 - part) * free + part * free_before, (1 - part) * forced + part * forced_before
 
 
 def block_filter(cutoff_hz: float, period_s: float, substeps: int, samples: int) -> BlockFilter:
@@ -86,4 +106,6 @@ def block_filter(cutoff_hz: float, period_s: float, substeps: int, samples: int)
         forced=forced,
         end_free=powers[total],
         end_forced=response[::-1].T.copy(),
+        free_by_reach=powers[:, 0, :].copy(),
+        response=response[:, 0].copy(),
     )

@@ -22,6 +22,17 @@ STANDARD_GRAVITY_M_S2 = 9.80665  # ISO 80000-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class StageMotion:
+    """How the stage turns in a row of short intervals."""
+
+    pan_rad: FloatArray  # at the middle of each, (n,)
+    tilt_rad: FloatArray  # (n,)
+    pan_rate_rad_s: FloatArray  # mean over each, (n,)
+    tilt_rate_rad_s: FloatArray  # (n,)
+    body_rate_rad_s: FloatArray  # of the stage against the stars, stage frame, (n, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Stage:
     """Two axes with a platform on them."""
 
@@ -29,42 +40,60 @@ class Stage:
     tilt: StepperAxis
     tilt_axis_error_rad: float = 0.0
     gravity_m_s2: float = STANDARD_GRAVITY_M_S2
+    ground_rate_rad_s: FloatArray | None = None  # of the base against the stars, (3,)
 
     @property
     def revision(self) -> int:
         """Grows with every command that changes how the stage moves."""
         return self.pan.revision + self.tilt.revision
 
-    def body_rates_rad_s(self, start_s: float, period_s: float, count: int) -> FloatArray:
-        """Return the mean body rate in each of `count` intervals, stage frame.
+    def motion(self, start_s: float, period_s: float, count: int) -> StageMotion:
+        """Return how the stage turns in each of `count` intervals.
 
         Differences of exact angles, so that an edge inside an interval keeps its area.
 
         Args:
             start_s: begin of the first interval.
-            period_s: length of each; the tilt is taken at its middle.
+            period_s: length of each; the angles are taken at its middle.
             count: how many.
-
-        Returns:
-            Rates in rad/s, shape (count, 3).
         """
         pan = self.pan.angles_rad(start_s, period_s, count + 1)
         tilt = self.tilt.angles_rad(start_s, period_s, count + 1)
-        pan_rate = np.diff(pan) / period_s
+        pan_rate, tilt_rate = np.diff(pan) / period_s, np.diff(tilt) / period_s
         middle = 0.5 * (tilt[1:] + tilt[:-1])
         across = np.cos(self.tilt_axis_error_rad) * pan_rate
         rates = np.empty((count, 3))
-        rates[:, 0] = np.diff(tilt) / period_s - np.sin(self.tilt_axis_error_rad) * pan_rate
+        rates[:, 0] = tilt_rate - np.sin(self.tilt_axis_error_rad) * pan_rate
         rates[:, 1] = across * np.sin(middle)
         rates[:, 2] = across * np.cos(middle)
-        return rates
+        pan_middle = 0.5 * (pan[1:] + pan[:-1])
+        if self.ground_rate_rad_s is not None:
+            rates += self._ground_in_stage(self.ground_rate_rad_s, pan_middle, middle)
+        return StageMotion(pan_middle, middle, pan_rate, tilt_rate, rates)
+
+    def body_rates_rad_s(self, start_s: float, period_s: float, count: int) -> FloatArray:
+        """Return the mean body rate in each of `count` intervals, stage frame, (count, 3)."""
+        return self.motion(start_s, period_s, count).body_rate_rad_s
 
     def gravity_stage_m_s2(self, start_s: float, period_s: float, count: int) -> FloatArray:
         """Return what an ideal accelerometer on the stage reads at rest, shape (count, 3)."""
-        tilt = self.tilt.angles_rad(start_s, period_s, count)
+        return self.gravity_at_tilt_m_s2(self.tilt.angles_rad(start_s, period_s, count))
+
+    def gravity_at_tilt_m_s2(self, tilt: FloatArray) -> FloatArray:
+        """Return what an ideal accelerometer reads at rest at tilt angles in rad, (n, 3)."""
         across = self.gravity_m_s2 * np.cos(self.tilt_axis_error_rad)
-        felt = np.empty((count, 3))
+        felt = np.empty((len(tilt), 3))
         felt[:, 0] = -self.gravity_m_s2 * np.sin(self.tilt_axis_error_rad)
         felt[:, 1] = across * np.sin(tilt)
         felt[:, 2] = across * np.cos(tilt)
         return felt
+
+    def _ground_in_stage(self, ground: FloatArray, pan: FloatArray, tilt: FloatArray) -> FloatArray:
+        """Return the rotation of the ground in the stage frame, R^T ground, (n, 3)."""
+        x = np.cos(pan) * ground[0] + np.sin(pan) * ground[1]
+        y = np.cos(pan) * ground[1] - np.sin(pan) * ground[0]
+        c, s = np.cos(self.tilt_axis_error_rad), np.sin(self.tilt_axis_error_rad)
+        x, z = c * x - s * ground[2], s * x + c * ground[2]
+        return np.stack(
+            [x, np.cos(tilt) * y + np.sin(tilt) * z, np.cos(tilt) * z - np.sin(tilt) * y], axis=1
+        )

@@ -1,0 +1,152 @@
+"""The train of steps that a controller sends to a motor: planned motion, smoothed or not.
+
+A plan is a list of parabolas, exact at any time. With an S-curve the controller sends the
+mean of the plan over a window (see `effects.s_curve`). Positions are counted ones; homing
+gives a position another count without any motion (`recount`).
+"""
+
+from bisect import bisect_right
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrorig_daemon.emulator.physics.effects.s_curve import antiderivative
+from gyrorig_daemon.emulator.physics.motion_law import Segment
+
+FloatArray = NDArray[np.float64]
+
+_INSTANT_S = 1e-9
+
+
+class StepTrain:
+    """What was planned so far, in the order of time."""
+
+    def __init__(self, s_curve_s: float = 0.0) -> None:
+        """Stand at count zero; average the plan over `s_curve_s`."""
+        self._window_s = s_curve_s
+        self._segments = [Segment(0.0, 0.0, 0.0, 0.0)]
+        self._starts = [0.0]
+        self._home_times = [float("-inf")]
+        self._homes = [0.0]  # position on one scale minus count, from each time on
+
+    @property
+    def target_steps(self) -> float:
+        """Where the plan ends, counted."""
+        return self._segments[-1].steps
+
+    @property
+    def rests_at_s(self) -> float:
+        """When the train ends for good."""
+        return self._starts[-1] + self._window_s
+
+    def append(self, segments: list[Segment]) -> None:
+        """Put new segments in the place of those that would begin after them."""
+        keep = len(self._starts)
+        while keep and self._starts[keep - 1] >= segments[0].start_s:
+            keep -= 1
+        self._segments[keep:] = segments
+        self._starts[keep:] = [s.start_s for s in segments]
+
+    def recount(self, time_s: float, count: float) -> float:
+        """Give the position of a time a count; return by how much it was more before."""
+        steps, speed = self.planned_state(time_s)
+        self._home_times.append(time_s)
+        self._homes.append(self._homes[-1] + steps - count)
+        self.append([Segment(time_s, count, speed, 0.0)])
+        return steps - count
+
+    def planned_state(self, time_s: float) -> tuple[float, float]:
+        """Return planned position in counted steps and speed in steps/s."""
+        return self._segments[bisect_right(self._starts, time_s) - 1].at(time_s)
+
+    def state(self, time_s: float) -> tuple[float, float]:
+        """Return sent position in counted steps and speed in steps/s."""
+        if self._window_s == 0.0:
+            return self.planned_state(time_s)
+        steps, speed = self.evaluate(time_s, np.zeros(1))
+        return float(steps[0]), float(speed[0])
+
+    def evaluate(self, start_s: float, offsets_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return sent position and speed at `start_s + offsets_s` (ascending), each (n,)."""
+        if self._window_s == 0.0:
+            return self._trapezoid(start_s, offsets_s)
+        return self._smoothed(start_s, offsets_s)
+
+    def planned(self, after_s: float, until_s: float) -> list[tuple[Segment, float]]:
+        """Return the segments that hold in [after, until], each with the speed before it."""
+        first = max(bisect_right(self._starts, after_s) - 1, 0)
+        last = max(bisect_right(self._starts, until_s), first + 1)
+        pieces = []
+        for k in range(first, last):
+            segment = self._segments[k]
+            before = self._segments[k - 1].at(segment.start_s)[1] if k else 0.0
+            pieces.append((segment, before))
+        return pieces
+
+    def turning_times_s(self, after_s: float, until_s: float) -> list[float]:
+        """Return times in (after, until], in order, between which the train goes one way."""
+        first = bisect_right(self._starts, after_s - self._window_s)
+        last = bisect_right(self._starts, until_s)
+        if self._window_s == 0.0:
+            return self._starts[first:last]
+        near = self._starts[max(first - 1, 0) : last]
+        knots = sorted({t + late for t in near for late in (0.0, self._window_s)})
+        turns = {*knots, *self._smooth_turns_s(knots)}
+        return sorted(t for t in turns if after_s < t <= until_s)
+
+    def _trapezoid(self, start_s: float, offsets_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        first = max(bisect_right(self._starts, start_s) - 1, 0)
+        last = max(bisect_right(self._starts, start_s + float(offsets_s[-1])), first + 1)
+        edges = [s - start_s for s in self._starts[first + 1 : last]]
+        cuts = [0, *np.searchsorted(offsets_s, edges).tolist(), len(offsets_s)]
+        steps, speeds = np.empty_like(offsets_s), np.empty_like(offsets_s)
+        for i, segment in enumerate(self._segments[first:last]):
+            piece = slice(cuts[i], cuts[i + 1])
+            dt = offsets_s[piece] + (start_s - segment.start_s)
+            speed = segment.speed_steps_s + segment.acceleration_steps_s2 * dt
+            steps[piece] = segment.steps + 0.5 * (segment.speed_steps_s + speed) * dt
+            speeds[piece] = speed
+        return steps, speeds
+
+    def _smoothed(self, start_s: float, offsets_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The mean of the plan over the window before each time."""
+        window_s = self._window_s
+        begin_s = start_s - window_s
+        pieces = [
+            replace(segment, steps=segment.steps + float(self._home_steps(segment.start_s)))
+            for segment, _ in self.planned(begin_s, start_s + float(offsets_s[-1]))
+        ]
+        reference = pieces[0].at(begin_s)[0]
+        late, now = (
+            antiderivative(pieces, begin_s, offsets_s + ahead, reference)
+            for ahead in (0.0, window_s)
+        )
+        times = start_s + offsets_s
+        steps = reference + (now - late) / window_s - self._home_steps(times)
+        ends = (
+            self._trapezoid(at_s, offsets_s)[0] + self._home_steps(at_s + offsets_s)
+            for at_s in (start_s, begin_s)
+        )
+        return steps, (next(ends) - next(ends)) / window_s
+
+    def _home_steps(self, time_s: FloatArray | float) -> FloatArray:
+        at = np.searchsorted(self._home_times, time_s, side="right") - 1
+        return np.asarray(self._homes, dtype=np.float64)[at]
+
+    def _smooth_turns_s(self, knots_s: list[float]) -> list[float]:
+        """Return where the smoothed speed, a parabola between knots, changes its sign."""
+        turns: list[float] = []
+        for begin_s, end_s in pairwise(knots_s):
+            length_s = end_s - begin_s
+            if length_s < _INSTANT_S:
+                continue
+            _, (low, mid, high) = self._smoothed(begin_s, length_s * np.array([0.25, 0.5, 0.75]))
+            if low * mid > 0.0 and mid * high > 0.0 and abs(low - 2.0 * mid + high) == 0.0:
+                continue
+            # speed = curve * u^2 + slope * u + mid, with u = -1/2 .. 1/2 over the interval
+            roots = np.roots([8.0 * (low - 2.0 * mid + high), 2.0 * (high - low), mid])
+            real = roots[np.isreal(roots)].real
+            turns += (begin_s + length_s * (0.5 + real[np.abs(real) < 0.5])).tolist()
+        return turns
