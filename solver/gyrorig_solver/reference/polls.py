@@ -51,7 +51,7 @@ ROUNDS = 8
 NEAR_S = 1e-3  # starts that move by less are near enough to judge the rests by
 LATEST_JUDGING = 3  # round from which they are near enough in any case
 JUDGINGS = 2
-SETTLED_S = 2e-6  # starts that move by less, a tenth of what is known of them, are in place
+SETTLED_S = 5e-7  # starts that move by less, a hundredth of what is known of them, are in place
 
 
 @dataclass(frozen=True, slots=True, eq=False)

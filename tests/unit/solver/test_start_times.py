@@ -1,0 +1,287 @@
+"""The fit of starts and rests against a dense second formulation of the same evidence.
+
+The dense one goes move by move, differentiates courses numerically, inverts full matrices,
+and takes the count's unknowns and the detents out by Schur complement and Woodbury's
+identity. It shares the courses' laying and the first guess with nothing it judges.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from gyrorig_solver.reference.course import Instruction, Limits, lay
+from gyrorig_solver.reference.motion import LocalColumn
+from gyrorig_solver.reference.moves import Exchange, Motion, MotionReader
+from gyrorig_solver.reference.polls import Polls, StartTimes, fit_starts
+from gyrorig_solver.reference.ptu import PtuReference
+from gyrorig_solver.reference.rests import DETENT_VARIANCE, VARIANCES
+from gyrorig_solver.reference.slopes import slopes
+
+BASE, RAMP = 100.0, 4000.0
+SPEEDS = (600.0, 1500.0)
+STEP_RAD = 9e-4
+SETTINGS = {
+    f"{axis}_{kind}": value
+    for axis in ("pan", "tilt")
+    for kind, value in (("base_speed", BASE), ("acceleration", RAMP))
+}
+STEP_VARIANCE = 1.0 / 12.0
+AGREE = 5e-3  # standard deviations; what a solve is stopped at is some 1e-3
+
+
+@dataclass(frozen=True)
+class Made:
+    """A motion, what was polled of it, and where it was at the polls."""
+
+    motion: Motion
+    polls: Polls
+    starts_s: np.ndarray
+
+
+def make(seed: int, moves: int = 10, off_steps: float = 0.0, change: bool = False) -> Made:
+    """Moves of pan, every third of tilt; rests off their counts; one order on the way."""
+    rng = np.random.default_rng(seed)
+    told_s, exchanges, legs, starts = 2.0, [], [], []
+    stood, off = [0, 0], [0.0, 0.0]
+    for k in range(moves):
+        axis, speed = int(k % 3 == 2), SPEEDS[k % 2]
+        name = "PT"[axis]
+        target = int(stood[axis] + rng.choice([-1.0, 1.0]) * rng.uniform(300.0, 700.0))
+        law = Limits(speed * 1.0004, RAMP * 1.002, BASE)
+        given = [(told_s, f"{name}S{speed:.0f}"), (told_s + 0.01, f"{name}P{target}")]
+        starts.append(told_s + 0.01 + 0.004 + rng.uniform(0.0, 0.003))
+        end = off_steps * rng.uniform(-0.5, 0.5)
+        orders = [Instruction(starts[-1], "to", target + end, law)]
+        if change and k == 4:
+            target = stood[axis]
+            given.append((told_s + 0.25, f"{name}P{target}"))
+            starts.append(told_s + 0.25 + 0.004 + rng.uniform(0.0, 0.003))
+            orders.append(Instruction(starts[-1], "to", target + end, law))
+        exchanges += [Exchange(at, at + 0.004, True, command) for at, command in given]
+        course = lay(stood[axis] + off[axis], orders)
+        legs.append((axis, course))
+        stood[axis], off[axis] = target, end
+        told_s = course.end_s + 0.4
+    request_s = np.arange(0.1, told_s + 1.0, 0.012)
+    at_s = request_s + 0.0025 + rng.exponential(2e-4, request_s.size)
+    hi_s = at_s + 0.0025 + rng.exponential(2e-4, request_s.size)
+    steps = np.zeros((request_s.size, 2))
+    for axis, course in legs:
+        after = at_s >= course.start_s[0]
+        steps[after, axis] = course.position_steps(at_s[after])
+    valid = rng.uniform(size=steps.shape) > 0.02
+    motion = MotionReader(SETTINGS, (0, 0)).read(exchanges)
+    polls = Polls(request_s, hi_s, np.rint(steps), valid)
+    return Made(motion, polls, np.array(starts))
+
+
+@dataclass(frozen=True)
+class Dense:
+    """What the dense formulation finds: unknowns are starts, rests, speeds, ramps, count."""
+
+    values: np.ndarray
+    information: np.ndarray  # without the three of the count, with detents
+    rest_variance: float
+
+
+def dense_fit(made: Made, near: StartTimes) -> Dense:
+    """Return the dense solution, with the scatter of the instants that `near` found."""
+    motion, polls = made.motion, made.polls
+    first = np.concatenate([[0], np.cumsum([len(m.orders) for m in motion.moves])])
+    starts, rests = int(first[-1]), len(motion.rests)
+    speed = starts + rests
+    ramp = speed + motion.classes
+    size = ramp + 5
+    prior = np.zeros(size)
+    changes = np.ones(starts, dtype=bool)
+    changes[first[:-1]] = False
+    prior[:starts] = np.where(changes, 0.02**-2, 1.0)
+    prior[speed:] = [1e4] * (motion.classes + 2) + [4.0, 4.0, 0.3**-2]
+    told = np.array([order.told_s for m in motion.moves for order in m.orders])
+    width = polls.hi_s - polls.lo_s
+    least = np.percentile(width, 1.0)
+    extra = np.clip(width - least, 0.0, None)
+    values = np.zeros(size)
+    values[:starts] = told + 0.006
+    values[-1] = 0.5
+    guess = values[:starts].copy()
+    standing = np.arange(starts, speed)
+    variance = STEP_VARIANCE
+    for turn in range(14):
+        gram, score = np.zeros((size, size)), np.zeros(size)
+        for k, move in enumerate(motion.moves):
+            own = np.arange(first[k], first[k + 1])
+            log_speed, log_ramp = values[speed:ramp], float(values[ramp + move.axis])
+            course = move.course(values[own], log_speed, log_ramp)
+            at = polls.lo_s + least / 2.0 + values[-1] * extra
+            inside = (at > values[own[0]]) & (at < course.end_s) & polls.valid[:, move.axis]
+            spacing = np.median(np.diff(at[inside]))
+            position = course.position_steps(at)
+            inside &= np.abs(position - move.from_steps) > 1.5
+            inside &= np.abs(position - move.to_steps) > 1.5
+            rate = course.speed_steps_s(at)
+            inside &= rate != 0.0
+            at, position, rate = at[inside], position[inside], rate[inside]
+            share, sign = course.share(at), np.sign(rate)
+            before = next(starts + n for n, r in enumerate(motion.rests) if r.departure == k)
+            model = position + (1 - share) * values[before] + share * values[before + 1]
+            by = slopes(move, values[own], log_speed, log_ramp, at)
+            jacobian = np.zeros((at.size, size))
+            jacobian[:, own] = by.starts.T
+            jacobian[:, before], jacobian[:, before + 1] = 1 - share, share
+            jacobian[:, [speed + c for c in move.classes]] = by.speeds.T
+            jacobian[:, ramp + move.axis] = by.acceleration
+            jacobian[:, -3], jacobian[:, -2] = 1.0, -sign
+            jacobian[:, -1] = rate * extra[inside]
+            residual = polls.steps[inside, move.axis] - model - values[-3] + sign * values[-2]
+            weight = np.minimum(1.0, np.abs(rate) * spacing)
+            weight /= STEP_VARIANCE + (rate * near.instant_std_s) ** 2
+            gram += (jacobian.T * weight) @ jacobian
+            score += jacobian.T @ (weight * residual)
+        seen = np.median((values[:starts] - told)[~changes])
+        centre = np.concatenate([np.where(changes, told + seen, guess), np.zeros(size - starts)])
+        centre[-1] = 0.5
+        gram[np.arange(size), np.arange(size)] += prior
+        score += prior * (centre - values)
+        if turn in (7, 8):
+            variance = likeliest(gram, score, standing, values[standing])
+        gram[standing, standing] += 1.0 / variance
+        score[standing] -= values[standing] / variance
+        values = values + np.linalg.solve(gram, score)
+    kept, drop = np.arange(size - 3), np.arange(size - 3, size)
+    taken = np.linalg.solve(gram[np.ix_(drop, drop)], gram[np.ix_(drop, kept)])
+    left = gram[np.ix_(kept, kept)] - gram[np.ix_(kept, drop)] @ taken
+    inner = left[np.ix_(standing, standing)] + np.eye(rests) / DETENT_VARIANCE
+    loosened = left - left[:, standing] @ np.linalg.solve(inner, left[standing])
+    return Dense(values, loosened, variance)
+
+
+def likeliest(gram: np.ndarray, score: np.ndarray, standing: np.ndarray, at: np.ndarray) -> float:
+    """Return the variance under which the data are likeliest, by eigenvalues."""
+    others = np.setdiff1d(np.arange(score.size), standing)
+    carry = np.linalg.solve(gram[np.ix_(others, others)], gram[np.ix_(others, standing)])
+    own = gram[np.ix_(standing, standing)] - gram[np.ix_(standing, others)] @ carry
+    pull = score[standing] - carry.T @ score[others] + own @ at
+    values, vectors = np.linalg.eigh(own)
+    pull = vectors.T @ pull
+    likelihood = [
+        np.sum(pull**2 / (values + 1.0 / v)) - np.sum(np.log1p(v * values)) for v in VARIANCES
+    ]
+    return VARIANCES[int(np.argmax(likelihood))]
+
+
+@pytest.mark.parametrize(
+    ("seed", "off_steps", "change"), [(1, 0.0, False), (2, 1.0, False), (3, 1.0, True)]
+)
+def test_bands_say_what_dense_matrices_say(seed: int, off_steps: float, change: bool) -> None:
+    made = make(seed, 10, off_steps, change)
+    found = fit_starts(made.motion, made.polls)
+    dense = dense_fit(made, found)
+    table, at = found.table, found.found
+    acting = table.starts + table.rests
+    std = np.sqrt(np.diag(np.linalg.inv(dense.information)))
+    values = np.concatenate([at.starts_s, at.rest_steps, at.log_speed, at.log_acceleration])
+    assert found.rest_variance == dense.rest_variance
+    assert np.abs((values - dense.values[:-3]) / std).max() < AGREE
+    # The same covariance: counted rests and the count's unknowns marginalised.
+    covariance = np.linalg.inv(found.information.to_dense())
+    shared = np.arange(acting + table.rests, acting + table.rests + table.classes + 2)
+    index = np.concatenate([np.arange(acting), shared])
+    other = np.linalg.inv(dense.information)
+    scale = np.outer(std, std)
+    assert np.abs((covariance[np.ix_(index, index)] - other) / scale).max() < AGREE
+
+
+def test_starts_are_where_they_were_within_what_is_claimed() -> None:
+    """Ten runs; chi-squared of all starts together, the count's constants taken out."""
+    total, count = 0.0, 0
+    for seed in range(10, 20):
+        made = make(seed, 12)
+        found = fit_starts(made.motion, made.polls)
+        covariance = np.linalg.inv(found.information.to_dense())
+        starts = made.starts_s.size
+        # All starts may shift together by what no poll can show.
+        covariance = covariance[:starts, :starts] + found.common_std_s**2
+        error = found.found.starts_s - made.starts_s
+        total += float(error @ np.linalg.solve(covariance, error))
+        count += starts
+    # scipy.stats.chi2.interval(0.999, 120) = (75.5, 177.6)
+    assert count == 120
+    assert 75.5 < total < 177.6
+
+
+def reference_of(made: Made) -> PtuReference:
+    span = (float(made.polls.lo_s[0]), float(made.polls.hi_s[-1]))
+    found = fit_starts(made.motion, made.polls)
+    return PtuReference.of(made.motion, found, (STEP_RAD, STEP_RAD), span)
+
+
+@pytest.mark.parametrize("change", [False, True])
+def test_derivatives_are_the_differences(change: bool) -> None:
+    made = make(4, 9, change=change)
+    reference = reference_of(made)
+    # Away from corners: there a difference smears what jumps.
+    edges = np.linspace(1.0, float(made.polls.hi_s[-1]) - 0.5, 4001)
+    here = reference.evaluate(edges)
+    local, shared = reference.information.size
+    table = reference.starts.table
+    acting = table.starts + table.rests
+    assert sorted(c.unknown for c in here.local) == list(range(acting))
+    assert local == acting + table.rests
+    assert shared == here.shared.shape[0] + 3
+    for k in [*range(acting), *range(local, local + here.shared.shape[0])]:
+        step = np.zeros(local + shared)
+        step[k] = 1e-6 if k < table.starts else 1e-5
+        ahead = reference.moved(step).evaluate(edges, derivatives=False).rate_rad_s
+        behind = reference.moved(-step).evaluate(edges, derivatives=False).rate_rad_s
+        column = here.shared[k - local] if k >= local else np.zeros_like(ahead)
+        for one in here.local:
+            if one.unknown == k:
+                column[one.first : one.first + one.values.shape[0]] = one.values
+        off = np.abs((ahead - behind) / (2.0 * step[k]) - column)
+        assert np.mean(np.any(off > 1e-4 * np.abs(column).max() + 1e-9, axis=1)) < 2e-3
+    # What only polls know of changes no rate.
+    step = np.zeros(local + shared)
+    step[acting:local] = 0.1
+    step[-3:] = 0.1
+    still = reference.moved(step).evaluate(edges, derivatives=False).rate_rad_s
+    assert np.array_equal(still, here.rate_rad_s)
+
+
+@pytest.mark.parametrize("change", [False, True])
+def test_a_window_is_a_piece_of_the_whole(change: bool) -> None:
+    made = make(5, 9, change=change)
+    reference = reference_of(made)
+    edges = np.linspace(0.5, float(made.polls.hi_s[-1]), 3001)
+    whole = reference.evaluate(edges)
+    rng = np.random.default_rng(0)
+    for begin, size in zip(rng.integers(0, 2900, 40), rng.integers(2, 700, 40), strict=True):
+        piece = slice(int(begin), min(3000, int(begin + size)))
+        found = reference.evaluate(edges[piece.start : piece.stop + 1])
+        assert np.allclose(found.rate_rad_s, whole.rate_rad_s[piece], atol=1e-12, equal_nan=True)
+        assert np.allclose(found.shared, whole.shared[:, piece], atol=1e-9)
+        told = dense_columns(found.local, piece.stop - piece.start)
+        expected = dense_columns(whole.local, 3000)
+        for unknown, column in expected.items():
+            here = told.get(unknown, np.zeros((piece.stop - piece.start, 3)))
+            assert np.allclose(here, column[piece], atol=1e-9)
+        angles = reference.angles_rad(edges[piece])
+        assert np.allclose(angles, reference.angles_rad(edges)[:, piece], atol=1e-12)
+
+
+def dense_columns(local: tuple[LocalColumn, ...], size: int) -> dict[int, np.ndarray]:
+    columns: dict[int, np.ndarray] = {}
+    for one in local:
+        column = columns.setdefault(one.unknown, np.zeros((size, 3)))
+        column[one.first : one.first + one.values.shape[0]] += one.values
+    return columns
+
+
+def test_a_window_costs_as_much_as_itself() -> None:
+    """A window of a long recording returns the columns of its own moves only."""
+    made = make(6, 120)
+    reference = reference_of(made)
+    middle_s = float(made.polls.hi_s[-1]) / 2.0
+    found = reference.evaluate(np.linspace(middle_s, middle_s + 5.0, 501))
+    assert 4 <= len(found.local) <= 20
