@@ -7,7 +7,7 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -18,6 +18,7 @@ import click
 from gyrorig_daemon import record
 from gyrorig_daemon.config import load_rig, parse_rig, read_document
 from gyrorig_daemon.description import SessionOrder
+from gyrorig_daemon.emulation import Emulation, rough_duration_s
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
@@ -25,6 +26,35 @@ from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.writer import software
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
+_HIDE = (
+    "An imperfection of the emulated rig to hide: a cause, after @ its place, "
+    "after : its size; or random. Can be given several times."
+)
+
+Command = Callable[..., None]
+
+
+def _emulation_options(command: Command) -> Command:
+    """Add what can be wanted of an emulated rig."""
+    for option in reversed(
+        (
+            click.option("--seed", type=click.IntRange(min=0), help="Another rig and noise."),
+            click.option("--truth", type=_FILE, help="Write what the emulated rig hides here."),
+            click.option("--hide", multiple=True, metavar="CAUSE[@PLACE][:SIZE]", help=_HIDE),
+            click.option("--noise-free", is_flag=True, help="Emulated sensors without noise."),
+            click.option(
+                "--soak",
+                type=click.FloatRange(-60.0, 60.0),
+                default=0.0,
+                metavar="KELVIN",
+                help="Warm the emulated room by this and cool it again within the session.",
+            ),
+        )
+    ):
+        command = option(command)
+    return command
+
+
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -55,9 +85,8 @@ def cli() -> None:
     is_flag=True,
     help="Emulated rigs only: faster than time, straight into the recording.",
 )
-@click.option("--seed", type=click.IntRange(min=0), help="Of the emulated rig.")
 @click.option("--session", help="The session's name; otherwise drawn.")
-@click.option("--truth", type=_FILE, help="Write what the emulated rig hides here (YAML).")
+@_emulation_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def record_command(**options: Any) -> None:
     """Record one session: identify the rig, carry out the program, write a recording.
@@ -73,8 +102,16 @@ def record_command(**options: Any) -> None:
 
 @cli.command("emulate")
 @click.option("--config", "config_path", type=_FILE, required=True, help="The rig (YAML).")
-@click.option("--seed", type=click.IntRange(min=0), help="Another rig, board and noise.")
-@click.option("--truth", type=_FILE, help="Write what the emulated rig hides here (YAML).")
+@_emulation_options
+@click.option(
+    "--about",
+    "about_s",
+    type=click.FloatRange(1.0, 1e6),
+    default=60.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="How long it will be used: what happens once happens in the middle.",
+)
 @click.option(
     "--links",
     type=click.Path(path_type=Path, file_okay=False),
@@ -105,21 +142,39 @@ def _record(options: dict[str, Any]) -> dict[str, Any]:
         session=_session_name(options["session"]),
         home=options["home"],
     )
+    seals: list[str] = []
     with _stop_by_signal() as stop:
         call = record.Call(
             order=order,
             config_path=config_path,
-            seed=options["seed"],
-            truth=options["truth"],
+            emulation=_emulation(options, rough_duration_s(order.program)),
             host=socket.gethostname(),
             stop=stop,
             progress=_progress if sys.stderr.isatty() else record.no_progress,
+            sealed=lambda sha256: _tell_seal(sha256, seals),
         )
         run = record.in_simulated_time if options["simulated_time"] else record.in_real_time
         path = run(call)
     if not options["as_json"]:
         click.echo(str(path))
-    return {"recording": str(path)}
+    return {"recording": str(path)} | ({"seal": seals[0]} if seals else {})
+
+
+def _emulation(options: dict[str, Any], about_s: float) -> Emulation:
+    return Emulation(
+        seed=options["seed"],
+        truth=options["truth"],
+        hide=options["hide"],
+        noise_free=options["noise_free"],
+        soak_k=options["soak"],
+        about_s=about_s,
+    )
+
+
+def _tell_seal(sha256: str, told: list[str] | None = None) -> None:
+    if told is not None:
+        told.append(sha256)
+    click.echo(f"sealed until the end, sha256 {sha256}", err=True)
 
 
 def _session_name(told: str | None) -> str:
@@ -138,15 +193,19 @@ def _emulate(options: dict[str, Any]) -> None:
     if options["until_eof"]:
         threading.Thread(target=_wait_for_eof, args=(ended,), daemon=True).start()
 
-    def announce(ports: Mapping[str, str]) -> None:
+    def announce(ports: Mapping[str, str], seal: str | None) -> None:
         if options["as_json"]:
-            click.echo(json.dumps({"ports": dict(ports)}))
+            more = {} if seal is None else {"seal": seal}
+            click.echo(json.dumps({"ports": dict(ports)} | more))
         else:
             for name, path in ports.items():
                 click.echo(f"{name}\t{path}")
+            if seal is not None:
+                _tell_seal(seal)
         sys.stdout.flush()
 
-    record.emulate(config, options["seed"], options["truth"], announce, ended, options["links"])
+    told = _emulation(options, options["about_s"])
+    record.emulate(config, told, announce, ended, options["links"])
 
 
 def _wait_for_eof(ended: threading.Event) -> None:

@@ -9,29 +9,39 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
+from gyrorig_daemon.emulation import Emulation
+from gyrorig_daemon.emulator.causes import RANDOM, draw_hidden, parse_hide
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.sealed import Seal
 from gyrorig_daemon.emulator.settings import BoardSettings, PtuSettings, RigSettings
 from gyrorig_protocol.documents import dump_yaml
-from gyrorig_protocol.errors import MachineError
+from gyrorig_protocol.errors import MachineError, UsageError
 
 # one of the L3G4200D's low-pass choices at each rate (RIOT-OS drivers/include/l3g4200d.h)
 _BANDWIDTH_HZ = {100: 25.0, 200: 50.0, 400: 110.0, 800: 110.0}
 STOP_PATIENCE_S = 10.0
 
 
-def rig_settings(config: RigConfig, seed: int | None = None) -> RigSettings:
+def rig_settings(
+    config: RigConfig, seed: int | None = None, more: Emulation | None = None
+) -> RigSettings:
     """Return the settings of the emulated rig: only the ports that read `emulated`.
 
     Args:
         config: the rig.
         seed: instead of the configuration's own.
+        more: what is to be hidden, and the like.
+
+    Raises:
+        UsageError: there is no such cause to hide.
     """
-    told = config.emulator
+    told, more = config.emulator, more or Emulation()
+    seed = more.seed if seed is None else seed
     ptu = PtuSettings(
         dialect=told.dialect,
         baud=config.ptu.baud,
@@ -55,7 +65,26 @@ def rig_settings(config: RigConfig, seed: int | None = None) -> RigSettings:
         seed=told.seed if seed is None else seed,
         ptu=ptu if config.ptu.port == EMULATED else None,
         boards=boards,
+        hide=tuple(parse_hide(text) for text in more.hide),
+        noise_free=more.noise_free,
+        about_s=more.about_s,
+        soak_k=more.soak_k,
+        soak_period_s=more.about_s,
+        latitude_deg=config.site.latitude_deg,
+        heading_deg=config.site.heading_deg,
     )
+
+
+def check_hidden(config: RigConfig, told: Emulation) -> None:
+    """Refuse what cannot be hidden, before anything is started.
+
+    Raises:
+        UsageError: there is no such cause, place or size, or a sealed truth has nowhere to go.
+    """
+    settings = rig_settings(config, more=told)
+    if told.truth is None and any(order.cause == RANDOM for order in settings.hide):
+        raise UsageError("--hide random has to be opened at the end", "say where: --truth")
+    draw_hidden(settings)
 
 
 def port_of(config: RigConfig, device: str) -> str:
@@ -80,30 +109,51 @@ def write_truth(path: Path, document: Mapping[str, Any]) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class EmulatorRun:
-    """How to run `gyrorigd emulate`."""
+class TruthFile:
+    """Where the truth of an emulated rig goes: told at once, or sealed until the end."""
 
-    config_path: Path
-    seed: int | None = None
-    truth: Path | None = None
+    def __init__(self, told: Emulation, rig: EmulatedRig) -> None:
+        """Write what may be known at the start.
+
+        Raises:
+            MachineError: it cannot be written: better known now than at the end.
+        """
+        self._path, self._rig = told.truth, rig
+        document = rig.truth_document()
+        random = any(order.cause == RANDOM for order in rig.settings.hide)
+        self._seal = Seal(document) if random else None
+        if self._path is not None:
+            closed = document if self._seal is None else self._seal.closed()
+            write_truth(self._path, closed)
+
+    @property
+    def seal(self) -> str | None:
+        """The SHA-256 of what is hidden, None where it is no secret."""
+        return None if self._seal is None else self._seal.sha256
+
+    def open(self, start_ns: int, end_ns: int) -> None:
+        """Write the whole truth, with the mean bias between two times of the rig's clock.
+
+        Raises:
+            MachineError: it cannot be written.
+        """
+        if self._path is None:
+            return
+        document = self._rig.truth_document(start_ns, end_ns)
+        write_truth(self._path, document if self._seal is None else self._seal.opened(document))
 
 
 class EmulatorProcess:
     """`gyrorigd emulate` as a process of its own; ends with this one, however it ends."""
 
-    def __init__(self, run: EmulatorRun) -> None:
-        """Start it and read the paths it announces.
+    def __init__(self, config_path: Path, told: Emulation) -> None:
+        """Start it and read what it announces: the ports' paths, and a seal where it has one.
 
         Raises:
             MachineError: it did not start.
         """
         command = [sys.executable, "-m", "gyrorig_daemon", "emulate", "--json", "--until-eof"]
-        command += ["--config", str(run.config_path)]
-        if run.seed is not None:
-            command += ["--seed", str(run.seed)]
-        if run.truth is not None:
-            command += ["--truth", str(run.truth)]
+        command += ["--config", str(config_path), *told.arguments()]
         try:
             self._process = subprocess.Popen(  # noqa: S603 - ourselves
                 command,
@@ -117,14 +167,15 @@ class EmulatorProcess:
                 f"the emulated rig cannot be started: {fault.strerror}", "make room for it"
             ) from fault
         line = b"" if self._process.stdout is None else self._process.stdout.readline()
-        told = json.loads(line) if line else {}
-        if "ports" not in told:
+        announced = json.loads(line) if line else {}
+        if "ports" not in announced:
             self.close()
             raise MachineError(
-                f"the emulated rig did not start: {told.get('error', 'it says nothing')}",
+                f"the emulated rig did not start: {announced.get('error', 'it says nothing')}",
                 "run gyrorigd emulate to see more",
             )
-        self.paths: Mapping[str, str] = told["ports"]
+        self.paths: Mapping[str, str] = announced["ports"]
+        self.seal: str | None = announced.get("seal")
 
     def close(self) -> None:
         """End it. Closing twice is no fault."""

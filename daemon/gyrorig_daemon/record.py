@@ -13,6 +13,7 @@ from pathlib import Path
 
 from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
 from gyrorig_daemon.description import SessionOrder
+from gyrorig_daemon.emulation import Emulation
 from gyrorig_daemon.links.acquire import raw_ns
 from gyrorig_daemon.links.capture_clock import (
     CaptureClock,
@@ -36,17 +37,21 @@ ORIGIN_NS = 5_000_000_000  # power-up of a rig under simulated time, on its own 
 FAREWELL = " H "  # halts the unit if the daemon dies; the space ends a command cut short
 
 
+def no_seal(_sha256: str) -> None:
+    """Tell nobody."""
+
+
 @dataclass(frozen=True, slots=True)
 class Call:
     """What the command line asks for."""
 
     order: SessionOrder
     config_path: Path
-    seed: int | None
-    truth: Path | None
+    emulation: Emulation
     host: str
     stop: StopFlag
     progress: Progress = no_progress
+    sealed: Callable[[str], None] = no_seal  # told the seal of what is hidden, at the start
 
 
 def in_real_time(call: Call) -> Path:
@@ -58,14 +63,25 @@ def in_real_time(call: Call) -> Path:
     config = call.order.config
     paths = config.ports()
     emulated = [port for port, path in paths.items() if path == EMULATED]
-    if call.truth is not None and not emulated:
-        raise UsageError("this rig is not emulated: its truth is not known", "leave out --truth")
+    told = call.emulation
+    if not emulated:
+        if told.truth is not None:
+            raise UsageError(
+                "this rig is not emulated: its truth is not known", "leave out --truth"
+            )
+        if told.hide or told.noise_free or told.soak_k:
+            raise UsageError(
+                "this rig is not emulated: it is as it is",
+                "leave out --hide, --noise-free and --soak",
+            )
     with ExitStack() as stack:
         if emulated:
-            from gyrorig_daemon.emulated import EmulatorProcess, EmulatorRun  # noqa: PLC0415
+            from gyrorig_daemon.emulated import EmulatorProcess, check_hidden  # noqa: PLC0415
 
-            run = EmulatorRun(call.config_path, call.seed, call.truth)
-            process = stack.enter_context(EmulatorProcess(run))
+            check_hidden(config, told)
+            process = stack.enter_context(EmulatorProcess(call.config_path, told))
+            if process.seal is not None:
+                call.sealed(process.seal)
             paths |= {port: process.paths[port] for port in emulated}
         hub = stack.enter_context(AcquisitionHub(_port_settings(config, paths)))
         around = Surroundings(
@@ -89,17 +105,19 @@ def in_simulated_time(call: Call) -> Path:
         UsageError: a port is not emulated.
         GyrorigError: see `record_session`.
     """
-    from gyrorig_daemon.emulated import rig_settings, write_truth  # noqa: PLC0415
+    from gyrorig_daemon.emulated import TruthFile, check_hidden, rig_settings  # noqa: PLC0415
     from gyrorig_daemon.emulator.rig import EmulatedRig  # noqa: PLC0415
     from gyrorig_daemon.emulator.virtual_hub import VirtualHub  # noqa: PLC0415
 
     config = call.order.config
     if not config.is_emulated:
         raise UsageError("a real rig has no simulated time", "leave out --simulated-time")
-    settings = rig_settings(config, call.seed)
+    check_hidden(config, call.emulation)
+    settings = rig_settings(config, more=call.emulation)
     rig = EmulatedRig(settings, ORIGIN_NS)
-    if call.truth is not None:
-        write_truth(call.truth, rig.truth_document())  # refused now rather than at the end
+    truth = TruthFile(call.emulation, rig)
+    if truth.seal is not None:
+        call.sealed(truth.seal)
     hub = VirtualHub(rig)
     capture = CaptureClock(time.time_ns(), hub.now_ns())
 
@@ -117,8 +135,7 @@ def in_simulated_time(call: Call) -> Path:
         progress=call.progress,
     )
     path = record_session(hub, call.order, around)
-    if call.truth is not None:
-        write_truth(call.truth, rig.truth_document(ORIGIN_NS, hub.now_ns()))
+    truth.open(ORIGIN_NS, hub.now_ns())
     return path
 
 
@@ -132,9 +149,8 @@ def _port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, PortSe
 
 def emulate(
     config: RigConfig,
-    seed: int | None,
-    truth: Path | None,
-    announce: Callable[[Mapping[str, str]], None],
+    told: Emulation,
+    announce: Callable[[Mapping[str, str], str | None], None],
     ended: threading.Event,
     links: Path | None = None,
 ) -> None:
@@ -142,26 +158,25 @@ def emulate(
 
     Args:
         config: the rig; only its ports that read `emulated` are opened.
-        seed: instead of the configuration's own.
-        truth: where to write what the rig hides, at the end with the mean bias too.
-        announce: called once with the path of each port.
+        told: what is hidden, and where the truth goes, at the end with the mean bias too.
+        announce: called once with the path of each port, and with the seal of what is hidden
+            where it is a secret.
         ended: set to stop.
         links: a folder for symbolic links of the ports' names.
 
     Raises:
-        UsageError: no port is emulated.
+        UsageError: no port is emulated, or something cannot be hidden.
         MachineError: no pty, or the truth cannot be written.
     """
-    from gyrorig_daemon.emulated import rig_settings, write_truth  # noqa: PLC0415
+    from gyrorig_daemon.emulated import TruthFile, check_hidden, rig_settings  # noqa: PLC0415
     from gyrorig_daemon.emulator.rig import EmulatedRig  # noqa: PLC0415
     from gyrorig_daemon.emulator.serve import serve  # noqa: PLC0415
 
     if EMULATED not in config.ports().values():
         raise UsageError("no port of this rig is emulated", "write `emulated` as a port")
+    check_hidden(config, told)
     begin_ns = raw_ns()
-    rig = EmulatedRig(rig_settings(config, seed), begin_ns)
-    if truth is not None:
-        write_truth(truth, rig.truth_document())
-    serve(rig, announce, ended.is_set, links)
-    if truth is not None:
-        write_truth(truth, rig.truth_document(begin_ns, raw_ns()))
+    rig = EmulatedRig(rig_settings(config, more=told), begin_ns)
+    truth = TruthFile(told, rig)
+    serve(rig, lambda ports: announce(ports, truth.seal), ended.is_set, links)
+    truth.open(begin_ns, raw_ns())
