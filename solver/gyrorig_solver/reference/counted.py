@@ -7,13 +7,17 @@ board's own evidence takes part and every uncertainty is carried. It costs preci
 commands know a ramp to 1e-4, counts know it to a part of a step.
 """
 
+from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.arrow import Arrow
+from gyrorig_solver.arrow import Arrow, solve_arrow
 from gyrorig_solver.reference.evidence import STEP_VARIANCE
 from gyrorig_solver.reference.kinematics import AxisTurn
 from gyrorig_solver.reference.motion import Evaluated, LocalColumn
@@ -26,7 +30,7 @@ LONGEST_SILENCE_S = 0.25  # between two counts on the way; a ramp fits into more
 MOST_COEFFICIENTS = 3000  # a solve grows with their cube; about two minutes of motion
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class CountedReference:
     """Pan and tilt over time. Unknowns: rests, inner coefficients, then the count's lag."""
 
@@ -67,18 +71,18 @@ class CountedReference:
         return replace(self, values=self.values + step)
 
     def angles_rad(self, time_s: FloatArray) -> FloatArray:
-        """Return pan and tilt at times, shape (2, n)."""
+        """Return pan and tilt at times that do not decrease, shape (2, n)."""
         angle = np.empty((2, time_s.size))
         for axis in (0, 1):
-            level = self.standing[axis][0] + self.values[self._rest(axis, 0)]
-            angle[axis] = level
-            for k, stretch, full in self._splines(axis):
+            touching = self._touching(axis, time_s)
+            angle[axis] = self._standing_steps(axis, touching.start)
+            for k in range(touching.start, touching.stop):
+                stretch, full = self._own[axis][k], self._full(axis, k)
                 first, last = np.searchsorted(time_s, [stretch.begin_s, stretch.end_s])
                 inside = time_s[first:last]
                 angle[axis, first:last] = stretch.position_steps(inside, full)
                 angle[axis, first:last] += self.values[-1] * _direction(stretch, full, inside)
-                level = self.standing[axis][k + 1] + self.values[self._rest(axis, k + 1)]
-                angle[axis, last:] = level
+                angle[axis, last:] = self._standing_steps(axis, k + 1)
         return np.asarray(angle * np.array(self.rad_per_step)[:, None], dtype=np.float64)
 
     def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
@@ -87,70 +91,79 @@ class CountedReference:
         rate[~self._known(edges_s)] = np.nan
         if not derivatives:
             return Evaluated(rate, (), np.zeros((0, len(rate), 3)))
-        local = [*self._rest_columns(edges_s, turn), *self._inner_columns(edges_s, turn)]
+        local: list[LocalColumn] = []
         lag = np.zeros((1, len(rate), 3))
         for axis in (0, 1):
+            touching = self._touching(axis, edges_s)
+            local += self._rest_columns(axis, touching, edges_s, turn)
             change = np.zeros(edges_s.size)
-            for _, stretch, full in self._splines(axis):
+            for k in range(touching.start, touching.stop):
+                stretch, full = self._own[axis][k], self._full(axis, k)
+                local += _inner_columns(stretch, self._inner[axis][k], edges_s, turn)
                 first, last = np.searchsorted(edges_s, [stretch.begin_s, stretch.end_s])
                 change[first:last] = _direction(stretch, full, edges_s[first:last])
             lag[0] += turn.rate(axis, change, slice(0, len(rate)))
-        return Evaluated(rate, tuple(local), lag)
+        return Evaluated(rate, tuple(sorted(local, key=lambda column: column.unknown)), lag)
+
+    @cached_property
+    def _own(self) -> tuple[list[Stretch], list[Stretch]]:
+        """Each axis' stretches."""
+        pan, tilt = ([s for s in self.stretches if s.axis == axis] for axis in (0, 1))
+        return pan, tilt
+
+    @cached_property
+    def _inner(self) -> tuple[list[int], list[int]]:
+        """The first inner coefficient of each axis' stretches, among the unknowns."""
+        count = np.array([s.inner for own in self._own for s in own], dtype=np.int64)
+        first = self._rest(1, len(self.standing[1])) + np.cumsum(count) - count
+        pan = len(self._own[0])
+        return first[:pan].tolist(), first[pan:].tolist()
 
     def _rest(self, axis: int, k: int) -> int:
         return k + (len(self.standing[0]) if axis else 0)
 
-    def _own(self, axis: int) -> list[Stretch]:
-        return [stretch for stretch in self.stretches if stretch.axis == axis]
+    def _standing_steps(self, axis: int, k: int) -> float:
+        return self.standing[axis][k] + float(self.values[self._rest(axis, k)])
 
-    def _splines(self, axis: int) -> list[tuple[int, Stretch, FloatArray]]:
-        """Return an axis' stretches, numbered, each with all of its coefficients."""
-        found = []
-        at = len(self.standing[0]) + len(self.standing[1])
-        at += sum(stretch.inner for stretch in self._own(0)) if axis else 0
-        for k, stretch in enumerate(self._own(axis)):
-            inner = self.values[at : at + stretch.inner]
-            at += stretch.inner
-            ends = (self.values[self._rest(axis, k)], self.values[self._rest(axis, k + 1)])
-            found.append((k, stretch, stretch.full((float(ends[0]), float(ends[1])), inner)))
-        return found
+    def _full(self, axis: int, k: int) -> FloatArray:
+        """Return all coefficients of an axis' k-th stretch."""
+        stretch, first, rest = self._own[axis][k], self._inner[axis][k], self._rest(axis, k)
+        ends = (float(self.values[rest]), float(self.values[rest + 1]))
+        return stretch.full(ends, self.values[first : first + stretch.inner])
 
-    def _rest_columns(self, edges_s: FloatArray, turn: AxisTurn) -> list[LocalColumn]:
-        columns = []
-        for axis in (0, 1):
-            own = self._own(axis)
-            for k in range(len(self.standing[axis])):
-                arrival, departure = own[k - 1] if k else None, own[k] if k < len(own) else None
-                begin_s = arrival.begin_s if arrival else -np.inf
-                end_s = departure.end_s if departure else np.inf
-                first, last = np.searchsorted(edges_s, [begin_s, end_s])
-                first, last = max(0, int(first) - 1), min(edges_s.size, int(last) + 1)
-                inside = edges_s[first:last]
-                share = np.ones(inside.size)
-                if arrival:
-                    share -= 1.0 - _held(arrival, inside, arrival.intervals)
-                if departure:
-                    share -= 1.0 - _held(departure, inside, 0)
-                at = slice(first, max(first, last - 1))
-                columns.append(LocalColumn(self._rest(axis, k), first, turn.rate(axis, share, at)))
-        return columns
+    def _touching(self, axis: int, time_s: FloatArray) -> range:
+        """Return which stretches of an axis lie between the first and the last time."""
+        if time_s.size == 0:
+            return range(0)
+        own = self._own[axis]
+        first = bisect_right(own, float(time_s[0]), key=lambda stretch: stretch.end_s)
+        last = bisect_right(own, float(time_s[-1]), key=lambda stretch: stretch.begin_s)
+        return range(first, max(first, last))
 
-    def _inner_columns(self, edges_s: FloatArray, turn: AxisTurn) -> list[LocalColumn]:
-        columns = []
-        unknown = len(self.standing[0]) + len(self.standing[1])
-        for stretch in self.stretches:
-            knots_s = stretch.begin_s + stretch.knot_s * np.arange(-3, stretch.intervals + 5)
-            at_knot = np.searchsorted(edges_s, knots_s)
-            for k in range(PINNED, PINNED + stretch.inner):
-                # The k-th function lives on four intervals, from the (k - 3)-th knot on.
-                first = max(0, int(at_knot[k]) - 1)
-                last = min(edges_s.size, int(at_knot[k + 4]) + 1)
-                inside = edges_s[first:last]
-                value = _one(stretch, inside, k)
-                at = slice(first, max(first, last - 1))
-                columns.append(LocalColumn(unknown, first, turn.rate(stretch.axis, value, at)))
-                unknown += 1
-        return columns
+    def _rest_columns(
+        self, axis: int, touching: range, edges_s: FloatArray, turn: AxisTurn
+    ) -> Iterator[LocalColumn]:
+        own, size = self._own[axis], edges_s.size
+        for k in range(touching.start, touching.stop + 1):
+            arrival = own[k - 1] if k - 1 in touching else None
+            departure = own[k] if k in touching else None
+            if axis == 0 and arrival is None and departure is None:
+                continue  # a pan that stands changes no rate
+            first, last = 0, size
+            if arrival or axis == 0:
+                begin_s = (arrival or own[k]).begin_s
+                first = max(0, int(np.searchsorted(edges_s, begin_s)) - 1)
+            if departure or axis == 0:
+                end_s = (departure or own[k - 1]).end_s
+                last = min(size, int(np.searchsorted(edges_s, end_s)) + 1)
+            inside = edges_s[first:last]
+            share = np.ones(inside.size)
+            if arrival:
+                share -= 1.0 - _held(arrival, inside, arrival.intervals)
+            if departure:
+                share -= 1.0 - _held(departure, inside, 0)
+            at = slice(first, max(first, last - 1))
+            yield LocalColumn(self._rest(axis, k), first, turn.rate(axis, share, at))
 
     def _known(self, edges_s: FloatArray) -> BoolArray:
         begin, end = edges_s[:-1], edges_s[1:]
@@ -217,32 +230,59 @@ def counted_reference(
         rad_per_step=rad_per_step,
         values=centre.copy(),
         centre=centre,
-        information=Arrow.from_dense(information, 1),
+        information=information,
         common_std_s=constant_s / float(np.sqrt(12.0)),
         span_s=limit,
         why=why,
     )
 
 
-def _joined(
-    stretches: list[Stretch], standing: list[tuple[int, ...]]
-) -> tuple[FloatArray, FloatArray]:
+def _joined(stretches: list[Stretch], standing: list[tuple[int, ...]]) -> tuple[FloatArray, Arrow]:
     """Return the likeliest unknowns and their information, all stretches together."""
     rests = len(standing[0]) + len(standing[1])
-    size = rests + sum(stretch.inner for stretch in stretches) + 1
-    information, pull = np.zeros((size, size)), np.zeros(size)
-    at = np.arange(rests)
-    information[at, at] = 1.0 / STEP_VARIANCE
-    information[-1, -1] = LAG_STD_STEPS**-2.0
+    size = rests + sum(stretch.inner for stretch in stretches)
+    pull = np.zeros(size + 1)
+    rows, columns = [np.arange(rests)], [np.arange(rests)]
+    values = [np.full(rests, 1.0 / STEP_VARIANCE)]
     inner, rest = rests, {0: 0, 1: len(standing[0])}
     for stretch in stretches:
         before = rest[stretch.axis]
         index = np.concatenate([[before], inner + np.arange(stretch.inner), [before + 1]])
-        information[np.ix_(index, index)] += stretch.information
+        off, at = np.nonzero(stretch.information)
+        value, twice = stretch.information[off, at], off > 0
+        rows += [index[at + off], index[at[twice]]]
+        columns += [index[at], index[at[twice] + off[twice]]]
+        values += [value, value[twice]]
         pull[index] += stretch.pull
         inner += stretch.inner
         rest[stretch.axis] += 1
-    return np.asarray(np.linalg.solve(information, pull), dtype=np.float64), information
+    where = np.concatenate(rows), np.concatenate(columns)
+    information = Arrow(
+        csc_array((np.concatenate(values), where), shape=(size, size)),
+        np.zeros((size, 1)),
+        np.full((1, 1), LAG_STD_STEPS**-2.0),
+    )
+    return solve_arrow(information, pull), information
+
+
+def _inner_columns(
+    stretch: Stretch, unknown: int, edges_s: FloatArray, turn: AxisTurn
+) -> Iterator[LocalColumn]:
+    """Return the columns by a stretch's inner coefficients that act between the edges."""
+    begin, end = np.searchsorted(edges_s, [stretch.begin_s, stretch.end_s], side="right")
+    values, first = stretch.basis(edges_s[begin:end])
+    # The k-th function lives on four intervals: where the first one is k - 3 to k.
+    functions = np.arange(PINNED, PINNED + stretch.inner)
+    low = np.searchsorted(first, functions - 3)
+    high = np.searchsorted(first, functions, side="right")
+    for n in np.flatnonzero(high > low).tolist():
+        inside = slice(int(low[n]), int(high[n]))
+        one = np.arange(inside.start, inside.stop)
+        before, after = int(begin + inside.start > 0), int(begin + inside.stop < edges_s.size)
+        change = np.zeros(before + one.size + after)
+        change[before : before + one.size] = values[one, functions[n] - first[inside]]
+        at = slice(begin + inside.start - before, begin + inside.stop + after - 1)
+        yield LocalColumn(unknown + n, int(at.start), turn.rate(stretch.axis, change, at))
 
 
 def _one(stretch: Stretch, time_s: FloatArray, k: int) -> FloatArray:

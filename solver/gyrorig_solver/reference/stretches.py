@@ -12,6 +12,7 @@ Source: Wahba, "Spline models for observational data", SIAM 1990, sections 1.3 a
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from gyrorig_solver.arrays import FloatArray, IntArray
 
@@ -37,7 +38,8 @@ class Stretch:
     knot_s: float
     intervals: int
     counts: tuple[int, int]  # at the rests before and after
-    information: FloatArray  # of (rest before, inner coefficients, rest after), squared
+    # Of (rest before, inner coefficients, rest after): lower band, shape (4, inner + 2).
+    information: FloatArray
     pull: FloatArray  # information times their likeliest values, rests counted from `counts`
 
     @property
@@ -113,45 +115,77 @@ def fit_stretch(
     knot_s = float(np.clip(POLLS_PER_KNOT * usual_s, *KNOT_S))
     intervals = max(2 * PINNED, int(np.ceil((span_s[1] - span_s[0]) / knot_s)))
     values, first = _basis((at_s - span_s[0]) / knot_s, intervals)
-    design = np.zeros((at_s.size, intervals + 3))
-    rows = np.arange(at_s.size)
-    for k in range(4):
-        design[rows, first + k] = values[:, k]
-    # Unknowns: how far the rests lie off their counts, and the inner coefficients.
-    held = np.zeros((intervals + 3, intervals + 5 - 2 * PINNED))
-    held[:PINNED, 0] = held[-PINNED:, -1] = 1.0
-    held[PINNED:-PINNED, 1:-1] = np.eye(intervals + 3 - 2 * PINNED)
-    fixed = np.zeros(intervals + 3)
-    fixed[:PINNED], fixed[-PINNED:] = counts
-    bend = np.diff(np.eye(intervals + 3), n=2, axis=0)
-    roughness = held.T @ bend.T @ bend @ held
-    rough_pull = -(held.T @ (bend.T @ (bend @ fixed)))
     speed = _speeds(at_s, steps)
     share = np.clip(np.abs(speed) * usual_s, LEAST_SHARE, 1.0)
     weight = share / (STEP_VARIANCE + (speed * spread_s) ** 2)
-    inner = design @ held
-    gram = (inner.T * weight) @ inner
-    moment = (inner.T * weight) @ (steps - design @ fixed)
-    ends = np.zeros(held.shape[1])
-    ends[[0, -1]] = 1.0 / STEP_VARIANCE
+    fixed = np.zeros(intervals + 3)
+    fixed[:PINNED], fixed[-PINNED:] = counts
+    column = first[:, None] + np.arange(4)
+    left = steps - np.sum(values * fixed[column], axis=1)
+    gram, moment = _gram(values, _held(column, intervals), weight, left, intervals)
+    bends = np.arange(intervals + 1)[:, None] + np.arange(3)
+    bend = np.tile([1.0, -2.0, 1.0], (bends.shape[0], 1))
+    straight = -np.diff(fixed, n=2)
+    even = np.ones(bends.shape[0])
+    rough, rough_pull = _gram(bend, _held(bends, intervals), even, straight, intervals)
+    ends = np.zeros_like(gram)
+    ends[0, [0, -1]] = 1.0 / STEP_VARIANCE
+    square = float(weight @ left**2)
     best = (-np.inf, INTENSITIES[-1])
     for intensity in INTENSITIES:
         per = 1.0 / (intensity * knot_s**3)
-        prior = per * roughness + np.diag(ends)
-        total = gram + prior
+        size = _size(per * rough + ends)
+        factor = cholesky_banded(gram + per * rough + ends, lower=True, check_finite=False)
         pull = moment + per * rough_pull
-        found = np.linalg.solve(total, pull)
-        bent = bend @ (fixed + held @ found)
-        left = steps - design @ (fixed + held @ found)
-        worse = float(left @ (weight * left) + per * bent @ bent + ends @ found**2)
-        size = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(total)[1]
+        explained = float(pull @ cho_solve_banded((factor, True), pull, check_finite=False))
+        worse = square + per * float(straight @ straight) - explained
+        size -= 2.0 * float(np.sum(np.log(factor[0])))
         if size - worse > best[0]:
-            best = (float(size - worse), intensity)
+            best = (size - worse, intensity)
     _, intensity = best
     per = 1.0 / (ROUGHER * intensity * knot_s**3)
-    total, pull = gram + per * roughness, moment + per * rough_pull
+    total, pull = gram + per * rough, moment + per * rough_pull
     # A rest's own count belongs to both of its stretches; it is put in once, by who joins them.
     return Stretch(axis, span_s[0], knot_s, intervals, counts, total, pull)
+
+
+def _held(column: IntArray, intervals: int) -> IntArray:
+    """Return which unknown holds each coefficient: those at an end are all its rest's."""
+    return np.clip(column - (PINNED - 1), 0, intervals + 4 - 2 * PINNED)
+
+
+def _gram(
+    values: FloatArray, column: IntArray, weight: FloatArray, left: FloatArray, intervals: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the normal equations of rows that touch few neighbouring unknowns.
+
+    Args:
+        values: of each row, shape (n, k).
+        column: which unknowns they belong to, shape (n, k).
+        weight: of the rows, shape (n,).
+        left: what the rows shall give, shape (n,).
+        intervals: of the spline.
+
+    Returns:
+        The lower band of the matrix, shape (4, unknowns), and the right side.
+    """
+    size = intervals + 5 - 2 * PINNED
+    band, moment = np.zeros((4, size)), np.zeros(size)
+    weighed = values * weight[:, None]
+    np.add.at(moment, column, weighed * left[:, None])
+    for k in range(values.shape[1]):
+        off = column - column[:, k, None]
+        low = off >= 0
+        product = weighed * values[:, k, None]
+        at = np.broadcast_to(column[:, k, None], off.shape)
+        np.add.at(band, (off[low], at[low]), product[low])
+    return band, moment
+
+
+def _size(band: FloatArray) -> float:
+    """Return the logarithm of a positive banded matrix' determinant."""
+    factor = cholesky_banded(band, lower=True, check_finite=False)
+    return 2.0 * float(np.sum(np.log(factor[0])))
 
 
 def _speeds(at_s: FloatArray, steps: FloatArray) -> FloatArray:
