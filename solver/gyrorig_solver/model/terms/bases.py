@@ -1,8 +1,9 @@
 """The few ways in which a cause may act, so that each cause's file holds only its physics.
 
 What to use when: `LinearTerm` where the effect is a sum of sizes times signals at the
-sensor; `AngleTerm` where the stage's angles are not what they were told to be;
-`CurvedTerm` for any other effect; `UnseenTerm` where nothing shows in the mean.
+sensor; `AngleTerm` and `LinearAngleTerm` where the stage's angles are not what they were
+told to be; `TimeTerm` where samples were taken at other times; `CurvedTerm` for any other
+effect; `UnseenTerm` where nothing shows in the mean.
 """
 
 from abc import ABC, abstractmethod
@@ -34,6 +35,7 @@ class BaseTerm(ABC):
     confused_with: tuple[str, ...] = ()
     excitation: str
     harm: str
+    derivative_step = DERIVATIVE_STEP  # wider where the effect changes by steps
 
     @abstractmethod
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
@@ -68,10 +70,12 @@ class BaseTerm(ABC):
         return indices(self, role="size")
 
     def _difference(self, scene: Scene, values: FloatArray, k: int) -> FloatArray:
+        parameter = value_parameters(self)[k]
         step = np.zeros(values.size)
-        step[k] = DERIVATIVE_STEP * value_parameters(self)[k].typical
-        higher, lower = self.effect(scene, values + step), self.effect(scene, values - step)
-        return np.asarray((higher - lower) / (2.0 * step[k]), dtype=np.float64)
+        step[k] = self.derivative_step * parameter.typical
+        back = step if values[k] - step[k] >= parameter.lower else 0.0 * step
+        higher, lower = self.effect(scene, values + step), self.effect(scene, values - back)
+        return np.asarray((higher - lower) / (step[k] + back[k]), dtype=np.float64)
 
 
 class LinearTerm(BaseTerm):
@@ -166,6 +170,42 @@ class LinearAngleTerm(AngleTerm):
         return scene.seen_at_stage(np.stack(rates))
 
 
+class TimeTerm(CurvedTerm):
+    """The samples were not taken when their stamps say."""
+
+    part: Part = "clock"
+
+    @abstractmethod
+    def delay(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return how much later than stamped each instant was, s, (instants,)."""
+
+    @abstractmethod
+    def delay_columns(self, scene: Scene, values: FloatArray) -> dict[int, FloatArray]:
+        """Return the delay's derivative by each value that has one written out."""
+
+    def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return the change of the measured rate, (blocks, 3)."""
+        value, _ = scene.later(self.delay(scene, values))
+        now, _ = scene.later(np.zeros(scene.use.size))
+        return scene.mean(value - now)
+
+    def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return slope times the delay's derivative, (k, blocks, 3)."""
+        found = np.zeros((values.size, scene.blocks, 3))
+        _, slope = scene.later(self.delay(scene, values))
+        written = self.delay_columns(scene, values)
+        for k in range(values.size):
+            if k in written:
+                found[k] = scene.mean(slope * written[k][:, None])
+            elif values[self.sizes].any():
+                found[k] = self._difference(scene, values, k)
+        return found
+
+    def directions(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return the derivative by the sizes: over milliseconds a lag is all but linear."""
+        return self.columns(scene, values)[self.sizes]
+
+
 class UnseenTerm(BaseTerm):
     """Nothing shows in the mean of the series: noise, or a fault of the raw stream."""
 
@@ -181,6 +221,18 @@ class UnseenTerm(BaseTerm):
 def start_values(term: BaseTerm) -> FloatArray:
     """Return where a fit of a term begins, shape (k,): no effect."""
     return np.array([p.start for p in value_parameters(term)], dtype=np.float64)
+
+
+def event_times(scene: Scene, count: int) -> FloatArray:
+    """Return times spread over the recording, (count,), not at its ends."""
+    begin, end = scene.setting.begin_s, scene.setting.end_s
+    return np.asarray(begin + (end - begin) * (np.arange(count) + 0.5) / count, np.float64)
+
+
+def since(scene: Scene, event_s: float) -> FloatArray:
+    """Return 0 before an event and 1 after it, (n,); the interval it falls in has its share."""
+    share = (scene.edges_s[1:] - event_s) / scene.turn.width_s
+    return np.clip(share, 0.0, 1.0)
 
 
 def scanned(term: BaseTerm, **values: FloatArray) -> FloatArray:

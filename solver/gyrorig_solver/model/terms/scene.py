@@ -49,6 +49,7 @@ class Setting:
     power_on_s: float | None = None  # of the board; None: not known
     full_scale_rad_s: float | None = None  # of the configured range
     quantum_rad_s: float = 0.0  # one count
+    sample_period_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +139,10 @@ class Scene:
         return self.edges_s.size - 1
 
     @property
+    def _first(self) -> int:
+        return self.fine // 2 + self.lead * self.fine
+
+    @property
     def blocks(self) -> int:
         """How many block means there are."""
         return self.use.size // self.block
@@ -209,19 +214,49 @@ class Scene:
         out = self.low_pass.apply(flat).reshape(n, -1, 3)
         return np.ascontiguousarray(np.moveaxis(out, 1, 0)).reshape(sensor_rate.shape)
 
-    def read(self, output: FloatArray) -> FloatArray:
-        """Return the block means, (..., blocks, 3), of what leaves the low-pass, (..., n, 3).
+    @cached_property
+    def instants_s(self) -> FloatArray:
+        """When the blocks' samples were taken, (instants,), shape of `use`."""
+        return np.ascontiguousarray(self.time_s[self._first :: self.fine])
+
+    def mean(self, at_instants: FloatArray) -> FloatArray:
+        """Return block means, (..., blocks, 3), of (..., instants, 3).
 
         Zero where no instant of a block takes part.
         """
-        begin = self.fine // 2 + self.lead * self.fine
-        at = output[..., begin :: self.fine, :]
-        shape = (*at.shape[:-2], self.blocks, self.block, 3)
+        shape = (*at_instants.shape[:-2], self.blocks, self.block, 3)
+        shaped = at_instants.reshape(shape)
         if self.use.all():
-            return np.asarray(at.reshape(shape).mean(axis=-2), dtype=np.float64)
+            return np.asarray(shaped.mean(axis=-2), dtype=np.float64)
         weight = self.use.reshape(self.blocks, self.block, 1)
         count = np.maximum(weight.sum(axis=1), 1)
-        return np.asarray(np.where(weight, at.reshape(shape), 0.0).sum(axis=-2) / count)
+        return np.asarray(np.where(weight, shaped, 0.0).sum(axis=-2) / count, np.float64)
+
+    def read(self, output: FloatArray) -> FloatArray:
+        """Return the block means of what leaves the low-pass, shape (..., n, 3)."""
+        return self.mean(output[..., self._first :: self.fine, :])
+
+    def later(self, delay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the sensor would show if each instant were later, and its slope.
+
+        Args:
+            delay_s: shape (instants,).
+
+        Returns:
+            G omega behind the low-pass and its time derivative, (instants, 3) each, by
+            cubic Hermite interpolation; constant beyond the ends.
+        """
+        at = np.clip(self.instants_s + delay_s, self.time_s[0], self.time_s[-1])
+        k = np.clip(np.searchsorted(self.time_s, at, side="right") - 1, 0, self.n - 2)
+        width = self.time_s[k + 1] - self.time_s[k]
+        u = ((at - self.time_s[k]) / width)[:, None]
+        low, high = self.filtered_rad_s[k], self.filtered_rad_s[k + 1]
+        rise = (high - low) / width[:, None]
+        begin, end = self.filtered_slope_rad_s2[k], self.filtered_slope_rad_s2[k + 1]
+        c, d = 3.0 * rise - 2.0 * begin - end, begin + end - 2.0 * rise
+        value = low + width[:, None] * u * (begin + u * (c + u * d))
+        slope = begin + u * (2.0 * c + 3.0 * u * d)
+        return np.asarray(value, np.float64), np.asarray(slope, np.float64)
 
     def seen(self, sensor_rate: FloatArray) -> FloatArray:
         """Return what of a rate at the sensor, (..., n, 3), shows in the block means."""
@@ -231,6 +266,36 @@ class Scene:
         """Return what of a change of the stage's rate, (..., n, 3), shows."""
         sure = np.where(self.known[:, None], stage_rate, 0.0)
         return self.seen(np.asarray(sure @ self.gain.T, dtype=np.float64))
+
+    def seen_briefly(self, first: int, stage_rate: FloatArray) -> FloatArray:
+        """Return `seen_at_stage` of a change that is zero but in a few intervals.
+
+        Args:
+            first: index of its first interval.
+            stage_rate: shape (m, 3).
+        """
+        found = np.zeros((self.blocks, 3))
+        per = self.fine * self.block
+        settle = 0 if self.low_pass is None else int(3.0 / self.low_pass.bandwidth_hz / self.step_s)
+        lead = self.lead * self.fine
+        begin = max(0, (first - lead) // per)
+        end = min(self.blocks, -((lead - first - len(stage_rate) - settle) // per))
+        if end <= begin:
+            return found
+        start = lead + begin * per
+        window = np.zeros(((end - begin) * per, 3))
+        skip = max(0, start - first)
+        inside = stage_rate[skip : skip + len(window)]
+        at = first + skip - start
+        inside = inside[: len(window) - at]
+        sure = self.known[first + skip : first + skip + len(inside), None]
+        window[at : at + len(inside)] = np.where(sure, inside, 0.0) @ self.gain.T
+        out = window if self.low_pass is None else self.low_pass.apply(window)
+        use = self.use[begin * self.block : end * self.block].reshape(-1, self.block, 1)
+        values = out[self.fine // 2 :: self.fine].reshape(-1, self.block, 3)
+        total = np.where(use, values, 0.0).sum(axis=1)
+        found[begin:end] = total / np.maximum(use.sum(axis=1), 1)
+        return found
 
     def turned(self, change_rad: FloatArray) -> FloatArray:
         """Return the change of the stage's rate, (n, 3), exactly, by angles off at the edges.

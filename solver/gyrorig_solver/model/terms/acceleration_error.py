@@ -1,0 +1,86 @@
+"""The ramps are steeper or flatter than told.
+
+acceleration (1 + e) from the same start to the same target: a timer's steps make the speeds
+of a ramp (a part in a thousand), and a unit may not do the acceleration it accepts. Only
+moves without orders on the way are laid anew. A reference that fits the ramps has it already.
+"""
+
+import numpy as np
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.model.terms.bases import AngleTerm, scanned
+from gyrorig_solver.model.terms.profiles import relaid
+from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.scene import Scene
+from gyrorig_solver.model.terms.wording import PAN_TILT, listed
+
+
+class AccelerationError(AngleTerm):
+    """e for pan and tilt."""
+
+    cause = "acceleration_error"
+    parameters = (
+        TermParameter(
+            name="share",
+            unit="1",
+            typical=5e-3,
+            lower=-0.5,
+            upper=1.0,
+            prior_std=0.1,
+            parts=PAN_TILT,
+        ),
+    )
+    confused_with = ("s_curve", "base_speed_jump", "clock_offset")
+    excitation = "moves at several speeds, with ramps of different length"
+    harm = "little: the time offset takes a part"
+
+    def change(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return the moves as they were done minus as told, (2, n + 1)."""
+        return redone(scene, (float(values[0]), float(values[1])), (0.0, 0.0))
+
+    def bank(self, scene: Scene) -> FloatArray:
+        """Look from small and large errors."""
+        return scanned(self, share=np.array([-0.2, -0.05, 0.01, 0.05, 0.2]))
+
+    def missing(self, scene: Scene) -> str | None:
+        """Say that the moves' profiles are not known."""
+        return no_profiles(scene)
+
+    def sentence(self, values: FloatArray) -> str:
+        """Say the shares."""
+        return f"the ramps are steeper than told by {listed(values * 100.0, PAN_TILT, '%')}"
+
+
+def redone(
+    scene: Scene, acceleration_share: tuple[float, float], base_rad_s: tuple[float, float]
+) -> FloatArray:
+    """Return the change of the angles, (2, n + 1), by other limits of the axes."""
+    found = np.zeros_like(scene.angle_rad)
+    resolution = scene.setting.rad_per_step
+    if resolution is None:
+        return found
+    for axis, told in scene.setting.courses:
+        size = resolution[axis]
+        more = acceleration_share[axis], base_rad_s[axis] / abs(size)
+        if more == (0.0, 0.0) or told.start_s[0] > scene.edges_s[-1]:
+            continue
+        done = relaid(told, *more)
+        if done is None:
+            continue
+        end_s = max(told.end_s, done.end_s)
+        first, last = np.searchsorted(scene.edges_s, [told.start_s[0], end_s])
+        at = scene.edges_s[first:last]
+        found[axis, first:last] += size * (done.position_steps(at) - told.position_steps(at))
+    return found
+
+
+def no_profiles(scene: Scene) -> str | None:
+    """Return why profiles cannot be looked at, None where they can."""
+    if not scene.has_angles:
+        return "the reference has no pan and tilt; use a unit"
+    if scene.setting.rad_per_step is None or not scene.setting.courses:
+        return "what the unit was told is not known; record its commands"
+    return None
+
+
+TERM = AccelerationError()

@@ -1,0 +1,47 @@
+"""What the unit stands on gives way as the motors push.
+
+angle - c angle'' on each axis: the reaction of an accelerated head twists its base, at once
+(a mode far above the low-pass). 1e-4 s^2 is 0.01 deg at 100 deg/s^2. A pulse of rate at each
+corner of a ramp, two opposite ones to a ramp.
+"""
+
+import numpy as np
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.model.terms.bases import LinearAngleTerm
+from gyrorig_solver.model.terms.profiles import acceleration
+from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.scene import Scene
+from gyrorig_solver.model.terms.wording import PAN_TILT, listed
+
+
+class BaseCompliance(LinearAngleTerm):
+    """c for pan and tilt."""
+
+    cause = "base_compliance"
+    parameters = (
+        TermParameter(
+            name="coefficient",
+            unit="s^2",
+            typical=1e-4,
+            lower=-1e-2,
+            upper=1e-2,
+            prior_std=5e-3,
+            parts=PAN_TILT,
+        ),
+    )
+    confused_with = ("ringing", "acceleration_error", "s_curve", "backlash")
+    excitation = "the fastest accelerations of pan and of tilt; bolt the unit down"
+    harm = "little: no angle stays off"
+
+    def shapes(self, scene: Scene, values: FloatArray) -> list[tuple[int, FloatArray]]:
+        """Return minus the accelerations."""
+        return [(k, -acceleration(scene.edges_s, scene.angle_rad[k])) for k in (0, 1)]
+
+    def sentence(self, values: FloatArray) -> str:
+        """Say the give."""
+        give = listed(np.degrees(values * np.radians(100.0)), PAN_TILT, "deg at 100 deg/s^2")
+        return f"the base gives way as the head speeds up: {give}"
+
+
+TERM = BaseCompliance()

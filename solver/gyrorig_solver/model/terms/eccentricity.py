@@ -1,0 +1,48 @@
+"""The pan wheel is not round about its axis: an error once per turn.
+
+pan + c cos(pan) + s sin(pan): the gain goes with the pan angle. 0.02 to 0.1 deg (as
+remembered). The same on tilt cannot be told from a sagging payload (see `tilt_sag`).
+"""
+
+import numpy as np
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.model.terms.bases import LinearAngleTerm
+from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.scene import Scene
+from gyrorig_solver.model.terms.wording import DEG
+
+
+def _parameter(name: str) -> TermParameter:
+    return TermParameter(
+        name=name,
+        unit="rad",
+        typical=0.05 * DEG,
+        lower=-1.0 * DEG,
+        upper=1.0 * DEG,
+        prior_std=0.3 * DEG,
+        parts=("pan",),
+    )
+
+
+class Eccentricity(LinearAngleTerm):
+    """c and s."""
+
+    cause = "eccentricity"
+    parameters = (_parameter("cosine"), _parameter("sine"))
+    confused_with = ("worm_error", "step_resolution")
+    excitation = "pan over its full range; over +-80 deg one and two per turn look alike"
+    harm = "the scale holds for the pan angles of the recording"
+
+    def shapes(self, scene: Scene, values: FloatArray) -> list[tuple[int, FloatArray]]:
+        """Return cosine and sine of the pan angle."""
+        pan = scene.angle_rad[0]
+        return [(0, np.cos(pan)), (0, np.sin(pan))]
+
+    def sentence(self, values: FloatArray) -> str:
+        """Say the amplitude."""
+        size = float(np.hypot(values[0], values[1])) / DEG
+        return f"the pan axis is off by +-{size:.3g} deg once per turn"
+
+
+TERM = Eccentricity()

@@ -1,0 +1,101 @@
+"""The motor loses steps in a move: count and angle differ from then on.
+
+angle - s from the event on, the whole at once: the rotor falls back by whole cycles of four
+full steps, 0.411 deg on a PTU-E46-17.5 (0.1029 deg a full step). High speed, acceleration,
+load, low move power or supply do it. A pulse of rate once, and every later angle is off.
+"""
+
+import numpy as np
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.model.terms.bases import LinearAngleTerm, scanned
+from gyrorig_solver.model.terms.protocol import Scope, TermParameter
+from gyrorig_solver.model.terms.scene import Scene
+from gyrorig_solver.model.terms.wording import DEG, PAN_TILT, listed
+
+SPACING_S = 0.02  # of the times looked from; the low-pass makes a pulse about as wide
+MOST_LOOKS = 2000
+
+
+class LostSteps(LinearAngleTerm):
+    """Angle lost by pan and tilt, then when."""
+
+    cause = "lost_steps"
+    scope: Scope = "recording"
+    parameters = (
+        TermParameter(
+            name="angle",
+            unit="rad",
+            typical=0.411 * DEG,
+            lower=-10.0 * DEG,
+            upper=10.0 * DEG,
+            prior_std=2.0 * DEG,
+            parts=PAN_TILT,
+        ),
+        TermParameter(
+            "time", "s", typical=1.0, lower=-np.inf, upper=np.inf, prior_std=np.inf, role="event"
+        ),
+    )
+    confused_with = ("backlash", "clock_step", "board_slip")
+    excitation = "a return to the first poses at the end, and homing once more"
+    harm = "lost on pan: little; on tilt: M is a mean of two"
+
+    def shapes(self, scene: Scene, values: FloatArray) -> list[tuple[int, FloatArray]]:
+        """Return minus the step at the event."""
+        k, share = self._step(scene, float(values[2]))
+        shape = np.zeros(scene.n + 1)
+        shape[k + 1 :] = -1.0
+        shape[k + 1 : k + 2] = -share
+        return [(0, shape), (1, shape)]
+
+    def bank(self, scene: Scene) -> FloatArray:
+        """Look from all over the moves."""
+        runs = scene.moving.any(axis=0) & scene.known
+        every = max(1, round(SPACING_S / scene.step_s), -(-int(runs.sum()) // MOST_LOOKS))
+        return scanned(self, time=scene.time_s[runs][::every])
+
+    def directions(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return the derivative by the sizes, zero for an axis that stands at the event.
+
+        On pan it is a pulse and cheap; on tilt the lean that stays counts too.
+        """
+        found = np.zeros((2, scene.blocks, 3))
+        k, share = self._step(scene, float(values[2]))
+        if not 0 <= k < scene.n - 1:
+            return found
+        if scene.moving[0, k]:
+            pulse = scene.turn.rate(0, np.array([0.0, -share, -1.0]), slice(k, k + 2))
+            found[0] = scene.seen_briefly(k, pulse)
+        if scene.moving[1, k]:
+            shape = self.shapes(scene, values)[1][1]
+            found[1] = scene.seen_at_stage(scene.turn_column(1, shape))
+        return found
+
+    def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return the derivative by the values, (3, blocks, 3)."""
+        found = np.zeros((3, scene.blocks, 3))
+        rates = [scene.turn_column(axis, s) for axis, s in self.shapes(scene, values)]
+        found[:2] = scene.seen_at_stage(np.stack(rates))
+        if values[:2].any():
+            found[2] = self._difference(scene, values, 2)
+        return found
+
+    def sentence(self, values: FloatArray) -> str:
+        """Say how much and when."""
+        said = listed(values[:2] / DEG, PAN_TILT, "deg")
+        return f"the motors lose steps at {values[2]:.2f} s: {said}"
+
+    def _step(self, scene: Scene, event_s: float) -> tuple[int, float]:
+        """Return the interval whose middle is before the event, and its share of the pulse.
+
+        The next one has the rest, so that the pulse as a whole is at the event.
+        """
+        if event_s <= scene.time_s[0]:
+            return -1, 1.0
+        k = int(np.searchsorted(scene.time_s, event_s, side="right")) - 1
+        if k >= scene.n - 1:
+            return scene.n - 1, 1.0 if event_s < scene.edges_s[-1] else 0.0
+        return k, 1.0 - float((event_s - scene.time_s[k]) / (scene.time_s[k + 1] - scene.time_s[k]))
+
+
+TERM = LostSteps()
