@@ -8,14 +8,17 @@ motion and a noise without counts; `white_information` for a quick look in white
 """
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrow import Arrow, eliminate
 from gyrorig_solver.estimate.noise import NoiseModel
-from gyrorig_solver.estimate.normal import Normal, block_model, normal_equations
+from gyrorig_solver.estimate.normal import OWN, Normal, NormalSum, PartModel
 from gyrorig_solver.estimate.observability import BIAS_NAMES
-from gyrorig_solver.estimate.series import Series, predict
+from gyrorig_solver.estimate.predict import predict_columns, predict_rate
+from gyrorig_solver.estimate.series import Series
 from gyrorig_solver.model.gain import GAIN_NAMES
 from gyrorig_solver.reference.motion import ReferenceMotion
 
@@ -24,37 +27,52 @@ NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marginal:
-    """Information and score of the board's 13 parameters, the reference's taken out."""
+    """Information and score of the board's own parameters, the reference's taken out."""
 
-    information: FloatArray  # (13, 13)
-    score: FloatArray  # (13,)
-    carry: FloatArray  # (k, 14), how the reference's unknowns follow the board's
+    information: FloatArray  # (p, p)
+    score: FloatArray  # (p,)
+    _shared: FloatArray  # (g, p + 1), how the reference's shared unknowns follow
+    _local: FloatArray  # (m, p + g + 1), how its local ones do
 
     def nuisance(self, step: FloatArray) -> FloatArray:
-        """Return the step of the reference's unknowns (shared, local) that goes with one."""
-        return np.asarray(self.carry[:, -1] - self.carry[:, :-1] @ step, dtype=np.float64)
+        """Return the step of the reference's unknowns (local, shared) that goes with one."""
+        shared = self._shared[:, -1] - self._shared[:, :-1] @ step
+        both = np.concatenate([step, shared])
+        local = self._local[:, -1] - self._local[:, :-1] @ both
+        return np.concatenate([local, shared])
 
 
-def marginalise(total: Normal, reference: ReferenceMotion, shared: int) -> Marginal:
+def marginalise(total: Normal, reference: ReferenceMotion, own: int = OWN) -> Marginal:
     """Put in what the reference knows of its unknowns, and take those out.
 
     Args:
-        total: normal equations over (G, b, tau, shared, local).
+        total: normal equations over (local | own, shared unknowns that act on the rate).
         reference: holds the knowledge, local unknowns first.
-        shared: how many of its unknowns act everywhere.
+        own: how many parameters are the board's.
     """
-    known, pull = reference.information.to_dense(), reference.information.times(reference.pull)
-    local = known.shape[0] - shared
-    order = np.concatenate([local + np.arange(shared), np.arange(local)]).astype(np.int64)
-    information, score = total.information.copy(), total.score.copy()
-    information[13:, 13:] += known[np.ix_(order, order)]
-    score[13:] += pull[order]
-    own, rest = slice(0, 13), slice(13, None)
-    bound = np.column_stack([information[rest, own], score[rest]])
-    carry = np.asarray(np.linalg.solve(information[rest, rest], bound), dtype=np.float64)
-    both = np.column_stack([information[own, own], score[own]])
-    left = np.asarray(both - information[own, rest] @ carry, dtype=np.float64)
-    return Marginal(left[:, :-1], left[:, -1], carry)
+    known = reference.information
+    local, shared = known.size
+    acting = total.matrix.size[1] - own
+    pull = known.times(reference.pull)
+    size = own + shared
+    matrix = Arrow.zero(local, size)
+    matrix.cross[:, : own + acting] = total.matrix.cross
+    matrix.cross[:, own:] += known.cross
+    matrix.shared[: own + acting, : own + acting] = total.matrix.shared
+    matrix.shared[own:, own:] += known.shared
+    score = np.zeros(local + size)
+    score[: local + own + acting] = total.score
+    score[:local] += pull[:local]
+    score[local + own :] += pull[local:]
+    left = eliminate(
+        Arrow((total.matrix.local + known.local).tocsc(), matrix.cross, matrix.shared), score
+    )
+    mine, rest = slice(0, own), slice(own, None)
+    bound = np.column_stack([left.information[rest, mine], left.score[rest]])
+    carry = np.asarray(np.linalg.solve(left.information[rest, rest], bound), dtype=np.float64)
+    both = np.column_stack([left.information[mine, mine], left.score[mine]])
+    both = both - left.information[mine, rest] @ carry
+    return Marginal(both[:, :-1], both[:, -1], carry, left.carry)
 
 
 def loosened(information: FloatArray, index: int, std: float) -> FloatArray:
@@ -81,10 +99,25 @@ def motion_information(
     Returns:
         Information over `NAMES`, shape (13, 13).
     """
-    predicted = predict(series, reference, 0.0)
-    model = block_model(series, predicted, series.good & predicted.known)
-    total = normal_equations(model, gain, np.zeros_like(model.measured), noise)
-    return marginalise(total, reference, int(model.shared.shape[0])).information
+    local, _ = reference.information.size
+    parts = series.parts()
+    models = (_part(series, blocks, reference) for blocks in parts)
+    first = next(models)
+    total = NormalSum(noise, gain, local, first)
+    for model in chain([first], models):
+        total.add(model, np.zeros_like(model.rate), whole=len(parts) == 1)
+    return marginalise(total.total(), reference).information
+
+
+def _part(series: Series, blocks: slice, reference: ReferenceMotion) -> PartModel:
+    sampled = predict_rate(series, blocks, reference, 0.0)
+    use = series.good[series.samples_of(blocks)] & sampled.known
+    return PartModel(
+        rate=series.means(sampled.rate, use),
+        used=series.used(use),
+        terms=np.zeros((0, blocks.stop - blocks.start, 3)),
+        columns=predict_columns(series, blocks, reference, 0.0),
+    )
 
 
 def white_information(

@@ -1,48 +1,45 @@
-"""The rate-domain maximum-likelihood fit of one board against a reference motion.
+"""The rate-domain maximum-likelihood fit of one board against reference motions.
 
-Rounds of Gauss-Newton over (G, b, tau) and the reference's own unknowns; after each
-round the noise levels are found again in the residual's spectrum and the samples are
-judged again for spikes. All derivatives are analytic. See `normal` for the algebra,
-`noise` for the density, `observability` for what is then allowed to be a number.
+Rounds of Gauss-Newton over G, each recording's (b, tau) and each reference's own
+unknowns; after each round the noise levels are found again in the residual's spectrum.
+What recordings have in common is summed, what is a recording's own is free. All
+derivatives are analytic. See `normal` for the algebra, `noise` for the density,
+`session` for one recording, `observability` for what is then allowed to be a number.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import dct, idct
 
-from gyrorig_protocol.errors import InputError
-from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.information import NAMES, loosened, marginalise
-from gyrorig_solver.estimate.noise import NoiseModel, Sampling, Spectrum, binned, fit_levels
-from gyrorig_solver.estimate.normal import BlockModel, Normal, block_model, normal_equations
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.estimate.information import NAMES, Marginal, loosened, marginalise
+from gyrorig_solver.estimate.noise import NoiseModel, Spectrum, binned, fit_levels
+from gyrorig_solver.estimate.normal import whitened
 from gyrorig_solver.estimate.observability import Decision, decide, prior_std
-from gyrorig_solver.estimate.series import Predicted, Series, low_pass_delay_s, predict
-from gyrorig_solver.reference.motion import ReferenceMotion
+from gyrorig_solver.estimate.session import SessionFit, shared_gain
 
 ROUNDS = 12
 CONVERGED_SIGMA = 1e-2  # largest last step, in standard deviations
-FRESH_ROUNDS = 2  # rounds after which the reference's derivatives stay as they are
-SPIKE_SIGMA = 6.0  # a sample this far off is no sample of the model's noise
-SEARCH_S = 0.3  # the lag is looked for within this range first
-MOVING_RAD_S = 0.003  # the reference turns faster than this: moving
+SETTLING = 0.1  # a step that has shrunk by this is followed by one that need not be taken
+UNSETTLED_SIGMA = 5.0  # a step above this judges spikes anew
+FAR_SIGMA = 50.0  # a step above this takes derivatives anew
+GAINS = 9
+PER_SESSION = 4  # bias and time offset
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Where the fit ended: parameters, what they rest on, and the residual."""
+    """Where the fit ended: parameters, what they rest on, and each recording's state."""
 
-    estimate: FloatArray  # (13,), G row by row, b, time offset (whole lag)
-    information: FloatArray  # (13, 13), nuisances and the common shift marginalised
+    estimate: FloatArray  # (13,), G row by row, b, time offset (whole lag) of the last recording
+    information: FloatArray  # (13, 13), all else marginalised, the common shift put in
     decision: Decision
-    reference: ReferenceMotion
-    noise: NoiseModel
-    spectrum: Spectrum
-    models: list[BlockModel]
-    residuals: list[FloatArray]
-    whitened: list[FloatArray]
+    sessions: tuple[SessionFit, ...]
+    own: tuple[Decision, ...]  # of (G, b, tau) with each recording's own b and tau
+    noises: tuple[NoiseModel, ...]  # of each recording
+    spectra: tuple[Spectrum, ...]
     outliers: int
-    used: int
     converged: bool
 
     @property
@@ -50,214 +47,162 @@ class Solution:
         """G, shape (3, 3)."""
         return self.estimate[:9].reshape(3, 3)
 
-    @property
-    def bias_rad_s(self) -> FloatArray:
-        """Shape (3,)."""
-        return self.estimate[9:12]
+    def residuals(self) -> list[FloatArray]:
+        """Return measured minus modelled of every series of every recording."""
+        return [r for s in self.sessions for r in s.residuals(self.gain)]
+
+    def whitened(self) -> list[FloatArray]:
+        """Return the residual in units of its own deviation, white."""
+        return [
+            whitened([residual[part] for part in series.parts()], noise)
+            for session, noise in zip(self.sessions, self.noises, strict=True)
+            for series, residual in zip(session.series, session.residuals(self.gain), strict=True)
+        ]
+
+    def used(self) -> list[BoolArray]:
+        """Return which blocks of every series are used."""
+        return [u for s in self.sessions for u in s.used]
 
 
-def solve_likelihood(
-    series: list[Series],
-    sampling: Sampling,
-    reference: ReferenceMotion,
-    stamp_std_s: float = 0.0,
-) -> Solution:
-    """Fit one board against a reference motion.
+def solve_likelihood(sessions: Sequence[SessionFit]) -> Solution:
+    """Fit one board against the reference motions of its recordings.
 
     Args:
-        series: of one board, from `build_series`.
-        sampling: how they were sampled.
-        reference: the stage's motion on the same time axis.
-        stamp_std_s: what is not known of the samples' own times, one shift of all.
+        sessions: in the order of time; the last one's bias and offset are the result's.
 
     Raises:
         InputError: no sample has a reference.
     """
-    sampling = replace(sampling, differentiated=reference.differentiated)
-    work = _Work(series, sampling, reference)
+    work = _Work(sessions)
     work.begin()
     converged = False
+    before = np.inf
     for _ in range(ROUNDS):
         step = work.round()
-        if step < CONVERGED_SIGMA:
+        if step < CONVERGED_SIGMA or (step < SETTLING and step < SETTLING * before):
             converged = True
             break
-    return work.solution(converged, stamp_std_s)
+        before = step
+    return work.solution(converged)
 
 
 class _Work:
     """The fit under way."""
 
-    def __init__(
-        self, series: list[Series], sampling: Sampling, reference: ReferenceMotion
-    ) -> None:
-        self._series, self._sampling, self._reference = series, sampling, reference
-        self._gain, self._bias, self._lag_s = np.eye(3), np.zeros(3), 0.0
-        self._good = [s.good for s in series]
-        self._predicted: list[Predicted] = []
-        self._rounds = 0
-        self._models: list[BlockModel] = []
+    def __init__(self, sessions: Sequence[SessionFit]) -> None:
+        self._sessions = tuple(sessions)
+        self._gain = np.eye(3)
+        self._noises: list[NoiseModel] = []
+        self._spectra: list[Spectrum] = []
 
     def begin(self) -> None:
-        """Find a lag by correlation, then gain and bias by plain least squares."""
-        if not self._series:
-            raise InputError("no stretch of samples is long enough", "record for longer")
-        self._lag_s = max(
-            (_correlation_lag(s, self._reference) for s in self._series), key=lambda x: x[1]
-        )[0]
-        self._predict()
-        if not any(m.used.any() for m in self._models):
-            raise InputError(
-                "no sample lies where the reference motion is known",
-                "check that unit and board were recorded together",
-            )
-        information = np.diag(prior_std(NAMES[:12]) ** -2.0) * 1e-6
-        score = information @ np.concatenate([np.eye(3).ravel(), np.zeros(3)])
-        for model in self._models:
-            design = np.column_stack([model.rate, np.ones(model.used.size)])[model.used]
-            gram, moment = design.T @ design, design.T @ model.measured[model.used]
-            for axis in range(3):
-                index = [3 * axis, 3 * axis + 1, 3 * axis + 2, 9 + axis]
-                information[np.ix_(index, index)] += gram
-                score[index] += moment[:, axis]
-        start = np.linalg.solve(information, score)
-        self._gain, self._bias = start[:9].reshape(3, 3), start[9:]
-        self._judge()
+        """Find lags by correlation, then gain and biases by plain least squares."""
+        for session in self._sessions:
+            session.find_lag()
+        self._least_squares(first=True)
+        self._least_squares(first=False)
+        self._observe(judge=True, fresh=True)
         self._fit_noise()
 
     def round(self) -> float:
         """Take one Gauss-Newton step; return its largest size in standard deviations."""
-        marginal = marginalise(self._normal(), self._reference, self._shared_count())
-        decision = decide(marginal.information, NAMES)
-        step = decision.inverse @ marginal.score
-        self._marginal, self._decision = marginal.information, decision
-        self._gain = self._gain + step[:9].reshape(3, 3)
-        self._bias = self._bias + step[9:12]
-        self._lag_s += float(np.clip(step[12], -0.05, 0.05))
-        self._reference = self._reference.moved(self._as_reference(marginal.nuisance(step)))
-        self._rounds += 1
-        self._predict()
-        self._judge()
-        self._fit_noise()
+        found = self._marginals()
+        information, score = self._joint(found)
+        decision = decide(information, self._names())
+        step = decision.inverse @ score
+        self._marginal = found
         sigma = np.sqrt(np.clip(np.diag(decision.covariance), 0.0, None))
-        return float(np.max(np.abs(step) / np.where(sigma > 0.0, sigma, np.inf)))
+        size = float(np.max(np.abs(step) / np.where(sigma > 0.0, sigma, np.inf)))
+        self._gain = self._gain + step[:GAINS].reshape(3, 3)
+        for k, (session, marginal) in enumerate(zip(self._sessions, found, strict=True)):
+            own = step[self._index(k)]
+            session.bias_rad_s = session.bias_rad_s + own[9:12]
+            session.lag_s += float(np.clip(own[12], -0.05, 0.05))
+            session.reference = session.reference.moved(marginal.nuisance(own))
+        if size >= CONVERGED_SIGMA:
+            # A fit that still moves may have taken good samples for spikes.
+            self._observe(judge=size > UNSETTLED_SIGMA, fresh=size > FAR_SIGMA)
+            self._fit_noise()
+        return size
 
-    def solution(self, converged: bool, stamp_std_s: float) -> Solution:
-        """Return the result, the common shift of the reference put into the offset."""
-        delay_s = low_pass_delay_s(self._series[0])
-        estimate = np.concatenate([self._gain.ravel(), self._bias, [self._lag_s + delay_s]])
-        common = float(np.hypot(self._reference.common_std_s, stamp_std_s))
-        information = loosened(self._marginal, 12, common)
-        noise = self._noise
+    def solution(self, converged: bool) -> Solution:
+        """Return the result, each recording's common shift put into its offset."""
+        last = self._sessions[-1]
+        offset_s = last.time_offset_s
+        estimate = np.concatenate([self._gain.ravel(), last.bias_rad_s, [offset_s]])
+        own = [self._of_one(k) for k in range(len(self._sessions))]
         return Solution(
             estimate=estimate,
-            information=information,
-            decision=decide(information, NAMES),
-            reference=self._reference,
-            noise=noise,
-            spectrum=self._spectrum,
-            models=self._models,
-            residuals=self._residuals,
-            whitened=[_whiten(r, noise) for r in self._residuals],
-            outliers=sum(
-                int(np.sum(s.good & ~g)) for s, g in zip(self._series, self._good, strict=True)
-            ),
-            used=sum(int(g.sum()) for g in self._good),
+            information=own[-1],
+            decision=decide(own[-1], NAMES),
+            sessions=self._sessions,
+            own=tuple(decide(one, NAMES) for one in own),
+            noises=tuple(self._noises),
+            spectra=tuple(self._spectra),
+            outliers=sum(session.outliers for session in self._sessions),
             converged=converged,
         )
 
-    def _shared_count(self) -> int:
-        return int(self._models[0].shared.shape[0])
+    def _names(self) -> tuple[str, ...]:
+        return (*NAMES[:GAINS], *(NAMES[GAINS:] * len(self._sessions)))
 
-    def _normal(self) -> Normal:
-        parts = [
-            normal_equations(m, self._gain, r, self._noise)
-            for m, r in zip(self._models, self._residuals, strict=True)
-        ]
-        total = parts[0]
-        for part in parts[1:]:
-            total = total + part
-        return total
+    def _index(self, k: int) -> IntArray:
+        """Return where the parameters of recording `k` are among all."""
+        first = GAINS + PER_SESSION * k
+        return np.array([*range(GAINS), *range(first, first + PER_SESSION)], dtype=np.int64)
 
-    def _as_reference(self, nuisance: FloatArray) -> FloatArray:
-        """Reorder (shared, local) as the reference has them: local first."""
-        g = self._shared_count()
-        return np.concatenate([nuisance[g:], nuisance[:g]])
-
-    def _predict(self) -> None:
-        # Once near the solution the derivatives hardly change, and they cost most.
-        fresh = self._rounds < FRESH_ROUNDS
-        found = [predict(s, self._reference, self._lag_s, fresh) for s in self._series]
-        if not fresh:
-            found = [
-                replace(new, shared=old.shared, local=old.local)
-                for new, old in zip(found, self._predicted, strict=True)
-            ]
-        self._predicted = found
-        self._blocks()
-
-    def _blocks(self) -> None:
-        self._models = [
-            block_model(s, p, g & p.known)
-            for s, p, g in zip(self._series, self._predicted, self._good, strict=True)
+    def _marginals(self) -> list[Marginal]:
+        return [
+            marginalise(session.normal(self._gain, noise), session.reference)
+            for session, noise in zip(self._sessions, self._noises, strict=True)
         ]
 
-    def _judge(self) -> None:
-        """Set spikes aside, by each sample's own residual against a robust deviation."""
-        good: list[BoolArray] = []
-        for series, predicted in zip(self._series, self._predicted, strict=True):
-            residual = series.rate_rad_s - predicted.rate @ self._gain.T - self._bias
-            use = series.good & predicted.known
-            if not use.any():
-                good.append(series.good)
-                continue
-            middle = np.median(residual[use], axis=0)
-            deviation = 1.4826 * np.median(np.abs(residual[use] - middle), axis=0)
-            limit = SPIKE_SIGMA * np.maximum(deviation, self._sampling.quantum_rad_s)
-            spike = np.any(np.abs(residual - middle) > limit, axis=1)
-            good.append(series.good & ~spike)
-        self._good = good
-        self._blocks()
-        self._residuals = [m.residual(self._gain, self._bias) for m in self._models]
+    def _joint(self, found: Sequence[Marginal]) -> tuple[FloatArray, FloatArray]:
+        """Return the sum of all recordings' evidence, each with its own bias and offset."""
+        size = GAINS + PER_SESSION * len(found)
+        information, score = np.zeros((size, size)), np.zeros(size)
+        for k, marginal in enumerate(found):
+            index = self._index(k)
+            information[np.ix_(index, index)] += marginal.information
+            score[index] += marginal.score
+        return information, score
+
+    def _of_one(self, k: int) -> FloatArray:
+        """Return the information of G and recording `k`'s own, the others' taken out."""
+        loose = [
+            replace(m, information=loosened(m.information, 12, session.common_std_s))
+            for m, session in zip(self._marginal, self._sessions, strict=True)
+        ]
+        information, _ = self._joint(loose)
+        keep = self._index(k)
+        drop = np.setdiff1d(np.arange(information.shape[0]), keep)
+        if not drop.size:
+            return information
+        # A hair of prior: a recording at rest does not know its offset.
+        unit = np.array(prior_std(self._names()))[drop]
+        inner = information[np.ix_(drop, drop)] + np.diag(1e-6 / unit**2)
+        across = information[np.ix_(keep, drop)]
+        left = information[np.ix_(keep, keep)] - across @ np.linalg.solve(inner, across.T)
+        return np.asarray(left, dtype=np.float64)
+
+    def _least_squares(self, first: bool) -> None:
+        sums = [s.rough(s.used if first else s.ordinary(self._gain)) for s in self._sessions]
+        self._gain = shared_gain(sums)
+        for session, rough in zip(self._sessions, sums, strict=True):
+            session.bias_rad_s = rough.bias(self._gain)
+
+    def _observe(self, judge: bool, fresh: bool) -> None:
+        for session in self._sessions:
+            session.observe(self._gain, judge, fresh)
 
     def _fit_noise(self) -> None:
-        spectra = [dct(r, axis=0, norm="ortho") for r in self._residuals]
-        # Missing blocks are zeros; their share of the power is given back.
-        filled = [
-            c / np.sqrt(max(float(np.mean(m.used)), 1e-3))
-            for c, m in zip(spectra, self._models, strict=True)
+        self._spectra = [
+            binned(session.spectra(self._gain), session.sampling.rate_hz)
+            for session in self._sessions
         ]
-        self._spectrum = binned(filled, self._sampling.rate_hz)
-        self._noise = fit_levels(self._spectrum, self._sampling)
-
-
-def _whiten(residual: FloatArray, noise: NoiseModel) -> FloatArray:
-    spectrum = dct(residual, axis=0, norm="ortho") / np.sqrt(noise.variance(residual.shape[0]))
-    return np.asarray(idct(spectrum, axis=0, norm="ortho"), dtype=np.float64)
-
-
-def _correlation_lag(series: Series, reference: ReferenceMotion) -> tuple[float, float]:
-    """Return the lag at which measured and reference speeds agree best, and how well.
-
-    Speeds (norms) do not care how the sensor is mounted. The mean is taken out of both.
-    """
-    predicted = predict(series, reference, 0.0, derivatives=False)
-    use = series.good & predicted.known
-    if use.sum() < 10:
-        return 0.0, -1.0
-    bias = np.median(series.rate_rad_s[use], axis=0)
-    measured = np.where(use, np.linalg.norm(series.rate_rad_s - bias, axis=1), 0.0)
-    turning = np.where(use, np.linalg.norm(predicted.rate, axis=1), 0.0)
-    if np.std(turning[use]) < MOVING_RAD_S:
-        return 0.0, -1.0
-    measured = np.where(use, measured - measured[use].mean(), 0.0)
-    turning = np.where(use, turning - turning[use].mean(), 0.0)
-    size = 1 << (2 * measured.size - 1).bit_length()
-    product = np.fft.irfft(np.fft.rfft(measured, size) * np.conj(np.fft.rfft(turning, size)), size)
-    period_s = float(series.time_s[-1] - series.time_s[0]) / (series.time_s.size - 1)
-    reach = int(SEARCH_S / period_s)
-    lags = np.arange(-reach, reach + 1)
-    score = product[lags]
-    best = int(np.argmax(score))
-    quality = float(score[best] / (np.linalg.norm(measured) * np.linalg.norm(turning) + 1e-30))
-    return float(lags[best]) * period_s, quality
+        before: list[FloatArray | None] = [noise.levels for noise in self._noises]
+        before = before or [None] * len(self._sessions)
+        self._noises = [
+            fit_levels(spectrum, session.sampling, levels)
+            for spectrum, session, levels in zip(self._spectra, self._sessions, before, strict=True)
+        ]

@@ -1,19 +1,20 @@
-"""The fit against a reference motion, concluded: a board on a unit, or lying still.
+"""The fit against reference motions, concluded: a board on a unit, or lying still.
 
-What to use when: `fit_motion` for one board and one `ReferenceMotion`; `likelihood` holds
-the estimator itself.
+What to use when: `fit_motion` for one recording of a board, `fit_joint` for several;
+`likelihood` holds the estimator itself.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.arrays import BoolArray, IntArray
 from gyrorig_solver.estimate.conclusion import TERMS, Evidence, gyro_fit
-from gyrorig_solver.estimate.likelihood import MOVING_RAD_S, Solution, solve_likelihood
+from gyrorig_solver.estimate.likelihood import Solution, solve_likelihood
 from gyrorig_solver.estimate.rest_to_rest import CrossCheck, Path, cross_check
 from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit, NoiseLevels
-from gyrorig_solver.estimate.series import Series, build_series
+from gyrorig_solver.estimate.series import build_series
+from gyrorig_solver.estimate.session import SessionFit, shared_gain
 from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.reference.rests import DETENT_VARIANCE
@@ -34,32 +35,41 @@ def fit_motion(
     words: Mapping[str, str],
     warnings: tuple[str, ...] = (),
 ) -> GyroFit:
-    """Fit samples against a reference motion and conclude what may be said.
+    """Fit one recording's samples against its reference motion; see `fit_joint`."""
+    return fit_joint([(samples, reference)], words, warnings)
+
+
+def fit_joint(
+    recordings: Sequence[tuple[GyroSamples, ReferenceMotion]],
+    words: Mapping[str, str],
+    warnings: tuple[str, ...] = (),
+) -> GyroFit:
+    """Fit one board's recordings together and conclude what may be said.
+
+    The gain is common to all, bias and time offset are each recording's own; those of the
+    last one are the result's.
 
     Args:
-        samples: of one board.
-        reference: the stage's motion, times on the samples' axis.
+        recordings: samples of one board and the stage's motion on the samples' time axis,
+            in the order of time.
         words: for each gain column, `bias` and `time_offset`, why it may be hidden.
         warnings: what is already known to be odd, in words.
 
     Raises:
         InputError: no sample has a reference.
     """
-    series, sampling = build_series(samples)
-    stamp_std_s = samples.floor.std_s if samples.floor else 0.0
-    solution = solve_likelihood(series, sampling, reference, stamp_std_s)
-    moving = [np.linalg.norm(m.rate, axis=1) > MOVING_RAD_S for m in solution.models]
-    chi2 = _reduced_chi2(solution, moving)
+    solution = solve_likelihood([_session(*one) for one in recordings])
+    samples = [one for one, _ in recordings]
+    chi2 = _reduced_chi2(solution)
     before, after = _held_out(solution)
-    turning = np.concatenate([m.rate @ solution.gain.T for m in solution.models])
-    second = _second_opinion(solution, series)
+    second = _second_opinion(solution)
     if second is not None and second.p_value < DISAGREEMENT_P:
         warnings = (
             *warnings,
             f"the turns from rest to rest disagree with the rates by {second.largest_sigma:.1f} "
             "standard deviations: timing is the suspect; look at clocks and commands",
         )
-    if solution.outliers > SPIKES_WORTH_A_WORD * samples.good.size:
+    if solution.outliers > SPIKES_WORTH_A_WORD * sum(s.good.size for s in samples):
         warnings = (*warnings, f"{solution.outliers} samples were set aside as spikes")
     evidence = Evidence(
         estimate=solution.estimate,
@@ -68,30 +78,40 @@ def fit_motion(
         outliers=solution.outliers,
         rms_before_rad_s=before,
         rms_after_rad_s=after,
-        reference=reference.description,
+        reference="; ".join(dict.fromkeys(r.description for _, r in recordings)),
         words=words,
         terms=(*TERMS, "time_offset"),
         warnings=warnings,
         distrust=_distrust(solution, chi2),
-        diagnostics=_diagnostics(solution, series, moving),
+        diagnostics=_diagnostics(solution),
         chi2_limit=float("inf"),  # said in this reference's own words
         noise=_levels(solution),
-        rate_range_rad_s=(float(turning.min()), float(turning.max())),
+        rate_range_rad_s=_range(solution),
         clock_truth="the host's capture clock",
         extra=_said(second),
     )
-    return gyro_fit(evidence, [samples])
+    return gyro_fit(evidence, samples)
 
 
-def _reduced_chi2(solution: Solution, moving: list[BoolArray]) -> float:
+def _session(samples: GyroSamples, reference: ReferenceMotion) -> SessionFit:
+    series, sampling = build_series(samples)
+    return SessionFit(series, sampling, reference, samples.floor.std_s if samples.floor else 0.0)
+
+
+def _range(solution: Solution) -> tuple[float, float]:
+    turning = [rate @ solution.gain.T for s in solution.sessions for rate in s.rates]
+    return min(float(t.min()) for t in turning), max(float(t.max()) for t in turning)
+
+
+def _reduced_chi2(solution: Solution) -> float:
     """Return the whitened variance while moving over that at rest, all axes."""
-    white = np.concatenate(solution.whitened)
-    used = np.concatenate([m.used for m in solution.models])
-    turning = np.concatenate(moving)
+    power = np.concatenate([np.sum(w**2, axis=1) for w in solution.whitened()])
+    used = np.concatenate(solution.used())
+    turning = np.concatenate([m for s in solution.sessions for m in s.moving])
     on, off = used & turning, used & ~turning
     if on.sum() < 100 or off.sum() < 100:
-        return float(np.mean(white[used] ** 2))
-    return float(np.mean(white[on] ** 2) / np.mean(white[off] ** 2))
+        return float(np.mean(power[used]) / 3.0)
+    return float(np.mean(power[on]) / np.mean(power[off]))
 
 
 def _held_out(solution: Solution) -> tuple[float, float]:
@@ -99,55 +119,55 @@ def _held_out(solution: Solution) -> tuple[float, float]:
 
     Windows of 10 s in turn fit and judge; bias comes from the fitted ones in both cases.
     """
-    rate_hz = solution.noise.sampling.rate_hz
-    length = max(1, round(HELD_OUT_WINDOW_S * rate_hz))
-    design, measured, fold = [], [], []
-    for model in solution.models:
-        keep = model.used
-        design.append(np.column_stack([model.rate, np.ones(keep.size)])[keep])
-        measured.append(model.measured[keep])
-        fold.append((np.arange(keep.size)[keep] // length) % 2)
-    X, y, half = np.concatenate(design), np.concatenate(measured), np.concatenate(fold)
-    ridge = np.diag([1e-6, 1e-6, 1e-6, 0.0])
-    before, after = [], []
+    squares, count = np.zeros(2), 0
     for part in (0, 1):
-        train, test = half != part, half == part
-        if train.sum() < 50 or test.sum() < 50:
+        train = [[u & (h != part) for u, h in _halves(s)] for s in solution.sessions]
+        test = [[u & (h == part) for u, h in _halves(s)] for s in solution.sessions]
+        if min(_count(train), _count(test)) < 50:
             continue
-        prior = np.vstack([np.eye(3), np.zeros((1, 3))])
-        gram = X[train].T @ X[train] + ridge
-        found = np.linalg.solve(gram, X[train].T @ y[train] + ridge @ prior)
-        nominal = prior.copy()
-        nominal[3] = np.mean(y[train] - X[train, :3], axis=0)
-        before.append(y[test] - X[test] @ nominal)
-        after.append(y[test] - X[test] @ found)
-    if not before:
+        sums = [s.rough(use) for s, use in zip(solution.sessions, train, strict=True)]
+        for k, gain in enumerate((np.eye(3), shared_gain(sums))):
+            for session, rough, use in zip(solution.sessions, sums, test, strict=True):
+                squares[k] += session.rough(use).misfit(gain, rough.bias(gain))
+        count += 3 * _count(test)
+    if not count:
         return float("nan"), float("nan")
-    return (
-        float(np.sqrt(np.mean(np.concatenate(before) ** 2))),
-        float(np.sqrt(np.mean(np.concatenate(after) ** 2))),
-    )
+    before, after = np.sqrt(squares / count)
+    return float(before), float(after)
 
 
-def _second_opinion(solution: Solution, series: list[Series]) -> CrossCheck | None:
+def _halves(session: SessionFit) -> list[tuple[BoolArray, IntArray]]:
+    """Return for each series which blocks are used, and to which half each belongs."""
+    length = max(1, round(HELD_OUT_WINDOW_S * session.sampling.rate_hz))
+    return [(used, (np.arange(used.size) // length) % 2) for used in session.used]
+
+
+def _count(use: Sequence[Sequence[BoolArray]]) -> int:
+    return sum(int(some.sum()) for session in use for some in session)
+
+
+def _second_opinion(solution: Solution) -> CrossCheck | None:
     """Compare the fit with the turns from rest to rest, where a unit made them."""
-    reference = solution.reference
-    if not isinstance(reference, PtuReference):
+    paths, variances = [], []
+    for session in solution.sessions:
+        reference = session.reference
+        if not isinstance(reference, PtuReference):
+            continue
+        step_rad = float(np.max(np.abs(reference.rad_per_step)))
+        variances.append((reference.starts.rest_variance + DETENT_VARIANCE) * step_rad**2)
+        for series, measured, rate, used in zip(
+            session.series, session.measured, session.rates, session.used, strict=True
+        ):
+            time_s = series.block_times_s() - session.time_offset_s
+            moving = np.linalg.norm(rate, axis=1) > STANDING_RAD_S
+            angles = reference.angles_rad(time_s)
+            paths.append(Path(time_s, measured - session.bias_rad_s, used, moving, angles))
+    if not paths:
         return None
-    paths = []
-    for stretch, model in zip(series, solution.models, strict=True):
-        time_s = _block_times(stretch) - solution.estimate[12]
-        moving = np.linalg.norm(model.rate, axis=1) > STANDING_RAD_S
-        paths.append(Path(time_s, model.measured, model.used, moving, reference.angles_rad(time_s)))
-    density = float(solution.noise.density(np.array([REST_TO_REST_HZ])).max())
-    step_rad = float(np.max(np.abs(reference.rad_per_step)))
+    at = np.array([REST_TO_REST_HZ])
+    density = max(float(noise.density(at).max()) for noise in solution.noises)
     return cross_check(
-        paths,
-        solution.gain,
-        solution.bias_rad_s,
-        solution.decision,
-        density,
-        (reference.starts.rest_variance + DETENT_VARIANCE) * step_rad**2,
+        paths, solution.gain, np.zeros(3), solution.decision, density, max(variances)
     )
 
 
@@ -161,13 +181,8 @@ def _said(second: CrossCheck | None) -> dict[str, float]:
     }
 
 
-def _block_times(series: Series) -> FloatArray:
-    n = series.blocks * series.block
-    return np.asarray(series.time_s[:n].reshape(series.blocks, series.block).mean(axis=1))
-
-
 def _levels(solution: Solution) -> NoiseLevels:
-    levels = np.sqrt(solution.noise.levels)
+    levels = np.sqrt(solution.noises[-1].levels)
     return NoiseLevels(
         angle_random_walk=levels[:, 0],
         bias_instability=levels[:, 1],
@@ -188,21 +203,20 @@ def _distrust(solution: Solution, chi2: float) -> tuple[str, ...]:
     return tuple(reasons)
 
 
-def _diagnostics(
-    solution: Solution, series: list[Series], moving: list[BoolArray]
-) -> FitDiagnostics:
-    times = [_block_times(s) for s in series]
-    used = np.concatenate([m.used for m in solution.models])[:, None]
-    residual = np.concatenate(solution.residuals)
-    spectrum = solution.spectrum
+def _diagnostics(solution: Solution) -> FitDiagnostics:
+    """Return the arrays for pictures, of the last recording."""
+    session, spectrum = solution.sessions[-1], solution.spectra[-1]
+    used = np.concatenate(session.used)[:, None]
+    residual = np.concatenate(session.residuals(solution.gain))
+    white = np.concatenate(solution.whitened()[-len(session.series) :])
     return FitDiagnostics(
-        time_s=np.concatenate(times),
-        rate_rad_s=np.where(used, np.concatenate([m.measured for m in solution.models]), np.nan),
-        reference_rad_s=np.where(used, np.concatenate([m.rate for m in solution.models]), np.nan),
+        time_s=np.concatenate([s.block_times_s() for s in session.series]),
+        rate_rad_s=np.where(used, np.concatenate(session.measured), np.nan),
+        reference_rad_s=np.where(used, np.concatenate(session.rates), np.nan),
         residual_rad_s=np.where(used, residual, np.nan),
-        whitened=np.where(used, np.concatenate(solution.whitened), np.nan),
-        moving=np.concatenate(moving),
+        whitened=np.where(used, white, np.nan),
+        moving=np.concatenate(session.moving),
         frequency_hz=spectrum.frequency_hz,
         spectrum=spectrum.density,
-        spectrum_model=solution.noise.density(spectrum.frequency_hz),
+        spectrum_model=solution.noises[-1].density(spectrum.frequency_hz),
     )

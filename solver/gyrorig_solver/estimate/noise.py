@@ -15,17 +15,19 @@ diagonal, so weighing by 1/variance whitens it.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import minimize
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.low_pass import power_gain
 
-# The mean of a random walk that starts at the bias has variance K^2 T/3: that is what
-# the density gives at 0.2757/T, so the constant coefficient is read there.
-CONSTANT_AT = 0.2757
 ALIASES = 4
+# Priors of the levels' logarithms, and how Fisher scoring goes.
+WHITE_SPREAD, SPREAD = 10.0, 3.0
+LEVEL_ROUNDS = 50
+LEVEL_TOLERANCE = 1e-3
+LONGEST, FARTHEST = 3.0, 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,19 +43,19 @@ class Sampling:
 
 def frequencies(n: int, rate_hz: float) -> FloatArray:
     """Return the frequency of each DCT coefficient of a series of n, shape (n,)."""
-    f = np.arange(n) * rate_hz / (2.0 * n)
-    f[0] = CONSTANT_AT * rate_hz / n
-    return np.asarray(f, dtype=np.float64)
+    return np.asarray(np.arange(n) * rate_hz / (2.0 * n), dtype=np.float64)
 
 
 def shapes(frequency_hz: FloatArray, sampling: Sampling) -> FloatArray:
     """Return the density of each process at unit level, shape (4, k): N, B, K, D."""
     omega = 2.0 * np.pi * frequency_hz
+    # What wanders has no part in the constant: the bias is the mean over the recording.
+    inverse = np.divide(1.0, omega, out=np.zeros_like(omega), where=omega > 0.0)
     return np.stack(
         [
             folded_low_pass(frequency_hz, sampling),
-            2.0 / omega,
-            2.0 / omega**2,
+            2.0 * inverse,
+            2.0 * inverse**2,
             omega**2 * float(sampling.differentiated),
         ]
     )
@@ -72,8 +74,7 @@ def folded_low_pass(frequency_hz: FloatArray, sampling: Sampling) -> FloatArray:
             raw = np.ones_like(f)
         mean = np.ones_like(f)
         if sampling.block > 1:
-            angle = np.pi * f / raw_hz
-            mean = (np.sin(sampling.block * angle) / (sampling.block * np.sin(angle))) ** 2
+            mean = (np.sinc(sampling.block * f / raw_hz) / np.sinc(f / raw_hz)) ** 2
         total += raw * mean
     return total
 
@@ -98,7 +99,17 @@ class NoiseModel:
 
     def variance(self, n: int) -> FloatArray:
         """Return the variance of each DCT coefficient of a series of n, shape (n, 3)."""
-        return self.density(frequencies(n, self.sampling.rate_hz)) * self.sampling.rate_hz / 2.0
+        shape = _series_shapes(n, self.sampling)
+        density = shape.T @ self.levels.T + quantum_density(self.sampling)
+        return np.asarray(density * self.sampling.rate_hz / 2.0, dtype=np.float64)
+
+
+@lru_cache(maxsize=16)
+def _series_shapes(n: int, sampling: Sampling) -> FloatArray:
+    """Return the shapes at a series' own frequencies; every round asks for the same."""
+    found = shapes(frequencies(n, sampling.rate_hz), sampling)
+    found.flags.writeable = False
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,23 +142,33 @@ def binned(coefficients: list[FloatArray], rate_hz: float, bins: int = 60) -> Sp
     return Spectrum(centre, mean, count[some])
 
 
-def fit_levels(spectrum: Spectrum, sampling: Sampling) -> NoiseModel:
+def fit_levels(
+    spectrum: Spectrum, sampling: Sampling, before: FloatArray | None = None
+) -> NoiseModel:
     """Find the levels by Whittle's likelihood: sum of count x (log S + P/S)/2 per bin.
 
     Weak log-normal priors (a factor of e^3) hold the processes that a short recording
     cannot show where an ordinary part has them, so that no level runs to zero or away.
+
+    Args:
+        spectrum: of the residual.
+        sampling: of the residual.
+        before: levels (3, 4) found a moment ago, to begin from.
     """
     shape = shapes(spectrum.frequency_hz, sampling)
     quantum = quantum_density(sampling)
-    active = shape.max(axis=1) > 0.0
+    active = np.flatnonzero(shape.max(axis=1) > 0.0)
     levels = np.zeros((3, 4))
+    high = spectrum.frequency_hz > np.median(spectrum.frequency_hz)
     for axis in range(3):
         power = spectrum.density[:, axis]
-        high = spectrum.frequency_hz > np.median(spectrum.frequency_hz)
         white = float(np.median(power[high] / np.maximum(shape[0][high], 1e-6)))
-        white = max(white, quantum * 1e-3, 1e-30)
-        start = ordinary_levels(white)
-        levels[axis] = _fit_axis(power, spectrum.count, shape, quantum, start, active)
+        usual = ordinary_levels(max(white, quantum * 1e-3, 1e-30))
+        begin = usual if before is None else np.maximum(before[axis], usual * 1e-12)
+        found = _fit_axis(
+            power, spectrum.count, shape[active], quantum, usual[active], begin[active]
+        )
+        levels[axis, active] = found
     return NoiseModel(levels, sampling)
 
 
@@ -168,31 +189,38 @@ def _fit_axis(
     count: FloatArray,
     shape: FloatArray,
     quantum: float,
-    start: FloatArray,
-    active: FloatArray,
+    usual: FloatArray,
+    begin: FloatArray,
 ) -> FloatArray:
-    """Return the four levels of one axis, zero where a process is not active."""
-    index = np.flatnonzero(active)
+    """Return the levels of one axis by Fisher scoring in their logarithms.
 
-    def cost(x: FloatArray) -> tuple[float, FloatArray]:
-        part = (start[index] * np.exp(np.clip(x, -30.0, 30.0)))[:, None] * shape[index]
+    Args:
+        power: density in each bin, shape (k,).
+        count: coefficients in each bin, shape (k,).
+        shape: of the active processes, shape (a, k).
+        quantum: its density.
+        usual: the priors' middle, shape (a,).
+        begin: where to begin, shape (a,).
+    """
+    spread = np.where(np.arange(usual.size) == 0, WHITE_SPREAD, SPREAD)
+
+    def cost(x: FloatArray) -> float:
+        total = (usual * np.exp(x)) @ shape + quantum
+        return 0.5 * float(count @ (np.log(total) + power / total) + np.sum((x / spread) ** 2))
+
+    x = np.clip(np.log(begin / usual), -FARTHEST, FARTHEST)
+    now = cost(x)
+    for _ in range(LEVEL_ROUNDS):
+        part = (usual * np.exp(x))[:, None] * shape
         total = part.sum(axis=0) + quantum
-        # Relative to the start's white level: a large constant would blunt the tolerance.
-        value = 0.5 * float(np.sum(count * (np.log(total / start[0]) + power / total - 1.0)))
-        slope = 0.5 * (part @ (count * (1.0 / total - power / total**2)))
-        spread = np.where(index == 0, 10.0, 3.0)
-        return value + 0.5 * float(np.sum((x / spread) ** 2)), slope + x / spread**2
-
-    found: FloatArray = np.asarray(
-        minimize(
-            cost,
-            np.zeros(index.size),
-            jac=True,
-            method="L-BFGS-B",
-            options={"ftol": 1e-13, "gtol": 1e-4},
-        ).x,
-        dtype=np.float64,
-    )
-    levels = np.zeros(4)
-    levels[index] = start[index] * np.exp(np.clip(found, -30.0, 30.0))
-    return levels
+        slope = 0.5 * (part @ (count * (total - power) / total**2)) + x / spread**2
+        bend = 0.5 * (part * (count / total**2)) @ part.T + np.diag(spread**-2.0)
+        step = np.clip(-np.linalg.solve(bend, slope), -LONGEST, LONGEST)
+        after = cost(x + step)
+        while after > now and np.abs(step).max() > LEVEL_TOLERANCE:
+            step = step / 2.0
+            after = cost(x + step)
+        x, now = np.clip(x + step, -FARTHEST, FARTHEST), after
+        if np.abs(step).max() < LEVEL_TOLERANCE:
+            break
+    return np.asarray(usual * np.exp(x), dtype=np.float64)

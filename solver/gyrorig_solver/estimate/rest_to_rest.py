@@ -24,7 +24,6 @@ NAMES = (*GAIN_NAMES, *BIAS_NAMES)
 SHORTEST_REST_S = 0.25
 SETTLE_S = 0.15  # after a move: the sensor's low-pass and the mechanics come to rest
 FEWEST_MOVES = 6
-ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,18 +80,14 @@ def cross_check(
     turns = [t for path in paths for t in _turns(path, density, rest_variance_rad2)]
     if len(turns) < FEWEST_MOVES:
         return None
-    own_gain, own_bias = gain.copy(), bias_rad_s.copy()
-    for _ in range(ROUNDS):
-        information, score = np.zeros((12, 12)), np.zeros(12)
-        for turn in turns:
-            left, jacobian = _linearised(turn, own_gain, own_bias)
-            information += jacobian.T @ jacobian / turn.variance_rad2
-            score += jacobian.T @ left / turn.variance_rad2
-        own = decide(information, NAMES)
-        step = own.inverse @ score
-        own_gain = own_gain + step[:9].reshape(3, 3)
-        own_bias = own_bias + step[9:]
-    away = (own_gain - gain).ravel()
+    information, score = np.zeros((12, 12)), np.zeros(12)
+    for turn in turns:
+        left, jacobian = _linearised(turn, gain, bias_rad_s)
+        information += jacobian.T @ jacobian / turn.variance_rad2
+        score += jacobian.T @ left / turn.variance_rad2
+    own = decide(information, NAMES)
+    # One step from the fit: where they agree it is all, where they do not it says so.
+    away = (own.inverse @ score)[:9]
     both = own.covariance[:9, :9] + decision.covariance[:9, :9]
     return _compared(away, both, own, decision, len(turns))
 

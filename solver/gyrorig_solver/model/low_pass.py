@@ -8,7 +8,7 @@ wrong shape is nearly all absorbed by the time offset: 36, 7, 1 and 0 ppm of sca
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, lfilter
+from scipy.signal import cont2discrete, lfilter
 
 from gyrorig_solver.arrays import FloatArray
 
@@ -21,9 +21,16 @@ class LowPass:
     rate_hz: float
 
     def coefficients(self) -> tuple[FloatArray, FloatArray]:
-        """Return numerator and denominator of the bilinear second-order Butterworth."""
-        b, a = butter(2, self.bandwidth_hz, fs=self.rate_hz)
-        return np.asarray(b, dtype=np.float64), np.asarray(a, dtype=np.float64)
+        """Return numerator and denominator of the ramp-invariant second-order Butterworth.
+
+        Exact for rates that are straight between grid points, as a trapezoid's are, so the
+        delay at zero frequency is the analogue filter's, sqrt(2)/omega; a bilinear filter
+        that is right at the cut-off has 0.8 % less of it at 20 points to a period.
+        """
+        omega = 2.0 * np.pi * self.bandwidth_hz
+        analogue = (np.array([omega**2]), np.array([1.0, np.sqrt(2.0) * omega, omega**2]))
+        b, a, _ = cont2discrete(analogue, 1.0 / self.rate_hz, method="foh")
+        return np.asarray(b, dtype=np.float64).ravel(), np.asarray(a, dtype=np.float64).ravel()
 
     def apply(self, signal: FloatArray) -> FloatArray:
         """Filter each column of `signal`, shape (n, k); the start is taken as steady."""
@@ -33,10 +40,8 @@ class LowPass:
 
     @property
     def delay_s(self) -> float:
-        """Group delay at zero frequency, of this digital filter, in s."""
-        b, a = self.coefficients()
-        k = np.arange(3)
-        return float((k @ b) / b.sum() - (k @ a) / a.sum()) / self.rate_hz
+        """Group delay at zero frequency, in s."""
+        return float(np.sqrt(2.0) / (2.0 * np.pi * self.bandwidth_hz))
 
     def _settling(self) -> int:
         return int(np.ceil(3.0 * self.rate_hz / self.bandwidth_hz))

@@ -100,7 +100,7 @@ def _series(duration_s: float, sensor: SensorModel, name: str) -> Series:
         raise UsageError(f"{name} lasts {duration_s:.1f} s", "a calibration needs longer")
     return Series(
         time_s=np.asarray((np.arange(count) + 0.5) / sensor.odr_hz, dtype=np.float64),
-        rate_rad_s=np.zeros((count, 3)),
+        raw=np.zeros((count, 3)),
         good=np.ones(count, dtype=np.bool_),
         block=block,
         fine=fine,

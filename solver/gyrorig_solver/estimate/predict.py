@@ -1,0 +1,163 @@
+"""The reference as one series' samples see it: through the sensor's low-pass, as block means.
+
+The rate itself is carried through the low-pass on a fine grid, because the residual
+rests on it. Its derivatives, by the time offset and the reference's unknowns, only steer
+the fit and weigh it: they are taken on a grid near the block means', where a wide low-pass
+is its delay and its gain. All of them on the same grid: to shift every start is to shift
+the lag, and what a fit may tell of the two apart must not come from rounding.
+
+What to use when: `predict_rate` for a part's rate; `predict_columns` for the derivatives.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import dct, idct
+
+from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.estimate.lanes import Lanes, pack
+from gyrorig_solver.estimate.noise import frequencies
+from gyrorig_solver.estimate.series import Series
+from gyrorig_solver.model.low_pass import LowPass, power_gain
+from gyrorig_solver.reference.motion import ReferenceMotion
+
+LEAD_S = 0.3  # a part is begun this much earlier, until the filter has forgotten its start
+REACH_S = 1.0  # the noise's memory: columns of one lane keep twice this apart
+FORGET_S = 0.1  # near an unknown stretch the filter still remembers it
+COARSE_HZ = 250.0  # least rate of the derivatives' grid where the low-pass acts on it
+COARSE_PER_BANDWIDTH = 8.0
+TRANSPARENT = 0.5  # a low-pass this wide, in rates of the block means, is a delay and a gain
+SHIFT_S = 1e-5  # for the derivative by time: ramps are straight but for their corners
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledRate:
+    """The stage's rate at the sample instants of a part."""
+
+    rate: FloatArray  # (m, 3), through the low-pass; zero where unknown
+    known: BoolArray  # (m,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartColumns:
+    """Derivatives of a part's block means, stage frame."""
+
+    slope: FloatArray  # (n, 3), by time: minus that by the lag
+    shared: FloatArray  # (g', n, 3)
+    lanes: Lanes
+
+
+def predict_rate(
+    series: Series, blocks: slice, reference: ReferenceMotion, lag_s: float
+) -> SampledRate:
+    """Evaluate the reference `lag_s` before each sample and send it through the low-pass.
+
+    Where no bandwidth is recorded there is no filter, and the lag holds all of its delay.
+    """
+    wanted = series.samples_of(blocks)
+    lead = min(wanted.start, int(np.ceil(LEAD_S / series.period_s)))
+    samples = slice(wanted.start - lead, wanted.stop)
+    edges = series.edges_s(samples, series.fine) - lag_s
+    found = reference.evaluate(edges, derivatives=False).rate_rad_s
+    known: BoolArray = np.asarray(np.isfinite(found).all(axis=1), dtype=np.bool_)
+    whole = bool(known.all())
+    rate = found if whole else np.where(known[:, None], found, 0.0)
+    low_pass = low_pass_of(series)
+    if low_pass is not None:
+        rate = low_pass.apply(rate)
+    centre = slice(series.fine // 2 + lead * series.fine, None, series.fine)
+    known = known[series.fine // 2 :: series.fine]
+    if not whole:
+        reach = max(1, round(FORGET_S / series.period_s))
+        lost = np.convolve(~known, np.ones(2 * reach + 1), "same")[: known.size]
+        known = np.asarray(lost < 0.5, dtype=np.bool_)
+    return SampledRate(
+        rate=rate[centre],
+        known=known[lead:],
+    )
+
+
+def predict_columns(
+    series: Series, blocks: slice, reference: ReferenceMotion, lag_s: float
+) -> PartColumns:
+    """Return how a part's block means change with the reference's unknowns."""
+    low_pass = low_pass_of(series)
+    block_hz = 1.0 / (series.period_s * series.block)
+    transparent = low_pass is None or low_pass.bandwidth_hz >= TRANSPARENT * block_hz
+    per = _per_block(series, block_hz, transparent)
+    delay_s = low_pass.delay_s if low_pass is not None and transparent else 0.0
+    edges = series.block_edges_s(blocks, per) - lag_s - delay_s
+    found = reference.evaluate(edges, derivatives=True)
+    n = blocks.stop - blocks.start
+    rate_hz = block_hz * per
+    lanes = pack(found.local, n * per, int(np.ceil(2.0 * (REACH_S + FORGET_S) * rate_hz)))
+    everywhere = np.concatenate([_slope(reference, edges)[None], found.shared])
+    local = lanes.values
+    if low_pass is not None and transparent:
+        gain = np.sqrt(power_gain(frequencies(n, block_hz), low_pass.bandwidth_hz))
+        everywhere, local = _damped(gain, everywhere), _damped(gain, local)
+    elif low_pass is not None:
+        coarse = LowPass(low_pass.bandwidth_hz, rate_hz)
+        everywhere, local = _filtered(coarse, everywhere), _filtered(coarse, local)
+    everywhere = _decimated(everywhere, per, series.block)
+    return PartColumns(
+        slope=everywhere[0],
+        shared=everywhere[1:],
+        lanes=lanes.coarser(
+            _decimated(local, per, series.block), per, int(np.ceil(REACH_S * block_hz))
+        ),
+    )
+
+
+def low_pass_of(series: Series) -> LowPass | None:
+    """Return the low-pass that `predict_rate` puts in, None where it puts in none."""
+    if series.bandwidth_hz is None:
+        return None
+    return LowPass(series.bandwidth_hz, series.fine / series.period_s)
+
+
+def low_pass_delay_s(series: Series) -> float:
+    """Return the delay of the low-pass that `predict_rate` puts in."""
+    low_pass = low_pass_of(series)
+    return low_pass.delay_s if low_pass else 0.0
+
+
+def _per_block(series: Series, block_hz: float, transparent: bool) -> int:
+    """Return intervals to a block; odd where a sample is an instant and not a mean."""
+    if transparent and series.block > 1:
+        return 1
+    least_hz = max(COARSE_HZ, COARSE_PER_BANDWIDTH * (series.bandwidth_hz or 0.0))
+    per = max(1, int(np.ceil(least_hz / block_hz)))
+    return per + (1 - per % 2) * (series.block == 1)
+
+
+def _slope(reference: ReferenceMotion, edges_s: FloatArray) -> FloatArray:
+    """Return how the mean rates between edges change as the edges move, zero where unknown."""
+    early, late = (
+        reference.evaluate(edges_s + by, derivatives=False).rate_rad_s for by in (-SHIFT_S, SHIFT_S)
+    )
+    slope = (late - early) / (2.0 * SHIFT_S)
+    return np.where(np.isfinite(slope), slope, 0.0)
+
+
+def _damped(gain: FloatArray, signals: FloatArray) -> FloatArray:
+    """Multiply signals of shape (k, n, 3) by a gain over the frequencies of their DCT."""
+    spectra = dct(signals, axis=1, norm="ortho") * gain[:, None]
+    return np.asarray(idct(spectra, axis=1, norm="ortho"), dtype=np.float64)
+
+
+def _filtered(low_pass: LowPass, signals: FloatArray) -> FloatArray:
+    """Filter signals of shape (k, n, 3) along n."""
+    k, n, _ = signals.shape
+    if k == 0:
+        return signals
+    together = low_pass.apply(signals.transpose(1, 0, 2).reshape(n, 3 * k))
+    return np.asarray(together.reshape(n, k, 3).transpose(1, 0, 2), dtype=np.float64)
+
+
+def _decimated(signals: FloatArray, per: int, block: int) -> FloatArray:
+    """Return the value of each block: a mean, or the middle where a block is an instant."""
+    if per == 1:
+        return signals
+    shaped = signals.reshape(signals.shape[0], signals.shape[1] // per, per, 3)
+    return np.asarray(shaped[:, :, per // 2] if block == 1 else shaped.mean(axis=2))
