@@ -23,6 +23,7 @@ from gyrorig_solver.estimate.paper_matrices import gain_by_pseudoinverse
 from gyrorig_solver.solve import PTU_WORDS
 
 STILL_RAD_S = 1e-3
+ROUNDS = 3  # of Gauss-Newton; two are enough
 HIDDEN = 1e-6  # variance in hidden directions from which an entry has no value
 OURS = "gyrorig"
 PINV = "eq. 7 (pinv) on integrated body rates"
@@ -131,7 +132,7 @@ def rests_only(table: Table) -> FloatArray:
     static = table.raw_rad_s[table.static]
     turns = rest_to_rest._turns(path, 2.0 * float(static.var(axis=0).max()) / table.rate_hz, 1e-9)
     gain, bias = np.eye(3), static.mean(axis=0)
-    for _ in range(rest_to_rest.ROUNDS):
+    for _ in range(ROUNDS):
         information, score = np.zeros((12, 12)), np.zeros(12)
         for turn in turns:
             left, jacobian = rest_to_rest._linearised(turn, gain, bias)
