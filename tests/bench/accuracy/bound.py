@@ -130,8 +130,9 @@ def _unknowns(session: Session) -> list[_Unknown]:
         own = path.of_axis(axis)
         for k in range(len(own) + 1):
             pair = [_rested(path, axis, k, s * REST_STEP) for s in (1.0, -1.0)]
-            near = own[max(0, k - 1) : k + 1]
-            span = (near[0].start_s, near[-1].end_s) if near else (0.0, 0.0)
+            # From the move that came here to the end of the one that left.
+            begin_s = own[k - 1].start_s if k > 0 else 0.0
+            span = (begin_s, own[k].end_s if k < len(own) else session.end_s)
             off = float(path.off_steps[axis][k])
             found.append(_Unknown(pair[0], pair[1], REST_STEP, span, DETENT_STEPS**-2, off))
     for own_class in sorted(set(session.classes)):

@@ -6,7 +6,7 @@ of the two is known several times better. Both are given; the second decides.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,7 @@ class Runs:
     begin: FloatArray  # (runs, 3), error of the bias as it was at the begin
     common_s: FloatArray  # (runs,), of the offset: what no answer can show
     common_std_s: FloatArray
+    stated_common_s: FloatArray
     failed: int
 
     @property
@@ -54,13 +55,10 @@ class Runs:
         error[:, OFFSET] -= self.common_s
         best[:, OFFSET] -= self.common_s
         std, bound = self.std.copy(), self.bound.copy()
-        for part in (std, bound):
-            rest = part[:, OFFSET] ** 2 - self.common_std_s**2
+        for part, common_s in ((std, self.stated_common_s), (bound, self.common_std_s)):
+            rest = part[:, OFFSET] ** 2 - common_s**2
             part[:, OFFSET] = np.sqrt(np.maximum(rest, 0.0))
-        return Runs(
-            error, std, bound, best, self.chi2, self.best_chi2, self.begin,
-            self.common_s, self.common_std_s, self.failed,
-        )  # fmt: skip
+        return replace(self, error=error, std=std, bound=bound, best=best)
 
 
 def gather(rows: Sequence[dict[str, Any]]) -> Runs:
@@ -80,6 +78,7 @@ def gather(rows: Sequence[dict[str, Any]]) -> Runs:
         begin=column("bias_at_begin"),
         common_s=column("common_s"),
         common_std_s=column("common_std_s"),
+        stated_common_s=column("stated_common_s"),
         failed=len(rows) - len(whole),
     )
 

@@ -10,7 +10,7 @@ from tests.bench.accuracy.board import NAMES, Board, Counts, draw_board, factors
 from tests.bench.accuracy.bound import bound
 from tests.bench.accuracy.given import ExactReference, answered_reference, samples_of
 from tests.bench.accuracy.profile import FloatArray
-from tests.bench.accuracy.unit import Session, carry_out
+from tests.bench.accuracy.unit import carry_out
 
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_solver.estimate.motion import fit_motion
@@ -45,9 +45,9 @@ def run(case: Case, seed: int) -> dict[str, Any]:
     board = draw_board(case.rate_hz, case.bandwidth_hz, rng)
     counts = sample(board, session.path, (HEAD_S, session.end_s - TAIL_S), rng)
     best = bound(board, session, counts, profile_known=case.baud is None)
-    found = solve(
-        board, session, counts if not case.spikes else spiked(board, counts, case.spikes, rng), case
-    )
+    given = spiked(board, counts, case.spikes, rng) if case.spikes else counts
+    reference = ExactReference(session.path) if case.baud is None else answered_reference(session)
+    found = fit_motion(samples_of(board, given), reference, PTU_WORDS)
     true = truth(board, counts)
     error = np.array([found.value(name) for name in NAMES]) - true
     at = {name: k for k, name in enumerate(found.order)}
@@ -67,28 +67,27 @@ def run(case: Case, seed: int) -> dict[str, Any]:
         "bias_at_begin": (error[:3] + true[:3] - counts.bias_rad_s[0]).tolist(),
         "common_s": 0.0 if case.baud is None else session.common_s,
         "common_std_s": 0.0 if case.baud is None else session.least_s / float(np.sqrt(12.0)),
+        "stated_common_s": reference.common_std_s,
         "outliers": found.outliers,
         "reduced_chi2": found.reduced_chi2,
         "reference": found.reference,
         "warnings": list(found.warnings),
         "distrust": list(found.distrust),
-        "noise": [
-            (found.noise.angle_random_walk / [level.white for level in board.levels]).tolist(),
-            (found.noise.bias_instability / [level.flicker for level in board.levels]).tolist(),
-            (found.noise.rate_random_walk / [level.walk for level in board.levels]).tolist(),
-        ]
-        if found.noise
-        else [],
+        "noise": _noise(board, found),
         "duration_s": session.end_s,
     }
 
 
-def solve(board: Board, session: Session, counts: Counts, case: Case) -> GyroFit:
-    """Return the solver's fit."""
-    samples = samples_of(board, counts)
-    if case.baud is None:
-        return fit_motion(samples, ExactReference(session.path), PTU_WORDS)
-    return fit_motion(samples, answered_reference(session), PTU_WORDS)
+def _noise(board: Board, found: GyroFit) -> list[list[float]]:
+    """Return the levels found over the true ones: white, flicker, walk; three axes each."""
+    if found.noise is None:
+        return []
+    ratios = (
+        found.noise.angle_random_walk / [level.white for level in board.levels],
+        found.noise.bias_instability / [level.flicker for level in board.levels],
+        found.noise.rate_random_walk / [level.walk for level in board.levels],
+    )
+    return [[float(value) for value in ratio] for ratio in ratios]
 
 
 def truth(board: Board, counts: Counts) -> FloatArray:
