@@ -31,7 +31,7 @@ def version() -> str:
 
 
 def solve(table: Table) -> FloatArray:
-    """Return G, bias and offset by GTSAM's Levenberg-Marquardt, and make its marginals."""
+    """Return G, bias and offset by GTSAM's Levenberg-Marquardt, and the roots of its marginals."""
     gtsam = import_module(PACKAGE)
     stage = CubicSpline(table.time_s, table.stage_rad_s)
     slope = stage.derivative()
@@ -45,10 +45,11 @@ def solve(table: Table) -> FloatArray:
     start = gtsam.Values()
     start.insert(key, np.concatenate([np.eye(3).ravel(), np.zeros(4)]))
     found = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
+    std = np.full(13, np.nan)
     # Where a direction is hidden it refuses the covariance, and does not say which.
     with contextlib.suppress(RuntimeError):
-        gtsam.Marginals(graph, found).marginalCovariance(key)
-    return np.asarray(found.atVector(key), dtype=np.float64)
+        std = np.sqrt(np.diag(gtsam.Marginals(graph, found).marginalCovariance(key)))
+    return np.stack([found.atVector(key), std])
 
 
 def _error(

@@ -25,7 +25,7 @@ LARGE = 1e3  # a ratio from here on has two digits that count
 EQ_7 = "eq. 7 alone (pinv), both angles ready"
 
 Estimates = dict[str, FloatArray]
-"""By method: what was found less what is true, shape (runs, 13)."""
+"""By method: what was found less what is true, and what it states, shape (runs, 2, 13)."""
 
 
 def runs(
@@ -38,7 +38,7 @@ def runs(
         one = record(program, seed, RATE_HZ, BANDWIDTH_HZ, known)
         bounds.append(bound(one, columns))
         for name, run in _ways():
-            found.setdefault(name, []).append(run(one) - one.truth)
+            found.setdefault(name, []).append(run(one) - [one.truth, np.zeros(13)])
     return {name: np.array(errors) for name, errors in found.items()}, np.array(bounds)
 
 
@@ -50,7 +50,8 @@ def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
     """
     blind = {peer.name: peer.blind for peer in peers()}
     rows = []
-    for name, error in errors.items():
+    for name, found in errors.items():
+        error, stated = found[:, 0], found[:, 1]
         cells = []
         for at, (off, least) in enumerate(zip(_by_group(error), _by_group(bounds), strict=True)):
             if not np.all(np.isfinite(off)):
@@ -61,15 +62,19 @@ def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
                 cells.append("-")
             else:
                 cells.append(ratio(_rms(off / least)))
+        units = (error / stated)[:, :9]
+        there = np.isfinite(units)
+        cells.append(ratio(_rms(units[there])) if there.any() else "states none")
         rows.append([name, *cells, blind.get(name, "")])
-    return table(["rms error / bound", *GROUPS, "does not see"], rows)
+    head = ["rms error / bound", *GROUPS, "gain: error / what it states", "does not see"]
+    return table(head, rows)
 
 
 def hidden_column(errors: Estimates) -> str:
     """What each method says of the roll column where nothing turned about roll."""
     rows = []
-    for name, error in errors.items():
-        column = _by_group(error)[1]
+    for name, found in errors.items():
+        column = _by_group(found[:, 0])[1]
         said = "no value"
         if np.all(np.isfinite(column)):
             said = f"a value, wrong by {number(_rms(column), 3)}, rms of its three entries"

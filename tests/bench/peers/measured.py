@@ -81,7 +81,7 @@ def _ours(one: Loaded) -> FloatArray:
 
 
 def _of_table(run: Callable[[Table], FloatArray]) -> Callable[[Loaded], FloatArray]:
-    return lambda one: run(_table(one))
+    return lambda one: run(_table(one))[0]
 
 
 def _judged(one: Loaded, found: FloatArray) -> float:

@@ -1,7 +1,9 @@
 """The methods, one function each: a table of both sides in, a gain, a bias and an offset out.
 
 What to use when: `peers` for all that run here, `ours` for the fit they stand beside. Each peer
-is written as its own users would write it; nan stands for what it does not estimate.
+is written as its own users would write it. Each returns two rows of 13, in the order of
+`Recording.truth`: what it found, and the standard deviations that it states; nan stands for
+what it does not estimate, or does not state.
 """
 
 from collections.abc import Callable
@@ -57,7 +59,14 @@ def peers() -> tuple[Peer, ...]:
 def ours(recording: Recording) -> FloatArray:
     """The whole fit, its reference made of the orders and answers."""
     found = fit_motion(recording.samples, recording.reference(), PTU_WORDS)
-    return np.concatenate([found.gain.ravel(), found.bias_rad_s, [found.time_offset_s]])
+    value = np.concatenate([found.gain.ravel(), found.bias_rad_s, [found.time_offset_s]])
+    bias_std = [found.std[f"bias.{axis}"] for axis in "xyz"]
+    return np.stack([value, [*found.gain_std.ravel(), *bias_std, found.std["time_offset"]]])
+
+
+def unstated(value: FloatArray) -> FloatArray:
+    """Return a value whose method states no standard deviation."""
+    return np.stack([value, np.full(value.size, np.nan)])
 
 
 def pinv(table: Table) -> FloatArray:
@@ -67,7 +76,7 @@ def pinv(table: Table) -> FloatArray:
     """
     measured_rad, stage_rad = integrated(table)
     gain = gain_by_pseudoinverse(measured_rad.T, stage_rad.T).gain
-    return np.concatenate([gain.ravel(), _static_bias(table), [np.nan]])
+    return unstated(np.concatenate([gain.ravel(), _static_bias(table), [np.nan]]))
 
 
 def integrated(table: Table) -> tuple[FloatArray, FloatArray]:
@@ -90,7 +99,7 @@ def paper(table: Table, reading: PaperReading | None = None) -> FloatArray:
     found = calibrate_as_printed(
         table.time_s, table.raw_rad_s, table.pan_rad, table.tilt_rad, table.static, reading=reading
     )
-    return np.concatenate([found.STM.ravel(), found.bias_rad_s, [np.nan]])
+    return unstated(np.concatenate([found.STM.ravel(), found.bias_rad_s, [np.nan]]))
 
 
 def paper_as_tabled(table: Table) -> FloatArray:
@@ -108,8 +117,20 @@ def numeric(table: Table) -> FloatArray:
         return np.asarray((measured - turned @ as_gain(values[:9]).T - values[9:12]).ravel())
 
     start = np.concatenate([np.ones(3), np.zeros(10)])
-    found = least_squares(residual, start, method="lm", x_scale="jac").x
-    return np.concatenate([as_gain(found[:9]).ravel(), found[9:]])
+    found = least_squares(residual, start, method="lm", x_scale="jac")
+    # Its covariance as everybody makes it: the residual taken for white.
+    white = 2.0 * found.cost / (found.fun.size - 13)
+    jacobian = np.asarray(found.jac, dtype=np.float64)
+    covariance = white * np.linalg.pinv(jacobian.T @ jacobian)
+    turn = np.zeros((13, 13))
+    turn[9:, 9:] = np.eye(4)
+    for k in range(9):
+        step = np.zeros(9)
+        step[k] = 1e-6
+        change = as_gain(found.x[:9] + step) - as_gain(found.x[:9] - step)
+        turn[:9, k] = change.ravel() / 2e-6
+    value = np.concatenate([as_gain(found.x[:9]).ravel(), found.x[9:]])
+    return np.stack([value, np.sqrt(np.diag(turn @ covariance @ turn.T))])
 
 
 def as_gain(factors: FloatArray) -> FloatArray:
@@ -141,5 +162,6 @@ def rests_only(table: Table) -> FloatArray:
         decision = decide(information, rest_to_rest.NAMES)
         step = decision.inverse @ score
         gain, bias = gain + step[:9].reshape(3, 3), bias + step[9:]
-    shown = np.where(np.diag(decision.hidden) < HIDDEN, np.append(gain.ravel(), bias), np.nan)
-    return np.append(shown, np.nan)
+    found = np.stack([np.append(gain.ravel(), bias), np.sqrt(np.diag(decision.covariance))])
+    found[:, np.diag(decision.hidden) > HIDDEN] = np.nan
+    return np.column_stack([found, [np.nan, np.nan]])
