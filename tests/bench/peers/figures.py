@@ -63,7 +63,7 @@ def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
             else:
                 cells.append(ratio(_rms(off / least)))
         units = (error / stated)[:, :9]
-        there = np.isfinite(units)
+        there = np.isfinite(units) & np.isfinite(bounds[:, :9])
         cells.append(ratio(_rms(units[there])) if there.any() else "states none")
         rows.append([name, *cells, blind.get(name, "")])
     head = ["rms error / bound", *GROUPS, "gain: error / what it states", "does not see"]
