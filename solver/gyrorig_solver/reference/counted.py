@@ -27,7 +27,7 @@ from gyrorig_solver.reference.stretches import PINNED, Stretch, find_spans, fit_
 LAG_STD_STEPS = 0.5 / np.sqrt(3.0)  # of the count behind the motion: within half a step
 SLOW_STEPS_S = 100.0  # slower than this, the direction that the lag has is not quite known
 LONGEST_SILENCE_S = 0.25  # between two counts on the way; a ramp fits into more
-MOST_COEFFICIENTS = 3000  # a solve grows with their cube; about two minutes of motion
+MOST_COEFFICIENTS = 10_000  # some six minutes of motion; a solve holds 0.1 MB for each
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray, IntArray
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.reference.chain import Chain
 from gyrorig_solver.reference.slopes import slopes
 from gyrorig_solver.reference.table import MoveTable, Unknowns
@@ -32,7 +32,7 @@ class AxisCounts:
     extra_s: FloatArray  # (n,), width of the exchange beyond the least
     steps: FloatArray  # (n,)
 
-    def some(self, which: slice) -> "AxisCounts":
+    def some(self, which: slice | BoolArray) -> "AxisCounts":
         """Return some of them."""
         return AxisCounts(self.base_s[which], self.extra_s[which], self.steps[which])
 

@@ -169,16 +169,20 @@ class _Axis:
         self.pending: tuple[Kind, int] | None = None
         self.orders: list[Order] = []  # of the move under way
         self.busy_until_s = -np.inf
+        self._laid: tuple[Move, float] | None = None  # what `move` found last, and its end
 
     def move(self) -> Move:
         """Return the move under way as it was told."""
         told = self.orders
+        if self._laid is not None and self._laid[0].orders == tuple(told):
+            found, self.busy_until_s = self._laid
+            return found
         course = lay(
             float(self.steps),
             [Instruction(o.told_s, o.kind, o.steps, self.limits(o.speed_steps_s)) for o in told],
         )
         self.busy_until_s = course.end_s
-        return Move(
+        found = Move(
             self.index,
             self.steps,
             round(float(course.steps[-1])),
@@ -186,6 +190,8 @@ class _Axis:
             self.acceleration or 1.0,
             self.base,
         )
+        self._laid = found, course.end_s
+        return found
 
     def limits(self, speed_steps_s: float) -> Limits:
         """Return what an order at a speed is carried out with."""
@@ -273,10 +279,12 @@ class MotionReader:
             self._speed(exchange, axis, number)
         elif kind == "D":
             self._speed_change(exchange, axis, number)
-        elif kind == "B":
-            axis.base = float(number)
-        elif kind == "A":
-            axis.acceleration = float(number)
+        elif kind in "AB":
+            self._moving(exchange, axis)  # a move that is over was made with the old one
+            if kind == "A":
+                axis.acceleration = float(number)
+            else:
+                axis.base = float(number)
         else:
             self._target(exchange, axis, "by" if kind == "O" else "to", number)
 

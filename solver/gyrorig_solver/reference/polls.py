@@ -29,6 +29,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.arrow import Arrow
+from gyrorig_solver.reference.chain import Chain
 from gyrorig_solver.reference.evidence import (
     COUNT_UNKNOWNS,
     STEP_VARIANCE,
@@ -72,7 +73,8 @@ class Polls:
         counts = self.steps[near, axis][inside]
         if counts.size < 2:
             return None
-        return round(float(np.median(counts)))
+        ordered, middle = np.sort(counts), counts.size // 2
+        return round(float(ordered[(counts.size - 1) // 2] + ordered[middle]) / 2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,47 +128,76 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
     Gauss-Newton in counts; each poll weighs by the count's quantum and the instant's
     scatter at the speed of that moment, the scatter being estimated from the residuals.
     """
-    table = MoveTable.of(motion)
-    layout = _Layout.of(table)
-    counts, least_s = _counts(polls)
-    delays = _Delays(table, first_guess(table, counts))
-    centre = np.zeros(layout.size)
-    centre[layout.starts] = delays.guess_s
-    centre[-1] = 0.5
-    at = centre.copy()
-    weight = _prior(layout, delays.seen)
-    scatter_s = max(least_s / float(np.sqrt(12.0)), 1e-6)
-    rest_variance, judged, moved_s = STEP_VARIANCE, 0, np.inf
-    spacing_s: FloatArray | None = None
+    fit = _Fit(MoveTable.of(motion), polls)
     for turn in range(ROUNDS):
-        evidence = Evidence.of(table, counts, layout.unknowns(at), CountUnknowns(*at[-3:]))
-        spacing_s = evidence.spacing_s() if spacing_s is None else spacing_s
-        scatter_s = evidence.scatter_s(scatter_s)
-        chain = evidence.equations(scatter_s, spacing_s)
-        centre[layout.starts] = delays.expected_s(at[layout.starts])
-        chain.hold(weight, centre - at)
-        if judged < JUDGINGS and (moved_s < NEAR_S or turn >= LATEST_JUDGING):
-            rest_variance = likeliest_variance(chain, layout.rests, at[layout.rests])
-            judged += 1
-        held = np.zeros(layout.size)
-        held[layout.rests] = 1.0 / rest_variance
-        chain.hold(held, -at)
-        step = chain.solve()
-        at = at + step
-        # Of all together: one poll that is now in and now out of the sum must not hold all.
-        moved_s = float(np.sqrt(np.mean(step[layout.starts] ** 2))) if table.starts else 0.0
-        if judged == JUDGINGS and moved_s < SETTLED_S:
+        fit.round(turn >= LATEST_JUDGING)
+        if fit.settled:
             break
-    return StartTimes(
-        table=table,
-        found=layout.unknowns(at),
-        information=with_detents(chain, table.starts),
-        common_std_s=(least_s + polls.constant_width_s) / float(np.sqrt(12.0)),
-        instant_std_s=scatter_s,
-        late_share=float(at[-1]),
-        rest_variance=rest_variance,
-        explained=evidence.explained(scatter_s),
-    )
+    return fit.result()
+
+
+class _Fit:
+    """The fit under way."""
+
+    def __init__(self, table: MoveTable, polls: Polls) -> None:
+        self._table, self._layout = table, _Layout.of(table)
+        self._counts, least_s = _counts(polls)
+        self._delays = _Delays(table, first_guess(table, self._counts))
+        self._weight = _prior(self._layout, self._delays.seen)
+        self._centre = np.zeros(self._layout.size)
+        self._centre[self._layout.starts] = self._delays.guess_s
+        self._centre[-1] = 0.5
+        self._at = self._centre.copy()
+        self._scatter_s = max(least_s / float(np.sqrt(12.0)), 1e-6)
+        self._common_s = (least_s + polls.constant_width_s) / float(np.sqrt(12.0))
+        self._spacing_s: FloatArray | None = None
+        self._rest_variance, self._judged, self._moved_s = STEP_VARIANCE, 0, np.inf
+
+    @property
+    def settled(self) -> bool:
+        """True when another round would change nothing that matters."""
+        return self._judged == JUDGINGS and self._moved_s < SETTLED_S
+
+    def round(self, late: bool) -> None:
+        """Take one step; judge the rests where the starts are near enough, or when it is late."""
+        layout, at = self._layout, self._at
+        self._chain = self._look()
+        self._centre[layout.starts] = self._delays.expected_s(at[layout.starts])
+        self._chain.hold(self._weight, self._centre - at)
+        if self._judged < JUDGINGS and (self._moved_s < NEAR_S or late):
+            self._rest_variance = likeliest_variance(self._chain, layout.rests, at[layout.rests])
+            self._judged += 1
+        held = np.zeros(layout.size)
+        held[layout.rests] = 1.0 / self._rest_variance
+        self._chain.hold(held, -at)
+        step = self._chain.solve()
+        self._at = at + step
+        # Of all together: one poll that is now in and now out of the sum must not hold all.
+        moved = step[layout.starts]
+        self._moved_s = float(np.sqrt(np.mean(moved**2))) if moved.size else 0.0
+
+    def result(self) -> StartTimes:
+        """Return where the last round ended, and what it knew."""
+        return StartTimes(
+            table=self._table,
+            found=self._layout.unknowns(self._at),
+            information=with_detents(self._chain, self._table.starts),
+            common_std_s=self._common_s,
+            instant_std_s=self._scatter_s,
+            late_share=float(self._at[-1]),
+            rest_variance=self._rest_variance,
+            explained=self._explained,
+        )
+
+    def _look(self) -> Chain:
+        """Return the polls' equations at the unknowns of now; they are many, and let go."""
+        found, how = self._layout.unknowns(self._at), CountUnknowns(*self._at[-COUNT_UNKNOWNS:])
+        evidence = Evidence.of(self._table, self._counts, found, how)
+        if self._spacing_s is None:
+            self._spacing_s = evidence.spacing_s()
+        self._scatter_s = evidence.scatter_s(self._scatter_s)
+        self._explained = evidence.explained(self._scatter_s)
+        return evidence.equations(self._scatter_s, self._spacing_s)
 
 
 def _counts(polls: Polls) -> tuple[tuple[AxisCounts, AxisCounts], float]:
@@ -174,11 +205,10 @@ def _counts(polls: Polls) -> tuple[tuple[AxisCounts, AxisCounts], float]:
     width = polls.hi_s - polls.lo_s
     least_s = float(np.percentile(width, 1.0)) if width.size else 0.0
     base_s, extra_s = polls.lo_s + least_s / 2.0, np.clip(width - least_s, 0.0, None)
-    pan, tilt = (
-        AxisCounts(base_s[use], extra_s[use], polls.steps[use, axis])
-        for axis, use in enumerate(polls.valid.T)
-    )
-    return (pan, tilt), least_s
+    pan, tilt = (AxisCounts(base_s, extra_s, polls.steps[:, axis]) for axis in (0, 1))
+    if polls.valid.all():
+        return (pan, tilt), least_s
+    return (pan.some(polls.valid[:, 0]), tilt.some(polls.valid[:, 1])), least_s
 
 
 class _Delays:

@@ -8,10 +8,10 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import PtuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.arrays import FloatArray, IntArray
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.reference.counted import CountedReference, counted_reference
 from gyrorig_solver.reference.counter import counter_instants
-from gyrorig_solver.reference.evidence import grouped_median
+from gyrorig_solver.reference.evidence import AT_ONCE, grouped_median
 from gyrorig_solver.reference.moves import AXES, Exchange, Motion, MotionReader
 from gyrorig_solver.reference.polls import Polls, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
@@ -27,6 +27,7 @@ MOST_UNEXPLAINED = 0.5  # of the counts on the way: then the counts alone tell m
 MOST_STEPS_OFF = 4.0  # the count's own step, its lag, and some for a start
 WIDEST_STARTS_S = 0.005  # a start that was not polled
 SETTLED_AFTER_S = 1.0  # after the told end of a move
+REACH = 3  # neighbours that the judgement of a count may look at
 MARGIN_S = 0.3  # about an answer that the commands do not explain
 
 
@@ -88,36 +89,63 @@ def unexplained(reference: PtuReference, polls: Polls) -> tuple[list[tuple[float
 
     Times that the commands leave unknown count as unexplained too.
     """
-    at_s = np.maximum.accumulate((polls.lo_s + polls.hi_s) / 2.0)
-    slack_s = (polls.hi_s - polls.lo_s) / 2.0 + WIDEST_STARTS_S
-    steps = reference.angles_rad(at_s) / np.array(reference.rad_per_step)[:, None]
-    known = np.ones(at_s.size, dtype=np.bool_)
-    for begin, end, _ in reference.motion.unknown:
-        known &= (at_s < begin) | (at_s > end)
     spans: list[tuple[float, float]] = []
     moving_count = lost_count = 0
     for axis in (0, 1):
-        use = polls.valid[:, axis]
-        time_s, counted, told = at_s[use], polls.steps[use, axis], steps[axis, use]
-        moving = np.zeros(time_s.size, dtype=np.bool_)
-        changed = np.diff(counted) != 0.0
-        moving[1:] |= changed
-        moving[:-1] |= changed
-        speed = np.abs(np.gradient(counted, time_s)) + np.abs(np.gradient(told, time_s))
-        off = np.abs(counted - told) > MOST_STEPS_OFF + speed * slack_s[use]
-        # One garbled answer is no motion; it takes two neighbours.
-        off[1:-1] &= off[:-2] | off[2:]
-        moving_count += int(moving.sum())
-        lost_count += int(np.sum(moving & (off | ~known[use])))
-        lost_s = time_s[off & known[use]]
+        use = np.flatnonzero(polls.valid[:, axis])
+        found = [np.zeros(0)]
+        for begin in range(0, use.size, AT_ONCE):
+            # A count is judged together with its neighbours.
+            first, last = max(0, begin - REACH), begin + AT_ONCE + REACH
+            own = slice(begin - first, begin - first + AT_ONCE)
+            time_s, moving, off, known = _judged(reference, polls, use[first:last], axis)
+            time_s, moving, off, known = time_s[own], moving[own], off[own], known[own]
+            moving_count += int(moving.sum())
+            lost_count += int(np.sum(moving & (off | ~known)))
+            found.append(time_s[off & known])
+        lost_s = np.concatenate(found)
         # Two answers within the margins of each other leave nothing between them.
         new = np.flatnonzero(np.diff(lost_s, prepend=-np.inf) >= 3.0 * MARGIN_S)
-        last = np.append(new, lost_s.size)[1:] - 1
+        last_of = np.append(new, lost_s.size)[1:] - 1
         spans += [
             (float(lost_s[a]) - MARGIN_S, float(lost_s[b]) + MARGIN_S)
-            for a, b in zip(new, last, strict=True)
+            for a, b in zip(new, last_of, strict=True)
         ]
     return spans, lost_count / max(1, moving_count)
+
+
+def _judged(
+    reference: PtuReference, polls: Polls, which: IntArray, axis: int
+) -> tuple[FloatArray, BoolArray, BoolArray, BoolArray]:
+    """Return when some counts of an axis were taken, and what they say of the told motion.
+
+    Returns:
+        Times; whether the axis moved; whether it was elsewhere; whether that is known.
+    """
+    lo_s, hi_s, counted = polls.lo_s[which], polls.hi_s[which], polls.steps[which, axis]
+    time_s = np.maximum.accumulate((lo_s + hi_s) / 2.0)
+    slack_s = (hi_s - lo_s) / 2.0 + WIDEST_STARTS_S
+    told = reference.angles_rad(time_s)[axis] / reference.rad_per_step[axis]
+    known = np.ones(time_s.size, dtype=np.bool_)
+    for begin, end, _ in reference.motion.unknown:
+        known &= (time_s < begin) | (time_s > end)
+    moving = np.zeros(time_s.size, dtype=np.bool_)
+    changed = np.diff(counted) != 0.0
+    moving[1:] |= changed
+    moving[:-1] |= changed
+    speed = np.abs(_speed(counted, time_s)) + np.abs(_speed(told, time_s))
+    off = np.abs(counted - told) > MOST_STEPS_OFF + speed * slack_s
+    # One garbled answer is no motion; it takes two neighbours.
+    off[1:-1] &= off[:-2] | off[2:]
+    return time_s, moving, off, known
+
+
+def _speed(steps: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Return the speed at each count, 0 where there are too few or they are one instant."""
+    if time_s.size < 2:
+        return np.zeros_like(steps)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(np.gradient(steps, time_s), posinf=0.0, neginf=0.0)
 
 
 def _polls(
@@ -125,23 +153,29 @@ def _polls(
 ) -> tuple[Polls, tuple[int, int]]:
     """Return the polls that may be used, and where both axes stood at the first."""
     raw = recording.ptu_positions()
-    raw = raw[raw["status"] & OUT_OF_STEP == 0]
-    if raw.size < 2:
+    kept = np.flatnonzero(raw["status"] & OUT_OF_STEP == 0)
+    if kept.size < 2:
         raise InputError(
-            f"{recording.path.name} has {raw.size} positions of the unit", "record with polling on"
+            f"{recording.path.name} has {kept.size} positions of the unit",
+            "record with polling on",
         )
-    request = (times_ns(raw["request_time"]) - origin_ns) * 1e-9
-    first = (times_ns(raw["first_byte_time"]) - origin_ns) * 1e-9
+    request_ns = times_ns(raw["request_time"])[kept]
+    if np.any(request_ns[1:] < request_ns[:-1]):
+        kept = kept[np.argsort(request_ns, kind="stable")]
+    request, first = (
+        (times_ns(raw[name])[kept] - origin_ns) * 1e-9
+        for name in ("request_time", "first_byte_time")
+    )
     # The unit cannot sample before it has the query, nor after its answer has begun.
     lo: FloatArray = np.asarray(request + QUERY_BYTES * byte_s, dtype=np.float64)
     hi: FloatArray = np.asarray(np.maximum(first - byte_s, lo), dtype=np.float64)
-    valid = np.column_stack(
-        [raw["status"] & bit != 0 for bit in (PtuStatus.PAN_ANSWERED, PtuStatus.TILT_ANSWERED)]
-    )
-    steps = np.column_stack([raw["pan_steps"], raw["tilt_steps"]]).astype(np.float64)
-    order = np.argsort(lo, kind="stable")
-    polls = Polls(lo[order], hi[order], steps[order], valid[order])
-    polls = _by_counter(polls, raw["controller_time"][order].astype(np.int64), metadata)
+    status = raw["status"][kept]
+    bits = (PtuStatus.PAN_ANSWERED, PtuStatus.TILT_ANSWERED)
+    valid = np.column_stack([status & bit != 0 for bit in bits])
+    steps = np.empty((kept.size, 2))
+    steps[:, 0], steps[:, 1] = raw["pan_steps"][kept], raw["tilt_steps"][kept]
+    polls = Polls(lo, hi, steps, valid)
+    polls = _by_counter(polls, raw["controller_time"][kept].astype(np.int64), metadata)
     at_rest = []
     for axis, name in enumerate(AXES):
         answered = np.flatnonzero(polls.valid[:, axis])

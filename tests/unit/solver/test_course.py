@@ -188,6 +188,12 @@ def test_moves_are_read_from_commands() -> None:
     assert motion.unknown == ()
 
 
+def test_a_setting_at_rest_leaves_the_move_before_as_it_was() -> None:
+    motion = read(told("PS500", "PP1000", "PA4000", "PB200", "PP0"))
+    assert [m.acceleration_steps_s2 for m in motion.moves] == [2000.0, 4000.0]
+    assert [m.base_speed_steps_s for m in motion.moves] == [0.0, 200.0]
+
+
 def test_slaved_moves_start_together() -> None:
     motion = read(told("PS500", "TS500", "S", "PP100", "TP200", "A"))
     assert [m.told_s for m in motion.moves] == [50.0, 50.0]

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from gyrorig_solver.reference import evidence, ptu_recording
 from gyrorig_solver.reference.course import Instruction, Limits, lay
 from gyrorig_solver.reference.motion import LocalColumn
 from gyrorig_solver.reference.moves import Exchange, Motion, MotionReader
 from gyrorig_solver.reference.polls import Polls, StartTimes, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
+from gyrorig_solver.reference.ptu_recording import unexplained
 from gyrorig_solver.reference.rests import DETENT_VARIANCE, VARIANCES
 from gyrorig_solver.reference.slopes import slopes
 
@@ -285,3 +287,19 @@ def test_a_window_costs_as_much_as_itself() -> None:
     middle_s = float(made.polls.hi_s[-1]) / 2.0
     found = reference.evaluate(np.linspace(middle_s, middle_s + 5.0, 501))
     assert 4 <= len(found.local) <= 20
+
+
+def test_pieces_of_the_polls_say_what_all_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = make(7, 9, change=True)
+    # A stretch of counts from somewhere else, and one that begins a piece.
+    made.polls.steps[400:420, 0] += 300.0
+    made.polls.steps[450:453, 1] -= 300.0
+    reference = reference_of(made)
+    spans, share = unexplained(reference, made.polls)
+    assert len(spans) == 2
+    for size in (50, 64, 1000):
+        monkeypatch.setattr(evidence, "AT_ONCE", size)
+        monkeypatch.setattr(ptu_recording, "AT_ONCE", size)
+        again = fit_starts(made.motion, made.polls)
+        assert np.allclose(again.found.starts_s, reference.starts.found.starts_s, atol=1e-9)
+        assert unexplained(reference, made.polls) == (spans, share)
