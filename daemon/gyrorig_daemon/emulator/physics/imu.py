@@ -233,19 +233,21 @@ class ImuModel:
             return np.asarray(motion.body_rate_rad_s @ truth.gain.T)
         middles = np.arange(len(motion.pan_rad), dtype=np.float64) + 0.5
         time_s: FloatArray = ready_s + self._dt_s * middles
-        rates: FloatArray = motion.body_rate_rad_s @ truth.mounting.T
-        force = self._stage.gravity_at_tilt_m_s2(motion.tilt_rad) @ truth.mounting.T
-        for mount in hooks.mounts:
-            rates, force = mount.turned(time_s, rates), mount.turned(time_s, force)
+        force: FloatArray = self._stage.gravity_at_tilt_m_s2(motion.tilt_rad) @ truth.mounting.T
+        felt: FloatArray = motion.body_rate_rad_s @ truth.gain.T
+        if hooks.mounts:
+            rates: FloatArray = motion.body_rate_rad_s @ truth.mounting.T
+            for mount in hooks.mounts:
+                rates, force = mount.turned(time_s, rates), mount.turned(time_s, force)
+            felt = rates @ (truth.gain @ truth.mounting.T).T
         moments = Moments(
             time_s=time_s,
             pan_rate_rad_s=motion.pan_rate_rad_s,
             tilt_rate_rad_s=motion.tilt_rate_rad_s,
-            sensor_rad_s=rates @ (truth.gain @ truth.mounting.T).T,
+            sensor_rad_s=felt,
             force_m_s2=force,
             temperature=self._temperature,
         )
-        felt = moments.sensor_rad_s
         for effect in hooks.rates:
             felt = felt + effect.added_rad_s(moments)
         return felt
