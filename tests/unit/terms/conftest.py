@@ -6,6 +6,7 @@ second formulation (a continuous-time filter integrated exactly, direct averages
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -69,38 +70,46 @@ class Rig:
     build: Callable[..., Scene]
     gain: Array
 
+    @cached_property
+    def measured_base(self) -> Array:
+        """What is measured without any effect."""
+        return self.measured(self.base())
+
     def difference(self, sensor_rate: Callable[[Array], Array]) -> Array:
         """What an effect, given by the whole rate with it, changes in the block means."""
-        return self.measured(sensor_rate) - self.measured(self.base())
+        return self.measured(sensor_rate) - self.measured_base
 
-    def measured(self, sensor_rate: Callable[[Array], Array]) -> Array:
-        """Block means of a rate at the sensor given as a function of time, (blocks, 3)."""
+    def measured(
+        self,
+        sensor_rate: Callable[[Array], Array],
+        bandwidth_hz: float = BANDWIDTH_HZ,
+        output: Callable[[Array], Array] = lambda rate: rate,
+        taken_s: Callable[[Array], Array] = lambda time_s: time_s,
+    ) -> Array:
+        """Block means of a rate at the sensor given as a function of time, (blocks, 3).
+
+        `output` changes what leaves the filter, `taken_s` when the samples are taken.
+        """
         per = 8  # steps to a fine interval of the scene
         step_s = 1.0 / RATE_HZ / FINE / per
         n = (self.scene.n) * per
         time_s = self.scene.edges_s[0] + step_s * (np.arange(n) + 0.5)
         # Second-order Butterworth, w^2/(s^2 + sqrt(2) w s + w^2), held over each step.
-        w = 2 * np.pi * BANDWIDTH_HZ
+        w = 2 * np.pi * bandwidth_hz
         num, den, _ = cont2discrete(
             (np.array([w * w]), np.array([1.0, np.sqrt(2.0) * w, w * w])), step_s
         )
         rate = sensor_rate(time_s)
         steady = lfilter_zi(num[0], den)[:, None] * rate[0]
         out, _ = lfilter(num[0], den, rate, axis=0, zi=steady)
-        return self.sampled(
-            lambda t: np.stack([np.interp(t, time_s + step_s / 2, o) for o in out.T], 1)
-        )
-
-    def sampled(self, output: Callable[[Array], Array]) -> Array:
-        """Block means of what leaves the filter, a function of time."""
-        at = output(self.sample_times_s)
-        return np.asarray(at.reshape(-1, BLOCK, 3).mean(axis=1))
+        at = taken_s(self.sample_times_s)
+        seen = np.stack([np.interp(at, time_s - step_s / 2, o) for o in output(out).T], axis=1)
+        return np.asarray(seen.reshape(-1, BLOCK, 3).mean(axis=1))
 
     @property
     def sample_times_s(self) -> Array:
         """When samples are taken."""
-        middles = (self.scene.edges_s[:-1] + self.scene.edges_s[1:]) / 2
-        return np.asarray(middles[FINE // 2 :: FINE])
+        return np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
 
     def sensor(
         self, pan: Callable[[Array], Array], tilt: Callable[[Array], Array]
@@ -117,16 +126,29 @@ class Rig:
 
         return rate
 
+    def table(
+        self, made_of: Callable[[Array, Array], Array], axis: str
+    ) -> Callable[[Array], Array]:
+        """An angle over time made step by step from the told one, on a fine grid."""
+        time_s = np.arange(-0.05, SECONDS + 0.05, 1.0 / 16000.0)
+        told = (self.pan if axis == "pan" else self.tilt)(time_s)
+        made = made_of(time_s, told)
+        return lambda at: np.interp(at, time_s, made)
+
     def base(self) -> Callable[[Array], Array]:
         """Rate at the sensor without any effect."""
         return self.sensor(pan_of, tilt_of)
 
 
 def build(
-    seconds: float = SECONDS, site: Site | None = None, with_temperature: bool = True
+    seconds: float = SECONDS,
+    site: Site | None = None,
+    with_temperature: bool = True,
+    fine: int = FINE,
 ) -> Scene:
+    """The scene of a run; pulses want a finer grid than the solver's before they agree."""
     n = round(seconds * RATE_HZ)
-    edges = (np.arange(n * FINE + 1) - FINE / 2) / FINE / RATE_HZ
+    edges = (np.arange(n * fine + 1) - fine / 2) / fine / RATE_HZ
     grid = np.arange(-1.0, seconds + 2.0)
     temperature = Temperature(grid, temperature_of(grid), 26.0)
     step = 0.0514 * np.pi / 180
@@ -139,13 +161,14 @@ def build(
         power_on_s=-5.0,
         full_scale_rad_s=4.36,
         quantum_rad_s=1.5e-4,
+        sample_period_s=1.0 / RATE_HZ,
     )
     return Scene.build(
         edges,
         np.stack([pan_of(edges), tilt_of(edges)]),
         np.ones(n, dtype=np.bool_),
         block=BLOCK,
-        fine=FINE,
+        fine=fine,
         bandwidth_hz=BANDWIDTH_HZ,
         gain=GAIN,
         bias_rad_s=np.array([0.01, -0.02, 0.005]),

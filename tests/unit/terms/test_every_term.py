@@ -150,6 +150,10 @@ def test_gauges_are_absorbed_whole(cause: str, rig: Any) -> None:
     assert np.linalg.norm(left) < 1e-9 * np.linalg.norm(effect)
 
 
+def test_the_contract_is_kept() -> None:
+    assert set(CAUSES) == set(PART_OF)
+
+
 def test_an_unknown_cause_is_refused() -> None:
     with pytest.raises(UsageError, match="no cause is called"):
         term("gremlins")
