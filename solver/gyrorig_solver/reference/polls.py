@@ -41,6 +41,7 @@ from gyrorig_solver.reference.guess import first_guess
 from gyrorig_solver.reference.moves import Motion, Move, started
 from gyrorig_solver.reference.rests import likeliest_variance, with_detents
 from gyrorig_solver.reference.table import MoveTable, Unknowns
+from gyrorig_solver.reference.track import Track, lay_tracks
 
 LOG_SPEED_STD = 1e-2
 LOG_ACCELERATION_STD = 1e-2
@@ -48,8 +49,9 @@ COUNT_STD_STEPS = 0.5  # of the count's lag and of its offset, prior
 LATE_SHARE_STD = 0.3  # of phi, prior, about one half
 SEEN_START_STD_S = 1.0  # of a start that counts show: no more than a brace
 UNSEEN_START_STD_S = 0.02  # of one that they may not show, about the delay of the others
+ABOUT_S = 0.2  # the first guess is nearer than this
 ROUNDS = 8
-NEAR_S = 1e-3  # starts that move by less are near enough to judge the rests by
+NEAR_S = 5e-3  # a step that is no longer leaves the starts near enough to judge the rests by
 LATEST_JUDGING = 3  # round from which they are near enough in any case
 JUDGINGS = 2
 SETTLED_S = 5e-7  # starts that move by less, a hundredth of what is known of them, are in place
@@ -148,6 +150,9 @@ class _Fit:
         self._centre[self._layout.starts] = self._delays.guess_s
         self._centre[-1] = 0.5
         self._at = self._centre.copy()
+        tracks = lay_tracks(table, self._layout.unknowns(self._at))
+        pan, tilt = (_near(c, track) for c, track in zip(self._counts, tracks, strict=True))
+        self._counts = (pan, tilt)
         self._scatter_s = max(least_s / float(np.sqrt(12.0)), 1e-6)
         self._common_s = (least_s + polls.constant_width_s) / float(np.sqrt(12.0))
         self._spacing_s: FloatArray | None = None
@@ -209,6 +214,15 @@ def _counts(polls: Polls) -> tuple[tuple[AxisCounts, AxisCounts], float]:
     if polls.valid.all():
         return (pan, tilt), least_s
     return (pan.some(polls.valid[:, 0]), tilt.some(polls.valid[:, 1])), least_s
+
+
+def _near(counts: AxisCounts, track: Track) -> AxisCounts:
+    """Return the counts that may have been taken on the way: about half are not."""
+    if track.begin_s.size == 0:
+        return counts.some(slice(0, 0))
+    at_s = counts.base_s + 0.5 * counts.extra_s
+    move = np.searchsorted(track.begin_s - ABOUT_S, at_s, side="right") - 1
+    return counts.some((move >= 0) & (at_s <= track.end_s[move] + ABOUT_S))
 
 
 class _Delays:
