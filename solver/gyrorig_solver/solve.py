@@ -13,10 +13,12 @@ from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.estimate.attitude import fit_attitude
 from gyrorig_solver.estimate.gravity import fit_gravity
-from gyrorig_solver.estimate.motion import fit_motion
+from gyrorig_solver.estimate.motion import fit_joint, fit_motion
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.estimate.turns import fit_turns
+from gyrorig_solver.extensions import choose_extensions
 from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
+from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.reference.ptu_recording import ptu_reference
 from gyrorig_solver.reference.rest import RestReference, mostly_at_rest
 from gyrorig_solver.reference.turns import TurnReference, read_turns
@@ -39,32 +41,40 @@ REST_WORDS = {
 STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901; only the accelerometer's scale rests on it
 
 
-def solve_recordings(recordings: Sequence[Recording], board: str) -> GyroFit:
+def solve_recordings(
+    recordings: Sequence[Recording], board: str, extend: Sequence[str] = ()
+) -> GyroFit:
     """Calibrate one board by the best reference that its recordings hold.
 
     In this order: a pan-tilt unit's motion, reference attitudes, turns by known angles,
-    rest, gravity between rests. Attitudes and turns may be spread over several recordings.
+    rest, gravity between rests. All but gravity may be spread over several recordings:
+    those of a unit, and at rest, are fitted jointly, bias and time offset free in each.
+
+    Args:
+        recordings: in any order.
+        board: in each of them.
+        extend: causes of the catalogue to fit beside the base model; with a unit only.
 
     Raises:
         InputError: the board is not there, or there is no reference of any kind.
-        UsageError: several recordings of a unit's motion at once.
+        UsageError: recordings that cannot be solved together, or an unknown cause.
     """
-    fit = _by_best_reference(recordings, board)
-    missing = tuple(f"{r.path.name}: {loss.text}" for r in recordings for loss in r.losses)
+    ordered = sorted(recordings, key=lambda recording: recording.start_ns)
+    fit = _by_best_reference(ordered, board, extend)
+    missing = tuple(f"{r.path.name}: {loss.text}" for r in ordered for loss in r.losses)
     return replace(fit, warnings=(*missing, *fit.warnings))
 
 
-def _by_best_reference(recordings: Sequence[Recording], board: str) -> GyroFit:
+def _by_best_reference(
+    recordings: Sequence[Recording], board: str, extend: Sequence[str]
+) -> GyroFit:
     loaded = [(recording, load_samples(recording, board)) for recording in recordings]
     if any("/ptu/position" in r.topics for r in recordings):
-        if len(recordings) > 1:
-            raise UsageError(
-                f"{len(recordings)} recordings of a pan-tilt unit at once",
-                "solve them one at a time; each makes a version",
-            )
-        recording, samples = loaded[0]
-        reference = ptu_reference(recording, samples.origin_ns)
-        return fit_motion(samples, reference, PTU_WORDS, reference.warnings)
+        return _by_unit(loaded, extend)
+    if extend:
+        raise UsageError(
+            "causes beyond the base model need a pan-tilt unit", "leave --extend out, or record one"
+        )
     attitudes = [(s, _attitude(r, s)) for r, s in loaded if "/reference/attitude" in r.topics]
     if attitudes:
         return fit_attitude(attitudes)
@@ -72,6 +82,59 @@ def _by_best_reference(recordings: Sequence[Recording], board: str) -> GyroFit:
     if any(found.turns for _, found in turns):
         return fit_turns(turns)
     return _by_gravity(loaded, turns)
+
+
+def _by_unit(loaded: list[tuple[Recording, GyroSamples]], extend: Sequence[str]) -> GyroFit:
+    """Fit a board on a unit: recordings in motion and at rest, together."""
+    _check_alike(loaded)
+    found: list[tuple[Recording, GyroSamples, ReferenceMotion]] = []
+    warnings: tuple[str, ...] = ()
+    for recording, samples in loaded:
+        reference, said = _motion_of(recording, samples)
+        found.append((recording, samples, reference))
+        many = f"{recording.path.name}: " if len(loaded) > 1 else ""
+        warnings += tuple(many + text for text in said)
+    chosen = choose_extensions(found, extend)
+    return fit_joint(
+        [(samples, reference) for _, samples, reference in found],
+        {**PTU_WORDS, **chosen.words},
+        (*warnings, *chosen.remarks),
+        chosen.extensions,
+        chosen.settings,
+    )
+
+
+def _motion_of(
+    recording: Recording, samples: GyroSamples
+) -> tuple[ReferenceMotion, tuple[str, ...]]:
+    """Return the reference of one recording that is solved with a unit's, and its remarks."""
+    if "/ptu/position" in recording.topics:
+        reference = ptu_reference(recording, samples.origin_ns)
+        return reference, reference.warnings
+    found = read_turns(recording.events(), samples.origin_ns)
+    if not mostly_at_rest(found.rests, float(samples.time_s[-1] - samples.time_s[0])):
+        raise UsageError(
+            f"{recording.path.name} has neither a unit nor rest throughout",
+            "solve it apart from the recordings of a unit",
+        )
+    return RestReference(found.rests), ()
+
+
+def _check_alike(loaded: list[tuple[Recording, GyroSamples]]) -> None:
+    """Refuse to pool recordings of a board that was set differently.
+
+    Raises:
+        UsageError: they differ in scale, full scale or low-pass.
+    """
+    first, samples = loaded[0]
+    for recording, other in loaded[1:]:
+        for key in ("gyro_scale_rad_s", "gyro_full_scale_dps", "bandwidth_hz"):
+            one, two = samples.metadata.get(key), other.metadata.get(key)
+            if one != two:
+                raise UsageError(
+                    f"{first.path.name} has {key} {one}, {recording.path.name} has {two}",
+                    "solve recordings of different settings apart",
+                )
 
 
 def _attitude(recording: Recording, samples: GyroSamples) -> AttitudeReference:

@@ -26,6 +26,7 @@ from gyrorig_solver.calibration.document import (
     Matrix,
     NoiseFigure,
     Observability,
+    OwnOfRecording,
     Parameter,
     Quality,
     SecondOpinion,
@@ -111,7 +112,7 @@ def calibration_of(
             condition=_number(fit.observability.condition),
         ),
         noise=_noise(fit),
-        quality=_quality(fit, profile),
+        quality=_quality(fit, profile, [i.name for i in origin.inputs]),
         trust=judge(fit),
         validity=Validity(
             rate_rad_s=[float(v) for v in fit.rate_range_rad_s],
@@ -145,6 +146,12 @@ def _parameters(fit: GyroFit) -> dict[str, Parameter]:
         std=_number(fit.std.get("time_offset", math.nan)),
         unit="s",
     )
+    for cause in fit.causes:
+        out[cause.name] = Parameter(
+            value=[_number(v) for v in cause.value],
+            std=[_number(v) for v in cause.std],
+            unit=cause.unit,
+        )
     return out
 
 
@@ -194,7 +201,20 @@ def _second_opinion(fit: GyroFit) -> SecondOpinion | None:
     )
 
 
-def _quality(fit: GyroFit, profile: SensorProfile | None) -> Quality:
+def _apart(fit: GyroFit, names: Sequence[str]) -> list[OwnOfRecording]:
+    return [
+        OwnOfRecording(
+            name=name,
+            bias=[_number(v) for v in own.bias_rad_s],
+            bias_std=[_number(v) for v in own.bias_std_rad_s],
+            time_offset=_number(own.time_offset_s),
+            time_offset_std=_number(own.time_offset_std_s),
+        )
+        for name, own in zip(names, fit.recordings, strict=True)
+    ]
+
+
+def _quality(fit: GyroFit, profile: SensorProfile | None, names: Sequence[str]) -> Quality:
     before, after = _number(fit.rms_before_rad_s), _number(fit.rms_after_rad_s)
     return Quality(
         reduced_chi2=_number(fit.reduced_chi2),
@@ -206,4 +226,5 @@ def _quality(fit: GyroFit, profile: SensorProfile | None) -> Quality:
         warnings=[*fit.warnings, *profile_warnings(fit, profile)],
         outliers=int(fit.outliers),
         rest_to_rest=_second_opinion(fit),
+        recordings=_apart(fit, names) if fit.recordings else None,
     )

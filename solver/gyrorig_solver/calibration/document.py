@@ -125,6 +125,16 @@ class SecondOpinion(_Document, frozen=True):
     largest_sigma: float
 
 
+class OwnOfRecording(_Document, frozen=True):
+    """What is free in each recording of a joint solve; None where it was not observable."""
+
+    name: str
+    bias: list[float | None]  # mean over the recording, rad/s
+    bias_std: list[float | None]
+    time_offset: float | None  # s
+    time_offset_std: float | None
+
+
 class Quality(_Document, frozen=True, omit_defaults=True):
     """How well the model explains the data. `reduced_chi2` is 1 when noise is all that is left."""
 
@@ -134,6 +144,7 @@ class Quality(_Document, frozen=True, omit_defaults=True):
     efficiency: dict[str, float] | None = None
     outliers: int | None = None
     rest_to_rest: SecondOpinion | None = None
+    recordings: list[OwnOfRecording] | None = None  # where several were solved together
 
 
 class Trust(_Document, frozen=True):

@@ -39,6 +39,7 @@ def solve_into(
     recordings: Sequence[Recording],
     board: BoardId,
     method: str = "likelihood",
+    extend: Sequence[str] = (),
 ) -> Solved:
     """Solve one board, and write its next version and its report.
 
@@ -47,6 +48,7 @@ def solve_into(
         recordings: at least one, each with the board in it; solved together.
         board: which one.
         method: `likelihood` or `paper`.
+        extend: causes of the catalogue to fit too; `likelihood` only.
 
     Raises:
         InputError: the recordings do not hold what the method needs.
@@ -54,8 +56,11 @@ def solve_into(
         MachineError: the store cannot be written.
     """
     store.prepare(board)
-    solve = _by_paper if method == "paper" else _by_likelihood
-    document, data_of = solve(recordings, board)
+    ordered = sorted(recordings, key=lambda recording: recording.start_ns)
+    if method == "paper":
+        document, data_of = _by_paper(ordered, board)
+    else:
+        document, data_of = _by_likelihood(ordered, board, extend)
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     written: list[Calibration] = []
 
@@ -70,12 +75,13 @@ def solve_into(
 
 
 def _by_likelihood(
-    recordings: Sequence[Recording], board: BoardId
+    recordings: Sequence[Recording], board: BoardId, extend: Sequence[str]
 ) -> tuple[_Document, Callable[[Calibration], ReportData]]:
-    fit = solve_recordings(recordings, board)
+    fit = solve_recordings(recordings, board, extend)
     lost = [fit.lost] if len(recordings) == 1 else [load_samples(r, board).lost for r in recordings]
     software = installed_version("gyrorig")
-    origin = provenance(recordings, board, lost, software, {"method": "likelihood"})
+    settings = {"method": "likelihood", **({"extend": list(extend)} if extend else {})}
+    origin = provenance(recordings, board, lost, software, settings)
     profile = find_profile(origin.board.sensor)
 
     def document(version: int, previous: str | None, created: str) -> Calibration:

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
@@ -34,6 +34,13 @@ from gyrorig_solver.commands.terminal import (
     help="paper: eq. 6 to 12 as printed, for comparison only.",
 )
 @click.option(
+    "--extend",
+    default="none",
+    show_default=True,
+    metavar="none|CAUSE,...",
+    help="Causes of the catalogue to fit beside the base model, such as thermal_bias.",
+)
+@click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("calibrations"),
@@ -43,18 +50,25 @@ from gyrorig_solver.commands.terminal import (
 @json_option
 @click.pass_obj
 def solve_command(
-    terminal: Terminal, recordings: tuple[Path, ...], board: str | None, method: str, out: Path
+    terminal: Terminal,
+    recordings: tuple[Path, ...],
+    board: str | None,
+    method: str,
+    extend: str,
+    out: Path,
 ) -> int:
     r"""Turn recordings into a calibration and a report for each board in them.
 
-    A recording with a pan-tilt unit makes one version of each of its boards; recordings
-    with another reference (attitudes, known turns, gravity) are solved together. Leaves
-    with 4 when a parameter could not be shown: the calibration says which, and why.
+    All recordings of one board are solved together and make one version: static and moving
+    ones, of different days, each with its own bias and time offset. Leaves with 4 when a
+    parameter could not be shown: the calibration says which, and why.
 
     \b
     Example:
       gyrorig solve demo/session.mcap --out calibrations
+      gyrorig solve static.mcap monday.mcap friday.mcap --extend thermal_bias,g_sensitivity
     """
+    causes = _causes(extend, method)
     solved: list[Solved] = []
     failed: list[dict[str, str]] = []
     faults: list[GyrorigError] = []
@@ -67,10 +81,10 @@ def solve_command(
         except GyrorigError as fault:
             faults.append(fault)
             failed.append({"recording": str(path), "board": "", "error": str(fault)})
-    for name, together in _groups(read, board):
+    for name, together in _groups(read, board, apart=method == "paper"):
         terminal.progress(f"solving {name} of {', '.join(r.path.name for r in together)}")
         try:
-            solved.append(solve_into(CalibrationStore(out), together, name, method))
+            solved.append(solve_into(CalibrationStore(out), together, name, method, causes))
             terminal.say(_said(solved[-1]))
         except GyrorigError as fault:
             faults.append(fault)
@@ -85,14 +99,33 @@ def solve_command(
         terminal.emit({"boards": [], "failed": failed, "exit_code": faults[0].exit_code})
         return faults[0].exit_code
     code = IN_PART if failed else 0
-    if not failed and any(s.calibration.observability.unobservable for s in solved):
+    if not failed and any(_lacks(s, causes) for s in solved):
         code = NOT_IDENTIFIABLE
     terminal.emit({"boards": [_plain(s) for s in solved], "failed": failed, "exit_code": code})
     return code
 
 
+def _causes(extend: str, method: str) -> tuple[str, ...]:
+    """Return the causes that were asked for.
+
+    Raises:
+        UsageError: the method takes none.
+    """
+    causes = tuple(name.strip() for name in extend.split(",") if name.strip() not in ("", "none"))
+    if causes and method == "paper":
+        raise UsageError("the paper's method has no causes", "leave --extend out")
+    return causes
+
+
+def _lacks(solved: Solved, causes: Sequence[str]) -> bool:
+    """Return whether something that was asked for could not be shown."""
+    calibration = solved.calibration
+    missing = set(causes) - set(calibration.solver.terms)
+    return bool(calibration.observability.unobservable or missing)
+
+
 def _groups(
-    recordings: Sequence[Recording], wanted: str | None
+    recordings: Sequence[Recording], wanted: str | None, apart: bool
 ) -> Iterator[tuple[BoardId, list[Recording]]]:
     """Yield each board with the recordings that are solved together for it."""
     pooled: dict[BoardId, list[Recording]] = {}
@@ -100,7 +133,7 @@ def _groups(
         for board in recording.board_ids:
             if wanted is not None and board != wanted:
                 continue
-            if "/ptu/position" in recording.topics:
+            if apart:
                 yield board, [recording]
             else:
                 pooled.setdefault(board, []).append(recording)

@@ -4,27 +4,38 @@ What to use when: `gyro_fit` at the end of `motion`, `attitude`, `turns` and `gr
 each of them only adds what is its own.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.observability import BIAS_NAMES, Decision, conclude
-from gyrorig_solver.estimate.result import Clock, FitDiagnostics, GyroFit, NoiseLevels
+from gyrorig_solver.estimate.extension import Extension
+from gyrorig_solver.estimate.observability import BIAS_NAMES, Concluded, Decision, conclude
+from gyrorig_solver.estimate.result import (
+    Clock,
+    FitDiagnostics,
+    FittedCause,
+    GyroFit,
+    NoiseLevels,
+    RecordingFit,
+)
 from gyrorig_solver.model.gain import GAIN_NAMES
 from gyrorig_solver.samples import GyroSamples
 
 NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
 TERMS = ("bias", "scale", "nonorthogonality", "misalignment")
 LIMITED_CHI2 = 1.25
+SKEW_WORTH_A_WORD_PPM = 500.0  # a crystal keeps 50; a sensor's own oscillator does not
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """What an estimator found, before it is decided what may be said."""
 
-    estimate: FloatArray  # (13,), in the order of NAMES; unobserved directions at nominal
+    estimate: (
+        FloatArray  # (13 + causes,), in the order of `names`; unobserved directions at nominal
+    )
     decision: Decision
     reduced_chi2: float  # nan where nothing in the data checks the noise model
     outliers: int
@@ -41,6 +52,10 @@ class Evidence:
     noise: NoiseLevels | None = None
     rate_range_rad_s: tuple[float, float] | None = None  # None: of all samples
     clock_truth: str = "the recording's own times"
+    names: tuple[str, ...] = NAMES  # of the estimate; causes' values may follow the base's
+    unit: FloatArray | None = None  # prior deviation of each name, where there are causes
+    extensions: tuple[Extension, ...] = ()
+    recordings: tuple[RecordingFit, ...] = ()
 
 
 def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
@@ -50,7 +65,9 @@ def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
         evidence: what the estimator found.
         samples: of that board, in the order of the recordings.
     """
-    found = conclude(evidence.estimate, NAMES, evidence.decision, evidence.words)
+    found = conclude(
+        evidence.estimate, evidence.names, evidence.decision, evidence.words, evidence.unit
+    )
     reasons = list(evidence.distrust)
     if evidence.reduced_chi2 > evidence.chi2_limit:
         reasons.append(
@@ -87,7 +104,28 @@ def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
         distrust=tuple(reasons),
         diagnostics=evidence.diagnostics,
         extra=dict(evidence.extra or {}),
+        causes=tuple(c for one in evidence.extensions for c in _causes(one, found)),
+        recordings=evidence.recordings,
     )
+
+
+def _causes(one: Extension, found: Concluded) -> Iterator[FittedCause]:
+    """Yield the fitted parameters of one cause."""
+    free, at = set(one.free.tolist()), 0
+    sizes = [p for p in one.term.parameters if p.role == "size"]
+    for parameter in one.term.parameters:
+        here = range(at, at + parameter.count)
+        at += parameter.count
+        if not free.issuperset(here):
+            continue
+        names = [f"{one.term.cause}.{name}" for name in parameter.names]
+        alone = len(sizes) == 1
+        yield FittedCause(
+            name=one.term.cause if alone else f"{one.term.cause}.{parameter.name}",
+            value=np.array([found.values[name] for name in names]),
+            std=np.array([found.std[name] for name in names]),
+            unit=parameter.unit,
+        )
 
 
 def _rates(samples: Sequence[GyroSamples]) -> tuple[float, float]:
@@ -114,6 +152,16 @@ def _clock(samples: GyroSamples, truth: str) -> Clock:
     )
 
 
+def _skew_text(skew_ppm: float) -> str:
+    """Say which clock is believed, and what the other would make of the gain."""
+    way = "larger" if skew_ppm > 0.0 else "smaller"
+    return (
+        f"the board's clock differs from the host's by {skew_ppm:+.0f} ppm; the host's is taken "
+        "as the truth: were the board's right, every scale would be "
+        f"{abs(skew_ppm) * 1e-4:.2f} % {way}"
+    )
+
+
 _STRUCTURED = "sample times may err by as much; pings of the board would tell"
 
 
@@ -130,8 +178,10 @@ def _sample_warnings(samples: Sequence[GyroSamples]) -> list[str]:
         (sum(s.clock.restarts for s in samples), "times the board's clock began anew"),
         (sum(s.clock.steps for s in samples), "times the board's clock or the host's jumped"),
     )
+    skews = [s.clock.skew_ppm for s in samples if abs(s.clock.skew_ppm) > SKEW_WORTH_A_WORD_PPM]
     structured = {s.clock.structured for s in samples if s.clock.structured}
     return [
         *(f"{count} {text}" for count, text in counts if count > 0),
+        *(_skew_text(max(skews, key=abs)) for _ in skews[:1]),
         *(f"structured latency: {text}; {_STRUCTURED}" for text in sorted(structured)),
     ]

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.information import NAMES, Marginal, loosened, marginalise
 from gyrorig_solver.estimate.noise import NoiseModel, Spectrum, binned, fit_levels
-from gyrorig_solver.estimate.normal import whitened
-from gyrorig_solver.estimate.observability import Decision, decide, prior_std
+from gyrorig_solver.estimate.normal import OWN, whitened
+from gyrorig_solver.estimate.observability import Decision, decide_in, prior_std
 from gyrorig_solver.estimate.session import SessionFit, shared_gain
 
 ROUNDS = 12
@@ -32,11 +33,13 @@ PER_SESSION = 4  # bias and time offset
 class Solution:
     """Where the fit ended: parameters, what they rest on, and each recording's state."""
 
-    estimate: FloatArray  # (13,), G row by row, b, time offset (whole lag) of the last recording
-    information: FloatArray  # (13, 13), all else marginalised, the common shift put in
-    decision: Decision
+    names: tuple[str, ...]  # G row by row, b, time offset, then the causes' values
+    unit: FloatArray  # (p,), prior standard deviation of each
+    estimate: FloatArray  # (p,); b and time offset (whole lag) are the last recording's
+    decision: Decision  # all else marginalised, the common shift put in
     sessions: tuple[SessionFit, ...]
-    own: tuple[Decision, ...]  # of (G, b, tau) with each recording's own b and tau
+    extensions: tuple[Extension, ...]
+    own: tuple[Decision, ...]  # the same with each recording's own b and tau
     noises: tuple[NoiseModel, ...]  # of each recording
     spectra: tuple[Spectrum, ...]
     outliers: int
@@ -64,16 +67,19 @@ class Solution:
         return [u for s in self.sessions for u in s.used]
 
 
-def solve_likelihood(sessions: Sequence[SessionFit]) -> Solution:
+def solve_likelihood(
+    sessions: Sequence[SessionFit], extensions: Sequence[Extension] = ()
+) -> Solution:
     """Fit one board against the reference motions of its recordings.
 
     Args:
         sessions: in the order of time; the last one's bias and offset are the result's.
+        extensions: causes beyond the base model, common to all recordings.
 
     Raises:
         InputError: no sample has a reference.
     """
-    work = _Work(sessions)
+    work = _Work(sessions, extensions)
     work.begin()
     converged = False
     before = np.inf
@@ -89,8 +95,8 @@ def solve_likelihood(sessions: Sequence[SessionFit]) -> Solution:
 class _Work:
     """The fit under way."""
 
-    def __init__(self, sessions: Sequence[SessionFit]) -> None:
-        self._sessions = tuple(sessions)
+    def __init__(self, sessions: Sequence[SessionFit], extensions: Sequence[Extension]) -> None:
+        self._sessions, self._extensions = tuple(sessions), tuple(extensions)
         self._gain = np.eye(3)
         self._noises: list[NoiseModel] = []
         self._spectra: list[Spectrum] = []
@@ -108,12 +114,13 @@ class _Work:
         """Take one Gauss-Newton step; return its largest size in standard deviations."""
         found = self._marginals()
         information, score = self._joint(found)
-        decision = decide(information, self._names())
+        decision = decide_in(information, self._units())
         step = decision.inverse @ score
         self._marginal = found
         sigma = np.sqrt(np.clip(np.diag(decision.covariance), 0.0, None))
         size = float(np.max(np.abs(step) / np.where(sigma > 0.0, sigma, np.inf)))
         self._gain = self._gain + step[:GAINS].reshape(3, 3)
+        self._extensions = self._moved(step[step.size - self._causes :])
         for k, (session, marginal) in enumerate(zip(self._sessions, found, strict=True)):
             own = step[self._index(k)]
             session.bias_rad_s = session.bias_rad_s + own[9:12]
@@ -128,38 +135,61 @@ class _Work:
     def solution(self, converged: bool) -> Solution:
         """Return the result, each recording's common shift put into its offset."""
         last = self._sessions[-1]
-        offset_s = last.time_offset_s
-        estimate = np.concatenate([self._gain.ravel(), last.bias_rad_s, [offset_s]])
+        causes = [one.values[one.free] for one in self._extensions]
         own = [self._of_one(k) for k in range(len(self._sessions))]
+        unit = np.concatenate([prior_std(NAMES), *(one.prior_std for one in self._extensions)])
+        decisions = tuple(decide_in(one, unit) for one in own)
         return Solution(
-            estimate=estimate,
-            information=own[-1],
-            decision=decide(own[-1], NAMES),
+            names=(*NAMES, *(name for one in self._extensions for name in one.names)),
+            unit=unit,
+            estimate=np.concatenate(
+                [self._gain.ravel(), last.bias_rad_s, [last.time_offset_s], *causes]
+            ),
+            decision=decisions[-1],
             sessions=self._sessions,
-            own=tuple(decide(one, NAMES) for one in own),
+            extensions=self._extensions,
+            own=decisions,
             noises=tuple(self._noises),
             spectra=tuple(self._spectra),
             outliers=sum(session.outliers for session in self._sessions),
             converged=converged,
         )
 
-    def _names(self) -> tuple[str, ...]:
-        return (*NAMES[:GAINS], *(NAMES[GAINS:] * len(self._sessions)))
+    @property
+    def _causes(self) -> int:
+        """How many values of causes are fitted."""
+        return sum(one.free.size for one in self._extensions)
+
+    def _units(self) -> FloatArray:
+        """Return the prior deviation of all parameters: G, each (b, tau), the causes' values."""
+        own = prior_std(NAMES)
+        each = [own[GAINS:]] * len(self._sessions)
+        return np.concatenate([own[:GAINS], *each, *(one.prior_std for one in self._extensions)])
 
     def _index(self, k: int) -> IntArray:
-        """Return where the parameters of recording `k` are among all."""
+        """Return where the parameters of recording `k` are among all: G, b, tau, causes."""
         first = GAINS + PER_SESSION * k
-        return np.array([*range(GAINS), *range(first, first + PER_SESSION)], dtype=np.int64)
+        after = GAINS + PER_SESSION * len(self._sessions)
+        own = (*range(GAINS), *range(first, first + PER_SESSION))
+        return np.array([*own, *range(after, after + self._causes)], dtype=np.int64)
+
+    def _moved(self, step: FloatArray) -> tuple[Extension, ...]:
+        """Return the causes with their values changed."""
+        found, first = [], 0
+        for one in self._extensions:
+            found.append(one.moved(step[first : first + one.free.size]))
+            first += one.free.size
+        return tuple(found)
 
     def _marginals(self) -> list[Marginal]:
         return [
-            marginalise(session.normal(self._gain, noise), session.reference)
+            marginalise(session.normal(self._gain, noise), session.reference, OWN + self._causes)
             for session, noise in zip(self._sessions, self._noises, strict=True)
         ]
 
     def _joint(self, found: Sequence[Marginal]) -> tuple[FloatArray, FloatArray]:
         """Return the sum of all recordings' evidence, each with its own bias and offset."""
-        size = GAINS + PER_SESSION * len(found)
+        size = GAINS + PER_SESSION * len(found) + self._causes
         information, score = np.zeros((size, size)), np.zeros(size)
         for k, marginal in enumerate(found):
             index = self._index(k)
@@ -179,7 +209,7 @@ class _Work:
         if not drop.size:
             return information
         # A hair of prior: a recording at rest does not know its offset.
-        unit = np.array(prior_std(self._names()))[drop]
+        unit = self._units()[drop]
         inner = information[np.ix_(drop, drop)] + np.diag(1e-6 / unit**2)
         across = information[np.ix_(keep, drop)]
         left = information[np.ix_(keep, keep)] - across @ np.linalg.solve(inner, across.T)
@@ -193,6 +223,7 @@ class _Work:
 
     def _observe(self, judge: bool, fresh: bool) -> None:
         for session in self._sessions:
+            session.extensions = self._extensions
             session.observe(self._gain, judge, fresh)
 
     def _fit_noise(self) -> None:

@@ -10,11 +10,13 @@ import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, IntArray
 from gyrorig_solver.estimate.conclusion import TERMS, Evidence, gyro_fit
+from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution, solve_likelihood
 from gyrorig_solver.estimate.rest_to_rest import CrossCheck, Path, cross_check
-from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit, NoiseLevels
+from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit, NoiseLevels, RecordingFit
 from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.session import SessionFit, shared_gain
+from gyrorig_solver.model.terms.scene import Setting
 from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.reference.rests import DETENT_VARIANCE
@@ -43,6 +45,8 @@ def fit_joint(
     recordings: Sequence[tuple[GyroSamples, ReferenceMotion]],
     words: Mapping[str, str],
     warnings: tuple[str, ...] = (),
+    extensions: Sequence[Extension] = (),
+    settings: Sequence[Setting | None] = (),
 ) -> GyroFit:
     """Fit one board's recordings together and conclude what may be said.
 
@@ -54,11 +58,15 @@ def fit_joint(
             in the order of time.
         words: for each gain column, `bias` and `time_offset`, why it may be hidden.
         warnings: what is already known to be odd, in words.
+        extensions: causes beyond the base model, common to all recordings.
+        settings: what those may look at, one for each recording.
 
     Raises:
         InputError: no sample has a reference.
     """
-    solution = solve_likelihood([_session(*one) for one in recordings])
+    around = settings or [None] * len(recordings)
+    sessions = [_session(*one, where) for one, where in zip(recordings, around, strict=True)]
+    solution = solve_likelihood(sessions, extensions)
     samples = [one for one, _ in recordings]
     chi2 = _reduced_chi2(solution)
     before, after = _held_out(solution)
@@ -80,7 +88,7 @@ def fit_joint(
         rms_after_rad_s=after,
         reference="; ".join(dict.fromkeys(r.description for _, r in recordings)),
         words=words,
-        terms=(*TERMS, "time_offset"),
+        terms=(*TERMS, "time_offset", *(one.term.cause for one in extensions)),
         warnings=warnings,
         distrust=_distrust(solution, chi2),
         diagnostics=_diagnostics(solution),
@@ -89,13 +97,37 @@ def fit_joint(
         rate_range_rad_s=_range(solution),
         clock_truth="the host's capture clock",
         extra=_said(second),
+        names=solution.names,
+        unit=solution.unit,
+        extensions=solution.extensions,
+        recordings=_apart(solution) if len(recordings) > 1 else (),
     )
     return gyro_fit(evidence, samples)
 
 
-def _session(samples: GyroSamples, reference: ReferenceMotion) -> SessionFit:
+def _session(
+    samples: GyroSamples, reference: ReferenceMotion, setting: Setting | None
+) -> SessionFit:
     series, sampling = build_series(samples)
-    return SessionFit(series, sampling, reference, samples.floor.std_s if samples.floor else 0.0)
+    stamp_std_s = samples.floor.std_s if samples.floor else 0.0
+    return SessionFit(series, sampling, reference, stamp_std_s, setting)
+
+
+def _apart(solution: Solution) -> tuple[RecordingFit, ...]:
+    """Return each recording's own bias and time offset."""
+    found = []
+    for session, decision in zip(solution.sessions, solution.own, strict=True):
+        std = np.sqrt(np.diag(decision.covariance)[9:13])
+        seen = decision.hidden[12, 12] < decision.covariance[12, 12]
+        found.append(
+            RecordingFit(
+                bias_rad_s=session.bias_rad_s,
+                bias_std_rad_s=std[:3],
+                time_offset_s=session.time_offset_s if seen else float("nan"),
+                time_offset_std_s=float(std[3]) if seen else float("nan"),
+            )
+        )
+    return tuple(found)
 
 
 def _range(solution: Solution) -> tuple[float, float]:

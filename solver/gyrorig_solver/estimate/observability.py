@@ -49,7 +49,16 @@ def decide(information: FloatArray, names: tuple[str, ...]) -> Decision:
         information: inverse covariance of the parameters, nuisances marginalised, (n, n).
         names: of the parameters, as in `GAIN_NAMES`, `BIAS_NAMES` and `time_offset`.
     """
-    unit = prior_std(names)
+    return decide_in(information, prior_std(names))
+
+
+def decide_in(information: FloatArray, unit: FloatArray) -> Decision:
+    """Split a space of parameters of any kind, each measured in its prior's deviation.
+
+    Args:
+        information: inverse covariance of the parameters, nuisances marginalised, (n, n).
+        unit: prior standard deviation of each, shape (n,).
+    """
     values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
     seen = values > 1.0 / OBSERVED_BELOW**2
     directions = unit[:, None] * vectors
@@ -98,6 +107,7 @@ def conclude(
     names: tuple[str, ...],
     decision: Decision,
     words: Mapping[str, str],
+    unit: FloatArray | None = None,
 ) -> Concluded:
     """Turn an estimate of (gain, bias, offset) into the parameters of the document.
 
@@ -106,11 +116,14 @@ def conclude(
 
     Args:
         estimate: values of `names`, shape (n,); unobserved directions at their prior mean.
-        names: `GAIN_NAMES`, then any of `BIAS_NAMES`, then maybe `time_offset`.
+        names: `GAIN_NAMES`, then any of `BIAS_NAMES`, then maybe `time_offset`, then maybe
+            values of causes beyond the base model.
         decision: of the same names.
         words: for each gain column `x`, `y`, `z` and for `bias` and `time_offset`, why the
             data could not show it and what would.
+        unit: prior standard deviation of each name; needed where there are causes.
     """
+    unit = prior_std(names) if unit is None else unit
     gain = estimate[:9].reshape(3, 3)
     rest = names[9:]
     transform = np.zeros((len(names), len(names)))
@@ -123,7 +136,7 @@ def conclude(
     visible = _visible(
         np.diag(data),
         np.diag(prior),
-        prior_like=np.concatenate([np.full(9, PRIOR_STD["gain"]), prior_std(rest)]),
+        prior_like=np.concatenate([np.full(9, PRIOR_STD["gain"]), unit[9:]]),
     )
     seen_gain = _visible(
         np.diag(decision.covariance)[:9], np.diag(decision.hidden)[:9], np.full(9, 0.1)
@@ -135,10 +148,9 @@ def conclude(
     shown = [name for name in ordered if visible[at[name]]]
     pick = [at[name] for name in shown]
     hidden = tuple(name for name in ordered if not visible[at[name]])
-    twelve = tuple(n for n in named if n != "time_offset")
-    lost = len(names) - decision.rank
-    of = len(twelve)
-    offset_lost = "time_offset" in hidden
+    base = [i for i, n in enumerate(names) if n.startswith(("gain", "bias"))]
+    of = len(base)
+    lost = _lost(decision.hidden, unit, base)
     return Concluded(
         gain=np.where(seen_gain, gain, np.nan),
         gain_std=np.where(seen_gain, gain_std, np.nan),
@@ -147,13 +159,19 @@ def conclude(
         order=tuple(shown),
         covariance=total[np.ix_(pick, pick)],
         observability=Observability(
-            rank=of - max(0, lost - offset_lost),
+            rank=of - lost,
             of=of,
             condition=decision.condition,
             unobservable=hidden,
-            reasons=_reasons(decision.hidden, names, hidden, words),
+            reasons=_reasons(decision.hidden / np.outer(unit, unit), hidden, words),
         ),
     )
+
+
+def _lost(hidden: FloatArray, unit: FloatArray, base: list[int]) -> int:
+    """Return how many directions of gain and bias the data does not show."""
+    inner = (hidden / np.outer(unit, unit))[np.ix_(base, base)]
+    return int(np.sum(np.linalg.eigvalsh(inner) > 0.5))
 
 
 def _visible(data: FloatArray, prior: FloatArray, prior_like: FloatArray) -> BoolArray:
@@ -163,25 +181,27 @@ def _visible(data: FloatArray, prior: FloatArray, prior_like: FloatArray) -> Boo
 
 
 def _ordered(named: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names in the document's order: bias, the factors, the time offset."""
-    bias = [n for n in named if n.startswith("bias")]
+    """Return the names in the document's order: bias, factors, time offset, causes."""
+    bias = [n for n in named if n in BIAS_NAMES]
     factors = [n for n in named if n in FACTOR_NAMES]
-    return (*bias, *factors, *(n for n in named if n == "time_offset"))
+    first = (*bias, *factors, *(n for n in named if n == "time_offset"))
+    return (*first, *(n for n in named if n not in first))
 
 
 def _reasons(
-    hidden: FloatArray, names: tuple[str, ...], lost: tuple[str, ...], words: Mapping[str, str]
+    hidden: FloatArray, lost: tuple[str, ...], words: Mapping[str, str]
 ) -> tuple[str, ...]:
-    """Say each unobserved group in words, once."""
-    share = np.diag(hidden) / prior_std(names) ** 2
+    """Say each unobserved group in words, once; `hidden` in units of the prior."""
+    share = np.diag(hidden)
     # A column shares in a hidden direction when a tenth of its prior comes back.
     columns = [c for k, c in enumerate("xyz") if share[k:9:3].max() > 0.1 and c in words]
     said: list[str] = []
     for text in dict.fromkeys(words[c] for c in columns):
         alike = [c for c in columns if words[c] == text]
         said.append(f"column{'s' * (len(alike) > 1)} {', '.join(alike)} of the gain: {text}")
-    if any(n.startswith("bias") for n in lost) and "bias" in words:
+    if any(n in BIAS_NAMES for n in lost) and "bias" in words:
         said.append(f"bias: {words['bias']}")
     if "time_offset" in lost and "time_offset" in words:
         said.append(f"time offset: {words['time_offset']}")
+    said += [f"{n}: {words[n]}" for n in lost if n in words and n != "time_offset"]
     return tuple(said)

@@ -122,6 +122,14 @@ def low_pass_delay_s(series: Series) -> float:
     return low_pass.delay_s if low_pass else 0.0
 
 
+def instants_per_block(series: Series) -> int:
+    """Return how many intervals of a coarse grid stand for a block's samples."""
+    if series.block == 1:
+        return 1
+    block_hz = 1.0 / (series.period_s * series.block)
+    return max(1, int(np.ceil(4.0 * (series.bandwidth_hz or 0.0) / block_hz)))
+
+
 def _per_block(series: Series, block_hz: float, transparent: bool) -> int:
     """Return intervals to a block; odd where a sample is an instant and not a mean."""
     if transparent and series.block > 1:

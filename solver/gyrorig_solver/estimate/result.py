@@ -61,6 +61,26 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FittedCause:
+    """One parameter of a cause beyond the base model."""
+
+    name: str  # cause, or cause.parameter where it has several
+    value: FloatArray  # nan where it is not observable
+    std: FloatArray
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordingFit:
+    """What is one recording's own in a joint fit."""
+
+    bias_rad_s: FloatArray  # (3,), mean over the recording
+    bias_std_rad_s: FloatArray  # (3,)
+    time_offset_s: float  # nan where nothing shows it
+    time_offset_std_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GyroFit:
     """One board's calibration with its covariance and its named reasons for distrust.
 
@@ -96,6 +116,8 @@ class GyroFit:
     distrust: tuple[str, ...] = ()  # cause and remedy; makes the verdict `limited`
     diagnostics: FitDiagnostics | None = None
     extra: dict[str, float] = field(default_factory=dict)
+    causes: tuple[FittedCause, ...] = ()
+    recordings: tuple[RecordingFit, ...] = ()  # in the order of time, where there are several
 
     @property
     def identified(self) -> bool:

@@ -13,14 +13,17 @@ from scipy.fft import dct
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.estimate.extension import Extension, columns_of, effect_of
 from gyrorig_solver.estimate.noise import NoiseModel, Sampling
 from gyrorig_solver.estimate.normal import Normal, NormalSum, PartModel
 from gyrorig_solver.estimate.predict import (
+    instants_per_block,
     low_pass_delay_s,
     predict_columns,
     predict_rate,
 )
 from gyrorig_solver.estimate.series import PART_BLOCKS, Series
+from gyrorig_solver.model.terms.scene import Scene, Setting
 from gyrorig_solver.reference.motion import ReferenceMotion
 
 SPIKE_SIGMA = 6.0  # a sample this far off is no sample of the model's noise
@@ -70,6 +73,7 @@ class _Stretch:
     measured: FloatArray  # (n, 3)
     rate: FloatArray  # (n, 3), stage
     used: BoolArray  # (n,)
+    effect: FloatArray  # (n, 3), of the causes beyond the base model, sensor frame
 
 
 class SessionFit:
@@ -81,6 +85,7 @@ class SessionFit:
         sampling: Sampling,
         reference: ReferenceMotion,
         stamp_std_s: float = 0.0,
+        setting: Setting | None = None,
     ) -> None:
         """Begin with nothing known.
 
@@ -89,6 +94,7 @@ class SessionFit:
             sampling: how they were sampled.
             reference: the stage's motion on the same time axis.
             stamp_std_s: what is not known of the samples' own times, one shift of all.
+            setting: what causes beyond the base model may look at.
 
         Raises:
             InputError: there is no series.
@@ -98,7 +104,8 @@ class SessionFit:
         self.sampling = replace(sampling, differentiated=reference.differentiated)
         self.reference = reference
         self.bias_rad_s, self.lag_s = np.zeros(3), 0.0
-        self._stamp_std_s = stamp_std_s
+        self.extensions: tuple[Extension, ...] = ()
+        self._stamp_std_s, self._setting = stamp_std_s, setting
         self._stretches = [_blank(s) for s in series]
         self._models: dict[tuple[int, int], PartModel] = {}
 
@@ -153,6 +160,8 @@ class SessionFit:
         found = []
         for s in self._stretches:
             left = s.measured - s.rate @ gain.T - self.bias_rad_s
+            if self.extensions:
+                left -= s.effect
             found.append(left if s.used.all() else np.where(s.used[:, None], left, 0.0))
         return found
 
@@ -210,7 +219,7 @@ class SessionFit:
             parts = s.series.parts()
             sums: NormalSum | None = None
             for blocks in parts:
-                model = self._model(k, blocks)
+                model = self._model(k, blocks, gain)
                 sums = sums or NormalSum(noise, gain, local, model)
                 sums.add(model, residual[blocks], whole=len(parts) == 1)
             if sums is not None:
@@ -251,22 +260,47 @@ class SessionFit:
         sampled = predict_rate(series, blocks, self.reference, self.lag_s)
         measured = series.rate_rad_s(samples)
         use = series.good[samples] & sampled.known
+        if self.extensions:
+            s.effect[blocks] = effect_of(self.extensions, self.scene(series, blocks, gain))
         if judge and use.any():
             left = measured - sampled.rate @ gain.T - self.bias_rad_s
+            if self.extensions:
+                left -= np.repeat(s.effect[blocks], series.block, axis=0)
             s.good[samples] = series.good[samples] & ~_odd(left, use, self.sampling.quantum_rad_s)
         use = use & s.good[samples]
         s.measured[blocks] = series.means(measured, use)
         s.rate[blocks] = series.means(sampled.rate, use)
         s.used[blocks] = series.used(use)
 
-    def _model(self, k: int, blocks: slice) -> PartModel:
+    def scene(self, series: Series, blocks: slice, gain: FloatArray) -> Scene:
+        """Return what causes may look at in one part of a series, on a coarse grid."""
+        per = instants_per_block(series)
+        edges = series.block_edges_s(blocks, per) - self.lag_s
+        angles = getattr(self.reference, "angles_rad", None)
+        return Scene.build(
+            edges,
+            None if angles is None else angles(edges),
+            np.ones((blocks.stop - blocks.start) * per, dtype=np.bool_),
+            block=per,
+            fine=1,
+            bandwidth_hz=series.bandwidth_hz,
+            gain=gain,
+            bias_rad_s=self.bias_rad_s,
+            rate_rad_s=self.reference.evaluate(edges, derivatives=False).rate_rad_s,
+            setting=self._setting,
+        )
+
+    def _model(self, k: int, blocks: slice, gain: FloatArray) -> PartModel:
         s, key = self._stretches[k], (k, blocks.start)
         if key in self._models:
             return self._models[key]
+        terms = np.zeros((0, blocks.stop - blocks.start, 3))
+        if any(one.free.size for one in self.extensions):
+            terms = columns_of(self.extensions, self.scene(s.series, blocks, gain))
         model = PartModel(
             rate=s.rate[blocks].copy(),
             used=s.used[blocks].copy(),
-            terms=np.zeros((0, blocks.stop - blocks.start, 3)),
+            terms=terms,
             columns=predict_columns(s.series, blocks, self.reference, self.lag_s),
         )
         # Of a long series every part is made anew when it is needed: memory before time.
@@ -291,7 +325,14 @@ def shared_gain(sums: Sequence[Rough]) -> FloatArray:
 def _blank(series: Series) -> _Stretch:
     n = series.blocks
     none = np.zeros((n, 3))
-    return _Stretch(series, series.good.copy(), none, none.copy(), np.zeros(n, np.bool_))
+    return _Stretch(
+        series=series,
+        good=series.good.copy(),
+        measured=none,
+        rate=none.copy(),
+        used=np.zeros(n, np.bool_),
+        effect=none.copy(),
+    )
 
 
 def _speed(rate: FloatArray) -> FloatArray:

@@ -1,0 +1,155 @@
+"""Which causes beyond the base model a solve takes in, and what it says of those it does not.
+
+Known ones (the Earth's rotation) are taken where the recording says enough. Asked-for ones
+are fitted where the recordings can carry them. A temperature polynomial has the order that
+windows left out bear, and none below 10 K.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.estimate.extension import Extension, fitted, known
+from gyrorig_solver.estimate.likelihood import solve_likelihood
+from gyrorig_solver.estimate.series import build_series
+from gyrorig_solver.estimate.session import SessionFit
+from gyrorig_solver.estimate.thermal_order import LEAST_SPAN_K, choose_order
+from gyrorig_solver.model.terms.catalogue import term
+from gyrorig_solver.model.terms.earth_rotation import earth_in_base
+from gyrorig_solver.model.terms.scene import Setting
+from gyrorig_solver.model.terms.thermal_bias import ThermalBias
+from gyrorig_solver.reference.motion import ReferenceMotion
+from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.setting import settings_of
+
+Found = Sequence[tuple[Recording, GyroSamples, ReferenceMotion]]
+THERMAL = ("thermal_bias", "thermal_scale")
+WINDOW_S = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chosen:
+    """The causes that take part, and words for those that do not."""
+
+    extensions: tuple[Extension, ...] = ()
+    settings: tuple[Setting, ...] = ()
+    remarks: tuple[str, ...] = ()
+    words: dict[str, str] = field(default_factory=dict)  # of values that stay hidden
+
+
+def choose_extensions(found: Found, extend: Sequence[str]) -> Chosen:
+    """Return the causes to take into a fit of one board.
+
+    Args:
+        found: its recordings with samples and references.
+        extend: ids of the catalogue that were asked for.
+
+    Raises:
+        UsageError: an id is not known, or no fit can show that cause.
+        InputError: the metadata say what cannot be.
+    """
+    for cause in extend:
+        _check(cause)
+    wanted = tuple(dict.fromkeys(c for c in extend if term(c).kind != "known"))
+    placed = any("latitude_deg" in r.metadata.get("gyrorig.site", {}) for r, _, _ in found)
+    if not wanted and not placed:
+        return Chosen()
+    settings = settings_of(found)
+    extensions: list[Extension] = []
+    remarks: list[str] = []
+    if all(earth_in_base(setting.site) is not None for setting in settings):
+        extensions.append(known(term("earth_rotation")))
+    elif placed:
+        remarks.append(
+            "the Earth's rotation is not taken out: the site says no heading; give heading_deg"
+        )
+    words: dict[str, str] = {}
+    for cause in wanted:
+        extension, why = _one(cause, found, settings)
+        if extension is None:
+            remarks.append(f"{cause} was not fitted: {why}")
+            continue
+        extensions.append(extension)
+        remarks += [f"{cause}: {why}"] if why else []
+        words |= dict.fromkeys(extension.names, extension.term.excitation)
+    return Chosen(tuple(extensions), tuple(settings), tuple(remarks), words)
+
+
+def _check(cause: str) -> None:
+    found = term(cause)
+    if found.kind not in ("effect", "known"):
+        raise UsageError(
+            f"{cause} cannot be fitted to the rates", f"{found.excitation}; `gyrorig explain` looks"
+        )
+    if any(p.role != "size" for p in found.parameters) and cause not in THERMAL:
+        raise UsageError(
+            f"{cause} has a shape that has to be searched for", "`gyrorig explain` does that"
+        )
+
+
+def _one(cause: str, found: Found, settings: Sequence[Setting]) -> tuple[Extension | None, str]:
+    """Return a cause ready to be fitted, or None and why not, with the remedy."""
+    if cause in THERMAL:
+        readings = [s.temperature.degc for s in settings if s.temperature is not None]
+        if len(readings) < len(settings):
+            return None, "a recording has no temperature; record the board's thermometer"
+        span_k = float(np.ptp(np.concatenate(readings)))
+        if span_k < LEAST_SPAN_K:
+            return None, (
+                f"the temperature changed by {span_k:.1f} K only, and below {LEAST_SPAN_K:.0f} K "
+                "a polynomial tells of the noise; warm the board and record again"
+            )
+        if cause == "thermal_bias":
+            return _thermal_bias(found, settings)
+    return fitted(term(cause)), ""
+
+
+def _thermal_bias(found: Found, settings: Sequence[Setting]) -> tuple[Extension | None, str]:
+    """Choose the order by windows of the base fit's residual that were left out."""
+    sessions = []
+    for (_, samples, reference), setting in zip(found, settings, strict=True):
+        series, sampling = build_series(samples)
+        sessions.append(SessionFit(series, sampling, reference, 0.0, setting))
+    solution = solve_likelihood(sessions)
+    warmth, left = [], []
+    for session, setting in zip(solution.sessions, settings, strict=True):
+        windows = _windows(session, setting, solution.gain)
+        warmth.append(windows[0])
+        left.append(windows[1])
+    lowest = np.array([1.0 / WINDOW_S])
+    density = np.max([noise.density(lowest)[0] for noise in solution.noises], axis=0)
+    std = np.sqrt(density / (2.0 * WINDOW_S))
+    choice = choose_order(np.concatenate(warmth), np.concatenate(left), std)
+    if choice.order == 0:
+        return None, (
+            f"over {choice.span_k:.1f} K windows left out are predicted no better with it"
+        )
+    said = f"order {choice.order} over {choice.span_k:.1f} K, chosen by windows left out"
+    return fitted(ThermalBias(choice.order)), said
+
+
+def _windows(
+    session: SessionFit, setting: Setting, gain: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return temperature and residual means of windows of one recording."""
+    length = max(1, round(WINDOW_S * session.sampling.rate_hz))
+    warmth, left = [], []
+    for series, residual, used in zip(
+        session.series, session.residuals(gain), session.used, strict=True
+    ):
+        many = residual.shape[0] // length
+        whole = slice(0, many * length)
+        count = used[whole].reshape(many, length).sum(axis=1)
+        mean = residual[whole].reshape(many, length, 3).sum(axis=1) / np.maximum(count, 1)[:, None]
+        time_s = series.block_times_s()[whole].reshape(many, length).mean(axis=1)
+        keep = count > length // 2
+        temperature = setting.temperature
+        rise = np.zeros(many) if temperature is None else temperature.at(time_s)
+        origin = 0.0 if temperature is None else temperature.mean_degc
+        warmth.append((rise + origin)[keep])
+        left.append(mean[keep] + session.bias_rad_s)
+    return np.concatenate(warmth), np.concatenate(left)

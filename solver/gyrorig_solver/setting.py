@@ -1,0 +1,89 @@
+"""What causes beyond the base model may look at, from a recording: site, temperature, moves."""
+
+from collections.abc import Mapping, Sequence
+from typing import cast
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.model.terms.scene import STANDARD_GRAVITY_M_S2, Setting, Site
+from gyrorig_solver.model.terms.temperature import Temperature
+from gyrorig_solver.reference.course import Course
+from gyrorig_solver.reference.motion import ReferenceMotion
+from gyrorig_solver.reference.ptu import PtuReference
+from gyrorig_solver.samples import GyroSamples, number
+
+
+def settings_of(
+    recordings: Sequence[tuple[Recording, GyroSamples, ReferenceMotion]],
+) -> list[Setting]:
+    """Return the setting of each recording of one board.
+
+    Temperatures count from the mean of all recordings, so that one polynomial holds.
+
+    Raises:
+        InputError: the metadata say what cannot be.
+    """
+    there = [s.temperature_degc for _, s, _ in recordings]
+    known = [t[np.isfinite(t)] for t in there if t is not None]
+    mean = float(np.mean(np.concatenate(known))) if known and sum(map(len, known)) else None
+    return [_setting(*one, mean) for one in recordings]
+
+
+def site_of(recording: Recording) -> Site:
+    """Return where the rig stands, as far as the recording says.
+
+    Raises:
+        InputError: an entry is no number, or no place on Earth.
+    """
+    said = recording.metadata.get("gyrorig.site", {})
+    latitude, heading = _angle(said, "latitude_deg", 90.0), _angle(said, "heading_deg", 360.0)
+    gravity = number(said, "gravity_m_s2") or STANDARD_GRAVITY_M_S2
+    return Site(latitude, heading, gravity)
+
+
+def _angle(said: Mapping[str, str], key: str, most: float) -> float | None:
+    text = said.get(key)
+    if text is None or text == "":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not abs(value) <= most:
+        raise InputError(f"site {key} is {text[:40]!r}", f"it lies between -{most:g} and {most:g}")
+    return value
+
+
+def _setting(
+    recording: Recording, samples: GyroSamples, reference: ReferenceMotion, mean: float | None
+) -> Setting:
+    degc = samples.temperature_degc
+    temperature = None if degc is None else Temperature.of(samples.time_s, degc, mean)
+    full_scale_dps = number(samples.metadata, "gyro_full_scale_dps")
+    unit = reference if isinstance(reference, PtuReference) else None
+    return Setting(
+        site=site_of(recording),
+        temperature=temperature,
+        rad_per_step=None if unit is None else unit.rad_per_step,
+        courses=() if unit is None else _courses(unit),
+        begin_s=float(samples.time_s[0]),
+        end_s=float(samples.time_s[-1]),
+        full_scale_rad_s=None if full_scale_dps is None else float(np.radians(full_scale_dps)),
+        quantum_rad_s=samples.quantum_rad_s,
+        sample_period_s=samples.period_s,
+    )
+
+
+def _courses(unit: PtuReference) -> tuple[tuple[int, Course], ...]:
+    """Return every move's course as the polls have it."""
+    found = unit.starts.found
+    log_ramp = cast("tuple[float, float]", tuple(float(v) for v in found.log_acceleration))
+    courses, first = [], 0
+    for move in unit.starts.table.moves:
+        own = slice(first, first + len(move.orders))
+        first = own.stop
+        course = move.course(found.starts_s[own], found.log_speed, log_ramp[move.axis])
+        courses.append((move.axis, course))
+    return tuple(courses)
