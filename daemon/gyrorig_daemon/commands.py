@@ -18,7 +18,7 @@ import click
 from gyrorig_daemon import record
 from gyrorig_daemon.config import load_rig, parse_rig, read_document
 from gyrorig_daemon.description import SessionOrder
-from gyrorig_daemon.emulation import Emulation, rough_duration_s
+from gyrorig_daemon.emulation import Emulation, rough_session_s
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
@@ -104,13 +104,22 @@ def record_command(**options: Any) -> None:
 @click.option("--config", "config_path", type=_FILE, required=True, help="The rig (YAML).")
 @_emulation_options
 @click.option(
-    "--about",
-    "about_s",
+    "--from",
+    "begin_s",
+    type=click.FloatRange(0.0, 1e6),
+    default=0.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="When it begins to be used.",
+)
+@click.option(
+    "--until",
+    "end_s",
     type=click.FloatRange(1.0, 1e6),
     default=60.0,
     show_default=True,
     metavar="SECONDS",
-    help="How long it will be used: what happens once happens in the middle.",
+    help="How long it will be used: what happens once happens in between.",
 )
 @click.option(
     "--links",
@@ -147,7 +156,7 @@ def _record(options: dict[str, Any]) -> dict[str, Any]:
         call = record.Call(
             order=order,
             config_path=config_path,
-            emulation=_emulation(options, rough_duration_s(order.program)),
+            emulation=_emulation(options, rough_session_s(order.program)),
             host=socket.gethostname(),
             stop=stop,
             progress=_progress if sys.stderr.isatty() else record.no_progress,
@@ -160,14 +169,14 @@ def _record(options: dict[str, Any]) -> dict[str, Any]:
     return {"recording": str(path)} | ({"seal": seals[0]} if seals else {})
 
 
-def _emulation(options: dict[str, Any], about_s: float) -> Emulation:
+def _emulation(options: dict[str, Any], session_s: tuple[float, float]) -> Emulation:
     return Emulation(
         seed=options["seed"],
         truth=options["truth"],
         hide=options["hide"],
         noise_free=options["noise_free"],
         soak_k=options["soak"],
-        about_s=about_s,
+        session_s=session_s,
     )
 
 
@@ -204,7 +213,10 @@ def _emulate(options: dict[str, Any]) -> None:
                 _tell_seal(seal)
         sys.stdout.flush()
 
-    told = _emulation(options, options["about_s"])
+    begin_s, end_s = options["begin_s"], options["end_s"]
+    if end_s <= begin_s:
+        raise UsageError(f"--until {end_s:g} is not after --from {begin_s:g}", "give it later")
+    told = _emulation(options, (begin_s, end_s))
     record.emulate(config, told, announce, ended, options["links"])
 
 

@@ -67,9 +67,8 @@ def rig_settings(
         boards=boards,
         hide=tuple(parse_hide(text) for text in more.hide),
         noise_free=more.noise_free,
-        about_s=more.about_s,
+        session_s=more.session_s,
         soak_k=more.soak_k,
-        soak_period_s=more.about_s,
         latitude_deg=config.site.latitude_deg,
         heading_deg=config.site.heading_deg,
     )

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from gyrorig_protocol.program import Home, MotionProgram, Move, Rest, UnitSettings, unrolled
 
-_SETTLING_S = 12.0  # a unit computes its tables anew for each base speed and acceleration
+_SETTLING_S = 12.5  # a unit computes its tables anew for each base speed and acceleration
+_ACCELERATION_DEG_S2 = 100.0  # of a unit that is left as it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,11 +18,11 @@ class Emulation:
     hide: tuple[str, ...] = ()  # see `causes.parse_hide`
     noise_free: bool = False
     soak_k: float = 0.0
-    about_s: float = 60.0  # how long the session will last
+    session_s: tuple[float, float] = (0.0, 60.0)  # when it is used, since power-up
 
     def arguments(self) -> list[str]:
         """Return the same as arguments of `gyrorigd emulate`."""
-        words = ["--about", repr(self.about_s)]
+        words = ["--from", repr(self.session_s[0]), "--until", repr(self.session_s[1])]
         for text in self.hide:
             words += ["--hide", text]
         if self.seed is not None:
@@ -35,9 +36,11 @@ class Emulation:
         return words
 
 
-def rough_duration_s(program: MotionProgram) -> float:
-    """Return about how long a session with a program lasts, for what happens in its middle."""
-    total_s = _SETTLING_S if program.settings != UnitSettings() else 0.0
+def rough_session_s(program: MotionProgram) -> tuple[float, float]:
+    """Return about when a session begins and ends, since power-up: for what comes in its middle."""
+    begin_s = _SETTLING_S if program.settings != UnitSettings() else 0.0
+    acceleration_deg_s2 = program.settings.acceleration_deg_s2 or _ACCELERATION_DEG_S2
+    total_s = begin_s
     default_deg_s = program.settings.default_speed_deg_s
     at = {"pan": 0.0, "tilt": 0.0}
     for step in unrolled(program.steps, program.name):
@@ -53,6 +56,8 @@ def rough_duration_s(program: MotionProgram) -> float:
         ):
             if to_deg is not None:
                 way_deg, at[axis] = abs(to_deg - at[axis]), to_deg
-                lasts_s = max(lasts_s, way_deg / (own_deg_s or move.speed_deg_s or default_deg_s))
+                speed_deg_s = own_deg_s or move.speed_deg_s or default_deg_s
+                ramp_s = speed_deg_s / acceleration_deg_s2
+                lasts_s = max(lasts_s, way_deg / speed_deg_s + ramp_s)
         total_s += lasts_s + move.settle_s
-    return total_s
+    return begin_s, total_s

@@ -112,7 +112,7 @@ class EmulatedRig:
     def _board_truth(self, name: str) -> BoardTruth:
         """Return a board's truth as the physics takes it: quiet, or in a room that swings."""
         truth, settings = self.truth.boards[name], self.settings
-        imu = replace(truth.imu, soak_k=settings.soak_k, soak_period_s=settings.soak_period_s)
+        imu = replace(truth.imu, soak_k=settings.soak_k, soak_s=settings.session_s)
         return replace(truth, imu=imu.without_noise() if settings.noise_free else imu)
 
 

@@ -135,8 +135,7 @@ class RigSettings:
     boards: tuple[BoardSettings, ...] = (BoardSettings(),)
     hide: tuple[HideOrder, ...] = ()
     noise_free: bool = False  # the sensors neither scatter nor wander; words stay rounded
-    about_s: float = 60.0  # how long the session will last: events come in its middle
-    soak_k: float = 0.0  # the room warms up by this and cools down again ...
-    soak_period_s: float = 120.0  # ... in this time
+    session_s: tuple[float, float] = (0.0, 60.0)  # since power-up: events come in its middle
+    soak_k: float = 0.0  # the room warms up by this and cools down again within the session
     latitude_deg: float | None = None  # of the site; unknown: drawn where it is needed
     heading_deg: float | None = None

@@ -30,7 +30,9 @@ ABSENT = {"wrong_full_scale": 1.0, "saturation": 100.0}  # sizes at which there 
 
 def settings(*hide: str, seed: int = 3, noise_free: bool = False) -> RigSettings:
     orders = tuple(parse_hide(text) for text in hide)
-    return RigSettings(seed=seed, ptu=UNIT, hide=orders, about_s=END_S, noise_free=noise_free)
+    return RigSettings(
+        seed=seed, ptu=UNIT, hide=orders, session_s=(0.0, END_S), noise_free=noise_free
+    )
 
 
 def words_of(told: RigSettings) -> np.ndarray:

@@ -54,7 +54,8 @@ class Draw:
 
     def event_s(self) -> float:
         """Return an instant in the middle of the session, since power-up."""
-        return self.rig.about_s * float(self.rng.uniform(0.35, 0.65))
+        begin_s, end_s = self.rig.session_s
+        return begin_s + (end_s - begin_s) * float(self.rng.uniform(0.35, 0.65))
 
     def phase_rad(self) -> float:
         """Return any phase."""

@@ -23,7 +23,7 @@ def _hang_offset(hidden: Hidden, hooks: RigHooks, _rng: np.random.Generator) -> 
 
 def _skew(draw: Draw) -> dict[str, Quantity]:
     # A lag that shrinks has to last longer than the session.
-    start_s = max(-draw.size, 0.0) * (1.3 * draw.rig.about_s + 10.0)
+    start_s = max(-draw.size, 0.0) * (1.3 * draw.rig.session_s[1] + 10.0)
     return {"lag_growth": Quantity(draw.size, "1"), "lag_at_power_up": Quantity(start_s, "s")}
 
 

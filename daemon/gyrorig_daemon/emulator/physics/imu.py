@@ -53,7 +53,7 @@ class ImuTruth:
     self_heating_k: float
     warm_up_s: float
     soak_k: float = 0.0  # see `temperature`
-    soak_period_s: float = 120.0
+    soak_s: tuple[float, float] = (0.0, 120.0)
 
     def without_noise(self) -> "ImuTruth":
         """Return the same sensor as it would be if it had no noise and did not wander."""
@@ -145,7 +145,7 @@ class ImuModel:
             truth.warm_up_s,
             start_s,
             truth.soak_k,
-            truth.soak_period_s,
+            truth.soak_s,
         )
         self._noise_rng, self._wander_rng, self._accel_rng = rng.spawn(3)
         self._sigma = white_step_sigma(truth.noise_density_rad_s_rthz, self._dt_s)

@@ -1,6 +1,8 @@
 """How warm a board is: it heats itself after power-up, and the room may swing around it.
 
-    T(t) = ambient + h (1 - exp(-t / w)) + s (1 - cos(2 pi t / P)) / 2
+    T(t) = ambient + h (1 - exp(-t / w)) + s (1 - cos(2 pi (t - b) / P)) / 2
+
+with h the self-heating, and s the swing of the room, which begins at b with period P.
 
 The die of a sensor follows its board with a first-order lag; both parts have a closed form.
 """
@@ -23,14 +25,16 @@ class BoardTemperature:
     warm_up_s: float
     start_s: float
     soak_k: float = 0.0  # how far the room warms up and cools down again
-    soak_period_s: float = 120.0
+    soak_s: tuple[float, float] = (0.0, 120.0)  # when it begins, and when it has cooled down
 
     def degc(self, time_s: FloatArray) -> FloatArray:
         """Return what a thermometer on the board shows, (n,)."""
         warm = -np.expm1(-(time_s - self.start_s) / self.warm_up_s)
         told: FloatArray = self.ambient_degc + self.self_heating_k * warm
         if self.soak_k != 0.0:
-            told = told + 0.5 * self.soak_k * (1.0 - np.cos(self._turn_rad_s * time_s))
+            told = told + 0.5 * self.soak_k * (
+                1.0 - np.cos(self._turn_rad_s * self._soaked(time_s))
+            )
         return told
 
     def rise_k(self, time_s: FloatArray, lag_s: float = 0.0) -> FloatArray:
@@ -49,12 +53,16 @@ class BoardTemperature:
         heat = 1.0 - (self.warm_up_s * slow - lag * fast) / (self.warm_up_s - lag)
         rise = self.self_heating_k * heat
         if self.soak_k != 0.0:
-            w = self._turn_rad_s
-            swing = np.cos(w * since) + w * lag_s * np.sin(w * since)
-            soak = (1.0 - fast) - (swing - fast) / (1.0 + (w * lag_s) ** 2)
+            w, soaked = self._turn_rad_s, self._soaked(time_s)
+            faded = np.exp(-soaked / lag_s)
+            swing = np.cos(w * soaked) + w * lag_s * np.sin(w * soaked)
+            soak = (1.0 - faded) - (swing - faded) / (1.0 + (w * lag_s) ** 2)
             rise = rise + 0.5 * self.soak_k * soak
         return np.asarray(rise)
 
     @property
     def _turn_rad_s(self) -> float:
-        return 2.0 * math.pi / self.soak_period_s
+        return 2.0 * math.pi / (self.soak_s[1] - self.soak_s[0])
+
+    def _soaked(self, time_s: FloatArray) -> FloatArray:
+        return np.maximum(time_s - self.soak_s[0], 0.0)
