@@ -3,6 +3,7 @@
 What to use when: under `reader`. `FixedChannel` for messages of one size: the records
 of each chunk are gathered whole into one buffer, and the fields are views into it.
 `VariableChannel` for the others: payloads kept one by one, they are of low rate.
+Samples that are too many to be kept as records go into `imu_columns`.
 """
 
 from dataclasses import dataclass, field
@@ -42,20 +43,39 @@ def array_dtype(layout: Layout) -> np.dtype[np.void]:
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": itemsize})
 
 
+def sound_records(content: Buffer, size: int, offsets: Offsets) -> npt.NDArray[np.void]:
+    """The records of `size` bytes at `offsets`, without those that are no such message."""
+    last = int(offsets.max(initial=0))
+    if len(offsets) and max(last, (len(offsets) - 1) * size) + size > len(content):
+        # Shorter messages are among them: taken at our size they would overlap.
+        lengths = gather(content, RECORD_BYTES, offsets).view(_RECORD_HEAD)["length"]
+        offsets = offsets[lengths == size - _FRAME_BYTES]
+    records = gather(content, size, offsets)
+    bad = _unsound(records, size)
+    return records[~bad] if bad.any() else records
+
+
+def _unsound(records: npt.NDArray[np.void], size: int) -> npt.NDArray[np.bool_]:
+    """Which records are of another length, or do not begin as a payload does."""
+    heads = records.view(
+        {
+            "names": ["length", "encapsulation"],
+            "formats": ["<u8", "<u4"],
+            "offsets": [1, RECORD_BYTES],
+            "itemsize": size,
+        }
+    )
+    bad: npt.NDArray[np.bool_] = heads["length"] != size - _FRAME_BYTES
+    bad |= heads["encapsulation"] != _ENCAPSULATION
+    return bad
+
+
 class FixedChannel:
     """The records of one channel whose messages have one size."""
 
     def __init__(self, layout: Layout, expected: int) -> None:
         self._size = RECORD_BYTES + layout.size
         self._raw = np.dtype((np.void, self._size))
-        self._check = np.dtype(
-            {
-                "names": ["length", "encapsulation"],
-                "formats": ["<u8", "<u4"],
-                "offsets": [1, RECORD_BYTES],
-                "itemsize": self._size,
-            }
-        )
         self._dtype = array_dtype(layout)
         self._records: npt.NDArray[np.void] = np.empty(expected, self._raw)
         self.count = 0
@@ -75,9 +95,7 @@ class FixedChannel:
             target[:] = np.frombuffer(content, self._raw, n, int(offsets[0]))
         else:
             target[:] = gather(content, self._size, offsets)
-        heads = target.view(self._check)
-        bad = heads["length"] != self._size - _FRAME_BYTES
-        bad |= heads["encapsulation"] != _ENCAPSULATION
+        bad = _unsound(target, self._size)
         wrong = int(np.count_nonzero(bad))
         if wrong:
             target[: n - wrong] = target[~bad]

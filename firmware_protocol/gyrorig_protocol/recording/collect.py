@@ -1,6 +1,9 @@
 """Bring the messages of a file's chunks together by topic.
 
-What to use when: under `reader`, one `Collector` per file.
+What to use when: under `reader`, one `Collector` for each time through a file.
+
+Samples are kept as whole records, which every field can be viewed in, as long as all of
+the file's chunks unpack to little; beyond that as columns (`imu_columns`).
 """
 
 from collections import Counter, defaultdict
@@ -24,10 +27,19 @@ from gyrorig_protocol.recording.chunks import (
 from gyrorig_protocol.recording.definitions import Channel, Declared, Schema
 from gyrorig_protocol.recording.fields import Buffer, MalformedError
 from gyrorig_protocol.recording.framing import ChunkRecord, Walk
+from gyrorig_protocol.recording.imu_columns import FOR_SOLVING, ColumnsChannel
 from gyrorig_protocol.recording.losses import Loss, LossCause
+from gyrorig_protocol.recording.mapped import Passage
+from gyrorig_protocol.recording.messages import ImuRaw
 from gyrorig_protocol.recording.recording import MESSAGE_TYPES, Stamped, Topic
 from gyrorig_protocol.recording.ros2msg import same_definition
 from gyrorig_protocol.recording.schemas import SCHEMAS
+
+KEPT_BYTES = 160 << 20  # of unpacked chunks: half an hour of a board at 800 Hz
+
+
+class SeveralChannelsError(Exception):
+    """Columns of several channels on one topic; never leaves this package."""
 
 
 @dataclass(slots=True)
@@ -36,7 +48,7 @@ class _Sink:
 
     topic: str
     type: str
-    store: FixedChannel | VariableChannel | None
+    store: FixedChannel | ColumnsChannel | VariableChannel | None
 
 
 @dataclass(slots=True)
@@ -56,6 +68,9 @@ class Collector:
     file: memoryview
     found: Walk
     known: Declared  # from the summary, and from the chunks opened so far
+    only: str | None = None  # read this topic and no other
+    names: tuple[str, ...] = ()  # keep these fields of samples, and no records
+    all_records: bool = False  # keep records, however many
     seen: int = 0  # messages in sound chunks
     _sinks: dict[int, _Sink] = field(default_factory=dict)
     _bad: dict[int, _Bad] = field(default_factory=lambda: defaultdict(_Bad))
@@ -76,7 +91,11 @@ class Collector:
         unchecked = sum(not chunk.crc for chunk in self.found.chunks)
         if unchecked:
             self.found.notes.append(f"{unchecked} chunks carry no checksum to check")
+        if self._room > KEPT_BYTES and not self.all_records:
+            self.names = self.names or FOR_SOLVING
+        passage = Passage(self.file)
         for chunk in self.found.chunks:
+            passage.reached(chunk.offset)
             try:
                 self._take(chunk)
             except ChunkError as error:
@@ -121,7 +140,7 @@ class Collector:
                 return
             self._sinks[number] = sink
         store = self._sinks[number].store
-        if isinstance(store, FixedChannel):
+        if isinstance(store, FixedChannel | ColumnsChannel):
             wrong = store.append(content, offsets)
             if wrong:
                 self._blame(number, wrong, chunk.offset, "not of the size and header of its type")
@@ -147,6 +166,8 @@ class Collector:
         return self._open_typed(number, channel, schema)
 
     def _open_typed(self, number: int, channel: Channel, schema: Schema) -> _Sink:
+        if self.only not in (None, channel.topic):
+            return _Sink(channel.topic, schema.name, None)
         try:
             text = schema.data.decode()
             ours = SCHEMAS.get(schema.name)
@@ -161,6 +182,9 @@ class Collector:
         if layout is not None:
             # An index may promise anything; its messages cannot take more than the chunks.
             expected = min(self._expected[number], self._room // (RECORD_BYTES + layout.size))
+            if self.names and schema.name == ImuRaw.TYPE:
+                columns = ColumnsChannel(layout, expected, self.names)
+                return _Sink(channel.topic, schema.name, columns)
             return _Sink(channel.topic, schema.name, FixedChannel(layout, expected))
         if schema.name not in MESSAGE_TYPES:
             self.found.notes.append(f"{channel.topic!r} holds {schema.name}: not read")
@@ -173,6 +197,11 @@ class Collector:
         if len(kinds) > 1:
             raise InputError(f"{self.path}: {name!r} holds several types: {sorted(kinds)}")
         kind = kinds.pop()
+        for _, sink in parts:
+            if isinstance(sink.store, ColumnsChannel):
+                if len(parts) > 1:
+                    raise SeveralChannelsError(name)
+                return Topic(kind, None, columns=sink.store)
         arrays = [s.store.array() for _, s in parts if isinstance(s.store, FixedChannel)]
         if arrays:
             if len({array.dtype for array in arrays}) > 1:

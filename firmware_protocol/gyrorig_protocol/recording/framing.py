@@ -23,6 +23,7 @@ from enum import IntEnum
 from gyrorig_protocol.recording.definitions import Declared
 from gyrorig_protocol.recording.fields import Fields, MalformedError
 from gyrorig_protocol.recording.losses import Loss, LossCause
+from gyrorig_protocol.recording.mapped import Passage
 from gyrorig_protocol.recording.summary import MAGIC, Summary
 
 FRAME_BYTES = 9  # opcode and length
@@ -106,7 +107,9 @@ def walk(data: memoryview, summary: Summary) -> Walk:
     found = Walk()
     limit = summary.start if summary.sound else len(data)
     at = len(MAGIC)
+    passage = Passage(data)
     while at < limit and not found.data_end:
+        passage.reached(at)
         end = at + FRAME_BYTES
         try:
             if end > limit:

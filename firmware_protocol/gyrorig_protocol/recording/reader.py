@@ -9,19 +9,22 @@ no recording at all, or of another format, is an InputError.
 How it is fast: each chunk is unpacked once, the offsets of its messages come from the
 message index and are proven (`chunks`), and whole records are gathered by numpy into
 one buffer per channel, into which the fields are views (`arrays`).
+
+How it stays small: samples of long recordings are kept as columns (`imu_columns`), pages
+of the file are let go behind the reader (`mapped`), and what was not kept is read again.
 """
 
-import mmap
-import stat
+from functools import partial
 from pathlib import Path
 
-from gyrorig_protocol.errors import InputError, MachineError
-from gyrorig_protocol.recording.collect import Collector
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.collect import Collector, SeveralChannelsError
 from gyrorig_protocol.recording.copies import NAMES, Metadata, read_channels, read_metadata
 from gyrorig_protocol.recording.framing import Walk, walk
 from gyrorig_protocol.recording.head import FORMAT
 from gyrorig_protocol.recording.losses import Loss, LossCause
-from gyrorig_protocol.recording.recording import Recording, board_of, is_board_id
+from gyrorig_protocol.recording.mapped import map_file
+from gyrorig_protocol.recording.recording import Recording, Topic, board_of, is_board_id
 from gyrorig_protocol.recording.summary import MAGIC, Summary, read_summary
 
 
@@ -38,19 +41,24 @@ def read_recording(path: Path) -> Recording:
         InputError: no such file, empty, foreign, another format, other fields.
         MachineError: this computer cannot read it (permissions, disk).
     """
-    data = _map(path)
+    data = map_file(path)
     if data[: len(MAGIC)] != MAGIC:
         raise InputError(f"{path} is no MCAP file", "a recording begins with the MCAP mark")
+    try:
+        return _read(path, data, all_records=False)
+    except SeveralChannelsError:
+        return _read(path, data, all_records=True)
+
+
+def _read(path: Path, data: memoryview, *, all_records: bool) -> Recording:
     summary = read_summary(data)
     found = walk(data, summary)
     metadata = _metadata(found)
     _check_format(path, metadata)
     if found.profile != "ros2":
         found.notes.append(f"the profile is {found.profile!r}, not 'ros2'")
-    copied = read_channels(found.attachments)
-    copied.fill_from(found.declared)
-    found.declared = copied
-    collector = Collector(path, data, found, summary.declared)
+    _know_channels(found)
+    collector = Collector(path, data, found, summary.declared, all_records=all_records)
     collector.take_all()
     topics = collector.topics()
     for name in filter(None, map(board_of, topics)):
@@ -65,26 +73,26 @@ def read_recording(path: Path) -> Recording:
         losses=tuple(found.losses),
         notes=tuple(found.notes),
         file=data,
+        read_again=partial(_read_again, path, data),
     )
 
 
-def _map(path: Path) -> memoryview:
-    try:
-        status = path.stat()
-        if stat.S_ISDIR(status.st_mode):
-            raise InputError(f"{path} is a folder", "name one recording in it")
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(f"{path} is no file", "name one recording")
-        if status.st_size == 0:
-            raise InputError(f"{path} is empty", "its writer died within its first moments")
-        with path.open("rb") as file:
-            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise InputError(f"{path} does not exist", "name a recording that does") from error
-    except ValueError as error:  # mmap of a file that has been emptied meanwhile
-        raise InputError(f"{path} is empty", "something else empties it") from error
-    except OSError as error:
-        raise MachineError(f"cannot read {path}: {error.strerror}") from error
+def _read_again(path: Path, data: memoryview, topic: str, names: tuple[str, ...]) -> Topic:
+    """Go through the file once more for one topic of samples: these fields, or records."""
+    summary = read_summary(data)
+    found = walk(data, summary)
+    _know_channels(found)
+    collector = Collector(
+        path, data, found, summary.declared, only=topic, names=names, all_records=not names
+    )
+    collector.take_all()
+    return collector.topics()[topic]
+
+
+def _know_channels(found: Walk) -> None:
+    copied = read_channels(found.attachments)
+    copied.fill_from(found.declared)
+    found.declared = copied
 
 
 def _metadata(found: Walk) -> Metadata:

@@ -1,12 +1,14 @@
 """What a recording holds, as the reader gives it back.
 
 What to use when: `array` or the named shortcuts for fixed-size messages in bulk,
-`messages` for texts, `times_ns` to turn a `Time` field into nanoseconds, `losses` to
-know what is missing before believing the rest.
+`imu_columns` for a board's samples in a solver, `messages` for texts, `times_ns` to turn
+a `Time` field into nanoseconds, `losses` to know what is missing before believing the
+rest. Of more than half an hour at 800 Hz no records of samples are kept: `imu` reads the
+file once more then and takes 95 bytes a sample, so ask `len(topics[...])` for their count.
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +23,14 @@ from gyrorig_protocol.recording.arrays import array_dtype
 from gyrorig_protocol.recording.cdr import fixed_layout
 from gyrorig_protocol.recording.chunks import RECORD_BYTES
 from gyrorig_protocol.recording.framing import AttachmentRecord
+from gyrorig_protocol.recording.imu_columns import (
+    FOR_SOLVING,
+    Columns,
+    ColumnsChannel,
+    ImuColumns,
+)
 from gyrorig_protocol.recording.losses import Loss
+from gyrorig_protocol.recording.mapped import Passage
 from gyrorig_protocol.recording.messages import (
     HOST_CLOCK_TOPIC,
     PTU_COMMAND_TOPIC,
@@ -43,6 +52,7 @@ from gyrorig_protocol.recording.schemas import SCHEMAS
 from gyrorig_protocol.recording.standard_messages import Diagnostics, Log
 
 RecordArray = npt.NDArray[np.void]
+_DIGESTED_BYTES = 1 << 20  # at a time
 
 M = TypeVar("M", bound=Message)
 
@@ -98,15 +108,44 @@ class Stamped(Generic[M]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Topic:
-    """The messages of one topic: an array where they have one size, else a list."""
+    """The messages of one topic: an array where they have one size, else a list.
+
+    Where samples are too many to keep their records, columns; what is asked here is then
+    answered without them.
+    """
 
     type: str
     array: RecordArray | None
     stamped: tuple[Stamped[Message], ...] = ()
+    columns: ColumnsChannel | None = None
 
     def __len__(self) -> int:
         """How many messages."""
+        if self.columns is not None:
+            return self.columns.count
         return len(self.stamped) if self.array is None else len(self.array)
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """Least and largest log time; None without any message."""
+        if len(self) == 0:
+            return None
+        if self.columns is not None:
+            return self.columns.log_times_ns
+        if self.array is not None:
+            return int(self.array["log_time"].min()), int(self.array["log_time"].max())
+        times_ns = [one.log_time_ns for one in self.stamped]
+        return min(times_ns), max(times_ns)
+
+    @property
+    def dropped(self) -> int:
+        """How many messages of one size the writer counted that are not here."""
+        if self.columns is not None:
+            return self.columns.dropped
+        if self.array is None or len(self.array) < 2:
+            return 0
+        gaps = np.diff(np.sort(self.array["message_sequence"].astype(np.int64))) - 1
+        return int(gaps[gaps > 0].sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +159,7 @@ class Recording:
     losses: tuple[Loss, ...]  # what is missing, by cause
     notes: tuple[str, ...]  # what is odd, without anything missing
     file: memoryview  # the bytes that were read, for the digest
+    read_again: Callable[[str, tuple[str, ...]], Topic]  # fields of a topic of samples, or ()
 
     @property
     def complete(self) -> bool:
@@ -135,7 +175,11 @@ class Recording:
     @cached_property
     def sha256(self) -> str:
         """Digest of the bytes that were read, in hexadecimal; computed when first asked for."""
-        return hashlib.sha256(self.file).hexdigest()
+        digest, passage = hashlib.sha256(), Passage(self.file)
+        for at in range(0, len(self.file), _DIGESTED_BYTES):
+            digest.update(self.file[at : at + _DIGESTED_BYTES])
+            passage.reached(at)
+        return digest.hexdigest()
 
     @property
     def board_ids(self) -> tuple[BoardId, ...]:
@@ -146,15 +190,9 @@ class Recording:
     @cached_property
     def span_ns(self) -> tuple[int, int]:
         """First and last log time; (0, 0) without any message."""
-        first, last = [], []
-        for topic in self.topics.values():
-            if topic.array is not None and len(topic.array):
-                first.append(int(topic.array["log_time"].min()))
-                last.append(int(topic.array["log_time"].max()))
-            elif topic.stamped:
-                first.append(min(one.log_time_ns for one in topic.stamped))
-                last.append(max(one.log_time_ns for one in topic.stamped))
-        return (min(first), max(last)) if first else (0, 0)
+        spans = [topic.span_ns for topic in self.topics.values()]
+        first, last = zip(*filter(None, spans), strict=True) if any(spans) else ((0,), (0,))
+        return min(first), max(last)
 
     @property
     def start_ns(self) -> int:
@@ -183,6 +221,8 @@ class Recording:
         found = self.topics.get(topic)
         if found is None:
             raise InputError(f"{self.path} holds no {topic}")
+        if found.columns is not None:
+            found = self.read_again(topic, ())
         if found.array is None:
             raise InputError(f"{self.path}: {topic} holds {found.type}, which is no array")
         return found.array
@@ -199,14 +239,15 @@ class Recording:
         kind = MESSAGE_TYPES.get(found.type)
         if kind is None:
             raise InputError(f"{self.path}: {topic} holds {found.type}, not of format 1")
-        if found.array is None:
+        if found.array is None and found.columns is None:
             return list(found.stamped)
-        raw = np.ascontiguousarray(found.array).tobytes()
-        size = found.array.dtype.itemsize
+        array = self.array(topic)
+        raw = np.ascontiguousarray(array).tobytes()
+        size = array.dtype.itemsize
         heads = zip(
-            found.array["log_time"].tolist(),
-            found.array["publish_time"].tolist(),
-            found.array["message_sequence"].tolist(),
+            array["log_time"].tolist(),
+            array["publish_time"].tolist(),
+            array["message_sequence"].tolist(),
             range(RECORD_BYTES, len(raw), size),
             strict=True,
         )
@@ -225,10 +266,26 @@ class Recording:
         Raises:
             InputError: the recording holds none of that board.
         """
-        if imu_topic(board_id) not in self.topics:
-            known = ", ".join(self.board_ids) or "no board at all"
-            raise InputError(f"{self.path} holds no samples of {board_id}", f"it holds {known}")
+        self._samples_of(board_id)
         return self._array_of(imu_topic(board_id), ImuRaw)
+
+    def imu_columns(self, board_id: BoardId) -> ImuColumns:
+        """What a solver needs of a board's samples, in a third of the memory of `imu`.
+
+        The arrays are the caller's own. Asked for again, a long recording is read again.
+
+        Raises:
+            InputError: the recording holds none of that board.
+        """
+        return self._columns(board_id, FOR_SOLVING).imu()
+
+    def imu_field(self, board_id: BoardId, name: str) -> npt.NDArray[np.signedinteger]:
+        """One field of a board's samples: `host_time` in ns, or a triple, shape (n, 3).
+
+        Raises:
+            InputError: the recording holds none of that board.
+        """
+        return self._columns(board_id, (name,)).array(name)
 
     def ptu_positions(self) -> RecordArray:
         """The pan-tilt unit's positions, as `array`; empty without any."""
@@ -253,6 +310,26 @@ class Recording:
     def events(self) -> list[SessionEvent]:
         """The session's phases, notes and faults."""
         return self._list_of(SESSION_EVENT_TOPIC, SessionEvent)
+
+    def _columns(self, board_id: BoardId, names: tuple[str, ...]) -> Columns:
+        found = self._samples_of(board_id)
+        if found.array is not None:
+            columns = Columns(names, len(found))
+            columns.append(found.array)
+            return columns
+        kept = found.columns.take() if found.columns and names == FOR_SOLVING else None
+        if kept is None:
+            again = self.read_again(imu_topic(board_id), names).columns
+            kept = again.take() if again is not None else None
+        return kept or Columns(names, 0)
+
+    def _samples_of(self, board_id: BoardId) -> Topic:
+        topic = imu_topic(board_id)
+        if topic not in self.topics:
+            known = ", ".join(self.board_ids) or "no board at all"
+            raise InputError(f"{self.path} holds no samples of {board_id}", f"it holds {known}")
+        self._check_type(topic, ImuRaw)
+        return self.topics[topic]
 
     def _array_of(self, topic: str, kind: type[Message]) -> RecordArray:
         if topic not in self.topics:
