@@ -1,52 +1,88 @@
-"""One board's gyro samples on the capture clock, on a uniform grid of sample numbers."""
+"""One board's gyro samples on the capture clock, on a uniform grid of sample numbers.
+
+What to use when: `load_samples` for a board of a recording. Of the samples, use
+`rate_rad_s` and the like where recordings are short, and `gyro.counts` with `gyro.scale`
+(or `gyro.values(rows)`) where hours must fit: see `GyroSamples`.
+"""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.imu_columns import ImuColumns
 from gyrorig_protocol.recording.messages import ImuStatus
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.clocks import ClockMap, map_clock
-from gyrorig_solver.clocks.pings import LinkFloor, Pings, link_floor
-from gyrorig_solver.clocks.unwrap import unwrap_sequence
+from gyrorig_solver.clocks.faults import CounterArray
+from gyrorig_solver.clocks.numbering import number_samples
+from gyrorig_solver.clocks.pings import LinkFloor, Nearest, Pings, floor_of
+from gyrorig_solver.clocks.unwrap import PIECE
+from gyrorig_solver.columns import Column, CountArray, Physical, column_of
 
-NOT_GOOD = ImuStatus.SATURATED | ImuStatus.REPEATED
+NOT_GOOD = int(ImuStatus.SATURATED | ImuStatus.REPEATED)
 FULL_CODE = 32767  # a 16-bit part at the end of its range, whatever its status bit says
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class GyroSamples:
-    """What one recording holds of one board. Times in s since `origin_ns`."""
+    """What one recording holds of one board. Times in s since `origin_ns`.
+
+    A loaded recording's rates, accelerations and temperatures stay counts until they are
+    asked for. `rate_rad_s` makes all of them at once, 24 bytes a sample; `gyro.counts` are
+    there already, at 6 bytes a sample, and `gyro.values(rows)` makes some. Arrivals and
+    accelerations are read from the file when they are first asked for.
+    """
 
     board: str
     metadata: Mapping[str, str]
     origin_ns: int
     time_s: FloatArray  # (n,), not decreasing inside a segment
-    host_s: FloatArray  # (n,), arrival
-    number: IntArray  # (n,), sample count since the segment's first, gaps left open
+    host_s: Physical[FloatArray] = Physical()  # noqa: RUF009 - a descriptor; (n,), arrival
+    number: CounterArray  # (n,), sample count since the segment's first, gaps left open
     segment: IntArray  # (n,), counts restarts of the board and steps of its clock
-    rate_rad_s: FloatArray  # (n, 3), counts times nominal scale, sensor frame
+    # (n, 3), counts times nominal scale, sensor frame
+    rate_rad_s: Physical[FloatArray] = Physical()  # noqa: RUF009
     good: BoolArray  # (n,), False where saturated or repeated
-    accel_m_s2: FloatArray | None  # (n, 3)
-    temperature_degc: FloatArray | None  # (n,), nan where a sample has none
+    accel_m_s2: Physical[FloatArray | None] = Physical()  # noqa: RUF009 - (n, 3)
+    # (n,), nan where a sample has none
+    temperature_degc: Physical[FloatArray | None] = Physical()  # noqa: RUF009
     quantum_rad_s: float
-    clock: ClockMap
+    clock: ClockMap  # its arrays are those of the samples kept, its times `time_s`
     floor: LinkFloor | None  # the link's least latency, taken out of `time_s` where known
     lost: int  # missing by the board's own counter
     repeated: int
     late: int
 
     @property
+    def gyro(self) -> Column:
+        """The rates as counts, rad/s in `scale`; counts of 16 bits where they fit."""
+        found = column_of(self, "rate_rad_s")
+        if found is None:
+            raise AssertionError("samples without rates")
+        return found
+
+    @property
+    def counts(self) -> CountArray:
+        """The rates as sent, shape (n, 3)."""
+        return self.gyro.counts
+
+    @property
+    def temperature(self) -> Column | None:
+        """The temperatures as counts, None where there are none."""
+        return column_of(self, "temperature_degc")
+
+    @property
     def period_s(self) -> float:
         """The sample period by the capture clock, the longest segment's."""
-        best = int(np.argmax(np.bincount(self.segment)))
-        inside = self.segment == best
-        t, k = self.time_s[inside], self.number[inside]
-        return float((t[-1] - t[0]) / max(1, k[-1] - k[0]))
+        edges = np.searchsorted(self.segment, np.arange(int(self.segment[-1]) + 2))
+        best = int(np.argmax(np.diff(edges)))
+        first, last = edges[best], edges[best + 1] - 1
+        passed = int(self.number[last]) - int(self.number[first])
+        return float((self.time_s[last] - self.time_s[first]) / max(1, passed))
 
     @property
     def bandwidth_hz(self) -> float | None:
@@ -88,109 +124,148 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         raise InputError(
             f"board {board} has no gyro_scale_rad_s", "the scale of a count is unknown"
         )
-    raw = recording.imu(BoardId(board))
-    if raw.size < 16:
-        raise InputError(f"board {board} has {raw.size} samples", "record for longer")
-    host_ns = times_ns(raw["host_time"])
-    origin_ns = int(host_ns[0])
-    host_s: FloatArray = np.asarray((host_ns - origin_ns) * 1e-9, dtype=np.float64)
-    sequence = raw["sequence"].astype(np.int64)
-    clock = _clock(raw["device_time"].astype(np.int64), host_s, sequence, metadata)
-    keep, numbers, lost = _numbers(sequence, clock)
-    floor = _floor(recording, board, raw["device_time"].astype(np.int64), host_s, clock)
-    raw, host_s = raw[keep], host_s[keep]
-    gyro = raw["gyro"].astype(np.float64)
-    status = raw["status"]
-    sixteen_bit = np.abs(gyro).max() <= FULL_CODE + 1
-    full = (np.abs(gyro).max(axis=1) >= FULL_CODE) if sixteen_bit else np.zeros(len(raw), np.bool_)
+    raw = recording.imu_columns(BoardId(board))
+    if raw.sequence.size < 16:
+        raise InputError(f"board {board} has {raw.sequence.size} samples", "record for longer")
+    origin_ns = int(raw.host_time_ns[0])
+    host_s = _seconds(raw.host_time_ns, origin_ns)
+    pings = _pings(recording, board, origin_ns)
+    nearest = Nearest.of(pings, raw.device_time, host_s) if pings else None
+    clock = _clock(raw.device_time, host_s, raw.sequence, metadata)
+    floor = _floor(pings, nearest, clock, metadata)
+    numbered = number_samples(raw.sequence, clock.time_s, clock.segment, overwrite=True)
+    _take_off(clock.time_s, floor)
+    late = int(np.count_nonzero(clock.late))
+    keep, twice, sample_number = numbered.keep, 0, numbered.number
+    if keep is not None:
+        twice = int(np.count_nonzero(~keep & ~clock.late))
+        sample_number = sample_number[keep]
+        clock = replace(
+            clock,
+            time_s=clock.time_s[keep],
+            segment=clock.segment[keep],
+            late=clock.late[keep],
+        )
+        for name in ("status", "temperature", "gyro"):
+            setattr(raw, name, getattr(raw, name)[keep])
+    good = _good(raw)
+    repeated, accel_valid = (
+        _count(raw.status, bit) for bit in (ImuStatus.REPEATED, ImuStatus.ACCEL_VALID)
+    )
     accel_scale = number(metadata, "accel_scale_m_s2")
-    has_accel = bool(np.mean(status & ImuStatus.ACCEL_VALID != 0) > 0.5)
+    accel = None
+    if accel_scale and accel_valid > 0.5 * good.size:
+        accel = Column(_Later(recording, board, "accel", keep), accel_scale)
     return GyroSamples(
         board=board,
         metadata=metadata,
         origin_ns=origin_ns,
-        time_s=_from_floor(clock.time_s[keep], floor),
-        host_s=host_s,
-        number=numbers,
-        segment=clock.segment[keep],
-        rate_rad_s=gyro * scale,
-        good=(status & NOT_GOOD == 0) & ~full,
-        accel_m_s2=raw["accel"].astype(np.float64) * accel_scale
-        if has_accel and accel_scale
-        else None,
-        temperature_degc=_temperature(raw["temperature"], status, metadata),
+        time_s=clock.time_s,
+        host_s=Column(_Later(recording, board, "host_time", keep, origin_ns), 1e-9),
+        number=sample_number,
+        segment=clock.segment,
+        rate_rad_s=Column(raw.gyro, scale),
+        good=good,
+        accel_m_s2=accel,
+        temperature_degc=_temperature(raw, metadata),
         quantum_rad_s=scale,
         clock=clock,
         floor=floor,
-        lost=lost,
-        repeated=int(np.sum(status & ImuStatus.REPEATED != 0)) + int(np.sum(~keep & ~clock.late)),
-        late=int(np.sum(clock.late)),
+        lost=numbered.lost,
+        repeated=repeated + twice,
+        late=late,
     )
 
 
+def _seconds(time_ns: IntArray, origin_ns: int) -> FloatArray:
+    """Return times in s since the origin, in the memory of the times in ns."""
+    time_s: FloatArray = time_ns.view(np.float64)
+    for start in range(0, time_ns.size, PIECE):
+        rows = slice(start, start + PIECE)
+        time_s[rows] = (time_ns[rows] - origin_ns) * 1e-9
+    return time_s
+
+
 def _clock(
-    ticks: IntArray, host_s: FloatArray, sequence: IntArray, metadata: Mapping[str, str]
+    ticks: IntArray, host_s: FloatArray, sequence: CounterArray, metadata: Mapping[str, str]
 ) -> ClockMap:
     """Map device time; a source with one time column has it as both, in nanoseconds."""
     tick_hz = number(metadata, "tick_hz")
     if tick_hz is None or (metadata.get("link") == "file" and not np.any(np.diff(ticks))):
         ticks, tick_hz = np.rint(host_s * 1e9).astype(np.int64), 1e9
     bits = int(number(metadata, "counter_bits") or 64)
-    return map_clock(ticks, host_s, tick_hz, bits, sequence)
+    return map_clock(ticks, host_s, tick_hz, bits, sequence, overwrite=True)
 
 
-def _floor(
-    recording: Recording, board: str, ticks: IntArray, host_s: FloatArray, clock: ClockMap
-) -> LinkFloor | None:
-    """Return what the board's pings say of the link's least latency."""
-    metadata = recording.metadata.get(f"gyrorig.board.{board}", {})
-    tick_hz = number(metadata, "tick_hz")
-    if tick_hz is None or f"/board/{board}/clock" not in recording.topics:
-        return None
+def _pings(recording: Recording, board: str, origin_ns: int) -> Pings | None:
+    """Return the board's clock exchanges, None without any."""
     raw = recording.clock_pings(BoardId(board))
-    origin_ns = int(times_ns(recording.imu(BoardId(board))["host_time"])[0])
-    pings = Pings(
+    if not raw.size:
+        return None
+    return Pings(
         host_send_s=np.asarray((times_ns(raw["host_send"]) - origin_ns) * 1e-9, np.float64),
         host_receive_s=np.asarray((times_ns(raw["host_receive"]) - origin_ns) * 1e-9, np.float64),
         device_receive=raw["device_receive"].astype(np.int64),
         device_send=raw["device_send"].astype(np.int64),
     )
+
+
+def _floor(
+    pings: Pings | None, nearest: Nearest | None, clock: ClockMap, metadata: Mapping[str, str]
+) -> LinkFloor | None:
+    """Return what the board's pings say of the link's least latency."""
+    tick_hz = number(metadata, "tick_hz")
+    if tick_hz is None or pings is None or nearest is None:
+        return None
     bits = int(number(metadata, "counter_bits") or 64)
-    return link_floor(pings, ticks, host_s, clock, tick_hz, bits)
+    return floor_of(pings, nearest, clock, tick_hz, bits)
 
 
-def _from_floor(time_s: FloatArray, floor: LinkFloor | None) -> FloatArray:
-    return time_s if floor is None else time_s - floor.middle_at(time_s)
+def _take_off(time_s: FloatArray, floor: LinkFloor | None) -> None:
+    """Make times of arrivals' floors times of samples, in place."""
+    if floor is not None:
+        for start in range(0, time_s.size, PIECE):
+            piece = time_s[start : start + PIECE]
+            piece -= floor.middle_at(piece)
 
 
-def _numbers(sequence: IntArray, clock: ClockMap) -> tuple[BoolArray, IntArray, int]:
-    """Return which samples to keep, their numbers, and how many are missing.
-
-    Each segment is sorted by number; the same number twice is a repeat and the first
-    stays. Where the counter stands still (a source without one) the order counts.
-    """
-    keep = np.ones(sequence.size, dtype=np.bool_)
-    numbers = np.zeros(sequence.size, dtype=np.int64)
-    lost = 0
-    for k in range(clock.segments):
-        inside = np.flatnonzero(clock.segment == k)
-        period = float(np.median(np.diff(clock.time_s[inside]))) if inside.size > 1 else 1.0
-        expected = (clock.time_s[inside] - clock.time_s[inside[0]]) / max(period, 1e-9)
-        if inside.size > 1 and not np.any(np.diff(sequence[inside])):
-            numbers[inside] = np.arange(inside.size)
-            continue
-        count = unwrap_sequence(sequence[inside], expected)
-        _, first = np.unique(count, return_index=True)
-        alone = np.zeros(inside.size, dtype=np.bool_)
-        alone[first] = True
-        in_order = alone & (count >= np.maximum.accumulate(np.where(alone, count, count.min())))
-        keep[inside[~in_order]] = False
-        numbers[inside] = count - count.min()
-        lost += int(count.max() - count.min() + 1 - first.size)
-    return keep, numbers[keep], lost
+def _good(raw: ImuColumns) -> BoolArray:
+    """Return which samples are neither saturated nor repeated."""
+    good = np.empty(raw.status.size, dtype=np.bool_)
+    wide = raw.gyro.dtype != np.int16
+    sixteen_bit = not wide or int(np.abs(raw.gyro).max()) <= FULL_CODE + 1
+    for start in range(0, good.size, PIECE):
+        rows = slice(start, start + PIECE)
+        good[rows] = raw.status[rows] & NOT_GOOD == 0
+        gyro = raw.gyro[rows]
+        if sixteen_bit and (int(gyro.max()) >= FULL_CODE or int(gyro.min()) <= -FULL_CODE):
+            good[rows] &= ((gyro < FULL_CODE) & (gyro > -FULL_CODE)).all(axis=1)
+    return good
 
 
-def _temperature(raw: IntArray, status: IntArray, metadata: Mapping[str, str]) -> FloatArray | None:
+def _count(status: CounterArray, bit: int) -> int:
+    """Return how many samples have a status bit."""
+    pieces = (status[start : start + PIECE] for start in range(0, status.size, PIECE))
+    return sum(int(np.count_nonzero(piece & int(bit))) for piece in pieces)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Later:
+    """Reads one field of a board's samples when it is asked for."""
+
+    recording: Recording
+    board: str
+    name: str
+    keep: BoolArray | None
+    zero: int = 0  # what counts as 0
+
+    def __call__(self) -> CountArray:
+        found = self.recording.imu_field(BoardId(self.board), self.name)
+        found -= found.dtype.type(self.zero)
+        return found if self.keep is None else found[self.keep]
+
+
+def _temperature(raw: ImuColumns, metadata: Mapping[str, str]) -> Column | None:
     """Return degrees Celsius where the recording says how to read the raw value."""
     try:
         scale = float(metadata["temperature_scale_c"])
@@ -199,7 +274,9 @@ def _temperature(raw: IntArray, status: IntArray, metadata: Mapping[str, str]) -
         return None
     if not (np.isfinite(scale) and np.isfinite(offset)):
         return None
-    valid = status & ImuStatus.TEMPERATURE_VALID != 0
-    if not valid.any():
+    bit = int(ImuStatus.TEMPERATURE_VALID)
+    there = _count(raw.status, bit)
+    if not there:
         return None
-    return np.where(valid, raw.astype(np.float64) * scale + offset, np.nan)
+    valid = None if there == raw.status.size else np.asarray(raw.status & bit != 0)
+    return Column(raw.temperature, scale, offset, valid)

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import imu_topic
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.build import Provenance
 from gyrorig_solver.calibration.document import Board, BoardConfig, SolvedInput
@@ -52,7 +53,7 @@ def provenance(
                 sha256=recording.sha256,
                 start=utc_text(recording.start_ns),
                 duration_s=(recording.end_ns - recording.start_ns) * 1e-9,
-                samples=int(recording.imu(board).size),
+                samples=len(recording.topics[imu_topic(board)]),
                 lost=int(missing),
             )
             for recording, missing in zip(recordings, lost, strict=True)

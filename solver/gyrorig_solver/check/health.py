@@ -7,7 +7,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.messages import EventKind, PtuStatus
+from gyrorig_protocol.recording.messages import EventKind, PtuStatus, imu_topic
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.calibration.wording import collapsed
 from gyrorig_solver.check.capability import capability
@@ -118,15 +118,7 @@ def examine(recording: Recording, wanted: tuple[BoardId, ...]) -> Health:
 
 def _dropped(recording: Recording) -> dict[str, int]:
     """Return the gaps in the daemon's own count of each array topic."""
-    out = {}
-    for name, topic in recording.topics.items():
-        if topic.array is not None and len(topic.array) > 1:
-            number = topic.array["message_sequence"].astype(np.int64)
-            gaps = np.diff(np.sort(number)) - 1
-            missing = int(gaps[gaps > 0].sum())
-            if missing:
-                out[name] = missing
-    return out
+    return {name: topic.dropped for name, topic in recording.topics.items() if topic.dropped}
 
 
 def _unit(recording: Recording) -> UnitHealth | None:
@@ -159,13 +151,13 @@ def _board(recording: Recording, board: BoardId) -> BoardHealth:
     try:
         samples = load_samples(recording, board)
     except GyrorigError as fault:
-        count = int(recording.imu(board).size)
+        count = len(recording.topics[imu_topic(board)])
         return BoardHealth(
             str(board), sensor, count, *(0.0, 0.0), *(0, 0, 0, 0), *(0.0, 0.0, 0.0), 0, None,
             fault=str(fault),
         )  # fmt: skip
     seen, no_reference = _observability(recording, samples)
-    duration_s = float(samples.host_s[-1] - samples.host_s[0])
+    duration_s = float(samples.time_s[-1] - samples.time_s[0])
     clock = samples.clock
     return BoardHealth(
         board=str(board),

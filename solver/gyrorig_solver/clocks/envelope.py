@@ -17,7 +17,7 @@ from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 
 _FAR_S = 1e5  # how far an envelope is continued
 _BLOCK = 32  # points looked at together when a hull is thinned
-_PIECE = 1 << 16  # and how many blocks' points at a time: bounds the memory
+_PIECE = 1 << 16  # points whose hull is found at a time: they stay in the processor's cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,15 +46,31 @@ def lower_hull(x: FloatArray, y: FloatArray) -> IntArray:
         x: not decreasing, shape (n,).
         y: shape (n,).
 
-    Andrew's monotone chain; points far above their neighbours are dropped first, block
-    by block, which leaves the hull as it is and makes it linear in practice.
+    Andrew's monotone chain, over the corners of pieces' own hulls, since a corner of all is
+    one of its piece; in a piece, points far above their neighbours are dropped first. Both
+    leave the hull as it is, and make it linear in practice, in time and in memory.
     """
+    if x.size <= _PIECE:
+        return _chain(x, y, _near_the_hull(x, y))
+    corners = []
+    for start in range(0, x.size, _PIECE):
+        rows = slice(start, start + _PIECE)
+        corners.append(start + _chain(x[rows], y[rows], _near_the_hull(x[rows], y[rows])))
+    return _chain(x, y, np.concatenate(corners))
+
+
+def _near_the_hull(x: FloatArray, y: FloatArray) -> IntArray:
+    """Return the points that remain when dropping some more does not pay."""
     index = np.arange(x.size)
     while index.size > 4 * _BLOCK:
         kept = _thinned(x, y) if index.size == x.size else index[_thinned(x[index], y[index])]
         if kept.size > 0.7 * index.size:
             break
         index = kept
+    return index
+
+
+def _chain(x: FloatArray, y: FloatArray, index: IntArray) -> IntArray:
     xs, ys = x[index].tolist(), y[index].tolist()
     chain: list[int] = []
     for i in range(len(xs)):
@@ -78,13 +94,8 @@ def _thinned(x: FloatArray, y: FloatArray) -> IntArray:
     ends, so whatever lies above them is dropped and no corner is lost.
     """
     whole = x.size // _BLOCK * _BLOCK
-    kept = [
-        start + np.flatnonzero(_below_chords(x[start:end], y[start:end]))
-        for start in range(0, whole, _PIECE)
-        for end in [min(start + _PIECE, whole)]
-    ]
-    kept.append(np.arange(whole, x.size))
-    return np.concatenate(kept).astype(np.int64)
+    kept = np.flatnonzero(_below_chords(x[:whole], y[:whole]))
+    return np.concatenate([kept, np.arange(whole, x.size)])
 
 
 def _below_chords(x: FloatArray, y: FloatArray) -> BoolArray:

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrorig_solver.arrays import FloatArray, IntArray
+
+CounterArray = NDArray[np.integer]  # a sample counter, of any width
 
 # A tick that steps back by at most this many sample periods is a late sample, not a restart.
 LATE_SAMPLES = 4
@@ -51,7 +54,7 @@ class Stream:
     tick_hz: float
     modulus: int
     wrap_s: float  # infinite where the counter is too wide to wrap
-    sequence: IntArray | None
+    sequence: CounterArray | None
     sequence_modulus: int
     period_s: float
     jump_s: float  # ticks against the sample counter: what more than this is odd
@@ -63,7 +66,7 @@ class Stream:
         host_s: FloatArray,
         tick_hz: float,
         counter_bits: int,
-        sequence: IntArray | None,
+        sequence: CounterArray | None,
     ) -> "Stream":
         """Measure the sample period and its scatter."""
         modulus = 2**counter_bits if counter_bits < 63 else 0

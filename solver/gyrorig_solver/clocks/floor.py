@@ -7,6 +7,7 @@ with a structure of its own, such as the beat of a timer with USB frames.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -76,9 +77,9 @@ def bound_s(mean_s: float, period_s: float, walk: float) -> float:
 def _mean_delay_s(x: FloatArray, y: FloatArray, line: Envelope) -> float:
     """Return the mean of an exponential with the delays' median, in stretches of two minutes."""
     spread = []
-    for part in np.array_split(np.arange(x.size), max(1, int((x[-1] - x[0]) / LINE_UP_TO_S))):
-        if part.size > 8:
-            a, b = int(part[0]), int(part[-1]) + 1
+    parts = max(1, int((x[-1] - x[0]) / LINE_UP_TO_S))
+    for a, b in pairwise(k * x.size // parts for k in range(parts + 1)):
+        if b - a > 8:
             floor = line if b - a == x.size else hull_line(x[a:b], y[a:b])
             spread.append(float(np.median(y[a:b] - floor.at(x[a:b]))))
     return float(np.median(spread)) / float(np.log(2.0)) if spread else 0.0

@@ -7,11 +7,10 @@ import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.clocks.envelope import Envelope
-from gyrorig_solver.clocks.faults import ClockFault
+from gyrorig_solver.clocks.faults import ClockFault, CounterArray
 from gyrorig_solver.clocks.floor import Floor, find_floor
-from gyrorig_solver.clocks.unwrap import unwrap_ticks
+from gyrorig_solver.clocks.unwrap import PIECE, unwrap_ticks
 
-_PIECE = 1 << 19  # samples mapped at a time: bounds the memory
 _FOR_QUANTILES = 1 << 20  # delays that say enough of their distribution
 
 
@@ -51,7 +50,9 @@ def map_clock(
     host_s: FloatArray,
     tick_hz: float,
     counter_bits: int,
-    sequence: IntArray | None = None,
+    sequence: CounterArray | None = None,
+    *,
+    overwrite: bool = False,
 ) -> ClockMap:
     """Return sample times from raw ticks and arrival times.
 
@@ -61,25 +62,30 @@ def map_clock(
         tick_hz: nominal ticks per second.
         counter_bits: width of the tick counter.
         sequence: the sample counter as sent, shape (n,), where there is one.
+        overwrite: `ticks` may become the result, and `host_s` be used meanwhile; it is
+            the same to rounding afterwards. Saves 370 MB with 8 h at 800 Hz.
     """
-    clock = unwrap_ticks(ticks, host_s, tick_hz, counter_bits, sequence)
+    if not overwrite:
+        ticks, host_s = np.array(ticks, np.int64), np.array(host_s, np.float64)
+    clock = unwrap_ticks(ticks, host_s, tick_hz, counter_bits, sequence, overwrite=True)
     edges = np.searchsorted(clock.segment, np.arange(int(clock.segment[-1]) + 2))
     floors: list[tuple[float, Floor]] = []
-    # The lags become the times in place: 8 h at 800 Hz are 184 MB an array.
-    times = host_s - clock.device_s
+    times, lag_s = clock.device_s, host_s  # in place: each array of 8 h takes 184 MB
+    lag_s -= times
     delays: list[FloatArray] = []
     largest_s, every = 0.0, max(1, host_s.size // _FOR_QUANTILES)
     for a, b in pairwise(edges.tolist()):
-        x, y = clock.device_s[a:b], times[a:b]
+        x, y = times[a:b], lag_s[a:b]
         found = find_floor(*_in_order(x, y))
         floors.append((float(x[-1] - x[0]), found))
-        for start in range(a, b, _PIECE):
-            rows = slice(start, min(start + _PIECE, b))
-            floor = found.envelope.at(clock.device_s[rows])
-            late_s = times[rows] - floor
+        for start in range(a, b, PIECE):
+            rows = slice(start, min(start + PIECE, b))
+            floor = found.envelope.at(times[rows])
+            late_s = lag_s[rows] - floor
             largest_s = max(largest_s, float(late_s.max()))
-            delays.append(late_s[::every])
-            times[rows] = clock.device_s[rows] + floor
+            delays.append(late_s[-(start - a) % every :: every].copy())
+            lag_s[rows] += times[rows]
+            times[rows] += floor
     chief = max(floors, key=lambda pair: pair[0])[1]
     skew = _slope(chief)
     return ClockMap(

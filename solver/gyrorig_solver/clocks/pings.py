@@ -94,6 +94,23 @@ class Pings:
     device_send: IntArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Nearest:
+    """The samples that arrived nearest to the pings; they date the pings' ticks."""
+
+    index: IntArray  # (p,)
+    ticks: IntArray  # (p,), as sent
+    host_s: FloatArray  # (p,)
+    first_tick: int  # of the recording
+    first_host_s: float
+
+    @classmethod
+    def of(cls, pings: Pings, ticks: IntArray, host_s: FloatArray) -> "Nearest":
+        """Find them among the samples' ticks and arrivals, not decreasing, shape (n,)."""
+        index = np.clip(np.searchsorted(host_s, pings.host_send_s), 0, host_s.size - 1)
+        return cls(index, ticks[index], host_s[index], int(ticks[0]), float(host_s[0]))
+
+
 def link_floor(
     pings: Pings,
     ticks: IntArray,
@@ -112,23 +129,32 @@ def link_floor(
         tick_hz: of the board's clock.
         counter_bits: width of the samples' counter.
     """
-    near = np.clip(np.searchsorted(host_s, pings.host_send_s), 0, host_s.size - 1)
+    return floor_of(pings, Nearest.of(pings, ticks, host_s), clock, tick_hz, counter_bits)
+
+
+def floor_of(
+    pings: Pings, nearest: Nearest, clock: ClockMap, tick_hz: float, counter_bits: int
+) -> LinkFloor | None:
+    """Return the same as `link_floor`, from the samples nearest to the pings alone."""
+    near, ticks, host_s = nearest.index, nearest.ticks, nearest.host_s
     before = np.maximum(near - 1, 0)
     # Between two segments nobody knows which clock a ping read.
     known = clock.segment[near] == clock.segment[before]
-    known &= np.abs(host_s[near] - pings.host_send_s) < NEAR_S
-    received_s = _ahead_s(pings.device_receive, ticks[near], tick_hz, counter_bits)
-    sent_s = _ahead_s(pings.device_send, ticks[near], tick_hz, counter_bits)
+    known &= np.abs(host_s - pings.host_send_s) < NEAR_S
+    received_s = _ahead_s(pings.device_receive, ticks, tick_hz, counter_bits)
+    sent_s = _ahead_s(pings.device_send, ticks, tick_hz, counter_bits)
     known &= np.abs(received_s) < 2.0 * NEAR_S
     if np.count_nonzero(known) < FEWEST:
         return None
-    near, received_s, sent_s = near[known], received_s[known], sent_s[known]
+    near, ticks, host_s = near[known], ticks[known], host_s[known]
+    received_s, sent_s = received_s[known], sent_s[known]
     send_s, receive_s = pings.host_send_s[known], pings.host_receive_s[known]
     if near.size >= ENOUGH and clock.segments == 1 and clock.floor is not None:
         modulus_s = 2**counter_bits / tick_hz if counter_bits < 63 else np.inf
-        device_s = (ticks[near] - ticks[0]) / tick_hz
+        device_s = (ticks - nearest.first_tick) / tick_hz
         if np.isfinite(modulus_s):
-            device_s += modulus_s * np.rint((host_s[near] - host_s[0] - device_s) / modulus_s)
+            passed_s = host_s - nearest.first_host_s
+            device_s += modulus_s * np.rint((passed_s - device_s) / modulus_s)
         found = _two_way(
             (device_s + received_s, send_s), (device_s + sent_s, receive_s), clock.floor
         )

@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
-from gyrorig_solver.clocks.faults import ClockFault, FaultKind, Judge, Stream
+from gyrorig_solver.clocks.faults import ClockFault, CounterArray, FaultKind, Judge, Stream
 
-PIECE = 1 << 19  # samples looked at together: bounds the memory
+PIECE = 1 << 16  # samples looked at together: they stay in the processor's cache
 # A step in which host and device agree to this needs no second look.
 PLAIN_S = 0.25
 
@@ -52,7 +52,9 @@ def unwrap_ticks(
     host_s: FloatArray,
     tick_hz: float,
     counter_bits: int,
-    sequence: IntArray | None = None,
+    sequence: CounterArray | None = None,
+    *,
+    overwrite: bool = False,
 ) -> Unwrapped:
     """Return continuous device time.
 
@@ -63,6 +65,7 @@ def unwrap_ticks(
         counter_bits: width of the counter.
         sequence: the sample counter as sent, shape (n,), where there is one: 16 bits
             wide where no value exceeds 65535, else 32.
+        overwrite: the memory of `ticks` may be taken for the result.
     """
     if ticks.size == 0:
         return Unwrapped(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_), 0)
@@ -71,7 +74,7 @@ def unwrap_ticks(
     judge = Judge(stream)
     for at in suspects.tolist():
         judge.consider(at, int(wraps.get(at, 0)))
-    device_s, segment, counted = _assemble(stream, wraps, judge.begins)
+    device_s, segment, counted = _assemble(stream, wraps, judge.begins, overwrite)
     faults = list(judge.faults)
     for at in _falls(device_s, segment, host_s):
         segment[at:] += 1
@@ -100,7 +103,8 @@ def _first_pass(stream: Stream) -> tuple[dict[int, int], IntArray]:
         ahead_s = np.abs(device_s - host_s)
         odd = (device_s <= 0.0) | (ahead_s > PLAIN_S)
         if stream.sequence is not None:
-            off_s = stream.off_s(np.diff(stream.sequence[rows]).astype(np.float64), device_s)
+            counted = np.diff(stream.sequence[rows].astype(np.int64)).astype(np.float64)
+            off_s = stream.off_s(counted, device_s)
             odd |= np.abs(off_s) > stream.jump_s + 1e-3 * device_s
         suspects.append(np.flatnonzero(odd).astype(np.int64) + start + 1)
     found = np.concatenate(suspects) if suspects else np.zeros(0, np.int64)
@@ -108,12 +112,12 @@ def _first_pass(stream: Stream) -> tuple[dict[int, int], IntArray]:
 
 
 def _assemble(
-    stream: Stream, wraps: dict[int, int], begins: list[int]
+    stream: Stream, wraps: dict[int, int], begins: list[int], overwrite: bool
 ) -> tuple[FloatArray, IntArray, int]:
     """Return device time, segment numbers and the wraps inside segments."""
     n = stream.ticks.size
-    device_s = np.empty(n, dtype=np.float64)
-    segment = np.zeros(n, dtype=np.int64)
+    device_s = stream.ticks.view(np.float64) if overwrite else np.empty(n, dtype=np.float64)
+    segment = np.zeros(n, dtype=np.int64)  # takes memory only where it is written to
     starts = set(begins)
     cuts = [0, *sorted(starts | set(wraps)), n]
     zero, turned, counted, number = int(stream.ticks[0]), 0, 0, 0
@@ -124,8 +128,12 @@ def _assemble(
             turned += wraps[a]
             counted += wraps[a]
         shift = turned * stream.modulus - zero
-        device_s[a:b] = (stream.ticks[a:b] + shift) / stream.tick_hz
-        segment[a:b] = number
+        for start in range(a, b, PIECE):
+            rows = slice(start, min(start + PIECE, b))
+            # Each piece is worked out elsewhere before it may overwrite its ticks.
+            device_s[rows] = (stream.ticks[rows] + shift) / stream.tick_hz
+        if number:
+            segment[a:b] = number
     return device_s, segment, counted
 
 
@@ -171,7 +179,12 @@ def _falls(device_s: FloatArray, segment: IntArray, host_s: FloatArray) -> list[
     return out
 
 
-def unwrap_sequence(sequence: IntArray, expected: FloatArray) -> IntArray:
+def sequence_modulus(sequence: CounterArray) -> int:
+    """Return after how many samples a counter begins anew, by the values it shows."""
+    return 2**16 if int(sequence.max()) < 2**16 else 2**32
+
+
+def unwrap_sequence(sequence: CounterArray, expected: FloatArray) -> IntArray:
     """Return a sample counter without wraps, shape (n,).
 
     Args:
@@ -181,7 +194,13 @@ def unwrap_sequence(sequence: IntArray, expected: FloatArray) -> IntArray:
     """
     if sequence.size == 0:
         return sequence.astype(np.int64)
-    modulus = 2**16 if int(sequence.max()) < 2**16 else 2**32
-    since = (sequence - sequence[0]).astype(np.float64)
-    wraps = np.rint((expected - since) / modulus)
+    return counted_since(int(sequence[0]), sequence, expected, sequence_modulus(sequence))
+
+
+def counted_since(
+    first: int, sequence: CounterArray, expected: FloatArray, modulus: int
+) -> IntArray:
+    """Return the samples since one whose counter was `first`; see `unwrap_sequence`."""
+    since = sequence.astype(np.int64) - first
+    wraps = np.rint((expected - since) / modulus).astype(np.int64)
     return np.asarray(since + wraps * modulus, dtype=np.int64)
