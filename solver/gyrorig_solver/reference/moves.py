@@ -159,7 +159,7 @@ class _Axis:
         self.index = "PT".index(letter)
         self.letter = letter
         self.speed: float | None = settings.get(f"{name}_speed")
-        self.base = settings.get(f"{name}_base_speed", 0.0)
+        self.base = max(0.0, settings.get(f"{name}_base_speed", 0.0))
         self.acceleration: float | None = settings.get(f"{name}_acceleration")
         self.reach = (
             settings.get(f"{name}_min_steps", -1e6),
@@ -284,7 +284,7 @@ class MotionReader:
             if kind == "A":
                 axis.acceleration = float(number)
             else:
-                axis.base = float(number)
+                axis.base = max(0.0, float(number))
         else:
             self._target(exchange, axis, "by" if kind == "O" else "to", number)
 
@@ -338,10 +338,11 @@ class MotionReader:
             if target == axis.steps:
                 return
             kind, steps = "to", target
-        if axis.speed is None or axis.acceleration is None or not axis.speed > 0.0:
-            self._lose(exchange.request_s, np.inf, f"the {axis.letter} speed was never set")
-            return
-        key = (axis.letter, axis.speed)
+        for name, value in (("speed", axis.speed), ("acceleration", axis.acceleration)):
+            if value is None or not value > 0.0:
+                self._lose(exchange.request_s, np.inf, f"the {axis.letter} {name} was never set")
+                return
+        key = (axis.letter, axis.speed or 0.0)
         speed_class = self._classes.setdefault(key, len(self._classes))
         axis.orders.append(
             Order(
@@ -349,7 +350,7 @@ class MotionReader:
                 exchange.request_s,
                 kind,
                 float(steps),
-                axis.speed,
+                axis.speed or 0.0,
                 speed_class,
             )
         )
