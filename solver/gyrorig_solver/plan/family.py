@@ -1,11 +1,15 @@
-"""The programs among which the planner chooses: a cycle over poses, repeated.
+"""The programs among which the planner chooses, of two kinds.
 
-A way visits the poses of tilt from the lowest to the highest and back. At each pose pan
+A round visits the poses of tilt from the lowest to the highest and back. At each pose pan
 sweeps `passes` times over its span and tilt may swing to the far end and back; on the way
 to the next pose pan may turn along. At its end pan may weave: go there and back in parts
-while tilt goes to and fro with each part. Every move ends in a short rest. A cycle is a way
-and the same way with pan mirrored: each rate comes with both signs, so that no gain looks
-like a bias.
+while tilt goes to and fro with each part. A cycle is a round and the same with pan mirrored:
+each rate comes with both signs, so that no gain looks like a bias. Cycles repeat.
+
+A stay (`once`) comes to each pose once and does all of its sweeps there, from the middle of
+pan's span to an end and back, to both ends in turn. A detent's error at a rest between two
+sweeps at the same tilt leaves the mean rate alone, and so the bias; between sweeps at
+different tilts it does not. Every move ends in a short rest.
 """
 
 from collections.abc import Iterator, Sequence
@@ -39,8 +43,11 @@ CHOICES: dict[str, tuple[float, ...]] = {
     "acceleration_deg_s2": (100.0, 150.0, 200.0),
     "dwell_s": (0.3, 0.5, 0.8),
 }
+# What of these a stay has not.
+ROUNDS_ONLY: dict[str, float] = {"along": False, "weave": 0}
 
 Place = tuple[float, float]  # pan and tilt, deg
+Steps = tuple[Step, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +82,7 @@ class Design:
     """One member of the family. Fractions are of what the space allows."""
 
     poses: int  # of tilt, evenly from the lowest to the highest
-    passes: int  # of pan, at each pose
+    passes: int  # of pan, at each pose; of a stay: there and back
     swings: int  # of tilt alone, there and back, at each pose
     along: bool  # pan turns along on the way to the next pose
     weave: int  # parts of pan's way in which tilt goes to and fro; 0: none
@@ -85,6 +92,7 @@ class Design:
     tilt_speed: float
     acceleration_deg_s2: float
     dwell_s: float
+    once: bool = False  # a stay
 
     @property
     def sound(self) -> bool:
@@ -99,17 +107,35 @@ class Design:
             default_speed_deg_s=round(self.pan_speed * space.pan_speed_deg_s, 1),
         )
 
-    def way(self, space: Space) -> tuple[Place, ...]:
-        """Return the places of one way, from one end of pan to the other."""
-        return tuple(self._place(pan, tilt, space) for pan, tilt in self._way())
+    def begin(self, space: Space) -> Place:
+        """Return where a cycle, or all sweeps, begin and end."""
+        return self._place(0.0 if self.once else -1.0, -1.0, space)
 
-    def cycle(self, space: Space) -> tuple[Place, ...]:
-        """Return the places of a cycle, the last as the first."""
+    def round(self, space: Space, upto: int | None = None) -> tuple[Place, ...]:
+        """Return the places of a round, from one end of pan to the other, or of its begin."""
         way = self._way()
-        mirrored = [(-pan, tilt) for pan, tilt in way[1:]]
-        return tuple(self._place(pan, tilt, space) for pan, tilt in (*way, *mirrored))
+        return tuple(self._place(pan, tilt, space) for pan, tilt in way[:upto])
 
-    def steps(self, places: Sequence[Place], space: Space) -> tuple[Step, ...]:
+    def cycle(self, space: Space, upto: int | None = None) -> tuple[Place, ...]:
+        """Return the places of a cycle, the last as the first, or of one cut short."""
+        way = self._way()[:upto]
+        mirrored = [(-pan, tilt) for pan, tilt in way]
+        places = [self._place(pan, tilt, space) for pan, tilt in (*way, *mirrored, way[0])]
+        return tuple(place for k, place in enumerate(places) if k == 0 or place != places[k - 1])
+
+    def stays(self, space: Space) -> tuple[tuple[Place, ...], ...]:
+        """Return the places that are repeated at each pose, each last as its first."""
+        found = []
+        for level in self._levels():
+            far = -1.0 if level > 0.0 else 1.0
+            at = [(0.0, level)]
+            for k in range(self.passes):
+                at += [(-1.0 if k % 2 else 1.0, level), (0.0, level)]
+            at += [(0.0, far), (0.0, level)] * self.swings
+            found.append(tuple(self._place(pan, tilt, space) for pan, tilt in at))
+        return tuple(found)
+
+    def steps(self, places: Sequence[Place], space: Space) -> Steps:
         """Return moves from the first place through all others, a rest after each."""
         pan_speed = round(self.pan_speed * space.pan_speed_deg_s, 1)
         tilt_speed = round(self.tilt_speed * space.tilt_speed_deg_s, 1)
@@ -127,11 +153,20 @@ class Design:
             out += [Step(move=move), Step(rest=Rest(self.dwell_s))]
         return tuple(out)
 
+    def lead(self, space: Space) -> tuple[Steps, Steps]:
+        """Return the moves from home to the begin and back: pan at home's tilt only."""
+        begin = self.begin(space)
+        there = (space.home, (begin[0], space.home[1]), begin)
+        return self.steps(there, space), self.steps(there[::-1], space)[:-1]
+
     def _place(self, pan: float, tilt: float, space: Space) -> Place:
         return (
             _within(space.pan_deg, pan * self.pan_span),
             _within(space.tilt_deg, tilt * self.tilt_span),
         )
+
+    def _levels(self) -> list[float]:
+        return [-1.0 + 2.0 * k / (self.poses - 1) for k in range(self.poses)]
 
     def _way(self) -> list[tuple[float, float]]:
         pan, tilt = -1.0, -1.0
@@ -147,7 +182,7 @@ class Design:
     def _moves(self) -> Iterator[tuple[float | None, float | None]]:
         """Yield where each move goes, both axes from -1 to 1; None: stays."""
         pan = -1.0
-        level = [-1.0 + 2.0 * k / (self.poses - 1) for k in range(self.poses)]
+        level = self._levels()
         way = [*range(self.poses), *range(self.poses - 2, 0, -1)]
         for here, following in zip(way, [*way[1:], 0], strict=True):
             for _ in range(self.passes):
@@ -166,33 +201,31 @@ class Design:
                 yield at, (1.0 if k % 2 else -1.0)
 
 
-def drawn(rng: np.random.Generator) -> Design:
+def drawn(rng: np.random.Generator, once: bool = False) -> Design:
     """Return a design whose every number is one of its choices, drawn evenly."""
     picked = {name: choices[int(rng.integers(len(choices)))] for name, choices in CHOICES.items()}
-    return Design(**picked)  # type: ignore[arg-type] # the table holds each field's own kind
+    if once:
+        picked |= ROUNDS_ONLY | {"passes": max(1, picked["passes"])}
+    return Design(**picked, once=once)  # type: ignore[arg-type] # the table holds each field's kind
 
 
 def program_of(design: Design, space: Space, unit: UnitModel, seconds: float) -> MotionProgram:
     """Return a design as a program that lasts as long as it may.
 
-    Whole cycles, then as far on the way and back again as time allows, home, and what is
-    left as rests.
+    Whole cycles and one cut short, or as many sweeps at each pose as time allows; home, and
+    what is left as rests.
 
     Raises:
         UsageError: not even one cycle fits.
     """
-    way = design.way(space)
-    cycle = design.steps(design.cycle(space), space)
+    lead, back = design.lead(space)
 
     def made(cycles: int, extra: int, static_s: float) -> MotionProgram:
         rest = Step(rest=Rest(static_s, "static"))
-        repeat = (Step(repeat=Repeat(cycles, cycle)),) if cycles else ()
-        more = design.steps((*way[: extra + 1], *reversed(way[:extra])), space)
-        lead = design.steps((space.home, way[0]), space)
-        back = design.steps((way[0], space.home), space)
+        build = _stay_steps if design.once else _round_steps
         return MotionProgram(
             "planned",
-            (rest, *lead, *repeat, *more, *back[:1], rest),
+            (rest, *lead, *build(design, space, cycles, extra), *back, rest),
             settings=design.settings(space),
         )
 
@@ -207,13 +240,32 @@ def program_of(design: Design, space: Space, unit: UnitModel, seconds: float) ->
             f"{seconds:g} s is too short for a program that shows anything",
             f"this one needs {fixed_s + cycle_s:.0f} s",
         )
-    extra = len(way) - 1
+    extra = (design.poses if design.once else len(design.round(space))) - 1
     while extra > 0 and lasts_s(made(cycles, extra, STATIC_S)) > seconds:
         extra -= 1
     # A rest ends with the question that is under way then.
     late_s = 2.0 * unit.poll_interval_s
     left_s = max(0.0, seconds - lasts_s(made(cycles, extra, STATIC_S)) - late_s)
     return made(cycles, extra, STATIC_S + int(left_s / 2.0 * 100.0) / 100.0)
+
+
+def _round_steps(design: Design, space: Space, cycles: int, extra: int) -> Steps:
+    """Return cycles, and one that has only the first `extra` moves of its rounds."""
+    cycle = design.steps(design.cycle(space), space)
+    more = design.steps(design.cycle(space, extra + 1), space) if extra else ()
+    return ((Step(repeat=Repeat(cycles, cycle)),) if cycles else ()) + more
+
+
+def _stay_steps(design: Design, space: Space, cycles: int, extra: int) -> Steps:
+    """Return `cycles` times the sweeps of each pose, once more at the first `extra` poses."""
+    stays = design.stays(space)
+    out: list[Step] = []
+    for k, places in enumerate(stays):
+        count = cycles + (k < extra)
+        if count:
+            out.append(Step(repeat=Repeat(count, design.steps(places, space))))
+        out += design.steps((places[0], stays[(k + 1) % len(stays)][0]), space)
+    return tuple(out)
 
 
 def _within(span: tuple[float, float], at: float) -> float:

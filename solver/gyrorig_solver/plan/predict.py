@@ -38,6 +38,7 @@ class Prediction:
     decision: Decision  # what is seen of gain, bias and time offset
     concluded: Concluded  # standard deviations are predicted, values an ordinary board's
     motion_offset_std_s: float  # of the time offset, from the motion alone
+    bias_floor_rad_s: FloatArray  # (3,), what the noise alone leaves of the mean
 
     @property
     def observability(self) -> Observability:
@@ -75,6 +76,7 @@ def predict(program: MotionProgram, unit: UnitModel, sensor: SensorModel) -> Pre
         decision=decision,
         concluded=conclude(_found(decision), NAMES, decision, PTU_WORDS),
         motion_offset_std_s=float(np.sqrt(alone.covariance[12, 12])),
+        bias_floor_rad_s=np.sqrt(sensor.noise.variance(series.blocks)[0] / series.blocks),
     )
 
 

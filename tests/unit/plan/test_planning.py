@@ -13,7 +13,7 @@ from gyrorig_protocol.program import MotionProgram, parse_program, unrolled
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
 from gyrorig_solver.model.gain import FACTOR_NAMES
-from gyrorig_solver.plan.criterion import cost
+from gyrorig_solver.plan.criterion import bias_excess, cost
 from gyrorig_solver.plan.document import program_text
 from gyrorig_solver.plan.family import Space, drawn, program_of
 from gyrorig_solver.plan.predict import predict
@@ -53,11 +53,13 @@ def test_beats_the_paper_at_equal_duration(
     assert ours.duration_s <= paper.duration_s + 0.02
     assert (ours.observability.rank, paper.observability.rank) == (12, 9)
     assert not ours.observability.unobservable
-    seen = [name for name, std in paper.std.items() if np.isfinite(std)]
-    for name in seen:
-        # The bias is as good as the sensor's drift lets any motion of that length make it.
-        least = 1.015 if name.startswith("bias") else 1.0
-        assert ours.std[name] < least * paper.std[name], name
+    for name, std in paper.std.items():
+        if np.isfinite(std) and not name.startswith("bias"):
+            assert ours.std[name] < std, name
+    # A bias cannot be known better than the noise over the same time at rest allows: N times
+    # the root of 1/(2T), or so. The paper's program is there to 0.07 %, and ours has to be.
+    assert bias_excess(ours.decision, ours.bias_floor_rad_s) < 0.001
+    assert bias_excess(paper.decision, paper.bias_floor_rad_s) < 0.001
     visible = np.isfinite(paper.gain_std)
     assert visible.sum() == 6
     assert np.all(ours.gain_std[visible] < 0.5 * paper.gain_std[visible])
@@ -93,19 +95,37 @@ def test_same_seed_same_program_and_criteria_differ(rig: Rig, sensor: SensorMode
     assert cost(one.prediction.decision, "mean-factor") == pytest.approx(np.mean(factors))
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_every_design_stays_inside_and_in_time(seed: int, rig: Rig) -> None:
+@pytest.mark.parametrize("once", [False, True])
+@pytest.mark.parametrize("seed", range(8))
+def test_every_design_stays_inside_and_in_time(seed: int, once: bool, rig: Rig) -> None:
     rng = np.random.default_rng(seed)
-    design = drawn(rng)
+    design = drawn(rng, once)
     space = Space.of(rig.unit, 187.5)
-    cycle = design.cycle(space)
-    assert cycle[0] == cycle[-1]
+    for places in (design.cycle(space), design.cycle(space, 2), *design.stays(space)):
+        assert places[0] == places[-1]
     made = program_of(design, space, rig.unit, 600.0)
     timeline = lay_out(made, rig.unit)  # raises where a limit is left
     assert 599.0 < timeline.duration_s <= 600.0
     assert timeline.end_steps == (0, 0)
     assert parse_program(program_text(made), "made") == made
     assert sum(1 for _ in unrolled(made.steps, "made")) > 4
+
+
+@pytest.mark.parametrize("once", [False, True])
+def test_no_program_of_the_family_turns_in_the_mean(
+    once: bool, rig: Rig, sensor: SensorModel
+) -> None:
+    """What the mean rate is, the gain's uncertainty brings into the bias: it has to vanish."""
+    space = Space.of(rig.unit, 187.5)
+    for seed in range(4):
+        made = program_of(drawn(np.random.default_rng(seed), once), space, rig.unit, 400.0)
+        timeline = lay_out(made, rig.unit)
+        edges_s = np.arange(0.0, timeline.duration_s, 1e-3)
+        pan, tilt = np.radians(timeline.steps(edges_s) * 185.142857 / 3600.0).T
+        middle = (tilt[1:] + tilt[:-1]) / 2.0
+        area = np.diff(pan) @ np.column_stack([np.sin(middle), np.cos(middle)])
+        # Of one sweep's angle, about 5 rad, nothing is left over but what polls shift.
+        assert np.abs(area).max() < 0.01, seed
 
 
 def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
