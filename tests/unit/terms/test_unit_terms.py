@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gyrorig_solver.model.terms.catalogue import term
+from gyrorig_solver.model.terms.lost_steps import LostSteps, pulses
 from gyrorig_solver.model.terms.profiles import box_mean, play, relaid
 from gyrorig_solver.model.terms.scene import Scene, Setting
 from gyrorig_solver.reference.course import Instruction, Limits, lay
@@ -107,6 +108,34 @@ def test_steps_are_lost_in_moves_only(rig: Any) -> None:
     k = np.searchsorted(scene.edges_s, times) - 1
     assert np.all(scene.moving.any(axis=0)[k])
     assert not one.directions(scene, np.array([0.0, 0.0, 4.9]))[1].any()
+
+
+@pytest.mark.parametrize("lead", [0, 40])
+def test_every_pulse_at_once(rig: Any, lead: int) -> None:
+    whole = rig.scene
+    scene = Scene.build(
+        whole.edges_s,
+        whole.angle_rad,
+        whole.use[lead:],
+        block=whole.block,
+        fine=whole.fine,
+        bandwidth_hz=50.0,
+        gain=whole.gain,
+    )
+    found, one = pulses(scene), term("lost_steps")
+    assert np.unique(found.axis).size == 2
+    for k in range(0, found.time_s.size, 401):
+        axis, first = int(found.axis[k]), int(found.first[k])
+        if axis == 0:
+            exact = one.directions(scene, np.array([0.0, 0.0, found.time_s[k]]))[axis]
+        else:
+            shape = LostSteps().shapes(scene, np.array([0.0, 0.0, found.time_s[k]]))[1][1]
+            turn = scene.turn_column(1, shape)
+            turn[:, 1:] = 0.0
+            exact = scene.seen_at_stage(turn)
+        ours = np.zeros_like(exact)
+        ours[first : first + found.values.shape[1]] = found.values[k]
+        close(ours, exact, 1e-3)
 
 
 @pytest.mark.parametrize(("cosine", "sine"), [(0.001, 0.0), (-0.0004, 0.0009)])

@@ -43,6 +43,7 @@ class Backlash(AngleTerm):
     )
     confused_with = ("base_compliance", "lost_steps", "clock_offset", "dead_zone")
     excitation = "reversals and restarts in the same direction, at two speeds or more"
+    derivative_step = 0.02  # contact moves from interval to interval
     harm = "little: each reversal is short; the angle between rests is off by the gap"
 
     def change(self, scene: Scene, values: FloatArray) -> FloatArray:
@@ -57,10 +58,10 @@ class Backlash(AngleTerm):
         return found
 
     def bank(self, scene: Scene) -> FloatArray:
-        """Look from five gaps, pushing up, down or not at the begin."""
+        """Look from gaps a factor of two apart, pushing up, down or not at the begin."""
         return scanned(
             self,
-            gap=DEG * np.array([0.003, 0.01, 0.03, 0.1, 0.3]),
+            gap=DEG * 0.002 * 2.0 ** np.arange(10.0),
             begin=np.array([-1.0, 0.0, 1.0]),
         )
 

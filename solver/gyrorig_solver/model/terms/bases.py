@@ -202,7 +202,9 @@ class TimeTerm(CurvedTerm):
         return found
 
     def directions(self, scene: Scene, values: FloatArray) -> FloatArray:
-        """Return the derivative by the sizes: over milliseconds a lag is all but linear."""
+        """Return the derivative by the sizes where they are zero, else as `CurvedTerm`."""
+        if values[self.sizes].any():
+            return super().directions(scene, values)
         return self.columns(scene, values)[self.sizes]
 
 

@@ -40,8 +40,8 @@ class ClockStep(TimeTerm):
         return {0: -after(scene, float(values[1]))}
 
     def bank(self, scene: Scene) -> FloatArray:
-        """Look from times all over the recording."""
-        return scanned(self, time=event_times(scene, LOOKS))
+        """Look from times all over the recording, for small steps and for large ones."""
+        return scanned(self, step=np.array([-0.05, 0.0, 0.05]), time=event_times(scene, LOOKS))
 
     def sentence(self, values: FloatArray) -> str:
         """Say step and time."""

@@ -42,7 +42,7 @@ class DeadZone(CurvedTerm):
 
     def bank(self, scene: Scene) -> FloatArray:
         """Look from several widths; there is no derivative at zero."""
-        return scanned(self, threshold=DEG * np.geomspace(0.05, 4.0, 10))
+        return scanned(self, threshold=DEG * np.geomspace(0.05, 4.0, 16))
 
     def sentence(self, values: FloatArray) -> str:
         """Say the thresholds."""

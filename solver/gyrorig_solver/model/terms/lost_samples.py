@@ -44,8 +44,8 @@ class LostSamples(TimeTerm):
         return {0: self._period(scene) * after(scene, float(values[1]))}
 
     def bank(self, scene: Scene) -> FloatArray:
-        """Look from times all over the recording."""
-        return scanned(self, time=event_times(scene, LOOKS))
+        """Look from times all over the recording, for a few and for many."""
+        return scanned(self, count=np.array([0.0, 20.0]), time=event_times(scene, LOOKS))
 
     def sentence(self, values: FloatArray) -> str:
         """Say how many and when."""

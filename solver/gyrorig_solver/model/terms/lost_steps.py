@@ -3,18 +3,73 @@
 angle - s from the event on, the whole at once: the rotor falls back by whole cycles of four
 full steps, 0.411 deg on a PTU-E46-17.5 (0.1029 deg a full step). High speed, acceleration,
 load, low move power or supply do it. A pulse of rate once, and every later angle is off.
+
+A pulse is as short as the low-pass lets it be, so it has to be looked for everywhere: the
+bank holds at most a few times; `pulses` has the signal of every time at once, to be weighed
+against a residual, and what it shows best are the times to look from.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.model.terms.bases import LinearAngleTerm, scanned
 from gyrorig_solver.model.terms.protocol import Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG, PAN_TILT, listed
 
-SPACING_S = 0.02  # of the times looked from; the low-pass makes a pulse about as wide
+SPACING_S = 0.02  # of the bank's times; the low-pass makes a pulse about as wide
 MOST_LOOKS = 2000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pulses:
+    """What a loss of 1 rad would show at each of r times, in m blocks each."""
+
+    time_s: FloatArray  # (r,)
+    axis: IntArray  # (r,), 0 pan, 1 tilt
+    first: IntArray  # (r,), first block
+    values: FloatArray  # (r, m, 3)
+
+
+def pulses(scene: Scene, per_block: int = 2) -> Pulses:
+    """Return the pulses of losses all over the moves of each axis.
+
+    The lean that a loss on tilt leaves behind is not in it, nor are missing samples.
+
+    Args:
+        scene: a part of a series.
+        per_block: times looked from to a block.
+    """
+    per = scene.fine * scene.block
+    every = max(1, per // per_block)
+    step_s = scene.step_s
+    settle = 0 if scene.low_pass is None else int(3.0 / scene.low_pass.bandwidth_hz / step_s)
+    blocks = 1 + -(-(settle + per) // per)
+    phases = range(0, per, every)
+    shapes = np.zeros((len(phases), blocks * per + 1, 1))  # one more before, at rest
+    for row, phase in enumerate(phases):
+        shapes[row, phase + 1] = 1.0 / step_s
+    out = scene.low_passed(shapes)[:, 1 + scene.fine // 2 :: scene.fine, 0]
+    kernel = out.reshape(len(phases), blocks, scene.block).mean(axis=2)
+    lead = scene.lead * scene.fine
+    found = []
+    for axis in (0, 1):
+        k = np.arange(lead, scene.n, every)
+        k = k[scene.moving[axis, k] & scene.known[k]]
+        first = (k - lead) // per
+        k, first = k[first + blocks <= scene.blocks], first[first + blocks <= scene.blocks]
+        stage = np.zeros((k.size, 3))
+        if axis == 0:
+            stage[:, 1], stage[:, 2] = np.sin(scene.tilt_rad[k]), np.cos(scene.tilt_rad[k])
+        else:
+            stage[:, 0] = 1.0
+        shape = kernel[((k - lead) % per) // every]
+        values = -shape[:, :, None] * (stage @ scene.gain.T)[:, None, :]
+        found.append((scene.time_s[k], np.full(k.size, axis), first, values))
+    time_s, axes, firsts, values = (np.concatenate(part) for part in zip(*found, strict=True))
+    return Pulses(time_s, axes, firsts, values)
 
 
 class LostSteps(LinearAngleTerm):

@@ -14,6 +14,8 @@ from gyrorig_solver.model.terms.protocol import TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import PAN_TILT, listed
 
+LOWEST_HZ, HIGHEST_HZ = 3.0, 60.0  # of a head on its mount
+
 
 class Ringing(LinearAngleTerm):
     """A for pan and tilt, then frequency and damping of the mode."""
@@ -60,10 +62,13 @@ class Ringing(LinearAngleTerm):
         return [(k, resonance(scene.edges_s, scene.angle_rad[k], *mode)) for k in (0, 1)]
 
     def bank(self, scene: Scene) -> FloatArray:
-        """Scan the mode."""
-        return scanned(
-            self, frequency=np.geomspace(3.0, 60.0, 20), damping=np.array([0.03, 0.1, 0.25])
-        )
+        """Scan the mode, as finely as its damping makes it wide."""
+        found = []
+        for damping in (0.03, 0.1, 0.25):
+            count = 1 + int(np.log(HIGHEST_HZ / LOWEST_HZ) / (2.0 * damping))
+            modes = np.geomspace(LOWEST_HZ, HIGHEST_HZ, count)
+            found.append(scanned(self, frequency=modes, damping=np.array([damping])))
+        return np.concatenate(found)
 
     def sentence(self, values: FloatArray) -> str:
         """Say share and frequency."""

@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy.signal import lfilter, lfilter_zi
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.model.low_pass import LowPass
@@ -206,13 +207,21 @@ class Scene:
         return np.asarray(np.gradient(self.filtered_rad_s, self.step_s, axis=0), np.float64)
 
     def low_passed(self, sensor_rate: FloatArray) -> FloatArray:
-        """Return rates of shape (..., n, 3) behind the sensor's low-pass."""
-        if self.low_pass is None:
+        """Return rates of shape (..., n, 3) behind the sensor's low-pass, begun as steady."""
+        if self._filter is None:
             return sensor_rate
-        n = self.n
-        flat = np.moveaxis(sensor_rate.reshape(-1, n, 3), 0, 1).reshape(n, -1)
-        out = self.low_pass.apply(flat).reshape(n, -1, 3)
-        return np.ascontiguousarray(np.moveaxis(out, 1, 0)).reshape(sensor_rate.shape)
+        numerator, denominator, steady = self._filter
+        begun = steady[:, None] * sensor_rate[..., :1, :]
+        out, _ = lfilter(numerator, denominator, sensor_rate, axis=-2, zi=begun)
+        return np.asarray(out, dtype=np.float64)
+
+    @cached_property
+    def _filter(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """The low-pass' coefficients and its state under a steady input of 1."""
+        if self.low_pass is None:
+            return None
+        numerator, denominator = self.low_pass.coefficients()
+        return numerator, denominator, np.asarray(lfilter_zi(numerator, denominator), np.float64)
 
     @cached_property
     def instants_s(self) -> FloatArray:
@@ -264,8 +273,12 @@ class Scene:
 
     def seen_at_stage(self, stage_rate: FloatArray) -> FloatArray:
         """Return what of a change of the stage's rate, (..., n, 3), shows."""
-        sure = np.where(self.known[:, None], stage_rate, 0.0)
+        sure = stage_rate if self._whole else np.where(self.known[:, None], stage_rate, 0.0)
         return self.seen(np.asarray(sure @ self.gain.T, dtype=np.float64))
+
+    @cached_property
+    def _whole(self) -> bool:
+        return bool(self.known.all())
 
     def seen_briefly(self, first: int, stage_rate: FloatArray) -> FloatArray:
         """Return `seen_at_stage` of a change that is zero but in a few intervals.
@@ -283,14 +296,14 @@ class Scene:
         if end <= begin:
             return found
         start = lead + begin * per
-        window = np.zeros(((end - begin) * per, 3))
+        window = np.zeros(((end - begin) * per + 1, 3))  # one more before, at rest
         skip = max(0, start - first)
-        inside = stage_rate[skip : skip + len(window)]
-        at = first + skip - start
+        inside = stage_rate[skip:]
+        at = first + skip - start + 1
         inside = inside[: len(window) - at]
         sure = self.known[first + skip : first + skip + len(inside), None]
         window[at : at + len(inside)] = np.where(sure, inside, 0.0) @ self.gain.T
-        out = window if self.low_pass is None else self.low_pass.apply(window)
+        out = self.low_passed(window)[1:]
         use = self.use[begin * self.block : end * self.block].reshape(-1, self.block, 1)
         values = out[self.fine // 2 :: self.fine].reshape(-1, self.block, 3)
         total = np.where(use, values, 0.0).sum(axis=1)
@@ -304,8 +317,11 @@ class Scene:
             change_rad: true minus told pan and tilt, shape (2, n + 1).
         """
         rate, _ = AxisTurn.along(self.angle_rad + change_rad, self.edges_s, (1.0, 1.0))
-        told, _ = AxisTurn.along(self.angle_rad, self.edges_s, (1.0, 1.0))
-        return np.asarray(rate - told, dtype=np.float64)
+        return np.asarray(rate - self._told_rad_s, dtype=np.float64)
+
+    @cached_property
+    def _told_rad_s(self) -> FloatArray:
+        return AxisTurn.along(self.angle_rad, self.edges_s, (1.0, 1.0))[0]
 
     def turn_column(self, axis: int, change_rad: FloatArray) -> FloatArray:
         """Return that change, (n, 3), to first order, for one axis, shape (n + 1,)."""
