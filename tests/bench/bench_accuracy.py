@@ -29,7 +29,7 @@ from gyrorig_protocol.errors import GyrorigError  # noqa: E402 - the line above 
 
 RESULTS = ROOT / "docs" / "accuracy" / "results.json"
 PROCESSES, QUICK_RUNS, ALL_RUNS = 2, 20, 200
-DRAWN_TOGETHER = 4
+DRAWN_TOGETHER, TOLD_EVERY = 4, 20
 
 
 def one(job: tuple[Case, int]) -> dict[str, Any]:
@@ -51,13 +51,12 @@ def collect(cases: list[Case], runs: int) -> dict[str, list[dict[str, Any]]]:
             found[case.name] = []
             for row in pool.map(one, jobs, chunksize=DRAWN_TOGETHER):
                 found[case.name].append(row)
-                took_s = time.monotonic() - begun
-                print(  # noqa: T201
-                    f"\r{case.name}: {len(found[case.name])} of {runs}, {took_s:.0f} s",
-                    end="",
-                    file=sys.stderr,
-                )
-            print(file=sys.stderr)  # noqa: T201
+                if len(found[case.name]) % TOLD_EVERY == 0 or len(found[case.name]) == runs:
+                    took_s = time.monotonic() - begun
+                    print(  # noqa: T201
+                        f"{case.name}: {len(found[case.name])} of {runs}, {took_s:.0f} s",
+                        file=sys.stderr,
+                    )
     return found
 
 

@@ -225,6 +225,8 @@ def _answers(session: Session, size: int) -> tuple[FloatArray, FloatArray]:
     extra = answers.hi_s - answers.lo_s - session.least_s
     least_s = session.least_s
     at_s = answers.lo_s + (least_s / 2.0 + session.common_s) + extra / 2.0
+    if answers.ticks is not None:  # the counter tells all instants, but one constant
+        at_s, extra = answers.instant_s, np.zeros(answers.lo_s.size)
     rows, weights, residuals, tails = [], [], [], []
     for axis in (0, 1):
         own = answers.axis == axis

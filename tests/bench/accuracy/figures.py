@@ -126,6 +126,8 @@ def covered(runs: Runs, parameter: int, sigma: float) -> Figure:
 def covered_together(runs: Runs, parameters: Sequence[int], sigma: float) -> Figure:
     """Return the same over several parameters; runs are independent, parameters are not."""
     at = list(parameters)
+    if len(at) == 1:
+        return covered(runs, at[0], sigma)
     inside = (np.abs(runs.error[:, at]) <= sigma * runs.std[:, at]).mean(axis=1)
     return mean_of(inside)
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from tests.bench.accuracy.board import Board, Counts
 from tests.bench.accuracy.profile import RAD_PER_STEP, FloatArray, Path
-from tests.bench.accuracy.unit import Session
+from tests.bench.accuracy.unit import COUNTER_HZ, Session
 
 from gyrorig_solver.arrow import Arrow
 from gyrorig_solver.clocks.mapping import ClockMap
+from gyrorig_solver.reference.counter import counter_instants
 from gyrorig_solver.reference.motion import Evaluated, ReferenceMotion
 from gyrorig_solver.reference.moves import Exchange, MotionReader
 from gyrorig_solver.reference.polls import Polls
@@ -68,6 +69,11 @@ def answered_reference(session: Session) -> ReferenceMotion:
     valid = np.column_stack([answers.axis == 0, answers.axis == 1])
     steps = np.column_stack([np.where(valid[:, k], answers.steps, 0.0) for k in (0, 1)])
     polls = Polls(answers.lo_s, answers.hi_s, steps, valid)
+    if answers.ticks is not None:
+        found = counter_instants(answers.ticks[::2], polls.lo_s[::2], polls.hi_s[::2], COUNTER_HZ)
+        if found is not None:
+            at_s = np.repeat(found.at_s, 2)
+            polls = Polls(at_s, at_s, steps, valid, found.width_s)
     exchanges = [Exchange(told, answered, True, text) for told, answered, text in session.orders]
     motion = MotionReader(session.settings, (0, 0), polls.resting).read(exchanges)
     return explained_reference(motion, polls, (RAD_PER_STEP, RAD_PER_STEP))

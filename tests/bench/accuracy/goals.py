@@ -14,6 +14,8 @@ CASES = (
     Case("75 s, known", SHORT_PROGRAM, number=1),
     Case("75 s, 115200 baud", SHORT_PROGRAM, baud=115_200.0, number=1),
     Case("75 s, 9600 baud", SHORT_PROGRAM, baud=9600.0, number=1),
+    Case("75 s, counter, 115200 baud", SHORT_PROGRAM, baud=115_200.0, counter=True, number=1),
+    Case("75 s, counter, 9600 baud", SHORT_PROGRAM, baud=9600.0, counter=True, number=1),
     Case("75 s, known, spikes", SHORT_PROGRAM, spikes=0.01, number=1),
     Case("75 s, 800 Hz, known", SHORT_PROGRAM, 800.0, 110.0, number=2),
     Case("75 s, 800 Hz, 115200 baud", SHORT_PROGRAM, 800.0, 110.0, baud=115_200.0, number=2),

@@ -30,6 +30,7 @@ class Case:
     rate_hz: float = 100.0
     bandwidth_hz: float = 25.0
     baud: float | None = None  # None: the stage's motion is known exactly
+    counter: bool = False  # the unit answers BT, with its own counter
     spikes: float = 0.0  # share of samples hit
     number: int = 0  # cases of one number have the same boards, noise and unit
 
@@ -41,7 +42,8 @@ def run(case: Case, seed: int) -> dict[str, Any]:
     reaches the bound, on the same noise.
     """
     rng = np.random.default_rng([case.number, seed])
-    session = carry_out(_program(case.program), case.baud or 115_200.0, rng)
+    program = _program(case.program)
+    session = carry_out(program, case.baud or 115_200.0, rng, case.counter)
     board = draw_board(case.rate_hz, case.bandwidth_hz, rng)
     counts = sample(board, session.path, (HEAD_S, session.end_s - TAIL_S), rng)
     best = bound(board, session, counts, profile_known=case.baud is None)

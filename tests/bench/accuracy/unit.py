@@ -1,8 +1,9 @@
 """A pan-tilt unit on a serial line: a program becomes orders, moves and answered counts.
 
-One command at a time, PP and TP in turn while nothing else is to be said; the maker wants
-10 ms between two commands of an E-series unit, a byte is 10 bits, a question 3 bytes and an
-answer 9 (unit's notes, section 5). The controller thinks for some milliseconds; when in
+One command at a time, PP and TP in turn while nothing else is to be said, or BT, which has
+the controller's counter in its answer; the maker wants 10 ms between two commands of an
+E-series unit, a byte is 10 bits, a question 3 bytes and an answer 9, or 44 (unit's notes,
+sections 5 and 6). The controller thinks for some milliseconds; when in
 that time it looks at its count, or sets an axis off, nobody is told.
 """
 
@@ -15,7 +16,8 @@ from tests.bench.accuracy.profile import RAD_PER_STEP, FloatArray, Path, Trapezo
 from gyrorig_protocol.program import Home, MotionProgram, Move, Rest, unrolled
 
 MAKERS_INTERVAL_S = 0.010
-ASK_BYTES, ANSWER_BYTES, DONE_BYTES = 3, 9, 3
+ASK_BYTES, ANSWER_BYTES, BOTH_BYTES, DONE_BYTES = 3, 9, 44, 3
+COUNTER_HZ, COUNTER_BITS, COUNTER_SKEW = 90e6, 32, 20e-6  # CNF of an E46; a crystal's skew
 HOST_S = 2e-4  # from an answer to the next command, at least
 LEAST_THOUGHT_S = (0.002, 0.005)  # drawn for each run
 EXTRA_THOUGHT_S = 3e-4  # mean of what comes on top, exponential
@@ -33,8 +35,9 @@ class Answers:
     lo_s: FloatArray
     hi_s: FloatArray
     instant_s: FloatArray
-    axis: NDArray[np.int64]
+    axis: NDArray[np.int64]  # an answer to BT stands twice
     steps: FloatArray
+    ticks: NDArray[np.int64] | None  # the controller's counter, where it tells it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,9 +56,18 @@ class Session:
     end_s: float
 
 
-def carry_out(program: MotionProgram, baud: float, rng: np.random.Generator) -> Session:
-    """Return one session of a program, all that chance decides drawn from `rng`."""
-    line = _Line(program, baud, rng)
+def carry_out(
+    program: MotionProgram, baud: float, rng: np.random.Generator, counter: bool = False
+) -> Session:
+    """Return one session of a program, all that chance decides drawn from `rng`.
+
+    Args:
+        program: what the unit is told.
+        baud: of its line.
+        rng: chance.
+        counter: BT is asked, not PP and TP.
+    """
+    line = _Line(program, baud, rng, counter)
     line.rest(REST_S)
     for step in unrolled(program.steps, program.name):
         line.step(step)
@@ -69,9 +81,10 @@ class _Line:
     program: MotionProgram
     baud: float
     rng: np.random.Generator
+    counter: bool
     now_s: float = 0.0
     orders: list[tuple[float, float, str]] = field(default_factory=list)
-    asked: list[tuple[float, float, int]] = field(default_factory=list)  # lo, extra, axis
+    asked: list[tuple[float, float, int]] = field(default_factory=list)  # lo, thought, axis
     moves: list[Trapezoid] = field(default_factory=list)
     classes: list[int] = field(default_factory=list)
 
@@ -118,14 +131,7 @@ class _Line:
             rng.normal(scale=DETENT_STEPS, size=counts[1]),
         )
         path = Path(moves, off)
-        lo, extra, asked = (np.array(column) for column in zip(*self.asked, strict=True))
-        late = rng.uniform(size=extra.size) * extra
-        instant = lo + self.share * self.least_s + late
-        axis = asked.astype(np.int64)
-        steps = np.zeros(lo.size)
-        for k in (0, 1):
-            steps[axis == k] = _counts(path, k, instant[axis == k], self.counting)
-        answers = Answers(lo, lo + self.least_s + extra, instant, axis, steps)
+        answers = self._answers(path)
         log_ramp = np.log(self.true_ramp / self.ramp)
         settings = {f"{a}_base_speed": float(self.base) for a in ("pan", "tilt")}
         settings |= {f"{a}_acceleration": float(self.ramp) for a in ("pan", "tilt")}
@@ -141,6 +147,24 @@ class _Line:
             (self.share - 0.5) * self.least_s,
             self.now_s,
         )
+
+    def _answers(self, path: Path) -> Answers:
+        rng = self.rng
+        lo, thought, asked = (np.array(column) for column in zip(*self.asked, strict=True))
+        late = rng.uniform(size=lo.size) * (thought - self.least_s)
+        instant = lo + self.share * self.least_s + late
+        ticks, axis = None, asked.astype(np.int64)
+        if self.counter:
+            rate = COUNTER_HZ * (1.0 + float(rng.uniform(-COUNTER_SKEW, COUNTER_SKEW)))
+            begun = int(rng.integers(2**COUNTER_BITS))
+            ticks = np.repeat((begun + np.floor(instant * rate).astype(np.int64)), 2)
+            ticks %= 2**COUNTER_BITS
+            lo, thought, instant = (np.repeat(x, 2) for x in (lo, thought, instant))
+            axis = np.tile([0, 1], asked.size)
+        steps = np.zeros(lo.size)
+        for k in (0, 1):
+            steps[axis == k] = _counts(path, k, instant[axis == k], self.counting)
+        return Answers(lo, lo + thought, instant, axis, steps, ticks)
 
     def _targets(self, step: Move | Home) -> list[tuple[int, int, int]]:
         """Return axis, target and speed in steps of each axis that moves."""
@@ -199,9 +223,9 @@ class _Line:
     def _poll(self) -> None:
         lo_s = self.now_s + ASK_BYTES * self.byte_s
         thought_s = self._thought()
-        self.asked.append((lo_s, thought_s - self.least_s, self.next_axis))
+        self.asked.append((lo_s, thought_s, self.next_axis))
         self.next_axis = 1 - self.next_axis
-        self._next(lo_s + thought_s + ANSWER_BYTES * self.byte_s)
+        self._next(lo_s + thought_s + (BOTH_BYTES if self.counter else ANSWER_BYTES) * self.byte_s)
 
     def _thought(self) -> float:
         return self.least_s + float(self.rng.exponential(EXTRA_THOUGHT_S))
