@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gyrorig_solver.arrays import BoolArray, IntArray
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.conclusion import TERMS, Evidence, gyro_fit
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution, solve_likelihood
@@ -25,6 +25,7 @@ from gyrorig_solver.samples import GyroSamples
 # Whitened variance while moving over that at rest: above this, motion is not explained.
 CHI2_LIMIT = 1.25
 HELD_OUT_WINDOW_S = 10.0
+PATH_HZ = 100.0  # turns from rest to rest need no finer steps
 STANDING_RAD_S = 1e-4  # through the low-pass, a rest decays below this within 0.1 s
 REST_TO_REST_HZ = 0.2  # a move and its rests last some seconds
 DISAGREEMENT_P = 1e-4  # of the second opinion, one in ten thousand by chance
@@ -190,10 +191,12 @@ def _second_opinion(solution: Solution) -> CrossCheck | None:
         for series, measured, rate, used in zip(
             session.series, session.measured, session.rates, session.used, strict=True
         ):
-            time_s = series.block_times_s() - session.time_offset_s
-            moving = np.linalg.norm(rate, axis=1) > STANDING_RAD_S
-            angles = reference.angles_rad(time_s)
-            paths.append(Path(time_s, measured - session.bias_rad_s, used, moving, angles))
+            many = max(1, round(session.sampling.rate_hz / PATH_HZ))
+            time_s = _means(series.block_times_s()[:, None], many)[:, 0] - session.time_offset_s
+            moving = _means(np.linalg.norm(rate, axis=1)[:, None], many)[:, 0] > STANDING_RAD_S
+            own = _means(measured - session.bias_rad_s, many)
+            whole = _means(used[:, None].astype(np.float64), many)[:, 0] > 1.0 - 1e-9
+            paths.append(Path(time_s, own, whole, moving, reference.angles_rad(time_s)))
     if not paths:
         return None
     at = np.array([REST_TO_REST_HZ])
@@ -201,6 +204,12 @@ def _second_opinion(solution: Solution) -> CrossCheck | None:
     return cross_check(
         paths, solution.gain, np.zeros(3), solution.decision, density, max(variances)
     )
+
+
+def _means(values: FloatArray, many: int) -> FloatArray:
+    """Return means over groups of rows, a last short group left out."""
+    groups = values.shape[0] // many
+    return np.asarray(values[: groups * many].reshape(groups, many, -1).mean(axis=1))
 
 
 def _said(second: CrossCheck | None) -> dict[str, float]:

@@ -26,7 +26,7 @@ REACH_S = 1.0  # the noise's memory: columns of one lane keep twice this apart
 FORGET_S = 0.1  # near an unknown stretch the filter still remembers it
 COARSE_HZ = 250.0  # least rate of the derivatives' grid where the low-pass acts on it
 COARSE_PER_BANDWIDTH = 8.0
-TRANSPARENT = 0.5  # a low-pass this wide, in rates of the block means, is a delay and a gain
+TRANSPARENT = 0.4  # a low-pass this wide, in rates of the block means, is a delay and a gain
 SHIFT_S = 1e-5  # for the derivative by time: ramps are straight but for their corners
 
 
@@ -64,7 +64,7 @@ def predict_rate(
     rate = found if whole else np.where(known[:, None], found, 0.0)
     low_pass = low_pass_of(series)
     if low_pass is not None:
-        rate = low_pass.apply(rate)
+        rate = low_pass.apply_to_means(rate)
     centre = slice(series.fine // 2 + lead * series.fine, None, series.fine)
     known = known[series.fine // 2 :: series.fine]
     if not whole:

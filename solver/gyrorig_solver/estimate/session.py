@@ -353,8 +353,10 @@ def _odd(left: FloatArray, use: BoolArray, quantum_rad_s: float) -> BoolArray:
     if not odd.any():
         return odd
     far = np.flatnonzero(odd)
-    near = np.clip(far[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, left.shape[0] - 1)
-    around = np.where(use[near][:, :, None], left[near], np.nan)
+    near = far[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
+    inside = (near >= 0) & (near < left.shape[0])
+    near = np.where(inside, near, 0)
+    around = np.where((use[near] & inside)[:, :, None], left[near], np.nan)
     alone = np.abs(left[far] - np.nanmedian(around, axis=1)) > limit
     odd[far] = alone.any(axis=1)
     return odd

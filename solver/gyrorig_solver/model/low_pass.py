@@ -38,6 +38,17 @@ class LowPass:
         padded = np.concatenate([np.repeat(signal[:1], self._settling(), axis=0), signal])
         return np.asarray(lfilter(b, a, padded, axis=0)[self._settling() :], dtype=np.float64)
 
+    def apply_to_means(self, means: FloatArray) -> FloatArray:
+        """Filter means of a motion between grid edges, shape (n, k).
+
+        A mean over h is x + h^2/24 x'', straight lines through the means add h^2/12 x'':
+        both are taken out first, or a jump of speed comes out 5 % softer at a tenth of the
+        grid's rate.
+        """
+        sharp = means.copy()
+        sharp[1:-1] -= (means[2:] - 2.0 * means[1:-1] + means[:-2]) / 8.0
+        return self.apply(sharp)
+
     @property
     def delay_s(self) -> float:
         """Group delay at zero frequency, in s."""
