@@ -99,7 +99,9 @@ class Path:
         for move in self.of_axis(axis):
             first = int(np.searchsorted(time_s, move.start_s))
             last = int(np.searchsorted(time_s, move.end_s))
-            where[first:last] = move.begin_steps + move.sign * move.gone_steps(time_s[first:last])
+            if last > first:
+                gone = move.gone_steps(time_s[first:last])
+                where[first:last] = move.begin_steps + move.sign * gone
             where[last:] = move.end_steps
         return where
 
@@ -113,7 +115,8 @@ class Path:
             last = int(np.searchsorted(time_s, move.end_s))
             way = abs(move.end_steps - move.begin_steps)
             gained = off[k + 1] - off[k]
-            where[first:last] += gained * move.gone_steps(time_s[first:last]) / way
+            if last > first:
+                where[first:last] += gained * move.gone_steps(time_s[first:last]) / way
             where[last:] += gained
         return where * RAD_PER_STEP
 

@@ -1,0 +1,183 @@
+"""The tables of simulated runs against the bound, from what bench_accuracy.py wrote."""
+
+import json
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from docs.markdown import Block, show, table
+from tests.bench.accuracy.board import NAMES
+from tests.bench.accuracy.goals import (
+    ANSWERS_EFFICIENCY,
+    CASES,
+    COVER_68,
+    COVER_95,
+    KNOWN_EFFICIENCY,
+    OFFSET_COVER,
+    OFFSET_RATIO,
+    OUTLIER_LOSS,
+)
+from tests.bench.accuracy.summary import Row, judged
+from tests.bench.accuracy.trial import Case
+
+RESULTS = Path(__file__).resolve().parent / "results.json"
+
+
+@cache
+def results() -> dict[str, Any]:
+    """Return what the bench wrote last."""
+    found: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return found
+
+
+def _cases() -> list[tuple[Case, dict[str, Any]]]:
+    """Return the cases without spikes that were run."""
+    found = results()["cases"]
+    return [(case, found[case.name]) for case in CASES if case.name in found and not case.spikes]
+
+
+def _span(figure: dict[str, float], digits: int = 2) -> str:
+    return (
+        f"{figure['value']:.{digits}f} ({figure['low']:.{digits}f} to {figure['high']:.{digits}f})"
+    )
+
+
+def cases() -> str:
+    """What was run."""
+    rows = [
+        (
+            case.name,
+            f"`{case.program}`, {found['duration_s']:.0f} s",
+            f"{case.rate_hz:.0f} Hz, {case.bandwidth_hz:.0f} Hz",
+            _reference(case),
+            str(found["runs"]),
+            str(found["failed"]),
+        )
+        for case, found in _cases()
+    ]
+    return table(("case", "program", "samples, low-pass", "reference", "runs", "refused"), rows)
+
+
+def _reference(case: Case) -> str:
+    if case.baud is None:
+        return "given exactly"
+    asked = "BT with its counter" if case.counter else "PP and TP in turn"
+    return f"{asked}, {case.baud:.0f} baud"
+
+
+def efficiencies() -> str:
+    """Efficiency of every parameter in every case, on the best estimate's noise."""
+    found = _cases()
+    rows = []
+    for name in NAMES:
+        cells = [f"{one['parameters'][name]['paired']['value']:.3f}" for _, one in found]
+        rows.append((f"`{name}`", *cells))
+    return table(("parameter", *(case.name for case, _ in found)), rows)
+
+
+def goals() -> str:
+    """For each case the worst parameter, the intervals, and the joint chi-squared."""
+    rows = []
+    for case, one in _cases():
+        goal = KNOWN_EFFICIENCY if case.baud is None else ANSWERS_EFFICIENCY
+        named = {name: one["parameters"][name]["paired"] for name in NAMES if "." in name}
+        worst = min(named, key=lambda name: float(named[name]["value"]))
+        rows.append(
+            (
+                case.name,
+                f"{_span(named[worst])}, `{worst}`; ≥ {goal:.2f}",
+                f"{100 * one['together']['cover_68']['value']:.1f} %",
+                f"{100 * one['together']['cover_95']['value']:.1f} %",
+                f"{_span(one['chi2']['mean'], 1)}; best {one['chi2']['best_mean']['value']:.1f}",
+                f"{one['chi2']['p_value']:.2f}",
+            )
+        )
+    head = (
+        "case",
+        "least efficiency; goal",
+        f"68 % intervals hold; {100 * COVER_68[0]:.0f} to {100 * COVER_68[1]:.0f} %",
+        f"95 % intervals hold; {100 * COVER_95[0]:.0f} to {100 * COVER_95[1]:.0f} %",
+        "χ² of 13, mean",
+        "KS p",
+    )
+    return table(head, rows)
+
+
+def offsets() -> str:
+    """The time offset, whole and with what no answer can show taken out."""
+    rows = []
+    for case, one in _cases():
+        parts = [("", one["parameters"]["time_offset"])]
+        if case.baud is not None:
+            parts = [("whole", parts[0][1]), ("constant apart", one["offset_apart"])]
+        for words, figures in parts:
+            bound_us = figures.get("bound_us", 1e6 * figures["bound"])
+            achieved = figures["efficiency"]
+            ratio = {
+                k: 1.0 / achieved[j]
+                for k, j in zip(("value", "low", "high"), ("value", "high", "low"), strict=True)
+            }
+            rows.append(
+                (
+                    case.name,
+                    words,
+                    f"{bound_us:.1f} µs",
+                    _span(ratio),
+                    f"{figures['stated']:.2f}",
+                    f"{100 * figures['cover_2sigma']['value']:.1f} %",
+                )
+            )
+    head = (
+        "case",
+        "",
+        "bound",
+        f"achieved / bound; ≤ {OFFSET_RATIO}",
+        "stated / bound",
+        f"2 sigma hold; {100 * OFFSET_COVER[0]:.0f} to {100 * OFFSET_COVER[1]:.0f} %",
+    )
+    return table(head, rows)
+
+
+def outliers() -> str:
+    """What spikes cost."""
+    rows = []
+    for name, cost in results()["outliers"].items():
+        rows.append((name, *(_span(cost[group], 3) for group in cost)))
+    groups: dict[str, Any] = next(iter(results()["outliers"].values()), {})
+    head = (f"case; efficiency with spikes over without, ≥ {1 - OUTLIER_LOSS:.2f}", *groups)
+    return table(head, rows)
+
+
+def misses() -> str:
+    """Every goal that was not met, and how many were."""
+    rows = list(judged(results()))
+    missed = [row for row in rows if row.verdict != "yes"]
+    said = f"{len(rows) - len(missed)} of {len(rows)} goals are met."
+    if not missed:
+        return said
+    return f"{said}\n\n" + table(
+        ("goal not met", "wanted", "measured", ""),
+        [_cells(row) for row in missed],
+    )
+
+
+def _cells(row: Row) -> tuple[str, str, str, str]:
+    goal = row.goal.replace(">=", "≥").replace("<=", "≤")
+    return row.item, goal, row.figure, row.verdict
+
+
+BLOCKS: dict[str, Block] = {
+    "statistics-cases": cases,
+    "statistics-goals": goals,
+    "statistics-efficiencies": efficiencies,
+    "statistics-offsets": offsets,
+    "statistics-outliers": outliers,
+    "statistics-misses": misses,
+}
+
+
+if __name__ == "__main__":
+    show(BLOCKS)

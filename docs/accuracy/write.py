@@ -1,0 +1,33 @@
+"""Put the figures of the benches into docs/accuracy.md, or check that they are there.
+
+    python docs/accuracy/write.py            write every block
+    python docs/accuracy/write.py --check    change nothing; 1 if a block differs
+
+Nothing is measured here: `python tests/bench/bench_accuracy.py --out docs/accuracy/results.json`
+does that (an hour on two cores), and this page says what it found.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from docs.accuracy import statistics
+from docs.blocks import write_or_check
+from docs.markdown import Block
+
+DOCUMENT = Path(__file__).resolve().parents[1] / "accuracy.md"
+BLOCKS: dict[str, Block] = {**statistics.BLOCKS}
+
+
+def main() -> int:
+    """Write or check the document; the exit code."""
+    parser = argparse.ArgumentParser(description="figures of docs/accuracy.md")
+    parser.add_argument("--check", action="store_true", help="change nothing, 1 if it differs")
+    asked = parser.parse_args()
+    return write_or_check(DOCUMENT, BLOCKS, asked.check, "python docs/accuracy/write.py")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
