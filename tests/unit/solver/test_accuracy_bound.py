@@ -138,5 +138,5 @@ def test_the_best_estimate_errs_by_the_bound(known: bool) -> None:
         counts = sample(board, session.path, (0.5, session.end_s - 0.4), rng)
         found = bound(board, session, counts, known)
         total += float(found.error @ np.linalg.solve(found.covariance, found.error))
-    low, high = chi2.ppf([0.001, 0.999], 24 * 13)
+    low, high = (float(chi2.ppf(share, 24 * 13)) for share in (0.001, 0.999))
     assert low < total < high
