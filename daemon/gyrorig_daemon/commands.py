@@ -139,6 +139,26 @@ def emulate_command(**options: Any) -> None:
     _emulate(options)
 
 
+@cli.command("causes")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def causes_command(as_json: bool) -> None:
+    """List what an emulated rig can hide: causes, places, units, sizes that are drawn.
+
+    Example: gyrorigd causes
+    """
+    from gyrorig_daemon.emulator.causes import CAUSES  # noqa: PLC0415
+
+    if as_json:
+        click.echo(json.dumps({"causes": [cause.to_document() for cause in CAUSES.values()]}))
+        return
+    for cause in CAUSES.values():
+        places = f"@{','.join(cause.places)}" if cause.places else ""
+        sizes = ", ".join(f"{size:g}" for size in cause.sizes)
+        sizes = sizes or f"{cause.lowest:g} to {cause.highest:g}"
+        unit = "" if cause.unit == "1" else f" {cause.unit}"
+        click.echo(f"{cause.name}{places}: {cause.size_is}; drawn: {sizes}{unit}")
+
+
 def _record(options: dict[str, Any]) -> dict[str, Any]:
     config_path, program_path = options["config_path"], options["program_path"]
     config_text, program_text = read_document(config_path), read_document(program_path)

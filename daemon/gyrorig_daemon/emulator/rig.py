@@ -100,9 +100,21 @@ class EmulatedRig:
         Args:
             start_ns: begin of a recording, on the rig's clock.
             end_ns: its end. With both, each board also has `mean_bias_rad_s`: the bias with
-                its wander, as it was on the average of that time.
+                its wander and whatever hidden cause moves it, as it was on the average of
+                that time.
+
+        Where something is hidden, `power_up_raw_ns` is what its times count from, and
+        `happened` says when steps were lost.
         """
         document = self.truth.to_document()
+        if self.truth.hidden:
+            document["power_up_raw_ns"] = self.origin_ns
+            slips = {"pan": self.hooks.pan.slip, "tilt": self.hooks.tilt.slip}
+            document["happened"] = {
+                f"lost_steps.{axis}": {"value": slip.happened_s, "unit": "s"}
+                for axis, slip in slips.items()
+                if slip is not None and slip.happened_s is not None
+            }
         if start_ns is not None and end_ns is not None:
             for name, board in self.boards.items():
                 mean = board.mean_bias_rad_s(start_ns, end_ns)

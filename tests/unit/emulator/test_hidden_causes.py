@@ -228,12 +228,19 @@ def test_what_cannot_be_is_refused_with_the_way_out(text: str, words: str) -> No
         (("clock_offset@x",), "name one of: GY80-1"),
         (("earth_rotation@x",), "name no place"),
         (("backlash@pan", "backlash@pan:1e-3"), "hidden twice"),
-        (("sample_jitter:5e-3",), "at most 0.00274 s"),
+        (("sample_jitter:5e-3",), "at most 0.00274"),
     ],
 )
 def test_what_does_not_fit_this_rig_is_refused(hide: Sequence[str], words: str) -> None:
     with pytest.raises(UsageError, match=re.escape(words)):
         draw_hidden(settings(*hide))
+
+
+def test_drawn_jitter_fits_the_rate() -> None:
+    fast = (BoardSettings(odr_hz=800.0, bandwidth_hz=110.0),)
+    for seed in range(30):
+        (hidden,) = draw_hidden(replace(settings("sample_jitter", seed=seed), boards=fast))
+        assert 0.0 < np.sqrt(12.0) * hidden.size.number < 1.0 / 840.0
 
 
 def test_a_rig_without_boards_cannot_hide_a_boards_cause() -> None:

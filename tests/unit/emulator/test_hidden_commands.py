@@ -121,6 +121,25 @@ def test_a_soak_shows_in_the_temperature(
     assert (soaked["gyro"] == plain["gyro"]).all()
 
 
+def test_the_truth_says_when_steps_were_lost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = tmp_path / "truth.json"
+    told = recorded(tmp_path, capsys, "--hide", "lost_steps@pan:8", "--truth", str(truth))
+    document = json.loads(truth.read_text())
+    at_s = document["happened"]["lost_steps.pan"]["value"]
+    (hidden,) = document["hidden"]["causes"]
+    rec = read_recording(Path(told["recording"]))
+    begun_s = 1e-9 * (
+        int(rec.metadata["gyrorig"]["anchor_monotonic_raw_ns"]) - document["power_up_raw_ns"]
+    )
+    positions = rec.array("/ptu/position")
+    time_s = begun_s + 1e-9 * (positions["log_time"].astype(np.int64) - rec.start_ns)
+    at = int(np.searchsorted(time_s, at_s))
+    assert hidden["parameters"]["after"]["value"] < at_s
+    assert positions["pan_steps"][at] != positions["pan_steps"][at - 20]  # pan was turning
+
+
 def test_a_sealed_truth_is_opened_at_the_end(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -166,6 +185,18 @@ def test_the_emulator_alone_keeps_its_seal_closed_while_it_runs(tmp_path: Path) 
     opened = json.loads(truth.read_text())
     assert opened["hidden"]["causes"][1]["where"] == "pan"
     assert opened["seal"] == closed["seal"]
+
+
+def test_the_causes_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["causes"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 41
+    line = "backlash@pan,tilt: gap between motor and gear; drawn: 0.0002 to 0.0025 rad"
+    assert line in lines
+    assert run(["causes", "--json"]) == 0
+    causes = {told["cause"]: told for told in json.loads(capsys.readouterr().out)["causes"]}
+    assert causes["backlash"]["typical"] == 9e-4
+    assert causes["wrong_full_scale"]["nothing_at"] == 1.0
 
 
 @pytest.mark.parametrize(

@@ -87,27 +87,33 @@ def _hang_hum(hidden: Hidden, hooks: RigHooks, _rng: np.random.Generator) -> Non
 
 CAUSES = (
     Cause(
-        "thermal_bias", "sensor", "rad/s/K", 5e-4, 1e-4, 2e-3, 0.1, _thermal, _hang_thermal,
+        "thermal_bias", "largest slope of the bias with the die's temperature",
+        "sensor", "rad/s/K", 5e-4, 1e-4, 2e-3, 0.1, _thermal, _hang_thermal,
         places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "warm_up", "sensor", "rad/s", 1.7e-3, 8e-4, 5e-3, 0.5, _warm_up, _hang_warm_up,
+        "warm_up", "largest bias at power-up that fades away",
+        "sensor", "rad/s", 1.7e-3, 8e-4, 5e-3, 0.5, _warm_up, _hang_warm_up,
         places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "bias_ramp", "sensor", "rad/s^2", 1.5e-5, 3e-6, 1e-4, 1e-2, _ramp, _hang_ramp,
+        "bias_ramp", "largest slope of the bias with time",
+        "sensor", "rad/s^2", 1.5e-5, 3e-6, 1e-4, 1e-2, _ramp, _hang_ramp,
         places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "bias_step", "sensor", "rad/s", 1e-3, 3e-4, 3e-3, 0.5, _step, _hang_step,
+        "bias_step", "largest jump of the bias, once",
+        "sensor", "rad/s", 1e-3, 3e-4, 3e-3, 0.5, _step, _hang_step,
         places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "bias_random_walk", "sensor", "rad/s/sqrt(s)", 5e-5, 2e-5, 2e-4, 1e-2, _walk, _hang_walk,
+        "bias_random_walk", "largest random walk on top of the sensor's own",
+        "sensor", "rad/s/sqrt(s)", 5e-5, 2e-5, 2e-4, 1e-2, _walk, _hang_walk,
         places=SENSOR_AXES, together=True, signed=False,
     ),
     Cause(
-        "supply_hum", "sensor", "rad/s", 1e-3, 3e-4, 5e-3, 0.5, _hum, _hang_hum,
+        "supply_hum", "largest amplitude of the mains' hum",
+        "sensor", "rad/s", 1e-3, 3e-4, 5e-3, 0.5, _hum, _hang_hum,
         places=SENSOR_AXES, together=True, signed=False,
     ),
 )  # fmt: skip

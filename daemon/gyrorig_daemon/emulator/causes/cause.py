@@ -116,6 +116,7 @@ class Cause:
     """A physical cause that a rig can hide."""
 
     name: str
+    size_is: str  # what its size means
     part: Part
     unit: str  # of the size
     typical: float
@@ -131,11 +132,26 @@ class Cause:
     sizes: tuple[float, ...] = ()  # the only ones that are drawn, where there are such
     whole: bool = False  # only whole sizes make sense
     neutral: float = 0.0  # the size at which there is nothing
+    most_on: Callable[[BoardSettings], float] | None = None  # less than `most` on this board
 
     @property
     def on_board(self) -> bool:
         """True when it is one board's, not the unit's or the world's."""
         return self.part in ("clock", "link", "sensor", "mount")
+
+    def to_document(self) -> dict[str, Any]:
+        """Return plain values: what can be asked for."""
+        return {
+            "cause": self.name,
+            "part": self.part,
+            "places": list(self.places),
+            "size": self.size_is,
+            "unit": self.unit,
+            "typical": self.typical,
+            "drawn": list(self.sizes) or [self.lowest, self.highest],
+            "signed": self.signed,
+            "nothing_at": self.neutral,
+        }
 
 
 def board_of(hidden: Hidden, hooks: RigHooks) -> BoardHooks:

@@ -59,9 +59,14 @@ def _drawn(order: HideOrder, settings: RigSettings) -> Hidden:
     cause = CAUSES[order.cause]
     rng = np.random.default_rng([settings.seed, _STREAM, _DRAWING, _key(order.cause, order.place)])
     board, place = _place(cause, order.place, settings, rng)
-    size = _drawn_size(cause, rng)
+    most = cause.most if cause.most_on is None else cause.most_on(board)
+    size = _drawn_size(cause, most, rng)
     if order.size is not None:  # drawn all the same, so that what follows does not depend on it
         size = order.size
+    if abs(size) > most:
+        raise UsageError(
+            f"{cause.name} of {size:g} is too much on this board", f"at most {most:.3g}"
+        )
     draw = Draw(size=size, place=place, rng=rng, rig=settings, board=board)
     return Hidden(
         cause=cause.name,
@@ -73,11 +78,12 @@ def _drawn(order: HideOrder, settings: RigSettings) -> Hidden:
     )
 
 
-def _drawn_size(cause: Cause, rng: np.random.Generator) -> float:
+def _drawn_size(cause: Cause, most: float, rng: np.random.Generator) -> float:
     if cause.sizes:
         size = float(rng.choice(cause.sizes))
     else:
-        size = math.exp(rng.uniform(math.log(cause.lowest), math.log(cause.highest)))
+        scale = min(most / cause.highest, 1.0)
+        size = scale * math.exp(rng.uniform(math.log(cause.lowest), math.log(cause.highest)))
     return size * float(rng.choice((-1.0, 1.0))) if cause.signed else size
 
 

@@ -58,20 +58,24 @@ def _hang_full_scale(hidden: Hidden, hooks: RigHooks, _rng: np.random.Generator)
 
 CAUSES = (
     Cause(
-        "corrupt_samples", "link", "1", 1e-3, 3e-4, 1e-2, 0.1, _corrupt, _hang_corrupt,
+        "corrupt_samples", "share of the samples with a flipped bit or a torn word",
+        "link", "1", 1e-3, 3e-4, 1e-2, 0.1, _corrupt, _hang_corrupt,
         signed=False,
     ),
     Cause(
-        "axis_swap", "link", "1", 1.0, 1.0, 1.0, 1.0, _present, _hang_swap,
+        "axis_swap", "two axes taken for one another; 1 is all there is",
+        "link", "1", 1.0, 1.0, 1.0, 1.0, _present, _hang_swap,
         places=("xy", "xz", "yz"), signed=False, sizes=(1.0,), whole=True,
     ),
     Cause(
-        "sign_flip", "link", "1", 1.0, 1.0, 1.0, 1.0, _present, _hang_flip,
+        "sign_flip", "an axis with the wrong sign; 1 is all there is",
+        "link", "1", 1.0, 1.0, 1.0, 1.0, _present, _hang_flip,
         places=SENSOR_AXES, signed=False, sizes=(1.0,), whole=True,
     ),
     # true full scale over the told one: 250, 500 and 2000 dps are what there is
     Cause(
-        "wrong_full_scale", "link", "1", 2.0, 0.5, 8.0, 16.0, _full_scale, _hang_full_scale,
+        "wrong_full_scale", "true full scale over the told one",
+        "link", "1", 2.0, 0.5, 8.0, 16.0, _full_scale, _hang_full_scale,
         signed=False, least=1.0 / 16.0, sizes=(0.5, 2.0), neutral=1.0,
     ),
 )  # fmt: skip

@@ -113,41 +113,53 @@ def _hang_coupling(hidden: Hidden, hooks: RigHooks, _rng: np.random.Generator) -
 
 
 CAUSES = (
-    Cause("low_pass_lag", "sensor", "1", 0.3, 0.1, 0.5, 0.9, _low_pass, _hang_low_pass),
     Cause(
-        "scale_quadratic", "sensor", "s/rad", 1e-3, 3e-4, 5e-3, 0.1, _quadratic, _hang_quadratic,
+        "low_pass_lag", "relative error of the low-pass cut-off, which moves its lag",
+        "sensor", "1", 0.3, 0.1, 0.5, 0.9, _low_pass, _hang_low_pass,
+    ),
+    Cause(
+        "scale_quadratic", "largest coefficient q of q u^2",
+        "sensor", "s/rad", 1e-3, 3e-4, 5e-3, 0.1, _quadratic, _hang_quadratic,
         places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "scale_cubic", "sensor", "s^2/rad^2", 1e-3, 3e-4, 1e-2, 0.5, _cubic, _hang_cubic,
+        "scale_cubic", "largest coefficient c of c u^3",
+        "sensor", "s^2/rad^2", 1e-3, 3e-4, 1e-2, 0.5, _cubic, _hang_cubic,
         places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "scale_asymmetry", "sensor", "1", 2e-3, 5e-4, 1e-2, 0.2, _asymmetry, _hang_asymmetry,
+        "scale_asymmetry", "largest share a of a |u|",
+        "sensor", "1", 2e-3, 5e-4, 1e-2, 0.2, _asymmetry, _hang_asymmetry,
         places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "saturation", "sensor", "rad/s", 1.2, 0.8, 1.7, 100.0, _limit, _hang_limit,
+        "saturation", "rate that is never exceeded",
+        "sensor", "rad/s", 1.2, 0.8, 1.7, 100.0, _limit, _hang_limit,
         places=SENSOR_AXES, together=True, signed=False, least=0.01, neutral=100.0,
     ),
     Cause(
-        "dead_zone", "sensor", "rad/s", 8e-3, 2e-3, 3e-2, 0.5, _dead_zone, _hang_dead_zone,
+        "dead_zone", "rate below which nothing is felt",
+        "sensor", "rad/s", 8e-3, 2e-3, 3e-2, 0.5, _dead_zone, _hang_dead_zone,
         places=SENSOR_AXES, together=True, signed=False,
     ),
     Cause(
-        "g_sensitivity", "sensor", "(rad/s)/(m/s^2)", 1.8e-4, 3e-5, 1e-3, 0.1,
+        "g_sensitivity", "what gravity adds to each axis, per acceleration",
+        "sensor", "(rad/s)/(m/s^2)", 1.8e-4, 3e-5, 1e-3, 0.1,
         _gravity, _hang_gravity, places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "vibration_rectification", "sensor", "s/rad", 1e-3, 2e-4, 5e-3, 0.1,
+        "vibration_rectification", "largest coefficient v of v times the axes' speed squared",
+        "sensor", "s/rad", 1e-3, 2e-4, 5e-3, 0.1,
         _quadratic, _hang_rectification, places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "thermal_scale", "sensor", "1/K", 3e-4, 1e-4, 2e-3, 0.05,
+        "thermal_scale", "largest relative change of the gain with the temperature",
+        "sensor", "1/K", 3e-4, 1e-4, 2e-3, 0.05,
         _thermal_scale, _hang_thermal_scale, places=SENSOR_AXES, together=True,
     ),
     Cause(
-        "motor_coupling", "sensor", "rad/s", 6e-4, 2e-4, 2e-3, 0.1, _coupling, _hang_coupling,
+        "motor_coupling", "largest bias while a motor turns",
+        "sensor", "rad/s", 6e-4, 2e-4, 2e-3, 0.1, _coupling, _hang_coupling,
         places=SENSOR_AXES, together=True,
     ),
 )  # fmt: skip

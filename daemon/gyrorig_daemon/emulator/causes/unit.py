@@ -153,51 +153,66 @@ def _hang_compliance(hidden: Hidden, hooks: RigHooks, _rng: np.random.Generator)
 
 CAUSES = (
     Cause(
-        "backlash", "ptu", "rad", 9e-4, 2e-4, 2.5e-3, 0.05, _gap, _hang_gap,
+        "backlash", "gap between motor and gear",
+        "ptu", "rad", 9e-4, 2e-4, 2.5e-3, 0.05, _gap, _hang_gap,
         places=UNIT_AXES, signed=False,
     ),
     Cause(
-        "lost_steps", "ptu", "steps", 8.0, 1.0, 16.0, 1000.0, _lost, _hang_lost,
+        "lost_steps", "steps lost in one move, of the mode at power-up",
+        "ptu", "steps", 8.0, 1.0, 16.0, 1000.0, _lost, _hang_lost,
         places=UNIT_AXES, sizes=(1.0, 2.0, 4.0, 8.0, 16.0), whole=True,
     ),
     Cause(
-        "eccentricity", "ptu", "rad", 9e-4, 3.5e-4, 1.7e-3, 0.05,
+        "eccentricity", "amplitude once a turn, with up to half of it twice a turn",
+        "ptu", "rad", 9e-4, 3.5e-4, 1.7e-3, 0.05,
         _eccentricity, _hang_eccentricity, places=UNIT_AXES, signed=False,
     ),
     Cause(
-        "worm_error", "ptu", "rad", 2e-4, 9e-5, 5e-4, 0.02, _periodic, _hang_worm,
+        "worm_error", "amplitude once a turn of the worm, 17.5 in a turn",
+        "ptu", "rad", 2e-4, 9e-5, 5e-4, 0.02, _periodic, _hang_worm,
         places=UNIT_AXES, signed=False,
     ),
     Cause(
-        "axis_nonorthogonality", "ptu", "rad", 3.5e-3, 1.7e-3, 9e-3, 0.1,
+        "axis_nonorthogonality", "by how much the axes are not square to each other",
+        "ptu", "rad", 3.5e-3, 1.7e-3, 9e-3, 0.1,
         _angle, _hang_nonorthogonality, places=("tilt",),
     ),
-    Cause("tilt_zero", "ptu", "rad", 3e-3, 9e-4, 1e-2, 0.2, _angle, _hang_zero, places=("tilt",)),
     Cause(
-        "step_resolution", "ptu", "1", 2e-3, 1e-4, 1e-2, 0.5, _ratio, _hang_resolution,
+        "tilt_zero", "by how much the zero of tilt is wrong",
+        "ptu", "rad", 3e-3, 9e-4, 1e-2, 0.2, _angle, _hang_zero, places=("tilt",),
+    ),
+    Cause(
+        "step_resolution", "relative error of the angle of a step",
+        "ptu", "1", 2e-3, 1e-4, 1e-2, 0.5, _ratio, _hang_resolution,
         places=UNIT_AXES,
     ),
     Cause(
-        "acceleration_error", "ptu", "1", 5e-3, 5e-4, 2e-2, 0.5, _ratio, _hang_acceleration,
+        "acceleration_error", "relative error of the acceleration",
+        "ptu", "1", 5e-3, 5e-4, 2e-2, 0.5, _ratio, _hang_acceleration,
         places=UNIT_AXES, together=True,
     ),
     Cause(
-        "s_curve", "ptu", "s", 0.03, 0.01, 0.1, 1.0, _window, _hang_s_curve,
+        "s_curve", "time over which the planned motion is averaged",
+        "ptu", "s", 0.03, 0.01, 0.1, 1.0, _window, _hang_s_curve,
         places=UNIT_AXES, together=True, signed=False,
     ),
     Cause(
-        "base_speed_jump", "ptu", "rad/s", 0.05, 0.01, 0.15, 1.0, _base_speed, _hang_base_speed,
+        "base_speed_jump", "by how much the axes start and stop faster than told",
+        "ptu", "rad/s", 0.05, 0.01, 0.15, 1.0, _base_speed, _hang_base_speed,
         places=UNIT_AXES, together=True, signed=False,
     ),
     Cause(
-        "ringing", "ptu", "1", 0.05, 0.02, 0.12, 0.5, _ringing, _hang_ringing,
+        "ringing", "share of the load that swings",
+        "ptu", "1", 0.05, 0.02, 0.12, 0.5, _ringing, _hang_ringing,
         places=UNIT_AXES, signed=False,
     ),
     Cause(
-        "tilt_sag", "ptu", "rad", 2e-3, 9e-4, 5e-3, 0.1, _sag, _hang_sag, places=("tilt",),
+        "tilt_sag", "amplitude of the payload's sag with the sine of tilt",
+        "ptu", "rad", 2e-3, 9e-4, 5e-3, 0.1, _sag, _hang_sag, places=("tilt",),
     ),
     Cause(
-        "base_compliance", "ptu", "s^2", 5e-5, 1.5e-5, 1.5e-4, 1e-2, _compliance, _hang_compliance,
+        "base_compliance", "twist of the base per acceleration",
+        "ptu", "s^2", 5e-5, 1.5e-5, 1.5e-4, 1e-2, _compliance, _hang_compliance,
         places=("pan",), signed=False,
     ),
 )  # fmt: skip

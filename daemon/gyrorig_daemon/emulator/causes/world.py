@@ -44,9 +44,13 @@ def _hang_earth(hidden: Hidden, hooks: RigHooks, _rng: np.random.Generator) -> N
 
 
 CAUSES = (
-    Cause("board_slip", "mount", "rad", 5e-3, 1.7e-3, 1.7e-2, 0.5, _slip, _hang_slip, signed=False),
     Cause(
-        "earth_rotation", "environment", "rad/s", EARTH_RATE_RAD_S, EARTH_RATE_RAD_S,
+        "board_slip", "angle by which the board turns on the stage, once",
+        "mount", "rad", 5e-3, 1.7e-3, 1.7e-2, 0.5, _slip, _hang_slip, signed=False,
+    ),
+    Cause(
+        "earth_rotation", "rate of the Earth",
+        "environment", "rad/s", EARTH_RATE_RAD_S, EARTH_RATE_RAD_S,
         EARTH_RATE_RAD_S, 0.01, _earth, _hang_earth, signed=False, sizes=(EARTH_RATE_RAD_S,),
     ),
 )  # fmt: skip

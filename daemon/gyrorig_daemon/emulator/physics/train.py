@@ -114,9 +114,15 @@ class StepTrain:
         """The mean of the plan over the window before each time."""
         window_s = self._window_s
         begin_s = start_s - window_s
+        planned = self.planned(begin_s, start_s + float(offsets_s[-1]))
+        if len(planned) == 1:  # the mean of one parabola
+            acceleration = planned[0][0].acceleration_steps_s2
+            steps, speed = self._trapezoid(start_s, offsets_s)
+            late = 0.5 * window_s * (speed - acceleration * window_s / 3.0)
+            return steps - late, speed - 0.5 * acceleration * window_s
         pieces = [
-            replace(segment, steps=segment.steps + float(self._home_steps(segment.start_s)))
-            for segment, _ in self.planned(begin_s, start_s + float(offsets_s[-1]))
+            replace(segment, steps=segment.steps + float(self._home_steps(segment.start_s).item()))
+            for segment, _ in planned
         ]
         reference = pieces[0].at(begin_s)[0]
         late, now = (
@@ -132,6 +138,8 @@ class StepTrain:
         return steps, (next(ends) - next(ends)) / window_s
 
     def _home_steps(self, time_s: FloatArray | float) -> FloatArray:
+        if len(self._homes) == 1:
+            return np.zeros(1)
         at = np.searchsorted(self._home_times, time_s, side="right") - 1
         return np.asarray(self._homes, dtype=np.float64)[at]
 
