@@ -2,7 +2,8 @@
 
 angle - c angle'' on each axis: the reaction of an accelerated head twists its base, at once
 (a mode far above the low-pass). 1e-4 s^2 is 0.01 deg at 100 deg/s^2. A pulse of rate at each
-corner of a ramp, two opposite ones to a ramp.
+corner of a ramp, two opposite ones to a ramp. Short rounded corners (`s_curve`) are the same
+but for the sign, which neither can change: only a positive c is a base.
 """
 
 import numpy as np
@@ -24,13 +25,13 @@ class BaseCompliance(LinearAngleTerm):
             name="coefficient",
             unit="s^2",
             typical=1e-4,
-            lower=-1e-2,
+            lower=0.0,
             upper=1e-2,
             prior_std=5e-3,
             parts=PAN_TILT,
         ),
     )
-    confused_with = ("ringing", "acceleration_error", "s_curve", "backlash")
+    confused_with = ("s_curve", "low_pass_lag", "ringing", "acceleration_error", "backlash")
     excitation = "the fastest accelerations of pan and of tilt; bolt the unit down"
     harm = "little: no angle stays off"
 

@@ -35,7 +35,7 @@ class BiasStep(LinearTerm):
             "time", "s", typical=1.0, lower=-np.inf, upper=np.inf, prior_std=np.inf, role="event"
         ),
     )
-    confused_with = ("bias_ramp", "bias_random_walk", "thermal_bias")
+    confused_with = ("bias_ramp", "thermal_bias", "warm_up", "bias_random_walk")
     excitation = "rests before and after; a second recording, in which it does not come again"
     harm = "the bias is a mean of two"
 

@@ -26,7 +26,7 @@ class LowPassLag(CurvedTerm):
     parameters = (
         TermParameter("log_cutoff", "1", typical=0.3, lower=-1.6, upper=1.6, prior_std=1.0),
     )
-    confused_with = ("s_curve", "base_speed_jump", "clock_offset")
+    confused_with = ("base_compliance", "s_curve", "base_speed_jump", "clock_offset")
     excitation = "the fastest accelerations that the unit can, on both axes"
     harm = "the time offset holds for this filter only; scale up to 40 ppm at 12.5 Hz"
 

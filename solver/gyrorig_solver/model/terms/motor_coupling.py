@@ -31,7 +31,12 @@ class MotorCoupling(LinearTerm):
     cause = "motor_coupling"
     part: Part = "sensor"
     parameters = (_parameter("pan"), _parameter("tilt"))
-    confused_with = ("scale_asymmetry", "vibration_rectification", "dead_zone")
+    confused_with = (
+        "scale_asymmetry",
+        "scale_quadratic",
+        "vibration_rectification",
+        "dead_zone",
+    )
     excitation = "moves at several speeds with rests as long between them"
     harm = "the bias of the moving board is not that of the resting one"
 

@@ -2,7 +2,8 @@
 
 The angle's mean over a box of length L about each instant (a jerk-limited profile with
 jerk = acceleration/L). The box's own delay, L/2, is left out: start delays and the time
-offset take it. 10 to 100 ms; the effect grows as L^2.
+offset take it. 10 to 100 ms; for short L the change is L^2/24 angle'', so it grows as L^2, and
+only its sign tells it from a base that gives way.
 """
 
 import numpy as np
@@ -30,7 +31,7 @@ class SCurve(AngleTerm):
             parts=PAN_TILT,
         ),
     )
-    confused_with = ("base_speed_jump", "low_pass_lag", "acceleration_error")
+    confused_with = ("base_compliance", "base_speed_jump", "low_pass_lag", "acceleration_error")
     excitation = "the fastest accelerations; several boards with different low-passes"
     harm = "the time offset takes it; little else moves"
 

@@ -30,7 +30,12 @@ class ScaleQuadratic(LinearTerm):
             parts=XYZ,
         ),
     )
-    confused_with = ("scale_asymmetry", "vibration_rectification", "scale_cubic")
+    confused_with = (
+        "vibration_rectification",
+        "scale_asymmetry",
+        "motor_coupling",
+        "scale_cubic",
+    )
     excitation = "both directions at four speeds or more, the fastest near full scale"
     harm = "scale and bias are right at the speeds of the recording only"
 

@@ -29,7 +29,7 @@ class ThermalBias(LinearTerm):
 
     cause = "thermal_bias"
     part: Part = "sensor"
-    confused_with = ("warm_up", "bias_ramp", "bias_random_walk", "thermal_scale")
+    confused_with = ("warm_up", "bias_ramp", "bias_step", "bias_random_walk")
     excitation = "heat, cool and heat again while resting between moves"
     harm = "the bias is right at the temperature of the recording only"
 

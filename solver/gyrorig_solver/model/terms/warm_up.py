@@ -40,7 +40,7 @@ class WarmUp(LinearTerm):
             start=60.0,
         ),
     )
-    confused_with = ("thermal_bias", "bias_ramp", "bias_random_walk")
+    confused_with = ("thermal_bias", "bias_ramp", "bias_step", "bias_random_walk")
     excitation = "one recording from power-on and one an hour later"
     harm = "the bias is that of a board still warming up"
 
