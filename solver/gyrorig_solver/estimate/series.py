@@ -12,6 +12,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.columns import CountArray
 from gyrorig_solver.estimate.noise import Sampling
 from gyrorig_solver.samples import GyroSamples
 
@@ -28,7 +29,7 @@ class Series:
     """One stretch of samples on a uniform grid of sample numbers."""
 
     time_s: FloatArray  # (n,), of every sample number, gaps filled in
-    raw: FloatArray  # (n, 3), counts or rates; anything where missing
+    raw: CountArray  # (n, 3), counts or rates; anything where missing
     good: BoolArray  # (n,)
     block: int
     fine: int  # fine intervals to a sample, odd
@@ -144,7 +145,9 @@ def build_series(samples: GyroSamples) -> tuple[list[Series], Sampling]:
         if length < SHORTEST_SERIES * block:
             continue
         time_s, raw, good = _uniform(samples, inside, length)
-        series.append(Series(time_s, raw, good, block, fine, samples.bandwidth_hz, _scale(samples)))
+        series.append(
+            Series(time_s, raw, good, block, fine, samples.bandwidth_hz, samples.gyro.scale)
+        )
     sampling = Sampling(
         rate_hz=rate_hz / block,
         block=block,
@@ -157,9 +160,9 @@ def build_series(samples: GyroSamples) -> tuple[list[Series], Sampling]:
 
 def _uniform(
     samples: GyroSamples, inside: slice, length: int
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+) -> tuple[FloatArray, CountArray, BoolArray]:
     """Return times, raw rates and which are good for every sample number of a stretch."""
-    raw = _raw(samples)[inside]
+    raw = samples.counts[inside]
     if length == raw.shape[0]:
         return samples.time_s[inside], raw, samples.good[inside]
     at = samples.number[inside] - samples.number[inside.start]
@@ -169,12 +172,3 @@ def _uniform(
     good[at] = samples.good[inside]
     time_s = np.interp(np.arange(length), at, samples.time_s[inside])
     return np.asarray(time_s, dtype=np.float64), filled, good
-
-
-def _raw(samples: GyroSamples) -> FloatArray:
-    return samples.rate_rad_s
-
-
-def _scale(samples: GyroSamples) -> float:
-    del samples
-    return 1.0
