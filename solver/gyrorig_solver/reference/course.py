@@ -74,6 +74,14 @@ class Course:
         speed = self.speed[at] + self.acceleration[at] * since
         return np.where(time_s < self.start_s[0], 0.0, speed)
 
+    def state(self, time_s: float) -> tuple[float, float, float]:
+        """Return position, signed speed and signed acceleration at a time not before its start."""
+        at = max(0, int(np.searchsorted(self.start_s, time_s, side="right")) - 1)
+        since = time_s - float(self.start_s[at])
+        speed, acceleration = float(self.speed[at]), float(self.acceleration[at])
+        steps = float(self.steps[at]) + (speed + 0.5 * acceleration * since) * since
+        return steps, speed + acceleration * since, acceleration
+
     def share(self, time_s: FloatArray) -> FloatArray:
         """Return the share of the whole way that is done, 0 to 1."""
         at, since = self._at(time_s)
@@ -103,6 +111,26 @@ def lay(from_steps: float, orders: Sequence[Instruction]) -> Course:
         if order.kind != "keep":
             target = order.steps if order.kind == "to" else round(path.steps + order.steps)
         path.towards(target, order.limits)
+    return path.course()
+
+
+def carry_on(
+    state: tuple[float, float, float], kind: Kind, target: float, limits: Limits
+) -> Course:
+    """Return the course of one order that finds the axis under way.
+
+    Args:
+        state: time, steps, and signed speed where the order takes hold.
+        kind: of the order; only a halt has no target.
+        target: where it shall go, steps.
+        limits: what it is carried out with.
+    """
+    path = _Path(state[0], state[1])
+    path.speed = state[2]
+    if kind == "stop":
+        path.stop(limits)
+    else:
+        path.towards(target, limits)
     return path.course()
 
 
