@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from gyrorig_solver.model.terms.catalogue import catalogue, term
+from gyrorig_solver.model.terms.protocol import value_parameters
 from gyrorig_solver.model.terms.scene import Scene, Setting, Site
 from gyrorig_solver.model.terms.temperature import Temperature
 from gyrorig_solver.reference.course import Instruction, Limits, lay
@@ -143,6 +144,34 @@ def test_every_pair_that_looks_alike_is_declared(directions: Any) -> None:
             if other != one and not known and alike(of[one], of[other]) > ALIKE:
                 found.append((one, other))
     assert not found
+
+
+@pytest.mark.parametrize("cause", SHOWN)
+def test_parts_of_a_series_are_its_whole(scene: Scene, cause: str) -> None:
+    """A long recording is worked through in parts; each begins where the last one ended."""
+    one, begin, lead = term(cause), 21000, 60
+    row = one.bank(scene)[len(one.bank(scene)) // 2].copy()
+    for k, p in enumerate(value_parameters(one)):
+        if p.role == "size" and row[k] == 0.0:
+            row[k] = p.typical
+        if p.role == "event":
+            row[k] = 330.0
+    whole = one.effect(scene, row)
+    first = (begin - lead) * scene.fine
+    part = Scene.build(
+        scene.edges_s[first:],
+        scene.angle_rad[:, first:],
+        scene.use[begin:],
+        block=1,
+        fine=scene.fine,
+        bandwidth_hz=25.0,
+        gain=scene.gain,
+        setting=scene.setting,
+    )
+    found = one.effect(part, row)
+    settled = 100  # of a mode that was ringing when the part began
+    close = 1e-6 * np.abs(whole).max() + 1e-12
+    assert np.allclose(found[settled:], whole[begin + settled :], atol=close)
 
 
 def test_signs_tell_rounded_corners_from_a_soft_base(scene: Scene) -> None:

@@ -52,7 +52,7 @@ class Backlash(AngleTerm):
         for axis in (0, 1):
             if values[axis] != 0.0:
                 # What the axis did before this part of a series decides, where it is known.
-                begin = scene.arrived[axis] or float(values[2 + axis])
+                begin = scene.pushed(axis) or float(values[2 + axis])
                 told = scene.angle_rad[axis]
                 found[axis] = play(told, float(values[axis]), begin) - told
         return found

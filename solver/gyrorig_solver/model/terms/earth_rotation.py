@@ -9,7 +9,7 @@ Heading: the contract gives `heading_deg` of the rig's base and its y axis as po
 forward; it is read as a compass heading of that axis: 0 north, 90 east. With east, north
 and up as axes, y is (sin h, cos h, 0) and x, to the right of it, (cos h, -sin h, 0).
 Omega = 7.292115e-5 rad/s (WGS 84, NIMA TR8350.2, table 3.2): 4.2 mdps, known where the site
-is. A second kind of use, the size free: it must come out as that.
+is; left free, its size has to come out as that.
 """
 
 import numpy as np

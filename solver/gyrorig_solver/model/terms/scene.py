@@ -184,6 +184,22 @@ class Scene:
         rates = np.stack([self.pan_rate_rad_s, self.tilt_rate_rad_s])
         return np.asarray(np.abs(rates) > MOVING_RAD_S, dtype=np.bool_)
 
+    def pushed(self, axis: int) -> float:
+        """Return the direction of an axis' last motion before this part, 0 if unknown."""
+        before = [
+            course
+            for moved, course in self.setting.courses
+            if moved == axis and course.start_s[0] < self.edges_s[0]
+        ]
+        if self.arrived[axis] or not before:
+            return self.arrived[axis]
+        last = max(before, key=lambda course: float(course.start_s[0]))
+        at = np.searchsorted(last.start_s, self.edges_s[0], side="right")
+        turned = last.speed[:at] + 0.5 * last.acceleration[:at]
+        some = np.flatnonzero(turned)
+        counted = 1.0 if self.setting.rad_per_step is None else self.setting.rad_per_step[axis]
+        return float(np.sign(turned[some[-1]] * counted)) if some.size else 0.0
+
     @cached_property
     def sensor_rate_rad_s(self) -> FloatArray:
         """What the sensor turns by its own axes, G omega, shape (n, 3), without bias."""
