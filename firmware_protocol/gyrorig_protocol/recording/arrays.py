@@ -7,6 +7,7 @@ Samples that are too many to be kept as records go into `imu_columns`.
 """
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -57,7 +58,15 @@ def sound_records(content: Buffer, size: int, offsets: Offsets) -> npt.NDArray[n
 
 def _unsound(records: npt.NDArray[np.void], size: int) -> npt.NDArray[np.bool_]:
     """Which records are of another length, or do not begin as a payload does."""
-    heads = records.view(
+    heads = records.view(_ends_of_head(size))
+    bad: npt.NDArray[np.bool_] = heads["length"] != size - _FRAME_BYTES
+    bad |= heads["encapsulation"] != _ENCAPSULATION
+    return bad
+
+
+@lru_cache(maxsize=64)
+def _ends_of_head(size: int) -> np.dtype[np.void]:
+    return np.dtype(
         {
             "names": ["length", "encapsulation"],
             "formats": ["<u8", "<u4"],
@@ -65,9 +74,6 @@ def _unsound(records: npt.NDArray[np.void], size: int) -> npt.NDArray[np.bool_]:
             "itemsize": size,
         }
     )
-    bad: npt.NDArray[np.bool_] = heads["length"] != size - _FRAME_BYTES
-    bad |= heads["encapsulation"] != _ENCAPSULATION
-    return bad
 
 
 class FixedChannel:

@@ -16,6 +16,7 @@ from gyrorig_solver.clocks.faults import CounterArray
 from gyrorig_solver.clocks.unwrap import PIECE, counted_since, sequence_modulus
 
 _LARGEST = np.iinfo(np.int32).max
+_STRETCH = 1 << 14  # samples that say what the period is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,8 +124,8 @@ def _period_s(time_s: FloatArray) -> float:
     n = time_s.size
     if n < 2:
         return 1.0
-    starts = [0] if n <= PIECE else [0, n // 2, n - PIECE // 4]
-    length = n if n <= PIECE else PIECE // 4
+    starts = [0] if n <= 4 * _STRETCH else [0, n // 2, n - _STRETCH]
+    length = n if n <= 4 * _STRETCH else _STRETCH
     steps = np.concatenate([np.diff(time_s[start : start + length]) for start in starts])
     return max(float(np.median(steps)), 1e-9)
 

@@ -10,7 +10,9 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.check.capability import capability
+from gyrorig_solver.columns import Column, Physical, column_of
 from gyrorig_solver.reference.rest import RestReference
 from gyrorig_solver.samples import GyroSamples, load_samples
 
@@ -154,3 +156,70 @@ def test_only_samples_with_a_temperature_have_one(written: Write) -> None:
 def test_a_motion_that_is_nowhere_known_shows_nothing(written: Write) -> None:
     with pytest.raises(InputError, match="motion is not known while board B sampled"):
         capability(written(), RestReference(()), {})
+
+
+def test_rates_stay_counts_until_asked_for(written: Write) -> None:
+    accel = np.random.default_rng(2).integers(-300, 300, (N, 3))
+    status = np.full(N, 1 << 8)
+    sequence = (65_000 + np.arange(N)) % 65_536
+    sequence[3000] = sequence[2999]
+    samples = written(
+        status=status, accel=accel, sequence=sequence, meta={"accel_scale_m_s2": "0.01"}
+    )
+    assert samples.counts.dtype == np.int16
+    assert samples.gyro.scale == samples.quantum_rad_s == 0.001
+    assert samples.number.size == N - 1
+    assert np.array_equal(samples.rate_rad_s, samples.counts * 0.001)
+    rows = slice(2990, 3010)
+    assert np.array_equal(samples.gyro.values(rows), samples.rate_rad_s[rows])
+    assert samples.accel_m_s2 is not None
+    assert np.array_equal(samples.accel_m_s2, np.delete(accel, 3000, axis=0) * 0.01)
+    assert samples.temperature is None
+    assert samples.temperature_degc is None
+
+
+def test_arrivals_are_read_when_asked_for(written: Write) -> None:
+    host = START_NS + np.arange(N) * 10_000_000 + np.random.default_rng(3).integers(0, 10**6, N)
+    samples = written(host=host)
+    assert samples.host_s == pytest.approx((host - host[0]) * 1e-9, abs=1e-15)
+
+
+def test_a_long_recording_gives_the_same_samples(
+    written: Write, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    status = np.full(N, (1 << 8) | (1 << 10))
+    status[::7] = 0
+    meta = {
+        "accel_scale_m_s2": "0.01",
+        "temperature_scale_c": "0.5",
+        "temperature_offset_c": "20",
+    }
+    accel = np.random.default_rng(2).integers(-300, 300, (N, 3))
+    short = written(status=status, accel=accel, meta=meta)
+    monkeypatch.setattr("gyrorig_protocol.recording.collect.KEPT_BYTES", 0)
+    (tmp_path / "r.mcap").unlink()
+    long = written(status=status, accel=accel, meta=meta)
+    for name in ("time_s", "host_s", "number", "segment", "counts", "good", "rate_rad_s"):
+        assert np.array_equal(getattr(long, name), getattr(short, name)), name
+    for name in ("accel_m_s2", "temperature_degc"):
+        assert np.array_equal(getattr(long, name), getattr(short, name), equal_nan=True), name
+    assert short.temperature_degc is not None
+    assert np.isnan(short.temperature_degc[0])
+    assert short.temperature_degc[1] == 20.0
+
+
+def test_values_and_columns_give_the_same_fields() -> None:
+    class Owner:
+        field: Physical[FloatArray] = Physical()
+
+    counts = np.arange(12, dtype=np.int16).reshape(4, 3)
+    given, column = Owner(), Owner()
+    given.field = np.asarray(counts * 0.5, np.float64)
+    column.field = Column(lambda: counts, 0.5)
+    assert np.array_equal(given.field, column.field)
+    assert column.field is column.field  # worked out once
+    kept, plain = column_of(column, "field"), column_of(given, "field")
+    assert kept is not None
+    assert kept.counts is counts
+    assert plain is not None
+    assert np.array_equal(plain.values(slice(1, 2)), counts[1:2] * 0.5)
