@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_solver.model.terms.level_rests import level_by_rests
 from gyrorig_solver.model.terms.leveling import (
     LEVEL_STD_RAD,
     lean_by_gyro,
@@ -124,3 +125,40 @@ def test_too_small_an_arc_is_refused(tilts: list[float]) -> None:
     pan, tilt = np.zeros(len(tilts)), np.array(tilts)
     with pytest.raises(InputError, match="do not separate"):
         tilt_zero_from_accelerometer(pan, tilt, np.zeros((len(tilts), 3)), STD)
+
+
+def recorded(rest_scatter: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples of a unit that goes from pose to pose, ringing after each stop."""
+    pan, tilt = grid()
+    rng = np.random.default_rng(seed)
+    means = readings(pan, tilt, 0.01, Rotation.identity(), (0.004, -0.006), rng, rest_scatter)
+    rate_hz, rest, move = 100.0, 150, 80
+    angles, accel = [], []
+    for k in range(pan.size):
+        stand = np.repeat([[pan[k]], [tilt[k]]], rest, axis=1)
+        ring = np.exp(-np.arange(rest) / 5.0)[:, None] * rng.normal(0.0, 3.0, (rest, 3))
+        angles.append(stand)
+        accel.append(means[k] + (ring if k else 0.0) + rng.normal(0.0, 0.03, (rest, 3)))
+        if k + 1 < pan.size:
+            share = (np.arange(move) + 0.5) / move
+            way = np.array([[pan[k + 1] - pan[k]], [tilt[k + 1] - tilt[k]]])
+            angles.append(stand[:, :1] + way * share)
+            accel.append(rng.normal(0.0, 5.0, (move, 3)))
+    angle = np.concatenate(angles, axis=1)
+    return np.arange(angle.shape[1]) / rate_hz, np.concatenate(accel), angle
+
+
+@pytest.mark.parametrize("rest_scatter", [0.0, 0.02])
+def test_a_recording_is_levelled_by_its_rests(rest_scatter: float) -> None:
+    off = []
+    for seed in range(60):
+        found = level_by_rests(*recorded(rest_scatter, seed))
+        assert found.rests == 20
+        off.append((found.offset_rad - 0.01) / found.offset_std_rad)
+    assert 0.75 < np.std(off) < 1.25
+
+
+def test_a_unit_that_never_stands_is_refused() -> None:
+    time_s = np.arange(0.0, 10.0, 0.01)
+    with pytest.raises(InputError, match="never stands still"):
+        level_by_rests(time_s, np.zeros((time_s.size, 3)), np.stack([time_s, 0.0 * time_s]))
