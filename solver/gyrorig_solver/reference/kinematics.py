@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import FloatArray, IntArray
 
 
 def stage_rate(
@@ -52,12 +52,12 @@ class AxisTurn:
     @cached_property
     def sine(self) -> FloatArray:
         """Of the tilt, shape (n,)."""
-        return _of_runs(np.sin, self.tilt_rad)
+        return self._of_tilt(np.sin)
 
     @cached_property
     def cosine(self) -> FloatArray:
         """Of the tilt, shape (n,)."""
-        return _of_runs(np.cos, self.tilt_rad)
+        return self._of_tilt(np.cos)
 
     def rate(self, axis: int, change_steps: FloatArray, at: slice) -> FloatArray:
         """Return d(stage rate) over the intervals `at`, from the change at their edges."""
@@ -75,12 +75,16 @@ class AxisTurn:
         np.multiply(lean, -self.sine[at], out=found[:, 2])
         return found
 
+    @cached_property
+    def _runs(self) -> tuple[IntArray, IntArray]:
+        """Where the tilt is another than just before, and for how many intervals it stays."""
+        changed = np.flatnonzero(self.tilt_rad[1:] != self.tilt_rad[:-1]) + 1
+        first = np.concatenate([[0], changed])[: self.tilt_rad.size]
+        return first, np.diff(first, append=self.tilt_rad.size)
 
-def _of_runs(function: Callable[[FloatArray], FloatArray], values: FloatArray) -> FloatArray:
-    """Return a function of values of which most repeat their neighbour: an axis at rest."""
-    first = np.flatnonzero(values[1:] != values[:-1]) + 1
-    if 2 * first.size > values.size:
-        return function(values)
-    first = np.concatenate([[0], first])[: values.size]
-    count = np.diff(np.concatenate([first, [values.size]]))
-    return np.repeat(function(values[first]), count)
+    def _of_tilt(self, function: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Return a function of the tilt, which is at rest for most of the time."""
+        first, count = self._runs
+        if 2 * first.size > self.tilt_rad.size:
+            return function(self.tilt_rad)
+        return np.repeat(function(self.tilt_rad[first]), count)
