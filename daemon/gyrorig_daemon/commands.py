@@ -86,6 +86,12 @@ def cli() -> None:
     help="Emulated rigs only: faster than time, straight into the recording.",
 )
 @click.option("--session", help="The session's name; otherwise drawn.")
+@click.option(
+    "--rates",
+    type=_FILE,
+    help="With simulated time: write the gyros' rates without noise here, with what is hidden "
+    "and without it (npz).",
+)
 @_emulation_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def record_command(**options: Any) -> None:
@@ -193,6 +199,7 @@ def _emulation(options: dict[str, Any], session_s: tuple[float, float]) -> Emula
     return Emulation(
         seed=options["seed"],
         truth=options["truth"],
+        rates=options.get("rates"),
         hide=options["hide"],
         noise_free=options["noise_free"],
         soak_k=options["soak"],

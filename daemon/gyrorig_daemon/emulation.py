@@ -15,6 +15,7 @@ class Emulation:
 
     seed: int | None = None  # instead of the configuration's own
     truth: Path | None = None
+    rates: Path | None = None  # see `emulator.noise_free`
     hide: tuple[str, ...] = ()  # see `causes.parse_hide`
     noise_free: bool = False
     soak_k: float = 0.0

@@ -64,6 +64,8 @@ def in_real_time(call: Call) -> Path:
     paths = config.ports()
     emulated = [port for port, path in paths.items() if path == EMULATED]
     told = call.emulation
+    if told.rates is not None:
+        raise UsageError("--rates needs --simulated-time", "add it, or leave out --rates")
     if not emulated:
         if told.truth is not None:
             raise UsageError(
@@ -106,6 +108,11 @@ def in_simulated_time(call: Call) -> Path:
         GyrorigError: see `record_session`.
     """
     from gyrorig_daemon.emulated import TruthFile, check_hidden, rig_settings  # noqa: PLC0415
+    from gyrorig_daemon.emulator.noise_free import (  # noqa: PLC0415
+        begun_moves_s,
+        noise_free_rates,
+        write_rates,
+    )
     from gyrorig_daemon.emulator.rig import EmulatedRig  # noqa: PLC0415
     from gyrorig_daemon.emulator.virtual_hub import VirtualHub  # noqa: PLC0415
 
@@ -136,6 +143,9 @@ def in_simulated_time(call: Call) -> Path:
     )
     path = record_session(hub, call.order, around)
     truth.open(ORIGIN_NS, hub.now_ns())
+    if call.emulation.rates is not None:
+        rates = noise_free_rates(rig, hub.now_ns())
+        write_rates(call.emulation.rates, rates, begun_moves_s(rig))
     return path
 
 

@@ -14,7 +14,7 @@ from gyrorig_daemon.emulator.causes import hang
 from gyrorig_daemon.emulator.device import EmulatedDevice
 from gyrorig_daemon.emulator.physics.axis import ARCSEC_RAD, AxisTruth, StepperAxis
 from gyrorig_daemon.emulator.physics.clock import DeviceClock
-from gyrorig_daemon.emulator.physics.effects.hooks import AxisHooks
+from gyrorig_daemon.emulator.physics.effects.hooks import AxisHooks, RigHooks
 from gyrorig_daemon.emulator.physics.effects.play import Play
 from gyrorig_daemon.emulator.physics.latency import HostLatency
 from gyrorig_daemon.emulator.physics.motion_law import MotionLaw
@@ -50,7 +50,7 @@ class EmulatedRig:
         self.settings = settings
         self.origin_ns = origin_ns
         self.truth = truth or draw_rig_truth(settings)
-        self.hooks = hang(self.truth.hidden, self.truth.seed)
+        self.hooks = self.fresh_hooks()
         root = np.random.default_rng([settings.seed, _RUN_STREAM])
         latency_rng, ptu_rng, counter_rng, *board_rngs = root.spawn(3 + len(settings.boards))
         unit = settings.ptu or PtuSettings()
@@ -75,7 +75,7 @@ class EmulatedRig:
         self.boards = {
             board.name: EmulatedBoard(
                 board,
-                self._board_truth(board.name),
+                self.board_truth(board.name),
                 self.stage,
                 origin_ns,
                 rng,
@@ -121,7 +121,11 @@ class EmulatedRig:
                 document["boards"][name]["mean_bias_rad_s"] = mean.tolist()
         return document
 
-    def _board_truth(self, name: str) -> BoardTruth:
+    def fresh_hooks(self) -> RigHooks:
+        """Return the hidden causes as they are at power-up: nothing has happened yet."""
+        return hang(self.truth.hidden, self.truth.seed)
+
+    def board_truth(self, name: str) -> BoardTruth:
         """Return a board's truth as the physics takes it: quiet, or in a room that swings."""
         truth, settings = self.truth.boards[name], self.settings
         imu = replace(truth.imu, soak_k=settings.soak_k, soak_s=settings.session_s)

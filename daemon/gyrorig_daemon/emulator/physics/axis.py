@@ -11,6 +11,7 @@ question about the time before a command is answered as if the command had not c
 
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +58,9 @@ class AxisTruth:
         )
 
 
+Order = tuple[str, float, float, MotionLaw]  # what, when, to where, under which limits
+
+
 class StepperAxis:
     """Counted position and true angle of an axis under commands.
 
@@ -73,6 +77,7 @@ class StepperAxis:
         self._shift_starts = [-math.inf]
         self._shifts = [true_steps]  # true minus counted position from each start on
         self._slips: list[tuple[float, float]] = []  # those shifts that are motions
+        self.orders: list[Order] = []  # all that it was told, for `obey`
 
     def state(self, time_s: float) -> tuple[float, float]:
         """Return continuous counted position (steps) and speed (steps/s)."""
@@ -100,33 +105,60 @@ class StepperAxis:
 
     def move(self, time_s: float, target_steps: float, law: MotionLaw | None = None) -> None:
         """Go to a counted position from `time_s` on; `law` only for this move."""
+        self.orders.append(("move", time_s, target_steps, law or self.law))
+        self._move(time_s, target_steps, law or self.law)
+
+    def _move(self, time_s: float, target_steps: float, law: MotionLaw) -> None:
         steps, speed = self._train.planned_state(time_s)
-        segments = plan(time_s, steps, speed, target_steps, self.truth.real_law(law or self.law))
+        segments = plan(time_s, steps, speed, target_steps, self.truth.real_law(law))
         self._train.append(segments)
         self._changed(time_s)
         slip = None if self.truth.slip is None else self.truth.slip.on_move(segments)
         if slip is not None:
-            self.shift(*slip)
+            self._slip(*slip)
 
     def set_law(self, time_s: float, law: MotionLaw) -> None:
         """Change the limits; a move under way goes on under the new ones."""
+        self.orders.append(("set_law", time_s, 0.0, law))
         self.law = law
         if self.moving(time_s):
-            self.move(time_s, self._train.target_steps)
+            self._move(time_s, self._train.target_steps, law)
 
     def halt(self, time_s: float) -> None:
         """Decelerate and stop at the next whole step."""
+        self.orders.append(("halt", time_s, 0.0, self.law))
         steps, speed = self._train.planned_state(time_s)
         if speed != 0.0:
             law = replace(self.law, speed_steps_s=abs(speed))
-            self.move(time_s, halt_target(steps, speed, self.truth.real_law(law)), law)
+            self._move(time_s, halt_target(steps, speed, self.truth.real_law(law)), law)
 
     def recount(self, time_s: float, count: float) -> None:
         """Call the position of now `count` without turning: what homing does."""
+        self.orders.append(("recount", time_s, count, self.law))
         self._shift_by(time_s, self._train.recount(time_s, count))
 
     def shift(self, time_s: float, steps: float) -> None:
         """From now on the true position is `steps` more away from the counted one."""
+        self.orders.append(("shift", time_s, steps, self.law))
+        self._slip(time_s, steps)
+
+    def obey(self, orders: Sequence[Order]) -> None:
+        """Do what another axis was told, at the same times."""
+        for what, time_s, to, law in orders:
+            if what == "set_law":
+                self.set_law(time_s, law)
+                continue
+            self.law = law
+            if what == "move":
+                self.move(time_s, to)
+            elif what == "halt":
+                self.halt(time_s)
+            elif what == "recount":
+                self.recount(time_s, to)
+            else:
+                self.shift(time_s, to)
+
+    def _slip(self, time_s: float, steps: float) -> None:
         self._slips.append((time_s, steps))
         self._shift_by(time_s, steps)
 

@@ -1,0 +1,113 @@
+"""What the gyros of an emulated rig would show without noise: with what is hidden, and without.
+
+Two twins of a rig obey the orders that its axes were given, at the same times; only the
+physics runs. The difference is the effect of the hidden causes alone, which no difference of
+two recordings is: a cause that delays a move delays every command after it too.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrorig_daemon.emulator.physics.imu import ImuModel
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.settings import BoardSettings
+from gyrorig_protocol.errors import MachineError
+
+FloatArray = NDArray[np.float64]
+
+_LATER_S = 0.1e-3  # for a difference in time: short against the low-pass, long for rounding
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseFreeRates:
+    """One board, sample by sample, before rounding to counts."""
+
+    number: NDArray[np.int64]  # of the sample since power-up; 16 bits of it are on the wire, (n,)
+    time_s: FloatArray  # of data-ready, since power-up, on the host's clock, (n,)
+    hidden_rad_s: FloatArray  # with the hidden causes, (n, 3)
+    plain_rad_s: FloatArray  # without them, (n, 3)
+    slope_rad_s2: FloatArray  # how these change in time, as the samples show it, (n, 3)
+
+
+def noise_free_rates(rig: EmulatedRig, until_ns: int) -> dict[str, NoiseFreeRates]:
+    """Return the rates of each board by name.
+
+    Spoiled, swapped and lost words are not in them: these come after the rate.
+
+    Args:
+        rig: after its session.
+        until_ns: how far, on the rig's clock.
+    """
+    until_s = (until_ns - rig.origin_ns) * 1e-9
+    settings = replace(rig.settings, noise_free=True)
+    hiding = EmulatedRig(settings, rig.origin_ns, rig.truth)
+    plain = EmulatedRig(replace(settings, hide=()), rig.origin_ns)
+    for twin in (hiding, plain):
+        for axis, told in (
+            (twin.stage.pan, rig.stage.pan.orders),
+            (twin.stage.tilt, rig.stage.tilt.orders),
+        ):
+            axis.obey(told[len(axis.orders) :])  # what comes by itself has come already
+    rates = {}
+    for board in settings.boards:
+        time_s, hidden = _run(hiding, board, until_s)
+        bare = _run(plain, board, until_s)[1]
+        slope = (bare - _run(plain, board, until_s, _LATER_S)[1]) / _LATER_S
+        rates[board.name] = NoiseFreeRates(np.arange(len(time_s)), time_s, hidden, bare, slope)
+    return rates
+
+
+def begun_moves_s(rig: EmulatedRig) -> list[tuple[str, float]]:
+    """Return axis and begin of each move of a session, since power-up."""
+    axes = (("pan", rig.stage.pan), ("tilt", rig.stage.tilt))
+    return [(name, told[1]) for name, axis in axes for told in axis.orders if told[0] == "move"]
+
+
+def write_rates(
+    path: Path, rates: Mapping[str, NoiseFreeRates], moves_s: Sequence[tuple[str, float]]
+) -> None:
+    """Write rates as an npz file: BOARD.number, BOARD.time_s and so on; pan_s, tilt_s of moves.
+
+    Raises:
+        MachineError: the file cannot be written.
+    """
+    arrays = {
+        f"{name}.{key}": getattr(told, key)
+        for name, told in rates.items()
+        for key in ("number", "time_s", "hidden_rad_s", "plain_rad_s", "slope_rad_s2")
+    }
+    for axis in ("pan", "tilt"):
+        arrays[f"{axis}_s"] = np.array([begin_s for name, begin_s in moves_s if name == axis])
+    try:
+        with path.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+    except OSError as fault:
+        raise MachineError(f"{path} cannot be written: {fault.strerror}", "choose --rates") from (
+            fault
+        )
+
+
+def _run(
+    rig: EmulatedRig, board: BoardSettings, until_s: float, later_s: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return times and rates of a board from power-up on, with the motion somewhat later."""
+    imu = rig.board_truth(board.name).imu
+    model = ImuModel(
+        replace(imu, tau_s=imu.tau_s + later_s),
+        rig.stage,
+        0.0,
+        np.random.default_rng(0),  # what it draws is multiplied by nothing
+        board.batch if board.format == "gcb1" else 1,
+        rig.fresh_hooks().board(board.name),
+    )
+    times: list[FloatArray] = []
+    rates: list[FloatArray] = []
+    while not times or times[-1][-1] < until_s:
+        block = model.next_block()
+        times.append(block.time_s)
+        rates.append(block.rate_rad_s)
+    return np.concatenate(times), np.vstack(rates)

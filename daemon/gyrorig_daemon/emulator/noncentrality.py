@@ -1,0 +1,141 @@
+"""How visible a hidden effect is: its energy against the true noise, less what is absorbed.
+
+With d the noise-free difference that the hidden causes make, W the whitening by the true
+noise and P the projection off what a calibration estimates anyway (gain, bias, time offset,
+the delay of each move), the non-centrality is lambda = |P W d|^2: the expected excess of the
+log-likelihood ratio, twice. An effect at lambda = (z_a + z_p)^2 is found with the power p at
+the false alarm rate a (Baarda's minimal detectable bias). Energy goes with size squared, so
+one run tells the size for any lambda as long as the effect is proportional to it.
+
+Whitening is done in the space of the cosine transform, where stationary noise and a random
+walk are nearly independent from one coefficient to the next. One-sided densities in front of
+the samples: white N^2 |H|^2 with the low-pass H folded by the sampling, flicker B^2 / (pi f),
+walk K^2 / (2 pi^2 f^2), rounding q^2 / (6 fs); a coefficient has the variance S(f) fs / 2.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrorig_daemon.emulator.noise_free import NoiseFreeRates
+
+FloatArray = NDArray[np.float64]
+
+_FOLDS = 40  # images of the spectrum; the low-pass leaves nothing beyond
+_INDEPENDENT = 1e-9  # a combination of base shapes weaker than this is rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Visibility:
+    """How much of an effect can be seen."""
+
+    noncentrality: float  # after what the base parameters absorb
+    absorbed: float  # share of the whitened energy that they absorb, 0 to 1
+
+
+def detectable(alpha: float = 0.01, tests: int = 36, power: float = 0.8) -> float:
+    """Return the non-centrality that one of `tests` two-sided tests finds with a power.
+
+    Args:
+        alpha: false alarm rate of all tests together.
+        tests: how many there are.
+        power: wanted probability of detection.
+    """
+    normal = NormalDist()
+    return (normal.inv_cdf(1.0 - 0.5 * alpha / tests) + normal.inv_cdf(power)) ** 2
+
+
+def visibility(
+    rates: NoiseFreeRates,
+    board: Mapping[str, Any],
+    moves_s: Sequence[tuple[str, float]],
+    span_s: tuple[float, float],
+    start_delays: bool = True,
+) -> Visibility:
+    """Return how visible the difference in a board's rates is.
+
+    Args:
+        rates: of the board, with and without what is hidden.
+        board: its truth document.
+        moves_s: axis and begin of each move, since power-up.
+        span_s: what part of the time is recorded, since power-up.
+        start_delays: whether a delay of each move is estimated, besides the common one.
+    """
+    inside = (rates.time_s >= span_s[0]) & (rates.time_s <= span_s[1])
+    time_s, plain = rates.time_s[inside], rates.plain_rad_s[inside]
+    variances = coefficient_variances(board, len(time_s))
+    effect = _whitened(rates.hidden_rad_s[inside] - plain, variances).ravel()
+    gain, bias = np.array(board["STM"]), np.array(board["bias_rad_s"])
+    stage = (plain - bias) @ np.linalg.inv(gain).T
+    shapes = [np.outer(stage[:, k], unit) for unit in np.eye(3) for k in range(3)]
+    slope = rates.slope_rad_s2[inside] @ np.linalg.inv(gain).T
+    parts = {"tilt": np.outer(slope[:, 0], gain[:, 0]), "pan": slope[:, 1:] @ gain[:, 1:].T}
+    shapes.append(parts["tilt"] + parts["pan"])
+    if start_delays:
+        shapes += _delay_shapes(time_s, parts, moves_s)
+    base = np.stack([_whitened(shape, variances).ravel() for shape in shapes], axis=1)
+    lengths = np.linalg.norm(base, axis=0)
+    base = base[:, lengths > 0.0] / lengths[lengths > 0.0]
+    orthogonal, values, _ = np.linalg.svd(base, full_matrices=False)
+    orthogonal = orthogonal[:, values > _INDEPENDENT * values.max(initial=0.0)]
+    total = float(effect @ effect)
+    left = effect - orthogonal @ (orthogonal.T @ effect)
+    seen = float(left @ left)
+    return Visibility(seen, 1.0 - seen / total if total > 0.0 else 0.0)
+
+
+def coefficient_variances(board: Mapping[str, Any], count: int) -> FloatArray:
+    """Return the noise variance of each cosine coefficient but the mean's, (count - 1, 3)."""
+    odr_hz = float(board["odr_hz"])
+    f = np.arange(1, count) * odr_hz / (2.0 * count)
+    cutoff_hz = float(board["low_pass"]["cutoff_hz"])
+    images = f[:, None] + odr_hz * np.arange(-_FOLDS, _FOLDS + 1)
+    passed = (1.0 / (1.0 + (images / cutoff_hz) ** 4)).sum(axis=1)
+    white, flicker, walk = (
+        np.array(board[name]) ** 2
+        for name in (
+            "noise_density_rad_s_rthz",
+            "bias_instability_rad_s",
+            "rate_random_walk_rad_s_rts",
+        )
+    )
+    density = np.outer(passed, white) + np.outer(1.0 / (math.pi * f), flicker)
+    density += np.outer(1.0 / (2.0 * (math.pi * f) ** 2), walk)
+    density += float(board["gyro_scale_rad_s"]) ** 2 / (6.0 * odr_hz)
+    return np.asarray(0.5 * odr_hz * density)
+
+
+def cosine_coefficients(rows: FloatArray) -> FloatArray:
+    """Return the orthonormal cosine transform (type II) of each column, (n, k)."""
+    n = len(rows)
+    mirrored = np.concatenate([rows, rows[::-1]])
+    spectrum = np.fft.rfft(mirrored, axis=0)[:n]
+    turned = spectrum * np.exp(-0.5j * math.pi * np.arange(n) / n)[:, None]
+    coefficients = turned.real / math.sqrt(2.0 * n)
+    coefficients[0] /= math.sqrt(2.0)
+    return np.asarray(coefficients)
+
+
+def _whitened(rows: FloatArray, variances: FloatArray) -> FloatArray:
+    """Without the mean, which a bias absorbs, (n - 1, 3)."""
+    return np.asarray(cosine_coefficients(rows)[1:] / np.sqrt(variances))
+
+
+def _delay_shapes(
+    time_s: FloatArray, parts: Mapping[str, FloatArray], moves_s: Sequence[tuple[str, float]]
+) -> list[FloatArray]:
+    """What a delay of each move would add: the axis' slope until its next move."""
+    shapes = []
+    for axis, slope in parts.items():
+        begins = sorted(begin_s for name, begin_s in moves_s if name == axis)
+        for begin_s, end_s in pairwise([*begins, math.inf]):
+            during = (time_s >= begin_s) & (time_s < end_s)
+            if during.any():
+                shapes.append(slope * during[:, None])
+    return shapes
