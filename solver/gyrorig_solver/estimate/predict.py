@@ -2,9 +2,9 @@
 
 The rate itself is carried through the low-pass on a fine grid, because the residual
 rests on it. Its derivatives, by the time offset and the reference's unknowns, only steer
-the fit and weigh it: they are taken on a grid near the block means', where a wide low-pass
-is its delay and its gain. All of them on the same grid: to shift every start is to shift
-the lag, and what a fit may tell of the two apart must not come from rounding.
+the fit and weigh it: they are taken on a coarser grid. All of them on the same one: to
+shift every start is to shift the lag, and what a fit may tell of the two apart must not
+come from rounding.
 
 What to use when: `predict_rate` for a part's rate; `predict_columns` for the derivatives.
 """
@@ -12,21 +12,18 @@ What to use when: `predict_rate` for a part's rate; `predict_columns` for the de
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import dct, idct
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.lanes import Lanes, pack
-from gyrorig_solver.estimate.noise import frequencies
 from gyrorig_solver.estimate.series import Series
-from gyrorig_solver.model.low_pass import LowPass, power_gain
+from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.reference.motion import ReferenceMotion
 
 LEAD_S = 0.3  # a part is begun this much earlier, until the filter has forgotten its start
 REACH_S = 1.0  # the noise's memory: columns of one lane keep twice this apart
 FORGET_S = 0.1  # near an unknown stretch the filter still remembers it
 COARSE_HZ = 250.0  # least rate of the derivatives' grid where the low-pass acts on it
-COARSE_PER_BANDWIDTH = 8.0
-TRANSPARENT = 0.4  # a low-pass this wide, in rates of the block means, is a delay and a gain
+COARSE_PER_BANDWIDTH = 3.0
 SHIFT_S = 1e-5  # for the derivative by time: ramps are straight but for their corners
 
 
@@ -83,20 +80,15 @@ def predict_columns(
     """Return how a part's block means change with the reference's unknowns."""
     low_pass = low_pass_of(series)
     block_hz = 1.0 / (series.period_s * series.block)
-    transparent = low_pass is None or low_pass.bandwidth_hz >= TRANSPARENT * block_hz
-    per = _per_block(series, block_hz, transparent)
-    delay_s = low_pass.delay_s if low_pass is not None and transparent else 0.0
-    edges = series.block_edges_s(blocks, per) - lag_s - delay_s
+    per = _per_block(series, block_hz)
+    edges = series.block_edges_s(blocks, per) - lag_s
     found = reference.evaluate(edges, derivatives=True)
     n = blocks.stop - blocks.start
     rate_hz = block_hz * per
     lanes = pack(found.local, n * per, int(np.ceil(2.0 * (REACH_S + FORGET_S) * rate_hz)))
     everywhere = np.concatenate([_slope(reference, edges)[None], found.shared])
     local = lanes.values
-    if low_pass is not None and transparent:
-        gain = np.sqrt(power_gain(frequencies(n, block_hz), low_pass.bandwidth_hz))
-        everywhere, local = _damped(gain, everywhere), _damped(gain, local)
-    elif low_pass is not None:
+    if low_pass is not None:
         coarse = LowPass(low_pass.bandwidth_hz, rate_hz)
         everywhere, local = _filtered(coarse, everywhere), _filtered(coarse, local)
     everywhere = _decimated(everywhere, per, series.block)
@@ -130,9 +122,9 @@ def instants_per_block(series: Series) -> int:
     return max(1, int(np.ceil(4.0 * (series.bandwidth_hz or 0.0) / block_hz)))
 
 
-def _per_block(series: Series, block_hz: float, transparent: bool) -> int:
+def _per_block(series: Series, block_hz: float) -> int:
     """Return intervals to a block; odd where a sample is an instant and not a mean."""
-    if transparent and series.block > 1:
+    if series.bandwidth_hz is None and series.block > 1:
         return 1
     least_hz = max(COARSE_HZ, COARSE_PER_BANDWIDTH * (series.bandwidth_hz or 0.0))
     per = max(1, int(np.ceil(least_hz / block_hz)))
@@ -148,18 +140,12 @@ def _slope(reference: ReferenceMotion, edges_s: FloatArray) -> FloatArray:
     return np.where(np.isfinite(slope), slope, 0.0)
 
 
-def _damped(gain: FloatArray, signals: FloatArray) -> FloatArray:
-    """Multiply signals of shape (k, n, 3) by a gain over the frequencies of their DCT."""
-    spectra = dct(signals, axis=1, norm="ortho") * gain[:, None]
-    return np.asarray(idct(spectra, axis=1, norm="ortho"), dtype=np.float64)
-
-
 def _filtered(low_pass: LowPass, signals: FloatArray) -> FloatArray:
     """Filter signals of shape (k, n, 3) along n."""
     k, n, _ = signals.shape
     if k == 0:
         return signals
-    together = low_pass.apply(signals.transpose(1, 0, 2).reshape(n, 3 * k))
+    together = low_pass.apply_to_means(signals.transpose(1, 0, 2).reshape(n, 3 * k))
     return np.asarray(together.reshape(n, k, 3).transpose(1, 0, 2), dtype=np.float64)
 
 

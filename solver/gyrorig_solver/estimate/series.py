@@ -17,7 +17,7 @@ from gyrorig_solver.estimate.noise import Sampling
 from gyrorig_solver.samples import GyroSamples
 
 SERIES_HZ = 100.0  # about the rate of the block means, or more where the low-pass is wide:
-PER_BANDWIDTH = 1.8  # a jump of speed tells the time offset up to the bandwidth
+PER_BANDWIDTH = 2.4  # a jump of speed tells the time offset up to the bandwidth
 FINE_HZ = 500.0  # at least the rate of the fine grid, and five times the bandwidth
 LONGEST_GAP_S = 2.0  # a longer gap begins a new series
 SHORTEST_SERIES = 64  # blocks; less is not worth a spectrum

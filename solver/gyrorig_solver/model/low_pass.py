@@ -6,6 +6,7 @@ wrong shape is nearly all absorbed by the time offset: 36, 7, 1 and 0 ppm of sca
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
@@ -27,10 +28,7 @@ class LowPass:
         delay at zero frequency is the analogue filter's, sqrt(2)/omega; a bilinear filter
         that is right at the cut-off has 0.8 % less of it at 20 points to a period.
         """
-        omega = 2.0 * np.pi * self.bandwidth_hz
-        analogue = (np.array([omega**2]), np.array([1.0, np.sqrt(2.0) * omega, omega**2]))
-        b, a, _ = cont2discrete(analogue, 1.0 / self.rate_hz, method="foh")
-        return np.asarray(b, dtype=np.float64).ravel(), np.asarray(a, dtype=np.float64).ravel()
+        return _ramp_invariant(self.bandwidth_hz, self.rate_hz)
 
     def apply(self, signal: FloatArray) -> FloatArray:
         """Filter each column of `signal`, shape (n, k); the start is taken as steady."""
@@ -63,3 +61,11 @@ def power_gain(frequency_hz: FloatArray, bandwidth_hz: float | None) -> FloatArr
     if bandwidth_hz is None:
         return np.ones_like(frequency_hz)
     return np.asarray(1.0 / (1.0 + (frequency_hz / bandwidth_hz) ** 4), dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def _ramp_invariant(bandwidth_hz: float, rate_hz: float) -> tuple[FloatArray, FloatArray]:
+    omega = 2.0 * np.pi * bandwidth_hz
+    analogue = (np.array([omega**2]), np.array([1.0, np.sqrt(2.0) * omega, omega**2]))
+    b, a, _ = cont2discrete(analogue, 1.0 / rate_hz, method="foh")
+    return np.asarray(b, dtype=np.float64).ravel(), np.asarray(a, dtype=np.float64).ravel()
