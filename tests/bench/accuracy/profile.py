@@ -20,8 +20,8 @@ class Trapezoid:
 
     axis: int  # 0 pan, 1 tilt
     start_s: float
-    begin_steps: int
-    end_steps: int
+    begin_steps: float
+    end_steps: float
     speed_steps_s: float
     acceleration_steps_s2: float
     base_steps_s: float

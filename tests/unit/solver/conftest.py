@@ -1,8 +1,7 @@
-"""A small rig of the tests' own: closed forms and noise made in the frequency domain.
+"""A small rig of the tests' own, made of the parts of the accuracy bench.
 
-It shares no code with the solver: trapezoids are integrated numerically on a fine grid,
-the low-pass is an analogue second-order Butterworth applied by FFT, and coloured noise
-is white noise shaped by FFT.
+It shares no code with the solver: trapezoids in closed form, the low-pass an analogue
+second-order Butterworth applied by FFT, coloured noise white noise shaped by FFT.
 """
 
 import sys
@@ -13,12 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[3]
-if str(ROOT) not in sys.path:
-    sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
-RAD_PER_STEP = np.radians(185.142857 / 3600.0)
-FINE_HZ = 4000.0
+from tests.bench.accuracy.board import Board, sample, seen
+from tests.bench.accuracy.noise import Levels
+from tests.bench.accuracy.profile import Path as Way
+from tests.bench.accuracy.profile import Trapezoid
+
+LEVELS = Levels(white=5.2e-4, flicker=4e-5, walk=5e-6, quantum_rad_s=1.527e-4)
 
 
 @dataclass(frozen=True)
@@ -36,35 +37,6 @@ class TestRig:
     bias_rad_s: np.ndarray
     lag_s: float  # before the low-pass
     start_s: list[float]
-
-
-def _axis_speed(t: np.ndarray, start: float, distance: float, v: float, a: float) -> np.ndarray:
-    """Speed of a trapezoid from rest, by its definition: min of up, flat and down."""
-    peak = min(v, np.sqrt(a * distance))
-    length = distance / peak + peak / a
-    since = t - start
-    speed = np.minimum(np.minimum(a * since, peak), a * (length - since))
-    return np.where((since > 0) & (since < length), np.maximum(speed, 0.0), 0.0)
-
-
-def _coloured(
-    rng: np.random.Generator,
-    n: int,
-    hz: float,
-    arw: float,
-    flicker: float,
-    walk: float,
-    bandwidth: float,
-) -> np.ndarray:
-    """Noise of a given one-sided density, a little longer than asked and cut."""
-    m = 2 * n
-    f = np.fft.rfftfreq(m, 1.0 / hz)
-    f[0] = f[1]
-    folded = sum(1.0 / (1.0 + (np.abs(f + k * hz) / bandwidth) ** 4) for k in range(-4, 5))
-    density = arw**2 * folded + flicker**2 / (np.pi * f) + 2 * walk**2 / (2 * np.pi * f) ** 2
-    white = np.fft.rfft(rng.normal(size=(m, 3)), axis=0)
-    noise = np.fft.irfft(white * np.sqrt(density * hz / 2.0)[:, None], m, axis=0)[:n]
-    return noise
 
 
 @pytest.fixture(scope="session")
@@ -95,48 +67,35 @@ def simulate() -> Callable[..., TestRig]:
             if target == where[axis]:
                 continue
             stand = target + float(beside.uniform(-off_count, off_count))
-            distance = abs(stand - stood[axis])
             letter = "PT"[axis]
             exchanges.append((t, t + 0.003, f"{letter}S{speed:.0f}"))
             exchanges.append((t + 0.01, t + 0.013, f"{letter}P{target}"))
-            start = t + 0.01 + rng.uniform(0.002, 0.006)
-            sign = np.sign(target - where[axis])
-            moves.append((axis, start, float(distance), speed, sign, target))
-            peak = min(speed, np.sqrt(acceleration * distance))
-            t = start + distance / peak + peak / acceleration + rng.uniform(0.3, 0.6)
+            start = t + 0.01 + float(rng.uniform(0.002, 0.006))
+            moves.append(Trapezoid(axis, start, stood[axis], stand, speed, acceleration, 0.0))
+            t = moves[-1].end_s + float(rng.uniform(0.3, 0.6))
             where[axis], stood[axis] = target, stand
         end = t + 8.0
-        fine = np.arange(int(end * FINE_HZ)) / FINE_HZ
-        rates = np.zeros((2, fine.size))
-        for axis, start, length, v, sign, _ in moves:
-            near = slice(int(start * FINE_HZ) - 2, int((start + length / v + 3.0) * FINE_HZ))
-            rates[axis, near] += sign * _axis_speed(fine[near], start, length, v, acceleration)
-        steps = np.cumsum(rates, axis=1) / FINE_HZ
-        tilt = steps[1] * RAD_PER_STEP
-        pan_rate, tilt_rate = rates * RAD_PER_STEP
-        omega = np.stack([tilt_rate, pan_rate * np.sin(tilt), pan_rate * np.cos(tilt)])
-        f = np.fft.rfftfreq(fine.size, 1.0 / FINE_HZ)
-        s = 1j * f / bandwidth
-        response = 1.0 / (s**2 + np.sqrt(2.0) * s + 1.0)
+        rests = [np.zeros(1 + sum(m.axis == axis for m in moves)) for axis in (0, 1)]
+        way = Way(tuple(moves), (rests[0], rests[1]))
         lag = float(rng.uniform(0.005, 0.02))
-        seen = np.fft.irfft(
-            np.fft.rfft(omega, axis=1) * response * np.exp(-2j * np.pi * f * lag), fine.size, axis=1
-        )
-        time = np.arange(int((end - 1.0) * hz)) / hz + 0.3
-        rate = np.stack([np.interp(time, fine, w) for w in seen], axis=1)
         gain = np.eye(3) + rng.normal(scale=0.02, size=(3, 3))
         bias = rng.normal(scale=0.02, size=3)
-        y = rate @ gain.T + bias
+        levels = Levels(
+            noise * LEVELS.white, noise * LEVELS.flicker, noise * LEVELS.walk, LEVELS.quantum_rad_s
+        )
+        board = Board(gain, bias, lag, bandwidth, hz, (levels, levels, levels))
+        count = int((end - 1.0) * hz)
+        time = np.arange(count) / hz + 0.3
+        y = seen(board, way, 0.3, count) @ gain.T + bias
         if noise > 0.0:
-            y = y + noise * _coloured(rng, time.size, hz, 5.2e-4, 4e-5, 5e-6, bandwidth)
-            y = np.rint(y / 1.527e-4) * 1.527e-4
+            y = sample(board, way, (0.3, 0.3 + (count + 0.5) / hz), rng).rate_rad_s
         request = np.arange(0.5, end - 0.5, 0.0135)
         lo = request + 0.00026
         width = 0.0018 + rng.exponential(0.0004, lo.size)
         instant = lo + rng.uniform(0.0, 1.0) * 0.0018 + rng.uniform(size=lo.size) * (width - 0.0018)
-        polled = np.stack([np.rint(np.interp(instant, fine, p)) for p in steps], axis=1)
+        polled = np.stack([np.rint(way.counted_steps(axis, instant)) for axis in (0, 1)], axis=1)
         return TestRig(
-            exchanges, lo, lo + width, polled, time, y, gain, bias, lag, [m[1] for m in moves]
+            exchanges, lo, lo + width, polled, time, y, gain, bias, lag, [m.start_s for m in moves]
         )
 
     return make
