@@ -7,6 +7,7 @@ What to use when: `load_samples` for a board of a recording. Of the samples, use
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -83,6 +84,24 @@ class GyroSamples:
         first, last = edges[best], edges[best + 1] - 1
         passed = int(self.number[last]) - int(self.number[first])
         return float((self.time_s[last] - self.time_s[first]) / max(1, passed))
+
+    def stretches(self, longest_gap: int) -> list[slice]:
+        """Return the stretches of one segment in which no more samples are missing in a row.
+
+        Found piece by piece: a comparison of all neighbours at once takes 500 MB with 8 h
+        at 800 Hz.
+
+        Args:
+            longest_gap: steps of the sample number that do not end a stretch.
+        """
+        size = self.number.size
+        bounds = [0]
+        for start in range(0, size - 1, PIECE):
+            rows = slice(start, start + PIECE + 1)
+            cut = np.diff(self.number[rows].astype(np.int64)) > longest_gap
+            cut |= self.segment[rows][1:] != self.segment[rows][:-1]
+            bounds += (start + 1 + np.flatnonzero(cut)).tolist()
+        return [slice(a, b) for a, b in pairwise([*bounds, size])]
 
     @property
     def bandwidth_hz(self) -> float | None:

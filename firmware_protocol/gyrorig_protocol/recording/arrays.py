@@ -44,16 +44,22 @@ def array_dtype(layout: Layout) -> np.dtype[np.void]:
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": itemsize})
 
 
-def sound_records(content: Buffer, size: int, offsets: Offsets) -> npt.NDArray[np.void]:
-    """The records of `size` bytes at `offsets`, without those that are no such message."""
+def sound_records(
+    content: Buffer, size: int, offsets: Offsets
+) -> tuple[npt.NDArray[np.void], Offsets]:
+    """The records of `size` bytes at `offsets`, and the offsets of those that are none."""
+    wrong = offsets[:0]
     last = int(offsets.max(initial=0))
     if len(offsets) and max(last, (len(offsets) - 1) * size) + size > len(content):
         # Shorter messages are among them: taken at our size they would overlap.
         lengths = gather(content, RECORD_BYTES, offsets).view(_RECORD_HEAD)["length"]
-        offsets = offsets[lengths == size - _FRAME_BYTES]
+        good = lengths == size - _FRAME_BYTES
+        wrong, offsets = offsets[~good], offsets[good]
     records = gather(content, size, offsets)
     bad = _unsound(records, size)
-    return records[~bad] if bad.any() else records
+    if not bad.any():
+        return records, wrong
+    return records[~bad], np.concatenate([wrong, offsets[bad]])
 
 
 def _unsound(records: npt.NDArray[np.void], size: int) -> npt.NDArray[np.bool_]:
@@ -86,15 +92,15 @@ class FixedChannel:
         self._records: npt.NDArray[np.void] = np.empty(expected, self._raw)
         self.count = 0
 
-    def append(self, content: Buffer, offsets: Offsets) -> int:
-        """Take over the records at `offsets`; returns how many are no such message."""
+    def append(self, content: Buffer, offsets: Offsets) -> Offsets:
+        """Take over the records at `offsets`; returns those of no such message."""
         n = len(offsets)
         last = int(offsets.max(initial=0))
         if n and max(last, (n - 1) * self._size) + self._size > len(content):
             # Shorter messages are among them: taken at our size they would overlap.
             lengths = gather(content, RECORD_BYTES, offsets).view(_RECORD_HEAD)["length"]
-            good = offsets[lengths == self._size - _FRAME_BYTES]
-            return n - len(good) + self.append(content, good)
+            good = lengths == self._size - _FRAME_BYTES
+            return np.concatenate([offsets[~good], self.append(content, offsets[good])])
         self._reserve(n)
         target = self._records[self.count : self.count + n]
         if n and int(offsets[-1]) - int(offsets[0]) == (n - 1) * self._size and _even(offsets):
@@ -102,10 +108,10 @@ class FixedChannel:
         else:
             target[:] = gather(content, self._size, offsets)
         bad = _unsound(target, self._size)
-        wrong = int(np.count_nonzero(bad))
-        if wrong:
-            target[: n - wrong] = target[~bad]
-        self.count += n - wrong
+        wrong = offsets[bad]
+        if len(wrong):
+            target[: n - len(wrong)] = target[~bad]
+        self.count += n - len(wrong)
         return wrong
 
     def array(self) -> npt.NDArray[np.void]:

@@ -23,6 +23,7 @@ from gyrorig_protocol.recording.chunks import (
     Offsets,
     Unpacker,
     open_chunk,
+    open_together,
 )
 from gyrorig_protocol.recording.definitions import Channel, Declared, Schema
 from gyrorig_protocol.recording.fields import Buffer, MalformedError
@@ -36,6 +37,7 @@ from gyrorig_protocol.recording.ros2msg import same_definition
 from gyrorig_protocol.recording.schemas import SCHEMAS
 
 KEPT_BYTES = 160 << 20  # of unpacked chunks: half an hour of a board at 800 Hz
+GROUP_BYTES = 1 << 19  # of unpacked chunks taken together: they stay in the processor's cache
 
 
 class SeveralChannelsError(Exception):
@@ -58,6 +60,34 @@ class _Bad:
     count: int = 0
     offset: int = 0  # of the first such message's chunk
     why: str = ""
+
+
+@dataclass(slots=True)
+class _Group:
+    """Unpacked chunks that are to be opened together: one at first, more and more then.
+
+    What declares channels is in the first ones mostly, and those have to be opened alone.
+    """
+
+    limit: int = 1
+    size: int = 0
+    waiting: list[tuple[ChunkRecord, Buffer]] = field(default_factory=list)
+
+    @property
+    def full(self) -> bool:
+        """Whether it is time to close it."""
+        return self.size >= self.limit
+
+    def add(self, chunk: ChunkRecord, content: Buffer) -> None:
+        """Let one more chunk wait."""
+        self.waiting.append((chunk, content))
+        self.size += len(content)
+
+    def close(self) -> list[tuple[ChunkRecord, Buffer]]:
+        """Give the chunks that waited, and begin anew."""
+        self.limit = min(max(2 * self.limit, 2 * self.size), GROUP_BYTES)
+        group, self.waiting, self.size = self.waiting, [], 0
+        return group
 
 
 @dataclass(slots=True)
@@ -93,15 +123,17 @@ class Collector:
             self.found.notes.append(f"{unchecked} chunks carry no checksum to check")
         if self._room > KEPT_BYTES and not self.all_records:
             self.names = self.names or FOR_SOLVING
-        passage = Passage(self.file)
+        passage, group = Passage(self.file), _Group()
         for chunk in self.found.chunks:
             passage.reached(chunk.offset)
             try:
-                self._take(chunk)
+                group.add(chunk, self._unpacker.unpack(chunk, self.file))
             except ChunkError as error:
-                text = f"the chunk at byte {chunk.offset} is lost: {error}"
-                loss = Loss(error.cause, chunk.offset, chunk.size, chunk.indexed_messages, text)
-                self.found.losses.append(loss)
+                self._take_group(group.close())
+                self._lose(chunk, error)
+            if group.full:
+                self._take_group(group.close())
+        self._take_group(group.close())
 
     def topics(self) -> dict[str, Topic]:
         """The messages by topic; states those that do not decode."""
@@ -115,8 +147,29 @@ class Collector:
             self.found.losses.append(Loss(LossCause.MESSAGE, bad.offset, 0, bad.count, text))
         return topics
 
-    def _take(self, chunk: ChunkRecord) -> None:
-        content = self._unpacker.unpack(chunk, self.file)
+    def _take_group(self, group: list[tuple[ChunkRecord, Buffer]]) -> None:
+        """Take some chunks at once where nothing but messages of known channels is in them."""
+        if len(group) > 1:
+            chunks = [chunk for chunk, _ in group]
+            joined = b"".join(content for _, content in group)
+            together = open_together(chunks, joined, self.file)
+            if together is not None and self._sinks.keys() >= together.keys():
+                for number, offsets in together.items():
+                    self.seen += len(offsets)
+                    self._append(number, joined, offsets, chunks)
+                return
+        for chunk, content in group:
+            try:
+                self._take(chunk, content)
+            except ChunkError as error:
+                self._lose(chunk, error)
+
+    def _lose(self, chunk: ChunkRecord, error: ChunkError) -> None:
+        text = f"the chunk at byte {chunk.offset} is lost: {error}"
+        loss = Loss(error.cause, chunk.offset, chunk.size, chunk.indexed_messages, text)
+        self.found.losses.append(loss)
+
+    def _take(self, chunk: ChunkRecord, content: Buffer) -> None:
         inside = open_chunk(chunk, content, self.file)
         try:
             for known, more in (
@@ -128,22 +181,28 @@ class Collector:
             raise ChunkError(LossCause.DAMAGED, str(error)) from error
         for number, offsets in inside.offsets.items():
             self.seen += len(offsets)
-            self._append(number, content, offsets, chunk)
+            self._append(number, content, offsets, [chunk])
 
-    def _append(self, number: int, content: Buffer, offsets: Offsets, chunk: ChunkRecord) -> None:
+    def _append(
+        self, number: int, content: Buffer, offsets: Offsets, chunks: list[ChunkRecord]
+    ) -> None:
+        """Keep messages at offsets into the contents of chunks, one behind the other."""
         if number not in self._sinks:
             sink = self._open(number)
             if sink is None:
                 text = f"{len(offsets)} messages of channel {number}, which nothing declares"
-                loss = Loss(LossCause.DAMAGED, chunk.offset, 0, len(offsets), text)
+                loss = Loss(LossCause.DAMAGED, chunks[0].offset, 0, len(offsets), text)
                 self.found.losses.append(loss)
                 return
             self._sinks[number] = sink
         store = self._sinks[number].store
         if isinstance(store, FixedChannel | ColumnsChannel):
             wrong = store.append(content, offsets)
-            if wrong:
-                self._blame(number, wrong, chunk.offset, "not of the size and header of its type")
+            if len(wrong):
+                ends = np.cumsum([chunk.unpacked_size for chunk in chunks])
+                chunk = chunks[int(np.searchsorted(ends, wrong.min(), side="right"))]
+                why = "not of the size and header of its type"
+                self._blame(number, len(wrong), chunk.offset, why)
         elif isinstance(store, VariableChannel):
             store.append(content, offsets)
 

@@ -124,9 +124,9 @@ class ColumnsChannel:
         self.log_times_ns = (0, 0)  # least and largest
         self._numbers = (0, 0)  # least and largest of the writer's own count
 
-    def append(self, content: Buffer, offsets: Offsets) -> int:
-        """Take over the records at `offsets`; returns how many are no such message."""
-        raw = sound_records(content, RECORD_BYTES + self._layout.size, offsets)
+    def append(self, content: Buffer, offsets: Offsets) -> Offsets:
+        """Take over the records at `offsets`; returns those of no such message."""
+        raw, wrong = sound_records(content, RECORD_BYTES + self._layout.size, offsets)
         records = raw.view(self._dtype)
         if len(records) and self._columns is not None:
             self._columns.append(records)
@@ -134,7 +134,7 @@ class ColumnsChannel:
             self.log_times_ns = _widened(self.log_times_ns, records["log_time"], fresh)
             self._numbers = _widened(self._numbers, records["message_sequence"], fresh)
             self.count += len(records)
-        return len(offsets) - len(records)
+        return wrong
 
     @property
     def dropped(self) -> int:

@@ -119,6 +119,28 @@ def test_a_restart_begins_a_segment(written: Write) -> None:
     assert np.diff(samples.time_s) == pytest.approx(0.01, abs=2e-3)
 
 
+def test_stretches_end_at_gaps_and_restarts(
+    written: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep = np.r_[0:1000, 1007:N]
+    t = np.arange(N)[keep] / 100.0
+    restarted = keep >= 3000
+    samples = written(
+        device_time=np.where(restarted, (t - 29.5) * 1e6, (t + 500.0) * 1e6).astype(np.int64),
+        sequence=np.where(restarted, keep - 3000, keep),
+        status=np.zeros(keep.size, np.int64),
+        temperature=np.zeros(keep.size, np.int64),
+        gyro=np.zeros((keep.size, 3), np.int64),
+        host=START_NS + (t * 1e9).astype(np.int64),
+    )
+    restart = int(np.argmax(restarted))
+    for piece in (1 << 16, 999, 10):
+        monkeypatch.setattr("gyrorig_solver.samples.PIECE", piece)
+        assert samples.stretches(8) == [slice(0, restart), slice(restart, keep.size)]
+        assert samples.stretches(7)[0] == slice(0, 1000)
+    assert samples.period_s == pytest.approx(0.01, rel=1e-6)
+
+
 def test_saturated_and_repeated_samples_are_not_good(written: Write) -> None:
     status = np.zeros(N, np.int64)
     status[100], status[200] = 1 << 1, 1 << 3
