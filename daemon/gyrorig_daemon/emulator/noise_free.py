@@ -6,7 +6,7 @@ two recordings is: a cause that delays a move delays every command after it too.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,8 @@ from gyrorig_protocol.errors import MachineError
 FloatArray = NDArray[np.float64]
 
 _LATER_S = 0.1e-3  # for a difference in time: short against the low-pass, long for rounding
+_NEAR_S = 20e-6  # a delay that the slope alone accounts for
+_ROUNDS = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +32,8 @@ class NoiseFreeRates:
     time_s: FloatArray  # of data-ready, since power-up, on the host's clock, (n,)
     hidden_rad_s: FloatArray  # with the hidden causes, (n, 3)
     plain_rad_s: FloatArray  # without them, (n, 3)
-    slope_rad_s2: FloatArray  # how these change in time, as the samples show it, (n, 3)
+    aligned_rad_s: FloatArray  # without them, as late as fits the hidden ones best, (n, 3)
+    slope_rad_s2: FloatArray  # how the aligned ones change in time, (n, 3)
 
 
 def noise_free_rates(rig: EmulatedRig, until_ns: int) -> dict[str, NoiseFreeRates]:
@@ -56,8 +59,10 @@ def noise_free_rates(rig: EmulatedRig, until_ns: int) -> dict[str, NoiseFreeRate
     for board in settings.boards:
         time_s, hidden = _run(hiding, board, until_s)
         bare = _run(plain, board, until_s)[1]
-        slope = (bare - _run(plain, board, until_s, _LATER_S)[1]) / _LATER_S
-        rates[board.name] = NoiseFreeRates(np.arange(len(time_s)), time_s, hidden, bare, slope)
+        aligned, slope = _aligned(plain, board, until_s, hidden)
+        rates[board.name] = NoiseFreeRates(
+            np.arange(len(time_s)), time_s, hidden, bare, aligned, slope
+        )
     return rates
 
 
@@ -78,7 +83,7 @@ def write_rates(
     arrays = {
         f"{name}.{key}": getattr(told, key)
         for name, told in rates.items()
-        for key in ("number", "time_s", "hidden_rad_s", "plain_rad_s", "slope_rad_s2")
+        for key in (field.name for field in fields(told))
     }
     for axis in ("pan", "tilt"):
         arrays[f"{axis}_s"] = np.array([begin_s for name, begin_s in moves_s if name == axis])
@@ -89,6 +94,25 @@ def write_rates(
         raise MachineError(f"{path} cannot be written: {fault.strerror}", "choose --rates") from (
             fault
         )
+
+
+def _aligned(
+    plain: EmulatedRig, board: BoardSettings, until_s: float, hidden: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the plain rates at the delay that fits the hidden ones best, and their slope.
+
+    A delay is no straight line of the rates; after it is taken off, the rest nearly is.
+    """
+    delay_s = 0.0
+    for _ in range(_ROUNDS):
+        aligned = _run(plain, board, until_s, delay_s)[1]
+        slope = (aligned - _run(plain, board, until_s, delay_s + _LATER_S)[1]) / _LATER_S
+        power = float((slope**2).sum())
+        more_s = -float((slope * (hidden - aligned)).sum()) / power if power > 0.0 else 0.0
+        if abs(more_s) < _NEAR_S:
+            break
+        delay_s += more_s
+    return aligned, slope
 
 
 def _run(

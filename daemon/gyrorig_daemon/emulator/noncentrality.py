@@ -68,7 +68,7 @@ def visibility(
         start_delays: whether a delay of each move is estimated, besides the common one.
     """
     inside = (rates.time_s >= span_s[0]) & (rates.time_s <= span_s[1])
-    time_s, plain = rates.time_s[inside], rates.plain_rad_s[inside]
+    time_s, plain = rates.time_s[inside], rates.aligned_rad_s[inside]
     variances = coefficient_variances(board, len(time_s))
     effect = _whitened(rates.hidden_rad_s[inside] - plain, variances).ravel()
     gain, bias = np.array(board["STM"]), np.array(board["bias_rad_s"])
@@ -84,7 +84,8 @@ def visibility(
     base = base[:, lengths > 0.0] / lengths[lengths > 0.0]
     orthogonal, values, _ = np.linalg.svd(base, full_matrices=False)
     orthogonal = orthogonal[:, values > _INDEPENDENT * values.max(initial=0.0)]
-    total = float(effect @ effect)
+    whole = _whitened((rates.hidden_rad_s - rates.plain_rad_s)[inside], variances)
+    total = float((whole**2).sum())
     left = effect - orthogonal @ (orthogonal.T @ effect)
     seen = float(left @ left)
     return Visibility(seen, 1.0 - seen / total if total > 0.0 else 0.0)

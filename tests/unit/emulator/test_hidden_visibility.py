@@ -119,9 +119,9 @@ def test_visibility_goes_with_the_square_of_the_size() -> None:
 
 
 def test_what_a_calibration_absorbs_is_not_visible() -> None:
-    for cause in ("clock_offset:0.001", "step_resolution@pan:1e-3"):
+    for cause in ("clock_offset:0.02", "step_resolution@pan:1e-3", "wrong_full_scale:2"):
         told = seen(cause)
-        assert told.absorbed > 0.999
+        assert told.absorbed > 0.99999
     assert seen("motor_coupling:1e-3").absorbed < 0.8
     assert seen() == Visibility(0.0, 0.0)
 
@@ -137,7 +137,7 @@ def test_white_noise_alone_has_the_textbook_value() -> None:
     plain = np.tile(document["bias_rad_s"], (10000, 1))
     wave = np.outer(np.sin(2 * np.pi * 2.0 * time_s), [1e-3, 0.0, 0.0])
     still = np.zeros_like(plain)
-    rates = NoiseFreeRates(np.arange(10000), time_s, plain + wave, plain, still)
+    rates = NoiseFreeRates(np.arange(10000), time_s, plain + wave, plain, plain, still)
     told = visibility(rates, document, [], (0.0, 100.0))
     density = document["noise_density_rad_s_rthz"][0]
     folded = 1.0 + 2 * 0.25**4 + 2 * 0.125**4  # what the 25 Hz low-pass leaves at 100, 200 Hz
