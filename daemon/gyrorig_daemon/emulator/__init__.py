@@ -2,7 +2,8 @@
 
 What to use when: `EmulatedRig` from `RigSettings`; `VirtualHub` over it where time is
 simulated; `serve` where other programs talk to it through ptys. The truth behind the ports
-is `EmulatedRig.truth` and `truth_document`.
+is `EmulatedRig.truth` and `truth_document`. `causes` holds what a rig can hide, `noise_free`
+and `noncentrality` how visible that is, `sealed` keeps it secret until the end.
 """
 
 from gyrorig_daemon.emulator.device import EmulatedDevice
