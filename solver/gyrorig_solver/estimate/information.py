@@ -15,10 +15,11 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.arrow import Arrow, eliminate
 from gyrorig_solver.estimate.noise import NoiseModel
-from gyrorig_solver.estimate.normal import OWN, Normal, NormalSum, PartModel
+from gyrorig_solver.estimate.normal import Normal, NormalSum
 from gyrorig_solver.estimate.observability import BIAS_NAMES
 from gyrorig_solver.estimate.predict import predict_columns, predict_rate
 from gyrorig_solver.estimate.series import Series
+from gyrorig_solver.estimate.whitening import OWN, PartModel, WhitePart
 from gyrorig_solver.model.gain import GAIN_NAMES
 from gyrorig_solver.reference.motion import ReferenceMotion
 
@@ -102,10 +103,11 @@ def motion_information(
     local, _ = reference.information.size
     parts = series.parts()
     models = (_part(series, blocks, reference) for blocks in parts)
-    first = next(models)
-    total = NormalSum(noise, gain, local, first)
-    for model in chain([first], models):
-        total.add(model, np.zeros_like(model.rate), whole=len(parts) == 1)
+    white = (WhitePart.of(model, gain, noise) for model in models)
+    first = next(white)
+    total = NormalSum(noise, local, first.size)
+    for part in chain([first], white):
+        total.add(part, np.zeros_like(part.deviation), whole=len(parts) == 1)
     return marginalise(total.total(), reference).information
 
 

@@ -16,9 +16,9 @@ from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.information import NAMES, Marginal, loosened, marginalise
 from gyrorig_solver.estimate.noise import NoiseModel, Spectrum, binned, fit_levels
-from gyrorig_solver.estimate.normal import OWN, whitened
 from gyrorig_solver.estimate.observability import Decision, decide_in, prior_std
 from gyrorig_solver.estimate.session import SessionFit, shared_gain
+from gyrorig_solver.estimate.whitening import OWN, whitened
 
 ROUNDS = 12
 CONVERGED_SIGMA = 1e-2  # largest last step, in standard deviations

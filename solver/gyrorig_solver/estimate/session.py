@@ -15,7 +15,7 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.extension import Extension, columns_of, effect_of
 from gyrorig_solver.estimate.noise import NoiseModel, Sampling
-from gyrorig_solver.estimate.normal import Normal, NormalSum, PartModel
+from gyrorig_solver.estimate.normal import Normal, NormalSum, score_again
 from gyrorig_solver.estimate.predict import (
     instants_per_block,
     low_pass_delay_s,
@@ -23,10 +23,12 @@ from gyrorig_solver.estimate.predict import (
     predict_rate,
 )
 from gyrorig_solver.estimate.series import PART_BLOCKS, Series
+from gyrorig_solver.estimate.whitening import PartModel, WhitePart
 from gyrorig_solver.model.terms.scene import Scene, Setting
 from gyrorig_solver.reference.motion import ReferenceMotion
 
 SPIKE_SIGMA = 6.0  # a sample this far off is no sample of the model's noise
+SAME_NOISE = 0.03  # of the logarithm of a weight: less does not call for new ones
 ENOUGH = 8192  # samples to judge a deviation by
 NEIGHBOURS = 4  # on each side: a glitch of up to four samples sticks out from nine
 SEARCH_S = 0.3  # the lag is looked for within this range first
@@ -76,6 +78,25 @@ class _Stretch:
     effect: FloatArray  # (n, 3), of the causes beyond the base model, sensor frame
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frozen:
+    """A recording's normal equations as they were, for rounds that change little."""
+
+    part: WhitePart
+    normal: Normal
+    noise: NoiseModel
+
+    def holds(self, noise: NoiseModel) -> bool:
+        """Return whether weights at another noise are the same, to a few hundredths."""
+        n = self.part.deviation.shape[0]
+        ratio = noise.variance(n)[1:] / self.part.deviation[1:] ** 2
+        return bool(np.all(np.abs(np.log(ratio)) < SAME_NOISE))
+
+    def again(self, residual: FloatArray, local: int) -> Normal:
+        """Return them at another residual, shape (n, 3)."""
+        return Normal(self.normal.matrix, score_again(self.part, residual, local))
+
+
 class SessionFit:
     """A recording's state: what `likelihood` asks of it in every round."""
 
@@ -108,6 +129,7 @@ class SessionFit:
         self._stamp_std_s, self._setting = stamp_std_s, setting
         self._stretches = [_blank(s) for s in series]
         self._models: dict[tuple[int, int], PartModel] = {}
+        self._frozen: _Frozen | None = None
 
     # ---- what it is now
 
@@ -205,25 +227,33 @@ class SessionFit:
             judge: set spikes aside anew.
             fresh: take derivatives anew too.
         """
-        for k, s in enumerate(self._stretches):
+        before = [s.used.copy() for s in self._stretches]
+        for s in self._stretches:
             for blocks in s.series.parts():
                 self._observe(s, blocks, gain, judge)
-                if fresh:
-                    self._models.pop((k, blocks.start), None)
+        same = all(np.array_equal(s.used, b) for s, b in zip(self._stretches, before, strict=True))
+        if fresh or not same:
+            self._frozen = None
+            self._models.clear()
 
     def normal(self, gain: FloatArray, noise: NoiseModel) -> Normal:
         """Return the normal equations of everything that this recording knows."""
         local, _ = self.reference.information.size
+        residuals = self.residuals(gain)
+        if self._frozen is not None and self._frozen.holds(noise):
+            return self._frozen.again(residuals[0], local)
         total: Normal | None = None
-        for k, (s, residual) in enumerate(zip(self._stretches, self.residuals(gain), strict=True)):
+        for k, (s, residual) in enumerate(zip(self._stretches, residuals, strict=True)):
             parts = s.series.parts()
             sums: NormalSum | None = None
             for blocks in parts:
-                model = self._model(k, blocks, gain)
-                sums = sums or NormalSum(noise, gain, local, model)
-                sums.add(model, residual[blocks], whole=len(parts) == 1)
+                part = WhitePart.of(self._model(k, blocks, gain), gain, noise)
+                sums = sums or NormalSum(noise, local, part.size)
+                sums.add(part, residual[blocks], whole=len(parts) == 1)
             if sums is not None:
                 total = sums.total() if total is None else total + sums.total()
+            if len(residuals) == len(parts) == 1 and total is not None:
+                self._frozen = _Frozen(part, total, noise)
         if total is None:
             raise InputError("no stretch of samples is long enough", "record for longer")
         return total
