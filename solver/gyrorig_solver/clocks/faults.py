@@ -99,7 +99,9 @@ class Stream:
     def off_s(self, counted: FloatArray, passed_s: FloatArray) -> FloatArray:
         """Return how far the sample counter is ahead of a time that passed, s."""
         off = counted - passed_s / self.period_s
-        off -= self.sequence_modulus * np.rint(off / self.sequence_modulus)
+        half = self.sequence_modulus / 2
+        if float(off.min()) < -half or float(off.max()) > half:
+            off -= self.sequence_modulus * np.rint(off / self.sequence_modulus)
         return np.asarray(off * self.period_s, dtype=np.float64)
 
 

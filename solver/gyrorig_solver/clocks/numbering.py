@@ -16,7 +16,7 @@ from gyrorig_solver.clocks.faults import CounterArray
 from gyrorig_solver.clocks.unwrap import PIECE, counted_since, sequence_modulus
 
 _LARGEST = np.iinfo(np.int32).max
-_STRETCH = 1 << 14  # samples that say what the period is
+_STRETCH = 1 << 12  # samples that say what the period is
 
 
 @dataclass(frozen=True, slots=True, eq=False)

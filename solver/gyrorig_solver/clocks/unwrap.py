@@ -95,12 +95,15 @@ def _first_pass(stream: Stream) -> tuple[dict[int, int], IntArray]:
         rows = slice(start, min(start + PIECE + 1, stream.ticks.size))
         host_s = np.diff(stream.host_s[rows])
         device_s = np.diff(stream.ticks[rows]) / stream.tick_hz
-        if np.isfinite(stream.wrap_s):
-            turns = np.rint((host_s - device_s) / stream.wrap_s)
+        ahead_s = device_s - host_s
+        half_s = stream.wrap_s / 2.0
+        if float(ahead_s.min()) < -half_s or float(ahead_s.max()) > half_s:
+            turns = np.rint(ahead_s / -stream.wrap_s)
             for at in np.flatnonzero(turns).tolist():
                 wraps[start + at + 1] = int(turns[at])
             device_s += turns * stream.wrap_s
-        ahead_s = np.abs(device_s - host_s)
+            ahead_s = device_s - host_s
+        np.abs(ahead_s, out=ahead_s)
         odd = (device_s <= 0.0) | (ahead_s > PLAIN_S)
         if stream.sequence is not None:
             counted = np.diff(stream.sequence[rows].astype(np.int64)).astype(np.float64)
