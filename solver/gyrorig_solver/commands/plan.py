@@ -11,6 +11,8 @@ from gyrorig_protocol.profile import SensorProfile, parse_profile
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_solver.calibration.profiles import find_profile
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option
+from gyrorig_solver.plan.cause_words import causes_plain, causes_remarks, causes_table
+from gyrorig_solver.plan.causes import Outlook, foresee
 from gyrorig_solver.plan.criterion import CRITERIA, Criterion, cost
 from gyrorig_solver.plan.document import program_text, write_new
 from gyrorig_solver.plan.predict import Prediction, predict
@@ -49,6 +51,12 @@ SHORTEST_S, LONGEST_S = 5.0, 900.0  # for more, carry a program out again
     type=click.Path(path_type=Path, dir_okay=False),
     help="Write the program here, for gyrorigd record.",
 )
+@click.option(
+    "--causes/--no-causes",
+    default=True,
+    show_default=True,
+    help="Say what the program shows of the causes of an error.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=1, help="Of the programs drawn.")
 @json_option
 @click.pass_obj
@@ -56,7 +64,8 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     r"""Find the motion program that tells most about a board in a given time.
 
     Prints the standard deviations that a calibration made with it will have. With
-    --program it prints those of that program; with both, side by side. Leaves with 4
+    --program it prints those of that program; with both, side by side. Then how large
+    each cause of an error must be to be detected, and which look alike. Leaves with 4
     when the program that it judges cannot show a parameter.
 
     \b
@@ -87,6 +96,12 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     terminal.say(f"{rig.name}, {sensor.name}: predicted standard deviations\n{table(shown)}")
     for reason in hidden(shown[0]):
         terminal.say(f"  {shown[0].program.name} cannot show {reason}")
+    outlooks: dict[int, Outlook] = {}
+    if options["causes"]:
+        for one in shown:
+            terminal.progress(f"looking for causes in {one.program.name}")
+            outlooks[id(one)] = foresee(one, sensor, rig.site)
+            _say_causes(terminal, one, outlooks[id(one)])
     if found is not None:
         _write(terminal, found, rig, options["criterion"], options["out"])
     code = NOT_IDENTIFIABLE if shown[-1].observability.unobservable else 0
@@ -94,8 +109,8 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
         {
             "rig": rig.name,
             "sensor": sensor.name,
-            "given": _plain(given, options["criterion"]) if given else None,
-            "planned": _plain(found.prediction, options["criterion"]) if found else None,
+            "given": _plain(given, options["criterion"], outlooks) if given else None,
+            "planned": _plain(found.prediction, options["criterion"], outlooks) if found else None,
             "judged": found.judged if found else 0,
             "file": str(options["out"]) if found and options["out"] else None,
             "exit_code": code,
@@ -153,8 +168,20 @@ def _write(
     terminal.say(f"  program               {out}")
 
 
-def _plain(prediction: Prediction, criterion: Criterion) -> dict[str, Any]:
-    seen = prediction.observability
+def _say_causes(terminal: Terminal, of: Prediction, outlook: Outlook) -> None:
+    terminal.say(
+        f"{of.program.name}: how large a cause must be to be detected (80 % of the time, 1 % false "
+        f"alarms), and by how\nmany standard deviations it then moves a parameter\n"
+        f"{causes_table(outlook)}"
+    )
+    for remark in causes_remarks(outlook):
+        terminal.say(f"  {remark}")
+
+
+def _plain(
+    prediction: Prediction, criterion: Criterion, outlooks: dict[int, Outlook]
+) -> dict[str, Any]:
+    seen, outlook = prediction.observability, outlooks.get(id(prediction))
     return {
         "name": prediction.program.name,
         "duration_s": prediction.duration_s,
@@ -170,4 +197,5 @@ def _plain(prediction: Prediction, criterion: Criterion) -> dict[str, Any]:
             "unobservable": list(seen.unobservable),
             "reasons": list(seen.reasons),
         },
+        "causes": causes_plain(outlook) if outlook else None,
     }

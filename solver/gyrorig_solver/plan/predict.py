@@ -16,6 +16,7 @@ from gyrorig_solver.estimate.information import NAMES, loosened, motion_informat
 from gyrorig_solver.estimate.observability import Concluded, Decision, conclude, decide, prior_std
 from gyrorig_solver.estimate.result import Observability
 from gyrorig_solver.estimate.series import SHORTEST_SERIES, Series, grids
+from gyrorig_solver.model.gain import FACTOR_NAMES, factor_jacobian, factorise
 from gyrorig_solver.plan.sensor import MOUNT, SensorModel
 from gyrorig_solver.plan.timeline import Timeline, lay_out
 from gyrorig_solver.plan.unit import ARCSEC_PER_DEG, UnitModel
@@ -25,7 +26,17 @@ from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.solve import PTU_WORDS
 
 ORDINARY = np.concatenate([MOUNT.ravel(), np.zeros(4)])
+PARAMETERS = (*FACTOR_NAMES, *NAMES[9:])
 NOMINAL = np.concatenate([np.eye(3).ravel(), np.zeros(4)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rehearsal:
+    """A program carried out on paper: what the solver would have of it."""
+
+    timeline: Timeline
+    series: Series
+    reference: PtuReference
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +44,7 @@ class Prediction:
     """What a calibration made with a program would say of itself."""
 
     program: MotionProgram
+    made: Rehearsal
     duration_s: float
     moves: int
     decision: Decision  # what is seen of gain, bias and time offset
@@ -55,6 +67,13 @@ class Prediction:
         """Of the gain's entries, shape (3, 3); nan where they cannot be shown."""
         return self.concluded.gain_std
 
+    @property
+    def by_name(self) -> FloatArray:
+        """How `PARAMETERS` change with gain, bias and time offset, shape (13, 13)."""
+        found = np.eye(len(NAMES))
+        found[:9, :9] = factor_jacobian(factorise(_found(self.decision)[:9].reshape(3, 3)))
+        return found
+
 
 def predict(program: MotionProgram, unit: UnitModel, sensor: SensorModel) -> Prediction:
     """Return what a program will tell about a sensor on a unit.
@@ -71,6 +90,7 @@ def predict(program: MotionProgram, unit: UnitModel, sensor: SensorModel) -> Pre
     decision = decide(loosened(information, 12, common_s), NAMES)
     return Prediction(
         program=program,
+        made=Rehearsal(timeline, series, reference),
         duration_s=timeline.duration_s,
         moves=len(reference.starts.moves),
         decision=decision,

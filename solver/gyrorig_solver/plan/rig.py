@@ -16,6 +16,7 @@ from gyrorig_protocol.documents import parse_yaml, read_as
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_protocol.ptu import Dialect
+from gyrorig_solver.model.terms.scene import STANDARD_GRAVITY_M_S2, Site
 from gyrorig_solver.plan.sensor import SensorModel, sensor_model
 from gyrorig_solver.plan.unit import BITS_PER_BYTE, AxisModel, UnitModel, unit_model
 
@@ -67,11 +68,18 @@ class _Emulator(msgspec.Struct, frozen=True):
     gyro_full_scale_dps: Positive = 250.0
 
 
+class _Site(msgspec.Struct, frozen=True):
+    latitude_deg: float | None = None
+    heading_deg: float | None = None
+    gravity_m_s2: Positive | None = None
+
+
 class _Rig(msgspec.Struct, frozen=True):
     schema: Literal["gyrorig/rig/1"]
     rig: str
     ptu: _Unit
     boards: Annotated[tuple[_Board, ...], msgspec.Meta(min_length=1)]
+    site: _Site = _Site()
     emulator: _Emulator = _Emulator()
 
 
@@ -86,6 +94,7 @@ class Rig:
     bandwidth_hz: float | None
     full_scale_dps: float | None
     stamp_std_s: float
+    site: Site
 
     def sensor(self, profile: SensorProfile) -> SensorModel:
         """Return the sensor of a data sheet on this rig.
@@ -128,6 +137,11 @@ def load_rig(path: Path) -> Rig:
         bandwidth_hz=emulator.bandwidth_hz if simulated else facts.bandwidth_hz,
         full_scale_dps=emulator.gyro_full_scale_dps if simulated else facts.gyro_full_scale_dps,
         stamp_std_s=_ping_std_s(board.baud) if board.format == "gcb1" else 0.0,
+        site=Site(
+            document.site.latitude_deg,
+            document.site.heading_deg,
+            document.site.gravity_m_s2 or STANDARD_GRAVITY_M_S2,
+        ),
     )
 
 

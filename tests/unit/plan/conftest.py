@@ -17,7 +17,7 @@ from gyrorig_solver.plan.sensor import SensorModel
 
 ROOT = Path(__file__).parents[3]
 RIG = ROOT / "config" / "rig.yaml"
-Record = Callable[[Path, int], tuple[Path, dict[str, Any]]]
+Record = Callable[..., tuple[Path, dict[str, Any]]]
 
 
 @pytest.fixture(scope="session")
@@ -42,26 +42,31 @@ def shipped() -> Callable[[str], MotionProgram]:
 
 @pytest.fixture(scope="session")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    """Record a program faster than time; return the recording and what the rig hides."""
-    folder = tmp_path_factory.mktemp("recorded")
-    made: dict[tuple[Path, int], tuple[Path, dict[str, Any]]] = {}
+    """Record a program faster than time; return the recording and what the rig hides.
 
-    def run(program: Path, seed: int) -> tuple[Path, dict[str, Any]]:
-        if (program, seed) not in made:
-            truth = folder / f"{program.stem}-{seed}.yaml"
+    Takes the program, a seed and what else to hide.
+    """
+    folder = tmp_path_factory.mktemp("recorded")
+    made: dict[tuple[Path, int, tuple[str, ...]], tuple[Path, dict[str, Any]]] = {}
+
+    def run(program: Path, seed: int, *hide: str) -> tuple[Path, dict[str, Any]]:
+        if (program, seed, hide) not in made:
+            name = f"{program.stem}-{seed}-{len(made)}"
+            truth = folder / f"{name}.yaml"
             done = subprocess.run(
                 [
                     *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time"),
                     *("--config", str(RIG), "--program", str(program), "--seed", str(seed)),
                     *("--out", str(folder), "--truth", str(truth), "--json"),
-                    *("--session", f"{program.stem}-{seed}"),
+                    *("--session", name),
+                    *(part for cause in hide for part in ("--hide", cause)),
                 ],
                 capture_output=True,
                 text=True,
                 check=True,
             )
             path = Path(json.loads(done.stdout)["recording"])
-            made[program, seed] = path, yaml.safe_load(truth.read_text(encoding="utf-8"))
-        return made[program, seed]
+            made[program, seed, hide] = path, yaml.safe_load(truth.read_text(encoding="utf-8"))
+        return made[program, seed, hide]
 
     return run
