@@ -18,7 +18,7 @@ from gyrorig_solver.reference.motion import LocalColumn
 class Lanes:
     """Columns of local unknowns, in order of lane and time."""
 
-    values: FloatArray  # (lanes, n, 3), stage rate by each unknown over its scale
+    values: FloatArray  # (lanes, 3, n), stage rate by each unknown over its scale
     scale: FloatArray  # (c,), so that no column's faint end drowns a weaker neighbour
     unknown: IntArray  # (c,), which unknown of the reference
     lane: IntArray  # (c,)
@@ -34,11 +34,11 @@ class Lanes:
         """Return the same columns on a grid of `per` intervals to one.
 
         Args:
-            values: the lanes on that grid, shape (lanes, n / per, 3).
+            values: the lanes on that grid, shape (lanes, 3, n / per).
             per: intervals of this grid to one of that.
             reach: how many of that grid's intervals beyond its ends a column is felt.
         """
-        n = values.shape[1]
+        n = values.shape[2]
         first = np.clip(self.first // per - reach, 0, n)
         stop = np.clip(-(-self.stop // per) + reach, 0, n)
         return Lanes(values, self.scale, self.unknown, self.lane, first, stop)
@@ -59,9 +59,10 @@ def pack(columns: Sequence[LocalColumn], length: int, gap: int) -> Lanes:
         ends[own] = column.first + column.values.shape[0]
         lane.append(own)
     scale = np.array([np.sqrt(np.sum(c.values**2)) for c in some])
-    values = np.zeros((len(ends), length, 3))
+    values = np.zeros((len(ends), 3, length))
     for column, own, size in zip(some, lane, scale, strict=True):
-        values[own, column.first : column.first + column.values.shape[0]] = column.values / size
+        stop = column.first + column.values.shape[0]
+        values[own, :, column.first : stop] = column.values.T / size
     order = np.argsort(lane, kind="stable")
     some = [some[k] for k in order]
     first = np.array([c.first for c in some], dtype=np.int64)

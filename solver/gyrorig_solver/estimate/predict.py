@@ -39,8 +39,8 @@ class SampledRate:
 class PartColumns:
     """Derivatives of a part's block means, stage frame."""
 
-    slope: FloatArray  # (n, 3), by time: minus that by the lag
-    shared: FloatArray  # (g', n, 3)
+    slope: FloatArray  # (3, n), by time: minus that by the lag
+    shared: FloatArray  # (g', 3, n)
     lanes: Lanes
 
 
@@ -61,7 +61,7 @@ def predict_rate(
     rate = found if whole else np.where(known[:, None], found, 0.0)
     low_pass = low_pass_of(series)
     if low_pass is not None:
-        rate = low_pass.apply_to_means(rate)
+        rate = low_pass.apply_to_means(np.ascontiguousarray(rate.T)).T
     centre = slice(series.fine // 2 + lead * series.fine, None, series.fine)
     known = known[series.fine // 2 :: series.fine]
     if not whole:
@@ -86,18 +86,18 @@ def predict_columns(
     n = blocks.stop - blocks.start
     rate_hz = block_hz * per
     lanes = pack(found.local, n * per, int(np.ceil(2.0 * (REACH_S + FORGET_S) * rate_hz)))
-    everywhere = np.concatenate([_slope(reference, edges)[None], found.shared])
+    slope = _slope(reference, edges).T[None]
+    everywhere = np.concatenate([slope, found.shared.transpose(0, 2, 1)])
     local = lanes.values
     if low_pass is not None:
         coarse = LowPass(low_pass.bandwidth_hz, rate_hz)
-        everywhere, local = _filtered(coarse, everywhere), _filtered(coarse, local)
+        everywhere, local = coarse.apply_to_means(everywhere), coarse.apply_to_means(local)
     everywhere = _decimated(everywhere, per, series.block)
+    reach = int(np.ceil(REACH_S * block_hz))
     return PartColumns(
         slope=everywhere[0],
         shared=everywhere[1:],
-        lanes=lanes.coarser(
-            _decimated(local, per, series.block), per, int(np.ceil(REACH_S * block_hz))
-        ),
+        lanes=lanes.coarser(_decimated(local, per, series.block), per, reach),
     )
 
 
@@ -140,18 +140,9 @@ def _slope(reference: ReferenceMotion, edges_s: FloatArray) -> FloatArray:
     return np.where(np.isfinite(slope), slope, 0.0)
 
 
-def _filtered(low_pass: LowPass, signals: FloatArray) -> FloatArray:
-    """Filter signals of shape (k, n, 3) along n."""
-    k, n, _ = signals.shape
-    if k == 0:
-        return signals
-    together = low_pass.apply_to_means(signals.transpose(1, 0, 2).reshape(n, 3 * k))
-    return np.asarray(together.reshape(n, k, 3).transpose(1, 0, 2), dtype=np.float64)
-
-
 def _decimated(signals: FloatArray, per: int, block: int) -> FloatArray:
     """Return the value of each block: a mean, or the middle where a block is an instant."""
     if per == 1:
         return signals
-    shaped = signals.reshape(signals.shape[0], signals.shape[1] // per, per, 3)
-    return np.asarray(shaped[:, :, per // 2] if block == 1 else shaped.mean(axis=2))
+    shaped = signals.reshape(*signals.shape[:-1], signals.shape[-1] // per, per)
+    return np.asarray(shaped[..., per // 2] if block == 1 else shaped.mean(axis=-1))

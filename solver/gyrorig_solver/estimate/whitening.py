@@ -36,8 +36,8 @@ class PartModel:
         """Return the DCT of what acts everywhere: (7 + 3 g' + 3 k, n), kept once made."""
         if "everywhere" not in self._kept:
             used = self.used.astype(np.float64)
-            rows = [self.rate.T, np.ones((1, used.size)), -self.columns.slope.T]
-            rows += [column.T for column in self.columns.shared]
+            rows = [self.rate.T, np.ones((1, used.size)), -self.columns.slope]
+            rows += list(self.columns.shared)
             rows += [column.T for column in self.terms]
             stacked = np.concatenate(rows) * used
             self._kept["everywhere"] = dct_of(stacked)
@@ -47,7 +47,7 @@ class PartModel:
         """Return the DCT of the lanes, unused blocks zero, (3, lanes, n), kept once made."""
         if "lanes" not in self._kept:
             used = self.used.astype(np.float64)
-            self._kept["lanes"] = dct_of(self.columns.lanes.values.transpose(2, 0, 1) * used)
+            self._kept["lanes"] = dct_of(self.columns.lanes.values.transpose(1, 0, 2) * used)
         return self._kept["lanes"]
 
 
@@ -83,7 +83,7 @@ class WhitePart:
                 for axis in range(3)
             ]
         )
-        felt = np.zeros((3, *lanes.values.shape[:2]))
+        felt = np.zeros((3, lanes.values.shape[0], n))
         if lanes.count:
             spectra = np.tensordot(gain, part.lane_spectra(), axes=1)
             felt = idct(spectra / deviation.T[:, None, :], axis=-1, norm="ortho")
