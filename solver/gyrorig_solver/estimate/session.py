@@ -31,6 +31,7 @@ SPIKE_SIGMA = 6.0  # a sample this far off is no sample of the model's noise
 SAME_NOISE = 0.03  # of the logarithm of a weight: less does not call for new ones
 ENOUGH = 8192  # samples to judge a deviation by
 NEIGHBOURS = 4  # on each side: a glitch of up to four samples sticks out from nine
+GROSS = 8.0  # times the limit: 48 deviations
 FEWEST_CALM = 3
 SEARCH_S = 0.3  # the lag is looked for within this range first
 WEAK = 1e-4  # weight of the nominal gain in a start, (rad/s)^2 times samples
@@ -388,9 +389,12 @@ def _odd(left: FloatArray, use: BoolArray, quantum_rad_s: float) -> BoolArray:
     inside = (near >= 0) & (near < left.shape[0])
     near = np.where(inside, near, 0)
     fit = use[near] & inside
-    # Judged by neighbours that are not far themselves; on a hump, where all are, by all.
+    # Judged by all neighbours, so that a transient of the rig stays; what is beyond any
+    # transient by those that are not far themselves: glitches may come in twos.
+    gross = (np.abs(left[far] - middle) > GROSS * limit).any(axis=1)
     calm = fit & ~odd[near]
-    by = np.where(calm.sum(axis=1, keepdims=True) >= FEWEST_CALM, calm, fit)
+    enough = calm.sum(axis=1) >= FEWEST_CALM
+    by = np.where((gross & enough)[:, None], calm, fit)
     around = np.where(by[:, :, None], left[near], np.nan)
     alone = np.abs(left[far] - np.nanmedian(around, axis=1)) > limit
     odd[far] = alone.any(axis=1)
