@@ -42,6 +42,7 @@ class Solution:
     own: tuple[Decision, ...]  # the same with each recording's own b and tau
     noises: tuple[NoiseModel, ...]  # of each recording
     spectra: tuple[Spectrum, ...]
+    sources: tuple[str, ...]  # which part of each recording the noise is of
     outliers: int
     converged: bool
 
@@ -100,6 +101,7 @@ class _Work:
         self._gain = np.eye(3)
         self._noises: list[NoiseModel] = []
         self._spectra: list[Spectrum] = []
+        self._sources: list[str] = []
 
     def begin(self) -> None:
         """Find lags by correlation, then gain and biases by plain least squares."""
@@ -151,6 +153,7 @@ class _Work:
             own=decisions,
             noises=tuple(self._noises),
             spectra=tuple(self._spectra),
+            sources=tuple(self._sources),
             outliers=sum(session.outliers for session in self._sessions),
             converged=converged,
         )
@@ -227,10 +230,9 @@ class _Work:
             session.observe(self._gain, judge, fresh)
 
     def _fit_noise(self) -> None:
-        self._spectra = [
-            binned(session.spectra(self._gain), session.sampling.rate_hz)
-            for session in self._sessions
-        ]
+        found = [session.periodograms(self._gain) for session in self._sessions]
+        self._spectra = [binned(pieces) for pieces, _ in found]
+        self._sources = [said for _, said in found]
         before: list[FloatArray | None] = [noise.levels for noise in self._noises]
         before = before or [None] * len(self._sessions)
         self._noises = [

@@ -228,7 +228,7 @@ def _levels(solution: Solution) -> NoiseLevels:
         angle_random_walk=levels[:, 0],
         bias_instability=levels[:, 1],
         rate_random_walk=levels[:, 2],
-        source="spectrum of the residual, whole recording",
+        source=solution.sources[-1],
     )
 
 

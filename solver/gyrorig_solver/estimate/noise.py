@@ -14,10 +14,12 @@ f = k r/(2n) and has variance S(f) r/2; the transform makes a random walk nearly
 diagonal, so weighing by 1/variance whitens it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.fft import dct
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.low_pass import power_gain
@@ -121,16 +123,33 @@ class Spectrum:
     count: FloatArray  # (k,), coefficients in each bin
 
 
-def binned(coefficients: list[FloatArray], rate_hz: float, bins: int = 60) -> Spectrum:
-    """Return the residual's density over all segments, without the constant.
+@dataclass(frozen=True, slots=True, eq=False)
+class Periodogram:
+    """Power of a stretch of residual at single frequencies."""
 
-    Args:
-        coefficients: DCT-II of the residual, one array (n, 3) for each segment.
-        rate_hz: of the series.
-        bins: at most this many.
-    """
-    f = np.concatenate([frequencies(c.shape[0], rate_hz)[1:] for c in coefficients])
-    power = np.concatenate([c[1:] ** 2 for c in coefficients]) * 2.0 / rate_hz
+    frequency_hz: FloatArray  # (m,)
+    density: FloatArray  # (m, 3), one-sided
+
+    @classmethod
+    def of(cls, residual: FloatArray, rate_hz: float, share: float = 1.0) -> "Periodogram":
+        """Return the power of a uniform residual (n, 3), without its constant.
+
+        `share`: of the blocks that are used; the missing ones' power is given back.
+        """
+        n = residual.shape[0]
+        spectrum = dct(residual, axis=0, norm="ortho")[1:]
+        return cls(frequencies(n, rate_hz)[1:], spectrum**2 * (2.0 / rate_hz / max(share, 1e-3)))
+
+    def between(self, low_hz: float, high_hz: float) -> "Periodogram":
+        """Return the part with low <= f < high."""
+        inside = (self.frequency_hz >= low_hz) & (self.frequency_hz < high_hz)
+        return Periodogram(self.frequency_hz[inside], self.density[inside])
+
+
+def binned(pieces: Sequence[Periodogram], bins: int = 60) -> Spectrum:
+    """Return the residual's density over all stretches, in at most `bins` bins."""
+    f = np.concatenate([piece.frequency_hz for piece in pieces])
+    power = np.concatenate([piece.density for piece in pieces])
     edges = np.geomspace(f.min() * 0.999, f.max() * 1.001, bins + 1)
     which = np.digitize(f, edges) - 1
     count = np.bincount(which, minlength=bins).astype(np.float64)

@@ -20,6 +20,7 @@ SERIES_HZ = 100.0  # about the rate of the block means, or more where the low-pa
 PER_BANDWIDTH = 2.4  # a jump of speed tells the time offset up to the bandwidth
 FINE_HZ = 500.0  # at least the rate of the fine grid, and five times the bandwidth
 LONGEST_GAP_S = 2.0  # a longer gap begins a new series
+MANY_SAMPLES = 4_000_000  # above it hours tell the offset well enough, and memory counts
 SHORTEST_SERIES = 64  # blocks; less is not worth a spectrum
 PART_BLOCKS = 1 << 16  # about the length of a part of a long series
 
@@ -41,7 +42,7 @@ class Series:
         """How many block means are used: as many as transform quickly, a few less than all."""
         whole = self.time_s.size // self.block
         count = max(1, round(whole / PART_BLOCKS))
-        return count * _quick(whole // count)
+        return count * quick_length(whole // count)
 
     @property
     def period_s(self) -> float:
@@ -110,16 +111,17 @@ class Series:
         return np.asarray(use.reshape(-1, self.block).any(axis=1), dtype=np.bool_)
 
 
-def _quick(n: int) -> int:
+def quick_length(n: int) -> int:
     """Return the largest length up to n whose transform is quick (no large prime in it)."""
     while next_fast_len(n) != n:
         n -= 1
     return n
 
 
-def grids(rate_hz: float, bandwidth_hz: float | None) -> tuple[int, int]:
+def grids(rate_hz: float, bandwidth_hz: float | None, samples: int = 0) -> tuple[int, int]:
     """Return samples to a block and fine intervals to a sample, for samples at a rate."""
-    series_hz = max(SERIES_HZ, PER_BANDWIDTH * (bandwidth_hz or 0.0))
+    wide_hz = PER_BANDWIDTH * (bandwidth_hz or 0.0) if samples < MANY_SAMPLES else 0.0
+    series_hz = max(SERIES_HZ, wide_hz)
     block = max(1, round(rate_hz / series_hz))
     least_hz = max(FINE_HZ, 5.0 * (bandwidth_hz or 0.0))
     fine = max(1, int(np.ceil(least_hz / rate_hz)))
@@ -134,7 +136,7 @@ def build_series(samples: GyroSamples) -> tuple[list[Series], Sampling]:
     """
     period_s = samples.period_s
     rate_hz = 1.0 / period_s
-    block, fine = grids(rate_hz, samples.bandwidth_hz)
+    block, fine = grids(rate_hz, samples.bandwidth_hz, samples.number.size)
     jump = np.diff(samples.number)
     cut = (np.diff(samples.segment) != 0) | (jump * period_s > LONGEST_GAP_S)
     bounds = np.concatenate([[0], np.flatnonzero(cut) + 1, [samples.number.size]])

@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import dct
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.extension import Extension, columns_of, effect_of
-from gyrorig_solver.estimate.noise import NoiseModel, Sampling
+from gyrorig_solver.estimate.noise import NoiseModel, Periodogram, Sampling
 from gyrorig_solver.estimate.normal import Normal, NormalSum, score_again
 from gyrorig_solver.estimate.predict import (
     instants_per_block,
@@ -22,12 +21,16 @@ from gyrorig_solver.estimate.predict import (
     predict_columns,
     predict_rate,
 )
-from gyrorig_solver.estimate.series import PART_BLOCKS, Series
+from gyrorig_solver.estimate.series import PART_BLOCKS, Series, quick_length
 from gyrorig_solver.estimate.whitening import PartModel, WhitePart
 from gyrorig_solver.model.terms.scene import Scene, Setting
 from gyrorig_solver.reference.motion import ReferenceMotion
 
 SPIKE_SIGMA = 6.0  # a sample this far off is no sample of the model's noise
+SHORTEST_SPECTRUM = 256  # blocks
+REST_S, ENOUGH_REST_S = 4.0, 20.0  # a rest worth a spectrum, and how much of such rest is enough
+LEAST_WAVES = 2.0  # of the slowest frequency taken from a rest
+SETTLE_S = 0.3  # after a move
 SAME_NOISE = 0.03  # of the logarithm of a weight: less does not call for new ones
 ENOUGH = 8192  # samples to judge a deviation by
 NEIGHBOURS = 4  # on each side: a glitch of up to four samples sticks out from nine
@@ -260,15 +263,33 @@ class SessionFit:
             raise InputError("no stretch of samples is long enough", "record for longer")
         return total
 
-    def spectra(self, gain: FloatArray) -> list[FloatArray]:
-        """Return the residual's DCT part by part, missing blocks' power given back."""
-        found = []
-        for s, residual in zip(self._stretches, self.residuals(gain), strict=True):
-            share = np.sqrt(max(float(np.mean(s.used)), 1e-3))
-            found += [
-                dct(residual[blocks], axis=0, norm="ortho") / share for blocks in s.series.parts()
-            ]
-        return found
+    def periodograms(self, gain: FloatArray) -> tuple[list[Periodogram], str]:
+        """Return the residual's power, and in words which part of the recording it is of.
+
+        What the model of a motion lacks would pass for noise: where there are rests enough
+        the frequencies that they hold are taken from them.
+        """
+        rate_hz = self.sampling.rate_hz
+        residuals, moving = self.residuals(gain), self.moving
+        whole = [
+            Periodogram.of(residual[blocks], rate_hz, float(np.mean(s.used)))
+            for s, residual in zip(self._stretches, residuals, strict=True)
+            for blocks in s.series.parts()
+        ]
+        shortest = max(SHORTEST_SPECTRUM, round(REST_S * rate_hz))
+        rests = [
+            residual[run]
+            for s, residual, turning in zip(self._stretches, residuals, moving, strict=True)
+            for run in _runs(s.used & ~_widened(turning, round(SETTLE_S * rate_hz)), shortest)
+        ]
+        rest_s = sum(rest.shape[0] for rest in rests) / rate_hz
+        if rest_s < ENOUGH_REST_S or not any(turning.any() for turning in moving):
+            return whole, "spectrum of the residual, whole recording"
+        split_hz = LEAST_WAVES * rate_hz / shortest
+        still = [Periodogram.of(rest, rate_hz).between(split_hz, np.inf) for rest in rests]
+        slow = [piece.between(0.0, split_hz) for piece in whole]
+        said = f"spectrum: {rest_s:.0f} s of rests above {split_hz:.1f} Hz, whole recording below"
+        return [*slow, *still], said
 
     # ---- how
 
@@ -365,6 +386,24 @@ def _blank(series: Series) -> _Stretch:
         used=np.zeros(n, np.bool_),
         effect=none.copy(),
     )
+
+
+def _runs(use: BoolArray, shortest: int) -> list[slice]:
+    """Return where `use` holds for at least `shortest` rows; long runs in parts."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], use.astype(np.int8), [0]])))
+    found = []
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        for first in range(begin, end, PART_BLOCKS):
+            last = min(end, first + PART_BLOCKS)
+            if last - first >= shortest:
+                found.append(slice(first, first + quick_length(last - first)))
+    return found
+
+
+def _widened(moving: BoolArray, after: int) -> BoolArray:
+    """Return the same, each stretch lasting `after` rows longer."""
+    late = np.convolve(moving, np.ones(after + 1))[: moving.size]
+    return np.asarray(late > 0.5, dtype=np.bool_)
 
 
 def _speed(rate: FloatArray) -> FloatArray:
