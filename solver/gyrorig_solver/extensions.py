@@ -81,6 +81,11 @@ def choose_extensions(found: Found, extend: Sequence[str]) -> Chosen:
 
 def _check(cause: str) -> None:
     found = term(cause)
+    if found.kind == "gauge":
+        raise UsageError(
+            f"{cause} is absorbed by the base parameters whole, so no motion shows it",
+            found.excitation,
+        )
     if found.kind not in ("effect", "known"):
         raise UsageError(
             f"{cause} cannot be fitted to the rates", f"{found.excitation}; `gyrorig explain` looks"

@@ -14,11 +14,13 @@ from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.estimate.attitude import fit_attitude
 from gyrorig_solver.estimate.gravity import fit_gravity
 from gyrorig_solver.estimate.motion import fit_joint, fit_motion
-from gyrorig_solver.estimate.result import GyroFit
+from gyrorig_solver.estimate.result import GyroFit, StageLevel
 from gyrorig_solver.estimate.turns import fit_turns
 from gyrorig_solver.extensions import choose_extensions
+from gyrorig_solver.model.terms.level_rests import level_by_rests
 from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
 from gyrorig_solver.reference.motion import ReferenceMotion
+from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.reference.ptu_recording import ptu_reference
 from gyrorig_solver.reference.rest import RestReference, mostly_at_rest
 from gyrorig_solver.reference.turns import TurnReference, read_turns
@@ -38,6 +40,7 @@ REST_WORDS = {
     "bias": "there are too few samples; record at rest for a minute",
     "time_offset": "nothing moved; use a moving reference",
 }
+MOST_FOR_LEVEL = 4_000_000  # samples: hours of accelerations are not worth their memory
 STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901; only the accelerometer's scale rests on it
 
 
@@ -95,12 +98,35 @@ def _by_unit(loaded: list[tuple[Recording, GyroSamples]], extend: Sequence[str])
         many = f"{recording.path.name}: " if len(loaded) > 1 else ""
         warnings += tuple(many + text for text in said)
     chosen = choose_extensions(found, extend)
-    return fit_joint(
+    fit = fit_joint(
         [(samples, reference) for _, samples, reference in found],
         {**PTU_WORDS, **chosen.words},
         (*warnings, *chosen.remarks),
         chosen.extensions,
         chosen.settings,
+    )
+    return replace(fit, level=_level(*found[-1][1:]))
+
+
+def _level(samples: GyroSamples, reference: ReferenceMotion) -> StageLevel | None:
+    """Return how the accelerometer sees the stage stand, None where it cannot tell."""
+    if not isinstance(reference, PtuReference) or samples.number.size > MOST_FOR_LEVEL:
+        return None
+    accel = samples.accel_m_s2
+    if accel is None:
+        return None
+    try:
+        found = level_by_rests(samples.time_s, accel, reference.angles_rad(samples.time_s))
+    except InputError:  # too few tilts: that is no fault of the recording
+        return None
+    right, forward = (float(v) for v in found.lean_rad)
+    right_std, forward_std = (float(v) for v in found.lean_std_rad)
+    return StageLevel(
+        tilt_zero_rad=found.offset_rad,
+        tilt_zero_std_rad=found.offset_std_rad,
+        lean_rad=(right, forward),
+        lean_std_rad=(right_std, forward_std),
+        rests=found.rests,
     )
 
 

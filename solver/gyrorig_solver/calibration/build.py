@@ -22,6 +22,7 @@ from gyrorig_solver.calibration.document import (
     Calibration,
     Covariance,
     HeldOut,
+    Level,
     Matrices,
     Matrix,
     NoiseFigure,
@@ -201,6 +202,18 @@ def _second_opinion(fit: GyroFit) -> SecondOpinion | None:
     )
 
 
+def _level(fit: GyroFit) -> Level | None:
+    if fit.level is None:
+        return None
+    return Level(
+        tilt_zero=fit.level.tilt_zero_rad,
+        tilt_zero_std=fit.level.tilt_zero_std_rad,
+        lean=list(fit.level.lean_rad),
+        lean_std=list(fit.level.lean_std_rad),
+        rests=fit.level.rests,
+    )
+
+
 def _apart(fit: GyroFit, names: Sequence[str]) -> list[OwnOfRecording]:
     return [
         OwnOfRecording(
@@ -226,5 +239,6 @@ def _quality(fit: GyroFit, profile: SensorProfile | None, names: Sequence[str]) 
         warnings=[*fit.warnings, *profile_warnings(fit, profile)],
         outliers=int(fit.outliers),
         rest_to_rest=_second_opinion(fit),
+        level=_level(fit),
         recordings=_apart(fit, names) if fit.recordings else None,
     )

@@ -125,6 +125,21 @@ class SecondOpinion(_Document, frozen=True):
     largest_sigma: float
 
 
+class Level(_Document, frozen=True):
+    """How the unit stands by the board's accelerometer, rad.
+
+    `tilt_zero` is the tilt axis' zero minus the board's mount about x: no sensor on the
+    board tells the two apart. `lean` is the pan axis against the vertical, to the right and
+    forward.
+    """
+
+    tilt_zero: float
+    tilt_zero_std: float
+    lean: list[float]
+    lean_std: list[float]
+    rests: int
+
+
 class OwnOfRecording(_Document, frozen=True):
     """What is free in each recording of a joint solve; None where it was not observable."""
 
@@ -144,6 +159,7 @@ class Quality(_Document, frozen=True, omit_defaults=True):
     efficiency: dict[str, float] | None = None
     outliers: int | None = None
     rest_to_rest: SecondOpinion | None = None
+    level: Level | None = None  # where the accelerometer was recorded at several tilts
     recordings: list[OwnOfRecording] | None = None  # where several were solved together
 
 

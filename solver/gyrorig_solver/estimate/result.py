@@ -70,6 +70,17 @@ class FittedCause:
     unit: str
 
 
+@dataclass(frozen=True, slots=True)
+class StageLevel:
+    """What the board's accelerometer says of the unit at rest; see model/terms/leveling."""
+
+    tilt_zero_rad: float  # the tilt axis' zero minus the board's mount about x
+    tilt_zero_std_rad: float
+    lean_rad: tuple[float, float]  # of the pan axis against the vertical, to the right, forward
+    lean_std_rad: tuple[float, float]
+    rests: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingFit:
     """What is one recording's own in a joint fit."""
@@ -117,6 +128,7 @@ class GyroFit:
     diagnostics: FitDiagnostics | None = None
     extra: dict[str, float] = field(default_factory=dict)
     causes: tuple[FittedCause, ...] = ()
+    level: StageLevel | None = None  # where the recording has an accelerometer and tilts
     recordings: tuple[RecordingFit, ...] = ()  # in the order of time, where there are several
 
     @property
