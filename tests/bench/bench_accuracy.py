@@ -27,8 +27,9 @@ from tests.bench.accuracy.trial import Case, run  # noqa: E402
 
 from gyrorig_protocol.errors import GyrorigError  # noqa: E402 - the line above makes threads few
 
+Rows = list[dict[str, Any]]
 RESULTS = ROOT / "docs" / "accuracy" / "results.json"
-PROCESSES, QUICK_RUNS, ALL_RUNS = 2, 20, 200
+PROCESSES, LEAST_RUNS, QUICK_RUNS, ALL_RUNS = 2, 8, 20, 200
 DRAWN_TOGETHER, TOLD_EVERY = 4, 20
 
 
@@ -41,23 +42,31 @@ def one(job: tuple[Case, int]) -> dict[str, Any]:
         return {"seed": seed, "failed": str(error)}
 
 
-def collect(cases: list[Case], runs: int) -> dict[str, list[dict[str, Any]]]:
-    """Return the runs of each case; progress goes to stderr."""
-    found: dict[str, list[dict[str, Any]]] = {}
-    with ProcessPoolExecutor(PROCESSES) as pool:
-        for case in cases:
-            begun = time.monotonic()
-            jobs = [(case, seed) for seed in range(runs)]
-            found[case.name] = []
-            for row in pool.map(one, jobs, chunksize=DRAWN_TOGETHER):
-                found[case.name].append(row)
-                if len(found[case.name]) % TOLD_EVERY == 0 or len(found[case.name]) == runs:
-                    took_s = time.monotonic() - begun
-                    print(  # noqa: T201
-                        f"{case.name}: {len(found[case.name])} of {runs}, {took_s:.0f} s",
-                        file=sys.stderr,
-                    )
-    return found
+def collect(case: Case, runs: int, kept: Rows, pool: ProcessPoolExecutor) -> Rows:
+    """Return the runs of a case, those that are kept and others; progress goes to stderr."""
+    begun = time.monotonic()
+    rows = kept[:runs]
+    jobs = [(case, seed) for seed in range(len(rows), runs)]
+    for row in pool.map(one, jobs, chunksize=DRAWN_TOGETHER):
+        rows.append(row)
+        if len(rows) % TOLD_EVERY == 0 or len(rows) == runs:
+            took_s = time.monotonic() - begun
+            print(f"{case.name}: {len(rows)} of {runs}, {took_s:.0f} s", file=sys.stderr)  # noqa: T201
+    return rows
+
+
+def kept_runs(path: Path | None) -> dict[str, Rows]:
+    """Return the runs of an earlier call, so that more can be added."""
+    if path is None or not path.exists():
+        return {}
+    kept: dict[str, Rows] = json.loads(path.read_text(encoding="utf-8"))
+    return kept
+
+
+def written(path: Path | None, content: object, indent: int | None = None) -> None:
+    """Write a file where one is wanted."""
+    if path is not None:
+        path.write_text(json.dumps(content, indent=indent) + "\n", encoding="utf-8")
 
 
 def main() -> int:
@@ -67,11 +76,18 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs of each")
     parser.add_argument("--case", default="", help="only cases whose name holds these words")
     parser.add_argument("--out", type=Path, help="write the figures; for the page: " + RESULTS.name)
-    parser.add_argument("--keep", type=Path, help="write every single run, too")
+    parser.add_argument(
+        "--keep", type=Path, help="keep every single run there, and begin with those (same code!)"
+    )
     asked = parser.parse_args()
     count = QUICK_RUNS if asked.quick else asked.runs
-    cases = [case for case in CASES if asked.case in case.name]
-    runs = collect(cases, count)
+    runs = kept_runs(asked.keep)
+    with ProcessPoolExecutor(PROCESSES) as pool:
+        for case in CASES:
+            if asked.case in case.name:
+                wanted = max(LEAST_RUNS, round(count * case.share))
+                runs[case.name] = collect(case, wanted, runs.get(case.name, []), pool)
+                written(asked.keep, runs)
     results = {
         "runs": count,
         "cases": {name: summarise(rows) for name, rows in runs.items()},
@@ -81,9 +97,7 @@ def main() -> int:
             if f"{name}, spikes" in runs
         },
     }
-    for path, content in ((asked.out, results), (asked.keep, runs)):
-        if path:
-            path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    written(asked.out, results, indent=1)
     missed = 0
     print("| item | goal | measured (95 % interval) | |\n|---|---|---|---|")  # noqa: T201
     for row in judged(results):

@@ -23,7 +23,8 @@ LOG_STD = 1e-2  # of speeds and accelerations before they are seen
 BESIDE_STD, LAG_STD = 1.0 / 6.0, 12.0**-0.5  # of a count's offset and lag, steps, as they are drawn
 LATE_SHARE_STD = 12.0**-0.5
 START_STEP_S, LOG_STEP, REST_STEP = 1e-4, 1e-5, 1e-2  # of numeric derivatives
-BEFORE_S, AFTER_S = 3.0, 3.0  # about a move, for its low-pass and its weighing
+RISE_S, FALL_S = 0.2, 0.6  # about a move, for its low-pass
+ABOUT_S = 3.0  # about a short piece, for its weighing
 LONG_S = 12.0  # a piece longer than this is weighed exactly
 TAU = 12
 
@@ -110,7 +111,7 @@ class _Unknown:
     more: Path
     less: Path
     step: float
-    span_s: tuple[float, float]  # where that matters
+    spans_s: tuple[tuple[float, float], ...]  # where that matters, in order
     held: float  # one over the variance known before
     off: float = 0.0  # the truth, minus where it was thought to be before
 
@@ -120,21 +121,24 @@ def _unknowns(session: Session) -> list[_Unknown]:
     path = session.path
     found = []
     for k, move in enumerate(path.moves):
-        span = (move.start_s, move.end_s)
+        during = ((move.start_s, move.end_s),)
         pair = [
             _with(path, {k: replace(move, start_s=move.start_s + s * START_STEP_S)})
             for s in (1.0, -1.0)
         ]
-        found.append(_Unknown(pair[0], pair[1], START_STEP_S, span, 0.0))
+        found.append(_Unknown(pair[0], pair[1], START_STEP_S, during, 0.0))
     for axis in (0, 1):
         own = path.of_axis(axis)
         for k in range(len(own) + 1):
             pair = [_rested(path, axis, k, s * REST_STEP) for s in (1.0, -1.0)]
-            # From the move that came here to the end of the one that left.
-            begin_s = own[k - 1].start_s if k > 0 else 0.0
-            span = (begin_s, own[k].end_s if k < len(own) else session.end_s)
+            near = own[max(0, k - 1) : k + 1]
+            spans = tuple((move.start_s, move.end_s) for move in near)
+            if axis == 1:
+                # The tilt turns what pan does, from the move that came to the one that left.
+                begin_s = own[k - 1].start_s if k > 0 else 0.0
+                spans = ((begin_s, own[k].end_s if k < len(own) else session.end_s),)
             off = float(path.off_steps[axis][k])
-            found.append(_Unknown(pair[0], pair[1], REST_STEP, span, DETENT_STEPS**-2, off))
+            found.append(_Unknown(pair[0], pair[1], REST_STEP, spans, DETENT_STEPS**-2, off))
     for own_class in sorted(set(session.classes)):
         at = [k for k, c in enumerate(session.classes) if c == own_class]
         found.append(_scaled(path, at, "speed_steps_s", session.log_speed[own_class]))
@@ -168,22 +172,39 @@ def _scaled(path: Path, at: list[int], what: str, off: float) -> _Unknown:
                 ramp = move.acceleration_steps_s2 * factor
                 changed[k] = replace(move, acceleration_steps_s2=ramp)
         pair.append(_with(path, changed))
-    ends = [path.moves[k] for k in at]
-    span = (ends[0].start_s, max(m.end_s for m in ends)) if ends else (0.0, 0.0)
-    return _Unknown(pair[0], pair[1], LOG_STEP, span, LOG_STD**-2, off)
+    spans = tuple((path.moves[k].start_s, path.moves[k].end_s) for k in at)
+    return _Unknown(pair[0], pair[1], LOG_STEP, spans, LOG_STD**-2, off)
 
 
 def _piece(board: Board, unknown: _Unknown, begin_s: float, count: int) -> _Piece:
     """Return the derivative of the seen stage rate by one unknown."""
+    hz = board.rate_hz
+    late_s = board.lag_s - begin_s
+    windows: list[list[int]] = []
+    for begin, end in unknown.spans_s:
+        low = int(np.floor((begin + late_s - RISE_S) * hz))
+        high = int(np.ceil((end + late_s + FALL_S) * hz))
+        if windows and low < windows[-1][1]:
+            windows[-1][1] = max(windows[-1][1], high)
+        else:
+            windows.append([low, high])
+    reach = round(ABOUT_S * hz)
+    first, last = (windows[0][0] - reach, windows[-1][1] + reach) if windows else (0, 0)
+    values = np.zeros((last - first, 3))
+    for low, high in windows:
+        values[low - first : high - first] = _change(board, unknown, begin_s, low, high)
+    low, high = max(0, first), max(0, min(count, last))
+    return _Piece(low, values[low - first : max(high, low) - first])
+
+
+def _change(board: Board, unknown: _Unknown, begin_s: float, first: int, last: int) -> FloatArray:
+    """Return the derivative at some samples, outside of which it is zero."""
     hz, over = board.rate_hz, board.oversampling
-    first = int(np.floor((unknown.span_s[0] + board.lag_s - begin_s - BEFORE_S) * hz))
-    last = int(np.ceil((unknown.span_s[1] + board.lag_s - begin_s + AFTER_S) * hz))
-    m = next_fast_len(max(1, last - first) * over, real=True)
+    m = next_fast_len((last - first) * over, real=True)
     edges = begin_s + first / hz + np.arange(m + 1) / (hz * over)
     change = unknown.more.mean_rate_rad_s(edges) - unknown.less.mean_rate_rad_s(edges)
-    values = through(board, change / (2.0 * unknown.step), slope=False)[: last - first]
-    low, high = max(0, first), min(count, last)
-    return _Piece(low, values[low - first : high - first])
+    change[(last - first) * over :] = 0.0
+    return through(board, change / (2.0 * unknown.step), slope=False)[: last - first]
 
 
 def _add_short(
@@ -246,15 +267,11 @@ def _answers(session: Session, size: int) -> tuple[FloatArray, FloatArray]:
         weights.append(1.0 / (1.0 / 12.0 + (speed * wide) ** 2 / 12.0))
         columns = np.zeros((time_s.size, size))
         for k, unknown in enumerate(unknowns):
-            near_it = slice(
-                int(np.searchsorted(time_s, unknown.span_s[0])),
-                int(np.searchsorted(time_s, unknown.span_s[1])),
-            )
-            there = time_s[near_it]
-            change = unknown.more.counted_steps(axis, there) - unknown.less.counted_steps(
-                axis, there
-            )
-            columns[near_it, k] = change / (2.0 * unknown.step)
+            for begin, end in unknown.spans_s:
+                own_times = slice(*(int(np.searchsorted(time_s, edge)) for edge in (begin, end)))
+                change = unknown.more.counted_steps(axis, time_s[own_times])
+                change -= unknown.less.counted_steps(axis, time_s[own_times])
+                columns[own_times, k] = change / (2.0 * unknown.step)
         rows.append(columns)
         tails.append(np.column_stack([np.ones(time_s.size), -np.sign(speed), speed * wide]))
     jacobian = np.concatenate([np.concatenate(rows), np.concatenate(tails)], axis=1)
