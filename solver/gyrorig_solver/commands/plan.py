@@ -17,7 +17,7 @@ from gyrorig_solver.plan.criterion import CRITERIA, Criterion, cost
 from gyrorig_solver.plan.document import program_text, write_new
 from gyrorig_solver.plan.predict import Prediction, predict
 from gyrorig_solver.plan.rig import Rig, load_rig
-from gyrorig_solver.plan.search import Found, find_program
+from gyrorig_solver.plan.search import AIMS, Found, find_program
 from gyrorig_solver.plan.words import hidden, table
 
 SHORTEST_S, LONGEST_S = 5.0, 900.0  # for more, carry a program out again
@@ -44,6 +44,14 @@ SHORTEST_S, LONGEST_S = 5.0, 900.0  # for more, carry a program out again
     default="worst",
     show_default=True,
     help="Which standard deviation counts: of the gain's nine entries, or of its factors.",
+)
+@click.option(
+    "--for",
+    "aim",
+    type=click.Choice(AIMS),
+    default="calibration",
+    show_default=True,
+    help="Least standard deviations, or causes of an error told apart.",
 )
 @click.option("--sensor", help="A profile: a name in config/boards, or a file.")
 @click.option(
@@ -88,7 +96,14 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
                 f"--seconds {seconds:g} is out of reach", f"{SHORTEST_S:g} to {LONGEST_S:g}"
             )
         found = find_program(
-            rig.unit, sensor, seconds, options["criterion"], options["seed"], terminal.progress
+            rig.unit,
+            sensor,
+            seconds,
+            options["criterion"],
+            options["seed"],
+            terminal.progress,
+            options["aim"],
+            rig.site,
         )
     elif options["out"] is not None:
         raise UsageError("--out without --seconds has nothing to write", "give --seconds")
@@ -100,10 +115,11 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     if options["causes"]:
         for one in shown:
             terminal.progress(f"looking for causes in {one.program.name}")
-            outlooks[id(one)] = foresee(one, sensor, rig.site)
+            known = found.outlook if found and one is found.prediction else None
+            outlooks[id(one)] = known or foresee(one, sensor, rig.site)
             _say_causes(terminal, one, outlooks[id(one)])
     if found is not None:
-        _write(terminal, found, rig, options["criterion"], options["out"])
+        _write(terminal, found, rig, options)
     code = NOT_IDENTIFIABLE if shown[-1].observability.unobservable else 0
     terminal.emit(
         {
@@ -142,10 +158,9 @@ def _read(path: Path) -> bytes:
         raise UsageError(f"{path} cannot be read", f"{fault.strerror}") from fault
 
 
-def _write(
-    terminal: Terminal, found: Found, rig: Rig, criterion: Criterion, out: Path | None
-) -> None:
+def _write(terminal: Terminal, found: Found, rig: Rig, options: dict[str, Any]) -> None:
     """Say what was chosen, and write it where it was asked for."""
+    criterion, out = options["criterion"], options["out"]
     terminal.say(
         f"  chosen from {found.judged} programs: {criterion} standard deviation "
         f"{found.cost * 1e6:.1f} ppm"
@@ -159,13 +174,25 @@ def _write(
             name=out.stem,
             steps=program.steps,
             settings=program.settings,
-            description=f"made by gyrorig plan for {rig.name}: least {criterion} standard "
-            f"deviation in {found.prediction.duration_s:.1f} s",
+            description=_described(found, options),
         )
     )
-    parse_program(text, out.name)
-    write_new(out, text)
+    asked = [f"--{name} {options[name]}" for name in ("seconds", "criterion", "sensor", "seed")]
+    asked = [part for part in asked if not part.endswith(" None")]
+    header = (
+        f"# Made by: gyrorig plan --rig {options['rig_path'].name} --for {options['aim']} "
+        f"{' '.join(asked)}\n"
+    )
+    parse_program(header + text, out.name)
+    write_new(out, header + text)
     terminal.say(f"  program               {out}")
+
+
+def _described(found: Found, options: dict[str, Any]) -> str:
+    lasts = f"{found.prediction.duration_s:.1f} s"
+    if options["aim"] == "causes":
+        return f"planned to tell causes apart: {found.design.poses} tilts, {lasts}"
+    return f"planned for the least {options['criterion']} standard deviation in {lasts}"
 
 
 def _say_causes(terminal: Terminal, of: Prediction, outlook: Outlook) -> None:

@@ -9,7 +9,7 @@ What to use when: `foresee` for a program; `cause_words` prints what it returns.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -31,6 +31,7 @@ from gyrorig_solver.plan.sensor import MOUNT, SensorModel
 
 DETECTED, FALSE_ALARMS = 0.8, 0.01  # of a cause of that size; of all looks together
 ALIKE = 0.5  # share of a cause's energy that another may take before they are confusable
+TAKEN_AT_MOST, UNSEEN = 0.99, 1000.0
 POWERS = (0.5, 4.0)  # of its size that an effect may grow with
 BATCH_VALUES = 2_000_000  # of the causes' derivatives on one sensor axis, held at a time
 
@@ -49,6 +50,16 @@ class Foreseen:
     moves: str  # which parameter it moves most, undetected
     harm: float  # by how many standard deviations, at its detectable size
     look: Look
+    likest: float = 0.0  # share of its energy that the likest other cause takes
+
+    @property
+    def identifiable(self) -> float:
+        """Size from which it is told from the likest other cause, SI.
+
+        What the other takes is lost; of causes all but equal, that no motion tells apart,
+        `TAKEN_AT_MOST` counts as taken.
+        """
+        return self.largest / float(np.sqrt(1.0 - min(self.likest, TAKEN_AT_MOST)))
 
     @property
     def visible(self) -> bool:
@@ -80,6 +91,19 @@ class Outlook:
     def hidden(self) -> tuple[Foreseen, ...]:
         """What this program cannot show at any size that is possible."""
         return tuple(f for f in self.foreseen if not f.visible)
+
+    @property
+    def blindness(self) -> float:
+        """How large causes must be to be known by name: mean over causes, typical sizes.
+
+        A geometric mean, so that a cause ten times better known counts as much as another ten
+        times worse. What is not seen at all counts as `UNSEEN`.
+        """
+        logs: dict[str, list[float]] = {}
+        for f in self.foreseen:
+            size = min(f.identifiable / f.typical, UNSEEN)
+            logs.setdefault(f.term.cause, []).append(float(np.log(size)))
+        return float(np.exp(np.mean([np.mean(places) for places in logs.values()])))
 
     @property
     def worst_harm(self) -> float:
@@ -121,9 +145,10 @@ def foresee(prediction: Prediction, sensor: SensorModel, site: Site | None = Non
                 one = seen.shown(look, place, noncentrality_of(look, place, tested))
                 found.setdefault((look.term.cause, place), []).append(one)
     foreseen = [_foreseen(looked) for looked in found.values()]
+    compared, pairs = _compared(foreseen, sums)
     return Outlook(
-        foreseen=tuple(sorted(foreseen, key=lambda f: -f.harm)),
-        pairs=_pairs(foreseen, sums),
+        foreseen=tuple(sorted(compared, key=lambda f: -f.harm)),
+        pairs=pairs,
         gauges=tuple(t for t in causes if t.kind == "gauge"),
         elsewhere=tuple(t for t in causes if t.kind in ("stochastic", "raw")),
         missing=tuple((t, why) for t, why in missing if why is not None),
@@ -285,24 +310,30 @@ def _crossing(looked: Sequence[_Shown]) -> _Shown:
     return _Shown(one.look, one.place, one.sizes * factor, one.absorbed, one.harm)
 
 
-def _pairs(foreseen: Sequence[Foreseen], sums: _Sums) -> tuple[Pair, ...]:
-    """Return the causes that look alike, of those that can be seen."""
+def _compared(
+    foreseen: Sequence[Foreseen], sums: _Sums
+) -> tuple[tuple[Foreseen, ...], tuple[Pair, ...]]:
+    """Return the causes with how like the likest other is, and those that look alike."""
     seen = [f for f in foreseen if f.visible]
     looks = list({id(f.look): f.look for f in seen}.values())
     if not looks:
-        return ()
+        return tuple(foreseen), ()
     joint = sums.of(looks)
     at = [joint.index(f.look, f.place) for f in seen]
     best: dict[tuple[str, str], Pair] = {}
+    likest = {id(f): 0.0 for f in foreseen}
     for j, one in enumerate(seen):
         for k, other in enumerate(seen[:j]):
             if one.term.cause == other.term.cause:
                 continue
             share = _share(joint.left, at[j], at[k])
+            likest[id(one)] = max(likest[id(one)], share)
+            likest[id(other)] = max(likest[id(other)], share)
             names = (other.term.cause, one.term.cause)
             if share > max(ALIKE, best[names].share if names in best else 0.0):
                 best[names] = Pair(names, (other.place, one.place), share)
-    return tuple(sorted(best.values(), key=lambda pair: -pair.share))
+    pairs = tuple(sorted(best.values(), key=lambda pair: -pair.share))
+    return tuple(replace(f, likest=likest[id(f)]) for f in foreseen), pairs
 
 
 def _share(left: FloatArray, a: list[int], b: list[int]) -> float:

@@ -9,12 +9,15 @@ each rate comes with both signs, so that no gain looks like a bias. Cycles repea
 A stay (`once`) comes to each pose once and does all of its sweeps there, from the middle of
 pan's span to an end and back, to both ends in turn. A detent's error at a rest between two
 sweeps at the same tilt leaves the mean rate alone, and so the bias; between sweeps at
-different tilts it does not. Every move ends in a short rest.
+different tilts it does not. What a stay has beyond that tells the causes of an error apart:
+several speeds, and the first pose again at the end; that each sweep stops in the middle and
+goes on in the same direction does so anyway. Every move ends in a short rest.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,8 +49,19 @@ CHOICES: dict[str, tuple[float, ...]] = {
 # What of these a stay has not.
 ROUNDS_ONLY: dict[str, float] = {"along": False, "weave": 0}
 
-Place = tuple[float, float]  # pan and tilt, deg
+# What a stay's sweeps and swings go at, in turn, in parts of its speeds: the fastest, and
+# three that a rate's square and cube tell apart.
+LADDER = (1.0, 0.6, 0.35, 0.2)
+
 Steps = tuple[Step, ...]
+
+
+class Place(NamedTuple):
+    """Where a move goes, and how fast in parts of the design's speeds."""
+
+    pan_deg: float
+    tilt_deg: float
+    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +85,10 @@ class Space:
         return cls(spans[0], spans[1], fast[0], fast[1])
 
     @property
-    def home(self) -> tuple[float, float]:
+    def home(self) -> Place:
         """The allowed place nearest to pan 0, tilt 0."""
         pan, tilt = (min(max(0.0, low), high) for low, high in (self.pan_deg, self.tilt_deg))
-        return pan, tilt
+        return Place(pan, tilt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +107,8 @@ class Design:
     acceleration_deg_s2: float
     dwell_s: float
     once: bool = False  # a stay
+    speeds: int = 1  # of a stay's sweeps and swings, from the ladder
+    again: bool = False  # it ends at the first pose
 
     @property
     def sound(self) -> bool:
@@ -126,27 +142,32 @@ class Design:
     def stays(self, space: Space) -> tuple[tuple[Place, ...], ...]:
         """Return the places that are repeated at each pose, each last as its first."""
         found = []
-        for level in self._levels():
+        for level in (*self._levels(), *([-1.0] if self.again else [])):
             far = -1.0 if level > 0.0 else 1.0
-            at = [(0.0, level)]
+            at = [(0.0, level, 1.0)]
             for k in range(self.passes):
-                at += [(-1.0 if k % 2 else 1.0, level), (0.0, level)]
-            at += [(0.0, far), (0.0, level)] * self.swings
-            found.append(tuple(self._place(pan, tilt, space) for pan, tilt in at))
+                # The slower, the shorter: each sweep lasts about as long.
+                share = LADDER[k % self.speeds]
+                end = share * (-1.0 if k // self.speeds % 2 != k % 2 else 1.0)
+                at += [(end, level, share), (0.0, level, share)]
+            for k in range(self.swings):
+                share = LADDER[k % self.speeds]
+                at += [(0.0, far, share), (0.0, level, share)]
+            found.append(tuple(self._place(pan, tilt, space, share) for pan, tilt, share in at))
         return tuple(found)
 
     def steps(self, places: Sequence[Place], space: Space) -> Steps:
         """Return moves from the first place through all others, a rest after each."""
-        pan_speed = round(self.pan_speed * space.pan_speed_deg_s, 1)
-        tilt_speed = round(self.tilt_speed * space.tilt_speed_deg_s, 1)
         out = []
-        for (pan_before, tilt_before), (pan, tilt) in pairwise(places):
-            turns, leans = pan != pan_before, tilt != tilt_before
+        for before, to in pairwise(places):
+            turns, leans = to.pan_deg != before.pan_deg, to.tilt_deg != before.tilt_deg
             if not turns and not leans:
                 continue
+            pan_speed = round(self.pan_speed * space.pan_speed_deg_s * to.share, 1)
+            tilt_speed = round(self.tilt_speed * space.tilt_speed_deg_s * to.share, 1)
             move = Move(
-                pan_deg=pan if turns else None,
-                tilt_deg=tilt if leans else None,
+                pan_deg=to.pan_deg if turns else None,
+                tilt_deg=to.tilt_deg if leans else None,
                 pan_speed_deg_s=pan_speed if turns else None,
                 tilt_speed_deg_s=tilt_speed if leans else None,
             )
@@ -156,13 +177,14 @@ class Design:
     def lead(self, space: Space) -> tuple[Steps, Steps]:
         """Return the moves from home to the begin and back: pan at home's tilt only."""
         begin = self.begin(space)
-        there = (space.home, (begin[0], space.home[1]), begin)
+        there = (space.home, Place(begin.pan_deg, space.home.tilt_deg), begin)
         return self.steps(there, space), self.steps(there[::-1], space)[:-1]
 
-    def _place(self, pan: float, tilt: float, space: Space) -> Place:
-        return (
+    def _place(self, pan: float, tilt: float, space: Space, share: float = 1.0) -> Place:
+        return Place(
             _within(space.pan_deg, pan * self.pan_span),
             _within(space.tilt_deg, tilt * self.tilt_span),
+            share,
         )
 
     def _levels(self) -> list[float]:
@@ -240,7 +262,7 @@ def program_of(design: Design, space: Space, unit: UnitModel, seconds: float) ->
             f"{seconds:g} s is too short for a program that shows anything",
             f"this one needs {fixed_s + cycle_s:.0f} s",
         )
-    extra = (design.poses if design.once else len(design.round(space))) - 1
+    extra = len(design.stays(space) if design.once else design.round(space)) - 1
     while extra > 0 and lasts_s(made(cycles, extra, STATIC_S)) > seconds:
         extra -= 1
     # A rest ends with the question that is under way then.
@@ -253,7 +275,7 @@ def _round_steps(design: Design, space: Space, cycles: int, extra: int) -> Steps
     """Return cycles, and one that has only the first `extra` moves of its rounds."""
     cycle = design.steps(design.cycle(space), space)
     more = design.steps(design.cycle(space, extra + 1), space) if extra else ()
-    return ((Step(repeat=Repeat(cycles, cycle)),) if cycles else ()) + more
+    return ((Step(repeat=Repeat(cycles, cycle)),) if cycles > 1 else cycle * cycles) + more
 
 
 def _stay_steps(design: Design, space: Space, cycles: int, extra: int) -> Steps:
@@ -262,8 +284,8 @@ def _stay_steps(design: Design, space: Space, cycles: int, extra: int) -> Steps:
     out: list[Step] = []
     for k, places in enumerate(stays):
         count = cycles + (k < extra)
-        if count:
-            out.append(Step(repeat=Repeat(count, design.steps(places, space))))
+        sweeps = design.steps(places, space)
+        out += [Step(repeat=Repeat(count, sweeps))] if count > 1 else sweeps * count
         out += design.steps((places[0], stays[(k + 1) % len(stays)][0]), space)
     return tuple(out)
 

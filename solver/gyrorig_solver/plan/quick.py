@@ -38,7 +38,7 @@ class Quick:
         criterion: Criterion,
     ) -> None:
         """Judge designs for a unit and a sensor, in a space and a time."""
-        self._unit, self._space, self._seconds = unit, space, seconds
+        self._unit, self.space, self.seconds = unit, space, seconds
         self._criterion = criterion
         self._density: FloatArray = sensor.levels[:, 0]
         self._known: dict[Design, float] = {}
@@ -64,11 +64,11 @@ class Quick:
         return list(best.values())[:count]
 
     def _judge(self, design: Design) -> float:
-        if not design.sound or len(design.round(self._space)) > LONGEST_WAY:
+        if not design.sound or len(design.round(self.space)) > LONGEST_WAY:
             return float("inf")
-        lead, back = design.lead(self._space)
+        lead, back = design.lead(self.space)
         rest = Step(rest=Rest(STATIC_S))
-        fixed_s = lay_out(_program(design, self._space, (rest, *lead, *back, rest)), self._unit)
+        fixed_s = lay_out(_program(design, self.space, (rest, *lead, *back, rest)), self._unit)
         part = self._stay if design.once else self._round
         information = part(design, lead, fixed_s.duration_s)
         if information is None:
@@ -76,37 +76,37 @@ class Quick:
         still_s = 2.0 * STATIC_S + HALT_S
         resting = white_information(np.zeros((16, 3)), still_s / 16, self._density)
         decision = decide(information + resting, NAMES)
-        floor = np.sqrt(self._density / (2.0 * self._seconds))
+        floor = np.sqrt(self._density / (2.0 * self.seconds))
         return cost(decision, self._criterion) * drawback(decision, floor)
 
     def _round(self, design: Design, lead: Steps, fixed_s: float) -> FloatArray | None:
         """Return what as many cycles as fit will tell, None where none does."""
-        steps = design.steps(design.round(self._space), self._space)
-        seen = _Seen(design, self._space, self._unit, (lead, steps))
+        steps = design.steps(design.round(self.space), self.space)
+        seen = _Seen(design, self.space, self._unit, (lead, steps))
         way_s = seen.lasts_s(1)
         # The two halves of a cycle may differ by a question for the position or two.
         self.least_s[design] = fixed_s + 2.0 * way_s + 4.0 * self._unit.poll_interval_s
-        if self._seconds < self.least_s[design]:
+        if self.seconds < self.least_s[design]:
             return None
-        cycles = (self._seconds - fixed_s) / (2.0 * way_s)
+        cycles = (self.seconds - fixed_s) / (2.0 * way_s)
         return cycles * (seen.tells(1, self._density) + seen.tells(1, self._density, MIRRORED))
 
     def _stay(self, design: Design, lead: Steps, fixed_s: float) -> FloatArray | None:
         """Return what as many sweeps at each pose as fit will tell, None where none does."""
-        stays = design.stays(self._space)
+        stays = design.stays(self.space)
         parts = [lead]
         for k, places in enumerate(stays):
-            parts.append(design.steps(places, self._space))
+            parts.append(design.steps(places, self.space))
             following = stays[(k + 1) % len(stays)][0]
-            parts.append(design.steps((places[0], following), self._space))
-        seen = _Seen(design, self._space, self._unit, parts)
+            parts.append(design.steps((places[0], following), self.space))
+        seen = _Seen(design, self.space, self._unit, parts)
         sweeps, ways = range(1, len(parts), 2), range(2, len(parts), 2)
         sweeps_s = sum(seen.lasts_s(k) for k in sweeps)
         fixed_s += sum(seen.lasts_s(k) for k in ways)
         self.least_s[design] = fixed_s + sweeps_s + 4.0 * self._unit.poll_interval_s
-        if self._seconds < self.least_s[design]:
+        if self.seconds < self.least_s[design]:
             return None
-        times = (self._seconds - fixed_s) / sweeps_s
+        times = (self.seconds - fixed_s) / sweeps_s
         found = sum(seen.tells(k, self._density) for k in ways)
         repeated = sum(seen.tells(k, self._density) for k in sweeps)
         return np.asarray(found + times * repeated, dtype=np.float64)

@@ -3,16 +3,24 @@
 Many designs are drawn and judged quickly (`quick`). The best of both kinds of the family are
 walked downhill, one number at a time. The best of a few kinds, and then those near the best
 of all, are judged by the full prediction, which decides. The same seed gives the same program.
+
+For causes the best stay is given as many tilts and speeds as the time allows, and the rest
+is decided by how large causes must be to be known by name. A function of tilt or speed that
+no catalogue has shows only where there are more of them than the function has parameters
+(three more; notes on discovery, section 3.3), so levels come before standard deviations.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import MotionProgram
+from gyrorig_solver.model.terms.scene import Site
+from gyrorig_solver.plan.causes import Outlook, foresee
 from gyrorig_solver.plan.criterion import Criterion, cost, drawback
 from gyrorig_solver.plan.family import CHOICES, ROUNDS_ONLY, Design, Space, drawn, program_of
 from gyrorig_solver.plan.predict import Prediction, predict
@@ -21,9 +29,16 @@ from gyrorig_solver.plan.sensor import SensorModel
 from gyrorig_solver.plan.unit import UnitModel
 
 DRAWN, WALKED, KINDS = 150, 3, 8  # of each kind of the family; kinds of design, of both
+LONGEST_LIST = 1000
 NEAR = ("pan_span", "tilt_span")
 # Zero rate and scale of a part of its family leave so much of the range for the motion.
 USABLE_RANGE = 0.75
+
+Aim = Literal["calibration", "causes"]
+AIMS: tuple[str, ...] = get_args(Aim)
+# Tilts and speeds for causes, the most wanted first; and swings of tilt at each.
+LEVELS = ((5, 4), (5, 3), (3, 4), (3, 3), (3, 2), (3, 1))
+SWINGS = (1, 2, 4)
 
 Progress = Callable[[str], None]
 
@@ -36,6 +51,7 @@ class Found:
     prediction: Prediction
     cost: float  # by the criterion
     judged: int  # designs looked at
+    outlook: Outlook | None = None  # where it was looked for by causes
 
     @property
     def program(self) -> MotionProgram:
@@ -50,6 +66,8 @@ def find_program(
     criterion: Criterion = "worst",
     seed: int = 1,
     progress: Progress = lambda text: None,
+    aim: Aim = "calibration",
+    site: Site | None = None,
 ) -> Found:
     """Return the best program of the family within a time.
 
@@ -60,6 +78,8 @@ def find_program(
         criterion: see `criterion.cost`.
         seed: of the designs drawn.
         progress: is told what is being done.
+        aim: least standard deviations, or causes known by name.
+        site: where the rig stands; for causes.
 
     Raises:
         UsageError: no program of the family fits into so little time.
@@ -76,6 +96,8 @@ def find_program(
             _downhill(design, quick)
     if not quick.best_kinds(1):
         raise _too_short(quick, seconds)
+    if aim == "causes":
+        return _for_causes(quick, (unit, sensor, site), criterion, progress)
     found: dict[Design, Found] = {}
     weighed: dict[Design, float] = {}
 
@@ -97,6 +119,34 @@ def find_program(
     best = judge(quick.best_kinds(KINDS), "kind")
     best = judge([d for d in _neighbours(best) if _differs_in(d, best, NEAR)], "neighbour")
     return found[best]
+
+
+def _for_causes(
+    quick: Quick,
+    rig: tuple[UnitModel, SensorModel, Site | None],
+    criterion: Criterion,
+    progress: Progress,
+) -> Found:
+    """Return the program with the most levels that fit, and of those the least blind one."""
+    unit, sensor, site = rig
+    stays = [d for d in quick.best_kinds(LONGEST_LIST) if d.once]
+    if not stays:
+        raise _too_short(quick, quick.seconds)
+    best = replace(stays[0], pan_span=1.0, tilt_span=1.0, again=True)
+    found: list[Found] = []
+    for poses, speeds in LEVELS:
+        for swings in SWINGS:
+            design = replace(best, poses=poses, speeds=speeds, passes=speeds, swings=swings)
+            with suppress(UsageError):
+                made = program_of(design, quick.space, unit, quick.seconds)
+                progress(f"looking for causes with {poses} tilts, {speeds} speeds, {swings} swings")
+                prediction = predict(made, unit, sensor)
+                outlook = foresee(prediction, sensor, site)
+                value = cost(prediction.decision, criterion)
+                found.append(Found(design, prediction, value, quick.judged, outlook))
+        if found:
+            return min(found, key=lambda one: one.outlook.blindness if one.outlook else np.inf)
+    raise _too_short(quick, quick.seconds)
 
 
 def _downhill(design: Design, quick: Quick) -> None:

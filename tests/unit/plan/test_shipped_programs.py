@@ -1,0 +1,68 @@
+"""The planned programs of config/programs: what the planner ships, and what they show."""
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gyrorig_protocol.program import MotionProgram, Move, unrolled
+from gyrorig_solver import cli
+from gyrorig_solver.plan.causes import foresee
+from gyrorig_solver.plan.criterion import bias_excess
+from gyrorig_solver.plan.predict import predict
+from gyrorig_solver.plan.rig import Rig
+from gyrorig_solver.plan.sensor import SensorModel
+
+ROOT = Path(__file__).parents[3]
+PROGRAMS = ROOT / "config" / "programs"
+BY_HAND = {"quick", "full", "paper", "static"}
+MADE_BY = "# Made by: gyrorig "
+PLANNED = sorted(path.stem for path in PROGRAMS.glob("*.yaml") if path.stem not in BY_HAND)
+Shipped = Callable[[str], MotionProgram]
+LONG = ("planned-300", "survey-40", "survey-130")
+
+
+def asked(name: str) -> list[str]:
+    """The command in a program's first line."""
+    first = (PROGRAMS / f"{name}.yaml").read_text(encoding="utf-8").splitlines()[0]
+    assert first.startswith(MADE_BY)
+    words = shlex.split(first.removeprefix(MADE_BY))
+    return [str(ROOT / "config" / word) if word == "rig.yaml" else word for word in words]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.bench if n in LONG else ()) for n in PLANNED]
+)
+def test_the_planner_would_ship_it_again(name: str, tmp_path: Path) -> None:
+    out = tmp_path / f"{name}.yaml"
+    assert cli.run([*asked(name), "--no-causes", "--out", str(out), "--json"]) == 0
+    assert out.read_text(encoding="utf-8") == (PROGRAMS / out.name).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", PLANNED)
+def test_it_shows_everything_in_its_time(
+    name: str, rig: Rig, sensor: SensorModel, shipped: Shipped
+) -> None:
+    found = predict(shipped(name), rig.unit, sensor)
+    words = asked(name)
+    seconds = float(words[words.index("--seconds") + 1])
+    assert seconds - 0.2 < found.duration_s <= seconds
+    assert found.observability.rank == 12
+    # Surveys are chosen for causes first: at 40 s one is 0.2 % above the bias's floor.
+    most = 0.005 if name.startswith("survey") else 0.001
+    assert bias_excess(found.decision, found.bias_floor_rad_s) < most
+    steps = unrolled(shipped(name).steps, name)
+    tilts = {s.tilt_deg for s in steps if isinstance(s, Move) and s.tilt_deg is not None}
+    assert len(tilts) >= (3 if name.startswith("survey") else 2)
+
+
+@pytest.mark.parametrize(("planned", "by_hand"), [("survey-130", "full"), ("survey-40", "quick")])
+def test_surveys_know_more_by_name_than_programs_by_hand(
+    planned: str, by_hand: str, rig: Rig, sensor: SensorModel, shipped: Shipped
+) -> None:
+    ours, theirs = (predict(shipped(name), rig.unit, sensor) for name in (planned, by_hand))
+    assert ours.gain_std.max() < theirs.gain_std.max()
+    seen, known = (foresee(one, sensor, rig.site) for one in (ours, theirs))
+    assert seen.blindness < 0.8 * known.blindness
+    assert seen.worst_harm < known.worst_harm
