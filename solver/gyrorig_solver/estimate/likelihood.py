@@ -82,6 +82,23 @@ def solve_likelihood(
     """
     work = _Work(sessions, extensions)
     work.begin()
+    return _settled(work)
+
+
+def solve_again(before: Solution, extensions: Sequence[Extension]) -> Solution:
+    """Fit the same recordings with other causes, from where a fit ended.
+
+    Args:
+        before: is left as it is.
+        extensions: all causes that are to take part, each begun near its own best.
+    """
+    work = _Work([session.copy() for session in before.sessions], extensions)
+    work.resume(before.gain, before.noises)
+    return _settled(work)
+
+
+def _settled(work: "_Work") -> Solution:
+    """Take steps until they are small."""
     converged = False
     before = np.inf
     for _ in range(ROUNDS):
@@ -109,6 +126,12 @@ class _Work:
             session.find_lag()
         self._least_squares(first=True)
         self._least_squares(first=False)
+        self._observe(judge=True, fresh=True)
+        self._fit_noise()
+
+    def resume(self, gain: FloatArray, noises: Sequence[NoiseModel]) -> None:
+        """Begin where another fit of the same recordings ended."""
+        self._gain, self._noises = gain.copy(), list(noises)
         self._observe(judge=True, fresh=True)
         self._fit_noise()
 

@@ -5,7 +5,8 @@ everything that belongs to one of them is here, so that recordings are worked th
 after the other and only sums meet.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -191,6 +192,34 @@ class SessionFit:
                 left -= s.effect
             found.append(left if s.used.all() else np.where(s.used[:, None], left, 0.0))
         return found
+
+    def copy(self) -> "SessionFit":
+        """Return the same state, to be fitted on without changing this one."""
+        other = copy(self)
+        other._stretches = [
+            replace(
+                s,
+                good=s.good.copy(),
+                measured=s.measured.copy(),
+                rate=s.rate.copy(),
+                used=s.used.copy(),
+                effect=s.effect.copy(),
+            )
+            for s in self._stretches
+        ]
+        other._models, other._frozen = {}, None
+        return other
+
+    def derivatives(self, gain: FloatArray) -> Iterator[tuple[int, slice, PartModel, Scene]]:
+        """Yield each part's series, blocks, derivatives and what causes look at there.
+
+        Args:
+            gain: G, shape (3, 3).
+        """
+        for k, s in enumerate(self._stretches):
+            for blocks in s.series.parts():
+                model = self._model(k, blocks, gain)
+                yield k, blocks, model, self.scene(s.series, blocks, gain)
 
     # ---- what a fit does with it
 
