@@ -28,7 +28,8 @@ from gyrorig_solver.setting import settings_of
 
 Found = Sequence[tuple[Recording, GyroSamples, ReferenceMotion]]
 THERMAL = ("thermal_bias", "thermal_scale")
-WINDOW_S = 10.0
+WINDOW_S = 5.0
+LAGS_S = (0.0, -15.0, 15.0, -30.0, 30.0, -60.0, 60.0)  # of the die, or of the thermometer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,27 +121,33 @@ def _thermal_bias(found: Found, settings: Sequence[Setting]) -> tuple[Extension 
         series, sampling = build_series(samples)
         sessions.append(SessionFit(series, sampling, reference, 0.0, setting))
     solution = solve_likelihood(sessions)
-    warmth, left = [], []
-    for session, setting in zip(solution.sessions, settings, strict=True):
-        windows = _windows(session, setting, solution.gain)
-        warmth.append(windows[0])
-        left.append(windows[1])
     lowest = np.array([1.0 / WINDOW_S])
     density = np.max([noise.density(lowest)[0] for noise in solution.noises], axis=0)
     std = np.sqrt(density / (2.0 * WINDOW_S))
-    choice = choose_order(np.concatenate(warmth), np.concatenate(left), std)
+    looks = []
+    for lag_s in LAGS_S:
+        windows = [
+            _windows(session, setting, solution.gain, lag_s)
+            for session, setting in zip(solution.sessions, settings, strict=True)
+        ]
+        warmth, left = (np.concatenate(part) for part in zip(*windows, strict=True))
+        looks.append(warmth)
+    choice = choose_order(looks, left, std)
+    lag_s = LAGS_S[choice.look]
     if choice.order == 0:
         return None, (
             f"over {choice.span_k:.1f} K windows left out are predicted no better with it"
         )
-    said = f"order {choice.order} over {choice.span_k:.1f} K, chosen by windows left out"
-    return fitted(ThermalBias(choice.order)), said
+    extension = fitted(ThermalBias(choice.order))
+    extension.values[-1] = lag_s
+    late = f", lag {lag_s:+.0f} s" if lag_s else ""
+    return extension, f"order {choice.order}{late} over {choice.span_k:.1f} K, by windows left out"
 
 
 def _windows(
-    session: SessionFit, setting: Setting, gain: FloatArray
+    session: SessionFit, setting: Setting, gain: FloatArray, lag_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return temperature and residual means of windows of one recording."""
+    """Return the die's temperature and residual means of windows of one recording."""
     length = max(1, round(WINDOW_S * session.sampling.rate_hz))
     warmth, left = [], []
     for series, residual, used in zip(
@@ -153,8 +160,7 @@ def _windows(
         time_s = series.block_times_s()[whole].reshape(many, length).mean(axis=1)
         keep = count > length // 2
         temperature = setting.temperature
-        rise = np.zeros(many) if temperature is None else temperature.at(time_s)
-        origin = 0.0 if temperature is None else temperature.mean_degc
-        warmth.append((rise + origin)[keep])
+        rise = np.zeros(many) if temperature is None else temperature.at(time_s, lag_s)
+        warmth.append(rise[keep])
         left.append(mean[keep] + session.bias_rad_s)
     return np.concatenate(warmth), np.concatenate(left)

@@ -77,6 +77,11 @@ class GyroSamples:
         return column_of(self, "temperature_degc")
 
     @property
+    def absolute_degc(self) -> bool:
+        """Whether the temperatures count from 0 degC, not only from each other."""
+        return "temperature_offset_c" in self.metadata
+
+    @property
     def period_s(self) -> float:
         """The sample period by the capture clock, the longest segment's."""
         edges = np.searchsorted(self.segment, np.arange(int(self.segment[-1]) + 2))
@@ -285,10 +290,13 @@ class _Later:
 
 
 def _temperature(raw: ImuColumns, metadata: Mapping[str, str]) -> Column | None:
-    """Return degrees Celsius where the recording says how to read the raw value."""
+    """Return degrees Celsius where the recording says how to read the raw value.
+
+    Without an offset they count from anywhere: differences hold, `absolute_degc` is False.
+    """
     try:
         scale = float(metadata["temperature_scale_c"])
-        offset = float(metadata["temperature_offset_c"])
+        offset = float(metadata.get("temperature_offset_c", "0.0"))
     except (KeyError, ValueError):
         return None
     if not (np.isfinite(scale) and np.isfinite(offset)):

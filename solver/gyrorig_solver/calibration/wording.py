@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gyrorig_solver.calibration.document import Calibration, Parameter
+from gyrorig_solver.model.terms.catalogue import catalogue
 
 _DEG = 180.0 / math.pi
 
@@ -61,10 +62,20 @@ def other_groups(calibration: Calibration) -> tuple[Group, ...]:
     """Return the extension terms of a document, which come after the base model's."""
     base = {group.name for group in GROUPS}
     return tuple(
-        Group(name, tuple(str(i) for i in range(len(entries(p)))), "extension", 1.0, p.unit)
+        Group(name, _labels(name, len(entries(p))), "beyond the base model", 1.0, p.unit)
         for name, p in calibration.parameters.items()
         if name not in base
     )
+
+
+def _labels(name: str, count: int) -> tuple[str, ...]:
+    """Return what each value of a cause's parameter belongs to: `cause` or `cause.parameter`."""
+    cause, _, own = name.partition(".")
+    known = catalogue()[cause].parameters if cause in catalogue() else ()
+    for parameter in known:
+        if own in ("", parameter.name) and len(parameter.parts) == count:
+            return parameter.parts
+    return {1: ("",), 3: ("x", "y", "z")}.get(count, tuple(str(i) for i in range(count)))
 
 
 def entries(parameter: Parameter) -> list[tuple[float | None, float | None]]:

@@ -134,7 +134,8 @@ def _rates(samples: Sequence[GyroSamples]) -> tuple[float, float]:
 
 
 def _temperatures(samples: Sequence[GyroSamples]) -> tuple[float, float] | None:
-    there = [s.temperature_degc for s in samples if s.temperature_degc is not None]
+    known = [s for s in samples if s.absolute_degc]
+    there = [s.temperature_degc for s in known if s.temperature_degc is not None]
     if not there:
         return None
     return float(min(np.nanmin(t) for t in there)), float(max(np.nanmax(t) for t in there))

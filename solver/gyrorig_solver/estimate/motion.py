@@ -188,13 +188,18 @@ def _second_opinion(solution: Solution) -> CrossCheck | None:
             continue
         step_rad = float(np.max(np.abs(reference.rad_per_step)))
         variances.append((reference.starts.rest_variance + DETENT_VARIANCE) * step_rad**2)
-        for series, measured, rate, used in zip(
-            session.series, session.measured, session.rates, session.used, strict=True
+        for series, measured, effect, rate, used in zip(
+            session.series,
+            session.measured,
+            session.effects,
+            session.rates,
+            session.used,
+            strict=True,
         ):
             many = max(1, round(session.sampling.rate_hz / PATH_HZ))
             time_s = _means(series.block_times_s()[:, None], many)[:, 0] - session.time_offset_s
             moving = _means(np.linalg.norm(rate, axis=1)[:, None], many)[:, 0] > STANDING_RAD_S
-            own = _means(measured - session.bias_rad_s, many)
+            own = _means(measured - session.bias_rad_s - effect, many)
             whole = _means(used[:, None].astype(np.float64), many)[:, 0] > 1.0 - 1e-9
             paths.append(Path(time_s, own, whole, moving, reference.angles_rad(time_s)))
     if not paths:

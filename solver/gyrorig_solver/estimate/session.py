@@ -160,6 +160,11 @@ class SessionFit:
         return [s.measured for s in self._stretches]
 
     @property
+    def effects(self) -> list[FloatArray]:
+        """What causes beyond the base model add, sensor frame, (n, 3) for each series."""
+        return [s.effect for s in self._stretches]
+
+    @property
     def rates(self) -> list[FloatArray]:
         """Stage rates, (n, 3) for each series."""
         return [s.rate for s in self._stretches]

@@ -5,6 +5,7 @@ A cubic through a few kelvin fits anything and holds nowhere (peers' notes, sect
 prediction of windows left out is as good as any, within one standard error.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,43 +20,51 @@ FOLDS = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrderChoice:
-    """What held-out windows say of each order."""
+    """What held-out windows say."""
 
     order: int  # 0: the bias does not follow the temperature
+    look: int  # which of the temperatures that were tried
     span_k: float
-    error: FloatArray  # (orders,), mean squared standardised error of windows left out
 
 
 def choose_order(
-    temperature_k: FloatArray, bias_rad_s: FloatArray, std_rad_s: FloatArray
+    looks: Sequence[FloatArray], bias_rad_s: FloatArray, std_rad_s: FloatArray
 ) -> OrderChoice:
-    """Choose the order of b(T) from window means.
+    """Choose the order of b(T), and the temperature, from window means.
 
     Args:
-        temperature_k: of each window, about any origin, shape (w,).
+        looks: temperature of each window about any origin, (w,) each, the likeliest first;
+            more than one where the sensor's may lag behind the thermometer's.
         bias_rad_s: what is left of each window's rate, shape (w, 3).
         std_rad_s: of such a mean, shape (3,).
     """
-    span_k = float(np.ptp(temperature_k)) if temperature_k.size else 0.0
-    windows = temperature_k.size
+    span_k, windows = float(np.ptp(looks[0])) if looks[0].size else 0.0, looks[0].size
     if span_k < LEAST_SPAN_K or windows < FEWEST_WINDOWS:
-        return OrderChoice(0, span_k, np.full(len(ORDERS), np.nan))
-    unit = (temperature_k - np.mean(temperature_k)) / span_k
+        return OrderChoice(0, 0, span_k)
+    squares = {
+        (order, look): _left_out(looks[look], bias_rad_s / std_rad_s, order)
+        for order in ORDERS
+        for look in range(len(looks) if order else 1)
+    }
+    best = min(squares, key=lambda key: float(squares[key].mean()))
+    for order, look in sorted(squares):
+        worse = squares[order, look] - squares[best]
+        if float(worse.mean()) <= float(worse.std() / np.sqrt(windows)):
+            return OrderChoice(order, look, span_k)
+    return OrderChoice(*best, span_k)
+
+
+def _left_out(temperature_k: FloatArray, bias: FloatArray, order: int) -> FloatArray:
+    """Return the mean squared error of each window by the others' polynomial, (w,)."""
+    windows = temperature_k.size
+    unit = (temperature_k - np.mean(temperature_k)) / max(float(np.ptp(temperature_k)), 1e-9)
+    design = unit[:, None] ** np.arange(order + 1)
     # Folds of warmth in turn, so that every fold is left out inside the range.
     fold = np.empty(windows, dtype=np.int64)
     fold[np.argsort(unit, kind="stable")] = np.arange(windows) % FOLDS
-    squares = np.empty((len(ORDERS), windows))
-    for order in ORDERS:
-        design = unit[:, None] ** np.arange(order + 1)
-        for k in range(FOLDS):
-            train, test = fold != k, fold == k
-            found = np.linalg.lstsq(design[train], bias_rad_s[train], rcond=None)[0]
-            left = (bias_rad_s[test] - design[test] @ found) / std_rad_s
-            squares[order, test] = np.mean(left**2, axis=1)
-    error = squares.mean(axis=1)
-    best = int(np.argmin(error))
-    for order in ORDERS:
-        worse = squares[order] - squares[best]
-        if float(worse.mean()) <= float(worse.std() / np.sqrt(windows)):
-            return OrderChoice(order, span_k, error)
-    return OrderChoice(best, span_k, error)
+    squares = np.empty(windows)
+    for k in range(FOLDS):
+        train, test = fold != k, fold == k
+        found = np.linalg.lstsq(design[train], bias[train], rcond=None)[0]
+        squares[test] = np.mean((bias[test] - design[test] @ found) ** 2, axis=1)
+    return squares

@@ -194,12 +194,12 @@ def test_the_order_is_chosen_by_windows_left_out(order: int) -> None:
             bias += np.outer(unit, [8.0, -6.0, 5.0])
         if order > 1:
             bias += np.outer(unit**2, [15.0, 20.0, -15.0])
-        right += choose_order(warmth, bias, np.ones(3)).order == order
+        right += choose_order([warmth], bias, np.ones(3)).order == order
     assert right >= 18
 
 
 def test_below_ten_kelvin_there_is_no_polynomial() -> None:
     warmth = np.linspace(20.0, 29.0, 60)
-    choice = choose_order(warmth, np.outer(warmth, [1.0, 1.0, 1.0]), np.full(3, 0.1))
+    choice = choose_order([warmth], np.outer(warmth, [1.0, 1.0, 1.0]), np.full(3, 0.1))
     assert choice.order == 0
     assert choice.span_k == pytest.approx(9.0)

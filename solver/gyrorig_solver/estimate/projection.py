@@ -1,0 +1,303 @@
+"""What a fit cannot take of a signal: the space in which causes are looked for.
+
+All signals of a board's recordings are put one after the other and whitened; what gain,
+biases, time offsets, the references' own unknowns and the fitted causes can follow is
+taken out, each as far as what is known of it lets it. A signal's energy there is what it
+adds to the evidence; its product with the residual is its score.
+
+What to use when: `Projection.of` at a fit; `white` for signals, `look` for what they say.
+
+Source: score (Lagrange multiplier) test with nuisances eliminated; Rao, Linear Statistical
+Inference, 6e.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.fft import dct, idct
+from scipy.sparse import block_diag, csc_array, csr_array
+
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.arrow import factor
+from gyrorig_solver.estimate.extension import Extension, columns_of
+from gyrorig_solver.estimate.likelihood import GAINS, PER_SESSION, Solution
+from gyrorig_solver.estimate.noise import NoiseModel, frequencies
+from gyrorig_solver.estimate.observability import PRIOR_STD
+from gyrorig_solver.estimate.whitening import PartModel
+from gyrorig_solver.model.terms.scene import Scene
+
+Signal = Callable[[Scene], FloatArray]  # to (k, blocks, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """One series of one recording, its parts' state at a fit."""
+
+    session: int
+    used: tuple[BoolArray, ...]  # of each part
+    scenes: tuple[Scene, ...]
+    models: tuple[PartModel, ...]
+    residuals: tuple[FloatArray, ...]  # (n, 3) each
+    noise: NoiseModel
+
+    def whitened(self, parts: Sequence[FloatArray]) -> FloatArray:
+        """Return signals (k, n, 3) of each part in units of the noise, (k, 3 blocks)."""
+        found, constants, first = [], [], []
+        for signal, used in zip(parts, self.used, strict=True):
+            shaped = np.where(used[:, None], signal, 0.0).transpose(0, 2, 1)
+            deviation = np.sqrt(self.noise.variance(used.size)).T
+            spectrum = dct(shaped, axis=-1, norm="ortho")
+            constants.append(spectrum[:, :, 0].copy())
+            first.append(deviation[:, 0])
+            found.append(spectrum / deviation)
+        if len(parts) > 1:
+            # A long series' parts share its lowest frequencies; see `normal`.
+            blocks = sum(used.size for used in self.used)
+            rate_hz = self.noise.sampling.rate_hz
+            density = self.noise.density(frequencies(blocks, rate_hz)[: len(parts)])
+            together = dct(np.stack(constants, axis=-1), axis=-1, norm="ortho")
+            weighed = together / np.sqrt(density * rate_hz / 2.0).T
+            for k, spectrum in enumerate(found):
+                spectrum[:, :, 0] = weighed[:, :, k]
+        signals = [idct(one, axis=-1, norm="ortho").reshape(one.shape[0], -1) for one in found]
+        return np.asarray(np.concatenate(signals, axis=1), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looked:
+    """What signals say beside a fit."""
+
+    information: FloatArray  # (k, k), what of them the fit cannot take
+    score: FloatArray  # (k,), against the residual
+    raw: FloatArray  # (k,), energy before the fit took its share
+    taken: FloatArray  # (k, q), what a unit of each makes of the board's parameters
+
+    def part(self, at: Sequence[int] | IntArray) -> "Looked":
+        """Return what some of them say."""
+        some = np.asarray(at)
+        return Looked(
+            self.information[np.ix_(some, some)],
+            self.score[some],
+            self.raw[some],
+            self.taken[some],
+        )
+
+
+class Projection:
+    """The space beside a fit; see the module."""
+
+    def __init__(
+        self, stretches: Sequence[Stretch], base: FloatArray, local: csr_array, prior: "_Prior"
+    ) -> None:
+        """Take what `of` has put together."""
+        self.stretches = tuple(stretches)
+        self.residual = self.white([[r[None] for r in s.residuals] for s in stretches])[0]
+        self._base, self._local = base, local
+        near = (local @ local.T + prior.local).tocsc()
+        self._near = factor(csc_array(near))
+        self._cross = local @ base.T + prior.cross
+        self._carry = self._near(self._cross)
+        shared = base @ base.T + prior.shared
+        self._inverse = np.linalg.pinv(shared - self._cross.T @ self._carry, hermitian=True)
+        self._pull_local = local @ self.residual + prior.pull_local
+        self._pull = base @ self.residual + prior.pull_shared
+        self.board = prior.board
+
+    @classmethod
+    def of(
+        cls,
+        solution: Solution,
+        extensions: Sequence[Extension] | None = None,
+        back: Sequence[Extension] = (),
+        noises: Sequence[NoiseModel] | None = None,
+    ) -> Self:
+        """Return the space beside a fit.
+
+        Args:
+            solution: the fit; its sessions hold their state.
+            extensions: causes that may follow; those of the fit by default.
+            back: causes of the fit whose effect is given back to the residual.
+            noises: of each recording, those of the fit by default.
+        """
+        follow = solution.extensions if extensions is None else tuple(extensions)
+        stretches = []
+        for number, session in enumerate(solution.sessions):
+            noise = (noises or solution.noises)[number]
+            left = session.residuals(solution.gain)
+            series: dict[int, list[tuple[PartModel, Scene, FloatArray]]] = {}
+            for k, blocks, model, scene in session.derivatives(solution.gain):
+                residual = left[k][blocks].copy()
+                for one in back:
+                    effect = one.term.effect(scene, one.values)
+                    residual += np.where(model.used[:, None], effect, 0.0)
+                series.setdefault(k, []).append((model, scene, residual))
+            for parts in series.values():
+                models, scenes, residuals = zip(*parts, strict=True)
+                used = tuple(m.used for m in models)
+                stretches.append(Stretch(number, used, scenes, models, residuals, noise))
+        base, local, prior = _base(solution, stretches, follow)
+        return cls(stretches, base, local, prior)
+
+    @property
+    def scenes(self) -> list[Scene]:
+        """What causes look at, part by part."""
+        return [scene for s in self.stretches for scene in s.scenes]
+
+    def white(self, signals: Sequence[Sequence[FloatArray]]) -> FloatArray:
+        """Return signals (k, n, 3) of each part of each series, whitened, (k, all)."""
+        found = [s.whitened(p) for s, p in zip(self.stretches, signals, strict=True)]
+        return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
+
+    def signals(self, of: Signal) -> FloatArray:
+        """Return what a function of each scene gives, (k, blocks, 3), whitened, (k, all)."""
+        return self.white([[of(scene) for scene in s.scenes] for s in self.stretches])
+
+    def look(self, white: FloatArray) -> Looked:
+        """Return what whitened signals say beside the fit."""
+        felt, own = self._local @ white.T, self._base @ white.T
+        shared = self._inverse @ (own - self._carry.T @ felt)
+        near = self._near(felt) - self._carry @ shared
+        gram = white @ white.T
+        return Looked(
+            gram - felt.T @ near - own.T @ shared,
+            white @ self.residual - near.T @ self._pull_local - shared.T @ self._pull,
+            np.diag(gram).copy(),
+            shared[: self.board].T,
+        )
+
+    def left(self, white: FloatArray) -> FloatArray:
+        """Return what remains of one whitened signal once the fit has followed, (all,)."""
+        felt, own = self._local @ white, self._base @ white
+        shared = self._inverse @ (own - self._carry.T @ felt)
+        near = self._near(felt) - self._carry @ shared
+        return np.asarray(white - self._local.T @ near - self._base.T @ shared, np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prior:
+    """What is known of everything a fit moves: local unknowns, and the others."""
+
+    local: csc_array
+    cross: FloatArray
+    shared: FloatArray
+    pull_local: FloatArray
+    pull_shared: FloatArray
+    board: int  # the first so many of the shared ones are the board's: G, b, tau, causes
+
+
+def _base(
+    solution: Solution, stretches: Sequence[Stretch], extensions: Sequence[Extension]
+) -> tuple[FloatArray, csr_array, _Prior]:
+    """Return all derivatives of a fit, whitened, and what is known of its unknowns.
+
+    In the order G, each recording's (b, tau), the causes, each reference's shared unknowns.
+    """
+    many = len(solution.sessions)
+    causes = sum(one.free.size for one in extensions)
+    board = GAINS + PER_SESSION * many + causes
+    known = [session.reference.information for session in solution.sessions]
+    shared_at = board + np.cumsum([0, *(k.size[1] for k in known)])
+    local_at = np.cumsum([0, *(k.size[0] for k in known)])
+    length = [3 * sum(u.size for u in s.used) for s in stretches]
+    starts = np.cumsum([0, *length])
+    base = np.zeros((int(shared_at[-1]), int(starts[-1])))
+    rows, columns, values = [], [], []
+    for s, start, size in zip(stretches, starts[:-1], length, strict=True):
+        own = GAINS + PER_SESSION * s.session
+        acting = s.models[0].columns.shared.shape[0]
+        after = GAINS + PER_SESSION * many
+        at = [
+            *range(GAINS),
+            *range(own, own + PER_SESSION),
+            *range(after, after + causes),
+            *range(int(shared_at[s.session]), int(shared_at[s.session]) + acting),
+        ]
+        parts = [
+            _columns(model, scene, solution.gain, extensions)
+            for model, scene in zip(s.models, s.scenes, strict=True)
+        ]
+        base[at, start : start + size] = s.whitened(parts)
+        for found in _locals(s, solution.gain, int(start)):
+            rows.append(found[0] + local_at[s.session])
+            columns.append(found[1])
+            values.append(found[2])
+    shape = (int(local_at[-1]), int(starts[-1]))
+    triple = (
+        np.concatenate(values or [np.zeros(0)]),
+        (
+            np.concatenate(rows or [np.zeros(0, np.int64)]),
+            np.concatenate(columns or [np.zeros(0, np.int64)]),
+        ),
+    )
+    local = csr_array(triple, shape=shape)
+    return base, local, _known(solution, extensions, board, shared_at, local_at)
+
+
+def _known(
+    solution: Solution,
+    extensions: Sequence[Extension],
+    board: int,
+    shared_at: IntArray,
+    local_at: IntArray,
+) -> _Prior:
+    size = int(shared_at[-1])
+    shared, cross = np.zeros((size, size)), np.zeros((int(local_at[-1]), size))
+    pull_local, pull_shared = np.zeros(int(local_at[-1])), np.zeros(size)
+    # What no motion fixes has its prior, or a cause in that direction would look seen.
+    each = [PRIOR_STD["bias"]] * 3 + [PRIOR_STD["time_offset"]]
+    std = [PRIOR_STD["gain"]] * GAINS + each * len(solution.sessions)
+    std += [float(v) for one in extensions for v in one.prior_std]
+    shared[np.arange(board), np.arange(board)] = np.array(std) ** -2.0
+    near = []
+    for k, session in enumerate(solution.sessions):
+        known = session.reference.information
+        pull = known.times(session.reference.pull)
+        here = slice(int(shared_at[k]), int(shared_at[k + 1]))
+        there = slice(int(local_at[k]), int(local_at[k + 1]))
+        near.append(known.local)
+        cross[there, here], shared[here, here] = known.cross, known.shared
+        pull_local[there] = pull[: known.size[0]]
+        pull_shared[here] = pull[known.size[0] :]
+    some = [one for one in near if one.shape[0]]
+    local = csc_array(block_diag(some, format="csc")) if some else csc_array((0, 0))
+    return _Prior(local, cross, shared, pull_local, pull_shared, board)
+
+
+def _columns(
+    model: PartModel, scene: Scene, gain: FloatArray, extensions: Sequence[Extension]
+) -> FloatArray:
+    """Return a part's derivatives by all but local unknowns, sensor frame, (q, n, 3)."""
+    n = model.used.size
+    own = np.zeros((GAINS + PER_SESSION, n, 3))
+    for axis in range(3):
+        own[3 * axis : 3 * axis + 3, :, axis] = model.rate.T
+        own[GAINS + axis, :, axis] = 1.0
+    own[12] = -(gain @ model.columns.slope).T
+    shared = np.einsum("ij,gjn->gni", gain, model.columns.shared)
+    return np.concatenate([own, columns_of(extensions, scene), shared])
+
+
+def _locals(
+    s: Stretch, gain: FloatArray, start: int
+) -> list[tuple[IntArray, IntArray, FloatArray]]:
+    """Return rows, columns and values of a series' local derivatives, whitened."""
+    found = []
+    for model in s.models:
+        lanes, n = model.columns.lanes, model.used.size
+        if lanes.count:
+            deviation = np.sqrt(s.noise.variance(n))
+            felt = idct(
+                np.tensordot(gain, model.lane_spectra(), axes=1) / deviation.T[:, None, :],
+                axis=-1,
+                norm="ortho",
+            )
+            for k in range(lanes.count):
+                a, b = int(lanes.first[k]), int(lanes.stop[k])
+                value = felt[:, lanes.lane[k], a:b] * lanes.scale[k]
+                place = start + np.arange(3)[:, None] * n + np.arange(a, b)
+                row = np.full(value.size, lanes.unknown[k], dtype=np.int64)
+                found.append((row, place.ravel(), value.ravel()))
+        start += 3 * n
+    return found
