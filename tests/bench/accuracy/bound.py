@@ -25,7 +25,8 @@ LATE_SHARE_STD = 12.0**-0.5
 START_STEP_S, LOG_STEP, REST_STEP = 1e-4, 1e-5, 1e-2  # of numeric derivatives
 RISE_S, FALL_S = 0.2, 0.6  # about a move, for its low-pass
 ABOUT_S = 3.0  # about a short piece, for its weighing
-LONG_S = 12.0  # a piece longer than this is weighed exactly
+LONG_S = 12.0  # a piece longer than this is weighed exactly,
+EXACT_SAMPLES = 10_000  # where that does not cost too much; else it is 1 % off at most
 TAU = 12
 
 
@@ -61,7 +62,8 @@ def bound(board: Board, session: Session, counts: Counts, profile_known: bool) -
     pieces = [_piece(board, unknown, begin_s, n) for unknown in unknowns]
     size = 13 + len(pieces)
     information, score = np.zeros((size, size)), np.zeros(size)
-    long = [k for k, piece in enumerate(pieces) if piece.values.shape[0] > LONG_S * board.rate_hz]
+    exact = n <= EXACT_SAMPLES
+    long = [k for k, p in enumerate(pieces) if exact and len(p.values) > LONG_S * board.rate_hz]
     short = [k for k in range(len(pieces)) if k not in long]
     for axis in range(3):
         row = board.gain[axis]

@@ -2,9 +2,7 @@
 
 from tests.bench.accuracy.trial import Case
 
-# What fills about 75 s and about 300 s: a shipped program, and how often it is run.
-SHORT, SHORT_TIMES = "quick.yaml", 2
-LONG, LONG_TIMES = "full.yaml", 2
+SHORT, LONG = "planned-75.yaml", "planned-300.yaml"
 
 KNOWN_EFFICIENCY, ANSWERS_EFFICIENCY = 0.95, 0.90
 COVER_68, COVER_95 = (0.64, 0.72), (0.93, 0.97)
@@ -19,7 +17,6 @@ def _short(
     return Case(
         f"75 s, {name}",
         SHORT,
-        times=SHORT_TIMES,
         number=1,
         baud=baud,
         counter=counter,
@@ -31,7 +28,6 @@ def _fast(name: str, baud: float | None = None, spikes: float = 0.0) -> Case:
     return Case(
         f"75 s, 800 Hz, {name}",
         SHORT,
-        times=SHORT_TIMES,
         number=2,
         rate_hz=800.0,
         bandwidth_hz=110.0,
@@ -42,7 +38,7 @@ def _fast(name: str, baud: float | None = None, spikes: float = 0.0) -> Case:
 
 
 def _long(name: str, baud: float | None = None) -> Case:
-    return Case(f"300 s, {name}", LONG, times=LONG_TIMES, number=3, baud=baud)
+    return Case(f"300 s, {name}", LONG, number=3, baud=baud)
 
 
 CASES = (

@@ -30,7 +30,6 @@ class Case:
     rate_hz: float = 100.0
     bandwidth_hz: float = 25.0
     baud: float | None = None  # None: the stage's motion is known exactly
-    times: int = 1  # the program, one after the other
     counter: bool = False  # the unit answers BT, with its own counter
     spikes: float = 0.0  # share of samples hit
     share: float = 1.0  # of the runs that are asked for: some cases cost more
@@ -45,7 +44,7 @@ def run(case: Case, seed: int) -> dict[str, Any]:
     """
     rng = np.random.default_rng([case.number, seed])
     program = _program(case.program)
-    session = carry_out(program, case.baud or 115_200.0, rng, case.counter, case.times)
+    session = carry_out(program, case.baud or 115_200.0, rng, case.counter)
     board = draw_board(case.rate_hz, case.bandwidth_hz, rng)
     counts = sample(board, session.path, (HEAD_S, session.end_s - TAIL_S), rng)
     best = bound(board, session, counts, profile_known=case.baud is None)

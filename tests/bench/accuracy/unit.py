@@ -57,11 +57,7 @@ class Session:
 
 
 def carry_out(
-    program: MotionProgram,
-    baud: float,
-    rng: np.random.Generator,
-    counter: bool = False,
-    times: int = 1,
+    program: MotionProgram, baud: float, rng: np.random.Generator, counter: bool = False
 ) -> Session:
     """Return one session of a program, all that chance decides drawn from `rng`.
 
@@ -70,13 +66,11 @@ def carry_out(
         baud: of its line.
         rng: chance.
         counter: BT is asked, not PP and TP.
-        times: how often the program is run, one after the other.
     """
     line = _Line(program, baud, rng, counter)
     line.rest(REST_S)
-    for _ in range(times):
-        for step in unrolled(program.steps, program.name):
-            line.step(step)
+    for step in unrolled(program.steps, program.name):
+        line.step(step)
     return line.session()
 
 

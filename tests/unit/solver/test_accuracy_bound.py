@@ -7,6 +7,7 @@ from tests.bench.accuracy.board import NAMES, draw_board, factor_slopes, factors
 from tests.bench.accuracy.bound import bound
 from tests.bench.accuracy.noise import Covariance, Levels
 from tests.bench.accuracy.profile import RAD_PER_STEP, Path, Trapezoid
+from tests.bench.accuracy.trial import PROGRAMS
 from tests.bench.accuracy.unit import carry_out
 
 from gyrorig_protocol.program import MotionProgram, parse_program
@@ -125,6 +126,19 @@ def test_the_bound_is_that_of_dense_algebra(known: bool) -> None:
     else:
         assert np.all(own > 0.995 * std)
         assert own[NAMES.index("time_offset")] > 10.0 * std[NAMES.index("time_offset")]
+
+
+def test_weighing_by_density_comes_near(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long pieces by the density alone: the bound within 1 %, as for long recordings."""
+    rng = np.random.default_rng(6)
+    program = parse_program((PROGRAMS / "quick.yaml").read_text(encoding="utf-8"), "quick")
+    session = carry_out(program, 115_200.0, rng)
+    board = draw_board(100.0, 25.0, rng)
+    counts = sample(board, session.path, (0.5, session.end_s - 0.4), rng)
+    exact = np.diag(bound(board, session, counts, False).covariance)
+    monkeypatch.setattr("tests.bench.accuracy.bound.EXACT_SAMPLES", 0)
+    near = np.diag(bound(board, session, counts, False).covariance)
+    assert np.allclose(near, exact, rtol=0.02)
 
 
 @pytest.mark.parametrize("known", [True, False])
