@@ -39,6 +39,7 @@ GROSS = 8.0  # times the limit: 48 deviations
 FEWEST_CALM = 3
 SEARCH_S = 0.3  # the lag is looked for within this range first
 WEAK = 1e-4  # weight of the nominal gain in a start, (rad/s)^2 times samples
+CORRELATED = 1 << 17  # blocks: minutes tell the lag as well as hours
 MOVING_RAD_S = 0.003  # the reference turns faster than this: moving
 
 
@@ -479,14 +480,15 @@ def _correlation_lag(s: _Stretch) -> tuple[float, float]:
 
     Speeds (norms) do not care how the sensor is mounted. The mean is taken out of both.
     """
-    use = s.used
+    first = slice(0, CORRELATED)
+    use, rate = s.used[first], s.rate[first]
     if use.sum() < 10:
         return 0.0, -1.0
-    turning = np.where(use, _speed(s.rate), 0.0)
+    turning = np.where(use, _speed(rate), 0.0)
     if np.std(turning[use]) < MOVING_RAD_S:
         return 0.0, -1.0
-    bias = np.median(s.measured[use], axis=0)
-    measured = np.where(use, _speed(s.measured - bias), 0.0)
+    bias = np.median(s.measured[first][use], axis=0)
+    measured = np.where(use, _speed(s.measured[first] - bias), 0.0)
     measured = np.where(use, measured - measured[use].mean(), 0.0)
     turning = np.where(use, turning - turning[use].mean(), 0.0)
     size = 1 << (2 * measured.size - 1).bit_length()
