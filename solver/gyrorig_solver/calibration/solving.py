@@ -15,6 +15,7 @@ from gyrorig_solver.calibration.origin import provenance
 from gyrorig_solver.calibration.paper import paper_calibration_of, solve_as_printed
 from gyrorig_solver.calibration.profiles import find_profile
 from gyrorig_solver.calibration.store import CalibrationStore, write_whole
+from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.report.data import ReportData
 from gyrorig_solver.report.html import render
 from gyrorig_solver.samples import load_samples
@@ -31,7 +32,7 @@ class Solved:
 
 
 # (version, digest of the version before, created) to the document
-_Document = Callable[[int, str | None, str], Calibration]
+Document = Callable[[int, str | None, str], Calibration]
 
 
 def solve_into(
@@ -74,10 +75,17 @@ def solve_into(
     return Solved(written[-1], stored.path, report)
 
 
-def _by_likelihood(
-    recordings: Sequence[Recording], board: BoardId, extend: Sequence[str]
-) -> tuple[_Document, Callable[[Calibration], ReportData]]:
-    fit = solve_recordings(recordings, board, extend)
+def document_of(
+    fit: GyroFit, recordings: Sequence[Recording], board: BoardId, extend: Sequence[str] = ()
+) -> Document:
+    """Return what makes a fit's document, given version, digest of the one before, time.
+
+    Args:
+        fit: of those recordings.
+        recordings: in the order of time.
+        board: in each of them.
+        extend: causes that were asked for.
+    """
     lost = [fit.lost] if len(recordings) == 1 else [load_samples(r, board).lost for r in recordings]
     software = installed_version("gyrorig")
     settings = {"method": "likelihood", **({"extend": list(extend)} if extend else {})}
@@ -89,15 +97,24 @@ def _by_likelihood(
             fit, origin, version=version, previous=previous, created=created, profile=profile
         )
 
+    return document
+
+
+def _by_likelihood(
+    recordings: Sequence[Recording], board: BoardId, extend: Sequence[str]
+) -> tuple[Document, Callable[[Calibration], ReportData]]:
+    fit = solve_recordings(recordings, board, extend)
+
     def data_of(calibration: Calibration) -> ReportData:
+        profile = find_profile(calibration.board.sensor)
         return ReportData(calibration, fit.diagnostics, fit.clock, profile, fit.reference)
 
-    return document, data_of
+    return document_of(fit, recordings, board, extend), data_of
 
 
 def _by_paper(
     recordings: Sequence[Recording], board: BoardId
-) -> tuple[_Document, Callable[[Calibration], ReportData]]:
+) -> tuple[Document, Callable[[Calibration], ReportData]]:
     if len(recordings) > 1:
         raise UsageError(
             f"the paper's method takes one recording, not {len(recordings)}", "name one"
