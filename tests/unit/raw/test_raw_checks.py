@@ -1,0 +1,176 @@
+"""Faults put into clean counts by hand are found, counted and placed; clean ones are not."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+from scipy.stats import poisson
+
+from gyrorig_solver.clocks import ClockMap, map_clock
+from gyrorig_solver.columns import Column
+from gyrorig_solver.raw.checks import findings_of, look_at
+from gyrorig_solver.raw.result import RawFinding, poisson_tail
+from gyrorig_solver.samples import GyroSamples
+
+RATE_HZ, QUANTUM = 100.0, 1.5e-4
+N = 12_000
+
+
+def clock_of(number: np.ndarray) -> ClockMap:
+    ticks = (number * 10_000).astype(np.int64)
+    host_s = number / RATE_HZ + 1e-3
+    return map_clock(ticks, host_s, 1e6, 64, number.astype(np.uint32))
+
+
+@cache
+def clean_counts(seed: int = 3, noise: float = 8.0) -> np.ndarray:
+    """Trapezoids about all axes and white noise through a 25 Hz low-pass, in counts."""
+    rng = np.random.default_rng(seed)
+    moves = np.zeros((N, 3))
+    for begin in range(300, N - 300, 400):
+        axis = (begin // 400) % 3
+        ramp = np.clip(np.minimum(np.arange(200) / 60.0, (199 - np.arange(200)) / 60.0), 0.0, 1.0)
+        moves[begin : begin + 200, axis] = rng.choice([-1.0, 1.0]) * 7000.0 * ramp
+    low = butter(2, 25.0, fs=RATE_HZ)
+    rate = lfilter(*low, moves + 2.0 * noise * rng.normal(size=(N, 3)), axis=0)
+    return np.rint(rate).astype(np.int16)
+
+
+def samples_of(
+    counts: np.ndarray, number: np.ndarray | None = None, accel: np.ndarray | None = None
+) -> GyroSamples:
+    number = np.arange(counts.shape[0]) if number is None else number
+    clock = clock_of(number)
+    return GyroSamples(
+        board="B",
+        metadata={},
+        origin_ns=0,
+        time_s=clock.time_s,
+        host_s=number / RATE_HZ,
+        number=number.astype(np.int64),
+        segment=clock.segment,
+        rate_rad_s=Column(counts, QUANTUM),
+        good=np.ones(counts.shape[0], dtype=np.bool_),
+        accel_m_s2=accel,
+        temperature_degc=None,
+        quantum_rad_s=QUANTUM,
+        clock=clock,
+        floor=None,
+        lost=int(number[-1] + 1 - number.size),
+        repeated=0,
+        late=0,
+    )
+
+
+def found_in(samples: GyroSamples) -> dict[str, RawFinding]:
+    return {one.cause: one for one in findings_of(look_at(samples))}
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("noise", [0.2, 1.0, 8.0])
+def test_clean_counts_raise_no_alarm(seed: int, noise: float) -> None:
+    assert found_in(samples_of(clean_counts(seed, noise))) == {}
+
+
+def test_repeats_are_counted_one_by_one() -> None:
+    counts = clean_counts().copy()
+    rows = np.arange(500, 11_500, 1000)
+    counts[rows] = counts[rows - 1]
+    (found,) = found_in(samples_of(counts)).values()
+    assert (found.cause, found.count) == ("repeated_samples", rows.size)
+    assert found.times_s == pytest.approx(rows / RATE_HZ, abs=1e-3)
+
+
+def test_held_packets_are_told_by_six_words_where_three_are_coarse() -> None:
+    """At a noise of one count, 90 chance repeats hide 60 real ones; the accelerations do not."""
+    rng = np.random.default_rng(8)
+    counts = clean_counts(5, 1.0).copy()
+    accel = np.rint(20.0 * rng.normal(size=counts.shape)) * 0.01
+    rows = np.arange(100, 12_000, 200)
+    counts[rows], accel[rows] = counts[rows - 1], accel[rows - 1]
+    assert "repeated_samples" not in found_in(samples_of(clean_counts(5, 1.0), accel=accel))
+    found = found_in(samples_of(counts, accel=accel))["repeated_samples"]
+    assert abs(found.count - rows.size) <= 1
+
+
+@pytest.mark.parametrize("bit", [10, 11, 12, 13, 14, 15])
+def test_one_flipped_bit_is_enough(bit: int) -> None:
+    counts = clean_counts().copy()
+    word = int(counts[6100, 1]) & 0xFFFF
+    counts[6100, 1] = ((word ^ (1 << bit)) ^ 0x8000) - 0x8000
+    (found,) = found_in(samples_of(counts)).values()
+    assert (found.cause, found.where, found.count) == ("corrupt_samples", ("y",), 1)
+    assert found.times_s == pytest.approx((61.0,), abs=1e-3)
+
+
+def test_torn_words_are_told() -> None:
+    """The high byte of the sample before, where a rest lies at a byte's edge."""
+    counts = clean_counts().copy()
+    counts[:, 2] = counts[:, 2] + 256
+    old = np.vstack([counts[:1], counts[:-1]])
+    torn = (counts & 0xFF) | (old & np.int16(-256))
+    crossing = np.flatnonzero((torn[:, 2] != counts[:, 2]) & (counts[:, 2] < 400))
+    rows = crossing[:: max(1, crossing.size // 40)]
+    counts[rows, 2] = torn[rows, 2]
+    found = found_in(samples_of(counts))["corrupt_samples"]
+    assert found.where == ("z",)
+    assert 3 <= found.count <= rows.size
+
+
+def test_a_tap_is_no_damage() -> None:
+    """A blow through the low-pass touches several samples, and all axes."""
+    counts = clean_counts().astype(np.float64)
+    low = butter(2, 25.0, fs=RATE_HZ)
+    blow = np.zeros((N, 3))
+    blow[1000:12_000:1500] = 9000.0
+    counts = np.rint(counts + lfilter(*low, blow, axis=0)).astype(np.int16)
+    assert found_in(samples_of(counts)) == {}
+
+
+def test_a_stuck_axis_and_a_flat_top_are_told_apart() -> None:
+    stuck = clean_counts().copy()
+    stuck[4000:9000, 0] = stuck[4000, 0]
+    found = found_in(samples_of(stuck))
+    assert found["stuck_axis"].where == ("x",)
+    assert found["stuck_axis"].count == pytest.approx(5000, abs=5)
+    assert "saturation" not in found
+    cut = np.clip(clean_counts(), -5000, 5000)
+    found = found_in(samples_of(cut))
+    assert set(found) == {"saturation"}
+    assert found["saturation"].size == pytest.approx(5000 * QUANTUM)
+
+
+def test_an_axis_that_never_lives_is_stuck() -> None:
+    counts = clean_counts().copy()
+    counts[:, 1] = 17
+    (found,) = found_in(samples_of(counts)).values()
+    assert (found.cause, found.where, found.share) == ("stuck_axis", ("y",), 1.0)
+
+
+def test_missing_numbers_are_counted() -> None:
+    keep = np.setdiff1d(np.arange(N), np.r_[3000:3004, 7000:7003])
+    found = found_in(samples_of(clean_counts()[keep], keep))
+    assert found["lost_samples"].count == 7
+    assert "in 2 gaps" in found["lost_samples"].seen_as
+
+
+def test_a_full_range_told_by_the_board_counts() -> None:
+    samples = samples_of(clean_counts())
+    good = samples.good.copy()
+    good[200:220] = False
+    assert found_in(replace(samples, good=good))["saturation"].count == 20
+
+
+def test_values_of_a_file_are_not_taken_for_words() -> None:
+    counts = clean_counts().astype(np.int32) * 10_000
+    counts[5000, 0] += 1 << 24
+    assert "corrupt_samples" not in found_in(samples_of(counts))
+
+
+@pytest.mark.parametrize(("count", "expected"), [(0, 3.0), (1, 0.02), (5, 0.5), (200, 150.0)])
+def test_the_tail_is_that_of_poisson(count: int, expected: float) -> None:
+    assert poisson_tail(count, expected) == pytest.approx(poisson.sf(count - 1, expected), rel=1e-6)
+    assert math.isclose(poisson_tail(3, 0.0), 0.0)
