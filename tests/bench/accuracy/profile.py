@@ -6,6 +6,7 @@ a detent's error, which the axis gains in proportion to its way there.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ FloatArray = NDArray[np.float64]
 RAD_PER_STEP = float(np.radians(185.142857 / 3600.0))  # D46 user's manual v2.14, half step
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Trapezoid:
     """One move of one axis from rest to rest."""
 
@@ -31,7 +32,7 @@ class Trapezoid:
         """Which way it goes."""
         return 1.0 if self.end_steps > self.begin_steps else -1.0
 
-    @property
+    @cached_property
     def _legs(self) -> tuple[float, float, float, float]:
         """Return base and top speed, and how long ramp and cruise last."""
         way, ramp = float(abs(self.end_steps - self.begin_steps)), self.acceleration_steps_s2
@@ -42,7 +43,7 @@ class Trapezoid:
         cruise_s = (way - (top**2 - base**2) / ramp) / top
         return base, top, up_s, max(0.0, cruise_s)
 
-    @property
+    @cached_property
     def end_s(self) -> float:
         """When it stands."""
         _, _, up_s, cruise_s = self._legs
@@ -78,7 +79,10 @@ class Trapezoid:
         return np.where((since > 0.0) & (left > 0.0), self.sign * speed, 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+_Moves = tuple[list[Trapezoid], FloatArray, FloatArray]  # moves, their starts and ends
+
+
+@dataclass(frozen=True, eq=False)
 class Path:
     """All moves of both axes, and how far each rest is off its count.
 
@@ -91,34 +95,43 @@ class Path:
 
     def of_axis(self, axis: int) -> list[Trapezoid]:
         """Return one axis' moves in the order of time."""
-        return [move for move in self.moves if move.axis == axis]
+        return self._by_axis[axis][0]
 
     def counted_steps(self, axis: int, time_s: FloatArray) -> FloatArray:
-        """Return where the controller has the axis, without detents."""
-        where = np.full(time_s.size, float(self.begin_steps[axis]))
-        for move in self.of_axis(axis):
-            first = int(np.searchsorted(time_s, move.start_s))
-            last = int(np.searchsorted(time_s, move.end_s))
-            if last > first:
-                gone = move.gone_steps(time_s[first:last])
-                where[first:last] = move.begin_steps + move.sign * gone
-            where[last:] = move.end_steps
-        return where
+        """Return where the controller has the axis, without detents; times not decreasing."""
+        return self._where(axis, time_s, detents=False)
 
     def angle_rad(self, axis: int, time_s: FloatArray) -> FloatArray:
         """Return the true angle; times not decreasing."""
-        where = self.counted_steps(axis, time_s)
-        off = self.off_steps[axis]
-        where += off[0]
-        for k, move in enumerate(self.of_axis(axis)):
-            first = int(np.searchsorted(time_s, move.start_s))
-            last = int(np.searchsorted(time_s, move.end_s))
-            way = abs(move.end_steps - move.begin_steps)
-            gained = off[k + 1] - off[k]
+        return self._where(axis, time_s, detents=True) * RAD_PER_STEP
+
+    @cached_property
+    def _by_axis(self) -> tuple[_Moves, _Moves]:
+        found = []
+        for axis in (0, 1):
+            own = [move for move in self.moves if move.axis == axis]
+            starts = np.array([move.start_s for move in own])
+            found.append((own, starts, np.array([move.end_s for move in own])))
+        return found[0], found[1]
+
+    def _where(self, axis: int, time_s: FloatArray, detents: bool) -> FloatArray:
+        moves, starts, ends = self._by_axis[axis]
+        off = self.off_steps[axis] if detents else np.zeros(len(moves) + 1)
+        if time_s.size == 0:
+            return np.zeros(0)
+        done = int(np.searchsorted(ends, time_s[0]))
+        begun = int(np.searchsorted(starts, time_s[-1], side="right"))
+        stood = moves[done - 1].end_steps if done else self.begin_steps[axis]
+        where = np.full(time_s.size, stood + off[done])
+        for k in range(done, begun):
+            move, gained = moves[k], off[k + 1] - off[k]
+            first, last = np.searchsorted(time_s, [move.start_s, move.end_s])
             if last > first:
-                where[first:last] += gained * move.gone_steps(time_s[first:last]) / way
-            where[last:] += gained
-        return where * RAD_PER_STEP
+                gone = move.gone_steps(time_s[first:last])
+                share = gone / abs(move.end_steps - move.begin_steps)
+                where[first:last] = move.begin_steps + move.sign * gone + off[k] + gained * share
+            where[last:] = move.end_steps + off[k + 1]
+        return where
 
     def mean_rate_rad_s(self, edges_s: FloatArray) -> FloatArray:
         """Return the stage's mean rate between edges in its own frame, shape (n, 3).
