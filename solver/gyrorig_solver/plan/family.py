@@ -31,10 +31,12 @@ BASE_SPEED_DEG_S = 3.0
 STATIC_S = 2.0  # at least, at each end: for the noise at rest, and for the first polls
 MARGIN_DEG = 1.0  # from the unit's limits, which homing moves by a step or so
 
-# What each number of a design may be. Accelerations up to what the shipped programs use; a
-# dwell of 0.3 s lets the mechanics ring down (unit's notes, section 7: 10 to 60 Hz, Q 5 to 20).
+# What each number of a design may be. With two poses the calibration takes axes that are not
+# square for its own, unseen at any size (notes on discovery, section 5). Accelerations up to
+# what the programs made by hand use; a dwell of 0.3 s lets the mechanics ring down (unit's
+# notes, section 7: 10 to 60 Hz, Q 5 to 20).
 CHOICES: dict[str, tuple[float, ...]] = {
-    "poses": (2, 3, 4, 5),
+    "poses": (3, 4, 5),
     "passes": (0, 1, 2, 3, 4),
     "swings": (0, 1, 2, 3, 4),
     "along": (False, True),
