@@ -1,0 +1,247 @@
+"""One cause fitted exactly beside a fit: sizes, shapes and event, by the real effect.
+
+The base model is followed to first order (it is all but linear near its best), the cause
+itself as it is. What is won is the rise of the log likelihood; the evidence weighs it
+against how much the cause could have explained (Laplace's approximation, Occam's factor):
+sizes are expected about the typical one with long tails (Cauchy), shapes and events
+anywhere in their ranges.
+
+What to use when: `refit` for a cause at a place from a few rows of its bank.
+
+Source: MacKay, Information Theory, Inference, and Learning Algorithms, chapter 28;
+Levenberg-Marquardt with the scaling of More (1978).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.discover.scores import Seen
+from gyrorig_solver.estimate.extension import Extension
+from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
+from gyrorig_solver.model.terms.scene import Scene
+
+ROUNDS = 20
+ENOUGH = 1e-3  # nats won by a step: less is no reason for another
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
+LEVELS, PER_LEVEL = 4, 4  # an event is looked for this many times, each so much finer
+AT_BOUND = 1e-6  # of the range
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """A cause at its best beside a fit."""
+
+    extension: Extension  # its sizes and shapes free, its event as found
+    place: str | None
+    won: float  # nats
+    evidence: float  # nats, Occam's factor counted
+    std: FloatArray  # (free,)
+    taken: FloatArray  # (board,), what its effect makes of the fit's parameters
+    impossible: bool  # it would be better still outside what is possible
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """The objective about some values."""
+
+    values: FloatArray  # (k,)
+    cost: float  # minus the nats won
+    curvature: FloatArray  # (f, f), of the data
+    slope: FloatArray  # (f,), downhill
+    taken: FloatArray  # (board,)
+
+
+def refit(
+    projection: Projection, term: Term, place: str | None, starts: Sequence[FloatArray]
+) -> Weighed | None:
+    """Fit a cause from each of some rows of its bank; return the best, None if all fail.
+
+    Args:
+        projection: the space beside the fit.
+        term: the cause.
+        place: its sizes at this place alone; None: all.
+        starts: values (k,) each; sizes that are not fitted are taken as zero.
+    """
+    sizes = np.array(indices(term, place, "size"), dtype=np.int64)
+    shapes = np.array(indices(term, place, "shape"), dtype=np.int64)
+    events = indices(term, role="event")
+    best: _State | None = None
+    for start in starts:
+        values = _only(term, start, sizes)
+        if events:
+            values = _timed(projection, term, values, sizes, events[0])
+        elif not values[sizes].any():
+            values = _sized(projection, term, values, sizes)
+        state = _descend(projection, term, values, np.concatenate([sizes, shapes]))
+        if events:
+            wide = np.concatenate([sizes, shapes, np.array(events, dtype=np.int64)])
+            state = _descend(projection, term, state.values, wide)
+            state = _state(projection, term, state.values, np.concatenate([sizes, shapes]))
+        if best is None or state.cost < best.cost:
+            best = state
+    if best is None:
+        return None
+    return _weighed(projection, term, place, best, sizes, shapes)
+
+
+def _only(term: Term, start: FloatArray, sizes: IntArray) -> FloatArray:
+    values = start.copy()
+    values[[k for k in indices(term, role="size") if k not in sizes]] = 0.0
+    return values
+
+
+def _sized(projection: Projection, term: Term, values: FloatArray, sizes: IntArray) -> FloatArray:
+    """Return values with the sizes that are best to first order."""
+    every = indices(term, role="size")
+    at = [every.index(k) for k in sizes]
+    white = projection.signals(lambda scene: term.directions(scene, values)[at])
+    found = values.copy()
+    found[sizes] = Seen.of(projection.look(white)).values
+    return _inside(term, found)
+
+
+def _timed(
+    projection: Projection, term: Term, values: FloatArray, sizes: IntArray, event: int
+) -> FloatArray:
+    """Return values at the best time near the one given, sizes to first order."""
+    every = indices(term, role="size")
+    at = [every.index(k) for k in sizes]
+    setting = projection.scenes[0].setting
+    step_s = (setting.end_s - setting.begin_s) / 60.0
+    best, statistic = values, -1.0
+    for _ in range(LEVELS):
+        middle = float(best[event])
+        for shift in np.arange(-PER_LEVEL, PER_LEVEL + 1) / PER_LEVEL:
+            trial = values.copy()
+            trial[event] = middle + shift * step_s
+
+            def signal(scene: Scene, trial: FloatArray = trial) -> FloatArray:
+                return term.directions(scene, trial)[at]
+
+            seen = Seen.of(projection.look(projection.signals(signal)))
+            if seen.statistic > statistic:
+                statistic = seen.statistic
+                trial[sizes] = seen.values
+                best = _inside(term, trial)
+        step_s /= PER_LEVEL
+    return best
+
+
+def _inside(term: Term, values: FloatArray) -> FloatArray:
+    own = value_parameters(term)
+    low, high = np.array([p.lower for p in own]), np.array([p.upper for p in own])
+    return np.clip(values, low, high)
+
+
+def _state(projection: Projection, term: Term, values: FloatArray, free: IntArray) -> _State:
+    def signal(scene: Scene) -> FloatArray:
+        columns = term.columns(scene, values)[free]
+        return np.concatenate([columns, term.effect(scene, values)[None]])
+
+    looked = projection.look(projection.signals(signal))
+    f = free.size
+    cost = 0.5 * float(looked.information[f, f]) - float(looked.score[f])
+    slope = looked.score[:f] - looked.information[:f, f]
+    own = value_parameters(term)
+    # Shapes that the data say nothing of stay near where real rigs have them.
+    held = np.array([_tightness(own[k].role, own[k].prior_std) for k in free])
+    begin = np.array([own[k].start for k in free])
+    away = values[free] - begin
+    return _State(
+        values,
+        cost + 0.5 * float(held @ away**2),
+        looked.information[:f, :f] + np.diag(held),
+        slope - held * away,
+        looked.taken[f],
+    )
+
+
+def _tightness(role: str, prior_std: float) -> float:
+    return prior_std**-2.0 if role == "shape" and np.isfinite(prior_std) else 0.0
+
+
+def _descend(projection: Projection, term: Term, values: FloatArray, free: IntArray) -> _State:
+    now = _state(projection, term, values, free)
+    own = value_parameters(term)
+    typical = np.array([own[k].typical for k in free])
+    damping = FIRST_DAMPING
+    for _ in range(ROUNDS):
+        scale = np.maximum(np.diag(now.curvature), 1e-12 / typical**2)
+        moving = ~_held(term, now, free)
+        if not moving.any():
+            break
+        at = np.flatnonzero(moving)
+        damped = now.curvature[np.ix_(at, at)] + damping * np.diag(scale[at])
+        step = np.zeros(free.size)
+        step[at] = np.linalg.lstsq(damped, now.slope[at], rcond=None)[0]
+        trial = now.values.copy()
+        trial[free] += step
+        trial = _inside(term, trial)
+        if np.array_equal(trial, now.values):
+            break
+        after = _state(projection, term, trial, free)
+        if after.cost < now.cost:
+            won = now.cost - after.cost
+            now, damping = after, max(damping * 0.1, LEAST_DAMPING)
+            if won < ENOUGH:
+                break
+        else:
+            damping *= 10.0
+            if damping > MOST_DAMPING:
+                break
+    return now
+
+
+def _held(term: Term, state: _State, free: IntArray) -> BoolArray:
+    """Return which values lie at a bound that the slope pushes them through."""
+    own = value_parameters(term)
+    low = np.array([own[k].lower for k in free])
+    high = np.array([own[k].upper for k in free])
+    value = state.values[free]
+    return np.asarray(
+        ((value <= low) & (state.slope < 0.0)) | ((value >= high) & (state.slope > 0.0))
+    )
+
+
+def _weighed(
+    projection: Projection,
+    term: Term,
+    place: str | None,
+    state: _State,
+    sizes: IntArray,
+    shapes: IntArray,
+) -> Weighed:
+    own = value_parameters(term)
+    free = np.concatenate([sizes, shapes])
+    setting = projection.scenes[0].setting
+    evidence = -state.cost
+    width = np.empty(free.size)
+    for k, index in enumerate(free):
+        p = own[index]
+        if p.role == "size":
+            width[k] = p.prior_std
+            relative = float(state.values[index]) / p.typical
+            evidence -= float(np.log(np.pi * p.typical * (1.0 + relative**2)))
+        else:
+            span = p.upper - p.lower
+            width[k] = span if np.isfinite(span) else setting.end_s - setting.begin_s
+            evidence -= float(np.log(width[k]))
+    inside = state.curvature + np.diag(width**-2.0)
+    covariance = np.linalg.pinv(inside, hermitian=True)
+    evidence += 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
+    held = _held(term, state, free)
+    value = state.values[free]
+    at_zero = np.array([own[k].role == "size" for k in free]) & (value == 0.0)
+    return Weighed(
+        extension=Extension(term, state.values, free),
+        place=place,
+        won=-state.cost,
+        evidence=evidence,
+        std=np.sqrt(np.clip(np.diag(covariance), 0.0, None)),
+        taken=state.taken,
+        impossible=bool(np.any(held[: sizes.size] & ~at_zero[: sizes.size])),
+    )

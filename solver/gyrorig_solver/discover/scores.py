@@ -1,0 +1,141 @@
+"""One pass over the catalogue: how much each cause would explain of a residual.
+
+Every cause's directions at every row of its bank are whitened and projected off all that
+the fit can follow; T = s' A^-1 s is chi-squared with as many degrees of freedom as sizes
+where there is nothing but noise. The best of many rows is judged by the number of
+independent ones among them (Galwey, Genet. Epidemiol. 33 (2009) 559), and by how many
+tests the catalogue makes.
+
+What to use when: `sights` in each round of the search; `Seen.of` for one set of signals.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.stats import chi2
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.discover.banks import quick_rows
+from gyrorig_solver.estimate.projection import Looked, Projection
+from gyrorig_solver.model.terms.protocol import Term, indices, places
+from gyrorig_solver.model.terms.scene import Scene
+
+VANISHED = 1e-9  # of its energy: a signal with less left is the fit's own
+GRAM = 48  # signals of one cause whose likeness is looked at
+MOST_PLACES = 3  # sizes with more parts are looked at together only
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What a few signals together say."""
+
+    statistic: float
+    degrees_of_freedom: int
+    values: FloatArray  # (d,), their best sizes to first order
+
+    @classmethod
+    def of(cls, looked: Looked) -> "Seen":
+        """Judge signals by their information and score, vanished ones left out."""
+        energy = np.diag(looked.information)
+        some = energy > VANISHED * np.maximum(looked.raw, 1e-300)
+        values = np.zeros(energy.size)
+        if not some.any():
+            return cls(0.0, 0, values)
+        scale = np.sqrt(energy[some])
+        alike = looked.information[np.ix_(some, some)] / np.outer(scale, scale)
+        strength, along = np.linalg.eigh(alike)
+        keep = strength > 1e-7
+        score = along.T @ (looked.score[some] / scale)
+        values[some] = along[:, keep] @ (score[keep] / strength[keep]) / scale
+        statistic = float(np.sum(score[keep] ** 2 / strength[keep]))
+        return cls(statistic, int(keep.sum()), values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """A cause at one of its places, or all, at the row of its bank that shows best."""
+
+    term: Term
+    place: str | None
+    row: FloatArray  # (k,)
+    seen: Seen
+    looks: float  # effective number of independent rows
+    p_value: float  # rows and tests counted
+
+
+def sights(
+    projection: Projection, terms: Iterable[Term], tests: int, whole: FloatArray | None = None
+) -> list[Sight]:
+    """Return the best sight of each cause at each place, the least likely by chance first.
+
+    Args:
+        projection: the space beside the fit.
+        terms: the causes to look at.
+        tests: how many of them share the false alarms.
+        whole: rows of the bank to look at instead, for a single cause.
+    """
+    found: list[Sight] = []
+    for term in terms:
+        rows, looked = (whole, len(whole)) if whole is not None else quick_rows(projection, term)
+        found += _of_term(projection, term, rows, looked, tests)
+    return sorted(found, key=lambda s: (s.p_value, -s.seen.statistic))
+
+
+def where(term: Term) -> list[tuple[str | None, list[int]]]:
+    """Return the places of a cause, None for all of them, and which sizes each has."""
+    sizes = indices(term, role="size")
+    found: list[tuple[str | None, list[int]]] = [(None, list(range(len(sizes))))]
+    parts = places(term)
+    if 1 < len(parts) <= MOST_PLACES:
+        for part in parts:
+            own = indices(term, part, "size")
+            found.append((part, [sizes.index(k) for k in own]))
+    return found
+
+
+def _of_term(
+    projection: Projection, term: Term, rows: FloatArray, looked: int, tests: int
+) -> list[Sight]:
+    scenes = where(term)
+    best: dict[str | None, tuple[FloatArray, Seen]] = {}
+    kept: list[FloatArray] = []
+    for row in rows:
+        white = projection.signals(partial(_directions, term, row))
+        says = projection.look(white)
+        if 1 < len(rows) == looked and len(rows) * len(white) <= GRAM:
+            kept.append(white)
+        for place, at in scenes:
+            seen = Seen.of(says.part(at))
+            if place not in best or seen.statistic > best[place][1].statistic:
+                best[place] = row, seen
+    looks = _independent(projection, kept) if kept else float(max(looked, 1))
+    found = []
+    for place, (row, seen) in best.items():
+        if seen.degrees_of_freedom:
+            alone = float(chi2.sf(seen.statistic, seen.degrees_of_freedom))
+            p_value = min(1.0, alone * looks * tests)
+            found.append(Sight(term, place, row, seen, looks, p_value))
+    return found
+
+
+def _directions(term: Term, row: FloatArray, scene: Scene) -> FloatArray:
+    return term.directions(scene, row)
+
+
+def _independent(projection: Projection, kept: Sequence[FloatArray]) -> float:
+    """Return how many independent looks rows of a bank are, the most of their sizes."""
+    several = []
+    for k in range(kept[0].shape[0]):
+        information = projection.look(np.stack([white[k] for white in kept])).information
+        energy = np.diag(information)
+        some = energy > 1e-12 * max(float(energy.max()), 1e-300)
+        if some.sum() < 2:
+            several.append(1.0)
+            continue
+        scale = np.sqrt(energy[some])
+        alike = information[np.ix_(some, some)] / np.outer(scale, scale)
+        strength = np.clip(np.linalg.eigvalsh(alike), 0.0, None)
+        several.append(float(np.sum(np.sqrt(strength)) ** 2 / np.sum(strength)))
+    return max(several, default=1.0)
