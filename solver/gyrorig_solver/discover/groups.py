@@ -18,7 +18,7 @@ from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.discover.result import Signature
 from gyrorig_solver.discover.scores import Seen
 from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.catalogue import term
+from gyrorig_solver.model.terms.sample_jitter import SampleJitter
 from gyrorig_solver.model.terms.scene import Scene, by_axis
 
 PAN_KNOTS, TILT_KNOTS, SPEED_KNOTS, RATE_KNOTS, TIME_KNOTS, FEW_KNOTS = 24, 8, 6, 7, 10, 6
@@ -84,14 +84,15 @@ def scatter(projection: Projection, tests: int) -> list[Signature]:
 
 def _shapes(projection: Projection) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return, as long as the whitened residual: motion, variance by jitter, and use."""
-    term_of = term("sample_jitter")
-    variance = getattr(term_of, "variance")  # noqa: B009 - only this cause has one
     moving, jitter, use = [], [], []
     for s in projection.stretches:
         for scene, model in zip(s.scenes, s.models, strict=True):
             n = model.used.size
             speed = np.linalg.norm(model.rate, axis=1) > 1e-3
-            own = variance(scene, np.ones(1)).T / np.mean(s.noise.variance(n), axis=0)[:, None]
+            own = (
+                SampleJitter().variance(scene, np.ones(1)).T
+                / np.mean(s.noise.variance(n), axis=0)[:, None]
+            )
             moving.append(np.tile(speed.astype(np.float64), (3, 1)).ravel())
             jitter.append(own.ravel())
             use.append(np.tile(model.used.astype(np.float64), (3, 1)).ravel())
@@ -169,13 +170,14 @@ def _knots(scenes: list[Scene], of: Callable[[Scene], FloatArray], count: int) -
 
 
 def _largest(scenes: list[Scene]) -> FloatArray:
-    return np.max([np.abs(scene.filtered_rad_s).max(axis=0) for scene in scenes], axis=0)
+    found = [np.abs(scene.filtered_rad_s).max(axis=0) for scene in scenes]
+    return np.asarray(np.max(found, axis=0), dtype=np.float64)
 
 
 def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
     """Return hats, 1 at their own knot and 0 at the others, (k, n)."""
     width = knots[1] - knots[0]
-    return np.clip(1.0 - np.abs(x - knots[:, None]) / width, 0.0, None)
+    return np.asarray(np.clip(1.0 - np.abs(x - knots[:, None]) / width, 0.0, None), np.float64)
 
 
 def _gain(of: Callable[[Scene], FloatArray], knots: FloatArray, scene: Scene) -> FloatArray:

@@ -145,6 +145,23 @@ class Projection:
         """What causes look at, part by part."""
         return [scene for s in self.stretches for scene in s.scenes]
 
+    def weighed(self) -> list[FloatArray]:
+        """Return the residual weighed by the noise's inverse covariance, (n, 3) a part.
+
+        Its product with an unwhitened signal is the signal's score.
+        """
+        found, start = [], 0
+        for s in self.stretches:
+            for used in s.used:
+                n = used.size
+                white = self.residual[start : start + 3 * n].reshape(3, n)
+                deviation = np.sqrt(s.noise.variance(n)).T
+                spectrum = dct(white, axis=-1, norm="ortho") / deviation
+                signal = idct(spectrum, axis=-1, norm="ortho").T
+                found.append(np.where(used[:, None], signal, 0.0))
+                start += 3 * n
+        return found
+
     def white(self, signals: Sequence[Sequence[FloatArray]]) -> FloatArray:
         """Return signals (k, n, 3) of each part of each series, whitened, (k, all)."""
         found = [s.whitened(p) for s, p in zip(self.stretches, signals, strict=True)]
