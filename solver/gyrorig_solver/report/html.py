@@ -17,14 +17,21 @@ from gyrorig_solver.report.data import ReportData
 
 def render(data: ReportData) -> str:
     """Return the report's page."""
+    return placed("page.html.j2", _page(data))
+
+
+def placed(template: str, view: Any) -> str:
+    """Return a page: a template of this package filled with a view of the same name."""
     environment = jinja2.Environment(
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    source = files("gyrorig_solver.report").joinpath("page.html.j2").read_text(encoding="utf-8")
-    return environment.from_string(source).render(view=_page(data))
+    here = files("gyrorig_solver.report")
+    source = here.joinpath(template).read_text(encoding="utf-8")
+    style = here.joinpath("page.css").read_text(encoding="utf-8")
+    return environment.from_string(source).render(view=view, style=style)
 
 
 def _page(data: ReportData) -> dict[str, Any]:
