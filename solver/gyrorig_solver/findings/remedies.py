@@ -34,7 +34,7 @@ REMEDIES = MappingProxyType(
         "thermal_scale": f"record at the temperature of use, {_TAKE_IN}",
         "warm_up": "switch the board on ten minutes before recording",
         "bias_ramp": "let the board warm up before recording, or record for longer",
-        "bias_step": "look for a change of supply, of load or of light at that moment; record again",
+        "bias_step": "look for a change of supply, load or light at that moment; record again",
         "bias_random_walk": "nothing at the rig: the standard deviations allow for it",
         "supply_hum": "feed the board from a battery or a linear supply, and part its ground from "
         "the motors'",
