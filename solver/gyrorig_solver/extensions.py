@@ -118,7 +118,7 @@ def _thermal_bias(found: Found, settings: Sequence[Setting]) -> tuple[Extension 
     """Choose the order by windows of the base fit's residual that were left out."""
     sessions = []
     for (_, samples, reference), setting in zip(found, settings, strict=True):
-        series, sampling = build_series(samples)
+        series, sampling = build_series(samples, reference.common_std_s)
         sessions.append(SessionFit(series, sampling, reference, 0.0, setting))
     solution = solve_likelihood(sessions)
     lowest = np.array([1.0 / WINDOW_S])

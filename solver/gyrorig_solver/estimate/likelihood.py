@@ -106,6 +106,7 @@ def _settled(work: "_Work") -> Solution:
         if step < CONVERGED_SIGMA or (step < SETTLING and step < SETTLING * before):
             converged = True
             break
+        work.look_again(step)
         before = step
     return work.solution(converged)
 
@@ -151,11 +152,13 @@ class _Work:
             session.bias_rad_s = session.bias_rad_s + own[9:12]
             session.lag_s += float(np.clip(own[12], -0.05, 0.05))
             session.reference = session.reference.moved(marginal.nuisance(own))
-        if size >= CONVERGED_SIGMA:
-            # A fit that still moves may have taken good samples for spikes.
-            self._observe(judge=size > UNSETTLED_SIGMA, fresh=size > FAR_SIGMA)
-            self._fit_noise()
         return size
+
+    def look_again(self, size: float) -> None:
+        """Predict anew after a step of that size."""
+        # A fit that still moves may have taken good samples for spikes.
+        self._observe(judge=size > UNSETTLED_SIGMA, fresh=size > FAR_SIGMA)
+        self._fit_noise()
 
     def solution(self, converged: bool) -> Solution:
         """Return the result, each recording's common shift put into its offset."""

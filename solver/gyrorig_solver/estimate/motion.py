@@ -109,7 +109,7 @@ def fit_joint(
 def _session(
     samples: GyroSamples, reference: ReferenceMotion, setting: Setting | None
 ) -> SessionFit:
-    series, sampling = build_series(samples)
+    series, sampling = build_series(samples, reference.common_std_s)
     stamp_std_s = samples.floor.std_s if samples.floor else 0.0
     return SessionFit(series, sampling, reference, stamp_std_s, setting)
 

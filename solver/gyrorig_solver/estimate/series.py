@@ -20,6 +20,7 @@ SERIES_HZ = 100.0  # about the rate of the block means, or more where the low-pa
 PER_BANDWIDTH = 2.4  # a jump of speed tells the time offset up to the bandwidth
 FINE_HZ = 500.0  # at least the rate of the fine grid, and five times the bandwidth
 LONGEST_GAP_S = 2.0  # a longer gap begins a new series
+SHARP_STD_S = 5e-5  # a reference as a whole less well timed hides what a finer series tells
 MANY_SAMPLES = 4_000_000  # above it hours tell the offset well enough, and memory counts
 SHORTEST_SERIES = 64  # blocks; less is not worth a spectrum
 PART_BLOCKS = 1 << 16  # about the length of a part of a long series
@@ -98,9 +99,12 @@ class Series:
         """
         if self.block == 1:
             return values if use.all() else np.where(use[:, None], values, 0.0)
-        shaped = values.reshape(-1, self.block, values.shape[1])
         if use.all():
-            return np.asarray(shaped.mean(axis=1))
+            total = values[:: self.block] + values[1 :: self.block]
+            for k in range(2, self.block):
+                total += values[k :: self.block]
+            return np.asarray(total / self.block)
+        shaped = values.reshape(-1, self.block, values.shape[1])
         weight = use.reshape(-1, self.block).astype(np.float64)
         count = np.maximum(weight.sum(axis=1), 1.0)
         total = np.einsum("ij,ijk->ik", weight, np.where(use.reshape(-1, self.block, 1), shaped, 0))
@@ -118,25 +122,33 @@ def quick_length(n: int) -> int:
     return n
 
 
-def grids(rate_hz: float, bandwidth_hz: float | None, samples: int = 0) -> tuple[int, int]:
-    """Return samples to a block and fine intervals to a sample, for samples at a rate."""
-    wide_hz = PER_BANDWIDTH * (bandwidth_hz or 0.0) if samples < MANY_SAMPLES else 0.0
-    series_hz = max(SERIES_HZ, wide_hz)
+def grids(rate_hz: float, bandwidth_hz: float | None, sharp: bool = False) -> tuple[int, int]:
+    """Return samples to a block and fine intervals to a sample, for samples at a rate.
+
+    `sharp`: keep what tells the time offset up to the low-pass' bandwidth.
+    """
+    series_hz = max(SERIES_HZ, PER_BANDWIDTH * (bandwidth_hz or 0.0) * sharp)
     block = max(1, round(rate_hz / series_hz))
     least_hz = max(FINE_HZ, 5.0 * (bandwidth_hz or 0.0))
     fine = max(1, int(np.ceil(least_hz / rate_hz)))
     return block, fine + 1 - fine % 2
 
 
-def build_series(samples: GyroSamples) -> tuple[list[Series], Sampling]:
+def build_series(samples: GyroSamples, common_std_s: float = 0.0) -> tuple[list[Series], Sampling]:
     """Cut the samples into series.
+
+    Args:
+        samples: of one board.
+        common_std_s: what is not known of the reference's time as a whole; where that is
+            much, a finer time offset is of no use.
 
     Returns:
         The series of at least `SHORTEST_SERIES` blocks, and how they were sampled.
     """
     period_s = samples.period_s
     rate_hz = 1.0 / period_s
-    block, fine = grids(rate_hz, samples.bandwidth_hz, samples.number.size)
+    sharp = common_std_s < SHARP_STD_S and samples.number.size < MANY_SAMPLES
+    block, fine = grids(rate_hz, samples.bandwidth_hz, sharp)
     jump = np.diff(samples.number)
     cut = (np.diff(samples.segment) != 0) | (jump * period_s > LONGEST_GAP_S)
     bounds = np.concatenate([[0], np.flatnonzero(cut) + 1, [samples.number.size]])
