@@ -5,65 +5,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.unit.solver.made import reference_of, samples_of
 
-from gyrorig_solver.clocks import map_clock
 from gyrorig_solver.estimate.motion import fit_motion
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.model.gain import factorise
-from gyrorig_solver.reference.moves import Exchange, MotionReader
-from gyrorig_solver.reference.polls import Polls, fit_starts
-from gyrorig_solver.reference.ptu import PtuReference
-from gyrorig_solver.samples import GyroSamples
 from gyrorig_solver.solve import PTU_WORDS
 
-RAD_PER_STEP = float(np.radians(185.142857 / 3600.0))
 LOW_PASS_DELAY_S = np.sqrt(2.0) / (2.0 * np.pi * 25.0)  # Butterworth, second order, 25 Hz
 
 Simulate = Callable[..., Any]
 
 
-def reference_of(rig: Any) -> PtuReference:
-    settings = {
-        f"{a}_{k}": v
-        for a in ("pan", "tilt")
-        for k, v in (("base_speed", 0.0), ("acceleration", 4000.0))
-    }
-    exchanges = [Exchange(a, b, True, c) for a, b, c in rig.exchanges]
-    first = (int(rig.poll_steps[0][0]), int(rig.poll_steps[0][1]))
-    motion = MotionReader(settings, first).read(exchanges)
-    valid = np.ones((rig.poll_lo_s.size, 2), dtype=np.bool_)
-    polls = Polls(rig.poll_lo_s, rig.poll_hi_s, rig.poll_steps, valid)
-    span = (float(rig.poll_lo_s[0]), float(rig.poll_hi_s[-1]))
-    return PtuReference.of(motion, fit_starts(motion, polls), (RAD_PER_STEP, RAD_PER_STEP), span)
-
-
-def samples_of(rig: Any, rate: np.ndarray | None = None) -> GyroSamples:
-    n = rig.time_s.size
-    ticks = np.rint(rig.time_s * 1e6).astype(np.int64)
-    clock = map_clock(ticks, rig.time_s, 1e6, 64)
-    return GyroSamples(
-        board="B",
-        metadata={"bandwidth_hz": "25"},
-        origin_ns=0,
-        time_s=clock.time_s,
-        host_s=rig.time_s,
-        number=np.arange(n),
-        segment=clock.segment,
-        rate_rad_s=rig.rate_rad_s if rate is None else rate,
-        good=np.ones(n, np.bool_),
-        accel_m_s2=None,
-        temperature_degc=None,
-        quantum_rad_s=1.527e-4,
-        clock=clock,
-        floor=None,
-        lost=0,
-        repeated=0,
-        late=0,
-    )
-
-
 def fit(rig: Any, rate: np.ndarray | None = None) -> GyroFit:
-    return fit_motion(samples_of(rig, rate), reference_of(rig), PTU_WORDS)
+    samples = samples_of(rig.time_s, rig.rate_rad_s if rate is None else rate)
+    return fit_motion(samples, reference_of(rig), PTU_WORDS)
 
 
 def truth(rig: Any) -> dict[str, float]:
