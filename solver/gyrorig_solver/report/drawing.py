@@ -41,10 +41,12 @@ _MARKS = {
     "#c00005": "var(--line)",
     "#c00006": "var(--grid)",
     "#c00007": "var(--before)",
+    "#c00008": "var(--ink)",
 }
 AXIS_COLOURS = ("#c00001", "#c00002", "#c00003")
 BEFORE = "#c00007"
 SOFT = "#c00004"
+INK = "#c00008"
 _COLUMNS = 700  # points across a figure: more cannot be seen and only makes the file large
 
 
@@ -90,3 +92,21 @@ def svg(figure: Figure, name: str) -> str:
     for mark, meaning in _MARKS.items():
         text = text.replace(mark, meaning)
     return text
+
+
+_ALONE = (
+    "<style>:root{--ink:#1f2328;--soft:#5c6470;--line:#c9ccd1;--grid:#e6e7e9;--x:#c2410c;"
+    "--y:#0f766e;--z:#4f46e5;--before:#b4b8bf;background:#fff}"
+    "@media(prefers-color-scheme:dark){:root{--ink:#e7e9ec;--soft:#a0a7b2;--line:#4a505a;"
+    "--grid:#2b2f37;--x:#fb923c;--y:#2dd4bf;--z:#a5b4fc;--before:#646b76;background:#1c1f25}}"
+    "</style>"
+)
+
+
+def alone(text: str) -> str:
+    """Return a page's figure as a file of its own, with the page's colours in it."""
+    end = text.index(">", text.index("<svg")) + 1
+    head = text[:end]
+    if "xmlns=" not in head:
+        head = head.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + head + _ALONE + text[end:]

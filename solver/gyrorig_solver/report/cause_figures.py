@@ -1,0 +1,221 @@
+"""The explain report's figures: each cause against data, and what is left, before and after.
+
+What to use when: `cause_figure` for a named cause, `rest_figure` for what none explains,
+`left_over_time`, `spectrum` and `dependences` for the residual as a whole.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.report.course import Course
+from gyrorig_solver.report.dependence import (
+    OF_CAUSE,
+    OF_SIGNATURE,
+    UNITS,
+    Dependence,
+    in_bins,
+    label,
+)
+from gyrorig_solver.report.drawing import (
+    AXIS_COLOURS,
+    BEFORE,
+    INK,
+    SOFT,
+    envelope,
+    stacked,
+    svg,
+)
+
+CLOSE_S = 1.6  # of a picture close by
+
+
+def cause_figure(course: Course, cause: str, key: str, where: Sequence[str]) -> str:
+    """Draw one cause: data, base model and extended model, by what the cause acts on."""
+    dependence = OF_CAUSE.get(cause)
+    effect = course.effects[key]
+    axis = strongest(effect)
+    motor = 1 if "tilt" in where and "pan" not in where else 0
+    if dependence == OF_CAUSE["eccentricity"] and motor == 1:
+        dependence = Dependence("gain", "tilt")
+    if dependence is None:
+        return close_by(course, effect, axis, key)
+    data = in_bins(course, course.without(key), dependence, axis, motor)
+    model = in_bins(course, effect, dependence, axis, motor)
+    if data.centre.size < 3:
+        return close_by(course, effect, axis, key)
+    figure, (panel,) = stacked(1, 3.4)
+    panel.errorbar(
+        data.centre, data.value, yerr=data.bar, color=BEFORE, ecolor=BEFORE, linewidth=0.0,
+        elinewidth=1.0, marker="o", markersize=4, label="data",
+    )  # fmt: skip
+    panel.axhline(0.0, color=SOFT, linewidth=1.1, linestyle="--", label="base model")
+    panel.plot(
+        model.centre, model.value, color=AXIS_COLOURS[axis], linewidth=1.8, label="extended model"
+    )
+    panel.set_xlabel(label(dependence.covariate, motor))
+    panel.set_ylabel(f"{'xyz'[axis]}: {UNITS[dependence.quantity]}")
+    _legend(panel)
+    return svg(figure, key)
+
+
+def close_by(course: Course, effect: FloatArray, axis: int, name: str) -> str:
+    """Draw the moment at which a change of the model is largest: rates, then what is left."""
+    rows = _busiest(course, effect[:, axis])
+    time_s = course.time_s[rows]
+    figure, (above, below) = stacked(2, 4.6)
+    above.plot(
+        time_s, np.degrees(course.measured_rad_s[rows, axis]), color=INK, linewidth=0.0,
+        marker="o", markersize=2.4, label="data",
+    )  # fmt: skip
+    for values, colour, style, words in (
+        (course.base_rad_s, SOFT, "--", "base model"),
+        (course.extended_rad_s, AXIS_COLOURS[axis], "-", "extended model"),
+    ):
+        above.plot(
+            time_s, np.degrees(values[rows, axis]),
+            color=colour, linewidth=1.3, linestyle=style, label=words,
+        )  # fmt: skip
+    above.set_ylabel(f"{'xyz'[axis]}  deg/s")
+    _legend(above)
+    below.plot(
+        time_s, np.degrees(course.left_base_rad_s[rows, axis]),
+        color=BEFORE, linewidth=1.2, marker="o", markersize=2.2, label="left by the base model",
+    )  # fmt: skip
+    below.plot(
+        time_s, np.degrees(course.left_extended_rad_s[rows, axis]), color=AXIS_COLOURS[axis],
+        linewidth=1.2, marker="o", markersize=2.2, label="left by the extended model",
+    )  # fmt: skip
+    below.axhline(0.0, color=SOFT, linewidth=0.5)
+    below.set_ylabel("left, deg/s")
+    below.set_xlabel("seconds")
+    _legend(below)
+    return svg(figure, name)
+
+
+def rest_figure(course: Course, signature: str, axis: int | None) -> str:
+    """Draw what no cause explains against what it depends on most."""
+    left = course.left_extended_rad_s
+    if signature == "line":
+        return spectrum(course, "unexplained")
+    dependence = OF_SIGNATURE.get(signature)
+    if dependence is None:
+        return left_over_time(course, "unexplained")
+    motor = 1 if signature.startswith("tilt") else 0
+    figure, (panel,) = stacked(1, 3.4)
+    axes = range(3) if axis is None else (axis,)
+    for one in axes:
+        found = in_bins(course, left, dependence, one, motor)
+        panel.errorbar(
+            found.centre, found.value, yerr=found.bar, color=AXIS_COLOURS[one], linewidth=1.0,
+            elinewidth=1.0, marker="o", markersize=3.5, label="xyz"[one],
+        )  # fmt: skip
+    panel.axhline(0.0, color=SOFT, linewidth=0.8)
+    panel.set_xlabel(label(dependence.covariate, motor))
+    panel.set_ylabel(UNITS[dependence.quantity])
+    _legend(panel)
+    return svg(figure, "unexplained")
+
+
+def left_over_time(course: Course, name: str = "left") -> str:
+    """Draw what both models leave, in deg/s, one panel an axis."""
+    figure, panels = stacked(3, 5.0)
+    base, extended = course.left_base_rad_s, course.left_extended_rad_s
+    for axis, panel in enumerate(panels):
+        envelope(panel, course.time_s, np.degrees(base[:, axis]), BEFORE)
+        envelope(panel, course.time_s, np.degrees(extended[:, axis]), AXIS_COLOURS[axis])
+        panel.axhline(0.0, color=SOFT, linewidth=0.5)
+        panel.set_ylabel(f"{'xyz'[axis]}  deg/s")
+    panels[-1].set_xlabel("seconds")
+    return svg(figure, name)
+
+
+def spectrum(course: Course, name: str = "density") -> str:
+    """Draw the density of what both models leave, and of the noise assumed."""
+    figure, (panel,) = stacked(1, 3.6)
+    for axis in range(3):
+        for density, colour, width in (
+            (course.spectrum_base, BEFORE, 1.4),
+            (course.spectrum_extended, AXIS_COLOURS[axis], 1.0),
+        ):
+            panel.loglog(
+                course.frequency_hz,
+                np.degrees(np.sqrt(density[:, axis])),
+                color=colour,
+                linewidth=width,
+                label="xyz"[axis] if colour != BEFORE else None,
+            )
+        panel.loglog(
+            course.frequency_hz,
+            np.degrees(np.sqrt(course.spectrum_model[:, axis])),
+            color=SOFT,
+            linewidth=0.9,
+            linestyle="--",
+            label="noise assumed" if axis == 0 else None,
+        )
+    panel.set_xlabel("Hz")
+    panel.set_ylabel("deg/s/sqrt(Hz)")
+    _legend(panel)
+    return svg(figure, name)
+
+
+def dependences(course: Course) -> dict[str, str]:
+    """Draw what both models leave against everything that is known, by name."""
+    drawn = {}
+    for name, dependence, motor in (
+        ("own_rate", Dependence("mean", "own_rate"), 0),
+        ("pan", Dependence("gain", "pan"), 0),
+        ("tilt", Dependence("gain", "tilt", 10), 0),
+        ("time", Dependence("lag", "time", 16), 0),
+        ("temperature", Dependence("mean", "temperature", 12), 0),
+    ):
+        axis = _most_moved(course) if dependence.quantity != "mean" else _worst(course)
+        before = in_bins(course, course.left_base_rad_s, dependence, axis, motor)
+        after = in_bins(course, course.left_extended_rad_s, dependence, axis, motor)
+        if before.centre.size < 3:
+            continue
+        figure, (panel,) = stacked(1, 2.7)
+        for found, colour, words in (
+            (before, BEFORE, "base model"),
+            (after, AXIS_COLOURS[axis], "extended model"),
+        ):
+            panel.errorbar(
+                found.centre, found.value, yerr=found.bar, color=colour, linewidth=1.0,
+                elinewidth=1.0, marker="o", markersize=3, label=words,
+            )  # fmt: skip
+        panel.axhline(0.0, color=SOFT, linewidth=0.6)
+        panel.set_xlabel(label(dependence.covariate, motor))
+        panel.set_ylabel(f"{'xyz'[axis]}: {UNITS[dependence.quantity]}")
+        _legend(panel)
+        drawn[name] = svg(figure, f"on-{name}")
+    return drawn
+
+
+def strongest(effect: FloatArray) -> int:
+    """Return the sensor axis on which an effect (n, 3) has most energy about its mean."""
+    known = effect[np.isfinite(effect).all(axis=1)]
+    return int(np.argmax(np.var(known, axis=0))) if known.size else 2
+
+
+def _legend(panel: Axes) -> None:
+    panel.legend(frameon=False, ncols=4, loc="upper right", labelcolor=SOFT, fontsize=9)
+
+
+def _busiest(course: Course, change: FloatArray) -> slice:
+    """Return the rows around the moment where a change (n,) has most energy."""
+    step_s = float(np.median(np.diff(course.time_s)))
+    many = max(8, min(change.size, round(CLOSE_S / step_s)))
+    power = np.nan_to_num(change - np.nanmean(change)) ** 2
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    first = int(np.argmax(total[many:] - total[:-many]))
+    return slice(first, first + many)
+
+
+def _most_moved(course: Course) -> int:
+    return int(np.argmax(np.nanvar(course.base_rad_s, axis=0)))
+
+
+def _worst(course: Course) -> int:
+    return int(np.argmax(np.nanvar(course.left_base_rad_s, axis=0)))
