@@ -4,8 +4,8 @@ Many designs are drawn and judged quickly (`quick`). The best of both kinds of t
 walked downhill, one number at a time. The best of a few kinds, and then those near the best
 of all, are judged by the full prediction, which decides. The same seed gives the same program.
 
-For causes the best stay is given as many tilts and speeds as the time allows, and the rest
-is decided by how large causes must be to be known by name. A function of tilt or speed that
+For causes a stay is given as many tilts and speeds as the time allows, and the rest is
+decided by how large causes must be to be known by name. A function of tilt or speed that
 no catalogue has shows only where there are more of them than the function has parameters
 (three more; notes on discovery, section 3.3), so levels come before standard deviations.
 """
@@ -29,7 +29,6 @@ from gyrorig_solver.plan.sensor import SensorModel
 from gyrorig_solver.plan.unit import UnitModel
 
 DRAWN, WALKED, KINDS = 150, 3, 8  # of each kind of the family; kinds of design, of both
-LONGEST_LIST = 1000
 NEAR = ("pan_span", "tilt_span")
 # Zero rate and scale of a part of its family leave so much of the range for the motion.
 USABLE_RANGE = 0.75
@@ -86,6 +85,8 @@ def find_program(
     """
     space = Space.of(unit, float(np.degrees(sensor.full_scale_rad_s)) * USABLE_RANGE)
     quick = Quick(unit, sensor, space, seconds, criterion)
+    if aim == "causes":
+        return _for_causes(quick, (unit, sensor, site), criterion, progress)
     rng = np.random.default_rng(seed)
     for once, name in ((False, "rounds"), (True, "stays")):
         designs = sorted({drawn(rng, once) for _ in range(DRAWN)}, key=repr)
@@ -96,8 +97,6 @@ def find_program(
             _downhill(design, quick)
     if not quick.best_kinds(1):
         raise _too_short(quick, seconds)
-    if aim == "causes":
-        return _for_causes(quick, (unit, sensor, site), criterion, progress)
     found: dict[Design, Found] = {}
     weighed: dict[Design, float] = {}
 
@@ -127,26 +126,50 @@ def _for_causes(
     criterion: Criterion,
     progress: Progress,
 ) -> Found:
-    """Return the program with the most levels that fit, and of those the least blind one."""
+    """Return the program with the most levels that fit, and of those the least blind one.
+
+    Over the whole range, as fast as the unit may, with the shortest rests.
+    """
     unit, sensor, site = rig
-    stays = [d for d in quick.best_kinds(LONGEST_LIST) if d.once]
-    if not stays:
-        raise _too_short(quick, quick.seconds)
-    best = replace(stays[0], pan_span=1.0, tilt_span=1.0, again=True)
     found: list[Found] = []
     for poses, speeds in LEVELS:
         for swings in SWINGS:
-            design = replace(best, poses=poses, speeds=speeds, passes=speeds, swings=swings)
+            design = _survey(poses, speeds, swings)
             with suppress(UsageError):
                 made = program_of(design, quick.space, unit, quick.seconds)
                 progress(f"looking for causes with {poses} tilts, {speeds} speeds, {swings} swings")
                 prediction = predict(made, unit, sensor)
                 outlook = foresee(prediction, sensor, site)
                 value = cost(prediction.decision, criterion)
-                found.append(Found(design, prediction, value, quick.judged, outlook))
+                found.append(Found(design, prediction, value, len(found) + 1, outlook))
         if found:
-            return min(found, key=lambda one: one.outlook.blindness if one.outlook else np.inf)
-    raise _too_short(quick, quick.seconds)
+            best = min(found, key=lambda one: one.outlook.blindness if one.outlook else np.inf)
+            return replace(best, judged=len(found))
+    shortest = _survey(*LEVELS[-1], SWINGS[0])
+    quick.cost(shortest)
+    raise UsageError(
+        f"{quick.seconds:g} s is too short for a program that tells causes apart",
+        f"give --seconds {np.ceil(quick.least_s[shortest]):.0f} or more",
+    )
+
+
+def _survey(poses: int, speeds: int, swings: int) -> Design:
+    return Design(
+        poses=poses,
+        passes=speeds,
+        swings=swings,
+        along=False,
+        weave=0,
+        pan_span=1.0,
+        tilt_span=1.0,
+        pan_speed=1.0,
+        tilt_speed=1.0,
+        acceleration_deg_s2=max(CHOICES["acceleration_deg_s2"]),
+        dwell_s=min(CHOICES["dwell_s"]),
+        once=True,
+        speeds=speeds,
+        again=True,
+    )
 
 
 def _downhill(design: Design, quick: Quick) -> None:

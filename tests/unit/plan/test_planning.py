@@ -158,6 +158,7 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
         (["--seconds", "nan"], "out of reach"),
         (["--seconds", "1e9"], "out of reach"),
         (["--seconds", "8"], "too short for a program that shows all parameters"),
+        (["--seconds", "25", "--for", "causes"], "that tells causes apart: give --seconds 39"),
         (["--out", "x.yaml", "--program", PAPER], "give --seconds"),
         (["--sensor", "../../etc"], "no profile of"),
         (["--sensor", "missing.yaml"], "cannot be read"),

@@ -20,7 +20,7 @@ BY_HAND = {"quick", "full", "paper", "static"}
 MADE_BY = "# Made by: gyrorig "
 PLANNED = sorted(path.stem for path in PROGRAMS.glob("*.yaml") if path.stem not in BY_HAND)
 Shipped = Callable[[str], MotionProgram]
-LONG = ("planned-300", "survey-40", "survey-130")
+LONG = ("planned-300", "survey-130")
 
 
 def asked(name: str) -> list[str]:
