@@ -1,0 +1,12 @@
+"""docs/accuracy.md holds what its script makes of the bench's results, and nothing else."""
+
+from docs import blocks
+from docs.accuracy import write
+
+
+def test_the_page_has_the_results() -> None:
+    text = write.DOCUMENT.read_text(encoding="utf-8")
+    assert set(blocks.block_names(text)) == set(write.BLOCKS)
+    for name, body in blocks.bodies(text).items():
+        made = write.BLOCKS[name]() + "\n"
+        assert blocks.unlike(body, made, 1e-9, 1.0) == ""
