@@ -1,5 +1,7 @@
 """A calibration as a few lines for a terminal."""
 
+import math
+
 from gyrorig_solver.calibration.document import Calibration
 from gyrorig_solver.calibration.wording import (
     GROUPS,
@@ -11,6 +13,8 @@ from gyrorig_solver.calibration.wording import (
     quantity,
     short,
 )
+
+_DEG = 180.0 / math.pi
 
 
 def summary(calibration: Calibration) -> str:
@@ -26,6 +30,7 @@ def summary(calibration: Calibration) -> str:
         lines.append(
             f"  reduced chi2          {short(quality.reduced_chi2)}   (1: nothing but noise)"
         )
+    lines += _recordings(calibration)
     for reason in calibration.trust.reasons:
         lines.append(f"  ! {reason}")
     lines += [f"  remark: {warning}" for warning in quality.warnings]
@@ -45,3 +50,13 @@ def _rows(calibration: Calibration, group: Group) -> list[str]:
         shown = quantity(value * group.factor, None if std is None else std * group.factor)
         rows.append(f"{head}{shown[0]:>12} ± {shown[1]:<10} {group.unit}")
     return rows
+
+
+def _recordings(calibration: Calibration) -> list[str]:
+    """Return what is each recording's own, where several were solved together."""
+    lines = []
+    for own in calibration.quality.recordings or []:
+        bias = ", ".join("unknown" if v is None else f"{v * _DEG:+.4f}" for v in own.bias)
+        offset = "not observable" if own.time_offset is None else f"{own.time_offset * 1e3:+.2f} ms"
+        lines.append(f"  {own.name}: bias {bias} deg/s, time offset {offset}")
+    return lines

@@ -35,7 +35,8 @@ class Solution:
 
     names: tuple[str, ...]  # G row by row, b, time offset, then the causes' values
     unit: FloatArray  # (p,), prior standard deviation of each
-    estimate: FloatArray  # (p,); b and time offset (whole lag) are the last recording's
+    estimate: FloatArray  # (p,); b is the last recording's, the time offset (whole lag) too
+    # if that shows it, else that of the last one that does
     decision: Decision  # all else marginalised, the common shift put in
     sessions: tuple[SessionFit, ...]
     extensions: tuple[Extension, ...]
@@ -162,18 +163,28 @@ class _Work:
 
     def solution(self, converged: bool) -> Solution:
         """Return the result, each recording's common shift put into its offset."""
-        last = self._sessions[-1]
         causes = [one.values[one.free] for one in self._extensions]
         own = [self._of_one(k) for k in range(len(self._sessions))]
         unit = np.concatenate([prior_std(NAMES), *(one.prior_std for one in self._extensions)])
         decisions = tuple(decide_in(one, unit) for one in own)
+        # A board that lay still last tells its bias, but not how late its samples are.
+        last = len(own) - 1
+        moved = max((k for k, one in enumerate(decisions) if one.shows(12)), default=last)
+        joint = decisions[last]
+        if moved != last:
+            joint = decide_in(self._of_one(last, offset_of=moved), unit)
         return Solution(
             names=(*NAMES, *(name for one in self._extensions for name in one.names)),
             unit=unit,
             estimate=np.concatenate(
-                [self._gain.ravel(), last.bias_rad_s, [last.time_offset_s], *causes]
+                [
+                    self._gain.ravel(),
+                    self._sessions[last].bias_rad_s,
+                    [self._sessions[moved].time_offset_s],
+                    *causes,
+                ]
             ),
-            decision=decisions[-1],
+            decision=joint,
             sessions=self._sessions,
             extensions=self._extensions,
             own=decisions,
@@ -195,11 +206,15 @@ class _Work:
         each = [own[GAINS:]] * len(self._sessions)
         return np.concatenate([own[:GAINS], *each, *(one.prior_std for one in self._extensions)])
 
-    def _index(self, k: int) -> IntArray:
-        """Return where the parameters of recording `k` are among all: G, b, tau, causes."""
+    def _index(self, k: int, offset_of: int | None = None) -> IntArray:
+        """Return where the parameters of recording `k` are among all: G, b, tau, causes.
+
+        `offset_of`: take the time offset of that recording.
+        """
         first = GAINS + PER_SESSION * k
         after = GAINS + PER_SESSION * len(self._sessions)
-        own = (*range(GAINS), *range(first, first + PER_SESSION))
+        offset = GAINS + PER_SESSION * (k if offset_of is None else offset_of) + 3
+        own = (*range(GAINS), *range(first, first + 3), offset)
         return np.array([*own, *range(after, after + self._causes)], dtype=np.int64)
 
     def _moved(self, step: FloatArray) -> tuple[Extension, ...]:
@@ -226,14 +241,14 @@ class _Work:
             score[index] += marginal.score
         return information, score
 
-    def _of_one(self, k: int) -> FloatArray:
+    def _of_one(self, k: int, offset_of: int | None = None) -> FloatArray:
         """Return the information of G and recording `k`'s own, the others' taken out."""
         loose = [
             replace(m, information=loosened(m.information, 12, session.common_std_s))
             for m, session in zip(self._marginal, self._sessions, strict=True)
         ]
         information, _ = self._joint(loose)
-        keep = self._index(k)
+        keep = self._index(k, offset_of)
         drop = np.setdiff1d(np.arange(information.shape[0]), keep)
         if not drop.size:
             return information

@@ -119,7 +119,7 @@ def _apart(solution: Solution) -> tuple[RecordingFit, ...]:
     found = []
     for session, decision in zip(solution.sessions, solution.own, strict=True):
         std = np.sqrt(np.diag(decision.covariance)[9:13])
-        seen = decision.hidden[12, 12] < decision.covariance[12, 12]
+        seen = decision.shows(12)
         found.append(
             RecordingFit(
                 bias_rad_s=session.bias_rad_s,

@@ -36,6 +36,10 @@ class Decision:
     rank: int
     condition: float
 
+    def shows(self, index: int) -> bool:
+        """Return whether a parameter is the data's: the prior adds no more than it leaves."""
+        return bool(0.0 < self.covariance[index, index] > self.hidden[index, index])
+
 
 def prior_std(names: tuple[str, ...]) -> FloatArray:
     """Return the prior standard deviation of each named parameter, shape (n,)."""
