@@ -4,7 +4,7 @@
     python docs/accuracy/write.py --check    change nothing; 1 if a block differs
 
 Nothing is measured here: `python tests/bench/bench_accuracy.py --out docs/accuracy/results.json`
-does that (an hour on two cores), and this page says what it found.
+does that (half an hour on two free cores), and this page says what it found.
 """
 
 import argparse
