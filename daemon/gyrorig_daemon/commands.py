@@ -63,7 +63,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def cli() -> None:
     """What a rig does: record sessions, emulate a rig.
 
-    Example: gyrorigd record --config config/rig.yaml --program config/programs/quick.yaml
+    Example: gyrorigd record --config config/rig.yaml --program config/programs/survey-40.yaml
     """
 
 
@@ -100,7 +100,7 @@ def record_command(**options: Any) -> None:
     Nothing moves before every device has said who it is and the whole program fits the
     unit's limits. On any end the unit is halted and the recording closed.
 
-    Example: gyrorigd record --config config/rig.yaml --program config/programs/full.yaml
+    Example: gyrorigd record --config config/rig.yaml --program config/programs/survey-130.yaml
     --out recordings
     """
     _print(_record(options), options["as_json"])
