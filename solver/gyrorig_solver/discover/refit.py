@@ -101,7 +101,7 @@ def _sized(projection: Projection, term: Term, values: FloatArray, sizes: IntArr
     white = projection.signals(lambda scene: term.directions(scene, values)[at])
     found = values.copy()
     found[sizes] = Seen.of(projection.look(white)).values
-    return _inside(term, found)
+    return _inside(projection, term, found)
 
 
 def _timed(
@@ -126,14 +126,18 @@ def _timed(
             if seen.statistic > statistic:
                 statistic = seen.statistic
                 trial[sizes] = seen.values
-                best = _inside(term, trial)
+                best = _inside(projection, term, trial)
         step_s /= PER_LEVEL
     return best
 
 
-def _inside(term: Term, values: FloatArray) -> FloatArray:
+def _inside(projection: Projection, term: Term, values: FloatArray) -> FloatArray:
+    setting = projection.scenes[0].setting
+    during = setting.begin_s, setting.end_s
     own = value_parameters(term)
     low, high = np.array([p.lower for p in own]), np.array([p.upper for p in own])
+    for k in indices(term, role="event"):
+        low[k], high[k] = during
     return np.clip(values, low, high)
 
 
@@ -142,7 +146,7 @@ def _state(projection: Projection, term: Term, values: FloatArray, free: IntArra
         columns = term.columns(scene, values)[free]
         return np.concatenate([columns, term.effect(scene, values)[None]])
 
-    looked = projection.look(projection.signals(signal))
+    looked = projection.look(projection.signals(signal, exact=True))
     f = free.size
     cost = 0.5 * float(looked.information[f, f]) - float(looked.score[f])
     slope = looked.score[:f] - looked.information[:f, f]
@@ -180,7 +184,7 @@ def _descend(projection: Projection, term: Term, values: FloatArray, free: IntAr
         step[at] = np.linalg.lstsq(damped, now.slope[at], rcond=None)[0]
         trial = now.values.copy()
         trial[free] += step
-        trial = _inside(term, trial)
+        trial = _inside(projection, term, trial)
         if np.array_equal(trial, now.values):
             break
         after = _state(projection, term, trial, free)

@@ -38,6 +38,7 @@ class Stretch:
     session: int
     used: tuple[BoolArray, ...]  # of each part
     scenes: tuple[Scene, ...]
+    exact: tuple[Scene, ...]  # the same on the samples' own grid
     models: tuple[PartModel, ...]
     residuals: tuple[FloatArray, ...]  # (n, 3) each
     noise: NoiseModel
@@ -126,17 +127,17 @@ class Projection:
         for number, session in enumerate(solution.sessions):
             noise = (noises or solution.noises)[number]
             left = session.residuals(solution.gain)
-            series: dict[int, list[tuple[PartModel, Scene, FloatArray]]] = {}
-            for k, blocks, model, scene in session.derivatives(solution.gain):
+            series: dict[int, list[tuple[PartModel, Scene, Scene, FloatArray]]] = {}
+            for k, blocks, model, scene, exact in session.derivatives(solution.gain):
                 residual = left[k][blocks].copy()
                 for one in back:
-                    effect = one.term.effect(scene, one.values)
+                    effect = one.term.effect(exact, one.values)
                     residual += np.where(model.used[:, None], effect, 0.0)
-                series.setdefault(k, []).append((model, scene, residual))
+                series.setdefault(k, []).append((model, scene, exact, residual))
             for parts in series.values():
-                models, scenes, residuals = zip(*parts, strict=True)
+                models, scenes, fine, residuals = zip(*parts, strict=True)
                 used = tuple(m.used for m in models)
-                stretches.append(Stretch(number, used, scenes, models, residuals, noise))
+                stretches.append(Stretch(number, used, scenes, fine, models, residuals, noise))
         base, local, prior = _base(solution, stretches, follow)
         return cls(stretches, base, local, prior)
 
@@ -167,9 +168,14 @@ class Projection:
         found = [s.whitened(p) for s, p in zip(self.stretches, signals, strict=True)]
         return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
 
-    def signals(self, of: Signal) -> FloatArray:
-        """Return what a function of each scene gives, (k, blocks, 3), whitened, (k, all)."""
-        return self.white([[of(scene) for scene in s.scenes] for s in self.stretches])
+    def signals(self, of: Signal, exact: bool = False) -> FloatArray:
+        """Return what a function of each scene gives, (k, blocks, 3), whitened, (k, all).
+
+        `exact`: of the scenes on the samples' own grid.
+        """
+        return self.white(
+            [[of(one) for one in (s.exact if exact else s.scenes)] for s in self.stretches]
+        )
 
     def look(self, white: FloatArray) -> Looked:
         """Return what whitened signals say beside the fit."""
@@ -233,7 +239,7 @@ def _base(
         ]
         parts = [
             _columns(model, scene, solution.gain, extensions)
-            for model, scene in zip(s.models, s.scenes, strict=True)
+            for model, scene in zip(s.models, s.exact, strict=True)
         ]
         base[at, start : start + size] = s.whitened(parts)
         for found in _locals(s, solution.gain, int(start)):

@@ -216,8 +216,8 @@ class SessionFit:
         other._models, other._frozen = {}, None
         return other
 
-    def derivatives(self, gain: FloatArray) -> Iterator[tuple[int, slice, PartModel, Scene]]:
-        """Yield each part's series, blocks, derivatives and what causes look at there.
+    def derivatives(self, gain: FloatArray) -> Iterator[tuple[int, slice, PartModel, Scene, Scene]]:
+        """Yield each part's series, blocks, derivatives, and its scene coarse and exact.
 
         Args:
             gain: G, shape (3, 3).
@@ -225,7 +225,9 @@ class SessionFit:
         for k, s in enumerate(self._stretches):
             for blocks in s.series.parts():
                 model = self._model(k, blocks, gain)
-                yield k, blocks, model, self.scene(s.series, blocks, gain)
+                coarse = self.scene(s.series, blocks, gain)
+                exact = self.scene(s.series, blocks, gain, exact=True)
+                yield k, blocks, model, coarse, exact
 
     # ---- what a fit does with it
 
@@ -349,7 +351,9 @@ class SessionFit:
         measured = series.rate_rad_s(samples)
         use = series.good[samples] & sampled.known
         if self.extensions:
-            s.effect[blocks] = effect_of(self.extensions, self.scene(series, blocks, gain))
+            s.effect[blocks] = effect_of(
+                self.extensions, self.scene(series, blocks, gain, exact=True)
+            )
         if judge and use.any():
             left = measured - sampled.rate @ gain.T - self.bias_rad_s
             if self.extensions:
@@ -360,17 +364,23 @@ class SessionFit:
         s.rate[blocks] = series.means(sampled.rate, use)
         s.used[blocks] = series.used(use)
 
-    def scene(self, series: Series, blocks: slice, gain: FloatArray) -> Scene:
-        """Return what causes may look at in one part of a series, on a coarse grid."""
-        per = instants_per_block(series)
-        edges = series.block_edges_s(blocks, per) - self.lag_s
+    def scene(self, series: Series, blocks: slice, gain: FloatArray, exact: bool = False) -> Scene:
+        """Return what causes may look at in one part of a series.
+
+        `exact`: where a block is a sample, on the samples' own fine grid; corners of a few
+        milliseconds show only there. Else on a coarse one, good for derivatives.
+        """
+        per, fine = instants_per_block(series), 1
+        if exact and series.block == 1:
+            fine = series.fine
+        edges = series.block_edges_s(blocks, per * fine) - self.lag_s
         angles = getattr(self.reference, "angles_rad", None)
         return Scene.build(
             edges,
             None if angles is None else angles(edges),
             np.ones((blocks.stop - blocks.start) * per, dtype=np.bool_),
             block=per,
-            fine=1,
+            fine=fine,
             bandwidth_hz=series.bandwidth_hz,
             gain=gain,
             bias_rad_s=self.bias_rad_s,
@@ -384,7 +394,7 @@ class SessionFit:
             return self._models[key]
         terms = np.zeros((0, blocks.stop - blocks.start, 3))
         if any(one.free.size for one in self.extensions):
-            terms = columns_of(self.extensions, self.scene(s.series, blocks, gain))
+            terms = columns_of(self.extensions, self.scene(s.series, blocks, gain, exact=True))
         model = PartModel(
             rate=s.rate[blocks].copy(),
             used=s.used[blocks].copy(),
@@ -459,10 +469,10 @@ def _odd(left: FloatArray, use: BoolArray, quantum_rad_s: float) -> BoolArray:
     if not odd.any():
         return odd
     far = np.flatnonzero(odd)
-    near = far[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
-    inside = (near >= 0) & (near < left.shape[0])
-    near = np.where(inside, near, 0)
-    fit = use[near] & inside
+    # At the ends the window is moved inwards, so that it holds as many.
+    begin = np.clip(far - NEIGHBOURS, 0, max(0, left.shape[0] - 2 * NEIGHBOURS - 1))
+    near = np.minimum(begin[:, None] + np.arange(2 * NEIGHBOURS + 1), left.shape[0] - 1)
+    fit = use[near]
     # Judged by all neighbours, so that a transient of the rig stays; what is beyond any
     # transient by those that are not far themselves: glitches may come in twos.
     gross = (np.abs(left[far] - middle) > GROSS * limit).any(axis=1)

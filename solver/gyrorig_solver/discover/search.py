@@ -1,0 +1,273 @@
+"""The search: what is significant is named and fitted, one cause after the other.
+
+Forward: all causes are scored, the best few and what they are confused with are fitted
+exactly, and the one with the most evidence is taken into the real fit; until nothing is
+significant. Backward: a cause that the others have made needless is dropped. In the end
+each is weighed once more against all others, all else fitted, and may lose its place.
+
+What to use when: `search` for all of it; `standing` for one cause against its rivals.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.discover.banks import all_rows
+from gyrorig_solver.discover.refit import Weighed, refit
+from gyrorig_solver.discover.scores import Sight, sights, where
+from gyrorig_solver.estimate.extension import Extension
+from gyrorig_solver.estimate.likelihood import Solution, solve_again
+from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.catalogue import catalogue
+from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
+
+ALPHA = 0.005  # of false names in a recording without any cause; as much is left to groups
+CONTENDERS, SIBLINGS_OF = 5, 2
+NEAR = 25.0  # a place alone this much below all places together is not fitted alone
+MOST_CAUSES = 12
+STATED = 0.95  # belief that the stated set holds the cause
+SWAPS = 2  # times that named causes may lose their place in the end
+CLEARLY = 1.0  # nats of evidence that a rival must be ahead by
+UNPROVEN = -30.0  # nats behind: not worth a line
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """A cause against its rivals, all other causes fitted."""
+
+    best: Weighed
+    looks: float
+    rivals: tuple[tuple[Weighed, float], ...]  # other causes and their posterior
+    posterior: float
+
+    @property
+    def one_of(self) -> tuple[str, ...]:
+        """The other causes of the stated set."""
+        names, total = [], self.posterior
+        for rival, share in self.rivals:
+            if total >= STATED:
+                break
+            names.append(rival.extension.term.cause)
+            total += share
+        return tuple(names)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Where a search ended."""
+
+    solution: Solution
+    standings: tuple[Standing, ...]  # of each extension of the fit, in their order
+    last: Projection
+    sights: tuple[Sight, ...]  # of what is left
+
+
+def testable(projection: Projection) -> list[Term]:
+    """Return the causes that can be looked at, those that others stand for left out."""
+    return [
+        term
+        for term in catalogue().values()
+        if term.kind == "effect"
+        and term.cause != "lost_samples"  # for small counts a clock's step
+        and all(term.missing(scene) is None for scene in projection.scenes)
+    ]
+
+
+def tests_of(terms: Sequence[Term]) -> int:
+    """Return how many tests share the false alarms."""
+    return sum(len(where(term)) for term in terms)
+
+
+def search(base: Solution) -> Found:
+    """Name the causes of a fit's residual and fit them."""
+    known = tuple(one for one in base.extensions if not one.free.size)
+    solution, projection = base, Projection.of(base)
+    terms = testable(projection)
+    tests = tests_of(terms)
+    found: list[Sight] = []
+    barred: set[str] = set()
+    while True:
+        taken = {one.term.cause for one in solution.extensions}
+        open_terms = [t for t in terms if t.cause not in taken]
+        found = sights(projection, open_terms, tests)
+        usable = [s for s in found if s.term.cause not in barred]
+        best = _next(projection, usable, taken, tests)
+        if best is None or len(taken) >= MOST_CAUSES:
+            break
+        after = _with(solution, best.extension)
+        after = _without_needless(after, known, tests)
+        causes = {one.term.cause for one in after.extensions}
+        if causes <= taken:  # it could not stay: not again
+            barred.add(best.extension.term.cause)
+        solution = after
+        projection = Projection.of(solution)
+    solution, standings = _reviewed(solution, terms, tests)
+    last = projection if not standings else Projection.of(solution)
+    return Found(solution, standings, last, tuple(found))
+
+
+def _next(
+    projection: Projection, found: Sequence[Sight], taken: set[str], tests: int
+) -> Weighed | None:
+    """Return the cause with the most evidence among the significant ones, None if none is."""
+    significant = [s for s in found if s.p_value < ALPHA]
+    if not significant:
+        return None
+    weighed = _contenders(projection, significant, found, taken, tests)
+    for one, looks in sorted(weighed, key=lambda pair: -pair[0].evidence):
+        free = one.extension.free.size
+        if chi2.sf(2.0 * max(one.won, 0.0), free) * looks * tests < ALPHA:
+            return one
+    return None
+
+
+def _contenders(
+    projection: Projection,
+    leading: Sequence[Sight],
+    found: Sequence[Sight],
+    taken: set[str],
+    tests: int,
+) -> list[tuple[Weighed, float]]:
+    """Return the leading causes and their siblings, each at its best place, fitted."""
+    strength: dict[str, float] = {}
+    for s in leading:
+        seen = s.seen.statistic - s.seen.degrees_of_freedom
+        strength[s.term.cause] = max(strength.get(s.term.cause, -np.inf), seen)
+    order = sorted(strength, key=lambda cause: -strength[cause])[:CONTENDERS]
+    for cause in tuple(order[:SIBLINGS_OF]):
+        order += [c for c in catalogue()[cause].confused_with if c not in order]
+    weighed = []
+    for cause in order:
+        term = catalogue()[cause]
+        if cause in taken or term.kind != "effect":
+            continue
+        if any(term.missing(scene) is not None for scene in projection.scenes):
+            continue
+        own = [s for s in found if s.term.cause == cause]
+        own = own or sights(projection, [term], tests, all_rows(projection, term))
+        best = best_fit(projection, own)
+        if best is not None:
+            weighed.append(best)
+    return weighed
+
+
+def best_fit(projection: Projection, own: Sequence[Sight]) -> tuple[Weighed, float] | None:
+    """Fit one cause at each of its promising places; return the one of most evidence."""
+    most = max((s.seen.statistic for s in own), default=0.0)
+    best: tuple[Weighed, float] | None = None
+    for s in own:
+        if s.place is not None and s.seen.statistic < most - NEAR:
+            continue
+        one = refit(projection, s.term, s.place, [s.row])
+        if one is None or one.impossible:
+            continue
+        if best is None or one.evidence > best[0].evidence:
+            best = one, s.looks
+    return best
+
+
+def _with(solution: Solution, one: Extension) -> Solution:
+    """Return the fit with one cause more; with its shapes held where they do not settle."""
+    others = solution.extensions
+    after = solve_again(solution, [*others, one])
+    if after.converged:
+        return after
+    sizes = np.array([k for k in one.free if value_parameters(one.term)[k].role == "size"])
+    return solve_again(solution, [*others, replace(one, free=sizes)])
+
+
+def _without_needless(solution: Solution, known: tuple[Extension, ...], tests: int) -> Solution:
+    """Return the fit without causes that are not significant beside the others."""
+    while True:
+        judged = [
+            (size_p_value(solution, k), k)
+            for k, one in enumerate(solution.extensions)
+            if one not in known
+        ]
+        weak = [(p, k) for p, k in judged if p * tests > ALPHA]
+        if not weak:
+            return solution
+        drop = max(weak)[1]
+        left = [one for k, one in enumerate(solution.extensions) if k != drop]
+        solution = solve_again(solution, left)
+
+
+def size_p_value(solution: Solution, k: int) -> float:
+    """Return how likely chance alone gives a cause of the fit sizes like its own."""
+    one = solution.extensions[k]
+    first = solution.estimate.size - sum(e.free.size for e in solution.extensions)
+    first += sum(e.free.size for e in solution.extensions[:k])
+    at = [first + j for j, index in enumerate(one.free) if index in indices(one.term, role="size")]
+    if not at:
+        return 0.0
+    value = solution.estimate[at]
+    covariance = solution.decision.covariance[np.ix_(at, at)]
+    seen = np.diag(covariance) > 0.0
+    if not seen.any():
+        return 1.0
+    some = np.flatnonzero(seen)
+    inverse = np.linalg.pinv(covariance[np.ix_(some, some)], hermitian=True)
+    return float(chi2.sf(float(value[some] @ inverse @ value[some]), some.size))
+
+
+def _reviewed(
+    solution: Solution, terms: Sequence[Term], tests: int
+) -> tuple[Solution, tuple[Standing, ...]]:
+    """Weigh each cause against all others, all else fitted; let the better ones in."""
+    for swap in range(SWAPS + 1):
+        standings, better = [], None
+        for k, one in enumerate(solution.extensions):
+            if not one.free.size:
+                continue
+            standing = standing_of(solution, k, terms, tests)
+            standings.append(standing)
+            ahead = standing.rivals and standing.rivals[0][0].evidence - standing.best.evidence
+            if better is None and ahead and ahead > CLEARLY:
+                better = k, standing.rivals[0][0].extension
+        if better is None or swap == SWAPS:
+            return solution, tuple(standings)
+        k, other = better
+        left = [one for j, one in enumerate(solution.extensions) if j != k]
+        solution = _with(solve_again(solution, left), other)
+    return solution, ()
+
+
+def standing_of(solution: Solution, k: int, terms: Sequence[Term], tests: int) -> Standing:
+    """Weigh one cause of a fit against what might be in its place.
+
+    Args:
+        solution: the fit.
+        k: which of its causes.
+        terms: all that can be looked at.
+        tests: how many of them share the false alarms.
+    """
+    one = solution.extensions[k]
+    others = [e for j, e in enumerate(solution.extensions) if j != k]
+    beside = Projection.of(solution, extensions=others, back=[one])
+    taken = {e.term.cause for e in others}
+    found = sights(beside, [t for t in terms if t.cause not in taken], tests)
+    weighed = _contenders(beside, found, found, taken, tests)
+    own = [(w, looks) for w, looks in weighed if w.extension.term.cause == one.term.cause]
+    place = _place_of(one)
+    again = refit(beside, one.term, place, [one.values])
+    if again is not None and (not own or again.evidence > own[0][0].evidence):
+        own = [(again, own[0][1] if own else 1.0)]
+    rest = [w for w, _ in weighed if w.extension.term.cause != one.term.cause]
+    evidence = np.array([own[0][0].evidence, *(w.evidence for w in rest)])
+    belief = np.exp(evidence - evidence.max())
+    belief /= belief.sum()
+    order = np.argsort(-evidence[1:], kind="stable")
+    rivals = tuple((rest[j], float(belief[1 + j])) for j in order)
+    return Standing(own[0][0], own[0][1], rivals, float(belief[0]))
+
+
+def _place_of(one: Extension) -> str | None:
+    """Return the place whose sizes alone are fitted, None for all."""
+    sizes: FloatArray = np.array([k for k in one.free if k in indices(one.term, role="size")])
+    for place, _ in where(one.term):
+        if place is not None and indices(one.term, place, "size") == sizes.tolist():
+            return place
+    return None
