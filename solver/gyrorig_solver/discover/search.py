@@ -8,7 +8,7 @@ each is weighed once more against all others, all else fitted, and may lose its 
 What to use when: `search` for all of it; `standing` for one cause against its rivals.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,14 +89,16 @@ def search(base: Solution) -> Found:
     tests = tests_of(terms)
     found: list[Sight] = []
     barred: set[str] = set()
+    fitted: dict[str, set[str]] = {}
     while True:
         taken = {one.term.cause for one in solution.extensions}
         open_terms = [t for t in terms if t.cause not in taken]
         found = sights(projection, open_terms, tests)
         usable = [s for s in found if s.term.cause not in barred]
-        best = _next(projection, usable, taken, tests)
+        best, rivals = _next(projection, usable, taken, tests)
         if best is None or len(taken) >= MOST_CAUSES:
             break
+        fitted.setdefault(best.extension.term.cause, set()).update(rivals)
         after = _with(solution, best.extension)
         after = _without_needless(after, known, tests)
         causes = {one.term.cause for one in after.extensions}
@@ -104,24 +106,24 @@ def search(base: Solution) -> Found:
             barred.add(best.extension.term.cause)
         solution = after
         projection = Projection.of(solution)
-    solution, standings = _reviewed(solution, terms, tests)
+    solution, standings = _reviewed(solution, terms, tests, fitted)
     last = projection if not standings else Projection.of(solution)
     return Found(solution, standings, last, tuple(found))
 
 
 def _next(
     projection: Projection, found: Sequence[Sight], taken: set[str], tests: int
-) -> Weighed | None:
-    """Return the cause with the most evidence among the significant ones, None if none is."""
+) -> tuple[Weighed | None, set[str]]:
+    """Return the cause with the most evidence, None if none is significant, and all weighed."""
     significant = [s for s in found if s.p_value < ALPHA]
     if not significant:
-        return None
+        return None, set()
     weighed = _contenders(projection, significant, found, taken, tests)
     for one, looks in sorted(weighed, key=lambda pair: -pair[0].evidence):
         free = one.extension.free.size
         if chi2.sf(2.0 * max(one.won, 0.0), free) * looks * tests < ALPHA:
-            return one
-    return None
+            return one, {w.extension.term.cause for w, _ in weighed}
+    return None, set()
 
 
 def _contenders(
@@ -214,7 +216,10 @@ def size_p_value(solution: Solution, k: int) -> float:
 
 
 def _reviewed(
-    solution: Solution, terms: Sequence[Term], tests: int
+    solution: Solution,
+    terms: Sequence[Term],
+    tests: int,
+    fitted: Mapping[str, set[str]],
 ) -> tuple[Solution, tuple[Standing, ...]]:
     """Weigh each cause against all others, all else fitted; let the better ones in."""
     for swap in range(SWAPS + 1):
@@ -222,7 +227,9 @@ def _reviewed(
         for k, one in enumerate(solution.extensions):
             if not one.free.size:
                 continue
-            standing = standing_of(solution, k, terms, tests)
+            like = fitted.get(one.term.cause, set()) | siblings(one.term, terms)
+            near = [t for t in terms if t.cause in like or t.cause == one.term.cause]
+            standing = standing_of(solution, k, near, tests)
             standings.append(standing)
             ahead = standing.rivals and standing.rivals[0][0].evidence - standing.best.evidence
             if better is None and ahead and ahead > CLEARLY:
@@ -235,14 +242,19 @@ def _reviewed(
     return solution, ()
 
 
+def siblings(term: Term, terms: Sequence[Term]) -> set[str]:
+    """Return the causes that a cause is taken for, or that are taken for it."""
+    return set(term.confused_with) | {t.cause for t in terms if term.cause in t.confused_with}
+
+
 def standing_of(solution: Solution, k: int, terms: Sequence[Term], tests: int) -> Standing:
     """Weigh one cause of a fit against what might be in its place.
 
     Args:
         solution: the fit.
         k: which of its causes.
-        terms: all that can be looked at.
-        tests: how many of them share the false alarms.
+        terms: those that might, itself among them.
+        tests: how many share the false alarms.
     """
     one = solution.extensions[k]
     others = [e for j, e in enumerate(solution.extensions) if j != k]

@@ -83,7 +83,7 @@ def solve_likelihood(
     """
     work = _Work(sessions, extensions)
     work.begin()
-    return _settled(work)
+    return _settled(work, ROUNDS)
 
 
 def solve_again(before: Solution, extensions: Sequence[Extension]) -> Solution:
@@ -95,14 +95,14 @@ def solve_again(before: Solution, extensions: Sequence[Extension]) -> Solution:
     """
     work = _Work([session.copy() for session in before.sessions], extensions)
     work.resume(before.gain, before.noises)
-    return _settled(work)
+    return _settled(work, 2 * ROUNDS)
 
 
-def _settled(work: "_Work") -> Solution:
-    """Take steps until they are small."""
+def _settled(work: "_Work", rounds: int) -> Solution:
+    """Take steps until they are small, at most so many."""
     converged = False
     before = np.inf
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         step = work.round()
         if step < CONVERGED_SIGMA or (step < SETTLING and step < SETTLING * before):
             converged = True
