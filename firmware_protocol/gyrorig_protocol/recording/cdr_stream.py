@@ -57,6 +57,9 @@ class CdrEncoder:
         return bytes(self._data)
 
 
+_PACKED = {code: struct.Struct("<" + code) for code in "bBhHiIqQ"}
+
+
 class CdrDecoder:
     """Read values in order from hostile bytes.
 
@@ -72,12 +75,13 @@ class CdrDecoder:
 
     def number(self, code: str) -> int:
         """The next integer of struct format `code`."""
-        size = struct.calcsize("<" + code)
+        packed = _PACKED[code]
+        size = packed.size
         start = self._at + -(self._at - 4) % size
         if start + size > len(self._data):
             raise InputError(f"message ends at byte {len(self._data)} inside a number")
         self._at = start + size
-        value: int = struct.unpack_from("<" + code, self._data, start)[0]
+        value: int = packed.unpack_from(self._data, start)[0]
         return value
 
     def time(self) -> int:
