@@ -2,7 +2,7 @@
 
 from types import MappingProxyType
 
-_TAKE_IN = "or keep it in the model with `gyrorig solve --extend auto`"
+_TAKE_IN = "or keep it in the model (gyrorig solve --extend auto)"
 
 REMEDIES = MappingProxyType(
     {

@@ -71,6 +71,7 @@ TITLES = MappingProxyType(
         "earth_rotation": "The Earth turns",
     }
 )
+MANY = 8  # names in one line
 _DEG = 180.0 / math.pi
 _MDEG = 1e3 * _DEG
 
@@ -149,8 +150,10 @@ def summary(document: FindingsDocument) -> str:
             f"{amount(limit.size, limit.unit)}: {limit.would_move} off by {limit.by_sigma:.1f} sd"
         )
     if document.not_testable:
-        names = dict.fromkeys(n.cause for n in document.not_testable)
-        lines.append(f"  cannot be seen here   {', '.join(names)}")
+        names = list(dict.fromkeys(n.cause for n in document.not_testable))
+        more = f" and {len(names) - MANY} more" if len(names) > MANY + 1 else ""
+        shown_names = names[:MANY] if more else names
+        lines.append(f"  cannot be seen here   {', '.join(shown_names)}{more}")
     lines += [f"  remark: {text}" for text in document.remarks]
     return "\n".join(lines)
 

@@ -29,7 +29,7 @@ from gyrorig_solver.report.drawing import (
     svg,
 )
 
-CLOSE_S = 1.6  # of a picture close by
+CLOSE_S, EVENT_S = 1.4, 0.3  # of a picture close by, and of what is in its middle
 
 
 def cause_figure(course: Course, cause: str, key: str, where: Sequence[str]) -> str:
@@ -200,17 +200,21 @@ def strongest(effect: FloatArray) -> int:
 
 
 def _legend(panel: Axes) -> None:
-    panel.legend(frameon=False, ncols=4, loc="upper right", labelcolor=SOFT, fontsize=9)
+    panel.legend(
+        frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1.01, 0.98),
+        borderaxespad=0.1, labelcolor=SOFT, fontsize=9,
+    )  # fmt: skip
 
 
 def _busiest(course: Course, change: FloatArray) -> slice:
     """Return the rows around the moment where a change (n,) has most energy."""
     step_s = float(np.median(np.diff(course.time_s)))
-    many = max(8, min(change.size, round(CLOSE_S / step_s)))
-    power = np.nan_to_num(change - np.nanmean(change)) ** 2
+    many = max(4, min(change.size, round(EVENT_S / step_s)))
+    power = np.nan_to_num(change - np.nanmedian(change)) ** 2
     total = np.concatenate([[0.0], np.cumsum(power)])
-    first = int(np.argmax(total[many:] - total[:-many]))
-    return slice(first, first + many)
+    event = int(np.argmax(total[many:] - total[:-many]))
+    around = round((CLOSE_S - EVENT_S) / 2.0 / step_s)
+    return slice(max(0, event - around), min(change.size, event + many + around))
 
 
 def _most_moved(course: Course) -> int:

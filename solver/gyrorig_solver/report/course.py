@@ -1,6 +1,7 @@
 """What an explain report draws from: one board's block means beside both models.
 
-What to use when: `course_of` on what a search for causes found.
+What to use when: `course_of` on what a search for causes found; `course_of_fit` on a fit
+against another reference than a unit's motion.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ from gyrorig_solver.discover.result import Explained, NamedCause
 from gyrorig_solver.estimate.extension import effect_of
 from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.noise import binned
+from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.estimate.session import SessionFit
 from gyrorig_solver.findings.build import figure_key
 from gyrorig_solver.model.terms.scene import Scene
@@ -98,6 +100,28 @@ def course_of(explained: Explained) -> Course:
     )
 
 
+def course_of_fit(fit: GyroFit) -> Course | None:
+    """Return the arrays for the pictures of a fit without causes, None where it keeps none."""
+    data = fit.diagnostics
+    if data is None:
+        return None
+    n, says = data.time_s.size, data.rate_rad_s - data.residual_rad_s
+    return Course(
+        time_s=data.time_s - data.time_s[0],
+        measured_rad_s=data.rate_rad_s,
+        base_rad_s=says,
+        extended_rad_s=says,
+        rate_rad_s=data.reference_rad_s,
+        angle_rad=np.full((2, n), np.nan),
+        temperature_degc=np.full(n, np.nan),
+        effects={},
+        frequency_hz=data.frequency_hz,
+        spectrum_base=data.spectrum,
+        spectrum_extended=data.spectrum,
+        spectrum_model=data.spectrum_model,
+    )
+
+
 def _pieces(
     base: SessionFit,
     extended: SessionFit,
@@ -110,15 +134,15 @@ def _pieces(
     first_s = float(base.series[0].time_s[0])
     left, lower = base.residuals(one.gain), extended.residuals(other.gain)
     for k, series in enumerate(base.series):
-        use = base.used[k] & extended.used[k]
+        use, kept = extended.used[k], base.used[k] & extended.used[k]
         time_s = series.block_times_s()
         scenes = [extended.scene(series, part, other.gain) for part in series.parts()]
         found.append(
             _Piece(
                 time_s=time_s - first_s + begin_s,
-                measured=_used(base.measured[k], use),
-                base=_used(base.measured[k] - left[k], use),
-                extended=_used(base.measured[k] - lower[k], use),
+                measured=_used(extended.measured[k], use),
+                base=_used(base.measured[k] - left[k], kept),  # elsewhere taken for a spike
+                extended=_used(extended.measured[k] - lower[k], use),
                 rate=_used(extended.rates[k], use),
                 angle=_angles(extended, time_s),
                 temperature=_temperature(scenes[0], time_s),

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 
-from gyrorig_solver.discover.result import Explained
+from gyrorig_solver.discover.result import Findings
 from gyrorig_solver.findings.build import UNEXPLAINED, figure_key
 from gyrorig_solver.findings.document import FindingsDocument
 from gyrorig_solver.report import cause_figures
-from gyrorig_solver.report.course import course_of
+from gyrorig_solver.report.course import Course
 from gyrorig_solver.report.explain_view import view_of
 from gyrorig_solver.report.html import placed
 
@@ -16,14 +16,13 @@ def render_findings(document: FindingsDocument, figures: Mapping[str, str]) -> s
     return placed("explain.html.j2", view_of(document, figures))
 
 
-def figures_of(explained: Explained) -> dict[str, str]:
+def figures_of(course: Course, findings: Findings) -> dict[str, str]:
     """Draw all figures of what a search found, SVG texts by key."""
-    course = course_of(explained)
     drawn = {}
-    for cause in explained.findings.causes:
+    for cause in findings.causes:
         key = figure_key(cause.cause, cause.where)
         drawn[key] = cause_figures.cause_figure(course, cause.cause, key, cause.where)
-    rest = explained.findings.unexplained
+    rest = findings.unexplained
     if rest is not None:
         axis = "xyz".index(rest.best.axis) if rest.best.axis in ("x", "y", "z") else None
         drawn[UNEXPLAINED] = cause_figures.rest_figure(course, rest.best.covariate, axis)

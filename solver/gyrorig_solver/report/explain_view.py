@@ -57,10 +57,7 @@ def view_of(document: FindingsDocument, figures: Mapping[str, str]) -> dict[str,
             if f"on-{name}" in figures
         ],
         "unseen": [_unseen(one) for one in document.minimal_detectable],
-        "hidden": [
-            {"what": title(one.cause) + place(one.where), "id": one.cause, "why": one.reason}
-            for one in document.not_testable
-        ],
+        "hidden": _hidden(document),
         "raw": document.raw,
         "many": len(document.recording) > 1,
         "changes": _changes(document.effect_on_calibration),
@@ -93,16 +90,14 @@ def _tiles(document: FindingsDocument) -> list[dict[str, str]]:
     if gain is not None:
         before, after = gain.residual_rms_before, gain.residual_rms_after
         if before is not None and after is not None:
-            out.append(
-                _tile("residual, held out", f"{_dps(before)} →", f"{_dps(after)} deg/s", "rms")
-            )
+            out.append(_tile("residual, held out", f"{_dps(before)} →", _dps(after), "deg/s rms"))
         if gain.turn_error_before is not None and gain.turn_error_after is not None:
             out.append(
                 _tile(
                     "turn error, held out",
                     f"{short(1e3 * _DEG * gain.turn_error_before)} →",
-                    f"{short(1e3 * _DEG * gain.turn_error_after)} mdeg",
-                    "rms over moves",
+                    short(1e3 * _DEG * gain.turn_error_after),
+                    "mdeg, rms over moves",
                 )
             )
         if gain.held_out_log_likelihood is not None:
@@ -240,6 +235,16 @@ def _unseen(one: Any) -> dict[str, str]:
         "moves": one.would_move or "nothing much",
         "sigma": "" if one.by_sigma is None else short(one.by_sigma),
     }
+
+
+def _hidden(document: FindingsDocument) -> list[dict[str, str]]:
+    """Return the reasons why causes cannot be seen, each with all its causes."""
+    by_reason: dict[str, list[str]] = {}
+    for one in document.not_testable:
+        by_reason.setdefault(one.reason, []).append(title(one.cause) + place(one.where))
+    return [
+        {"what": "; ".join(dict.fromkeys(names)), "why": why} for why, names in by_reason.items()
+    ]
 
 
 def _base(document: FindingsDocument) -> str:

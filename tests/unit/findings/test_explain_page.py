@@ -1,0 +1,186 @@
+"""The explain page and its figures: nothing from outside, planted shapes drawn as they are."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.stats import linregress
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.discover.result import Findings
+from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
+from gyrorig_solver.model.terms.catalogue import catalogue
+from gyrorig_solver.report.cause_figures import cause_figure, rest_figure
+from gyrorig_solver.report.course import Course
+from gyrorig_solver.report.dependence import OF_CAUSE, OF_SIGNATURE, Dependence, in_bins
+from gyrorig_solver.report.drawing import alone
+from gyrorig_solver.report.explain_html import figures_of, render_findings
+
+EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> {{7*7}}"
+RNG = np.random.default_rng(11)
+N = 9000
+
+
+def course(left: FloatArray | None = None) -> Course:
+    """A pan that swings over its range at three tilts, with a residual of one's own."""
+    time_s = np.arange(N) / 50.0
+    pan = 2.0 * np.sin(0.9 * time_s)
+    tilt = np.repeat([-0.5, 0.0, 0.5], N // 3)
+    rate = np.gradient(pan, 0.02)
+    stage = np.column_stack([np.zeros(N), np.sin(tilt) * rate, np.cos(tilt) * rate])
+    noise = 1e-3 * RNG.normal(size=(N, 3))
+    effect = np.zeros((N, 3)) if left is None else left
+    frequency = np.geomspace(0.05, 25.0, 40)
+    density = np.full((40, 3), 1e-6 / 25.0)
+    return Course(
+        time_s=time_s,
+        measured_rad_s=stage + effect + noise,
+        base_rad_s=stage,
+        extended_rad_s=stage + effect,
+        rate_rad_s=stage,
+        angle_rad=np.stack([pan, tilt]),
+        temperature_degc=np.full(N, np.nan),
+        effects={"backlash-tilt": effect},
+        frequency_hz=frequency,
+        spectrum_base=density,
+        spectrum_extended=density,
+        spectrum_model=density,
+    )
+
+
+class Page(HTMLParser):
+    """What a browser would find in the page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str]] = []
+        self.words: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(name, value or "") for name, value in attrs]
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def page_of(text: str) -> Page:
+    page = Page()
+    page.feed(text)
+    return page
+
+
+def drawn(findings: Findings) -> dict[str, str]:
+    effect = np.zeros((N, 3))
+    effect[4000:4010, 2] = 0.02
+    return figures_of(course(effect), findings)
+
+
+def test_the_page_needs_nothing_from_outside(
+    findings: Findings, raw: list[RawEvidence], origin: Origin
+) -> None:
+    page = page_of(render_findings(document_of(findings, raw, origin), drawn(findings)))
+    assert not {"script", "link", "iframe", "object", "img", "base"} & set(page.tags)
+    links = [v for n, v in page.attributes if n.split(":")[-1] in ("href", "src", "data")]
+    assert all(link.startswith("#") for link in links)
+    names = [v for n, v in page.attributes if n == "id"]
+    used = {v[1:] for n, v in page.attributes if n.endswith("href")}
+    used |= set(re.findall(r"url\(#([^)]+)\)", " ".join(v for _, v in page.attributes)))
+    assert len(set(names)) == len(names)
+    assert used <= set(names)
+
+
+def test_the_verdict_comes_first_and_the_rig_is_told_what_to_do(
+    findings: Findings, raw: list[RawEvidence], origin: Origin
+) -> None:
+    words = " ".join(page_of(render_findings(document_of(findings, raw, origin), {})).words)
+    order = [
+        *("Not all explained", "have the worm adjusted", "What was found"),
+        *("What else was weighed", "What no known cause explains", "What could be there unseen"),
+        *("What this recording cannot show at any size", "The samples themselves"),
+    ]
+    places = [words.index(text) for text in order]
+    assert places == sorted(places)
+    assert "+37.5 nats" in words
+    assert "it comes after reversals only" in words
+
+
+def test_hostile_names_are_only_text(
+    findings: Findings, raw: list[RawEvidence], origin: Origin
+) -> None:
+    document = document_of(findings, raw, origin, remarks=(EVIL,))
+    board = msgspec.structs.replace(document.board, id=EVIL, sensor=EVIL)
+    recording = [msgspec.structs.replace(document.recording[0], name=EVIL)]
+    document = msgspec.structs.replace(document, board=board, recording=recording)
+    page = page_of(render_findings(document, {}))
+    assert not {"script", "img"} & set(page.tags)
+    assert "{{7*7}}" in "".join(page.words)
+
+
+def test_nothing_found_still_has_a_page(findings: Findings, origin: Origin) -> None:
+    empty = replace(
+        findings, verdict="adequate", causes=(), unexplained=None, gain=None, changes=(), absent=()
+    )
+    words = " ".join(page_of(render_findings(document_of(empty, [], origin), {})).words)
+    assert "Nothing found" in words
+    assert "What was found" not in words
+
+
+def test_a_figure_stands_alone(findings: Findings) -> None:
+    text = alone(drawn(findings)["backlash-tilt"])
+    assert text.startswith("<?xml")
+    assert 'xmlns="http://www.w3.org/2000/svg"' in text
+    assert "prefers-color-scheme" in text
+
+
+def test_a_gain_along_pan_is_drawn_as_planted() -> None:
+    seen = course()
+    rate = seen.rate_rad_s[:, 2]
+    planted = np.zeros((N, 3))
+    planted[:, 2] = 0.01 * np.cos(seen.angle_rad[0]) * rate
+    bins = in_bins(seen, planted, Dependence("gain", "pan"), axis=2)
+    upright = float(np.mean(np.cos(seen.angle_rad[1])))  # z takes part of pan's rate
+    wanted = upright * np.cos(np.radians(bins.centre))
+    assert bins.value[1:-1] == pytest.approx(wanted[1:-1], abs=0.02)
+
+
+def test_a_lag_is_drawn_in_milliseconds() -> None:
+    seen = course()
+    late = -0.002 * np.gradient(seen.base_rad_s, 0.02, axis=0)
+    bins = in_bins(seen, late, Dependence("lag", "time", 8), axis=2)
+    assert bins.value == pytest.approx(np.full(bins.value.size, 2.0), abs=1e-6)
+
+
+def test_one_bin_is_the_regression_of_scipy() -> None:
+    seen = course()
+    left = seen.left_base_rad_s
+    by = np.sin(seen.angle_rad[1]) * seen.rate_rad_s[:, 1]
+    by = by + np.cos(seen.angle_rad[1]) * seen.rate_rad_s[:, 2]
+    some = np.abs(by) > 0.05 * np.abs(by).max()
+    bins = in_bins(seen, left, Dependence("gain", "pan", 1), axis=2)
+    both = np.concatenate([by[some], -by[some]])  # through the origin
+    wanted = linregress(both, np.concatenate([left[some, 2], -left[some, 2]]))
+    assert bins.value[0] == pytest.approx(100.0 * wanted.slope, rel=1e-9)
+    assert bins.bar[0] == pytest.approx(196.0 * wanted.stderr * np.sqrt(2.0), rel=1e-2)
+
+
+@pytest.mark.parametrize("cause", ["worm_error", "scale_cubic", "clock_skew", "ringing", "warm_up"])
+def test_every_kind_of_figure_is_drawn(cause: str) -> None:
+    effect = 0.001 * RNG.normal(size=(N, 3)) + 0.01 * course().rate_rad_s ** 2
+    shown = replace(course(effect), effects={"own": effect})
+    text = cause_figure(shown, cause, "own", ("pan",))
+    assert text.startswith("<svg")
+    assert "extended model" in text
+
+
+@pytest.mark.parametrize("covariate", [*OF_SIGNATURE, "line", "pan_transient", "moving"])
+def test_a_rest_is_drawn_against_whatever_it_depends_on(covariate: str) -> None:
+    assert rest_figure(course(), covariate, 2).startswith("<svg")
+
+
+def test_dependences_are_of_causes_that_there_are() -> None:
+    assert set(OF_CAUSE) <= set(catalogue())

@@ -1,0 +1,93 @@
+"""What was named beside what was hidden: each outcome in words, and the seal that binds it."""
+
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import pytest
+
+from gyrorig_daemon.emulator.sealed import Seal
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.check.hidden import open_seal, score, words
+from gyrorig_solver.discover.result import Findings
+from gyrorig_solver.findings.build import Origin, document_of
+from gyrorig_solver.findings.document import FindingsDocument
+
+
+@pytest.fixture
+def document(findings: Findings, origin: Origin) -> FindingsDocument:
+    return document_of(findings, [], origin)
+
+
+def truth(*causes: tuple[str, float, str], board: str | None = None) -> dict[str, Any]:
+    return {
+        "hidden": {
+            "causes": [
+                {"cause": c, "where": "tilt", "board": board, "size": {"value": v, "unit": u}}
+                for c, v, u in causes
+            ]
+        }
+    }
+
+
+def scores(document: FindingsDocument, hidden: dict[str, Any]) -> list[tuple[str, str]]:
+    return [(one.cause, one.score) for one in score(document, hidden)]
+
+
+def test_a_named_cause_is_right(document: FindingsDocument) -> None:
+    scored = score(document, truth(("backlash", 0.00105, "rad")))
+    assert [(one.cause, one.score) for one in scored] == [("backlash", "right")]
+    assert "size 60.2 mdeg, was hidden and named: right, found 57.3 mdeg" in words(document, scored)
+
+
+def test_a_stated_set_counts_as_that(findings: Findings, origin: Origin) -> None:
+    one = replace(findings.causes[0], one_of=("lost_steps",))
+    document = document_of(replace(findings, causes=(one,)), [], origin)
+    assert scores(document, truth(("lost_steps", 0.01, "rad"))) == [("lost_steps", "among")]
+
+
+def test_below_what_shows_is_rightly_not_named(document: FindingsDocument) -> None:
+    hidden = truth(("tilt_sag", -0.001, "rad"), ("backlash", 0.001, "rad"))
+    assert ("tilt_sag", "unseen") in scores(document, hidden)
+    hidden = truth(("tilt_sag", 0.01, "rad"), ("backlash", 0.001, "rad"))
+    assert ("tilt_sag", "missed") in scores(document, hidden)
+
+
+def test_what_was_said_not_to_show_is_no_miss(document: FindingsDocument) -> None:
+    hidden = truth(("thermal_bias", 0.001, "rad/s/K"), ("backlash", 0.001, "rad"))
+    assert ("thermal_bias", "unseen") in scores(document, hidden)
+
+
+def test_a_name_for_nothing_is_wrong(document: FindingsDocument) -> None:
+    assert scores(document, {}) == [("backlash", "wrong")]
+    assert scores(document, truth(("ringing", 0.05, "1"))) == [
+        ("ringing", "missed"),
+        ("backlash", "wrong"),
+    ]
+
+
+def test_another_boards_cause_is_not_this_ones(document: FindingsDocument) -> None:
+    hidden = truth(("bias_step", 0.001, "rad/s"), board="another")
+    assert scores(document, hidden) == [("backlash", "wrong")]
+
+
+def test_nothing_hidden_and_nothing_named_is_said(document: FindingsDocument) -> None:
+    clean = msgspec.structs.replace(document, causes=[])
+    assert "nothing was hidden, and nothing was named" in words(clean, score(clean, {}))
+
+
+def test_the_seal_of_the_emulator_opens_and_another_does_not() -> None:
+    """The emulator seals, the desk opens: two programs, one recipe."""
+    hidden = truth(("backlash", 0.001, "rad"))
+    seal = Seal(hidden)
+    opened = seal.opened(hidden)
+    open_seal(opened, seal.sha256)
+    open_seal(hidden, None)
+    opened["hidden"]["causes"][0]["size"]["value"] = 0.002
+    with pytest.raises(InputError, match="not the one that was sealed"):
+        open_seal(opened, seal.sha256)
+
+
+def test_a_truth_that_makes_no_sense_is_refused(document: FindingsDocument) -> None:
+    with pytest.raises(InputError):
+        score(document, {"hidden": {"causes": [{"cause": "backlash"}]}})
