@@ -17,7 +17,8 @@ from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.information import NAMES, Marginal, loosened, marginalise
 from gyrorig_solver.estimate.noise import NoiseModel, Spectrum, binned, fit_levels
 from gyrorig_solver.estimate.observability import Decision, decide_in, prior_std
-from gyrorig_solver.estimate.session import SessionFit, shared_gain
+from gyrorig_solver.estimate.session import SessionFit
+from gyrorig_solver.estimate.start import shared_gain
 from gyrorig_solver.estimate.whitening import OWN, whitened
 
 ROUNDS = 12

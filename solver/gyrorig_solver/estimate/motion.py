@@ -15,7 +15,8 @@ from gyrorig_solver.estimate.likelihood import Solution, solve_likelihood
 from gyrorig_solver.estimate.rest_to_rest import CrossCheck, Path, cross_check
 from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit, NoiseLevels, RecordingFit
 from gyrorig_solver.estimate.series import build_series
-from gyrorig_solver.estimate.session import SessionFit, shared_gain
+from gyrorig_solver.estimate.session import SessionFit
+from gyrorig_solver.estimate.start import shared_gain
 from gyrorig_solver.model.terms.scene import Setting
 from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.reference.ptu import PtuReference
@@ -65,11 +66,9 @@ def fit_joint(
     Raises:
         InputError: no sample has a reference.
     """
-    around = settings or [None] * len(recordings)
-    sessions = [_session(*one, where) for one, where in zip(recordings, around, strict=True)]
-    solution = solve_likelihood(sessions, extensions)
+    solution = solution_of(recordings, extensions, settings)
     samples = [one for one, _ in recordings]
-    chi2 = _reduced_chi2(solution)
+    chi2 = reduced_chi2(solution)
     before, after = _held_out(solution)
     second = _second_opinion(solution)
     if second is not None and second.p_value < DISAGREEMENT_P:
@@ -106,6 +105,17 @@ def fit_joint(
     return gyro_fit(evidence, samples)
 
 
+def solution_of(
+    recordings: Sequence[tuple[GyroSamples, ReferenceMotion]],
+    extensions: Sequence[Extension] = (),
+    settings: Sequence[Setting | None] = (),
+) -> Solution:
+    """Fit as `fit_joint` does and return where the fit ended, for what looks on from there."""
+    around = settings or [None] * len(recordings)
+    sessions = [_session(*one, where) for one, where in zip(recordings, around, strict=True)]
+    return solve_likelihood(sessions, extensions)
+
+
 def _session(
     samples: GyroSamples, reference: ReferenceMotion, setting: Setting | None
 ) -> SessionFit:
@@ -136,7 +146,7 @@ def _range(solution: Solution) -> tuple[float, float]:
     return min(float(t.min()) for t in turning), max(float(t.max()) for t in turning)
 
 
-def _reduced_chi2(solution: Solution) -> float:
+def reduced_chi2(solution: Solution) -> float:
     """Return the whitened variance while moving over that at rest, all axes."""
     power = np.concatenate([np.sum(w**2, axis=1) for w in solution.whitened()])
     used = np.concatenate(solution.used())

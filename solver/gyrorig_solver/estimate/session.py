@@ -22,55 +22,16 @@ from gyrorig_solver.estimate.predict import (
     predict_columns,
     predict_rate,
 )
-from gyrorig_solver.estimate.series import PART_BLOCKS, Series, quick_length
+from gyrorig_solver.estimate.quiet import Stretch, periodograms
+from gyrorig_solver.estimate.series import PART_BLOCKS, Series
+from gyrorig_solver.estimate.spikes import spikes
+from gyrorig_solver.estimate.start import Rough, correlation_lag, speeds
 from gyrorig_solver.estimate.whitening import PartModel, WhitePart
 from gyrorig_solver.model.terms.scene import Scene, Setting
 from gyrorig_solver.reference.motion import ReferenceMotion
 
-SPIKE_SIGMA = 6.0  # a sample this far off is no sample of the model's noise
-SHORTEST_SPECTRUM = 256  # blocks
-REST_S, ENOUGH_REST_S = 4.0, 20.0  # a rest worth a spectrum, and how much of such rest is enough
-LEAST_WAVES = 2.0  # of the slowest frequency taken from a rest
-SETTLE_S = 0.3  # after a move
 SAME_NOISE = 0.03  # of the logarithm of a weight: less does not call for new ones
-ENOUGH = 8192  # samples to judge a deviation by
-NEIGHBOURS = 4  # on each side: a glitch of up to four samples sticks out from nine
-GROSS = 8.0  # times the limit: 48 deviations
-FEWEST_CALM = 3
-SEARCH_S = 0.3  # the lag is looked for within this range first
-WEAK = 1e-4  # weight of the nominal gain in a start, (rad/s)^2 times samples
-CORRELATED = 1 << 17  # blocks: minutes tell the lag as well as hours
 MOVING_RAD_S = 0.003  # the reference turns faster than this: moving
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rough:
-    """Sums of plain least squares over one recording: (rate, 1) against measured."""
-
-    gram: FloatArray  # (4, 4)
-    moment: FloatArray  # (4, 3)
-    square: float  # sum of what was measured, squared
-
-    def centred(self) -> "Rough":
-        """Return the same with the recording's own bias taken out, (3, 3) each."""
-        count = max(float(self.gram[3, 3]), 1.0)
-        mean, measured = self.gram[3, :3] / count, self.moment[3] / count
-        return Rough(
-            self.gram[:3, :3] - count * np.outer(mean, mean),
-            self.moment[:3] - count * np.outer(mean, measured),
-            self.square - count * float(measured @ measured),
-        )
-
-    def bias(self, gain: FloatArray) -> FloatArray:
-        """Return the bias that goes with a gain, shape (3,)."""
-        count = max(float(self.gram[3, 3]), 1.0)
-        return np.asarray((self.moment[3] - gain @ self.gram[3, :3]) / count, dtype=np.float64)
-
-    def misfit(self, gain: FloatArray, bias_rad_s: FloatArray) -> float:
-        """Return the sum of squared residuals of all axes."""
-        both = np.column_stack([gain, bias_rad_s])
-        cross = 2.0 * float(np.sum(both * self.moment.T))
-        return self.square - cross + float(np.sum((both @ self.gram) * both))
 
 
 @dataclass(slots=True, eq=False)
@@ -178,7 +139,7 @@ class SessionFit:
     @property
     def moving(self) -> list[BoolArray]:
         """Which blocks are in motion, (n,) for each series."""
-        return [np.asarray(_speed(s.rate) > MOVING_RAD_S) for s in self._stretches]
+        return [np.asarray(speeds(s.rate) > MOVING_RAD_S) for s in self._stretches]
 
     @property
     def outliers(self) -> int:
@@ -234,7 +195,10 @@ class SessionFit:
     def find_lag(self) -> None:
         """Look for the lag at which measured and reference speeds agree best."""
         self._look(0.0)
-        self.lag_s = max((_correlation_lag(s) for s in self._stretches), key=lambda x: x[1])[0]
+        self.lag_s = max(
+            (correlation_lag(s.series, s.measured, s.rate, s.used) for s in self._stretches),
+            key=lambda x: x[1],
+        )[0]
         self._look(self.lag_s)
         if not any(s.used.any() for s in self._stretches):
             raise InputError(
@@ -246,7 +210,7 @@ class SessionFit:
         """Return which used blocks a gain explains, as far as a spike lets them be judged."""
         quantum = self.sampling.quantum_rad_s
         return [
-            s.used & ~_odd(s.measured - s.rate @ gain.T - self.bias_rad_s, s.used, quantum)
+            s.used & ~spikes(s.measured - s.rate @ gain.T - self.bias_rad_s, s.used, quantum)
             for s in self._stretches
         ]
 
@@ -306,27 +270,12 @@ class SessionFit:
         What the model of a motion lacks would pass for noise: where there are rests enough
         the frequencies that they hold are taken from them.
         """
-        rate_hz = self.sampling.rate_hz
-        residuals, moving = self.residuals(gain), self.moving
-        whole = [
-            Periodogram.of(residual[blocks], rate_hz, float(np.mean(s.used)))
-            for s, residual in zip(self._stretches, residuals, strict=True)
-            for blocks in s.series.parts()
+        residuals = self.residuals(gain)
+        pieces = [
+            Stretch(residual, s.used, moving, s.series.parts())
+            for s, residual, moving in zip(self._stretches, residuals, self.moving, strict=True)
         ]
-        shortest = max(SHORTEST_SPECTRUM, round(REST_S * rate_hz))
-        rests = [
-            residual[run]
-            for s, residual, turning in zip(self._stretches, residuals, moving, strict=True)
-            for run in _runs(s.used & ~_widened(turning, round(SETTLE_S * rate_hz)), shortest)
-        ]
-        rest_s = sum(rest.shape[0] for rest in rests) / rate_hz
-        if rest_s < ENOUGH_REST_S or not any(turning.any() for turning in moving):
-            return whole, "spectrum of the residual, whole recording"
-        split_hz = LEAST_WAVES * rate_hz / shortest
-        still = [Periodogram.of(rest, rate_hz).between(split_hz, np.inf) for rest in rests]
-        slow = [piece.between(0.0, split_hz) for piece in whole]
-        said = f"spectrum: {rest_s:.0f} s of rests above {split_hz:.1f} Hz, whole recording below"
-        return [*slow, *still], said
+        return periodograms(pieces, self.sampling.rate_hz)
 
     # ---- how
 
@@ -358,7 +307,7 @@ class SessionFit:
             left = measured - sampled.rate @ gain.T - self.bias_rad_s
             if self.extensions:
                 left -= np.repeat(s.effect[blocks], series.block, axis=0)
-            s.good[samples] = series.good[samples] & ~_odd(left, use, self.sampling.quantum_rad_s)
+            s.good[samples] = series.good[samples] & ~spikes(left, use, self.sampling.quantum_rad_s)
         use = use & s.good[samples]
         s.measured[blocks] = series.means(measured, use)
         s.rate[blocks] = series.means(sampled.rate, use)
@@ -407,19 +356,6 @@ class SessionFit:
         return model
 
 
-def shared_gain(sums: Sequence[Rough]) -> FloatArray:
-    """Return the gain that fits recordings best, each with its own bias, shape (3, 3).
-
-    What nothing excites stays nominal.
-    """
-    gram = np.eye(3) * WEAK
-    moment = gram.copy()
-    for one in (rough.centred() for rough in sums):
-        gram += one.gram
-        moment += one.moment
-    return np.asarray(np.linalg.solve(gram, moment).T, dtype=np.float64)
-
-
 def _blank(series: Series) -> _Stretch:
     n = series.blocks
     none = np.zeros((n, 3))
@@ -431,90 +367,3 @@ def _blank(series: Series) -> _Stretch:
         used=np.zeros(n, np.bool_),
         effect=none.copy(),
     )
-
-
-def _runs(use: BoolArray, shortest: int) -> list[slice]:
-    """Return where `use` holds for at least `shortest` rows; long runs in parts."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], use.astype(np.int8), [0]])))
-    found = []
-    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        for first in range(begin, end, PART_BLOCKS):
-            last = min(end, first + PART_BLOCKS)
-            if last - first >= shortest:
-                found.append(slice(first, first + quick_length(last - first)))
-    return found
-
-
-def _widened(moving: BoolArray, after: int) -> BoolArray:
-    """Return the same, each stretch lasting `after` rows longer."""
-    late = np.convolve(moving, np.ones(after + 1))[: moving.size]
-    return np.asarray(late > 0.5, dtype=np.bool_)
-
-
-def _speed(rate: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rate, rate)), dtype=np.float64)
-
-
-def _odd(left: FloatArray, use: BoolArray, quantum_rad_s: float) -> BoolArray:
-    """Return which rows are spikes: far from all, and far from their neighbours.
-
-    What a wrong start or a wrong model leaves is smooth over some samples: it is no spike,
-    and to set it aside would hide it.
-    """
-    own = (left if use.all() else left[use])[:: max(1, int(use.sum()) // ENOUGH)]
-    middle = np.median(own, axis=0)
-    deviation = 1.4826 * np.median(np.abs(own - middle), axis=0)
-    limit = SPIKE_SIGMA * np.maximum(deviation, quantum_rad_s)
-    odd = np.asarray((np.abs(left - middle) > limit).any(axis=1) & use, dtype=np.bool_)
-    if not odd.any():
-        return odd
-    far = np.flatnonzero(odd)
-    # At the ends the window is moved inwards, so that it holds as many.
-    begin = np.clip(far - NEIGHBOURS, 0, max(0, left.shape[0] - 2 * NEIGHBOURS - 1))
-    near = np.minimum(begin[:, None] + np.arange(2 * NEIGHBOURS + 1), left.shape[0] - 1)
-    fit = use[near]
-    # Judged by all neighbours, so that a transient of the rig stays; what is beyond any
-    # transient by those that are not far themselves: glitches may come in twos.
-    gross = (np.abs(left[far] - middle) > GROSS * limit).any(axis=1)
-    calm = fit & ~odd[near]
-    enough = calm.sum(axis=1) >= FEWEST_CALM
-    by = np.where((gross & enough)[:, None], calm, fit)
-    around = np.where(by[:, :, None], left[near], np.nan)
-    alone = np.abs(left[far] - np.nanmedian(around, axis=1)) > limit
-    odd[far] = alone.any(axis=1)
-    return odd
-
-
-def _correlation_lag(s: _Stretch) -> tuple[float, float]:
-    """Return the lag at which measured and reference speeds agree best, and how well.
-
-    Speeds (norms) do not care how the sensor is mounted. The mean is taken out of both.
-    """
-    first = slice(0, CORRELATED)
-    use, rate = s.used[first], s.rate[first]
-    if use.sum() < 10:
-        return 0.0, -1.0
-    turning = np.where(use, _speed(rate), 0.0)
-    if np.std(turning[use]) < MOVING_RAD_S:
-        return 0.0, -1.0
-    bias = np.median(s.measured[first][use], axis=0)
-    measured = np.where(use, _speed(s.measured[first] - bias), 0.0)
-    measured = np.where(use, measured - measured[use].mean(), 0.0)
-    turning = np.where(use, turning - turning[use].mean(), 0.0)
-    size = 1 << (2 * measured.size - 1).bit_length()
-    product = np.fft.irfft(np.fft.rfft(measured, size) * np.conj(np.fft.rfft(turning, size)), size)
-    period_s = s.series.period_s * s.series.block
-    reach = int(SEARCH_S / period_s)
-    lags = np.arange(-reach, reach + 1)
-    score = product[lags]
-    best = int(np.argmax(score))
-    quality = float(score[best] / (np.linalg.norm(measured) * np.linalg.norm(turning) + 1e-30))
-    return (float(lags[best]) + _vertex(score[best - 1 : best + 2])) * period_s, quality
-
-
-def _vertex(three: FloatArray) -> float:
-    """Return where the parabola through three neighbours is highest, from the middle one."""
-    if three.size < 3:
-        return 0.0
-    bend = three[0] - 2.0 * three[1] + three[2]
-    return float(0.5 * (three[0] - three[2]) / bend) if bend < 0.0 else 0.0
