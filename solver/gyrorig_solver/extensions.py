@@ -42,12 +42,15 @@ class Chosen:
     words: dict[str, str] = field(default_factory=dict)  # of values that stay hidden
 
 
-def choose_extensions(found: Found, extend: Sequence[str]) -> Chosen:
+def choose_extensions(
+    found: Found, extend: Sequence[str], named: Sequence[Extension] = ()
+) -> Chosen:
     """Return the causes to take into a fit of one board.
 
     Args:
         found: its recordings with samples and references.
         extend: ids of the catalogue that were asked for.
+        named: causes as a search named them.
 
     Raises:
         UsageError: an id is not known, or no fit can show that cause.
@@ -55,9 +58,10 @@ def choose_extensions(found: Found, extend: Sequence[str]) -> Chosen:
     """
     for cause in extend:
         _check(cause)
-    wanted = tuple(dict.fromkeys(c for c in extend if term(c).kind != "known"))
+    there = {one.term.cause for one in named}
+    wanted = tuple(dict.fromkeys(c for c in extend if term(c).kind != "known" and c not in there))
     placed = any("latitude_deg" in r.metadata.get("gyrorig.site", {}) for r, _, _ in found)
-    if not wanted and not placed:
+    if not wanted and not named and not placed:
         return Chosen()
     settings = settings_of(found)
     extensions: list[Extension] = []
@@ -69,6 +73,9 @@ def choose_extensions(found: Found, extend: Sequence[str]) -> Chosen:
             "the Earth's rotation is not taken out: the site says no heading; give heading_deg"
         )
     words: dict[str, str] = {}
+    for one in named:
+        extensions.append(one)
+        words |= dict.fromkeys(one.names, one.term.excitation)
     for cause in wanted:
         extension, why = _one(cause, found, settings)
         if extension is None:
