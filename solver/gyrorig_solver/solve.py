@@ -12,8 +12,10 @@ import numpy as np
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.estimate.attitude import fit_attitude
+from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.gravity import fit_gravity
-from gyrorig_solver.estimate.motion import fit_joint, fit_motion
+from gyrorig_solver.estimate.likelihood import Solution
+from gyrorig_solver.estimate.motion import fit_joint, fit_motion, solution_of
 from gyrorig_solver.estimate.result import GyroFit, StageLevel
 from gyrorig_solver.estimate.turns import fit_turns
 from gyrorig_solver.extensions import choose_extensions
@@ -25,6 +27,7 @@ from gyrorig_solver.reference.ptu_recording import ptu_reference
 from gyrorig_solver.reference.rest import RestReference, mostly_at_rest
 from gyrorig_solver.reference.turns import TurnReference, read_turns
 from gyrorig_solver.samples import GyroSamples, load_samples, number
+from gyrorig_solver.setting import settings_of
 
 PTU_WORDS = {
     "x": "tilt was not moved; move tilt at a few speeds",
@@ -45,7 +48,10 @@ STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901; only the accelerometer's scale res
 
 
 def solve_recordings(
-    recordings: Sequence[Recording], board: str, extend: Sequence[str] = ()
+    recordings: Sequence[Recording],
+    board: str,
+    extend: Sequence[str] = (),
+    named: Sequence[Extension] = (),
 ) -> GyroFit:
     """Calibrate one board by the best reference that its recordings hold.
 
@@ -57,23 +63,24 @@ def solve_recordings(
         recordings: in any order.
         board: in each of them.
         extend: causes of the catalogue to fit beside the base model; with a unit only.
+        named: causes as a search named them, to fit too; with a unit only.
 
     Raises:
         InputError: the board is not there, or there is no reference of any kind.
         UsageError: recordings that cannot be solved together, or an unknown cause.
     """
     ordered = sorted(recordings, key=lambda recording: recording.start_ns)
-    fit = _by_best_reference(ordered, board, extend)
+    fit = _by_best_reference(ordered, board, extend, named)
     missing = tuple(f"{r.path.name}: {loss.text}" for r in ordered for loss in r.losses)
     return replace(fit, warnings=(*missing, *fit.warnings))
 
 
 def _by_best_reference(
-    recordings: Sequence[Recording], board: str, extend: Sequence[str]
+    recordings: Sequence[Recording], board: str, extend: Sequence[str], named: Sequence[Extension]
 ) -> GyroFit:
     loaded = [(recording, load_samples(recording, board)) for recording in recordings]
     if any("/ptu/position" in r.topics for r in recordings):
-        return _by_unit(loaded, extend)
+        return _by_unit(loaded, extend, named)
     if extend:
         raise UsageError(
             "causes beyond the base model need a pan-tilt unit", "leave --extend out, or record one"
@@ -87,7 +94,11 @@ def _by_best_reference(
     return _by_gravity(loaded, turns)
 
 
-def _by_unit(loaded: list[tuple[Recording, GyroSamples]], extend: Sequence[str]) -> GyroFit:
+def _by_unit(
+    loaded: list[tuple[Recording, GyroSamples]],
+    extend: Sequence[str],
+    named: Sequence[Extension],
+) -> GyroFit:
     """Fit a board on a unit: recordings in motion and at rest, together."""
     _check_alike(loaded)
     found: list[tuple[Recording, GyroSamples, ReferenceMotion]] = []
@@ -97,7 +108,7 @@ def _by_unit(loaded: list[tuple[Recording, GyroSamples]], extend: Sequence[str])
         found.append((recording, samples, reference))
         many = f"{recording.path.name}: " if len(loaded) > 1 else ""
         warnings += tuple(many + text for text in said)
-    chosen = choose_extensions(found, extend)
+    chosen = choose_extensions(found, extend, named)
     fit = fit_joint(
         [(samples, reference) for _, samples, reference in found],
         {**PTU_WORDS, **chosen.words},
@@ -106,6 +117,33 @@ def _by_unit(loaded: list[tuple[Recording, GyroSamples]], extend: Sequence[str])
         chosen.settings,
     )
     return replace(fit, level=_level(*found[-1][1:]))
+
+
+def unit_solution(recordings: Sequence[Recording], board: str) -> Solution:
+    """Fit the base model to one board's recordings on a unit; return where the fit ended.
+
+    Every recording's setting is put in, and the Earth's rotation where the site is known:
+    causes can be looked for from here.
+
+    Args:
+        recordings: in any order.
+        board: in each of them.
+
+    Raises:
+        InputError: the board is not there.
+        UsageError: recordings that cannot be fitted together, or none of a unit.
+    """
+    ordered = sorted(recordings, key=lambda recording: recording.start_ns)
+    if not any("/ptu/position" in r.topics for r in ordered):
+        raise UsageError(
+            "what a model gets wrong is looked for on a pan-tilt unit", "record the board on one"
+        )
+    loaded = [(recording, load_samples(recording, board)) for recording in ordered]
+    _check_alike(loaded)
+    found = [(r, samples, _motion_of(r, samples)[0]) for r, samples in loaded]
+    chosen = choose_extensions(found, ())
+    settings = chosen.settings or settings_of(found)
+    return solution_of([(s, m) for _, s, m in found], chosen.extensions, settings)
 
 
 def _level(samples: GyroSamples, reference: ReferenceMotion) -> StageLevel | None:

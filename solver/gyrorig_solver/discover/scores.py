@@ -10,7 +10,7 @@ What to use when: `sights` in each round of the search; `Seen.of` for one set of
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -19,8 +19,9 @@ from scipy.stats import chi2
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.discover.banks import quick_rows
 from gyrorig_solver.estimate.projection import Looked, Projection
-from gyrorig_solver.model.terms.protocol import Term, indices, places
+from gyrorig_solver.model.terms.protocol import Term, indices, places, value_parameters
 from gyrorig_solver.model.terms.scene import Scene
+from gyrorig_solver.plan.causes import noncentrality
 
 VANISHED = 1e-9  # of its energy: a signal with less left is the fit's own
 GRAM = 48  # signals of one cause whose likeness is looked at
@@ -54,6 +55,15 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What one row of a cause's bank would show, in typical sizes."""
+
+    size: float  # of the row; 0 where the effect is taken as linear
+    detectable: float  # in the direction that shows least, inf where nothing shows
+    moved: FloatArray  # (board,), what that makes of the fit's parameters, unseen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Sight:
     """A cause at one of its places, or all, at the row of its bank that shows best."""
 
@@ -63,6 +73,22 @@ class Sight:
     seen: Seen
     looks: float  # effective number of independent rows
     p_value: float  # rows and tests counted
+    shown: tuple[Shown, ...]  # of every row
+
+    @property
+    def detectable(self) -> Shown:
+        """The row whose own size is about what is just detected; of linear ones the middle.
+
+        Where even the largest row would not be seen, `detectable` is infinite.
+        """
+        if self.shown[0].size > 0.0:
+            rows = sorted(self.shown, key=lambda one: one.size)
+            some = [one for one in rows if one.size >= one.detectable]
+            if some:
+                return replace(some[0], detectable=some[0].size)
+            return replace(rows[-1], detectable=np.inf)
+        rows = sorted(self.shown, key=lambda one: one.detectable)
+        return rows[(len(rows) - 1) // 2]
 
 
 def sights(
@@ -100,6 +126,8 @@ def _of_term(
 ) -> list[Sight]:
     scenes = where(term)
     best: dict[str | None, tuple[FloatArray, Seen]] = {}
+    shown: dict[str | None, list[Shown]] = {place: [] for place, _ in scenes}
+    wanted = {p: noncentrality(len(at), tests * max(looked, 1)) for p, at in scenes}
     kept: list[FloatArray] = []
     for row in rows:
         white = projection.signals(partial(_directions, term, row))
@@ -107,7 +135,9 @@ def _of_term(
         if 1 < len(rows) == looked and len(rows) * len(white) <= GRAM:
             kept.append(white)
         for place, at in scenes:
-            seen = Seen.of(says.part(at))
+            own = says.part(at)
+            seen = Seen.of(own)
+            shown[place].append(_shown(term, row, at, own, wanted[place]))
             if place not in best or seen.statistic > best[place][1].statistic:
                 best[place] = row, seen
     looks = _independent(projection, kept) if kept else float(max(looked, 1))
@@ -116,8 +146,20 @@ def _of_term(
         if seen.degrees_of_freedom:
             alone = float(chi2.sf(seen.statistic, seen.degrees_of_freedom))
             p_value = min(1.0, alone * looks * tests)
-            found.append(Sight(term, place, row, seen, looks, p_value))
+            found.append(Sight(term, place, row, seen, looks, p_value, tuple(shown[place])))
     return found
+
+
+def _shown(term: Term, row: FloatArray, at: Sequence[int], looked: Looked, wanted: float) -> Shown:
+    own = value_parameters(term)
+    sizes = [indices(term, role="size")[k] for k in at]
+    typical = np.array([own[k].typical for k in sizes])
+    size = float(np.max(np.abs(row[sizes]) / typical))
+    values, vectors = np.linalg.eigh(looked.information * np.outer(typical, typical))
+    if values[0] <= VANISHED * float(np.max(looked.raw * typical**2)):
+        return Shown(size, np.inf, looked.taken.T @ (vectors[:, 0] * typical))
+    detectable = float(np.sqrt(wanted / values[0]))
+    return Shown(size, detectable, looked.taken.T @ (vectors[:, 0] * typical * detectable))
 
 
 def _directions(term: Term, row: FloatArray, scene: Scene) -> FloatArray:

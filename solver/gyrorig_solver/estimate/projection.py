@@ -95,7 +95,7 @@ class Projection:
         """Take what `of` has put together."""
         self.stretches = tuple(stretches)
         self.residual = self.white([[r[None] for r in s.residuals] for s in stretches])[0]
-        self._base, self._local = base, local
+        self._base, self._local, self._prior = base, local, prior
         near = (local @ local.T + prior.local).tocsc()
         self._near = factor(csc_array(near))
         self._cross = local @ base.T + prior.cross
@@ -140,6 +140,50 @@ class Projection:
                 stretches.append(Stretch(number, used, scenes, fine, models, residuals, noise))
         base, local, prior = _base(solution, stretches, follow)
         return cls(stretches, base, local, prior)
+
+    def kept_out(self, windows: IntArray) -> FloatArray:
+        """Return the whitened residual of data that the fit did not see, (all,).
+
+        Each window in turn is left out, everything is fitted to the others, and in the
+        window only the motion's local unknowns follow: they are no part of what is judged.
+
+        Args:
+            windows: to which window each whitened value belongs, shape (all,).
+        """
+        out = np.zeros_like(self.residual)
+        for window in np.unique(windows):
+            held = windows == window
+            own = self._fitted_to(~held)
+            base, local = self._base[:, held], self._local[:, held]
+            left = self.residual[held] - base.T @ own
+            near = factor(csc_array((local @ local.T + self._prior.local).tocsc()))
+            pull = local @ left + self._prior.pull_local - self._prior.cross @ own
+            out[held] = left - local.T @ near(pull)
+        return out
+
+    def _fitted_to(self, some: BoolArray) -> FloatArray:
+        """Return the step of all but local unknowns that fits a part of the data best."""
+        base, local, residual = self._base[:, some], self._local[:, some], self.residual[some]
+        near = factor(csc_array((local @ local.T + self._prior.local).tocsc()))
+        cross = local @ base.T + self._prior.cross
+        carry = near(cross)
+        pull = local @ residual + self._prior.pull_local
+        inner = base @ base.T + self._prior.shared - cross.T @ carry
+        score = base @ residual + self._prior.pull_shared - carry.T @ pull
+        return np.asarray(np.linalg.pinv(inner, hermitian=True) @ score, dtype=np.float64)
+
+    def unwhitened(self, white: FloatArray) -> list[FloatArray]:
+        """Return a whitened signal (all,) as rates, (n, 3) a part; 0 where unused."""
+        found, start = [], 0
+        for s in self.stretches:
+            for used in s.used:
+                n = used.size
+                deviation = np.sqrt(s.noise.variance(n)).T
+                spectrum = dct(white[start : start + 3 * n].reshape(3, n), axis=-1, norm="ortho")
+                rate = idct(spectrum * deviation, axis=-1, norm="ortho").T
+                found.append(np.where(used[:, None], rate, 0.0))
+                start += 3 * n
+        return found
 
     @property
     def scenes(self) -> list[Scene]:

@@ -1,0 +1,193 @@
+"""Explain a board's recordings: what the model of the rig gets wrong, and what that is worth.
+
+What to use when: `explain` from recordings, `explain_fit` from a fit of the base model.
+"""
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import chi2
+
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.discover.changes import Board, own_part
+from gyrorig_solver.discover.gain import held_out
+from gyrorig_solver.discover.groups import signatures
+from gyrorig_solver.discover.limits import limits
+from gyrorig_solver.discover.result import (
+    Explained,
+    Findings,
+    NamedCause,
+    Rival,
+    Signature,
+    Unexplained,
+    Value,
+    Verdict,
+)
+from gyrorig_solver.discover.search import ALPHA, Found, Standing, search, testable, tests_of
+from gyrorig_solver.estimate.conclusion import TERMS
+from gyrorig_solver.estimate.extension import Extension
+from gyrorig_solver.estimate.likelihood import Solution
+from gyrorig_solver.estimate.motion import reduced_chi2
+from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.protocol import (
+    indices,
+    places,
+    value_names,
+    value_parameters,
+)
+from gyrorig_solver.solve import unit_solution
+
+SHOWN_SIGMA = 3.0  # a part this many deviations from zero is where a cause acts
+FILLS = 0.8  # share of what is odd that names must explain, or they fill a gap
+
+
+def explain(recordings: Sequence[Recording], board: str) -> Explained:
+    """Find what the base model gets wrong for one board on a pan-tilt unit.
+
+    Args:
+        recordings: in any order; fitted together.
+        board: in each of them.
+
+    Raises:
+        InputError: the board is not there, or there is no unit.
+        UsageError: recordings that cannot be fitted together.
+    """
+    begin = time.monotonic()
+    return explain_fit(unit_solution(recordings, board), board, begin)
+
+
+def explain_fit(base: Solution, board: str, begin: float | None = None) -> Explained:
+    """Find what a fit of the base model gets wrong.
+
+    Args:
+        base: the fit; it is left as it is.
+        board: its name.
+        begin: when the work began, `time.monotonic`.
+    """
+    begin = time.monotonic() if begin is None else begin
+    found = search(base)
+    first = Projection.of(base) if found.standings else found.last
+    left = signatures(found.last)
+    shown = signatures(first) if found.standings else left
+    unexplained = _unexplained(base, found, left)
+    standings = found.standings
+    calibration = Board.of(found.solution)
+    gain = None
+    if standings:
+        # The base model on the same samples: its own fit may have set some aside as spikes.
+        free = tuple(one for one in found.solution.extensions if one.free.size)
+        gain = held_out(
+            Projection.of(found.solution, extensions=base.extensions, back=free), found.last
+        )
+    causes = [_named(found.solution, k, s, calibration) for k, s in _fitted(found)]
+    causes.sort(key=lambda one: (-one.harm_sigma, one.p_value))
+    absent, blind = limits(found.last, found.sights, calibration, len(base.sessions))
+    verdict: Verdict = "explained" if causes else "adequate"
+    findings = Findings(
+        verdict="unexplained" if unexplained is not None else verdict,
+        causes=tuple(causes),
+        unexplained=unexplained,
+        signatures=tuple(shown),
+        absent=absent,
+        not_testable=blind,
+        base_terms=(*TERMS, "time_offset", *(e.term.cause for e in base.extensions)),
+        base_reduced_chi2=reduced_chi2(base),
+        base_whiteness_p=shown[0].p_value,
+        extended_reduced_chi2=reduced_chi2(found.solution),
+        gain=gain,
+        changes=calibration.changes(Board.of(base).values),
+        seconds=time.monotonic() - begin,
+    )
+    return Explained(board, findings, base, found.solution)
+
+
+def _fitted(found: Found) -> list[tuple[int, Standing]]:
+    """Return each fitted cause's number in the fit, with its standing."""
+    free = [k for k, one in enumerate(found.solution.extensions) if one.free.size]
+    return list(zip(free, found.standings, strict=True))
+
+
+def _named(solution: Solution, k: int, standing: Standing, board: Board) -> NamedCause:
+    one = solution.extensions[k]
+    best, term = standing.best, one.term
+    sizes = [j for j in one.free if j in indices(term, role="size")]
+    left_out = own_part(best.taken, len(solution.sessions))
+    statistic = 2.0 * max(best.won, 0.0)
+    tests = tests_of(testable(Projection.of(solution))) * standing.looks
+    return NamedCause(
+        term=term,
+        where=_where(solution, k),
+        extension=one,
+        values=_values(solution, k),
+        statistic=statistic,
+        degrees_of_freedom=len(sizes),
+        p_value=min(1.0, float(chi2.sf(statistic, one.free.size)) * tests),
+        posterior=standing.posterior,
+        one_of=standing.one_of,
+        rivals=tuple(
+            Rival(
+                rival.extension.term.cause,
+                rival.won - best.won,
+                share,
+                _why(rival.won - best.won, rival.evidence - best.evidence),
+            )
+            for rival, share in standing.rivals
+        ),
+        changes=board.changes(board.values + board.moved(left_out)),
+        gain=None,
+    )
+
+
+def _why(won: float, evidence: float) -> str:
+    if evidence > 0.0:
+        return "it fits as well; the data do not tell them apart"
+    if won > -1.0:
+        return "it fits as well, but needs more unknowns or an unlikely size for it"
+    return f"its best fit leaves {-won:.1f} nats more unexplained"
+
+
+def _std(solution: Solution, k: int) -> list[float]:
+    """Return the deviation of every value of a cause, inf where it is not fitted or seen."""
+    one: Extension = solution.extensions[k]
+    first = solution.estimate.size - sum(e.free.size for e in solution.extensions[k:])
+    variance = np.diag(solution.decision.covariance)[first : first + one.free.size]
+    found = np.full(one.values.size, np.inf)
+    found[one.free] = np.where(variance > 0.0, np.sqrt(np.clip(variance, 0.0, None)), np.inf)
+    return [float(v) for v in found]
+
+
+def _values(solution: Solution, k: int) -> tuple[Value, ...]:
+    one = solution.extensions[k]
+    return tuple(
+        Value(name, float(value), std, parameter.unit, parameter.typical)
+        for name, value, std, parameter in zip(
+            value_names(one.term),
+            one.values,
+            _std(solution, k),
+            value_parameters(one.term),
+            strict=True,
+        )
+    )
+
+
+def _where(solution: Solution, k: int) -> tuple[str, ...]:
+    """Return the parts of a cause whose sizes stand out; the foremost where none does."""
+    one, std = solution.extensions[k], _std(solution, k)
+    strength = {
+        place: max(abs(float(one.values[j])) / std[j] for j in indices(one.term, place, "size"))
+        for place in places(one.term)
+    }
+    some = tuple(place for place, sigma in strength.items() if sigma > SHOWN_SIGMA)
+    if some or not strength:
+        return some
+    return (max(strength, key=lambda place: strength[place]),)
+
+
+def _unexplained(base: Solution, found: Found, left: Sequence[Signature]) -> Unexplained | None:
+    odd = tuple(one for one in left if one.p_value < ALPHA)
+    if not odd:
+        return None
+    won = sum(2.0 * max(s.best.won, 0.0) for s in found.standings)
+    rest = max(one.statistic - one.degrees_of_freedom for one in odd)
+    return Unexplained(odd[0], odd[1:], won / (won + rest) if won > 0.0 else 0.0)
