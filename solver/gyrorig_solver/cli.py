@@ -27,6 +27,7 @@ _COMMANDS = {
     "import": ("importing", "Turn measurements made elsewhere into a recording."),
     "check": ("check", "Is this recording sound, and what can it calibrate?"),
     "solve": ("solve", "Turn recordings into a calibration and a report."),
+    "explain": ("explain", "What the model of the rig gets wrong, and why."),
     "plan": ("plan", "The motion program that tells most in a given time."),
 }
 _SOLVER_EXTRA = {"scipy", "matplotlib", "jinja2"}

@@ -91,7 +91,7 @@ def document_of(
             _number(findings.base_whiteness_p),
         ),
         causes=causes,
-        not_testable=[NotTestable(n.cause, n.reason, n.where) for n in findings.not_testable],
+        not_testable=_not_testable(findings, raw),
         minimal_detectable=[
             Detectable(
                 a.cause,
@@ -116,9 +116,31 @@ def document_of(
     )
 
 
+def rest_harm_sigma(rest: FoundUnexplained) -> float:
+    """Return by how many standard deviations an unexplained rest might bias the calibration.
+
+    A signal of which the base parameters take as much as they leave moves a parameter that
+    lies along it by the square root of its energy, which is what its statistic is beyond
+    its degrees of freedom. How much they do take nobody knows without a name for it.
+    """
+    return math.sqrt(max(0.0, rest.best.statistic - rest.best.degrees_of_freedom))
+
+
 def figure_key(cause: str, where: Sequence[str]) -> str:
     """Return the key of a cause's figure, fit for a file's name."""
     return "-".join((cause, *where))
+
+
+def _not_testable(findings: Findings, raw: Sequence[RawEvidence]) -> list[NotTestable]:
+    """Return what cannot be shown, without what the looks at stream and gain have settled."""
+    looks = [look for one in raw for look in one.looks]
+    settled = {cause for look in looks for cause in look.decides}
+    settled |= {one.cause for look in looks for one in look.findings}
+    return [
+        NotTestable(one.cause, one.reason, one.where)
+        for one in findings.not_testable
+        if one.cause not in settled
+    ]
 
 
 def _causes(
@@ -137,15 +159,20 @@ def _causes(
     said = [(one, _from_raw(one, names, figures)) for one, names in seen.values()]
     gauge = [cause for one, cause in said if one.cause in GAUGE]
     rest = [cause for one, cause in said if one.cause not in GAUGE]
-    return [*gauge, *(_from_search(one, figures) for one in findings.causes), *rest]
+    return [*gauge, *(_from_search(one, findings, figures) for one in findings.causes), *rest]
 
 
-def _from_search(one: NamedCause, figures: Mapping[str, str]) -> Cause:
+def _from_search(one: NamedCause, findings: Findings, figures: Mapping[str, str]) -> Cause:
+    alone = len(findings.causes) == 1  # what all are worth is what it is worth
     return Cause(
         cause=one.cause,
         part=one.part,
         where=", ".join(one.where) or "all",
-        parameters={v.name: Size(_number(v.value), _number(v.std), v.unit) for v in one.values},
+        parameters={
+            v.name: Size(_number(v.value), _number(v.std), v.unit)
+            for v in one.values
+            if not one.where or "." not in v.name or v.name.rpartition(".")[2] in one.where
+        },
         evidence=Evidence(
             statistic=_number(one.statistic),
             degrees_of_freedom=one.degrees_of_freedom,
@@ -154,7 +181,7 @@ def _from_search(one: NamedCause, figures: Mapping[str, str]) -> Cause:
             figure=figures.get(figure_key(one.cause, one.where)),
             posterior=_number(one.posterior),
         ),
-        gain=_gain(one.gain),
+        gain=_gain(one.gain or (findings.gain if alone else None)),
         one_of=list(one.one_of),
         rivals=[Rival(r.cause, _number(r.delta_log_likelihood), r.reason) for r in one.rivals],
         effect_on_calibration=_changes(one.changes),
@@ -208,11 +235,17 @@ def _changes(changes: Sequence[CalibrationChange]) -> list[Change]:
 def _unexplained(rest: FoundUnexplained | None, figures: Mapping[str, str]) -> Unexplained | None:
     if rest is None:
         return None
+    harm_sigma = rest_harm_sigma(rest)
     return Unexplained(
         statistic=_number(rest.best.statistic),
         p_value=_number(rest.best.p_value),
         best_covariate=rest.best.words,
         figure=figures.get(UNEXPLAINED),
+        harm=(
+            f"If the calibration took in as much of it as is left to see, a parameter would be "
+            f"off by up to {harm_sigma:.1f} standard deviations."
+        ),
+        harm_sigma=harm_sigma,
         others=[
             Dependence(one.words, _number(one.statistic), _number(one.p_value))
             for one in rest.others

@@ -121,7 +121,8 @@ class Unexplained(_Document, frozen=True, omit_defaults=True):
     p_value: float | None
     best_covariate: str
     figure: str | None = None
-    harm: str = ""
+    harm: str = ""  # what it might do to the calibration, in words
+    harm_sigma: float | None = None  # the same, in standard deviations
     others: list[Dependence] = []
 
 

@@ -15,6 +15,7 @@ from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.raw.result import AXES, Look, RawFinding
 
 AXES_CHECK, RANGE_CHECK = "axes and signs", "full scale"
+MIRRORS = ("axis_swap", "sign_flip")
 FARTHEST = 0.5  # of the gain, scales taken out, from P: beyond it the mount is oblique
 NEAR_POWER = 0.2  # of a scale from a power of two; data sheets promise 2 to 15 % of one
 AXES_REMEDY = "mend the order and the signs of the words in the driver or in the board's columns"
@@ -57,7 +58,7 @@ def nearest(gain: FloatArray) -> FloatArray:
 def _axes(gain: FloatArray) -> Look:
     found = nearest(gain)
     if np.array_equal(found, np.eye(3)):
-        return Look(AXES_CHECK, "each axis turns about its own and to its own side")
+        return Look(AXES_CHECK, "each axis turns about its own and to its own side", (), MIRRORS)
     how = _how(found)
     oblique = float(np.linalg.norm(gain - found)) > FARTHEST
     if oblique and np.linalg.det(gain) > 0.0:
@@ -104,7 +105,7 @@ def _range(scale: FloatArray, tolerance: float) -> Look:
     doublings = round(math.log2(middle))
     usual = f"scale {middle:.3f} of the nominal one; data sheets allow ±{tolerance:.2g}"
     if not doublings or abs(middle / 2.0**doublings - 1.0) > max(tolerance, NEAR_POWER):
-        return Look(RANGE_CHECK, usual)
+        return Look(RANGE_CHECK, usual, (), ("wrong_full_scale",))
     told = 2.0**-doublings
     said = (
         f"the counts are {middle:.3g} times what the configured range says: the sensor's true "

@@ -51,6 +51,7 @@ class Look:
     check: str
     said: str
     findings: tuple[RawFinding, ...] = field(default=())
+    decides: tuple[str, ...] = ()  # causes that it can tell from none, here
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,17 +6,19 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.discover.result import Findings
+from gyrorig_solver.discover.result import Findings, NotTestable
 from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
 from gyrorig_solver.findings.document import parse_findings, to_yaml
 from gyrorig_solver.findings.remedies import REMEDIES
 from gyrorig_solver.findings.wording import TITLES, summary
 from gyrorig_solver.findings.writing import write_findings
 from gyrorig_solver.model.terms.catalogue import catalogue
+from gyrorig_solver.raw.gain import look_at_gain
 from gyrorig_solver.raw.result import RawFinding
 
 
@@ -129,3 +131,15 @@ def test_a_person_reads_verdict_cause_size_and_remedy(
 def test_every_cause_has_a_title_and_a_remedy() -> None:
     assert set(catalogue()) <= set(TITLES)
     assert set(catalogue()) == set(REMEDIES)
+
+
+def test_what_a_look_has_settled_is_not_called_invisible(
+    findings: Findings, origin: Origin
+) -> None:
+    blind = tuple(NotTestable(c, None, "the gain takes it") for c in ("axis_swap", "tilt_zero"))
+    upright = RawEvidence("a.mcap", look_at_gain(np.eye(3)))
+    hidden = RawEvidence("a.mcap", look_at_gain(np.full((3, 3), np.nan)))
+    without = replace(findings, not_testable=blind)
+    names = [n.cause for n in document_of(without, [upright], origin).not_testable]
+    assert names == ["tilt_zero"]
+    assert len(document_of(without, [hidden], origin).not_testable) == 2

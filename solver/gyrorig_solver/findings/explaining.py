@@ -1,0 +1,149 @@
+"""One board, all the way: the raw stream, the search for causes, the document, the page.
+
+What to use when: `explain_into` for a folder with everything, `explain_board` where the parts
+are to be used otherwise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version as installed_version
+from pathlib import Path
+
+import numpy as np
+
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.calibration.profiles import find_profile
+from gyrorig_solver.discover.finder import explain
+from gyrorig_solver.discover.result import Explained, Findings
+from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
+from gyrorig_solver.findings.document import FindingsDocument, Input, Subject, to_yaml
+from gyrorig_solver.findings.plain import findings_of_fit
+from gyrorig_solver.findings.writing import PAGE, figure_name, write_findings
+from gyrorig_solver.raw.checks import look_at
+from gyrorig_solver.raw.gain import look_at_gain
+from gyrorig_solver.raw.result import Look
+from gyrorig_solver.report.course import Course, course_of, course_of_fit
+from gyrorig_solver.report.drawing import alone
+from gyrorig_solver.report.explain_html import figures_of, render_findings
+from gyrorig_solver.samples import load_samples
+from gyrorig_solver.solve import solve_recordings
+
+UNJUDGED = "nothing here judges the residual over time: the reference has angles, no motion"
+TOGETHER = "all recordings"  # what a look at the common gain is of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """What is known of one board before it is written."""
+
+    board: BoardId
+    recordings: tuple[Recording, ...]
+    findings: Findings
+    raw: tuple[RawEvidence, ...]
+    course: Course | None  # None: nothing to draw from
+    remarks: tuple[str, ...]
+    explained: Explained | None  # None where the reference is no unit's motion
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """One board's findings, as they lie in the folder."""
+
+    document: FindingsDocument
+    path: Path
+    page: Path
+
+
+def explain_into(out: Path, recordings: Sequence[Recording], board: BoardId) -> Written:
+    """Explain one board, and write its findings, figures and page below `out`.
+
+    Raises:
+        InputError: the recordings hold no board of that name, or nothing to compare it with.
+        UsageError: recordings that cannot be looked at together.
+        MachineError: the folder cannot be written.
+    """
+    return write_explanation(out, explain_board(recordings, board))
+
+
+def explain_board(recordings: Sequence[Recording], board: BoardId) -> Explanation:
+    """Look at one board of one or more recordings of the same settings.
+
+    Raises:
+        InputError: the recordings hold no board of that name, or nothing to compare it with.
+        UsageError: recordings that cannot be looked at together.
+    """
+    ordered = sorted(recordings, key=lambda recording: recording.start_ns)
+    raw = [RawEvidence(r.path.name, look_at(load_samples(r, board))) for r in ordered]
+    if any("/ptu/position" in r.topics for r in ordered):
+        explained = explain(ordered, board)
+        gain = explained.solution_extended.gain
+        raw.append(RawEvidence(_together(ordered), _judged(gain, ordered[0], board)))
+        return Explanation(
+            board=board,
+            recordings=tuple(ordered),
+            findings=explained.findings,
+            raw=tuple(raw),
+            course=course_of(explained),
+            remarks=(),
+            explained=explained,
+        )
+    fit = solve_recordings(ordered, board)
+    raw.append(RawEvidence(_together(ordered), _judged(fit.gain, ordered[0], board)))
+    return Explanation(
+        board=board,
+        recordings=tuple(ordered),
+        findings=findings_of_fit(fit),
+        raw=tuple(raw),
+        course=course_of_fit(fit),
+        remarks=(*fit.warnings, *fit.distrust, *(() if fit.diagnostics else (UNJUDGED,))),
+        explained=None,
+    )
+
+
+def write_explanation(out: Path, found: Explanation) -> Written:
+    """Write findings, figures and page of one board below `out`.
+
+    Raises:
+        MachineError: the folder cannot be written.
+    """
+    figures = {} if found.course is None else figures_of(found.course, found.findings)
+    document = document_of(
+        found.findings,
+        found.raw,
+        origin_of(found),
+        {key: figure_name(key) for key in figures},
+        found.remarks,
+    )
+    path = write_findings(
+        out,
+        found.board,
+        to_yaml(document),
+        render_findings(document, figures),
+        {key: alone(text) for key, text in figures.items()},
+    )
+    return Written(document, path, path.with_name(PAGE))
+
+
+def origin_of(found: Explanation) -> Origin:
+    """Return what the findings are of."""
+    metadata = found.recordings[0].metadata.get(f"gyrorig.board.{found.board}", {})
+    return Origin(
+        board=Subject(str(found.board), metadata.get("sensor", "")),
+        recordings=[Input(r.path.name, r.sha256) for r in found.recordings],
+        created=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        software=installed_version("gyrorig"),
+    )
+
+
+def _judged(gain: FloatArray, recording: Recording, board: BoardId) -> tuple[Look, ...]:
+    sensor = recording.metadata.get(f"gyrorig.board.{board}", {}).get("sensor", "")
+    profile = find_profile(sensor)
+    tolerance = None if profile is None else profile.scale_tolerance
+    return look_at_gain(np.asarray(gain), tolerance)
+
+
+def _together(recordings: Sequence[Recording]) -> str:
+    return recordings[0].path.name if len(recordings) == 1 else TOGETHER
