@@ -24,8 +24,8 @@ from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
 from gyrorig_solver.model.terms.scene import Scene
 
-ROUNDS = 20
-ENOUGH = 1e-3  # nats won by a step: less is no reason for another
+ROUNDS = 12
+ENOUGH = 1e-2  # nats won by a step: less is no reason for another
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 LEVELS, PER_LEVEL = 4, 4  # an event is looked for this many times, each so much finer
 AT_BOUND = 1e-6  # of the range

@@ -25,13 +25,15 @@ from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
 
 ALPHA = 0.005  # of false names in a recording without any cause; as much is left to groups
-CONTENDERS, SIBLINGS_OF = 5, 2
-NEAR = 25.0  # a place alone this much below all places together is not fitted alone
+CONTENDERS = 4  # fitted exactly at a time
+HOPELESS = 0.2  # of the leading statistic: a cause that sees less is not fitted
+NEAR = 25.0  # a place alone this much below all places together is not fitted alone,
+LITTLE = 3.0  # and all together not where they see no more than this beyond the best one
 MOST_CAUSES = 12
 STATED = 0.95  # belief that the stated set holds the cause
 SWAPS = 2  # times that named causes may lose their place in the end
 CLEARLY = 1.0  # nats of evidence that a rival must be ahead by
-UNPROVEN = -30.0  # nats behind: not worth a line
+STOOD_FOR = {"lost_samples": "clock_step"}  # the same for small sizes: looked at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +73,7 @@ def testable(projection: Projection) -> list[Term]:
         term
         for term in catalogue().values()
         if term.kind == "effect"
-        and term.cause != "lost_samples"  # for small counts a clock's step
+        and term.cause not in STOOD_FOR
         and all(term.missing(scene) is None for scene in projection.scenes)
     ]
 
@@ -139,8 +141,10 @@ def _contenders(
         seen = s.seen.statistic - s.seen.degrees_of_freedom
         strength[s.term.cause] = max(strength.get(s.term.cause, -np.inf), seen)
     order = sorted(strength, key=lambda cause: -strength[cause])[:CONTENDERS]
-    for cause in tuple(order[:SIBLINGS_OF]):
-        order += [c for c in catalogue()[cause].confused_with if c not in order]
+    hopeless = HOPELESS * strength[order[0]]
+    order = [c for k, c in enumerate(order) if k < 2 or strength[c] > hopeless]
+    # What others stand for in the pass over all takes part where they do.
+    order += [c for c in STOOD_FOR if STOOD_FOR[c] in order and c not in order]
     weighed = []
     for cause in order:
         term = catalogue()[cause]
@@ -159,9 +163,12 @@ def _contenders(
 def best_fit(projection: Projection, own: Sequence[Sight]) -> tuple[Weighed, float] | None:
     """Fit one cause at each of its promising places; return the one of most evidence."""
     most = max((s.seen.statistic for s in own), default=0.0)
+    alone = max((s.seen.statistic for s in own if s.place is not None), default=-np.inf)
     best: tuple[Weighed, float] | None = None
     for s in own:
         if s.place is not None and s.seen.statistic < most - NEAR:
+            continue
+        if s.place is None and s.seen.statistic < alone + LITTLE:
             continue
         one = refit(projection, s.term, s.place, [s.row])
         if one is None or one.impossible:
