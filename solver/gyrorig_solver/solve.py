@@ -185,12 +185,20 @@ def _motion_of(
 
 
 def _check_alike(loaded: list[tuple[Recording, GyroSamples]]) -> None:
-    """Refuse to pool recordings of a board that was set differently.
+    """Refuse to pool recordings of a board that was set differently, or one of them twice.
 
     Raises:
-        UsageError: they differ in scale, full scale or low-pass.
+        UsageError: they differ in scale, full scale or low-pass, or are the same.
     """
     first, samples = loaded[0]
+    known: dict[str, Recording] = {}
+    for recording, _ in loaded:
+        twin = known.setdefault(recording.sha256, recording) if len(loaded) > 1 else recording
+        if twin is not recording:
+            raise UsageError(
+                f"{twin.path.name} and {recording.path.name} are one recording",
+                "name each once: evidence counted twice claims too much",
+            )
     for recording, other in loaded[1:]:
         for key in ("gyro_scale_rad_s", "gyro_full_scale_dps", "bandwidth_hz"):
             one, two = samples.metadata.get(key), other.metadata.get(key)

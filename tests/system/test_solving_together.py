@@ -42,3 +42,14 @@ def test_static_and_moving_make_one_version(tmp_path: Path, contracts: Path) -> 
         [sys.executable, str(judge), str(path)], check=False, capture_output=True, text=True
     )
     assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_one_recording_twice_is_refused(tmp_path: Path) -> None:
+    recording = _record(tmp_path / "m", "quick.yaml")
+    twin = tmp_path / "copy.mcap"
+    twin.write_bytes(recording.read_bytes())
+    command = [str(BIN / "gyrorig"), "solve", str(recording), str(twin), "--out", str(tmp_path)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "are one recording" in done.stderr
+    assert not list(tmp_path.rglob("v0001.yaml"))
