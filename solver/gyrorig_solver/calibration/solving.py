@@ -6,29 +6,44 @@ from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
+import msgspec
+
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.build import calibration_of
-from gyrorig_solver.calibration.document import Calibration, to_yaml
+from gyrorig_solver.calibration.document import Calibration, Findings, to_yaml
 from gyrorig_solver.calibration.origin import provenance
 from gyrorig_solver.calibration.paper import paper_calibration_of, solve_as_printed
 from gyrorig_solver.calibration.profiles import find_profile
 from gyrorig_solver.calibration.store import CalibrationStore, write_whole
+from gyrorig_solver.calibration.trust import with_findings
 from gyrorig_solver.estimate.result import GyroFit
+from gyrorig_solver.findings.document import FindingsDocument
+from gyrorig_solver.findings.document import to_yaml as findings_yaml
+from gyrorig_solver.findings.explaining import (
+    Explanation,
+    document_of_found,
+    explain_board,
+    page_of_found,
+)
 from gyrorig_solver.report.data import ReportData
 from gyrorig_solver.report.html import render
 from gyrorig_solver.samples import load_samples
 from gyrorig_solver.solve import solve_recordings
 
+AUTO = "auto"
+FINDINGS_SUFFIX = ".findings.yaml"
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Solved:
     """One board's result, as it lies in the store."""
 
     calibration: Calibration
     path: Path
     report: Path
+    found: Explanation | None = None  # where causes were searched for
 
 
 # (version, digest of the version before, created) to the document
@@ -49,7 +64,8 @@ def solve_into(
         recordings: at least one, each with the board in it; solved together.
         board: which one.
         method: `likelihood` or `paper`.
-        extend: causes of the catalogue to fit too; `likelihood` only.
+        extend: causes of the catalogue to fit too, `auto` for those that a search names;
+            `likelihood` only.
 
     Raises:
         InputError: the recordings do not hold what the method needs.
@@ -58,10 +74,11 @@ def solve_into(
     """
     store.prepare(board)
     ordered = sorted(recordings, key=lambda recording: recording.start_ns)
+    found: Explanation | None = None
     if method == "paper":
         document, data_of = _by_paper(ordered, board)
     else:
-        document, data_of = _by_likelihood(ordered, board, extend)
+        document, data_of, found = _by_likelihood(ordered, board, extend)
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     written: list[Calibration] = []
 
@@ -72,7 +89,18 @@ def solve_into(
     stored = store.add(board, text)
     report = stored.path.with_suffix(".report.html")
     write_whole(report, render(data_of(written[-1])).encode(), replace=True)
-    return Solved(written[-1], stored.path, report)
+    if found is not None:
+        _write_findings(stored.path, found)
+    return Solved(written[-1], stored.path, report, found)
+
+
+def _write_findings(calibration: Path, found: Explanation) -> None:
+    """Write what was found beside its version: v0001.findings.yaml and v0001.findings.html."""
+    document, page = page_of_found(found)
+    write_whole(
+        calibration.with_suffix(FINDINGS_SUFFIX), findings_yaml(document).encode(), replace=True
+    )
+    write_whole(calibration.with_suffix(".findings.html"), page.encode(), replace=True)
 
 
 def document_of(
@@ -102,14 +130,35 @@ def document_of(
 
 def _by_likelihood(
     recordings: Sequence[Recording], board: BoardId, extend: Sequence[str]
-) -> tuple[Document, Callable[[Calibration], ReportData]]:
-    fit = solve_recordings(recordings, board, extend)
+) -> tuple[Document, Callable[[Calibration], ReportData], Explanation | None]:
+    found = explain_board(recordings, board) if AUTO in extend else None
+    asked = tuple(cause for cause in extend if cause != AUTO)
+    named = () if found is None else found.findings.extensions
+    fit = solve_recordings(recordings, board, asked, named)
+    plain = document_of(fit, recordings, board, extend)
+
+    def document(version: int, previous: str | None, created: str) -> Calibration:
+        made = plain(version, previous, created)
+        return made if found is None else explained(made, document_of_found(found))
 
     def data_of(calibration: Calibration) -> ReportData:
         profile = find_profile(calibration.board.sensor)
         return ReportData(calibration, fit.diagnostics, fit.clock, profile, fit.reference)
 
-    return document_of(fit, recordings, board, extend), data_of
+    return document, data_of, found
+
+
+def explained(calibration: Calibration, findings: FindingsDocument) -> Calibration:
+    """Return a calibration with what a search for causes found, and what that does to trust."""
+    return msgspec.structs.replace(
+        calibration,
+        trust=with_findings(calibration.trust, findings),
+        findings=Findings(
+            verdict=findings.verdict,
+            causes=[one.cause for one in findings.causes],
+            file=f"v{calibration.version:04d}{FINDINGS_SUFFIX}",
+        ),
+    )
 
 
 def _by_paper(

@@ -6,11 +6,13 @@ from typing import Literal
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.calibration.document import Trust
 from gyrorig_solver.estimate.result import GyroFit
+from gyrorig_solver.findings.document import FindingsDocument
 
 # Residuals this many times their noise are not covered by the standard deviations given.
 _REFUSED_CHI2 = 25.0
 _LOST_SHARE = 0.02  # of the samples; fewer gaps cost precision only
 _OUTLIER_SHARE = 0.01
+HARMLESS_SIGMA = 1.0
 _DEG = 180.0 / math.pi
 
 Verdict = Literal["good", "limited", "refused"]
@@ -48,6 +50,24 @@ def judge(fit: GyroFit) -> Trust:
     if fit.observability.rank == 0:
         verdict = "refused"
     return Trust(verdict=verdict, reasons=reasons)
+
+
+def with_findings(trust: Trust, findings: FindingsDocument) -> Trust:
+    """Return the verdict with what a search for causes left unexplained.
+
+    A rest that might move a parameter by more than one of its standard deviations makes a
+    result limited: they do not tell how far off it is.
+    """
+    rest = findings.unexplained
+    if rest is None or (rest.harm_sigma is not None and rest.harm_sigma <= HARMLESS_SIGMA):
+        return trust
+    off = "" if rest.harm_sigma is None else f" by up to about {rest.harm_sigma:.0f} of its std"
+    reason = (
+        f"something is left that no known cause explains, it depends {rest.best_covariate} and "
+        f"may move a parameter{off}: look at the findings' report, mend the rig, record again"
+    )
+    verdict: Verdict = "limited" if trust.verdict == "good" else trust.verdict
+    return Trust(verdict=verdict, reasons=[*trust.reasons, reason])
 
 
 def profile_warnings(fit: GyroFit, profile: SensorProfile | None) -> list[str]:

@@ -11,7 +11,7 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.document import to_plain
-from gyrorig_solver.calibration.solving import Solved, solve_into
+from gyrorig_solver.calibration.solving import AUTO, Solved, solve_into
 from gyrorig_solver.calibration.store import CalibrationStore
 from gyrorig_solver.calibration.summary import summary
 from gyrorig_solver.commands.boards import chosen_boards
@@ -37,8 +37,9 @@ from gyrorig_solver.commands.terminal import (
     "--extend",
     default="none",
     show_default=True,
-    metavar="none|CAUSE,...",
-    help="Causes of the catalogue to fit beside the base model, such as thermal_bias.",
+    metavar="auto|none|CAUSE,...",
+    help="Causes to fit beside the base model: named ones, such as thermal_bias; or auto, those "
+    "that the recordings show (as `gyrorig explain` names them).",
 )
 @click.option(
     "--out",
@@ -120,7 +121,7 @@ def _causes(extend: str, method: str) -> tuple[str, ...]:
 def _lacks(solved: Solved, causes: Sequence[str]) -> bool:
     """Return whether something that was asked for could not be shown."""
     calibration = solved.calibration
-    missing = set(causes) - set(calibration.solver.terms)
+    missing = set(causes) - {AUTO} - set(calibration.solver.terms)
     return bool(calibration.observability.unobservable or missing)
 
 
@@ -141,10 +142,14 @@ def _groups(
 
 
 def _said(solved: Solved) -> str:
-    return (
-        f"{summary(solved.calibration)}\n  calibration           {solved.path}"
-        f"\n  report                {solved.report}"
-    )
+    found, lines = solved.calibration.findings, [summary(solved.calibration)]
+    if found is not None:
+        causes = f": {', '.join(found.causes)}" if found.causes else ""
+        lines.append(f"  findings              {found.verdict}{causes}")
+        lines.append(f"                        {solved.path.with_name(found.file)}")
+    lines.append(f"  calibration           {solved.path}")
+    lines.append(f"  report                {solved.report}")
+    return "\n".join(lines)
 
 
 def _plain(solved: Solved) -> dict[str, Any]:

@@ -110,20 +110,28 @@ def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
 
 
 def _causes(one: Extension, found: Concluded) -> Iterator[FittedCause]:
-    """Yield the fitted parameters of one cause."""
+    """Yield the parameters of one fitted cause.
+
+    What was held has its value and no deviation, and none at all where it is as it began.
+    """
     free, at = set(one.free.tolist()), 0
+    if not free:
+        return
     sizes = [p for p in one.term.parameters if p.role == "size"]
     for parameter in one.term.parameters:
         here = range(at, at + parameter.count)
         at += parameter.count
-        if not free.issuperset(here):
+        if free.isdisjoint(here) and np.all(
+            one.values[at - parameter.count : at] == parameter.start
+        ):
             continue
         names = [f"{one.term.cause}.{name}" for name in parameter.names]
-        alone = len(sizes) == 1
+        held = dict(zip(names, one.values[here.start : here.stop], strict=True))
+        alone = len(sizes) == 1 and parameter.role == "size"
         yield FittedCause(
             name=one.term.cause if alone else f"{one.term.cause}.{parameter.name}",
-            value=np.array([found.values[name] for name in names]),
-            std=np.array([found.std[name] for name in names]),
+            value=np.array([found.values.get(name, held[name]) for name in names]),
+            std=np.array([found.std.get(name, np.nan) for name in names]),
             unit=parameter.unit,
         )
 

@@ -4,7 +4,7 @@ What to use when: `explain_into` for a folder with everything, `explain_board` w
 are to be used otherwise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
@@ -109,14 +109,8 @@ def write_explanation(out: Path, found: Explanation) -> Written:
     Raises:
         MachineError: the folder cannot be written.
     """
-    figures = {} if found.course is None else figures_of(found.course, found.findings)
-    document = document_of(
-        found.findings,
-        found.raw,
-        origin_of(found),
-        {key: figure_name(key) for key in figures},
-        found.remarks,
-    )
+    figures = _figures(found)
+    document = document_of_found(found, {key: figure_name(key) for key in figures})
     path = write_findings(
         out,
         found.board,
@@ -125,6 +119,23 @@ def write_explanation(out: Path, found: Explanation) -> Written:
         {key: alone(text) for key, text in figures.items()},
     )
     return Written(document, path, path.with_name(PAGE))
+
+
+def page_of_found(found: Explanation) -> tuple[FindingsDocument, str]:
+    """Return the document without files of figures, and the page with them in it."""
+    document = document_of_found(found)
+    return document, render_findings(document, _figures(found))
+
+
+def document_of_found(
+    found: Explanation, figures: Mapping[str, str] | None = None
+) -> FindingsDocument:
+    """Return the document of one board; `figures`: their files by key."""
+    return document_of(found.findings, found.raw, origin_of(found), figures, found.remarks)
+
+
+def _figures(found: Explanation) -> dict[str, str]:
+    return {} if found.course is None else figures_of(found.course, found.findings)
 
 
 def origin_of(found: Explanation) -> Origin:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.fft import dct
 from scipy.stats import chi2
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.discover.result import Findings, NotTestable, Signature, Unexplained, Verdict
 from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit
 from gyrorig_solver.model.terms.catalogue import catalogue
@@ -61,9 +61,8 @@ def _not_testable() -> list[NotTestable]:
 
 
 def _signatures(data: FitDiagnostics, gain: FloatArray) -> list[Signature]:
-    known = np.isfinite(data.residual_rad_s).all(axis=1) & np.isfinite(data.reference_rad_s).all(
-        axis=1
-    )
+    both = np.hstack([data.residual_rad_s, data.reference_rad_s])
+    known: BoolArray = np.asarray(np.isfinite(both).all(axis=1), dtype=np.bool_)
     if known.sum() < LEAST_BLOCKS or not np.all(np.isfinite(gain)):
         return []
     rate = np.where(known[:, None], data.reference_rad_s @ gain.T, 0.0)
