@@ -1,0 +1,51 @@
+"""Recordings of an emulated rig that hides something; truth and finder share no code."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gyrorig_daemon.cli import run
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A recording, and what it hides."""
+
+    recording: Recording
+    truth: list[dict[str, Any]]
+
+    @property
+    def board(self) -> str:
+        """The only board."""
+        return str(self.recording.board_ids[0])
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Hidden]:
+    """Return a function that records a session with something hidden in it, once each."""
+    made: dict[tuple[str, ...], Hidden] = {}
+
+    def record(*hide: str, seed: int = 7) -> Hidden:
+        key = (*hide, str(seed))
+        if key not in made:
+            folder = tmp_path_factory.mktemp("hidden")
+            orders = [word for text in hide for word in ("--hide", text)]
+            truth = folder / "truth.json"
+            run(
+                ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
+                 str(ROOT / "config" / "programs" / "quick.yaml"), "--out", str(folder),
+                 "--simulated-time", "--seed", str(seed), "--truth", str(truth), *orders]
+            )  # fmt: skip
+            told = json.loads(truth.read_text()).get("hidden") or {"causes": []}
+            made[key] = Hidden(read_recording(next(folder.glob("*.mcap"))), told["causes"])
+        return made[key]
+
+    return record
