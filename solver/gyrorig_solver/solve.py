@@ -20,6 +20,7 @@ from gyrorig_solver.estimate.result import GyroFit, StageLevel
 from gyrorig_solver.estimate.turns import fit_turns
 from gyrorig_solver.extensions import choose_extensions
 from gyrorig_solver.model.terms.level_rests import level_by_rests
+from gyrorig_solver.raw.repeats import without_repeats
 from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
 from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.reference.ptu import PtuReference
@@ -100,6 +101,7 @@ def _by_unit(
     named: Sequence[Extension],
 ) -> GyroFit:
     """Fit a board on a unit: recordings in motion and at rest, together."""
+    loaded = [(recording, without_repeats(samples)) for recording, samples in loaded]
     _check_alike(loaded)
     found: list[tuple[Recording, GyroSamples, ReferenceMotion]] = []
     warnings: tuple[str, ...] = ()
@@ -138,7 +140,7 @@ def unit_solution(recordings: Sequence[Recording], board: str) -> Solution:
         raise UsageError(
             "what a model gets wrong is looked for on a pan-tilt unit", "record the board on one"
         )
-    loaded = [(recording, load_samples(recording, board)) for recording in ordered]
+    loaded = [(one, without_repeats(load_samples(one, board))) for one in ordered]
     _check_alike(loaded)
     found = [(r, samples, _motion_of(r, samples)[0]) for r, samples in loaded]
     chosen = choose_extensions(found, ())

@@ -74,17 +74,21 @@ def _axes(gain: FloatArray) -> Look:
         (one, other) = pairs[0]
         both = (AXES[one], AXES[other])
         said = f"axes {AXES[one]} and {AXES[other]} have changed places: no mount mirrors a board"
-        return Look(AXES_CHECK, said, (_swapped("axis_swap", "exchanged", both, said),))
+        return _mirrored(said, (_swapped("axis_swap", "exchanged", both, said),))
     if not pairs and np.array_equal(np.abs(found), np.eye(3)):
         said = f"axis {' and '.join(turned)} counts the other way round: no mount mirrors a board"
         if len(negative) == 3:
             said += "; the unit's pan_sign and tilt_sign may be wrong instead"
-        return Look(AXES_CHECK, said, (_swapped("sign_flip", "flipped", turned, said),))
+        return _mirrored(said, (_swapped("sign_flip", "flipped", turned, said),))
     said = (
         f"the axes come mirrored: {how}. One sign is wrong, or two axes have changed places, "
         "and the board sits turned beside"
     )
-    return Look(AXES_CHECK, said, (_swapped("sign_flip", "flipped", turned, said),))
+    return _mirrored(said, (_swapped("sign_flip", "flipped", turned, said),))
+
+
+def _mirrored(said: str, findings: tuple[RawFinding, ...]) -> Look:
+    return Look(AXES_CHECK, said, findings, MIRRORS)
 
 
 def _swapped(cause: str, name: str, where: tuple[str, ...], said: str) -> RawFinding:

@@ -12,6 +12,7 @@ from scipy.stats import poisson
 from gyrorig_solver.clocks import ClockMap, map_clock
 from gyrorig_solver.columns import Column
 from gyrorig_solver.raw.checks import findings_of, look_at
+from gyrorig_solver.raw.repeats import without_repeats
 from gyrorig_solver.raw.result import RawFinding, poisson_tail
 from gyrorig_solver.samples import GyroSamples
 
@@ -174,3 +175,15 @@ def test_values_of_a_file_are_not_taken_for_words() -> None:
 def test_the_tail_is_that_of_poisson(count: int, expected: float) -> None:
     assert poisson_tail(count, expected) == pytest.approx(poisson.sf(count - 1, expected), rel=1e-6)
     assert math.isclose(poisson_tail(3, 0.0), 0.0)
+
+
+def test_true_repeats_are_set_aside_and_chance_ones_are_not() -> None:
+    counts = clean_counts().copy()
+    rows = np.arange(500, 11_500, 1000)
+    counts[rows] = counts[rows - 1]
+    kept = without_repeats(samples_of(counts))
+    assert np.array_equal(np.flatnonzero(~kept.good), rows)
+    assert kept.repeated == rows.size
+    assert kept.counts.dtype == np.int16
+    coarse = samples_of(clean_counts(5, 0.3))
+    assert without_repeats(coarse) is coarse

@@ -1,0 +1,163 @@
+"""`gyrorig explain`, `solve --extend auto` and `demo --hide` as a stranger runs them.
+
+The emulator hides, the desk finds: two programs that share no code of physics.
+"""
+
+import hashlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gyrorig_protocol.documents import parse_yaml
+from gyrorig_solver.calibration.document import parse_calibration
+from gyrorig_solver.check.hidden import score
+from gyrorig_solver.findings.document import parse_findings
+
+ROOT = Path(__file__).parents[2]
+# Sweeps at three tilts with reversals, two speeds, a move of tilt, rests: half a minute.
+PROGRAM = """schema: gyrorig/program/1
+name: short-sweeps
+steps:
+  - rest: {seconds: 4.0, phase: static}
+"""
+PROGRAM += "".join(
+    f"  - move: {{tilt_deg: {tilt}, speed_deg_s: 40.0}}\n  - rest: {{seconds: 0.5}}\n"
+    + "".join(
+        f"  - move: {{pan_deg: {pan}, speed_deg_s: {speed}}}\n  - rest: {{seconds: 0.5}}\n"
+        for pan, speed in ((60.0, 80.0), (90.0, 50.0), (-60.0, 80.0), (0.0, 40.0))
+    )
+    for tilt in (-30.0, 0.0, 25.0, 10.0, -15.0)
+)
+
+
+def gyrorig(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "gyrorig_solver", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def recorded(folder: Path, *more: str) -> tuple[Path, dict[str, Any]]:
+    folder.mkdir(parents=True, exist_ok=True)
+    program, truth = folder / "program.yaml", folder / "truth.yaml"
+    program.write_text(PROGRAM)
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
+            *("--config", str(ROOT / "config" / "rig.yaml"), "--program", str(program)),
+            *("--out", str(folder), "--truth", str(truth), *more),
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return Path(json.loads(done.stdout)["recording"]), parse_yaml(truth.read_bytes(), "truth")
+
+
+def judged(judge: Path, *files: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, str(judge), *map(str, files)], capture_output=True, text=True, check=False
+    )
+    return done.stdout if done.returncode else ""
+
+
+@pytest.mark.timeout(240)
+def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
+    tmp_path: Path, contract_judge: Path
+) -> None:
+    path, truth = recorded(tmp_path, "--seed", "21", "--hide", "backlash@pan:0.0015")
+    done = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"), "--json")
+    assert done.returncode == 0, done.stderr
+    (told,) = json.loads(done.stdout)["boards"]
+    file = Path(told["file"])
+    document = parse_findings(file.read_bytes(), file.name)
+    assert [(one.cause, one.score) for one in score(document, truth)] == [("backlash", "right")]
+    (cause,) = document.causes
+    gap, half = cause.parameters["gap.pan"], 4.0
+    assert gap.value is not None
+    assert gap.std is not None
+    assert abs(gap.value - 0.0015) < half * gap.std
+    assert document.gain is not None
+    assert (document.gain.held_out_log_likelihood or 0.0) > 10.0
+    assert (file.parent / str(cause.evidence.figure)).read_text().startswith("<?xml")
+    assert "The gears have play, on pan" in Path(told["report"]).read_text()
+
+    store = tmp_path / "calibrations"
+    done = gyrorig("solve", str(path), "--extend", "auto", "--out", str(store), "--json")
+    assert done.returncode == 0, done.stderr
+    (solved,) = json.loads(done.stdout)["boards"]
+    calibration = parse_calibration(Path(solved["file"]).read_bytes(), "v0001.yaml")
+    assert calibration.findings is not None
+    assert calibration.findings.causes == ["backlash"]
+    assert "backlash" in calibration.solver.terms
+    own = Path(solved["file"]).with_name(calibration.findings.file)
+    assert judged(contract_judge, file, own, Path(solved["file"])) == ""
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize(
+    ("hide", "cause"),
+    [
+        ("corrupt_samples:0.01", "corrupt_samples"),
+        ("repeated_samples:0.02", "repeated_samples"),
+        ("lost_samples:0.01", "lost_samples"),
+        ("axis_swap@yz", "axis_swap"),
+        ("sign_flip@x", "sign_flip"),
+        ("wrong_full_scale:2", "wrong_full_scale"),
+    ],
+)
+def test_faults_of_the_link_are_named_from_the_stream(
+    hide: str, cause: str, tmp_path: Path
+) -> None:
+    path, truth = recorded(tmp_path, "--seed", "3", "--hide", hide)
+    done = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"), "--json")
+    assert done.returncode == 0, done.stderr
+    (told,) = json.loads(done.stdout)["boards"]
+    document = parse_findings(Path(told["file"]).read_bytes(), "findings.yaml")
+    assert [(one.cause, one.score) for one in score(document, truth)] == [(cause, "right")]
+
+
+@pytest.mark.timeout(240)
+def test_a_rig_as_it_should_be_has_no_findings(tmp_path: Path) -> None:
+    path, _ = recorded(tmp_path, "--seed", "8")
+    done = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"))
+    assert done.returncode == 0, done.stderr
+    assert "nothing found" in done.stdout
+    assert "could be there unseen" in done.stdout
+
+
+def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "no.mcap").write_bytes(b"not a recording")
+    done = gyrorig("explain", str(tmp_path / "no.mcap"), "--out", str(tmp_path / "out"))
+    assert done.returncode == 3
+    assert len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.timeout(300)
+def test_the_demo_opens_the_seal_at_the_end(tmp_path: Path) -> None:
+    """In real time: a short motion, so that whatever is hidden may as well not show."""
+    program = tmp_path / "short.yaml"
+    program.write_text(
+        "schema: gyrorig/program/1\nname: short\nsteps:\n  - rest: {seconds: 3.0, phase: static}\n"
+        "  - move: {pan_deg: 30.0, speed_deg_s: 60.0}\n  - rest: {seconds: 1.0}\n"
+    )
+    out = tmp_path / "demo"
+    done = gyrorig(
+        "demo", "--out", str(out), "--program", str(program), "--hide", "random", "--json"
+    )
+    assert done.returncode in (0, 1, 4), done.stderr + done.stdout
+    told = json.loads(done.stdout)
+    hidden = parse_yaml((out / "truth.yaml").read_bytes(), "truth.yaml")["hidden"]
+    text = json.dumps(hidden, sort_keys=True, separators=(",", ":"))
+    assert told["seal"] == hashlib.sha256(text.encode()).hexdigest()
+    (board,) = told["boards"]
+    names = {one["cause"] for one in hidden["causes"]}
+    assert names <= {one["cause"] for one in board["hidden"]}
+    assert all(one["words"] for one in board["hidden"])
