@@ -20,6 +20,7 @@ from gyrorig_solver.discover.refit import Weighed, refit
 from gyrorig_solver.discover.scores import Sight, sights, where
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution, solve_again
+from gyrorig_solver.estimate.noise import SPREAD, NoiseModel, ordinary_levels
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
@@ -30,6 +31,9 @@ HOPELESS = 0.2  # of the leading statistic: a cause that sees less is not fitted
 NEAR = 25.0  # a place alone this much below all places together is not fitted alone,
 LITTLE = 3.0  # and all together not where they see no more than this beyond the best one
 MOST_CAUSES = 12
+SLOW = ("bias_ramp", "bias_step", "thermal_bias", "warm_up")
+CALM = 4.0  # times the power of an ordinary part's wandering
+SAME_LEVELS = 0.2  # relative: nothing hides behind levels that are an ordinary part's
 STATED = 0.95  # belief that the stated set holds the cause
 SWAPS = 2  # times that named causes may lose their place in the end
 CLEARLY = 1.0  # nats of evidence that a rival must be ahead by
@@ -98,6 +102,9 @@ def search(base: Solution) -> Found:
         found = sights(projection, open_terms, tests)
         usable = [s for s in found if s.term.cause not in barred]
         best, rivals = _next(projection, usable, taken, tests)
+        if best is None:
+            slow = [t for t in open_terms if t.cause in SLOW and t.cause not in barred]
+            best, rivals = _slow(solution, slow, taken, tests)
         if best is None or len(taken) >= MOST_CAUSES:
             break
         fitted.setdefault(best.extension.term.cause, set()).update(rivals)
@@ -126,6 +133,55 @@ def _next(
         if chi2.sf(2.0 * max(one.won, 0.0), free) * looks * tests < ALPHA:
             return one, {w.extension.term.cause for w, _ in weighed}
     return None, set()
+
+
+def _slow(
+    solution: Solution, terms: Sequence[Term], taken: set[str], tests: int
+) -> tuple[Weighed | None, set[str]]:
+    """Return the slow cause that the noise levels may have taken for a wandering bias.
+
+    A step or a drift of the bias raises the levels found beside it, and hides behind them.
+    It is looked for with those of an ordinary part, and stays if the likelihood rises by as
+    much when the levels are found anew beside the cause: a bias that does wander does not
+    become likelier by a step.
+    """
+    calm = [calmed(noise) for noise in solution.noises]
+    same = all(
+        np.allclose(one.levels, other.levels, rtol=SAME_LEVELS)
+        for one, other in zip(calm, solution.noises, strict=True)
+    )
+    if same or not terms:
+        return None, set()
+    projection = Projection.of(solution, noises=calm)
+    found = sights(projection, terms, tests)
+    best, rivals = _next(projection, found, taken, tests)
+    if best is None:
+        return None, set()
+    after = _with(solution, best.extension)
+    rise = 2.0 * (log_likelihood(after) - log_likelihood(solution))
+    looks = next(s.looks for s in found if s.term.cause == best.extension.term.cause)
+    by_chance = chi2.sf(max(rise, 0.0), best.extension.free.size) * looks * tests
+    return (best, rivals) if by_chance < ALPHA else (None, set())
+
+
+def calmed(noise: NoiseModel) -> NoiseModel:
+    """Return a noise that wanders no more than twice as much as an ordinary part's."""
+    most = np.stack([CALM * ordinary_levels(float(axis[0])) for axis in noise.levels])
+    most[:, 0] = np.inf
+    return replace(noise, levels=np.minimum(noise.levels, most))
+
+
+def log_likelihood(solution: Solution) -> float:
+    """Return Whittle's log likelihood of a fit's residual, the levels' priors in it."""
+    total = 0.0
+    for spectrum, noise in zip(solution.spectra, solution.noises, strict=True):
+        density = noise.density(spectrum.frequency_hz)
+        misfit = np.log(density) + spectrum.density / density
+        total -= 0.5 * float(np.sum(spectrum.count[:, None] * misfit))
+        for axis in noise.levels:
+            usual = ordinary_levels(float(axis[0]))[1:3]
+            total -= 0.5 * float(np.sum((np.log(axis[1:3] / usual) / SPREAD) ** 2))
+    return total
 
 
 def _contenders(
