@@ -6,6 +6,7 @@ all six words have to be alike, which chance hardly ever does.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,9 @@ def without_repeats(samples: GyroSamples) -> GyroSamples:
     good = samples.good.copy()
     fresh = int(np.count_nonzero(good[best.rows]))
     good[best.rows] = False
-    as_sent = {name: column_of(samples, name) for name in AS_SENT}  # `replace` reads values
+    as_sent: dict[str, Any] = {
+        name: column_of(samples, name) for name in AS_SENT
+    }  # `replace` reads values
     return replace(samples, good=good, repeated=samples.repeated + fresh, **as_sent)
 
 
