@@ -137,19 +137,21 @@ def _pieces(
         use, kept = extended.used[k], base.used[k] & extended.used[k]
         time_s = series.block_times_s()
         scenes = [extended.scene(series, part, other.gain) for part in series.parts()]
+        effects = [np.concatenate([effect_of((c.extension,), s) for s in scenes]) for c in causes]
+        after = extended.measured[k] - lower[k]
+        # What the base model takes for a spike it has no residual for; there it is what the
+        # extended one says without the causes.
+        before = np.where(kept[:, None], base.measured[k] - left[k], after - sum(effects))
         found.append(
             _Piece(
                 time_s=time_s - first_s + begin_s,
                 measured=_used(extended.measured[k], use),
-                base=_used(base.measured[k] - left[k], kept),  # elsewhere taken for a spike
-                extended=_used(extended.measured[k] - lower[k], use),
+                base=_used(before, use),
+                extended=_used(after, use),
                 rate=_used(extended.rates[k], use),
                 angle=_angles(extended, time_s),
                 temperature=_temperature(scenes[0], time_s),
-                effects=[
-                    _used(np.concatenate([effect_of((c.extension,), s) for s in scenes]), use)
-                    for c in causes
-                ],
+                effects=[_used(effect, use) for effect in effects],
             )
         )
     return found
