@@ -28,6 +28,8 @@ from gyrorig_solver.estimate.observability import PRIOR_STD
 from gyrorig_solver.estimate.whitening import PartModel
 from gyrorig_solver.model.terms.scene import Scene
 
+ONCE = 0.01  # share of a cause's information below which data do not tell of it
+
 Signal = Callable[[Scene], FloatArray]  # to (k, blocks, 3)
 
 
@@ -101,7 +103,11 @@ class Projection:
         self._cross = local @ base.T + prior.cross
         self._carry = self._near(self._cross)
         shared = base @ base.T + prior.shared
-        self._inverse = np.linalg.pinv(shared - self._cross.T @ self._carry, hermitian=True)
+        inner = shared - self._cross.T @ self._carry
+        self._inverse = np.linalg.pinv(inner, hermitian=True)
+        # What a cause did once, in data left out, the rest cannot tell: it stays as it was.
+        self._once = np.zeros(base.shape[0])
+        self._once[prior.first : prior.board] = ONCE * np.diag(inner)[prior.first : prior.board]
         self._pull_local = local @ self.residual + prior.pull_local
         self._pull = base @ self.residual + prior.pull_shared
         self.board = prior.board
@@ -168,7 +174,7 @@ class Projection:
         cross = local @ base.T + self._prior.cross
         carry = near(cross)
         pull = local @ residual + self._prior.pull_local
-        inner = base @ base.T + self._prior.shared - cross.T @ carry
+        inner = base @ base.T + self._prior.shared - cross.T @ carry + np.diag(self._once)
         score = base @ residual + self._prior.pull_shared - carry.T @ pull
         return np.asarray(np.linalg.pinv(inner, hermitian=True) @ score, dtype=np.float64)
 
@@ -251,7 +257,8 @@ class _Prior:
     shared: FloatArray
     pull_local: FloatArray
     pull_shared: FloatArray
-    board: int  # the first so many of the shared ones are the board's: G, b, tau, causes
+    first: int  # where the causes begin among the shared ones
+    board: int  # and where they end: the first so many are the board's, G, b, tau, causes
 
 
 def _base(
@@ -329,7 +336,8 @@ def _known(
         pull_shared[here] = pull[known.size[0] :]
     some = [one for one in near if one.shape[0]]
     local = csc_array(block_diag(some, format="csc")) if some else csc_array((0, 0))
-    return _Prior(local, cross, shared, pull_local, pull_shared, board)
+    first = GAINS + PER_SESSION * len(solution.sessions)
+    return _Prior(local, cross, shared, pull_local, pull_shared, first, board)
 
 
 def _columns(
