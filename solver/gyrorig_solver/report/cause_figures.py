@@ -48,7 +48,7 @@ def cause_figure(course: Course, cause: str, key: str, where: Sequence[str]) -> 
         return close_by(course, effect, axis, key)
     figure, (panel,) = stacked(1, 3.4)
     panel.errorbar(
-        data.centre, data.value, yerr=data.bar, color=BEFORE, ecolor=BEFORE, linewidth=0.0,
+        data.centre, data.value, yerr=data.bar, color=INK, ecolor=BEFORE, linewidth=0.0,
         elinewidth=1.0, marker="o", markersize=4, label="data",
     )  # fmt: skip
     panel.axhline(0.0, color=SOFT, linewidth=1.1, linestyle="--", label="base model")

@@ -19,6 +19,7 @@ from gyrorig_solver.findings.wording import (
 from gyrorig_solver.model.terms.catalogue import catalogue
 
 _DEG = 180.0 / math.pi
+WORTH_A_ROW, LEAST_ROWS = 0.3, 2  # standard deviations that a parameter moves by
 TONES = {"adequate": "good", "explained": "limited", "unexplained": "refused"}
 ON_WHAT = {
     "own_rate": "Mean residual by the axis' own rate, with 95 % bars: is the sensor linear?",
@@ -188,9 +189,11 @@ def _interval(gain: Gain) -> str:
 
 def _changes(changes: Sequence[Change]) -> list[dict[str, str]]:
     out = []
-    for one in sorted(changes, key=_sigma, reverse=True):
+    for rank, one in enumerate(sorted(changes, key=_sigma, reverse=True)):
         if one.before is None or one.after is None or one.std is None:
             continue
+        if rank >= LEAST_ROWS and _sigma(one) < WORTH_A_ROW:
+            break
         factor, unit = shown(max(abs(one.before), abs(one.after)), one.unit)
         if one.parameter.startswith("scale"):
             factor, unit = 1.0, ""

@@ -11,6 +11,8 @@ import pytest
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.calibration.document import Trust
+from gyrorig_solver.calibration.trust import with_findings
 from gyrorig_solver.discover.result import Findings, NotTestable
 from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
 from gyrorig_solver.findings.document import parse_findings, to_yaml
@@ -143,3 +145,16 @@ def test_what_a_look_has_settled_is_not_called_invisible(
     names = [n.cause for n in document_of(without, [upright], origin).not_testable]
     assert names == ["tilt_zero"]
     assert len(document_of(without, [hidden], origin).not_testable) == 2
+
+
+def test_a_harmful_rest_limits_the_trust(findings: Findings, origin: Origin) -> None:
+    """60 beyond 24 degrees of freedom: a parameter along it would move by six deviations."""
+    good = Trust(verdict="good", reasons=[])
+    limited = with_findings(good, document_of(findings, [], origin))
+    assert limited.verdict == "limited"
+    assert "depends on pan, as a gain" in limited.reasons[0]
+    assert "up to about 6 of its std" in limited.reasons[0]
+    clean = document_of(replace(findings, unexplained=None), [], origin)
+    assert with_findings(good, clean) == good
+    refused = Trust(verdict="refused", reasons=["no"])
+    assert with_findings(refused, document_of(findings, [], origin)).verdict == "refused"
