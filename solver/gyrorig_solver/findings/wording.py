@@ -76,6 +76,20 @@ _DEG = 180.0 / math.pi
 _MDEG = 1e3 * _DEG
 
 
+_BLIND = (
+    "Nothing found, little could be looked at",
+    "The reference is no pan-tilt unit's motion: only the samples themselves, and whether what "
+    "is left depends on rates and time, were looked at.",
+)
+
+
+def verdict_words(document: FindingsDocument) -> tuple[str, str]:
+    """Return the verdict's title and sentence."""
+    if document.verdict == "adequate" and not document.minimal_detectable:
+        return _BLIND
+    return VERDICTS[document.verdict]
+
+
 def title(cause: str) -> str:
     """Return a cause as a person says it."""
     return TITLES.get(cause, cause.replace("_", " ").capitalize())
@@ -125,7 +139,7 @@ def headline(cause: Cause) -> str:
 
 def summary(document: FindingsDocument) -> str:
     """Return the verdict, the causes and what is left, one thing a line."""
-    heading = VERDICTS[document.verdict][0].lower()
+    heading = verdict_words(document)[0].lower()
     lines = [f"{document.board.id} ({document.board.sensor or 'unknown sensor'}): {heading}"]
     for cause in document.causes:
         lines += _cause_lines(cause)

@@ -8,13 +8,13 @@ from gyrorig_solver.calibration.wording import quantity, short
 from gyrorig_solver.findings.build import UNEXPLAINED, figure_key
 from gyrorig_solver.findings.document import Cause, Change, FindingsDocument, Gain
 from gyrorig_solver.findings.wording import (
-    VERDICTS,
     amount,
     headline,
     place,
     shown,
     size_text,
     title,
+    verdict_words,
 )
 from gyrorig_solver.model.terms.catalogue import catalogue
 
@@ -37,7 +37,7 @@ def view_of(document: FindingsDocument, figures: Mapping[str, str]) -> dict[str,
         document: the findings.
         figures: SVG texts by key; a key that is not there leaves its figure out.
     """
-    heading, text = VERDICTS[document.verdict]
+    heading, text = verdict_words(document)
     return {
         "board": document.board.id,
         "sensor": document.board.sensor or "unknown sensor",

@@ -123,7 +123,7 @@ def test_hostile_names_are_only_text(
 
 def test_nothing_found_still_has_a_page(findings: Findings, origin: Origin) -> None:
     empty = replace(
-        findings, verdict="adequate", causes=(), unexplained=None, gain=None, changes=(), absent=()
+        findings, verdict="adequate", causes=(), unexplained=None, gain=None, changes=()
     )
     words = " ".join(page_of(render_findings(document_of(empty, [], origin), {})).words)
     assert "Nothing found" in words
