@@ -34,6 +34,7 @@ MOST_CAUSES = 12
 SLOW = ("bias_ramp", "bias_step", "thermal_bias", "warm_up")
 CALM = 4.0  # times the power of an ordinary part's wandering
 SAME_LEVELS = 0.2  # relative: nothing hides behind levels that are an ordinary part's
+EQUAL = {"tilt_sag": ("eccentricity",)}  # on tilt the same function of its angle
 STATED = 0.95  # belief that the stated set holds the cause
 SWAPS = 2  # times that named causes may lose their place in the end
 CLEARLY = 1.0  # nats of evidence that a rival must be ahead by
@@ -58,7 +59,8 @@ class Standing:
                 break
             names.append(rival.extension.term.cause)
             total += share
-        return tuple(names)
+        same = EQUAL.get(self.best.extension.term.cause, ())
+        return (*names, *(name for name in same if name not in names))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,10 +240,12 @@ def _with(solution: Solution, one: Extension) -> Solution:
     """Return the fit with one cause more; with its shapes held where they do not settle."""
     others = solution.extensions
     after = solve_again(solution, [*others, one])
-    if after.converged:
-        return after
-    sizes = np.array([k for k in one.free if value_parameters(one.term)[k].role == "size"])
-    return solve_again(solution, [*others, replace(one, free=sizes)])
+    if not after.converged:
+        sizes = [k for k in one.free if value_parameters(one.term)[k].role == "size"]
+        held = replace(one, free=np.array(sizes, dtype=np.int64))
+        after = solve_again(solution, [*others, held])
+    # What was a spike beside the model before may be none beside this one.
+    return solve_again(after, after.extensions) if after.outliers else after
 
 
 def _without_needless(solution: Solution, known: tuple[Extension, ...], tests: int) -> Solution:
