@@ -34,6 +34,13 @@ _SOLVER_EXTRA = {"scipy", "matplotlib", "jinja2"}
 _INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
+def _with_examples(command: click.Command) -> click.Command:
+    """Keep the lines of examples: click's own mark cannot stand in a raw docstring."""
+    if command.help:
+        command.help = command.help.replace("\\b\n", "\b\n")
+    return command
+
+
 class _LazyGroup(click.Group):
     """A group whose commands are imported when one of them is run."""
 
@@ -47,7 +54,7 @@ class _LazyGroup(click.Group):
         command = getattr(module, f"{cmd_name}_command")
         if not isinstance(command, click.Command):
             raise TypeError(f"{cmd_name} is no command")
-        return command
+        return _with_examples(command)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -66,6 +73,9 @@ def cli(terminal: Terminal, traceback: bool) -> None:
       gyrorig demo --out demo
     """
     terminal.traceback = traceback
+
+
+_with_examples(cli)
 
 
 def run(arguments: Sequence[str]) -> int:
