@@ -13,7 +13,7 @@ from gyrorig_solver.model.terms.bases import BaseTerm, start_values
 from gyrorig_solver.model.terms.lost_steps import pulses
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
 
-QUICK = 30  # rows to a cause in the pass over all
+QUICK = 20  # rows to a cause in the pass over all
 BEST = 12  # of the moments or lines that a residual shows
 APART_S = 0.1  # two moments less apart are one
 PULSES = 4  # pulses looked at for one that is independent: two a block, two blocks wide

@@ -38,8 +38,8 @@ from gyrorig_solver.model.terms.protocol import (
 )
 from gyrorig_solver.solve import unit_solution
 
+FILLS = 0.8  # share of what is odd that names must explain, or they would fill a gap
 SHOWN_SIGMA = 3.0  # a part this many deviations from zero is where a cause acts
-FILLS = 0.8  # share of what is odd that names must explain, or they fill a gap
 
 
 def explain(recordings: Sequence[Recording], board: str) -> Explained:
@@ -70,7 +70,10 @@ def explain_fit(base: Solution, board: str, begin: float | None = None) -> Expla
     first = Projection.of(base) if found.standings else found.last
     left = signatures(found.last)
     shown = signatures(first) if found.standings else left
-    unexplained = _unexplained(base, found, left)
+    unexplained = _unexplained(found, left)
+    if unexplained is not None and found.standings and unexplained.named_share < FILLS:
+        found = Found(base, (), first, found.sights)
+        unexplained = _unexplained(found, shown) or unexplained
     standings = found.standings
     calibration = Board.of(found.solution)
     gain = None
@@ -80,7 +83,8 @@ def explain_fit(base: Solution, board: str, begin: float | None = None) -> Expla
         gain = held_out(
             Projection.of(found.solution, extensions=base.extensions, back=free), found.last
         )
-    causes = [_named(found.solution, k, s, calibration) for k, s in _fitted(found)]
+    tests = tests_of(testable(found.last))
+    causes = [_named(found.solution, k, s, calibration, tests) for k, s in _fitted(found)]
     causes.sort(key=lambda one: (-one.harm_sigma, one.p_value))
     absent, blind = limits(found.last, found.sights, calibration, len(base.sessions))
     verdict: Verdict = "explained" if causes else "adequate"
@@ -108,13 +112,12 @@ def _fitted(found: Found) -> list[tuple[int, Standing]]:
     return list(zip(free, found.standings, strict=True))
 
 
-def _named(solution: Solution, k: int, standing: Standing, board: Board) -> NamedCause:
+def _named(solution: Solution, k: int, standing: Standing, board: Board, tests: int) -> NamedCause:
     one = solution.extensions[k]
     best, term = standing.best, one.term
     sizes = [j for j in one.free if j in indices(term, role="size")]
     left_out = own_part(best.taken, len(solution.sessions))
     statistic = 2.0 * max(best.won, 0.0)
-    tests = tests_of(testable(Projection.of(solution))) * standing.looks
     return NamedCause(
         term=term,
         where=_where(solution, k),
@@ -122,7 +125,7 @@ def _named(solution: Solution, k: int, standing: Standing, board: Board) -> Name
         values=_values(solution, k),
         statistic=statistic,
         degrees_of_freedom=len(sizes),
-        p_value=min(1.0, float(chi2.sf(statistic, one.free.size)) * tests),
+        p_value=min(1.0, float(chi2.sf(statistic, one.free.size)) * standing.looks * tests),
         posterior=standing.posterior,
         one_of=standing.one_of,
         rivals=tuple(
@@ -184,7 +187,7 @@ def _where(solution: Solution, k: int) -> tuple[str, ...]:
     return (max(strength, key=lambda place: strength[place]),)
 
 
-def _unexplained(base: Solution, found: Found, left: Sequence[Signature]) -> Unexplained | None:
+def _unexplained(found: Found, left: Sequence[Signature]) -> Unexplained | None:
     odd = tuple(one for one in left if one.p_value < ALPHA)
     if not odd:
         return None
