@@ -76,8 +76,9 @@ def scatter(projection: Projection, tests: int) -> list[Signature]:
         size = float(np.sqrt(2.0 * np.sum(weight**2)))
         if size > 0.0:
             z = float(weight @ excess) / size
-            p_value = float(2.0 * norm.sf(abs(z)))
-            found.append(Signature(name, words, z**2, 1, min(1.0, p_value * tests)))
+            # What a model lacks adds scatter; it takes none away.
+            p_value = float(norm.sf(z))
+            found.append(Signature(name, words, max(z, 0.0) ** 2, 1, min(1.0, p_value * tests)))
     found.append(_line(projection, left, tests))
     return found
 
