@@ -165,7 +165,7 @@ class Projection:
             near = factor(csc_array((local @ local.T + self._prior.local).tocsc()))
             pull = local @ left + self._prior.pull_local - self._prior.cross @ own
             out[held] = left - local.T @ near(pull)
-        return out
+        return np.asarray(out, dtype=np.float64)
 
     def _fitted_to(self, some: BoolArray) -> FloatArray:
         """Return the step of all but local unknowns that fits a part of the data best."""
