@@ -13,12 +13,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from docs.accuracy import statistics
+from docs.accuracy import speed, statistics
 from docs.blocks import write_or_check
 from docs.markdown import Block
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "accuracy.md"
-BLOCKS: dict[str, Block] = {**statistics.BLOCKS}
+BLOCKS: dict[str, Block] = {**statistics.BLOCKS, **speed.BLOCKS}
 
 
 def main() -> int:

@@ -1,0 +1,77 @@
+"""The tables of speed and growth, from what bench_solve.py and bench_growth.py wrote."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from docs.markdown import Block, show, table
+
+HERE = Path(__file__).resolve().parent
+
+
+def _read(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((HERE / name).read_text(encoding="utf-8"))
+    return found
+
+
+def steps() -> str:
+    """What each step of a board of 75 s at 800 Hz takes."""
+    found = _read("speed.json")
+    rows = [(step, f"{value:.1f}") for step, value in found["ms"].items()]
+    rows.append(("together", f"{found['total_ms']:.1f}"))
+    return table(["step", "ms of one core"], rows)
+
+
+def boards() -> str:
+    """Boards a second and core, and beside two other solvers."""
+    found = _read("speed.json")
+    lines = [
+        f"{found['samples']} samples. {found['boards_s']:.1f} boards a second and core (goal: 10, "
+        f"aim: 20); {found['peak_mb']:.0f} MB at most."
+    ]
+    for name, text in (
+        ("eq. 7", "Eq. 7 of the paper, one pseudo-inverse over the same samples,"),
+        ("imucal", "imucal's Ferraris of as many samples"),
+    ):
+        if name in found["peers_ms"]:
+            lines.append(
+                f"{text} takes {found['peers_ms'][name]:.2f} ms: all that follows reading takes "
+                f"{found['after_reading_to'][name]:.0f} times as long, the fit alone "
+                f"{found['solve_to'][name]:.0f} times."
+            )
+    return "\n".join(lines)
+
+
+def growth() -> str:
+    """Time and memory over the length of a recording."""
+    found = _read("growth.json")
+    rows = []
+    for row in found["rows"]:
+        minutes = row["seconds"] / 60.0
+        spent = row["cpu_s"]
+        rows.append(
+            (
+                f"{minutes:.0f} min" if minutes < 60 else f"{minutes / 60:.0f} h",
+                f"{row['samples']}",
+                *(f"{spent[part]:.2f}" for part in ("reading", "clocks", "reference", "solve")),
+                f"{row['total_cpu_s']:.1f}",
+                f"{row['us_per_sample']:.1f}",
+                f"{row['peak_mb']:.0f}",
+            )
+        )
+    head = ["length", "samples", "reading, s", "clocks, s", "reference, s", "solve, s", "all, s"]
+    return table([*head, "µs a sample", "peak MB"], rows)
+
+
+BLOCKS: dict[str, Block] = {
+    "speed-steps": steps,
+    "speed-boards": boards,
+    "speed-growth": growth,
+}
+
+
+if __name__ == "__main__":
+    show(BLOCKS)
