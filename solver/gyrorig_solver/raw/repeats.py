@@ -19,6 +19,7 @@ CHECK = "repeated samples"
 BY_CHANCE = 0.2  # of the repeats: where chance makes more, none is set aside
 SLACK = 1.25  # axes are not wholly independent: one motion drives them all
 FEWEST = 3
+MOST_WITH_ACCEL = 4_000_000  # samples
 AS_SENT = ("host_s", "rate_rad_s", "accel_m_s2", "temperature_degc")
 REMEDY = (
     "read the sensor at its data-ready line or at its own rate, and look for a lossy radio "
@@ -93,7 +94,8 @@ def without_repeats(samples: GyroSamples) -> GyroSamples:
 
 def _found(stream: Stream) -> _Repeats:
     rates = _judged(stream, with_accel=False)
-    if stream.samples.accel_m_s2 is None:
+    # Hours of accelerations are not worth their memory.
+    if stream.size > MOST_WITH_ACCEL or column_of(stream.samples, "accel_m_s2") is None:
         return rates
     both = _judged(stream, with_accel=True)
     return both if both.p_value < rates.p_value else rates
@@ -107,11 +109,11 @@ def _judged(stream: Stream, with_accel: bool) -> _Repeats:
 def _counted(stream: Stream, with_accel: bool) -> tuple[IntArray, float]:
     """Return which samples repeat the one before, and how many do so by chance."""
     found, expected = [np.zeros(0, dtype=np.int64)], 0.0
-    acceleration = stream.samples.accel_m_s2 if with_accel else None
+    acceleration = column_of(stream.samples, "accel_m_s2") if with_accel else None
     for rows, counts in stream.pieces():
         same: BoolArray = np.diff(counts, axis=0) == 0
         if acceleration is not None:
-            same = np.hstack([same, np.diff(acceleration[rows], axis=0) == 0])
+            same = np.hstack([same, np.diff(acceleration.counts[rows], axis=0) == 0])
         found.append(rows.start + 1 + np.flatnonzero(same.all(axis=1)))
         for start in range(0, same.shape[0], WINDOW):
             part = same[start : start + WINDOW]
