@@ -32,8 +32,10 @@ check: $(VENV)/.dev  ## style, types and import contracts
 	$(VENV)/bin/lint-imports
 
 bench: $(VENV)/.dev  ## the benchmarks: speed, efficiency, clock error
-	@set -e; for script in tests/bench/bench_*.py; do echo "== $$script"; $(VENV)/bin/python $$script; done
-	@$(VENV)/bin/python -m pytest -m bench -s --timeout 1800
+	@missed=; for script in tests/bench/bench_*.py; do \
+		echo "== $$script"; $(VENV)/bin/python $$script || missed="$$missed $$script"; done; \
+	$(VENV)/bin/python -m pytest -m bench -s --timeout 1800 || missed="$$missed pytest"; \
+	if [ -n "$$missed" ]; then echo "make bench: a bar was missed in:$$missed" >&2; exit 1; fi
 
 clean:  ## remove the virtual environment, caches and the demo's output
 	rm -rf $(VENV) $(OUT) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
