@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
-from gyrorig_protocol.errors import GyrorigError, UsageError
+from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
 
 T = TypeVar("T")
 
@@ -78,6 +78,26 @@ def read_as(value: object, kind: type[T], name: str, error: type[GyrorigError] =
         return msgspec.convert(value, type=kind, strict=True)
     except (msgspec.ValidationError, ValueError) as fault:
         raise error(f"{name}", _one_line(fault)) from fault
+
+
+def parse_schema(text: str | bytes, name: str, kind: type[T], schema: str, what: str) -> T:
+    """Return the result document that hostile YAML holds.
+
+    Args:
+        text: the document.
+        name: what to call it in an error, usually its file name.
+        kind: a msgspec structure with `forbid_unknown_fields`.
+        schema: what its key `schema` has to say.
+        what: such a document in an error: "is no calibration".
+
+    Raises:
+        InputError: it is not YAML, of another schema, or does not keep the contract.
+    """
+    value = parse_yaml(text, name, InputError)
+    found = value.get("schema") if isinstance(value, dict) else None
+    if found != schema:
+        raise InputError(f"{name} {what}", f"its schema is {found!r}, not {schema!r}")
+    return read_as(value, kind, name, InputError)
 
 
 def dump_yaml(document: Mapping[str, Any]) -> str:

@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from gyrorig_protocol.documents import dump_yaml, parse_yaml, read_as
-from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.documents import dump_yaml, parse_schema
 
 SCHEMA = "gyrorig/calibration/1"
 MODEL = "y = S T M omega + b"
@@ -241,8 +240,4 @@ def parse_calibration(text: str | bytes, name: str) -> Calibration:
     Raises:
         InputError: it is not YAML, of another schema, or does not keep the contract.
     """
-    value = parse_yaml(text, name, InputError)
-    schema = value.get("schema") if isinstance(value, dict) else None
-    if schema != SCHEMA:
-        raise InputError(f"{name} is no calibration", f"its schema is {schema!r}, not {SCHEMA!r}")
-    return read_as(value, Calibration, name, InputError)
+    return parse_schema(text, name, Calibration, SCHEMA, "is no calibration")

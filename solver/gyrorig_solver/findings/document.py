@@ -8,8 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from gyrorig_protocol.documents import dump_yaml, parse_yaml, read_as
-from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.documents import dump_yaml, parse_schema
 
 SCHEMA = "gyrorig/findings/1"
 
@@ -203,8 +202,4 @@ def parse_findings(text: str | bytes, name: str) -> FindingsDocument:
     Raises:
         InputError: it is not YAML, of another schema, or does not keep the contract.
     """
-    value = parse_yaml(text, name, InputError)
-    schema = value.get("schema") if isinstance(value, dict) else None
-    if schema != SCHEMA:
-        raise InputError(f"{name} holds no findings", f"its schema is {schema!r}, not {SCHEMA!r}")
-    return read_as(value, FindingsDocument, name, InputError)
+    return parse_schema(text, name, FindingsDocument, SCHEMA, "holds no findings")
