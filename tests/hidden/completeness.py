@@ -1,0 +1,201 @@
+"""How much of an effect its own term leaves in the residual where there is no noise.
+
+A session is emulated without noise, once with a cause hidden and once without; both come
+from one seed. The solver fits the base model, then the base model and the cause's term, the
+term begun where the finder's exact refit puts it. With E(fit, session) the energy of the
+residual,
+
+    share = (E(base + term, hidden) - floor) / (E(base, hidden) - floor),
+    floor = E(base, nothing hidden).
+
+Energy is the sum of squares of the residual of all samples with a known motion, those that
+were taken for spikes among them, whitened by the noise that the solver finds in the same
+rig's ordinary session without a cause: so it is in units of what can be seen, twice the
+nats. The floor holds the rounding of the words to counts and of the answers to steps, and
+what the base model lacks of the emulated rig; it is printed with the table. A share may be
+a little below zero, since rounding falls otherwise in each session.
+
+This is a scorer's module: truth and finder meet here in files alone.
+
+Run: python tests/hidden/completeness.py [--program survey-40] [CAUSE[@PLACE][:SIZE] ...]
+"""
+
+import argparse
+import contextlib
+import io
+import os
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from gyrorig_daemon.cli import run
+from gyrorig_daemon.emulator.causes.registry import CAUSES
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.discover.banks import all_rows
+from gyrorig_solver.discover.scores import sights
+from gyrorig_solver.discover.search import _with, best_fit, testable, tests_of
+from gyrorig_solver.estimate.likelihood import Solution
+from gyrorig_solver.estimate.noise import NoiseModel
+from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.estimate.whitening import whitened
+from gyrorig_solver.model.terms.catalogue import catalogue
+from gyrorig_solver.solve import unit_solution
+
+ROOT = Path(__file__).resolve().parents[2]
+SEED = 7
+GOAL = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class Energies:
+    """What is left of a session's residual, whitened; see the module."""
+
+    floor: float
+    base: float
+    term: float
+    values: tuple[float, ...] = ()  # of the term
+
+    @property
+    def effect(self) -> float:
+        """Energy of the effect beside the base model."""
+        return self.base - self.floor
+
+    @property
+    def share(self) -> float:
+        """Share of it that the term leaves."""
+        return (self.term - self.floor) / self.effect
+
+
+def left_share(
+    cause: str,
+    size: float | None = None,
+    place: str | None = None,
+    program: str = "survey-40",
+    soak_k: float | None = None,
+) -> float:
+    """Return the share of a cause's energy that its term leaves.
+
+    Args:
+        cause: id of the catalogue.
+        size: in the emulator's unit; None: its typical size.
+        place: axis; None: drawn from the seed.
+        program: of config/programs.
+        soak_k: by how much the room warms up and cools down.
+    """
+    return energies(cause, size, place, program, soak_k).share
+
+
+def energies(
+    cause: str,
+    size: float | None = None,
+    place: str | None = None,
+    program: str = "survey-40",
+    soak_k: float | None = None,
+) -> Energies:
+    """Return the energies that `left_share` is made of; arguments as there."""
+    size = CAUSES[cause].typical if size is None else size
+    hide = cause + (f"@{place}" if place else "") + f":{size!r}"
+    floor, noise = _plain(program, soak_k)
+    base = _solved(program, soak_k, hide)
+    found = extended(base, cause)
+    own = found.extensions[-1].values if found.extensions else np.zeros(0)
+    return Energies(floor, energy(base, noise), energy(found, noise), tuple(own.tolist()))
+
+
+def extended(base: Solution, cause: str) -> Solution:
+    """Fit a cause beside a base fit, from where the finder would begin."""
+    projection = Projection.of(base)
+    term = catalogue()[cause]
+    tests = tests_of(testable(projection))
+    best = best_fit(projection, sights(projection, [term], tests, all_rows(projection, term)))
+    if best is None:
+        raise ValueError(f"{cause} could not be fitted")
+    return _with(base, best[0].extension)
+
+
+def energy(solution: Solution, noise: NoiseModel) -> float:
+    """Return the whitened energy of a fit's residual, spikes and all."""
+    total = 0.0
+    for session in solution.sessions:
+        every = session.copy()
+        for stretch in every._stretches:
+            stretch.good = stretch.series.good.copy()
+        every.observe(solution.gain, judge=False, fresh=False)
+        for series, residual in zip(every.series, every.residuals(solution.gain), strict=True):
+            white = whitened([residual[part] for part in series.parts()], noise)
+            total += float(np.sum(white**2))
+    return total
+
+
+@cache
+def _plain(program: str, soak_k: float | None) -> tuple[float, NoiseModel]:
+    """Return the floor, and the noise to whiten by."""
+    noise = _solved(program, soak_k, noise_free=False).noises[0]
+    return energy(_solved(program, soak_k), noise), noise
+
+
+def _solved(
+    program: str, soak_k: float | None, hide: str | None = None, noise_free: bool = True
+) -> Solution:
+    """Record a session in simulated time and fit the base model to it."""
+    told = ["--hide", hide] if hide else []
+    told += ["--noise-free"] if noise_free else []
+    told += ["--soak", repr(soak_k)] if soak_k else []
+    with tempfile.TemporaryDirectory() as folder:
+        with contextlib.redirect_stdout(io.StringIO()):
+            code = run(
+                ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
+                 str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", folder,
+                 "--simulated-time", "--seed", str(SEED), *told]
+            )  # fmt: skip
+        if code:
+            raise RuntimeError(f"recording {hide} ended with {code}")
+        recording = read_recording(next(Path(folder).glob("*.mcap")))
+        return unit_solution([recording], recording.board_ids[0])
+
+
+def main() -> None:
+    """Print the table of all causes that have a term to fit."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--program", default="survey-40")
+    parser.add_argument("--soak", type=float)
+    parser.add_argument("causes", nargs="*", metavar="CAUSE[@PLACE][:SIZE]")
+    told = parser.parse_args()
+    known = catalogue()
+    wanted = told.causes or [
+        f"{name}@{place}" if place else name
+        for name, cause in CAUSES.items()
+        if name in known and known[name].kind == "effect"
+        for place in (cause.places if cause.part == "ptu" else ("",)) or ("",)
+    ]
+    floor = _plain(told.program, told.soak)[0]
+    sys.stdout.write(f"{told.program}: floor {floor:.1f}\n")
+    sys.stdout.write(f"{'cause':32} {'effect':>11} {'left':>9} {'share':>8}  seconds  values\n")
+    for one in wanted:
+        name, _, size = one.partition(":")
+        cause, _, place = name.partition("@")
+        begin = time.monotonic()
+        try:
+            e = energies(
+                cause, float(size) if size else None, place or None, told.program, told.soak
+            )
+        except (ValueError, RuntimeError) as fault:
+            sys.stdout.write(f"{one:32} {fault}\n")
+            continue
+        said = " ".join(f"{v:.5g}" for v in e.values)
+        sys.stdout.write(
+            f"{one:32} {e.effect:11.1f} {e.term - e.floor:9.2f} {e.share:8.3%} "
+            f"{'' if e.share <= GOAL else '*':1} {time.monotonic() - begin:6.1f}  {said}\n"
+        )
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
