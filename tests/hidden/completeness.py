@@ -9,11 +9,13 @@ residual,
     floor = E(base, nothing hidden).
 
 Energy is the sum of squares of the residual of all samples with a known motion, those that
-were taken for spikes among them, whitened by the noise that the solver finds in the same
-rig's ordinary session without a cause: so it is in units of what can be seen, twice the
-nats. The floor holds the rounding of the words to counts and of the answers to steps, and
-what the base model lacks of the emulated rig; it is printed with the table. A share may be
-a little below zero, since rounding falls otherwise in each session.
+were taken for spikes among them, whitened by the noise of an ordinary part (0.03 dps/sqrt(Hz)
+and what goes with it): so it is in units of what can be seen, twice the nats. The fits weigh
+by that noise too, and judge spikes by its deviation: levels found in a residual without
+noise would be those of what a model lacks. Rates are those that the emulated sensor had
+before it rounded them, where a word is nothing but such a rate rounded. The floor is then
+what the base model lacks of the emulated rig, above all the unit's rounded answers; it is
+printed with the table, and may be a little less in one session than in another.
 
 This is a scorer's module: truth and finder meet here in files alone.
 
@@ -27,30 +29,39 @@ import os
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrorig_daemon.cli import run
 from gyrorig_daemon.emulator.causes.registry import CAUSES
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.discover.banks import all_rows
 from gyrorig_solver.discover.scores import sights
 from gyrorig_solver.discover.search import _with, best_fit, testable, tests_of
 from gyrorig_solver.estimate.likelihood import Solution
-from gyrorig_solver.estimate.noise import NoiseModel
+from gyrorig_solver.estimate.motion import solution_of
+from gyrorig_solver.estimate.noise import NoiseModel, Sampling, Spectrum, ordinary_levels
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.estimate.whitening import whitened
+from gyrorig_solver.extensions import choose_extensions
 from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.reference.ptu_recording import ptu_reference
+from gyrorig_solver.samples import GyroSamples, load_samples
+from gyrorig_solver.setting import settings_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 7
 GOAL = 0.002
+DENSITY_RAD_S_RTHZ = np.radians(0.03)  # L3G4200D data sheet
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +113,18 @@ def energies(
     """Return the energies that `left_share` is made of; arguments as there."""
     size = CAUSES[cause].typical if size is None else size
     hide = cause + (f"@{place}" if place else "") + f":{size!r}"
-    floor, noise = _plain(program, soak_k)
-    base = _solved(program, soak_k, hide)
-    found = extended(base, cause)
+    with _noise_held():
+        base = _solved(program, soak_k, hide)
+        found = extended(base, cause)
     own = found.extensions[-1].values if found.extensions else np.zeros(0)
-    return Energies(floor, energy(base, noise), energy(found, noise), tuple(own.tolist()))
+    return Energies(floor_of(program, soak_k), energy(base), energy(found), tuple(own.tolist()))
+
+
+@cache
+def floor_of(program: str, soak_k: float | None) -> float:
+    """Return what the base model leaves of a session with nothing hidden."""
+    with _noise_held():
+        return energy(_solved(program, soak_k))
 
 
 def extended(base: Solution, cause: str) -> Solution:
@@ -120,7 +138,7 @@ def extended(base: Solution, cause: str) -> Solution:
     return _with(base, best[0].extension)
 
 
-def energy(solution: Solution, noise: NoiseModel) -> float:
+def energy(solution: Solution) -> float:
     """Return the whitened energy of a fit's residual, spikes and all."""
     total = 0.0
     for session in solution.sessions:
@@ -128,37 +146,79 @@ def energy(solution: Solution, noise: NoiseModel) -> float:
         for stretch in every._stretches:
             stretch.good = stretch.series.good.copy()
         every.observe(solution.gain, judge=False, fresh=False)
+        noise = _ordinary(session.sampling)
         for series, residual in zip(every.series, every.residuals(solution.gain), strict=True):
             white = whitened([residual[part] for part in series.parts()], noise)
             total += float(np.sum(white**2))
     return total
 
 
-@cache
-def _plain(program: str, soak_k: float | None) -> tuple[float, NoiseModel]:
-    """Return the floor, and the noise to whiten by."""
-    noise = _solved(program, soak_k, noise_free=False).noises[0]
-    return energy(_solved(program, soak_k), noise), noise
+def _ordinary(sampling: Sampling) -> NoiseModel:
+    levels = np.tile(ordinary_levels(DENSITY_RAD_S_RTHZ**2), (3, 1))
+    levels[:, 3] = 0.0
+    return NoiseModel(levels, replace(sampling, quantum_rad_s=0.0))
 
 
-def _solved(
-    program: str, soak_k: float | None, hide: str | None = None, noise_free: bool = True
-) -> Solution:
+@contextlib.contextmanager
+def _noise_held() -> Iterator[None]:
+    """Let fits weigh by an ordinary part's noise."""
+
+    def held(_spectrum: Spectrum, sampling: Sampling, _before: object = None) -> NoiseModel:
+        return _ordinary(sampling)
+
+    with patch("gyrorig_solver.estimate.likelihood.fit_levels", held):
+        yield
+
+
+def _solved(program: str, soak_k: float | None, hide: str | None = None) -> Solution:
     """Record a session in simulated time and fit the base model to it."""
     told = ["--hide", hide] if hide else []
-    told += ["--noise-free"] if noise_free else []
     told += ["--soak", repr(soak_k)] if soak_k else []
     with tempfile.TemporaryDirectory() as folder:
+        rates = Path(folder) / "rates.npz"
         with contextlib.redirect_stdout(io.StringIO()):
             code = run(
                 ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
                  str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", folder,
-                 "--simulated-time", "--seed", str(SEED), *told]
+                 "--simulated-time", "--noise-free", "--seed", str(SEED), "--rates", str(rates),
+                 *told]
             )  # fmt: skip
         if code:
             raise RuntimeError(f"recording {hide} ended with {code}")
-        recording = read_recording(next(Path(folder).glob("*.mcap")))
-        return unit_solution([recording], recording.board_ids[0])
+        with np.load(rates) as file:
+            board = next(name for name in file if name.endswith(".number")).partition(".")[0]
+            unrounded = file[f"{board}.hidden_rad_s"]
+        return _fitted(read_recording(next(Path(folder).glob("*.mcap"))), board, unrounded)
+
+
+def _fitted(recording: Recording, board: str, unrounded: NDArray[np.float64]) -> Solution:
+    rounded = load_samples(recording, board)
+    bandwidth_hz = rounded.bandwidth_hz or 0.5 / rounded.period_s
+    deviation = DENSITY_RAD_S_RTHZ * np.sqrt(1.11 * bandwidth_hz)  # Butterworth, second order
+    samples = replace(
+        rounded, rate_rad_s=_exact(rounded, unrounded), quantum_rad_s=float(deviation)
+    )
+    reference = ptu_reference(recording, samples.origin_ns)
+    found = [(recording, samples, reference)]
+    chosen = choose_extensions(found, ())
+    settings = [
+        replace(one, quantum_rad_s=rounded.quantum_rad_s)
+        for one in chosen.settings or settings_of(found)
+    ]
+    return solution_of([(samples, reference)], chosen.extensions, settings)
+
+
+def _exact(samples: GyroSamples, unrounded: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rates before rounding, where the words are such rates rounded."""
+    number, words = np.asarray(samples.number, dtype=np.int64), samples.rate_rad_s
+    often = slice(None, None, 7)
+    shifts = range(len(unrounded) - int(number.max()))
+    misfit = [
+        float(np.median(np.abs(unrounded[number[often] + k] - words[often]).max(axis=1)))
+        for k in shifts
+    ]
+    told = unrounded[number + shifts[int(np.argmin(misfit))]]
+    return np.where(np.abs(told - words) <= 0.51 * samples.quantum_rad_s, told, words)
 
 
 def main() -> None:
@@ -175,7 +235,7 @@ def main() -> None:
         if name in known and known[name].kind == "effect"
         for place in (cause.places if cause.part == "ptu" else ("",)) or ("",)
     ]
-    floor = _plain(told.program, told.soak)[0]
+    floor = floor_of(told.program, told.soak)
     sys.stdout.write(f"{told.program}: floor {floor:.1f}\n")
     sys.stdout.write(f"{'cause':32} {'effect':>11} {'left':>9} {'share':>8}  seconds  values\n")
     for one in wanted:
