@@ -17,6 +17,7 @@ from gyrorig_solver.discover.limits import limits
 from gyrorig_solver.discover.result import (
     Explained,
     Findings,
+    Gain,
     NamedCause,
     Rival,
     Signature,
@@ -74,17 +75,12 @@ def explain_fit(base: Solution, board: str, begin: float | None = None) -> Expla
     if unexplained is not None and found.standings and unexplained.named_share < FILLS:
         found = Found(base, (), first, found.sights)
         unexplained = _unexplained(found, shown) or unexplained
-    standings = found.standings
     calibration = Board.of(found.solution)
-    gain = None
-    if standings:
-        # The base model on the same samples: its own fit may have set some aside as spikes.
-        free = tuple(one for one in found.solution.extensions if one.free.size)
-        gain = held_out(
-            Projection.of(found.solution, extensions=base.extensions, back=free), found.last
-        )
+    fitted = _fitted(found)
+    worth = held_out(found.last, [k for k, _ in fitted])
     tests = tests_of(testable(found.last))
-    causes = [_named(found.solution, k, s, calibration, tests) for k, s in _fitted(found)]
+    gains = {} if worth is None else worth.each
+    causes = [_named(found.solution, k, s, calibration, tests, gains.get(k)) for k, s in fitted]
     causes.sort(key=lambda one: (-one.harm_sigma, one.p_value))
     absent, blind = limits(found.last, found.sights, calibration, len(base.sessions))
     verdict: Verdict = "explained" if causes else "adequate"
@@ -99,7 +95,7 @@ def explain_fit(base: Solution, board: str, begin: float | None = None) -> Expla
         base_reduced_chi2=reduced_chi2(base),
         base_whiteness_p=shown[0].p_value,
         extended_reduced_chi2=reduced_chi2(found.solution),
-        gain=gain,
+        gain=None if worth is None else worth.together,
         changes=calibration.changes(Board.of(base).values),
         seconds=time.monotonic() - begin,
     )
@@ -112,7 +108,14 @@ def _fitted(found: Found) -> list[tuple[int, Standing]]:
     return list(zip(free, found.standings, strict=True))
 
 
-def _named(solution: Solution, k: int, standing: Standing, board: Board, tests: int) -> NamedCause:
+def _named(
+    solution: Solution,
+    k: int,
+    standing: Standing,
+    board: Board,
+    tests: int,
+    gain: Gain | None,
+) -> NamedCause:
     one = solution.extensions[k]
     best, term = standing.best, one.term
     sizes = [j for j in one.free if j in indices(term, role="size")]
@@ -138,7 +141,7 @@ def _named(solution: Solution, k: int, standing: Standing, board: Board, tests: 
             for rival, share in standing.rivals
         ),
         changes=board.changes(board.values + board.moved(left_out)),
-        gain=None,
+        gain=gain,
     )
 
 

@@ -4,8 +4,11 @@ The recording is cut into windows of some moves each. Each in turn is left out: 
 time offset and causes are fitted to the others, in the window only the motion's own
 unknowns (a start of each move) follow, in both models alike.
 
-What to use when: `held_out` for two fits of the same recordings.
+What to use when: `held_out` for the causes of a fit, all together and one by one.
 """
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
@@ -20,29 +23,52 @@ FEWEST = 4  # windows; less is not worth an interval
 SETTLE_S = 0.3  # a move's end that the low-pass still carries
 
 
-def held_out(before: Projection, after: Projection) -> Gain | None:
-    """Return the gain of one fit over another, None where there are too few windows.
+@dataclass(frozen=True, slots=True, eq=False)
+class Worth:
+    """What a fit's causes are worth on data that they were not fitted to."""
+
+    together: Gain
+    each: Mapping[int, Gain]  # by a cause's number in the fit: all others stay
+
+
+def held_out(after: Projection, causes: Sequence[int]) -> Worth | None:
+    """Return what some causes of a fit are worth, None for none of them or too few windows.
 
     Args:
-        before: the space beside the base model's fit.
-        after: the same beside the extended one, with the same noise.
+        after: the space beside the fit, all of its causes in it.
+        causes: their numbers in the fit; the others belong to the base model.
     """
     windows = _windows(after)
     count = int(windows.max()) + 1
-    if count < FEWEST:
+    if count < FEWEST or not causes:
         return None
-    folds = windows % min(FOLDS, count)
-    left = [one.kept_out(folds) for one in (before, after)]
+    lacking: list[Sequence[int]] = [[], causes]
+    if len(causes) > 1:
+        lacking += [[k] for k in causes]
+    models = [after.without(gone) for gone in lacking]
+    whole, *less = after.kept_out(windows % min(FOLDS, count), models)
+    how = f"windows of {WINDOW_S:.0f} s left out in turn, {count} of them"
+    gains = [_gain(after, windows, how, without, whole) for without in less]
+    each = gains[1:] if len(causes) > 1 else gains
+    return Worth(gains[0], dict(zip(causes, each, strict=True)))
+
+
+def _gain(
+    projection: Projection, windows: IntArray, how: str, before: FloatArray, after: FloatArray
+) -> Gain:
+    """Return the gain of one model over another from their whitened residuals, (all,)."""
+    count = int(windows.max()) + 1
+    left = (before, after)
     costs = [np.asarray(np.bincount(windows, one**2, count), np.float64) for one in left]
     nats: FloatArray = 0.5 * (costs[0] - costs[1])
-    rates = [one.unwhitened(white) for one, white in zip((before, after), left, strict=True)]
-    squares = [_squares(after, rate) for rate in rates]
-    used = sum(int(u.sum()) for s in after.stretches for u in s.used)
+    rates = [projection.unwhitened(white) for white in left]
+    squares = [_squares(projection, rate) for rate in rates]
+    used = sum(int(u.sum()) for s in projection.stretches for u in s.used)
     rms = [float(np.sqrt(sum(np.sum(r**2) for r in rate) / (3 * used))) for rate in rates]
     change = [float(s) for s in squares[1] - squares[0]]
-    turns = [_turn_error(after, rate) for rate in rates]
+    turns = [_turn_error(projection, rate) for rate in rates]
     return Gain(
-        how=f"windows of {WINDOW_S:.0f} s left out in turn, {count} of them",
+        how=how,
         log_likelihood=_interval(nats, float(np.sum(nats)), float(count)),
         rms_before=rms[0],
         rms_after=rms[1],

@@ -21,7 +21,7 @@ from scipy.sparse import block_diag, csc_array, csr_array
 
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.arrow import factor
-from gyrorig_solver.estimate.extension import Extension, columns_of
+from gyrorig_solver.estimate.extension import Extension, columns_of, effect_of
 from gyrorig_solver.estimate.likelihood import GAINS, PER_SESSION, Solution
 from gyrorig_solver.estimate.noise import NoiseModel, frequencies
 from gyrorig_solver.estimate.observability import PRIOR_STD
@@ -88,14 +88,27 @@ class Looked:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Lacking:
+    """A fit's model less some of its causes."""
+
+    rows: IntArray  # which of the unknowns that are not local remain
+    residual: FloatArray  # (all,), whitened, with the effect of what is gone
+
+
 class Projection:
     """The space beside a fit; see the module."""
 
     def __init__(
-        self, stretches: Sequence[Stretch], base: FloatArray, local: csr_array, prior: "_Prior"
+        self,
+        stretches: Sequence[Stretch],
+        extensions: Sequence[Extension],
+        base: FloatArray,
+        local: csr_array,
+        prior: "_Prior",
     ) -> None:
         """Take what `of` has put together."""
-        self.stretches = tuple(stretches)
+        self.stretches, self.extensions = tuple(stretches), tuple(extensions)
         self.residual = self.white([[r[None] for r in s.residuals] for s in stretches])[0]
         self._base, self._local, self._prior = base, local, prior
         near = (local @ local.T + prior.local).tocsc()
@@ -145,38 +158,65 @@ class Projection:
                 used = tuple(m.used for m in models)
                 stretches.append(Stretch(number, used, scenes, fine, models, residuals, noise))
         base, local, prior = _base(solution, stretches, follow)
-        return cls(stretches, base, local, prior)
+        return cls(stretches, follow, base, local, prior)
 
-    def kept_out(self, windows: IntArray) -> FloatArray:
-        """Return the whitened residual of data that the fit did not see, (all,).
+    def without(self, gone: Sequence[int]) -> "Lacking":
+        """Return the fit's model less some of its causes: their effect goes back.
+
+        Args:
+            gone: numbers of causes among those that this space was made with.
+        """
+        rows = np.ones(self._base.shape[0], dtype=np.bool_)
+        at = self._prior.first
+        for k, one in enumerate(self.extensions):
+            rows[at : at + one.free.size] = k not in gone
+            at += one.free.size
+        if not gone:
+            return Lacking(np.flatnonzero(rows), self.residual)
+        left = [one for k, one in enumerate(self.extensions) if k not in gone]
+
+        def back(scene: Scene) -> FloatArray:
+            return (effect_of(self.extensions, scene) - effect_of(left, scene))[None]
+
+        return Lacking(np.flatnonzero(rows), self.residual + self.signals(back, exact=True)[0])
+
+    def kept_out(self, windows: IntArray, models: Sequence["Lacking"]) -> FloatArray:
+        """Return each model's whitened residual of data that it did not see, (models, all).
 
         Each window in turn is left out, everything is fitted to the others, and in the
         window only the motion's local unknowns follow: they are no part of what is judged.
 
         Args:
             windows: to which window each whitened value belongs, shape (all,).
+            models: from `without`.
         """
-        out = np.zeros_like(self.residual)
+        out = np.zeros((len(models), self.residual.size))
         for window in np.unique(windows):
-            held = windows == window
-            own = self._fitted_to(~held)
+            held = np.flatnonzero(windows == window)
+            rest = np.flatnonzero(windows != window)
+            own = self._fitted_to(rest, models)
             base, local = self._base[:, held], self._local[:, held]
-            left = self.residual[held] - base.T @ own
             near = factor(csc_array((local @ local.T + self._prior.local).tocsc()))
-            pull = local @ left + self._prior.pull_local - self._prior.cross @ own
-            out[held] = left - local.T @ near(pull)
-        return np.asarray(out, dtype=np.float64)
+            left = np.stack([one.residual[held] for one in models]) - own.T @ base
+            pull = local @ left.T + self._prior.pull_local[:, None] - self._prior.cross @ own
+            out[:, held] = left - (local.T @ near(pull)).T
+        return out
 
-    def _fitted_to(self, some: BoolArray) -> FloatArray:
-        """Return the step of all but local unknowns that fits a part of the data best."""
-        base, local, residual = self._base[:, some], self._local[:, some], self.residual[some]
+    def _fitted_to(self, some: IntArray, models: Sequence["Lacking"]) -> FloatArray:
+        """Return the step of all but local unknowns that fits a part best, (q, models)."""
+        base, local = self._base[:, some], self._local[:, some]
         near = factor(csc_array((local @ local.T + self._prior.local).tocsc()))
         cross = local @ base.T + self._prior.cross
         carry = near(cross)
-        pull = local @ residual + self._prior.pull_local
         inner = base @ base.T + self._prior.shared - cross.T @ carry + np.diag(self._once)
-        score = base @ residual + self._prior.pull_shared - carry.T @ pull
-        return np.asarray(np.linalg.pinv(inner, hermitian=True) @ score, dtype=np.float64)
+        found = np.zeros((base.shape[0], len(models)))
+        for k, one in enumerate(models):
+            residual = one.residual[some]
+            pull = local @ residual + self._prior.pull_local
+            score = base @ residual + self._prior.pull_shared - carry.T @ pull
+            inverse = np.linalg.pinv(inner[np.ix_(one.rows, one.rows)], hermitian=True)
+            found[one.rows, k] = inverse @ score[one.rows]
+        return found
 
     def unwhitened(self, white: FloatArray) -> list[FloatArray]:
         """Return a whitened signal (all,) as rates, (n, 3) a part; 0 where unused."""

@@ -1,0 +1,53 @@
+"""What causes are worth on data that was held out: each alone, and all together."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrorig_solver.discover.finder import explain
+from gyrorig_solver.discover.gain import held_out
+from gyrorig_solver.discover.result import Explained
+from gyrorig_solver.estimate.projection import Projection
+
+TWO = ("backlash@tilt:0.0012", "scale_quadratic:0.004")
+
+
+@pytest.fixture(scope="module")
+def two(hidden: Callable[..., Any]) -> Explained:
+    """A session with two causes, explained."""
+    session = hidden(*TWO)
+    return explain([session.recording], session.board)
+
+
+def test_each_cause_has_its_own_gain(two: Explained) -> None:
+    findings = two.findings
+    assert {one.cause for one in findings.causes} == {"backlash", "scale_quadratic"}
+    assert findings.gain is not None
+    for one in findings.causes:
+        assert one.gain is not None
+        assert one.gain.log_likelihood.low > 0.0
+        assert one.gain.log_likelihood.value < findings.gain.log_likelihood.value
+        # All else stays: after is after, for each.
+        assert one.gain.rms_after == findings.gain.rms_after
+        assert one.gain.rms_before < findings.gain.rms_before
+
+
+def test_a_model_without_a_cause_is_that_of_a_fit_that_has_none(two: Explained) -> None:
+    """The space with a cause's rows struck out is the space made without it."""
+    solution = two.solution_extended
+    whole = Projection.of(solution)
+    windows = np.arange(whole.residual.size) // 997 % 5
+    for k, one in enumerate(solution.extensions):
+        if not one.free.size:
+            continue
+        others = [other for other in solution.extensions if other is not one]
+        apart = Projection.of(solution, extensions=others, back=[one])
+        (struck,) = whole.kept_out(windows, [whole.without([k])])
+        (made,) = apart.kept_out(windows, [apart.without([])])
+        assert struck == pytest.approx(made, abs=1e-6 * float(np.abs(made).max()))
+
+
+def test_no_cause_has_no_gain(two: Explained) -> None:
+    assert held_out(Projection.of(two.solution_extended), []) is None
