@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrorig_daemon.emulator.physics.axis import Order
 from gyrorig_daemon.emulator.physics.imu import ImuModel
 from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardSettings
+from gyrorig_daemon.emulator.settings import BoardSettings, RigSettings
 from gyrorig_protocol.errors import MachineError
 
 FloatArray = NDArray[np.float64]
@@ -45,25 +46,86 @@ def noise_free_rates(rig: EmulatedRig, until_ns: int) -> dict[str, NoiseFreeRate
         rig: after its session.
         until_ns: how far, on the rig's clock.
     """
-    until_s = (until_ns - rig.origin_ns) * 1e-9
-    settings = replace(rig.settings, noise_free=True)
-    hiding = EmulatedRig(settings, rig.origin_ns, rig.truth)
-    plain = EmulatedRig(replace(settings, hide=()), rig.origin_ns)
-    for twin in (hiding, plain):
+    orders = {"pan": rig.stage.pan.orders, "tilt": rig.stage.tilt.orders}
+    twins = Twins(rig.settings, rig.origin_ns, orders, until_ns)
+    return twins.rates(rig)
+
+
+class Twins:
+    """The plain twin of a rig, and what differs from it: many hidden things, one session.
+
+    What the plain one shows is computed once.
+    """
+
+    def __init__(
+        self,
+        settings: RigSettings,
+        origin_ns: int,
+        orders: Mapping[str, Sequence[Order]],
+        until_ns: int,
+    ) -> None:
+        """Run the plain twin.
+
+        Args:
+            settings: of the rig; what they hide is left out.
+            origin_ns: its power-up.
+            orders: what its axes `pan` and `tilt` were told.
+            until_ns: how far, on the rig's clock.
+        """
+        self._settings = replace(settings, noise_free=True, hide=())
+        self._origin_ns, self._orders = origin_ns, orders
+        self._until_s = (until_ns - origin_ns) * 1e-9
+        self._plain = EmulatedRig(self._settings, origin_ns)
+        self._obey(self._plain)
+        self._known: dict[tuple[str, float], FloatArray] = {}
+
+    def rates(self, like: EmulatedRig) -> dict[str, NoiseFreeRates]:
+        """Return the rates of each board by name, hidden as in a rig of the same seed."""
+        settings = replace(like.settings, noise_free=True)
+        hiding = EmulatedRig(settings, self._origin_ns, like.truth, like.more)
+        self._obey(hiding)
+        rates = {}
+        for board in settings.boards:
+            time_s, hidden = _run(hiding, board, self._until_s)
+            aligned, slope = self._aligned(board, hidden)
+            bare = self._delayed(board, 0.0)
+            rates[board.name] = NoiseFreeRates(
+                np.arange(len(time_s)), time_s, hidden, bare, aligned, slope
+            )
+        return rates
+
+    def _obey(self, twin: EmulatedRig) -> None:
         for axis, told in (
-            (twin.stage.pan, rig.stage.pan.orders),
-            (twin.stage.tilt, rig.stage.tilt.orders),
+            (twin.stage.pan, self._orders["pan"]),
+            (twin.stage.tilt, self._orders["tilt"]),
         ):
             axis.obey(told[len(axis.orders) :])  # what comes by itself has come already
-    rates = {}
-    for board in settings.boards:
-        time_s, hidden = _run(hiding, board, until_s)
-        bare = _run(plain, board, until_s)[1]
-        aligned, slope = _aligned(plain, board, until_s, hidden)
-        rates[board.name] = NoiseFreeRates(
-            np.arange(len(time_s)), time_s, hidden, bare, aligned, slope
-        )
-    return rates
+
+    def _delayed(self, board: BoardSettings, later_s: float) -> FloatArray:
+        """Return the plain rates, somewhat later; those without delay are kept."""
+        key = (board.name, later_s)
+        if key in self._known:
+            return self._known[key]
+        told = _run(self._plain, board, self._until_s, later_s)[1]
+        if later_s in (0.0, _LATER_S):
+            self._known[key] = told
+        return told
+
+    def _aligned(self, board: BoardSettings, hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the plain rates at the delay that fits the hidden ones best, and their slope.
+
+        A delay is no straight line of the rates; after it is taken off, the rest nearly is.
+        """
+        delay_s = 0.0
+        for _ in range(_ROUNDS):
+            aligned = self._delayed(board, delay_s)
+            slope = (aligned - self._delayed(board, delay_s + _LATER_S)) / _LATER_S
+            power = float((slope**2).sum())
+            more_s = -float((slope * (hidden - aligned)).sum()) / power if power > 0.0 else 0.0
+            if abs(more_s) < _NEAR_S:
+                break
+            delay_s += more_s
+        return aligned, slope
 
 
 def begun_moves_s(rig: EmulatedRig) -> list[tuple[str, float]]:
@@ -94,25 +156,6 @@ def write_rates(
         raise MachineError(f"{path} cannot be written: {fault.strerror}", "choose --rates") from (
             fault
         )
-
-
-def _aligned(
-    plain: EmulatedRig, board: BoardSettings, until_s: float, hidden: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the plain rates at the delay that fits the hidden ones best, and their slope.
-
-    A delay is no straight line of the rates; after it is taken off, the rest nearly is.
-    """
-    delay_s = 0.0
-    for _ in range(_ROUNDS):
-        aligned = _run(plain, board, until_s, delay_s)[1]
-        slope = (aligned - _run(plain, board, until_s, delay_s + _LATER_S)[1]) / _LATER_S
-        power = float((slope**2).sum())
-        more_s = -float((slope * (hidden - aligned)).sum()) / power if power > 0.0 else 0.0
-        if abs(more_s) < _NEAR_S:
-            break
-        delay_s += more_s
-    return aligned, slope
 
 
 def _run(

@@ -67,28 +67,54 @@ def visibility(
         span_s: what part of the time is recorded, since power-up.
         start_delays: whether a delay of each move is estimated, besides the common one.
     """
-    inside = (rates.time_s >= span_s[0]) & (rates.time_s <= span_s[1])
-    time_s, plain = rates.time_s[inside], rates.aligned_rad_s[inside]
-    variances = coefficient_variances(board, len(time_s))
-    effect = _whitened(rates.hidden_rad_s[inside] - plain, variances).ravel()
-    gain, bias = np.array(board["STM"]), np.array(board["bias_rad_s"])
-    stage = (plain - bias) @ np.linalg.inv(gain).T
-    shapes = [np.outer(stage[:, k], unit) for unit in np.eye(3) for k in range(3)]
-    slope = rates.slope_rad_s2[inside] @ np.linalg.inv(gain).T
-    parts = {"tilt": np.outer(slope[:, 0], gain[:, 0]), "pan": slope[:, 1:] @ gain[:, 1:].T}
-    shapes.append(parts["tilt"] + parts["pan"])
-    if start_delays:
-        shapes += _delay_shapes(time_s, parts, moves_s)
-    base = np.stack([_whitened(shape, variances).ravel() for shape in shapes], axis=1)
-    lengths = np.linalg.norm(base, axis=0)
-    base = base[:, lengths > 0.0] / lengths[lengths > 0.0]
-    orthogonal, values, _ = np.linalg.svd(base, full_matrices=False)
-    orthogonal = orthogonal[:, values > _INDEPENDENT * values.max(initial=0.0)]
-    whole = _whitened((rates.hidden_rad_s - rates.plain_rad_s)[inside], variances)
-    total = float((whole**2).sum())
-    left = effect - orthogonal @ (orthogonal.T @ effect)
-    seen = float(left @ left)
-    return Visibility(seen, 1.0 - seen / total if total > 0.0 else 0.0)
+    return Beside(rates, board, moves_s, span_s, start_delays).visibility(rates)
+
+
+class Beside:
+    """What of a signal is left beside all that a calibration estimates, in units of noise."""
+
+    def __init__(
+        self,
+        rates: NoiseFreeRates,
+        board: Mapping[str, Any],
+        moves_s: Sequence[tuple[str, float]],
+        span_s: tuple[float, float],
+        start_delays: bool = True,
+    ) -> None:
+        """Span the space around a board's aligned rates; arguments as of `visibility`."""
+        self.inside = (rates.time_s >= span_s[0]) & (rates.time_s <= span_s[1])
+        self.time_s = rates.time_s[self.inside]
+        self.variances = coefficient_variances(board, len(self.time_s))
+        plain = rates.aligned_rad_s[self.inside]
+        gain, bias = np.array(board["STM"]), np.array(board["bias_rad_s"])
+        stage = (plain - bias) @ np.linalg.inv(gain).T
+        shapes = [np.outer(stage[:, k], unit) for unit in np.eye(3) for k in range(3)]
+        slope = rates.slope_rad_s2[self.inside] @ np.linalg.inv(gain).T
+        parts = {"tilt": np.outer(slope[:, 0], gain[:, 0]), "pan": slope[:, 1:] @ gain[:, 1:].T}
+        shapes.append(parts["tilt"] + parts["pan"])
+        if start_delays:
+            shapes += _delay_shapes(self.time_s, parts, moves_s)
+        base = np.stack([_whitened(shape, self.variances).ravel() for shape in shapes], axis=1)
+        lengths = np.linalg.norm(base, axis=0)
+        base = base[:, lengths > 0.0] / lengths[lengths > 0.0]
+        orthogonal, values, _ = np.linalg.svd(base, full_matrices=False)
+        self._absorbed = orthogonal[:, values > _INDEPENDENT * values.max(initial=0.0)]
+
+    def left(self, rows: FloatArray) -> FloatArray:
+        """Return what is left of a signal in rad/s inside the span, (n, 3), as (3 n - 3,)."""
+        white = _whitened(rows, self.variances).ravel()
+        return np.asarray(white - self._absorbed @ (self._absorbed.T @ white))
+
+    def effect(self, rates: NoiseFreeRates) -> FloatArray:
+        """Return what is left of the difference that hidden causes make, (3 n - 3,)."""
+        return self.left((rates.hidden_rad_s - rates.aligned_rad_s)[self.inside])
+
+    def visibility(self, rates: NoiseFreeRates) -> Visibility:
+        """Return how visible the difference is that hidden causes make."""
+        whole = _whitened((rates.hidden_rad_s - rates.plain_rad_s)[self.inside], self.variances)
+        total, left = float((whole**2).sum()), self.effect(rates)
+        seen = float(left @ left)
+        return Visibility(seen, 1.0 - seen / total if total > 0.0 else 0.0)
 
 
 def coefficient_variances(board: Mapping[str, Any], count: int) -> FloatArray:

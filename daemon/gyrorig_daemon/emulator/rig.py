@@ -4,6 +4,7 @@ What to use when: `EmulatedRig` from settings, then a `VirtualHub` over it for s
 time, or `serve` for ptys in real time. `truth_document` is what a judge compares with.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -38,7 +39,11 @@ class EmulatedRig:
     """Devices by port name, sharing one stage, powered up together at `origin_ns`."""
 
     def __init__(
-        self, settings: RigSettings, origin_ns: int, truth: RigTruth | None = None
+        self,
+        settings: RigSettings,
+        origin_ns: int,
+        truth: RigTruth | None = None,
+        more: Callable[[RigHooks], None] | None = None,
     ) -> None:
         """Build the rig.
 
@@ -46,8 +51,10 @@ class EmulatedRig:
             settings: unit, boards and seed.
             origin_ns: power-up, on the clock of the hub or server that will drive it.
             truth: what to hide; drawn from the seed where it is not given.
+            more: hangs what is none of the causes on hooks as they are at power-up.
         """
         self.settings = settings
+        self.more = more
         self.origin_ns = origin_ns
         self.truth = truth or draw_rig_truth(settings)
         self.hooks = self.fresh_hooks()
@@ -123,7 +130,10 @@ class EmulatedRig:
 
     def fresh_hooks(self) -> RigHooks:
         """Return the hidden causes as they are at power-up: nothing has happened yet."""
-        return hang(self.truth.hidden, self.truth.seed)
+        hooks = hang(self.truth.hidden, self.truth.seed)
+        if self.more is not None:
+            self.more(hooks)
+        return hooks
 
     def board_truth(self, name: str) -> BoardTruth:
         """Return a board's truth as the physics takes it: quiet, or in a room that swings."""
@@ -138,6 +148,7 @@ def _law(unit: PtuSettings) -> MotionLaw:
 
 def _axis_truth(unit: PtuSettings, sign: int, scale_error: float, hooks: AxisHooks) -> AxisTruth:
     step_rad = unit.resolution_arcsec * ARCSEC_RAD
+    gap = (Play(hooks.gap_rad / step_rad),) if hooks.gap_rad > 0.0 else ()
     return AxisTruth(
         resolution_arcsec=unit.resolution_arcsec,
         scale_error=scale_error,
@@ -146,6 +157,6 @@ def _axis_truth(unit: PtuSettings, sign: int, scale_error: float, hooks: AxisHoo
         base_speed_added_steps_s=hooks.base_speed_added_rad_s / step_rad,
         s_curve_s=hooks.s_curve_s,
         slip=hooks.slip,
-        play=(Play(hooks.gap_rad / step_rad),) if hooks.gap_rad > 0.0 else (),
+        play=(*gap, *hooks.steps),
         effects=tuple(hooks.angles),
     )

@@ -242,11 +242,15 @@ class ImuModel:
             felt = rates @ (truth.gain @ truth.mounting.T).T
         moments = Moments(
             time_s=time_s,
+            pan_rad=motion.pan_rad,
+            tilt_rad=motion.tilt_rad,
             pan_rate_rad_s=motion.pan_rate_rad_s,
             tilt_rate_rad_s=motion.tilt_rate_rad_s,
             sensor_rad_s=felt,
             force_m_s2=force,
             temperature=self._temperature,
+            pan=self._stage.pan,
+            tilt=self._stage.tilt,
         )
         for effect in hooks.rates:
             felt = felt + effect.added_rad_s(moments)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.physics.effects.motor import AngleEffect
+from gyrorig_daemon.emulator.physics.effects.motor import AngleEffect, StepEffect
 from gyrorig_daemon.emulator.physics.effects.sensor import (
     BiasEffect,
     CountEffect,
@@ -32,6 +32,7 @@ class AxisHooks:
     s_curve_s: float = 0.0
     slip: Slip | None = None
     gap_rad: float = 0.0
+    steps: list[StepEffect] = field(default_factory=list)  # between motor and gear, besides the gap
     angles: list[AngleEffect] = field(default_factory=list)
 
 

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrorig_daemon.emulator.physics.effects.motor import Motor
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
 
 FloatArray = NDArray[np.float64]
@@ -26,11 +27,15 @@ class Moments:
     """A row of instants, as the sensor element lives through them."""
 
     time_s: FloatArray  # since the origin, (n,)
-    pan_rate_rad_s: FloatArray  # of the axes, (n,)
+    pan_rad: FloatArray  # of the axes, (n,)
+    tilt_rad: FloatArray
+    pan_rate_rad_s: FloatArray
     tilt_rate_rad_s: FloatArray
     sensor_rad_s: FloatArray  # rate times gain, sensor axes, (n, 3)
     force_m_s2: FloatArray  # specific force, sensor axes, (n, 3)
     temperature: BoardTemperature
+    pan: Motor  # what drove the axes, and drives them
+    tilt: Motor
 
 
 class MountEffect(Protocol):
