@@ -1,6 +1,7 @@
 """What causes beyond the base model may look at, from a recording: site, temperature, moves."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -16,19 +17,25 @@ from gyrorig_solver.samples import GyroSamples, number
 
 
 def settings_of(
-    recordings: Sequence[tuple[Recording, GyroSamples, ReferenceMotion]],
+    recordings: Sequence[tuple[Recording, GyroSamples, ReferenceMotion | None]],
+    mean_degc: float | None = None,
 ) -> list[Setting]:
     """Return the setting of each recording of one board.
 
-    Temperatures count from the mean of all recordings, so that one polynomial holds.
+    Args:
+        recordings: in the order in which they are fitted.
+        mean_degc: what temperatures count from; by default the mean of all recordings, so
+            that one polynomial holds.
 
     Raises:
         InputError: the metadata say what cannot be.
     """
     there = [s.temperature_degc for _, s, _ in recordings]
     known = [t[np.isfinite(t)] for t in there if t is not None]
-    mean = float(np.mean(np.concatenate(known))) if known and sum(map(len, known)) else None
-    return [_setting(*one, mean) for one in recordings]
+    mean = mean_degc
+    if mean is None and any(t.size for t in known):
+        mean = float(np.mean(np.concatenate(known)))
+    return [replace(_setting(*one, mean), number=k) for k, one in enumerate(recordings)]
 
 
 def site_of(recording: Recording) -> Site:
@@ -57,7 +64,10 @@ def _angle(said: Mapping[str, str], key: str, most: float) -> float | None:
 
 
 def _setting(
-    recording: Recording, samples: GyroSamples, reference: ReferenceMotion, mean: float | None
+    recording: Recording,
+    samples: GyroSamples,
+    reference: ReferenceMotion | None,
+    mean: float | None,
 ) -> Setting:
     degc = samples.temperature_degc
     temperature = None if degc is None else Temperature.of(samples.time_s, degc, mean)
@@ -73,6 +83,7 @@ def _setting(
         full_scale_rad_s=None if full_scale_dps is None else float(np.radians(full_scale_dps)),
         quantum_rad_s=samples.quantum_rad_s,
         sample_period_s=samples.period_s,
+        recording=recording.path.name,
     )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.estimate.attitude_blocks import Stretch, match
-from gyrorig_solver.estimate.attitude_rounds import AttitudeWork
+from gyrorig_solver.estimate.attitude_rounds import AttitudeWork, Linearised
 from gyrorig_solver.estimate.conclusion import NAMES, Evidence, gyro_fit
 from gyrorig_solver.estimate.observability import decide
 from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit
@@ -44,6 +44,51 @@ WORDS = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class _Bands:
+    """Whether a lower band tells the same gain."""
+
+    widening: float  # of the standard deviations, 1 where the bands agree
+    distrust: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """Where the rounds ended, before anything is concluded."""
+
+    work: AttitudeWork
+    last: Linearised
+    bands: _Bands
+    band_hz: float  # lower than asked for where the bands disagree
+    recording: tuple[int, ...]  # which recording each of the work's stretches is of
+
+
+def settle(
+    recordings: Sequence[tuple[GyroSamples, AttitudeReference]], band_hz: float = BAND_HZ
+) -> Settled:
+    """Run the rounds of the fit; see `fit_attitude`.
+
+    Raises:
+        InputError: gyro and reference hardly overlap.
+    """
+    matched = [(k, s) for k, one in enumerate(recordings) for s in match(*one)]
+    if not matched:
+        raise InputError(
+            "gyro and reference attitude have no stretch in common",
+            "record both for at least a few seconds at once",
+        )
+    stretches = [s for _, s in matched]
+    work = AttitudeWork(stretches, band_hz)
+    last = work.run()
+    bands = _by_frequency(stretches, work, band_hz)
+    if bands.distrust:
+        # What a reference was smoothed by, or shares with the gyro, grows with frequency.
+        band_hz *= LOWER_BAND
+        work = AttitudeWork(stretches, band_hz)
+        last = work.run()
+    return Settled(work, last, bands, band_hz, tuple(k for k, _ in matched))
+
+
 def fit_attitude(
     recordings: Sequence[tuple[GyroSamples, AttitudeReference]], band_hz: float = BAND_HZ
 ) -> GyroFit:
@@ -59,20 +104,15 @@ def fit_attitude(
     Raises:
         InputError: gyro and reference hardly overlap.
     """
-    stretches = [s for samples, reference in recordings for s in match(samples, reference)]
-    if not stretches:
-        raise InputError(
-            "gyro and reference attitude have no stretch in common",
-            "record both for at least a few seconds at once",
-        )
-    work = AttitudeWork(stretches, band_hz)
-    last = work.run()
-    bands = _by_frequency(stretches, work, band_hz)
-    if bands.distrust:
-        # What a reference was smoothed by, or shares with the gyro, grows with frequency.
-        band_hz *= LOWER_BAND
-        work = AttitudeWork(stretches, band_hz)
-        last = work.run()
+    settled = settle(recordings, band_hz)
+    return conclude(settled, recordings)
+
+
+def conclude(
+    settled: Settled, recordings: Sequence[tuple[GyroSamples, AttitudeReference]]
+) -> GyroFit:
+    """Return the fit that the rounds ended at, judged; see `fit_attitude`."""
+    work, last, bands, band_hz = settled.work, settled.last, settled.bands, settled.band_hz
     information = last.information()
     inflation = work.score_inflation(last)
     decision = decide(information / (max(1.0, inflation) * bands.widening**2), NAMES)
@@ -109,14 +149,6 @@ def _warnings(references: Sequence[AttitudeReference]) -> tuple[str, ...]:
         f"up to {np.degrees(largest):.0f} deg between two attitudes: a faster reference would "
         "follow the path between them",
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Bands:
-    """Whether a lower band tells the same gain."""
-
-    widening: float  # of the standard deviations, 1 where the bands agree
-    distrust: tuple[str, ...]
 
 
 def _by_frequency(stretches: list[Stretch], work: AttitudeWork, band_hz: float) -> _Bands:

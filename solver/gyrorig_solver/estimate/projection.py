@@ -105,7 +105,7 @@ class Projection:
         extensions: Sequence[Extension],
         base: FloatArray,
         local: csr_array,
-        prior: "_Prior",
+        prior: "Prior",
     ) -> None:
         """Take what `of` has put together."""
         self.stretches, self.extensions = tuple(stretches), tuple(extensions)
@@ -289,7 +289,7 @@ class Projection:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Prior:
+class Prior:
     """What is known of everything a fit moves: local unknowns, and the others."""
 
     local: csc_array
@@ -303,7 +303,7 @@ class _Prior:
 
 def _base(
     solution: Solution, stretches: Sequence[Stretch], extensions: Sequence[Extension]
-) -> tuple[FloatArray, csr_array, _Prior]:
+) -> tuple[FloatArray, csr_array, Prior]:
     """Return all derivatives of a fit, whitened, and what is known of its unknowns.
 
     In the order G, each recording's (b, tau), the causes, each reference's shared unknowns.
@@ -355,7 +355,7 @@ def _known(
     board: int,
     shared_at: IntArray,
     local_at: IntArray,
-) -> _Prior:
+) -> Prior:
     size = int(shared_at[-1])
     shared, cross = np.zeros((size, size)), np.zeros((int(local_at[-1]), size))
     pull_local, pull_shared = np.zeros(int(local_at[-1])), np.zeros(size)
@@ -377,7 +377,7 @@ def _known(
     some = [one for one in near if one.shape[0]]
     local = csc_array(block_diag(some, format="csc")) if some else csc_array((0, 0))
     first = GAINS + PER_SESSION * len(solution.sessions)
-    return _Prior(local, cross, shared, pull_local, pull_shared, first, board)
+    return Prior(local, cross, shared, pull_local, pull_shared, first, board)
 
 
 def _columns(
