@@ -37,7 +37,9 @@ class LowPassLag(CurvedTerm):
         highest = HIGHEST_SHARE * scene.low_pass.rate_hz
         cutoff = min(scene.low_pass.bandwidth_hz * float(np.exp(values[0])), highest)
         other = replace(scene.low_pass, bandwidth_hz=cutoff)
-        return scene.read(other.apply(scene.sensor_rate_rad_s) - scene.filtered_rad_s)
+        rate = np.ascontiguousarray(scene.sensor_rate_rad_s.T)
+        change = other.apply_to_means(rate) - scene.low_pass.apply_to_means(rate)
+        return scene.read(change.T)
 
     def bank(self, scene: Scene) -> FloatArray:
         """Look from both sides; the effect is far from linear."""
