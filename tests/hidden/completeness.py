@@ -128,11 +128,13 @@ def floor_of(program: str, soak_k: float | None) -> float:
 
 
 def extended(base: Solution, cause: str) -> Solution:
-    """Fit a cause beside a base fit, from where the finder would begin."""
+    """Fit a cause beside a base fit at all its places, from where the finder would begin."""
     projection = Projection.of(base)
     term = catalogue()[cause]
     tests = tests_of(testable(projection))
-    best = best_fit(projection, sights(projection, [term], tests, all_rows(projection, term)))
+    found = sights(projection, [term], tests, all_rows(projection, term))
+    # A place left out because it shows too little to be worth it would count as left.
+    best = best_fit(projection, [s for s in found if s.place is None])
     if best is None:
         raise ValueError(f"{cause} could not be fitted")
     return _with(base, best[0].extension)
