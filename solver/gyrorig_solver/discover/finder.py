@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
 
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.discover.changes import Board, own_part
@@ -25,7 +24,7 @@ from gyrorig_solver.discover.result import (
     Value,
     Verdict,
 )
-from gyrorig_solver.discover.search import ALPHA, Found, Standing, search, testable, tests_of
+from gyrorig_solver.discover.search import Found, Standing, by_chance, search, testable, tests_of
 from gyrorig_solver.estimate.conclusion import TERMS
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution
@@ -39,6 +38,7 @@ from gyrorig_solver.model.terms.protocol import (
 )
 from gyrorig_solver.solve import unit_solution
 
+GROUPS_ALPHA = 0.001  # as `search.ALPHA`, of what is odd without a name
 FILLS = 0.8  # share of what is odd that names must explain, or they would fill a gap
 SHOWN_SIGMA = 3.0  # a part this many deviations from zero is where a cause acts
 
@@ -128,7 +128,7 @@ def _named(
         values=_values(solution, k),
         statistic=statistic,
         degrees_of_freedom=len(sizes),
-        p_value=min(1.0, float(chi2.sf(statistic, one.free.size)) * standing.looks * tests),
+        p_value=by_chance(best, standing.looks, tests),
         posterior=standing.posterior,
         one_of=standing.one_of,
         rivals=tuple(
@@ -191,7 +191,7 @@ def _where(solution: Solution, k: int) -> tuple[str, ...]:
 
 
 def _unexplained(found: Found, left: Sequence[Signature]) -> Unexplained | None:
-    odd = tuple(one for one in left if one.p_value < ALPHA)
+    odd = tuple(one for one in left if one.p_value < GROUPS_ALPHA)
     if not odd:
         return None
     won = sum(2.0 * max(s.best.won, 0.0) for s in found.standings)
