@@ -15,8 +15,9 @@ from gyrorig_solver.estimate.attitude import fit_attitude
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.gravity import fit_gravity
 from gyrorig_solver.estimate.likelihood import Solution
-from gyrorig_solver.estimate.motion import fit_joint, fit_motion, solution_of
+from gyrorig_solver.estimate.motion import fit_joint, fit_motion, session_of, solution_of
 from gyrorig_solver.estimate.result import GyroFit, StageLevel
+from gyrorig_solver.estimate.session import SessionFit
 from gyrorig_solver.estimate.turns import fit_turns
 from gyrorig_solver.extensions import choose_extensions
 from gyrorig_solver.model.terms.level_rests import level_by_rests
@@ -136,16 +137,50 @@ def unit_solution(recordings: Sequence[Recording], board: str) -> Solution:
         UsageError: recordings that cannot be fitted together, or none of a unit.
     """
     ordered = sorted(recordings, key=lambda recording: recording.start_ns)
-    if not any("/ptu/position" in r.topics for r in ordered):
-        raise UsageError(
-            "what a model gets wrong is looked for on a pan-tilt unit", "record the board on one"
-        )
+    _check_unit(ordered)
     loaded = [(one, without_repeats(load_samples(one, board))) for one in ordered]
     _check_alike(loaded)
     found = [(r, samples, _motion_of(r, samples)[0]) for r, samples in loaded]
     chosen = choose_extensions(found, ())
     settings = chosen.settings or settings_of(found)
     return solution_of([(s, m) for _, s, m in found], chosen.extensions, settings)
+
+
+def unit_session(
+    recording: Recording,
+    board: str,
+    mean_degc: float | None = None,
+    samples: GyroSamples | None = None,
+) -> SessionFit:
+    """Return a recording of a board on a unit, ready for a model that was fitted elsewhere.
+
+    Args:
+        recording: of a unit.
+        board: in it.
+        mean_degc: what the model's temperatures count from.
+        samples: taken instead of the recording's own.
+
+    Raises:
+        InputError: the board is not there, or too few samples are.
+        UsageError: the recording is none of a unit.
+    """
+    _check_unit([recording])
+    own = without_repeats(load_samples(recording, board) if samples is None else samples)
+    motion, _ = _motion_of(recording, own)
+    (setting,) = settings_of([(recording, own, motion)], mean_degc)
+    return session_of(own, motion, setting)
+
+
+def _check_unit(recordings: Sequence[Recording]) -> None:
+    """Refuse what is no recording of a unit.
+
+    Raises:
+        UsageError: none of them is.
+    """
+    if not any("/ptu/position" in r.topics for r in recordings):
+        raise UsageError(
+            "what a model gets wrong is looked for on a pan-tilt unit", "record the board on one"
+        )
 
 
 def _level(samples: GyroSamples, reference: ReferenceMotion) -> StageLevel | None:

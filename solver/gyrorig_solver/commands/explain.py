@@ -32,10 +32,19 @@ from gyrorig_solver.findings.wording import summary
     show_default=True,
     help="The folder: OUT/<board>/findings.yaml, report.html and figures.",
 )
+@click.option(
+    "--held-out",
+    type=click.Path(path_type=Path),
+    help="A recording on which to measure what the causes are worth; they are not fitted to it.",
+)
 @json_option
 @click.pass_obj
 def explain_command(
-    terminal: Terminal, recordings: tuple[Path, ...], board: str | None, out: Path
+    terminal: Terminal,
+    recordings: tuple[Path, ...],
+    board: str | None,
+    out: Path,
+    held_out: Path | None,
 ) -> int:
     r"""Say what the model of the rig gets wrong, and name the causes, as far as data bear it.
 
@@ -44,10 +53,16 @@ def explain_command(
     to. Leaves with 4 when the recordings cannot show a single cause: the findings say what
     would.
 
+    With --held-out the model is taken to another recording as it is: bias, time offset and
+    the motion's own unknowns alone are fitted to that, and causes of a single moment or
+    recording are left out there.
+
     \b
     Example:
       gyrorig explain demo/session.mcap --out findings
+      gyrorig explain monday.mcap --held-out tuesday.mcap
     """
+    other = None if held_out is None else read_recording(held_out)
     read: list[Recording] = []
     failed: list[dict[str, str]] = []
     faults: list[GyrorigError] = []
@@ -64,7 +79,7 @@ def explain_command(
     for name, together in grouped(read, board).items():
         terminal.progress(f"explaining {name} of {', '.join(r.path.name for r in together)}")
         try:
-            written.append(explain_into(out, together, name))
+            written.append(explain_into(out, together, name, other))
             terminal.say(said(written[-1]))
         except GyrorigError as fault:
             faults.append(fault)

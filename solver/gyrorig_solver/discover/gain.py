@@ -4,18 +4,27 @@ The recording is cut into windows of some moves each. Each in turn is left out: 
 time offset and causes are fitted to the others, in the window only the motion's own
 unknowns (a start of each move) follow, in both models alike.
 
-What to use when: `held_out` for the causes of a fit, all together and one by one.
+Or a whole recording is left out: `second` holds the model as it was fitted and follows
+with bias, time offset and motion only.
+
+What to use when: `held_out` for the causes of a fit, all together and one by one;
+`held_out_by` for a second recording.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
 
+from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.discover.result import Gain, Interval
+from gyrorig_solver.discover.second import Judged, Other
+from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.estimate.series import Series
+from gyrorig_solver.samples import GyroSamples
 
 WINDOW_S = 10.0
 FOLDS = 8  # windows are dealt out to so many folds: each fit lacks one fold
@@ -53,6 +62,57 @@ def held_out(after: Projection, causes: Sequence[int]) -> Worth | None:
     return Worth(gains[0], dict(zip(causes, each, strict=True)))
 
 
+def held_out_by(
+    base: Solution,
+    extended: Solution,
+    recording: Recording,
+    board: str,
+    samples: GyroSamples | None = None,
+) -> Gain:
+    """Return the gain of an extended model on a recording that neither was fitted to.
+
+    Args:
+        base: a fit of the base model to other recordings of the board.
+        extended: one of the extended model.
+        recording: of a unit.
+        board: in it.
+        samples: taken instead of the recording's own.
+
+    Raises:
+        InputError: the board is not there, or too few samples are.
+        UsageError: the recording is none of a unit.
+    """
+    other = Other.of(recording, board, extended, samples)
+    after = other.judged(extended)
+    before = other.judged(base, like=after)
+    there = Projection.of(
+        replace(
+            extended,
+            sessions=(after.session,),
+            extensions=after.session.extensions,
+            noises=(after.noise,),
+        )
+    )
+    left = [
+        there.white([[r[p][None] for p in series.parts()] for series, r in _apart(one)])[0]
+        for one in (before, after)
+    ]
+    how = f"the recording {other.name}, to which bias and time offset alone were fitted"
+    gone = ", ".join(one.term.cause for one in after.left_out)
+    if gone:
+        how += f"; left out there, for what it was in the other recording only: {gone}"
+    found = _gain(there, _windows(there), how, *left)
+    # How far the motion had to be bent for it counts too.
+    nats, seen = after.log_likelihood - before.log_likelihood, found.log_likelihood
+    shift = nats - seen.value
+    return replace(found, log_likelihood=Interval(nats, seen.low + shift, seen.high + shift))
+
+
+def _apart(one: Judged) -> Iterator[tuple[Series, FloatArray]]:
+    """Yield each series with its residual, (n, 3)."""
+    return zip(one.session.series, one.session.residuals(one.gain), strict=True)
+
+
 def _gain(
     projection: Projection, windows: IntArray, how: str, before: FloatArray, after: FloatArray
 ) -> Gain:
@@ -66,16 +126,26 @@ def _gain(
     used = sum(int(u.sum()) for s in projection.stretches for u in s.used)
     rms = [float(np.sqrt(sum(np.sum(r**2) for r in rate) / (3 * used))) for rate in rates]
     change = [float(s) for s in squares[1] - squares[0]]
-    turns = [_turn_error(projection, rate) for rate in rates]
+    turns = [_turn_squares(projection, rate) for rate in rates]
+    errors = [float(np.sqrt(np.mean(t))) if t.size else float("nan") for t in turns]
     return Gain(
         how=how,
         log_likelihood=_interval(nats, float(np.sum(nats)), float(count)),
         rms_before=rms[0],
         rms_after=rms[1],
-        turn_error_before_rad=turns[0],
-        turn_error_after_rad=turns[1],
+        turn_error_before_rad=errors[0],
+        turn_error_after_rad=errors[1],
         rms_change=_interval(np.array(change), rms[1] - rms[0], 1.0 / (rms[0] + rms[1])),
+        turn_change=_change(turns, errors),
     )
+
+
+def _change(squares: list[FloatArray], errors: list[float]) -> Interval | None:
+    """Return how an rms over moves changes, from their squares and the rms before and after."""
+    if squares[0].size < FEWEST:
+        return None
+    each = squares[1] - squares[0]
+    return _interval(each, errors[1] - errors[0], 1.0 / (errors[0] + errors[1]))
 
 
 def _interval(each: FloatArray, value: float, factor: float) -> Interval:
@@ -106,8 +176,8 @@ def _squares(projection: Projection, rates: list[FloatArray]) -> FloatArray:
     )
 
 
-def _turn_error(projection: Projection, rates: list[FloatArray]) -> float:
-    """Return the rms over moves of the residual's integral over each, rad."""
+def _turn_squares(projection: Projection, rates: list[FloatArray]) -> FloatArray:
+    """Return the square of the residual's integral over each move, rad^2, (moves,)."""
     found, part = [], 0
     for s in projection.stretches:
         for scene, used in zip(s.scenes, s.used, strict=True):
@@ -119,4 +189,4 @@ def _turn_error(projection: Projection, rates: list[FloatArray]) -> float:
                 last = round((float(course.end_s) + SETTLE_S - float(scene.edges_s[0])) / step_s)
                 if 0 <= first < last <= used.size:
                     found.append(np.sum(rate[first:last], axis=0) * step_s)
-    return float(np.sqrt(np.mean(np.sum(np.square(found), axis=1)))) if found else float("nan")
+    return np.sum(np.square(found), axis=1) if found else np.zeros(0)

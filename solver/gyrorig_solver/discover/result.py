@@ -58,6 +58,7 @@ class Gain:
     turn_error_before_rad: float  # rms over moves of the integrated residual
     turn_error_after_rad: float
     rms_change: Interval  # rad/s, after minus before
+    turn_change: Interval | None = None  # rad, after minus before; None: too few moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +180,7 @@ class Findings:
     gain: Gain | None  # of all named causes together
     changes: tuple[CalibrationChange, ...]  # by all named causes together
     seconds: float  # that the search took
+    elsewhere: Gain | None = None  # of all named causes, on a recording that had no part in it
 
     @property
     def extensions(self) -> tuple[Extension, ...]:

@@ -112,13 +112,18 @@ def solution_of(
 ) -> Solution:
     """Fit as `fit_joint` does and return where the fit ended, for what looks on from there."""
     around = settings or [None] * len(recordings)
-    sessions = [_session(*one, where) for one, where in zip(recordings, around, strict=True)]
+    sessions = [session_of(*one, where) for one, where in zip(recordings, around, strict=True)]
     return solve_likelihood(sessions, extensions)
 
 
-def _session(
+def session_of(
     samples: GyroSamples, reference: ReferenceMotion, setting: Setting | None
 ) -> SessionFit:
+    """Return one recording's part of a fit, nothing known yet.
+
+    Raises:
+        InputError: no stretch of samples is long enough.
+    """
     series, sampling = build_series(samples, reference.common_std_s)
     stamp_std_s = samples.floor.std_s if samples.floor else 0.0
     return SessionFit(series, sampling, reference, stamp_std_s, setting)

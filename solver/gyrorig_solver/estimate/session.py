@@ -107,6 +107,11 @@ class SessionFit:
         return [s.series for s in self._stretches]
 
     @property
+    def setting(self) -> Setting | None:
+        """What causes beyond the base model may look at."""
+        return self._setting
+
+    @property
     def common_std_s(self) -> float:
         """One shift in time of this recording that nothing in it can show."""
         return float(np.hypot(self.reference.common_std_s, self._stamp_std_s))
@@ -176,6 +181,19 @@ class SessionFit:
         ]
         other._models, other._frozen = {}, None
         return other
+
+    def begun_at(self, other: "SessionFit") -> "SessionFit":
+        """Return these samples, begun where a fit of the same recording ended.
+
+        Args:
+            other: its bias, lag, motion and spikes are taken, its samples are not.
+        """
+        begun = self.copy()
+        begun.bias_rad_s, begun.lag_s = other.bias_rad_s, other.lag_s
+        begun.reference = other.reference
+        for own, there in zip(begun._stretches, other._stretches, strict=True):
+            own.good = there.good.copy()
+        return begun
 
     def derivatives(self, gain: FloatArray) -> Iterator[tuple[int, slice, PartModel, Scene, Scene]]:
         """Yield each part's series, blocks, derivatives, and its scene coarse and exact.

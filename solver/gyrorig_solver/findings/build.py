@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from gyrorig_solver.discover.result import (
     CalibrationChange,
     Findings,
+    Interval,
     NamedCause,
 )
 from gyrorig_solver.discover.result import Gain as FoundGain
@@ -111,6 +112,7 @@ def document_of(
         ],
         unexplained=_unexplained(findings.unexplained, drawn),
         gain=_gain(findings.gain),
+        elsewhere=_gain(findings.elsewhere),
         effect_on_calibration=_changes(findings.changes),
         remarks=list(remarks),
     )
@@ -221,8 +223,14 @@ def _gain(gain: FoundGain | None) -> Gain | None:
         interval=[_number(own.low), _number(own.high)],
         turn_error_before=_number(gain.turn_error_before_rad),
         turn_error_after=_number(gain.turn_error_after_rad),
+        rms_change=_limits(gain.rms_change),
+        turn_change=_limits(gain.turn_change),
         how=gain.how,
     )
+
+
+def _limits(interval: Interval | None) -> list[float | None] | None:
+    return None if interval is None else [_number(interval.low), _number(interval.high)]
 
 
 def _changes(changes: Sequence[CalibrationChange]) -> list[Change]:

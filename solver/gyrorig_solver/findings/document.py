@@ -76,6 +76,8 @@ class Gain(_Document, frozen=True, omit_defaults=True):
     interval: list[float | None] | None = None  # of the log likelihood, 95 %
     turn_error_before: float | None = None  # rad, rms over moves
     turn_error_after: float | None = None
+    rms_change: list[float | None] | None = None  # rad/s, after minus before, 95 % interval
+    turn_change: list[float | None] | None = None  # rad, the same of the turn error
     how: str | None = None
 
 
@@ -170,13 +172,21 @@ class FindingsDocument(_Document, frozen=True, omit_defaults=True):
     raw: list[RawLook]
     unexplained: Unexplained | None = None
     gain: Gain | None = None  # of all causes together
+    elsewhere: Gain | None = None  # the same, on a recording that had no part in finding them
     effect_on_calibration: list[Change] = []  # of all causes together
     remarks: list[str] = []
 
 
 _ORDER = (
     *("schema", "board", "created", "software", "recording", "verdict", "base", "causes"),
-    *("unexplained", "gain", "effect_on_calibration", "not_testable", "minimal_detectable"),
+    *(
+        "unexplained",
+        "gain",
+        "elsewhere",
+        "effect_on_calibration",
+        "not_testable",
+        "minimal_detectable",
+    ),
     *("raw", "remarks"),
 )
 

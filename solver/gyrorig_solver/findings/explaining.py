@@ -5,7 +5,7 @@ are to be used otherwise.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
 from pathlib import Path
@@ -17,7 +17,8 @@ from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration.profiles import find_profile
 from gyrorig_solver.discover.finder import explain
-from gyrorig_solver.discover.result import Explained, Findings
+from gyrorig_solver.discover.gain import held_out_by
+from gyrorig_solver.discover.result import Explained, Findings, Gain
 from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
 from gyrorig_solver.findings.document import FindingsDocument, Input, Subject, to_yaml
 from gyrorig_solver.findings.plain import findings_of_fit
@@ -57,19 +58,33 @@ class Written:
     page: Path
 
 
-def explain_into(out: Path, recordings: Sequence[Recording], board: BoardId) -> Written:
+def explain_into(
+    out: Path,
+    recordings: Sequence[Recording],
+    board: BoardId,
+    held_out: Recording | None = None,
+) -> Written:
     """Explain one board, and write its findings, figures and page below `out`.
+
+    `held_out`: see `explain_board`.
 
     Raises:
         InputError: the recordings hold no board of that name, or nothing to compare it with.
         UsageError: recordings that cannot be looked at together.
         MachineError: the folder cannot be written.
     """
-    return write_explanation(out, explain_board(recordings, board))
+    return write_explanation(out, explain_board(recordings, board, held_out))
 
 
-def explain_board(recordings: Sequence[Recording], board: BoardId) -> Explanation:
+def explain_board(
+    recordings: Sequence[Recording], board: BoardId, held_out: Recording | None = None
+) -> Explanation:
     """Look at one board of one or more recordings of the same settings.
+
+    Args:
+        recordings: in any order.
+        board: in each of them.
+        held_out: a recording on which the named causes are measured, and nothing else.
 
     Raises:
         InputError: the recordings hold no board of that name, or nothing to compare it with.
@@ -84,10 +99,10 @@ def explain_board(recordings: Sequence[Recording], board: BoardId) -> Explanatio
         return Explanation(
             board=board,
             recordings=tuple(ordered),
-            findings=explained.findings,
+            findings=replace(explained.findings, elsewhere=_elsewhere(explained, held_out)),
             raw=tuple(raw),
             course=course_of(explained),
-            remarks=(),
+            remarks=_no_gain(explained, held_out),
             explained=explained,
         )
     fit = solve_recordings(ordered, board)
@@ -101,6 +116,20 @@ def explain_board(recordings: Sequence[Recording], board: BoardId) -> Explanatio
         remarks=(*fit.warnings, *fit.distrust, *(() if fit.diagnostics else (UNJUDGED,))),
         explained=None,
     )
+
+
+def _elsewhere(explained: Explained, held_out: Recording | None) -> Gain | None:
+    """Return what the named causes are worth on a recording held out."""
+    if held_out is None or not explained.findings.causes:
+        return None
+    base, extended = explained.solution_base, explained.solution_extended
+    return held_out_by(base, extended, held_out, explained.board)
+
+
+def _no_gain(explained: Explained, held_out: Recording | None) -> tuple[str, ...]:
+    if held_out is None or explained.findings.causes:
+        return ()
+    return (f"no cause was named, so {held_out.path.name} had nothing to measure",)
 
 
 def write_explanation(out: Path, found: Explanation) -> Written:

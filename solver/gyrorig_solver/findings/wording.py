@@ -157,6 +157,12 @@ def summary(document: FindingsDocument) -> str:
             f"  on held-out data      {gain.held_out_log_likelihood:+.1f} nats; residual "
             f"{_dps(gain.residual_rms_before)} to {_dps(gain.residual_rms_after)} deg/s"
         )
+    elsewhere = document.elsewhere
+    if elsewhere is not None and elsewhere.held_out_log_likelihood is not None:
+        lines.append(
+            f"  on the recording held out {elsewhere.held_out_log_likelihood:+.1f} nats; residual "
+            f"{_dps(elsewhere.residual_rms_before)} to {_dps(elsewhere.residual_rms_after)} deg/s"
+        )
     worst = [d for d in document.minimal_detectable if d.by_sigma is not None][:3]
     for limit in worst:
         lines.append(

@@ -33,15 +33,15 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Hidden]:
     """Return a function that records a session with something hidden in it, once each."""
     made: dict[tuple[str, ...], Hidden] = {}
 
-    def record(*hide: str, seed: int = 7) -> Hidden:
-        key = (*hide, str(seed))
+    def record(*hide: str, seed: int = 7, program: str = "quick") -> Hidden:
+        key = (*hide, str(seed), program)
         if key not in made:
             folder = tmp_path_factory.mktemp("hidden")
             orders = [word for text in hide for word in ("--hide", text)]
             truth = folder / "truth.json"
             run(
                 ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
-                 str(ROOT / "config" / "programs" / "quick.yaml"), "--out", str(folder),
+                 str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", str(folder),
                  "--simulated-time", "--seed", str(seed), "--truth", str(truth), *orders]
             )  # fmt: skip
             told = json.loads(truth.read_text()).get("hidden") or {"causes": []}

@@ -16,7 +16,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from scipy.signal import lfilter, lfilter_zi
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.model.low_pass import LowPass
@@ -51,6 +50,8 @@ class Setting:
     full_scale_rad_s: float | None = None  # of the configured range
     quantum_rad_s: float = 0.0  # one count
     sample_period_s: float | None = None
+    recording: str = ""  # its name
+    number: int = 0  # of the recording, among those that are fitted together
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,21 +224,14 @@ class Scene:
         return np.asarray(np.gradient(self.filtered_rad_s, self.step_s, axis=0), np.float64)
 
     def low_passed(self, sensor_rate: FloatArray) -> FloatArray:
-        """Return rates of shape (..., n, 3) behind the sensor's low-pass, begun as steady."""
-        if self._filter is None:
-            return sensor_rate
-        numerator, denominator, steady = self._filter
-        begun = steady[:, None] * sensor_rate[..., :1, :]
-        out, _ = lfilter(numerator, denominator, sensor_rate, axis=-2, zi=begun)
-        return np.asarray(out, dtype=np.float64)
+        """Return mean rates of shape (..., n, 3) behind the sensor's low-pass, begun as steady.
 
-    @cached_property
-    def _filter(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """The low-pass' coefficients and its state under a steady input of 1."""
+        As the fit's own prediction does: see `LowPass.apply_to_means`.
+        """
         if self.low_pass is None:
-            return None
-        numerator, denominator = self.low_pass.coefficients()
-        return numerator, denominator, np.asarray(lfilter_zi(numerator, denominator), np.float64)
+            return sensor_rate
+        means = np.ascontiguousarray(np.swapaxes(sensor_rate, -1, -2))
+        return np.swapaxes(self.low_pass.apply_to_means(means), -1, -2)
 
     @cached_property
     def instants_s(self) -> FloatArray:

@@ -1,0 +1,60 @@
+"""What a model is worth on a recording that had no part in it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.discover.finder import explain
+from gyrorig_solver.discover.gain import held_out_by
+from gyrorig_solver.discover.second import Other
+from gyrorig_solver.samples import load_samples
+from gyrorig_solver.solve import unit_solution
+
+BEND = "scale_quadratic:0.004"
+
+
+@pytest.fixture(scope="module")
+def pair(hidden: Callable[..., Any]) -> tuple[Any, Any]:
+    """Two programs on one rig that bends its scale, and steps its bias in the first."""
+    return hidden(BEND, "bias_step:0.01"), hidden(BEND, program="survey-40")
+
+
+def test_a_lasting_cause_is_worth_something_there(pair: tuple[Any, Any]) -> None:
+    first, second = pair
+    found = explain([first.recording], first.board)
+    causes = {one.cause for one in found.findings.causes}
+    assert causes == {"scale_quadratic", "bias_step"}
+    gain = held_out_by(found.solution_base, found.solution_extended, second.recording, second.board)
+    assert gain.log_likelihood.low > 0.0
+    assert gain.rms_after < gain.rms_before
+    assert gain.turn_error_after_rad < gain.turn_error_before_rad
+    assert gain.turn_change is not None
+    assert gain.turn_change.high < 0.0
+    assert second.recording.path.name in gain.how
+    assert "in the other recording only: bias_step" in gain.how
+
+
+def test_a_right_model_leaves_noise(pair: tuple[Any, Any]) -> None:
+    """Half the squared whitened residual is half the number of values, as of any noise."""
+    first, second = pair
+    found = explain([first.recording], first.board).solution_extended
+    judged = Other.of(second.recording, second.board, found).judged(found)
+    many = sum(3 * int(used.sum()) for used in judged.session.used)
+    assert -2.0 * judged.log_likelihood / many == pytest.approx(1.0, abs=0.03)
+
+
+def test_samples_less_a_known_effect_are_taken(pair: tuple[Any, Any]) -> None:
+    """A constant rate that is taken off all samples is a bias, and costs nothing."""
+    first, second = pair
+    found = unit_solution([first.recording], first.board)
+    recording: Recording = second.recording
+    plain = Other.of(recording, second.board, found).judged(found)
+    own = load_samples(recording, second.board)
+    less = replace(own, rate_rad_s=np.asarray(own.rate_rad_s) - 0.01)
+    other = Other.of(recording, second.board, found, less).judged(found, like=plain)
+    assert other.log_likelihood == pytest.approx(plain.log_likelihood, abs=0.05)
+    assert other.session.bias_rad_s == pytest.approx(plain.session.bias_rad_s - 0.01, abs=1e-6)
