@@ -1,0 +1,111 @@
+"""Explain every case of a corpus and write what was said, before any answer is opened.
+
+Each case is one line of RESULTS, written and flushed as soon as it is known, with the seal of
+the answer that nobody has looked at yet; a run goes on where it was stopped. Answers are opened
+by score_cases.py. What a second recording tells (CASE/held.mcap) needs the truth for its oracle:
+its line goes to RESULTS with the ending .held.jsonl, after the case's own line is written.
+
+Run: python tests/hidden/explain_cases.py CORPUS... --out RESULTS.jsonl [--workers 2]
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.hidden.scoring.answers import HELD, cases, sealed
+from tests.hidden.scoring.oracle import gap_of
+from tests.hidden.scoring.stated import explained, line_of
+from tests.hidden.scoring.variants import VARIANTS
+
+Row = dict[str, Any]
+
+
+def results_of(path: Path) -> dict[int, Row]:
+    """Return the lines of a results file by seed; a line cut off by a stop is left out."""
+    found: dict[int, Row] = {}
+    if path.exists():
+        for text in path.read_text(encoding="utf-8").splitlines():
+            try:
+                row = json.loads(text)
+            except json.JSONDecodeError:
+                continue
+            found[int(row["seed"])] = row
+    return found
+
+
+def held_path(out: Path) -> Path:
+    """Return where the lines of second recordings go."""
+    return out.with_suffix(".held.jsonl")
+
+
+def said_of(case: Path, variant: str, out: Path) -> Row:
+    """Explain one case and write its line; then, if there is one, its second recording's."""
+    seed, seal = int(case.name), sealed(case)
+    look = VARIANTS[variant]
+    try:
+        stated = explained(case / "recording.mcap", look.explain)
+        line = look.said(line_of(seed, variant, stated), stated)
+    except Exception as fault:  # a crash is an outcome: it is counted
+        line = {"seed": seed, "variant": variant, "crashed": f"{type(fault).__name__}: {fault}"}
+        _write(out, {**line, "seal": seal})
+        return line
+    _write(out, {**line, "seal": seal})
+    if (case / HELD).exists() and stated.explained.findings.causes:
+        _write(held_path(out), {"seed": seed, **gap_of(case, stated.explained, seal)})
+    return line
+
+
+def _write(out: Path, row: Row) -> None:
+    text = json.dumps(row, separators=(",", ":")) + "\n"
+    with out.open("a", encoding="utf-8") as file:  # one write of a line: two processes may
+        file.write(text)
+
+
+def explain_all(todo: Sequence[Path], variant: str, out: Path, workers: int) -> Iterator[Row]:
+    """Yield each case's line as it is done."""
+    if workers <= 1:
+        for case in todo:
+            yield said_of(case, variant, out)
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        waiting = [pool.submit(said_of, case, variant, out) for case in todo]
+        for done in as_completed(waiting):
+            yield done.result()
+
+
+def main() -> None:
+    """Explain what is not explained yet."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("corpus", type=Path, nargs="+")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--variant", choices=sorted(VARIANTS), default="real")
+    parser.add_argument("--most", type=int, default=None, help="stop after so many cases")
+    told = parser.parse_args()
+    told.out.parent.mkdir(parents=True, exist_ok=True)
+    done = results_of(told.out)
+    every = [case for corpus in told.corpus for case in cases(corpus)]
+    todo = [case for case in every if int(case.name) not in done][: told.most]
+    sys.stderr.write(f"{len(every)} cases, {len(every) - len(todo)} done or left for later\n")
+    begin = time.monotonic()
+    for k, line in enumerate(explain_all(todo, told.variant, told.out, told.workers), 1):
+        each = (time.monotonic() - begin) / k
+        left = each * (len(todo) - k)
+        names = line.get("crashed") or [one["set"] for one in (*line["causes"], *line["raw"])]
+        sys.stderr.write(
+            f"{k}/{len(todo)} {each:.1f} s each, {left / 60.0:.0f} min left: "
+            f"{line['seed']} {line.get('verdict', '')} {names}\n"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""Open the answers of explained cases, judge each, and keep what the page is made of.
+
+The answers are opened here and nowhere before; each must be the one whose seal was in the
+case's line when the finder had its say.
+
+Run: python tests/hidden/score_cases.py CORPUS... --results RESULTS.jsonl [--out scores.json]
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.hidden.explain_cases import held_path, results_of
+from tests.hidden.scoring.answers import cases, opened
+from tests.hidden.scoring.figures import Gap, figures, missed
+from tests.hidden.scoring.goals import GOALS
+from tests.hidden.scoring.kept import Kept, write_kept
+from tests.hidden.scoring.outcome import Outcome, outcome_of
+
+
+def judged(corpora: Sequence[Path], results: Path) -> Kept:
+    """Return the outcome of every case that was explained.
+
+    Raises:
+        SealError: an answer is not the one that was sealed when the finder had its say.
+    """
+    lines = results_of(results)
+    outcomes = []
+    for corpus in corpora:
+        for case in cases(corpus):
+            line = lines.get(int(case.name))
+            if line is not None:
+                outcomes.append(outcome_of(opened(case, line["seal"]), line))
+    there = {one.seed for one in outcomes}
+    gaps = [
+        Gap(seed, row["nats"], row["short"], row["values"])
+        for seed, row in results_of(held_path(results)).items()
+        if seed in there
+    ]
+    return Kept(sorted(outcomes, key=lambda one: one.seed), sorted(gaps, key=lambda one: one.seed))
+
+
+def said(kept: Kept) -> str:
+    """Return the figures beside their goals, and what went wrong in which case, for a terminal."""
+    found = figures(kept.outcomes, kept.gaps)
+    failed = {goal.name for goal in missed(found)}
+    lines = [
+        f"{goal.number:2d} {goal.words}: {found[goal.name].words} "
+        f"{'MISSED' if goal.name in failed else ''}"
+        for goal in GOALS
+    ]
+    return "\n".join([*lines, "", *(_fault(one) for one in kept.outcomes if _faulty(one))])
+
+
+def _faulty(one: Outcome) -> bool:
+    """Return whether somebody should look at a case."""
+    if one.kind in ("null", "unobservable"):
+        return one.alarmed
+    large = all(fate.times >= 1.9 for fate in one.fates)
+    if one.kind in ("outside", "nearly"):
+        return large and (one.wrong_sole or not one.rest)
+    return bool(one.extra) or (large and not all(fate.sole for fate in one.fates))
+
+
+def _fault(one: Outcome) -> str:
+    true = ", ".join(f"{f.cause}@{f.place} {f.times:.1f}x: {f.said}" for f in one.fates)
+    sets = "; ".join("|".join(names) for names in one.sets)
+    rest = f", rest {', '.join(one.rest)}" if one.rest else ""
+    soak = " soak" if one.soak else ""
+    return f"{one.seed} {one.kind} {one.program}{soak}: hid [{true}] said [{sets}]{rest}"
+
+
+def main() -> None:
+    """Judge, say, and keep."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("corpus", type=Path, nargs="+")
+    parser.add_argument("--results", type=Path, required=True)
+    parser.add_argument("--out", type=Path, help="keep the outcomes here")
+    told = parser.parse_args()
+    kept = judged(told.corpus, told.results)
+    sys.stdout.write(said(kept) + "\n")
+    if told.out is not None:
+        write_kept(told.out, kept)
+
+
+if __name__ == "__main__":
+    main()

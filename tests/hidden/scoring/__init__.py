@@ -1,0 +1,1 @@
+"""What was stated beside what was hidden: outcomes, figures with exact limits, goals."""

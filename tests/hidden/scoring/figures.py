@@ -1,0 +1,188 @@
+"""The figures of a set of judged cases, goal by goal.
+
+What to use when: `figures` for the numbers that the goals are set for, each with how it came
+about; `confusion` for who was taken for whom.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from tests.hidden.scoring.goals import (
+    BOUND,
+    FAR,
+    GAP_BEYOND,
+    GAP_PER_VALUE,
+    GOALS,
+    RUNG_WIDTH,
+    SEEN,
+    Goal,
+)
+from tests.hidden.scoring.outcome import Outcome, is_sole
+from tests.hidden.scoring.shares import Share
+
+IN_CATALOGUE = ("one", "two", "many")
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A value, and what it is made of."""
+
+    value: float  # nan where there was nothing to judge
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """What a case's held-out gain is short of the oracle's."""
+
+    seed: int
+    nats: float  # the oracle's gain
+    short: float  # nats
+    values: int  # that the first recording had to tell
+
+    @property
+    def allowed(self) -> float:
+        """What telling them may cost, nats."""
+        return GAP_PER_VALUE * self.values + GAP_BEYOND
+
+
+def figures(outcomes: Sequence[Outcome], gaps: Sequence[Gap] = ()) -> dict[str, Figure]:
+    """Return each goal's figure by its name."""
+    nulls = _share(_of_kind(outcomes, "null"), lambda one: one.alarmed)
+    rungs = [one for one in _of_kind(outcomes, "one") if on_rung(one, 2.0) or on_rung(one, 3.0)]
+    plain = [one for one in rungs if not one.soak]
+    soaked = [one for one in rungs if one.soak]
+    once = [one for one in _of_kind(outcomes, "one") if on_rung(one, 1.0)]
+    bound = [one for one in outcomes if one.kind in IN_CATALOGUE and largest(one) >= _least(BOUND)]
+    outside = [one for one in _of_kind(outcomes, "outside") if largest(one) >= _least(FAR)]
+    nearly = [one for one in _of_kind(outcomes, "nearly") if largest(one) >= _least(FAR)]
+    many = _of_kind(outcomes, "many")
+    harm = Share(sum(one.harm_printed for one in outcomes), len(outcomes))
+    return {
+        "false_alarms": _of(nulls),
+        "false_alarms_upper": Figure(nulls.upper if nulls.trials else np.nan, str(nulls)),
+        "sole_right": _of(_share(plain, sole_right)),
+        "sole_right_soak": _of(_share(soaked, sole_right)),
+        "wrong_names": _count(_share(bound, lambda one: one.misled)),
+        "detected_once": _of(_share(once, lambda one: one.alarmed)),
+        "outside_wrong": _of(_share(outside, lambda one: one.wrong_sole)),
+        "outside_group": _of(_share(outside, right_group)),
+        "nearly_wrong": _of(_share(nearly, _nearly_wrong)),
+        "recall": _of(recall(many)),
+        "precision": _of(precision(many)),
+        "gap": _gap(gaps),
+        "covered_causes": _of(covered_causes(outcomes)),
+        "covered_calibration": _of(covered_calibration(outcomes)),
+        "harm_printed": _of(harm),
+    }
+
+
+def missed(figures_: dict[str, Figure], goals: Iterable[Goal] = GOALS) -> list[Goal]:
+    """Return the goals that are not met, those without anything to judge left out."""
+    return [
+        goal
+        for goal in goals
+        if not np.isnan(figures_[goal.name].value) and not goal.met(figures_[goal.name].value)
+    ]
+
+
+def on_rung(one: Outcome, times: float) -> bool:
+    """Return whether a case hides one cause of so many minimal detectable sizes."""
+    return len(one.fates) == 1 and abs(one.fates[0].times / times - 1.0) <= RUNG_WIDTH
+
+
+def largest(one: Outcome) -> float:
+    """Return the largest size hidden in a case, minimal detectable ones; 0 for none."""
+    return max((fate.times for fate in one.fates), default=0.0)
+
+
+def sole_right(one: Outcome) -> bool:
+    """Return whether the only hidden cause is the only name that was said, and stands alone."""
+    (fate,) = one.fates
+    return fate.sole and len(one.sets) == 1
+
+
+def right_group(one: Outcome) -> bool:
+    """Return whether a rest was admitted, and first by what it truly depends on."""
+    return bool(one.rest) and one.rest[0] in one.expected
+
+
+def recall(many: Sequence[Outcome]) -> Share:
+    """Return how many of the hidden causes that can be seen are in stated sets."""
+    seen = [fate for one in many for fate in one.fates if fate.times >= SEEN]
+    return Share(sum(fate.stated for fate in seen), len(seen))
+
+
+def precision(many: Sequence[Outcome]) -> Share:
+    """Return how many of the stated sets hold something that was hidden."""
+    sets = sum(len(one.sets) for one in many)
+    return Share(sets - sum(len(one.extra) for one in many), sets)
+
+
+def covered_causes(outcomes: Iterable[Outcome]) -> Share:
+    """Return how many intervals of rightly named sizes hold the truth."""
+    each = [c for one in outcomes if one.kind in IN_CATALOGUE for c in one.covered_causes]
+    return Share(sum(c.inside for c in each), len(each))
+
+
+def covered_calibration(outcomes: Iterable[Outcome]) -> Share:
+    """Return how many intervals of calibration parameters hold the truth, after selection."""
+    kinds = ("null", *IN_CATALOGUE)
+    each = [c for one in outcomes if one.kind in kinds for c in one.covered_calibration]
+    return Share(sum(c.inside for c in each), len(each))
+
+
+def confusion(outcomes: Iterable[Outcome], times: float) -> dict[str, Counter[str]]:
+    """Return what each cause hidden alone at a size was called, how often."""
+    found: dict[str, Counter[str]] = {}
+    for one in outcomes:
+        if one.kind == "one" and on_rung(one, times):
+            found.setdefault(one.fates[0].cause, Counter())[one.fates[0].said] += 1
+    return dict(sorted(found.items()))
+
+
+def by_cause(outcomes: Iterable[Outcome], times: float) -> dict[str, list[Outcome]]:
+    """Return the cases that hide one cause of a size, by cause."""
+    found: dict[str, list[Outcome]] = {}
+    for one in outcomes:
+        if one.kind == "one" and on_rung(one, times):
+            found.setdefault(one.fates[0].cause, []).append(one)
+    return dict(sorted(found.items()))
+
+
+def _nearly_wrong(one: Outcome) -> bool:
+    """A shape near to a cause may be called by it; any other sole name is wrong."""
+    return any(is_sole(names) and one.near not in names for names in one.sets)
+
+
+def _of_kind(outcomes: Iterable[Outcome], kind: str) -> list[Outcome]:
+    return [one for one in outcomes if one.kind == kind]
+
+
+def _least(times: float) -> float:
+    return times * (1.0 - RUNG_WIDTH)
+
+
+def _share(some: Sequence[Outcome], hit: Callable[[Outcome], bool]) -> Share:
+    return Share(sum(hit(one) for one in some), len(some))
+
+
+def _of(share: Share) -> Figure:
+    return Figure(share.value, str(share))
+
+
+def _count(share: Share) -> Figure:
+    return Figure(float(share.hits) if share.trials else np.nan, str(share))
+
+
+def _gap(gaps: Sequence[Gap]) -> Figure:
+    """Return the median of what is missing to the oracle beyond what estimating may cost."""
+    if not gaps:
+        return Figure(np.nan, "none measured")
+    beyond = [one.short - one.allowed for one in gaps]
+    short = float(np.median([one.short for one in gaps]))
+    allowed = float(np.median([one.allowed for one in gaps]))
+    words = f"median {short:.1f} nats short over {len(gaps)} cases, allowed {allowed:.1f}"
+    return Figure(float(np.median(beyond)), words)

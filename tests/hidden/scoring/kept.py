@@ -1,0 +1,51 @@
+"""What is kept of a run of the long tier: one line a case, from which every figure can be made.
+
+What to use when: `write_kept` after judging, `read_kept` for the page and its test.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+from tests.hidden.scoring.figures import Gap
+from tests.hidden.scoring.outcome import Covered, Outcome
+
+SIGMA_DIGITS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """All outcomes and all second recordings."""
+
+    outcomes: list[Outcome]
+    gaps: list[Gap]
+
+
+def write_kept(path: Path, kept: Kept) -> None:
+    """Write one line a case, the second recordings after them."""
+    lines = [msgspec.json.encode(_short(one)) for one in kept.outcomes]
+    gaps = [msgspec.json.encode(one) for one in kept.gaps]
+    between = b",\n"
+    body = b'{"outcomes":[\n%b\n],"gaps":[\n%b\n]}\n' % (between.join(lines), between.join(gaps))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(body)
+
+
+def read_kept(path: Path) -> Kept:
+    """Return what `write_kept` wrote."""
+    return msgspec.json.decode(path.read_bytes(), type=Kept)
+
+
+def _short(one: Outcome) -> Outcome:
+    """Return an outcome with as many digits as a figure needs."""
+
+    def near(each: tuple[Covered, ...]) -> tuple[Covered, ...]:
+        return tuple(replace(c, sigma=round(c.sigma, SIGMA_DIGITS)) for c in each)
+
+    return replace(
+        one,
+        fates=tuple(replace(fate, times=round(fate.times, 2)) for fate in one.fates),
+        covered_causes=near(one.covered_causes),
+        covered_calibration=near(one.covered_calibration),
+        harm=None if one.harm is None else (one.harm[0], round(one.harm[1], 1)),
+    )

@@ -1,0 +1,176 @@
+"""What became of one case: what was stated beside what was hidden.
+
+What to use when: `outcome_of` for each case whose answer was opened; figures count outcomes.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tests.hidden.scoring.answers import Answer
+from tests.hidden.scoring.goals import INTERVAL, TWINS
+from tests.hidden.scoring.true_values import true_values
+
+AMONG, WRONG, MISSED, REST = "among", "wrong", "missed", "rest"
+CRASHED = "crashed"
+BROKEN: Mapping[str, Any] = {
+    "raw": [], "unexplained": [], "absent": [], "calibration": {}, "not_testable": [],
+    "harm_printed": False, "seconds": 0.0,
+}  # fmt: skip
+Name = str
+
+
+@dataclass(frozen=True, slots=True)
+class Fate:
+    """What became of one hidden cause."""
+
+    cause: str
+    place: str | None
+    times: float
+    said: Name  # a sole name, `among` (in a stated set), `rest`, or `missed`
+
+    @property
+    def sole(self) -> bool:
+        """Named, and alone."""
+        return self.said == self.cause
+
+    @property
+    def stated(self) -> bool:
+        """In a stated set, alone or not."""
+        return self.said in (self.cause, AMONG)
+
+
+@dataclass(frozen=True, slots=True)
+class Covered:
+    """One interval beside the truth."""
+
+    what: str
+    sigma: float  # of the difference
+
+    @property
+    def inside(self) -> bool:
+        """Whether the 95 % interval holds the truth."""
+        return abs(self.sigma) <= INTERVAL
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One case, judged."""
+
+    seed: int
+    kind: str
+    program: str
+    soak: bool
+    fates: tuple[Fate, ...]
+    sets: tuple[tuple[str, ...], ...]  # stated, the likeliest name first
+    rest: tuple[str, ...]  # what the unexplained rest depends on, the strongest first
+    expected: tuple[str, ...]  # what it should depend on
+    covered_causes: tuple[Covered, ...]
+    covered_calibration: tuple[Covered, ...]
+    harm: tuple[str, float] | None  # the worst cause unseen at its own detectable size
+    harm_printed: bool
+    said_blind: bool  # all that was hidden was said not to be testable
+    decoy: str | None
+    near: str | None
+    allowed: tuple[str, ...]
+    ladder: bool
+    seconds: float
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether anything at all was said to be wrong."""
+        return bool(self.sets or self.rest)
+
+    @property
+    def extra(self) -> tuple[tuple[str, ...], ...]:
+        """The stated sets that hold nothing that was hidden."""
+        true = {one.cause for one in self.fates}
+        return tuple(names for names in self.sets if not true & set(names))
+
+    @property
+    def wrong_sole(self) -> bool:
+        """A sole name for what was not hidden."""
+        return any(is_sole(names) for names in self.extra)
+
+    @property
+    def misled(self) -> bool:
+        """A sole wrong name while something hidden is in no stated set."""
+        return self.wrong_sole and not all(one.stated for one in self.fates)
+
+
+def is_sole(names: Sequence[str]) -> bool:
+    """Return whether a stated set is one name; twins of the catalogue are one."""
+    return len(names) == 1 or frozenset(names) in TWINS
+
+
+def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
+    """Judge one case. A crash counts as a wrong name: it is no answer."""
+    if "crashed" in line:
+        line = {**BROKEN, "causes": [{"set": [CRASHED]}]}
+    said = [tuple(one["set"]) for one in (*line["causes"], *line["raw"])]
+    rest = tuple(line["unexplained"])
+    fates = tuple(
+        Fate(one.cause, one.place, one.times, _said_of(one.cause, said, answer, rest))
+        for one in answer.causes
+    )
+    absent = [one for one in line["absent"] if one[4] is not None]
+    worst = max(absent, key=lambda one: float(one[4]), default=None)
+    return Outcome(
+        seed=answer.seed,
+        kind=answer.kind,
+        program=answer.program,
+        soak=answer.soak_k > 0.0,
+        fates=fates,
+        sets=tuple(said),
+        rest=rest,
+        expected=answer.groups,
+        covered_causes=tuple(_of_causes(answer, line)),
+        covered_calibration=tuple(_of_calibration(answer, line)),
+        harm=None if worst is None else (str(worst[0]), float(worst[4])),
+        harm_printed=bool(line["harm_printed"]),
+        said_blind=set(answer.names) <= set(line["not_testable"]),
+        decoy=answer.decoy,
+        near=answer.near,
+        allowed=answer.allowed,
+        ladder=answer.tier == "ladder",
+        seconds=float(line["seconds"]),
+    )
+
+
+def _said_of(
+    cause: str, said: Sequence[tuple[str, ...]], answer: Answer, rest: Sequence[str]
+) -> Name:
+    with_it = [names for names in said if cause in names]
+    if any(is_sole(names) for names in with_it):
+        return cause
+    if with_it:
+        return AMONG
+    # Several hidden: a wrong name is held against the case, not against one of them.
+    alone = [names for names in said if is_sole(names)]
+    if len(answer.causes) == 1 and alone:
+        return alone[0][0]
+    return REST if rest else (AMONG + " others" if said else MISSED)
+
+
+def _of_causes(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
+    """Compare each named size with its truth, where the name is right and has a truth."""
+    found = []
+    for hidden in answer.causes:
+        named = [one for one in line["causes"] if one["set"][0] == hidden.cause]
+        for one in named[:1]:
+            true_of = true_values(hidden.cause, hidden.place, hidden.parameters)
+            for name, true in true_of:
+                value, std = one["values"].get(name, (None, None))
+                if value is not None and std and name in one["sizes"]:
+                    found.append(Covered(f"{hidden.cause}.{name}", (value - true) / std))
+    return found
+
+
+def _of_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
+    found = []
+    for name, true in answer.calibration.items():
+        value, std, _ = line["calibration"].get(name, (None, None, None))
+        if value is not None and std and math.isfinite(true):
+            found.append(Covered(name, (value - true) / std))
+    return found

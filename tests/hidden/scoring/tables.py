@@ -1,0 +1,293 @@
+"""The tables of the page of scores, from judged cases.
+
+What to use when: one function a block of docs/discovery-scores.md.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+from docs.markdown import table
+from tests.hidden.scoring.figures import (
+    IN_CATALOGUE,
+    Gap,
+    by_cause,
+    figures,
+    largest,
+    missed,
+    on_rung,
+    precision,
+    recall,
+    right_group,
+    sole_right,
+)
+from tests.hidden.scoring.goals import BOUND, GOALS, RUNG_WIDTH, RUNGS, Goal
+from tests.hidden.scoring.outcome import AMONG, Outcome, is_sole
+from tests.hidden.scoring.shares import Share
+
+KINDS = ("null", "one", "two", "many", "outside", "nearly", "unobservable")
+Outcomes = Sequence[Outcome]
+K = TypeVar("K")
+
+
+def cases(outcomes: Outcomes) -> str:
+    """What was run."""
+    rows = []
+    for kind in KINDS:
+        own = [one for one in outcomes if one.kind == kind]
+        programs = ", ".join(
+            f"`{p}` {n}" for p, n in sorted(Counter(o.program for o in own).items())
+        )
+        soaked, decoys = sum(o.soak for o in own), sum(o.decoy is not None for o in own)
+        rows.append((kind, str(len(own)), programs, str(soaked), str(decoys)))
+    return table(("kind", "cases", "program", "with a soak", "with a decoy"), rows)
+
+
+def goals(outcomes: Outcomes, gaps: Sequence[Gap]) -> str:
+    """Every goal beside its figure."""
+    found = figures(outcomes, gaps)
+    failed = {(goal.number, goal.name) for goal in missed(found)}
+    rows = []
+    for goal in GOALS:
+        figure = found[goal.name]
+        verdict = "missed" if (goal.number, goal.name) in failed else "met"
+        if np.isnan(figure.value):
+            verdict = "not measured"
+        value = _value(goal, figure.value)
+        rows.append((str(goal.number), goal.words, _bar(goal), value, figure.words, verdict))
+    return table(("#", "goal", "bar", "found", "made of", ""), rows)
+
+
+def _bar(goal: Goal) -> str:
+    low, high = (None if v is None else _value(goal, v) for v in (goal.low, goal.high))
+    if low is not None and high is not None:
+        return f"{low} to {high}"
+    return f"≥ {low}" if low is not None else f"≤ {high}"
+
+
+def _value(goal: Goal, value: float) -> str:
+    if np.isnan(value):
+        return ""
+    if goal.name == "gap":
+        return f"{value:+.1f} nats" if value else "0 nats"
+    return f"{value:.0f}" if goal.name == "wrong_names" else f"{100.0 * value:.4g} %"
+
+
+def nulls(outcomes: Outcomes) -> str:
+    """False alarms by program, and what they said."""
+    own = [one for one in outcomes if one.kind == "null"]
+    rows = []
+    for program, group in _grouped(own, lambda one: one.program):
+        alarms = [one for one in group if one.alarmed]
+        said = Counter(_said(one) for one in alarms)
+        words = "; ".join(f"{text} ({n})" for text, n in said.most_common())
+        rows.append((f"`{program}`", str(Share(len(alarms), len(group))), words))
+    return table(("program", "false alarms", "which"), rows)
+
+
+def causes(outcomes: Outcomes) -> str:
+    """Each cause hidden alone: what became of it at each size."""
+    plain = [one for one in outcomes if not one.soak]
+    soaked = [one for one in outcomes if one.soak]
+    at = {rung: by_cause(plain, rung) for rung in RUNGS}
+    soak = [o for o in soaked if o.kind == "one" and (on_rung(o, 2.0) or on_rung(o, 3.0))]
+    names = sorted({name for found in at.values() for name in found})
+    rows = []
+    for name in names:
+        once = at[1.0].get(name, [])
+        cells = [f"{sum(one.alarmed for one in once)} of {len(once)}"]
+        for rung in RUNGS[1:]:
+            cells.append(_fates(at[rung].get(name, [])))
+        cells.append(_fates([one for one in soak if one.fates[0].cause == name]))
+        rows.append((f"`{name}`", *cells))
+    head = ("cause", "detected at 1x", "at 2x", "at 3x", "at 2x and 3x, soak")
+    return table(head, rows)
+
+
+def _fates(group: Outcomes) -> str:
+    """Return how often the name was right and alone, in a set, or what else it was."""
+    if not group:
+        return ""
+    right = sum(sole_right(one) for one in group)
+    other = Counter(_instead(one) for one in group if not sole_right(one))
+    words = ", ".join(f"{n} {text}" for text, n in other.most_common())
+    return f"{right} of {len(group)}" + (f"; {words}" if words else "")
+
+
+def _instead(one: Outcome) -> str:
+    (fate,) = one.fates
+    if fate.sole:
+        return "with a wrong name beside it"
+    if fate.said == AMONG:
+        return "in a set"
+    return fate.said
+
+
+def confused(outcomes: Outcomes) -> str:
+    """Every case at 2x or more in which a stated set holds nothing that was hidden."""
+    rows = [
+        (
+            str(one.seed),
+            f"`{one.program}`" + (" with soak" if one.soak else ""),
+            ", ".join(f"{fate.cause} {fate.times:.1f}x" for fate in one.fates),
+            "; ".join(" or ".join(names) for names in one.extra),
+            "yes" if one.misled else "no",
+        )
+        for one in outcomes
+        if one.kind in IN_CATALOGUE and largest(one) >= BOUND * (1.0 - RUNG_WIDTH) and one.extra
+    ]
+    if not rows:
+        return "None."
+    return table(("seed", "program", "hidden", "said and not hidden", "and truth not stated"), rows)
+
+
+def shapes(outcomes: Outcomes) -> str:
+    """Shapes outside the catalogue, and near to an entry of it."""
+    rows = []
+    own = [one for one in outcomes if one.kind in ("outside", "nearly")]
+    for (kind, name), group in _grouped(own, lambda one: (one.kind, _shape(one))):
+        wrong = sum(
+            any(is_sole(names) and one.near not in names for names in one.sets) for one in group
+        )
+        rows.append(
+            (
+                kind,
+                name,
+                str(len(group)),
+                f"{min(map(largest, group)):.1f} to {max(map(largest, group)):.1f}",
+                str(sum(bool(one.rest) for one in group)),
+                str(sum(right_group(one) for one in group)),
+                str(wrong),
+            )
+        )
+    head = (
+        "kind",
+        "shape",
+        "cases",
+        "times detectable",
+        "rest admitted",
+        "right group",
+        "wrong name",
+    )
+    return table(head, rows)
+
+
+def _shape(one: Outcome) -> str:
+    return ", ".join(fate.cause.partition(":")[2] or fate.cause for fate in one.fates)
+
+
+def blind(outcomes: Outcomes) -> str:
+    """What no residual can show, and sets that a program cannot part."""
+    hidden = [one for one in outcomes if one.kind == "unobservable"]
+    silent = Share(sum(not one.alarmed for one in hidden), len(hidden))
+    told = Share(sum(one.said_blind for one in hidden), len(hidden))
+    pairs = [one for one in outcomes if one.decoy == "pair"]
+    right = [
+        one
+        for one in pairs
+        if all(fate.stated for fate in one.fates)
+        and all(set(names) <= {*one.allowed, *(f.cause for f in one.fates)} for names in one.sets)
+    ]
+    decoys = [one for one in outcomes if one.decoy in ("temperature", "idle_channel")]
+    rows = [
+        ("unobservable: nothing is named", str(silent)),
+        ("unobservable: said to be not testable", str(told)),
+        ("a pair that the program cannot part: the truth stated, within the pair",
+         str(Share(len(right), len(pairs)))),
+        ("decoy channels: nothing wrong is named",
+         str(Share(sum(not one.extra for one in decoys), len(decoys)))),
+    ]  # fmt: skip
+    return table(("what", "right"), rows)
+
+
+def many(outcomes: Outcomes) -> str:
+    """Several causes at once."""
+    rows = []
+    own = [one for one in outcomes if one.kind in ("two", "many")]
+    for count, group in _grouped(own, lambda one: len(one.fates)):
+        rest = Share(sum(bool(one.rest) for one in group), len(group))
+        rows.append(
+            (str(count), str(len(group)), str(recall(group)), str(precision(group)), str(rest))
+        )
+    head = ("hidden", "cases", "recall, detectable ones", "precision of stated sets", "rest said")
+    return table(head, rows)
+
+
+def gaps(gaps_: Sequence[Gap]) -> str:
+    """Second recordings: short of the oracle."""
+    if not gaps_:
+        return "None measured."
+    short = np.array([one.short for one in gaps_])
+    share = np.array([1.0 - one.short / one.nats for one in gaps_ if one.nats > 0.0])
+    allowed = np.array([one.allowed for one in gaps_])
+    quarters = ", ".join(f"{v:.1f}" for v in np.percentile(short, (25, 50, 75)))
+    rows = [
+        ("cases", str(len(gaps_))),
+        ("nats short of the oracle: quarter, median, three quarters", quarters),
+        ("allowed, p/2 + 1: median", f"{np.median(allowed):.1f}"),
+        ("share of the oracle's gain: median, worst",
+         f"{100 * np.median(share):.2f} %, {100 * share.min():.1f} %"),
+    ]  # fmt: skip
+    return table(("what", "found"), rows)
+
+
+def covered(outcomes: Outcomes) -> str:
+    """Intervals by calibration parameter, and by cause."""
+    kinds = ("null", *IN_CATALOGUE)
+    own = [one for one in outcomes if one.kind in kinds]
+    each = [(c.what, c) for one in own for c in one.covered_calibration]
+    each += [(c.what.partition(".")[0], c) for one in own for c in one.covered_causes]
+    rows = []
+    for what in dict.fromkeys(name for name, _ in each):
+        inside = [c for name, c in each if name == what]
+        spread = float(np.median(np.abs([c.sigma for c in inside]))) / 0.6745
+        rows.append(
+            (f"`{what}`", str(Share(sum(c.inside for c in inside), len(inside))), f"{spread:.2f}")
+        )
+    return table(("parameter or cause", "95 % intervals hold", "spread, stated deviations"), rows)
+
+
+def harm(outcomes: Outcomes) -> str:
+    """The cause that could do most harm at its own detectable size, by program."""
+    own = [one for one in outcomes if one.kind == "null" and one.harm is not None]
+    rows = []
+    for program, group in _grouped(own, lambda one: one.program):
+        worst = [one.harm for one in group if one.harm is not None]
+        top, sigma = max(worst, key=lambda one: one[1])
+        names = Counter(name for name, _ in worst).most_common(2)
+        printed = Share(sum(one.harm_printed for one in group), len(group))
+        rows.append(
+            (
+                f"`{program}`",
+                ", ".join(f"{name} ({n})" for name, n in names),
+                f"{np.median([value for _, value in worst]):.0f}",
+                f"{sigma:.0f}, {top}",
+                str(printed),
+            )
+        )
+    head = ("program", "most harmful unseen", "median, deviations", "largest", "printed")
+    return table(head, rows)
+
+
+def seconds(outcomes: Outcomes) -> str:
+    """How long an explanation took, both cores busy."""
+    rows = []
+    for (kind, program), group in _grouped(outcomes, lambda one: (one.kind, one.program)):
+        took = [one.seconds for one in group]
+        rows.append(
+            (kind, f"`{program}`", str(len(took)), f"{np.median(took):.1f}", f"{max(took):.1f}")
+        )
+    return table(("kind", "program", "cases", "median s", "longest s"), rows)
+
+
+def _said(one: Outcome) -> str:
+    names = " + ".join(" or ".join(names) for names in one.sets)
+    return names or f"a rest {one.rest[0]}"
+
+
+def _grouped(outcomes: Outcomes, key: Callable[[Outcome], K]) -> list[tuple[K, list[Outcome]]]:
+    found: dict[K, list[Outcome]] = {}
+    for one in outcomes:
+        found.setdefault(key(one), []).append(one)
+    return sorted(found.items(), key=lambda pair: str(pair[0]))

@@ -1,0 +1,66 @@
+"""Put the figures of the long tier into docs/discovery-scores.md, or check that they are there.
+
+    python tests/hidden/write_scores.py            write every block and the picture
+    python tests/hidden/write_scores.py --check    change nothing; 1 if a block differs
+
+Nothing is run here: `make hidden` does that, and this page says what it found.
+"""
+
+import argparse
+import sys
+from functools import cache
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from docs.blocks import write_or_check
+from docs.markdown import Block
+from tests.hidden.scoring import tables
+from tests.hidden.scoring.kept import Kept, read_kept
+from tests.hidden.scoring.picture import confusion_picture
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+DOCUMENT = DOCS / "discovery-scores.md"
+RESULTS = DOCS / "discovery" / "results.json"
+PICTURE = DOCS / "img" / "confusion.svg"
+
+
+@cache
+def kept() -> Kept:
+    """Return what the last run of the long tier left."""
+    return read_kept(RESULTS)
+
+
+def picture() -> str:
+    """Return the confusion matrix as a drawing."""
+    return confusion_picture(kept().outcomes)
+
+
+BLOCKS: dict[str, Block] = {
+    "cases": lambda: tables.cases(kept().outcomes),
+    "goals": lambda: tables.goals(kept().outcomes, kept().gaps),
+    "nulls": lambda: tables.nulls(kept().outcomes),
+    "causes": lambda: tables.causes(kept().outcomes),
+    "confused": lambda: tables.confused(kept().outcomes),
+    "shapes": lambda: tables.shapes(kept().outcomes),
+    "blind": lambda: tables.blind(kept().outcomes),
+    "many": lambda: tables.many(kept().outcomes),
+    "gaps": lambda: tables.gaps(kept().gaps),
+    "covered": lambda: tables.covered(kept().outcomes),
+    "harm": lambda: tables.harm(kept().outcomes),
+    "seconds": lambda: tables.seconds(kept().outcomes),
+}
+
+
+def main() -> int:
+    """Write or check page and picture; the exit code."""
+    parser = argparse.ArgumentParser(description="figures of docs/discovery-scores.md")
+    parser.add_argument("--check", action="store_true", help="change nothing, 1 if it differs")
+    asked = parser.parse_args()
+    if not asked.check:
+        PICTURE.write_text(picture(), encoding="utf-8")
+    return write_or_check(DOCUMENT, BLOCKS, asked.check, "python tests/hidden/write_scores.py")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
