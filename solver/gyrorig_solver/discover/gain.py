@@ -15,10 +15,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
 
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.arrays import FloatArray, IntArray
+from gyrorig_solver.chance import normal_limit
 from gyrorig_solver.discover.result import Gain, Interval
 from gyrorig_solver.discover.second import Judged, Other
 from gyrorig_solver.estimate.likelihood import Solution
@@ -150,7 +150,7 @@ def _change(squares: list[FloatArray], errors: list[float]) -> Interval | None:
 
 def _interval(each: FloatArray, value: float, factor: float) -> Interval:
     """Return a figure with the 95 % interval that its windows' scatter gives it."""
-    half = float(norm.isf(0.025) * np.std(each, ddof=1) / np.sqrt(each.size)) * factor
+    half = normal_limit(0.025) * float(np.std(each, ddof=1) / np.sqrt(each.size)) * factor
     return Interval(value, value - half, value + half)
 
 

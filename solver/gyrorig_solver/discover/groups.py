@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2, norm
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.chance import chi2_tail, normal_tail
 from gyrorig_solver.discover.result import Signature
 from gyrorig_solver.discover.scores import Seen
 from gyrorig_solver.estimate.projection import Projection
@@ -42,7 +42,7 @@ def signatures(projection: Projection) -> list[Signature]:
     for group in groups:
         seen = Seen.of(projection.look(projection.signals(group.signal)))
         if seen.degrees_of_freedom:
-            p_value = float(chi2.sf(seen.statistic, seen.degrees_of_freedom))
+            p_value = chi2_tail(seen.statistic, seen.degrees_of_freedom)
             found.append(
                 Signature(
                     group.covariate,
@@ -77,7 +77,7 @@ def scatter(projection: Projection, tests: int) -> list[Signature]:
         if size > 0.0:
             z = float(weight @ excess) / size
             # What a model lacks adds scatter; it takes none away.
-            p_value = float(norm.sf(z))
+            p_value = normal_tail(z)
             found.append(Signature(name, words, max(z, 0.0) ** 2, 1, min(1.0, p_value * tests)))
     found.append(_line(projection, left, tests))
     return found

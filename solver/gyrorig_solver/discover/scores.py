@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.banks import quick_rows
 from gyrorig_solver.estimate.projection import Looked, Projection
 from gyrorig_solver.model.terms.protocol import Term, indices, places, value_parameters
@@ -144,7 +144,7 @@ def _of_term(
     found = []
     for place, (row, seen) in best.items():
         if seen.degrees_of_freedom:
-            alone = float(chi2.sf(seen.statistic, seen.degrees_of_freedom))
+            alone = chi2_tail(seen.statistic, seen.degrees_of_freedom)
             p_value = min(1.0, alone * looks * tests)
             found.append(Sight(term, place, row, seen, looks, p_value, tuple(shown[place])))
     return found

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.banks import all_rows
 from gyrorig_solver.discover.refit import Weighed, refit
 from gyrorig_solver.discover.scores import Sight, sights, where
@@ -145,7 +145,7 @@ def by_chance(one: Weighed, looks: float, tests: int) -> float:
     Shapes are not counted as degrees of freedom: the looks along them are.
     """
     sizes = sum(1 for k in one.extension.free if k in indices(one.extension.term, role="size"))
-    return min(1.0, float(chi2.sf(2.0 * max(one.won, 0.0), sizes)) * looks * tests)
+    return min(1.0, chi2_tail(2.0 * max(one.won, 0.0), sizes) * looks * tests)
 
 
 def _slow(
@@ -290,7 +290,7 @@ def size_p_value(solution: Solution, k: int) -> float:
         return 1.0
     some = np.flatnonzero(seen)
     inverse = np.linalg.pinv(covariance[np.ix_(some, some)], hermitian=True)
-    return float(chi2.sf(float(value[some] @ inverse @ value[some]), some.size))
+    return chi2_tail(float(value[some] @ inverse @ value[some]), some.size)
 
 
 def _reviewed(

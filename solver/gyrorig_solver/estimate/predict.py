@@ -63,8 +63,9 @@ def predict_rate(
     rate = found if whole else np.where(known[:, None], found, 0.0)
     low_pass = low_pass_of(series)
     if low_pass is not None:
-        rate = low_pass.apply_to_means(np.ascontiguousarray(rate.T)).T
-    centre = slice(series.fine // 2 + lead * series.fine, None, series.fine)
+        rate = low_pass.apply_to_instants(np.ascontiguousarray(rate.T), series.fine).T
+    else:
+        rate = rate[series.fine // 2 :: series.fine]
     known = known[series.fine // 2 :: series.fine]
     if not whole:
         reach = max(1, round(FORGET_S / series.period_s))
@@ -73,7 +74,7 @@ def predict_rate(
         near = lost[np.minimum(at + reach + 1, known.size)] - lost[np.maximum(at - reach, 0)]
         known = np.asarray(near == 0, dtype=np.bool_)
     return SampledRate(
-        rate=rate[centre],
+        rate=rate[lead:],
         known=known[lead:],
     )
 

@@ -13,9 +13,9 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.estimate.observability import BIAS_NAMES, Decision, decide
 from gyrorig_solver.model.gain import GAIN_NAMES
 from gyrorig_solver.reference.rotations import prefix_products, turn_vectors
@@ -106,7 +106,7 @@ def _compared(
         moves=moves,
         statistic=statistic,
         degrees_of_freedom=int(seen.size),
-        p_value=float(chi2.sf(statistic, seen.size)),
+        p_value=chi2_tail(statistic, seen.size),
         largest_sigma=float(np.max(np.abs(part) / np.sqrt(np.diag(covariance)))),
     )
 

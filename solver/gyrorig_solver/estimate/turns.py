@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.chance import chi2_limit
 from gyrorig_solver.estimate.conclusion import NAMES, Evidence, gyro_fit
 from gyrorig_solver.estimate.observability import decide
 from gyrorig_solver.estimate.result import GyroFit
@@ -82,7 +82,7 @@ def fit_turns(
         estimate=work.estimate,
         decision=decide(work.information() / inflation, NAMES),
         reduced_chi2=spread if freedom > 0 else float("nan"),
-        chi2_limit=float(chi2.ppf(0.99, freedom)) / freedom if freedom > 0 else np.inf,
+        chi2_limit=chi2_limit(0.01, freedom) / freedom if freedom > 0 else np.inf,
         outliers=0,
         rms_before_rad_s=work.rms_rad_s(nominal=True),
         rms_after_rad_s=work.rms_rad_s(nominal=False),

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 from scipy.fft import dct
-from scipy.stats import chi2
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.result import Findings, NotTestable, Signature, Unexplained, Verdict
 from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit
 from gyrorig_solver.model.terms.catalogue import catalogue
@@ -82,7 +82,7 @@ def _signatures(data: FitDiagnostics, gain: FloatArray) -> list[Signature]:
             total, degrees = total + statistic, degrees + dof
             most = max(most, (statistic, axis))
         if degrees:
-            p_value = min(1.0, float(chi2.sf(total, degrees)) * len(WORDS))
+            p_value = min(1.0, chi2_tail(total, degrees) * len(WORDS))
             found.append(Signature(name, words, total, degrees, p_value, "xyz"[most[1]]))
     return sorted(found, key=lambda one: (one.p_value, -one.statistic))
 

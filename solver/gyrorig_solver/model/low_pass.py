@@ -6,12 +6,13 @@ wrong shape is nearly all absorbed by the time offset: 36, 7, 1 and 0 ppm of sca
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.model.recursive import Thinned, ramp_invariant, recursed, steady
+
+SHARPENED = (-0.125, 1.25, -0.125)  # of means, to what straight lines through them make of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,13 +29,15 @@ class LowPass:
         delay at zero frequency is the analogue filter's, sqrt(2)/omega; a bilinear filter
         that is right at the cut-off has 0.8 % less of it at 20 points to a period.
         """
-        return _ramp_invariant(self.bandwidth_hz, self.rate_hz)
+        return ramp_invariant(
+            2.0 * np.pi * self.bandwidth_hz, float(np.sqrt(0.5)), 1.0 / self.rate_hz
+        )
 
     def apply(self, signal: FloatArray) -> FloatArray:
         """Filter each column of `signal`, shape (n, k); the start is taken as steady."""
         b, a = self.coefficients()
         padded = np.concatenate([np.repeat(signal[:1], self._settling(), axis=0), signal])
-        return np.asarray(lfilter(b, a, padded, axis=0)[self._settling() :], dtype=np.float64)
+        return np.asarray(recursed(b, a, padded.T).T[self._settling() :], dtype=np.float64)
 
     def apply_to_means(self, means: FloatArray) -> FloatArray:
         """Filter means of a motion between grid edges, shape (..., n), along n.
@@ -45,11 +48,25 @@ class LowPass:
         """
         if means.size == 0:
             return means
-        b, a = self.coefficients()
-        sharp = np.convolve(b, [-0.125, 1.25, -0.125])  # in one go with the filter, one late
-        state = lfilter_zi(sharp, a) * means[..., :1]
-        late = lfilter(sharp, a, means, axis=-1, zi=state)[0]
+        sharp, a = self._sharpened()
+        late = steady(sharp, a, means)
         return np.asarray(np.concatenate([late[..., 1:], late[..., -1:]], axis=-1), np.float64)
+
+    def apply_to_instants(self, means: FloatArray, step: int) -> FloatArray:
+        """Return the middle of every `step` values of `apply_to_means`, (..., n / step).
+
+        Args:
+            means: shape (..., n), n a multiple of the step.
+            step: odd.
+        """
+        if step == 1 or means.size == 0:
+            return self.apply_to_means(means)
+        return Thinned.of(*self._sharpened(), step, step // 2 + 1).steady(means)
+
+    def _sharpened(self) -> tuple[FloatArray, FloatArray]:
+        """Return the filter of means, one value late."""
+        b, a = self.coefficients()
+        return np.convolve(b, SHARPENED), a
 
     @property
     def delay_s(self) -> float:
@@ -65,11 +82,3 @@ def power_gain(frequency_hz: FloatArray, bandwidth_hz: float | None) -> FloatArr
     if bandwidth_hz is None:
         return np.ones_like(frequency_hz)
     return np.asarray(1.0 / (1.0 + (frequency_hz / bandwidth_hz) ** 4), dtype=np.float64)
-
-
-@lru_cache(maxsize=64)
-def _ramp_invariant(bandwidth_hz: float, rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    omega = 2.0 * np.pi * bandwidth_hz
-    analogue = (np.array([omega**2]), np.array([1.0, np.sqrt(2.0) * omega, omega**2]))
-    b, a, _ = cont2discrete(analogue, 1.0 / rate_hz, method="foh")
-    return np.asarray(b, dtype=np.float64).ravel(), np.asarray(a, dtype=np.float64).ravel()

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.chance import chi2_limit, chi2_noncentrality
 from gyrorig_solver.estimate.information import NAMES, marginalise
 from gyrorig_solver.estimate.normal import NormalSum
 from gyrorig_solver.estimate.observability import prior_std
@@ -119,8 +118,7 @@ def noncentrality(degrees: int, tests: int) -> float:
         degrees: of freedom.
         tests: among which all false alarms are shared (Bonferroni).
     """
-    limit = float(chi2.isf(FALSE_ALARMS / tests, degrees))
-    return float(brentq(lambda x: ncx2.sf(limit, degrees, x) - DETECTED, 1e-3, 1e3))
+    return chi2_noncentrality(chi2_limit(FALSE_ALARMS / tests, degrees), degrees, DETECTED)
 
 
 def foresee(prediction: Prediction, sensor: SensorModel, site: Site | None = None) -> Outlook:

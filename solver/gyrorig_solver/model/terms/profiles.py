@@ -6,9 +6,9 @@ move carried out with other limits than it was told.
 """
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.model.recursive import recursed, step_invariant
 from gyrorig_solver.reference.course import Course, Instruction, Limits, lay
 
 _PLAIN_LEGS = (3, 4)  # up, down, rest; or with a cruise between
@@ -80,12 +80,11 @@ def resonance(
     """
     w = 2.0 * np.pi * frequency_hz
     step_s = float(edges_s[-1] - edges_s[0]) / (edges_s.size - 1)
-    analogue = (np.array([1.0]), np.array([1.0, 2.0 * damping * w, w * w]))
-    numerator, denominator, _ = cont2discrete(analogue, step_s)
+    numerator, denominator = step_invariant(w, damping, step_s)
     push = -acceleration(edges_s, angle_rad)
     # Held from half a step before to half a step after the edge that it belongs to.
     early = np.append((push[:-1] + push[1:]) / 2.0, 0.0)
-    return np.asarray(lfilter(numerator[0], denominator, early), dtype=np.float64)
+    return recursed(numerator, denominator, early)
 
 
 def relaid(course: Course, acceleration_share: float, base_steps_s: float) -> Course | None:

@@ -243,9 +243,11 @@ class Scene:
 
         Zero where no instant of a block takes part.
         """
+        if self.block == 1:
+            return at_instants if self._all_used else np.where(self.use[:, None], at_instants, 0.0)
         shape = (*at_instants.shape[:-2], self.blocks, self.block, 3)
         shaped = at_instants.reshape(shape)
-        if self.use.all():
+        if self._all_used:
             return np.asarray(shaped.mean(axis=-2), dtype=np.float64)
         weight = self.use.reshape(self.blocks, self.block, 1)
         count = np.maximum(weight.sum(axis=1), 1)
@@ -279,12 +281,21 @@ class Scene:
 
     def seen(self, sensor_rate: FloatArray) -> FloatArray:
         """Return what of a rate at the sensor, (..., n, 3), shows in the block means."""
-        return self.read(self.low_passed(sensor_rate))
+        if self.low_pass is None:
+            return self.read(sensor_rate)
+        means = np.ascontiguousarray(np.swapaxes(sensor_rate, -1, -2))
+        instants = self.low_pass.apply_to_instants(means, self.fine)
+        return self.mean(np.swapaxes(instants[..., self.lead :], -1, -2))
 
     def seen_at_stage(self, stage_rate: FloatArray) -> FloatArray:
         """Return what of a change of the stage's rate, (..., n, 3), shows."""
         sure = stage_rate if self._whole else np.where(self.known[:, None], stage_rate, 0.0)
-        return self.seen(np.asarray(sure @ self.gain.T, dtype=np.float64))
+        # As linear as the low-pass: turned last, where fewest values are left.
+        return np.asarray(self.seen(sure) @ self.gain.T, dtype=np.float64)
+
+    @cached_property
+    def _all_used(self) -> bool:
+        return bool(self.use.all())
 
     @cached_property
     def _whole(self) -> bool:

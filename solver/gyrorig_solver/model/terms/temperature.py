@@ -14,9 +14,9 @@ from typing import Self
 
 import numpy as np
 from scipy.linalg import solveh_banded
-from scipy.signal import lfilter
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.model.recursive import recursed
 
 STEP_S = 1.0  # of the grid that is made smooth
 # Slower than this is kept, boards take minutes; coarse readings are smoothed for longer.
@@ -85,7 +85,7 @@ def _late(rise: FloatArray, tau_s: float) -> FloatArray:
     driven = np.empty_like(rise)
     driven[0] = rise[0] - tau_s * slope
     driven[1:] = (share - decay) * rise[:-1] + (1.0 - share) * rise[1:]
-    return np.asarray(lfilter([1.0], [1.0, -decay], driven), dtype=np.float64)
+    return recursed(np.ones(1), np.array([1.0, -decay]), driven)
 
 
 def _smooth(time_s: FloatArray, degc: FloatArray) -> tuple[FloatArray, FloatArray]:
