@@ -48,10 +48,12 @@ def pulses(scene: Scene, per_block: int = 2) -> Pulses:
     settle = 0 if scene.low_pass is None else int(3.0 / scene.low_pass.bandwidth_hz / step_s)
     blocks = 1 + -(-(settle + per) // per)
     phases = range(0, per, every)
-    shapes = np.zeros((len(phases), blocks * per + 1, 1))  # one more before, at rest
+    shapes = np.zeros((len(phases), blocks * per + 2, 1))  # two more before, at rest
     for row, phase in enumerate(phases):
-        shapes[row, phase + 1] = 1.0 / step_s
-    out = scene.low_passed(shapes)[:, 1 + scene.fine // 2 :: scene.fine, 0]
+        shapes[row, phase + 1 : phase + 4, 0] = np.array([1.0, 22.0, 1.0]) / 24.0 / step_s
+    out = scene.low_passed(shapes)[:, 2 + scene.fine // 2 :: scene.fine, 0][
+        :, : blocks * scene.block
+    ]
     kernel = out.reshape(len(phases), blocks, scene.block).mean(axis=2)
     lead = scene.lead * scene.fine
     found = []
@@ -97,10 +99,11 @@ class LostSteps(LinearAngleTerm):
 
     def shapes(self, scene: Scene, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return minus the step at the event."""
-        k, share = self._step(scene, float(values[2]))
+        k = self._interval(scene, float(values[2]))
         shape = np.zeros(scene.n + 1)
-        shape[k + 1 :] = -1.0
-        shape[k + 1 : k + 2] = -share
+        shape[max(0, k + 1) :] = -1.0
+        if 1 <= k < scene.n - 2:
+            shape[k : k + 4] = -np.cumsum(self._shares(scene, k, float(values[2])))
         return [(0, shape), (1, shape)]
 
     def bank(self, scene: Scene) -> FloatArray:
@@ -115,12 +118,13 @@ class LostSteps(LinearAngleTerm):
         On pan it is a pulse and cheap; on tilt the lean that stays counts too.
         """
         found = np.zeros((2, scene.blocks, 3))
-        k, share = self._step(scene, float(values[2]))
-        if not 0 <= k < scene.n - 1:
+        k = self._interval(scene, float(values[2]))
+        if not 1 <= k < scene.n - 2:
             return found
         if scene.moving[0, k]:
-            pulse = scene.turn.rate(0, np.array([0.0, -share, -1.0]), slice(k, k + 2))
-            found[0] = scene.seen_briefly(k, pulse)
+            fallen = np.cumsum([0.0, *self._shares(scene, k, float(values[2]))])
+            pulse = scene.turn.rate(0, -fallen, slice(k - 1, k + 3))
+            found[0] = scene.seen_briefly(k - 1, pulse)
         if scene.moving[1, k]:
             shape = self.shapes(scene, values)[1][1]
             found[1] = scene.seen_at_stage(scene.turn_column(1, shape))
@@ -140,17 +144,23 @@ class LostSteps(LinearAngleTerm):
         said = listed(values[:2] / DEG, PAN_TILT, "deg")
         return f"the motors lose steps at {values[2]:.2f} s: {said}"
 
-    def _step(self, scene: Scene, event_s: float) -> tuple[int, float]:
-        """Return the interval whose middle is before the event, and its share of the pulse.
-
-        The next one has the rest, so that the pulse as a whole is at the event.
-        """
+    def _interval(self, scene: Scene, event_s: float) -> int:
+        """Return the interval whose middle is the last before the event."""
         if event_s <= scene.time_s[0]:
-            return -1, 1.0
+            return -1
         k = int(np.searchsorted(scene.time_s, event_s, side="right")) - 1
-        if k >= scene.n - 1:
-            return scene.n - 1, 1.0 if event_s < scene.edges_s[-1] else 0.0
-        return k, 1.0 - float((event_s - scene.time_s[k]) / (scene.time_s[k + 1] - scene.time_s[k]))
+        return k if k < scene.n - 1 or event_s < scene.edges_s[-1] else scene.n
+
+    def _shares(self, scene: Scene, k: int, event_s: float) -> FloatArray:
+        """Return what four intervals, from `k - 1` on, have of the pulse.
+
+        Its moments about the event are those that make the low-pass see it there and as
+        short as it is: it takes them for means of something smooth, and sharpens them by
+        h^2/4 where straight lines between them are wider by h^2/6.
+        """
+        step = (scene.time_s[k - 1 : k + 3] - event_s) / scene.step_s
+        moments = np.array([1.0, 0.0, 1.0 / 12.0, 0.0])
+        return np.asarray(np.linalg.solve(np.vander(step, 4, increasing=True).T, moments))
 
 
 TERM = LostSteps()
