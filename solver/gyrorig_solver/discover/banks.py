@@ -10,6 +10,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.bases import BaseTerm, start_values
+from gyrorig_solver.model.terms.bound import acts_in
 from gyrorig_solver.model.terms.lost_steps import pulses
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
 
@@ -46,7 +47,7 @@ def all_rows(projection: Projection, term: Term) -> FloatArray:
 def _pulses(projection: Projection, term: Term) -> tuple[FloatArray, int]:
     times, gains, looked = [], [], 0
     for scene, weighed in zip(projection.scenes, projection.weighed(), strict=True):
-        if not scene.has_angles:
+        if not scene.has_angles or not acts_in(term, scene):
             continue
         found = pulses(scene)
         span = found.first[:, None] + np.arange(found.values.shape[1])
@@ -68,8 +69,8 @@ def _pulses(projection: Projection, term: Term) -> tuple[FloatArray, int]:
 
 
 def _lines(projection: Projection, term: Term) -> tuple[FloatArray, int]:
-    scene = projection.scenes[0]
-    weighed = projection.weighed()[0]
+    own = [k for k, scene in enumerate(projection.scenes) if acts_in(term, scene)]
+    scene, weighed = projection.scenes[own[0]], projection.weighed()[own[0]]
     bank = term.bank(scene)
     frequency = indices(term, role="shape")[0]
     rate_hz = weighed.shape[0] / float(scene.edges_s[-1] - scene.edges_s[0])

@@ -30,6 +30,7 @@ from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.motion import reduced_chi2
 from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.bound import recording_of
 from gyrorig_solver.model.terms.protocol import (
     indices,
     places,
@@ -142,7 +143,15 @@ def _named(
         ),
         changes=board.changes(board.values + board.moved(left_out)),
         gain=gain,
+        recording=_recording(solution, one),
     )
+
+
+def _recording(solution: Solution, one: Extension) -> str | None:
+    """Return the name of the recording that a cause is bound to."""
+    number = recording_of(one.term)
+    setting = None if number is None else solution.sessions[number].setting
+    return None if setting is None else setting.recording
 
 
 def _why(won: float, evidence: float) -> str:

@@ -11,6 +11,7 @@ from gyrorig_solver.discover.changes import PARAMETERS, Board, own_part
 from gyrorig_solver.discover.result import Limit, NotTestable
 from gyrorig_solver.discover.scores import Sight
 from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.bound import recording_of
 from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.model.terms.protocol import indices, places, value_parameters
 
@@ -28,6 +29,8 @@ def limits(
     """
     absent: list[Limit] = []
     blind: list[NotTestable] = []
+    # The calibration is the last recording's: what is another's cannot harm it.
+    found = [s for s in found if recording_of(s.term) in (None, recordings - 1)]
     several = {s.term.cause for s in found if s.place is not None}
     for sight in found:
         if sight.place is None and sight.term.cause in several:

@@ -21,8 +21,9 @@ from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.discover.scores import Seen
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.bound import acts_in
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
-from gyrorig_solver.model.terms.scene import Scene
+from gyrorig_solver.model.terms.scene import Scene, Setting
 
 ROUNDS = 12
 ENOUGH = 1e-2  # nats won by a step: less is no reason for another
@@ -110,7 +111,7 @@ def _timed(
     """Return values at the best time near the one given, sizes to first order."""
     every = indices(term, role="size")
     at = [every.index(k) for k in sizes]
-    setting = projection.scenes[0].setting
+    setting = _setting(projection, term)
     step_s = (setting.end_s - setting.begin_s) / 60.0
     best, statistic = values, -1.0
     for _ in range(LEVELS):
@@ -132,13 +133,18 @@ def _timed(
 
 
 def _inside(projection: Projection, term: Term, values: FloatArray) -> FloatArray:
-    setting = projection.scenes[0].setting
+    setting = _setting(projection, term)
     during = setting.begin_s, setting.end_s
     own = value_parameters(term)
     low, high = np.array([p.lower for p in own]), np.array([p.upper for p in own])
     for k in indices(term, role="event"):
         low[k], high[k] = during
     return np.clip(values, low, high)
+
+
+def _setting(projection: Projection, term: Term) -> Setting:
+    """Return the setting of the first recording that a cause acts in."""
+    return next(scene.setting for scene in projection.scenes if acts_in(term, scene))
 
 
 def _state(projection: Projection, term: Term, values: FloatArray, free: IntArray) -> _State:
@@ -221,7 +227,7 @@ def _weighed(
 ) -> Weighed:
     own = value_parameters(term)
     free = np.concatenate([sizes, shapes])
-    setting = projection.scenes[0].setting
+    setting = _setting(projection, term)
     evidence = -state.cost
     width = np.empty(free.size)
     for k, index in enumerate(free):

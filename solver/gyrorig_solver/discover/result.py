@@ -93,6 +93,7 @@ class NamedCause:
     rivals: tuple[Rival, ...]
     changes: tuple[CalibrationChange, ...]  # what leaving it out does to the calibration
     gain: Gain | None  # None: too little data to hold any out
+    recording: str | None = None  # in which it happened, of several; None: in all of them
 
     @property
     def cause(self) -> str:
@@ -112,7 +113,8 @@ class NamedCause:
     @property
     def sentence(self) -> str:
         """What it means to a person at the rig."""
-        return self.term.sentence(self.extension.values)
+        said = self.term.sentence(self.extension.values)
+        return said if self.recording is None else f"{said}, in {self.recording}"
 
     @property
     def harm_sigma(self) -> float:

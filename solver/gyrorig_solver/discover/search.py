@@ -22,6 +22,7 @@ from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution, solve_again
 from gyrorig_solver.estimate.noise import SPREAD, NoiseModel, ordinary_levels
 from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.bound import bound, label, recording_of
 from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
 
@@ -78,12 +79,18 @@ class Found:
 
 def testable(projection: Projection) -> list[Term]:
     """Return the causes that can be looked at, those that others stand for left out."""
+    every = [t for t in catalogue().values() if t.cause not in STOOD_FOR]
+    return [one for term in every for one in possible(term, projection)]
+
+
+def possible(term: Term, projection: Projection) -> list[Term]:
+    """Return a cause if it can be looked at, one for each recording if it is a recording's."""
+    numbers = sorted({scene.setting.number for scene in projection.scenes})
+    apart = term.scope == "recording" and len(numbers) > 1
     return [
-        term
-        for term in catalogue().values()
-        if term.kind == "effect"
-        and term.cause not in STOOD_FOR
-        and all(term.missing(scene) is None for scene in projection.scenes)
+        one
+        for one in ([bound(term, number) for number in numbers] if apart else [term])
+        if one.kind == "effect" and all(one.missing(scene) is None for scene in projection.scenes)
     ]
 
 
@@ -102,22 +109,22 @@ def search(base: Solution) -> Found:
     barred: set[str] = set()
     fitted: dict[str, set[str]] = {}
     while True:
-        taken = {one.term.cause for one in solution.extensions}
-        open_terms = [t for t in terms if t.cause not in taken]
+        taken = {label(one.term) for one in solution.extensions}
+        open_terms = [t for t in terms if label(t) not in taken]
         found = sights(projection, open_terms, tests)
-        usable = [s for s in found if s.term.cause not in barred]
+        usable = [s for s in found if label(s.term) not in barred]
         best, rivals = _next(projection, usable, taken, tests)
         if best is None:
-            slow = [t for t in open_terms if t.cause in SLOW and t.cause not in barred]
+            slow = [t for t in open_terms if t.cause in SLOW and label(t) not in barred]
             best, rivals = _slow(solution, slow, taken, tests)
         if best is None or len(taken) >= MOST_CAUSES:
             break
-        fitted.setdefault(best.extension.term.cause, set()).update(rivals)
+        fitted.setdefault(label(best.extension.term), set()).update(rivals)
         after = _with(solution, best.extension)
         after = _without_needless(after, known, tests)
-        causes = {one.term.cause for one in after.extensions}
+        causes = {label(one.term) for one in after.extensions}
         if causes <= taken:  # it could not stay: not again
-            barred.add(best.extension.term.cause)
+            barred.add(label(best.extension.term))
         solution = after
         projection = Projection.of(solution)
     solution, standings = _reviewed(solution, terms, tests, fitted)
@@ -135,7 +142,7 @@ def _next(
     weighed = _contenders(projection, significant, found, taken, tests)
     for one, looks in sorted(weighed, key=lambda pair: -pair[0].evidence):
         if by_chance(one, looks, tests) < ALPHA:
-            return one, {w.extension.term.cause for w, _ in weighed}
+            return one, {label(w.extension.term) for w, _ in weighed}
     return None, set()
 
 
@@ -172,7 +179,7 @@ def _slow(
         return None, set()
     after = _with(solution, best.extension)
     rise = 2.0 * (log_likelihood(after) - log_likelihood(solution))
-    looks = next(s.looks for s in found if s.term.cause == best.extension.term.cause)
+    looks = next(s.looks for s in found if label(s.term) == label(best.extension.term))
     risen = replace(best, won=0.5 * rise)
     return (best, rivals) if by_chance(risen, looks, tests) < ALPHA else (None, set())
 
@@ -206,22 +213,28 @@ def _contenders(
 ) -> list[tuple[Weighed, float]]:
     """Return the leading causes and their siblings, each at its best place, fitted."""
     strength: dict[str, float] = {}
+    of: dict[str, Term] = {}
     for s in leading:
-        seen = s.seen.statistic - s.seen.degrees_of_freedom
-        strength[s.term.cause] = max(strength.get(s.term.cause, -np.inf), seen)
-    order = sorted(strength, key=lambda cause: -strength[cause])[:CONTENDERS]
+        seen, name = s.seen.statistic - s.seen.degrees_of_freedom, label(s.term)
+        strength[name] = max(strength.get(name, -np.inf), seen)
+        of[name] = s.term
+    order = sorted(strength, key=lambda name: -strength[name])[:CONTENDERS]
     hopeless = HOPELESS * strength[order[0]]
-    order = [c for k, c in enumerate(order) if k < 2 or strength[c] > hopeless]
+    terms = [of[c] for k, c in enumerate(order) if k < 2 or strength[c] > hopeless]
     # What others stand for in the pass over all takes part where they do.
-    order += [c for c in STOOD_FOR if STOOD_FOR[c] in order and c not in order]
+    terms += [
+        one
+        for cause, other in STOOD_FOR.items()
+        for term in terms
+        if term.cause == other
+        for one in possible(catalogue()[cause], projection)
+        if recording_of(one) == recording_of(term) and one not in terms
+    ]
     weighed = []
-    for cause in order:
-        term = catalogue()[cause]
-        if cause in taken or term.kind != "effect":
+    for term in terms:
+        if label(term) in taken:
             continue
-        if any(term.missing(scene) is not None for scene in projection.scenes):
-            continue
-        own = [s for s in found if s.term.cause == cause]
+        own = [s for s in found if label(s.term) == label(term)]
         own = own or sights(projection, [term], tests, all_rows(projection, term))
         best = best_fit(projection, own)
         if best is not None:
@@ -305,8 +318,8 @@ def _reviewed(
         for k, one in enumerate(solution.extensions):
             if not one.free.size:
                 continue
-            like = fitted.get(one.term.cause, set()) | siblings(one.term, terms)
-            near = [t for t in terms if t.cause in like or t.cause == one.term.cause]
+            like = fitted.get(label(one.term), set()) | siblings(one.term, terms)
+            near = [t for t in terms if label(t) in like or label(t) == label(one.term)]
             standing = standing_of(solution, k, near, tests)
             standings.append(standing)
             ahead = standing.rivals and standing.rivals[0][0].evidence - standing.best.evidence
@@ -321,8 +334,14 @@ def _reviewed(
 
 
 def siblings(term: Term, terms: Sequence[Term]) -> set[str]:
-    """Return the causes that a cause is taken for, or that are taken for it."""
-    return set(term.confused_with) | {t.cause for t in terms if term.cause in t.confused_with}
+    """Return the causes that a cause is taken for, or that are taken for it, as labelled."""
+    own = recording_of(term)
+    return {
+        label(t)
+        for t in terms
+        if (t.cause in term.confused_with or term.cause in t.confused_with)
+        and (own is None or recording_of(t) in (None, own))
+    }
 
 
 def standing_of(solution: Solution, k: int, terms: Sequence[Term], tests: int) -> Standing:
@@ -337,15 +356,15 @@ def standing_of(solution: Solution, k: int, terms: Sequence[Term], tests: int) -
     one = solution.extensions[k]
     others = [e for j, e in enumerate(solution.extensions) if j != k]
     beside = Projection.of(solution, extensions=others, back=[one])
-    taken = {e.term.cause for e in others}
-    found = sights(beside, [t for t in terms if t.cause not in taken], tests)
+    taken = {label(e.term) for e in others}
+    found = sights(beside, [t for t in terms if label(t) not in taken], tests)
     weighed = _contenders(beside, found, found, taken, tests)
-    own = [(w, looks) for w, looks in weighed if w.extension.term.cause == one.term.cause]
+    own = [(w, looks) for w, looks in weighed if label(w.extension.term) == label(one.term)]
     place = _place_of(one)
     again = refit(beside, one.term, place, [one.values])
     if again is not None and (not own or again.evidence > own[0][0].evidence):
         own = [(again, own[0][1] if own else 1.0)]
-    rest = [w for w, _ in weighed if w.extension.term.cause != one.term.cause]
+    rest = [w for w, _ in weighed if label(w.extension.term) != label(one.term)]
     evidence = np.array([own[0][0].evidence, *(w.evidence for w in rest)])
     belief = np.exp(evidence - evidence.max())
     belief /= belief.sum()

@@ -21,6 +21,7 @@ from gyrorig_solver.estimate.result import (
     RecordingFit,
 )
 from gyrorig_solver.model.gain import GAIN_NAMES
+from gyrorig_solver.model.terms.bound import label
 from gyrorig_solver.samples import GyroSamples
 
 NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
@@ -125,11 +126,12 @@ def _causes(one: Extension, found: Concluded) -> Iterator[FittedCause]:
             one.values[at - parameter.count : at] == parameter.start
         ):
             continue
-        names = [f"{one.term.cause}.{name}" for name in parameter.names]
+        cause = label(one.term)
+        names = [f"{cause}.{name}" for name in parameter.names]
         held = dict(zip(names, one.values[here.start : here.stop], strict=True))
         alone = len(sizes) == 1 and parameter.role == "size"
         yield FittedCause(
-            name=one.term.cause if alone else f"{one.term.cause}.{parameter.name}",
+            name=cause if alone else f"{cause}.{parameter.name}",
             value=np.array([found.values.get(name, held[name]) for name in names]),
             std=np.array([found.std.get(name, np.nan) for name in names]),
             unit=parameter.unit,

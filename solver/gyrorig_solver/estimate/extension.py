@@ -11,7 +11,8 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray, IntArray
-from gyrorig_solver.model.terms.protocol import Term, indices, value_names, value_parameters
+from gyrorig_solver.model.terms.bound import labels
+from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
 from gyrorig_solver.model.terms.scene import Scene
 
 
@@ -26,8 +27,8 @@ class Extension:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the fitted values: cause, parameter, part."""
-        own = value_names(self.term)
-        return tuple(f"{self.term.cause}.{own[k]}" for k in self.free)
+        own = labels(self.term)
+        return tuple(own[k] for k in self.free)
 
     @property
     def prior_std(self) -> FloatArray:

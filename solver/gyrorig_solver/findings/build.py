@@ -189,6 +189,7 @@ def _from_search(one: NamedCause, findings: Findings, figures: Mapping[str, str]
         effect_on_calibration=_changes(one.changes),
         harm_sigma=_number(one.harm_sigma),
         remedy=remedy(one.cause),
+        recording=one.recording,
     )
 
 

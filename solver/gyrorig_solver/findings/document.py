@@ -105,6 +105,7 @@ class Cause(_Document, frozen=True, omit_defaults=True):
     effect_on_calibration: list[Change] = []
     harm_sigma: float | None = None  # largest of those changes, in standard deviations
     remedy: str = ""
+    recording: str | None = None  # of several, in which it happened; None: in all of them
 
 
 class Dependence(_Document, frozen=True):
