@@ -6,7 +6,8 @@ column. What to use when: `Temperature.of` once for a recording; `at` in every s
 
 Source: Whittaker's graduation, Eilers, "A perfect smoother", Anal. Chem. 75 (2003) 3631:
 minimises sum (z - T)^2 + lambda sum (second difference of z)^2; its response is
-1/(1 + (omega tau)^4) with lambda = (tau/step)^4.
+1/(1 + (omega tau)^4) with lambda = (tau/step)^4. How smooth: as smooth as the readings' own
+scatter bears (Morozov's discrepancy principle), for a room's swing may take a minute.
 """
 
 from dataclasses import dataclass
@@ -19,12 +20,10 @@ from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.recursive import recursed
 
 STEP_S = 1.0  # of the grid that is made smooth
-# Slower than this is kept, boards take minutes; coarse readings are smoothed for longer.
-SMOOTHED_S = 5.0
-FINE_K = 0.1  # readings of this step need no more
-LONGEST_SMOOTHED_S = 20.0
+SMOOTHED_S = (20.0, 12.0, 8.0, 5.0, 3.0, 2.0, 1.0)  # tau, tried in this order
+# Of the readings' scatter: a staircase's steps follow a curve that is as smooth as this.
+BORNE = 0.7
 FEWEST = 8  # readings
-FIRST_S = 20.0  # over which the slope at the beginning is taken
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,14 +75,12 @@ class Temperature:
 def _late(rise: FloatArray, tau_s: float) -> FloatArray:
     """Return x of x' = (u - x)/tau, exact for u linear between grid times.
 
-    Begun where it would be had u always risen as it does at first.
+    Begun as warm as the thermometer: so it is when the power comes on, and after a long rest.
     """
-    many = min(rise.size - 1, round(FIRST_S / STEP_S))
-    slope = (rise[many] - rise[0]) / (many * STEP_S)
     decay = float(np.exp(-STEP_S / tau_s))
     share = (1.0 - decay) * tau_s / STEP_S
     driven = np.empty_like(rise)
-    driven[0] = rise[0] - tau_s * slope
+    driven[0] = rise[0]
     driven[1:] = (share - decay) * rise[:-1] + (1.0 - share) * rise[1:]
     return recursed(np.ones(1), np.array([1.0, -decay]), driven)
 
@@ -96,11 +93,29 @@ def _smooth(time_s: FloatArray, degc: FloatArray) -> tuple[FloatArray, FloatArra
     # A cell counts once, whatever the rate of its readings.
     here = (weight > 0.0).astype(np.float64)
     mean = total / np.maximum(weight, 1.0)
+    found, scatter = mean, _scatter(degc, mean[here > 0.0])
+    for tau_s in SMOOTHED_S:
+        found = _graduated(mean, here, (tau_s / STEP_S) ** 4)
+        misfit = float(np.sqrt(np.sum(here * (found - mean) ** 2) / np.sum(here)))
+        if misfit <= BORNE * scatter:
+            break
+    return time_s[0] + STEP_S * np.arange(count), found
+
+
+def _scatter(degc: FloatArray, means: FloatArray) -> float:
+    """Return the deviation of the cells' means: that of the readings' steps, or their noise.
+
+    Noise by second differences, of which a smooth course has next to none.
+    """
     steps = np.diff(np.unique(degc))
     quantum = float(np.min(steps[steps > 1e-6], initial=np.inf))
-    quantum = quantum if np.isfinite(quantum) else FINE_K
-    long_s = SMOOTHED_S * np.sqrt(max(1.0, quantum / FINE_K))
-    stiffness = (min(long_s, LONGEST_SMOOTHED_S) / STEP_S) ** 4
+    rounding = quantum / np.sqrt(12.0) if np.isfinite(quantum) else 0.0
+    noise = float(np.std(np.diff(means, 2)) / np.sqrt(6.0)) if means.size > 2 else 0.0
+    return max(rounding, noise)
+
+
+def _graduated(mean: FloatArray, here: FloatArray, stiffness: float) -> FloatArray:
+    count = mean.size
     # Upper bands of W + lambda D'D; the rows of D are 1, -2, 1.
     bands = np.zeros((3, count))
     bands[2] = here
@@ -109,5 +124,4 @@ def _smooth(time_s: FloatArray, degc: FloatArray) -> tuple[FloatArray, FloatArra
         for second in range(first, 3):
             product = stiffness * row[first] * row[second]
             bands[2 - second + first, second : count - 2 + second] += product
-    found = solveh_banded(bands, mean * here)
-    return time_s[0] + STEP_S * np.arange(count), np.asarray(found, dtype=np.float64)
+    return np.asarray(solveh_banded(bands, mean * here), dtype=np.float64)
