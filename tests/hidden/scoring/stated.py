@@ -14,10 +14,12 @@ import numpy as np
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration.profiles import find_profile
 from gyrorig_solver.discover.changes import PARAMETERS, Board
 from gyrorig_solver.discover.finder import explain
 from gyrorig_solver.discover.result import Explained, Findings, NamedCause
+from gyrorig_solver.estimate.likelihood import GAINS, PER_SESSION, Solution
 from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
 from gyrorig_solver.findings.document import Cause, FindingsDocument, Input, Subject
 from gyrorig_solver.model.terms.protocol import indices, value_names
@@ -28,6 +30,7 @@ from gyrorig_solver.samples import load_samples
 Look = Callable[[Sequence[Recording], str], Explained]
 NOTHING_OPENED = "2000-01-01T00:00:00Z"  # documents that are compared carry no clock's time
 DIGITS = 7
+MOVES_BIAS = ("bias_ramp", "bias_step", "thermal_bias", "warm_up")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,16 +106,44 @@ def _raw(one: Cause) -> dict[str, Any]:
 
 
 def _calibration(found: Explained) -> dict[str, list[float | None]]:
-    """Return each parameter's value and deviation beside the named causes, and without."""
+    """Return each parameter's value and deviation beside the named causes, and without.
+
+    The truth's bias is its mean over the recording; beside a named cause that moves the bias
+    the calibration's is where that cause is zero, so its mean is put in.
+    """
     after, before = Board.of(found.solution_extended), Board.of(found.solution_base)
+    value, std = after.values.copy(), after.std.copy()
+    shift, variance = _mean_of_moves(found.solution_extended)
+    at = [k for k, name in enumerate(PARAMETERS) if name.startswith("bias.")]
+    value[at] += shift
+    std[at] = np.where(np.isfinite(std[at]), np.sqrt(variance), np.nan)
     return {
-        name: [
-            _short(float(after.values[k])),
-            _short(float(after.std[k])),
-            _short(float(before.values[k])),
-        ]
+        name: [_short(float(value[k])), _short(float(std[k])), _short(float(before.values[k]))]
         for k, name in enumerate(PARAMETERS)
     }
+
+
+def _mean_of_moves(solution: Solution) -> tuple[FloatArray, FloatArray]:
+    """Return what causes that move the bias add to its mean, (3,), and that sum's variance."""
+    covariance = solution.decision.covariance
+    own = np.arange(GAINS, GAINS + 3)
+    moving = [one for one in solution.extensions if one.term.cause in MOVES_BIAS]
+    if not moving:
+        return np.zeros(3), np.diag(covariance)[own]
+    shift, blocks = np.zeros(3), 0
+    along = np.zeros((3, covariance.shape[0]))
+    for _, _, model, _, scene in solution.sessions[-1].derivatives(solution.gain):
+        blocks += int(model.used.sum())
+        at = GAINS + PER_SESSION
+        for one in solution.extensions:
+            if one.term.cause in MOVES_BIAS:
+                shift += one.term.effect(scene, one.values)[model.used].sum(axis=0)
+                columns = one.term.columns(scene, one.values)[one.free]
+                along[:, at : at + one.free.size] += columns[:, model.used].sum(axis=1).T
+            at += one.free.size
+    along /= blocks
+    along[:, own] += np.eye(3)
+    return shift / blocks, np.einsum("ij,jk,ik->i", along, covariance, along)
 
 
 def _harm_printed(findings: Findings, document: FindingsDocument) -> bool:
