@@ -99,7 +99,7 @@ def _sized(projection: Projection, term: Term, values: FloatArray, sizes: IntArr
     """Return values with the sizes that are best to first order."""
     every = indices(term, role="size")
     at = [every.index(k) for k in sizes]
-    white = projection.signals(lambda scene: term.directions(scene, values)[at])
+    white = projection.signals(lambda scene: term.directions(scene, values)[at], term=term)
     found = values.copy()
     found[sizes] = Seen.of(projection.look(white)).values
     return _inside(projection, term, found)
@@ -123,7 +123,7 @@ def _timed(
             def signal(scene: Scene, trial: FloatArray = trial) -> FloatArray:
                 return term.directions(scene, trial)[at]
 
-            seen = Seen.of(projection.look(projection.signals(signal)))
+            seen = Seen.of(projection.look(projection.signals(signal, term=term)))
             if seen.statistic > statistic:
                 statistic = seen.statistic
                 trial[sizes] = seen.values
@@ -148,11 +148,7 @@ def _setting(projection: Projection, term: Term) -> Setting:
 
 
 def _state(projection: Projection, term: Term, values: FloatArray, free: IntArray) -> _State:
-    def signal(scene: Scene) -> FloatArray:
-        columns = term.columns(scene, values)[free]
-        return np.concatenate([columns, term.effect(scene, values)[None]])
-
-    looked = projection.look(projection.signals(signal, exact=True))
+    looked = projection.look(projection.fitted(term, values, free))
     f = free.size
     cost = 0.5 * float(looked.information[f, f]) - float(looked.score[f])
     slope = looked.score[:f] - looked.information[:f, f]

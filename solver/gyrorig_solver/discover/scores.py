@@ -130,7 +130,7 @@ def _of_term(
     wanted = {p: noncentrality(len(at), tests * max(looked, 1)) for p, at in scenes}
     kept: list[FloatArray] = []
     for row in rows:
-        white = projection.signals(partial(_directions, term, row))
+        white = projection.signals(partial(_directions, term, row), term=term)
         says = projection.look(white)
         if 1 < len(rows) == looked and len(rows) * len(white) <= GRAM:
             kept.append(white)

@@ -1,10 +1,9 @@
 """Causes of the catalogue as unknowns of a fit, beside gain, bias and time offset.
 
 What to use when: `fitted` for a cause whose sizes are to be found, `known` for one whose
-size is known beforehand (the Earth's rotation); `effect_of` and `columns_of` in a fit.
+size is known beforehand (the Earth's rotation). `chain` has what several do together.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -13,7 +12,6 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.model.terms.bound import labels
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
-from gyrorig_solver.model.terms.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +34,11 @@ class Extension:
         own = value_parameters(self.term)
         return np.array([own[k].prior_std for k in self.free], dtype=np.float64)
 
+    @property
+    def acts(self) -> bool:
+        """Whether it does anything at all: some size is not zero."""
+        return bool(np.any(self.values[indices(self.term, role="size")]))
+
     def moved(self, step: FloatArray) -> Self:
         """Return the cause with its fitted values changed, each inside its range."""
         own = value_parameters(self.term)
@@ -54,20 +57,6 @@ def fitted(term: Term) -> Extension:
 def known(term: Term) -> Extension:
     """Return a cause whose values are what its parameters begin with."""
     return Extension(term, _starts(term), np.zeros(0, dtype=np.int64))
-
-
-def effect_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray:
-    """Return what the causes together change, (blocks, 3), sensor frame."""
-    total = np.zeros((scene.blocks, 3))
-    for one in extensions:
-        total += one.term.effect(scene, one.values)
-    return total
-
-
-def columns_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray:
-    """Return the derivatives by all fitted values, (k, blocks, 3)."""
-    found = [one.term.columns(scene, one.values)[one.free] for one in extensions if one.free.size]
-    return np.concatenate(found) if found else np.zeros((0, scene.blocks, 3))
 
 
 def _starts(term: Term) -> FloatArray:

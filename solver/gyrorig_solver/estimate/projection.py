@@ -21,11 +21,14 @@ from scipy.sparse import block_diag, csc_array, csr_array
 
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.arrow import factor
-from gyrorig_solver.estimate.extension import Extension, columns_of, effect_of
+from gyrorig_solver.estimate.chain import Chain, columns_of, lost_without
+from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import GAINS, PER_SESSION, Solution
 from gyrorig_solver.estimate.noise import NoiseModel, frequencies
 from gyrorig_solver.estimate.observability import PRIOR_STD
 from gyrorig_solver.estimate.whitening import PartModel
+from gyrorig_solver.model.terms.bound import label
+from gyrorig_solver.model.terms.protocol import Term
 from gyrorig_solver.model.terms.scene import Scene
 
 ONCE = 0.01  # share of a cause's information below which data do not tell of it
@@ -106,8 +109,9 @@ class Projection:
         base: FloatArray,
         local: csr_array,
         prior: "Prior",
+        at_work: Sequence[Extension] = (),
     ) -> None:
-        """Take what `of` has put together."""
+        """Take what `of` has put together; causes `at_work` are in what the residual is of."""
         self.stretches, self.extensions = tuple(stretches), tuple(extensions)
         self.residual = self.white([[r[None] for r in s.residuals] for s in stretches])[0]
         self._base, self._local, self._prior = base, local, prior
@@ -124,6 +128,9 @@ class Projection:
         self._pull_local = local @ self.residual + prior.pull_local
         self._pull = base @ self.residual + prior.pull_shared
         self.board = prior.board
+        self._chains = [[Chain(at_work, one) for one in s.scenes] for s in stretches]
+        self._exact = [[Chain(at_work, one) for one in s.exact] for s in stretches]
+        self._looked_at = ""
 
     @classmethod
     def of(
@@ -142,6 +149,7 @@ class Projection:
             noises: of each recording, those of the fit by default.
         """
         follow = solution.extensions if extensions is None else tuple(extensions)
+        stay = [one for one in solution.extensions if all(one is not other for other in back)]
         stretches = []
         for number, session in enumerate(solution.sessions):
             noise = (noises or solution.noises)[number]
@@ -149,16 +157,16 @@ class Projection:
             series: dict[int, list[tuple[PartModel, Scene, Scene, FloatArray]]] = {}
             for k, blocks, model, scene, exact in session.derivatives(solution.gain):
                 residual = left[k][blocks].copy()
-                for one in back:
-                    effect = one.term.effect(exact, one.values)
-                    residual += np.where(model.used[:, None], effect, 0.0)
+                if back:
+                    given = lost_without(back, solution.extensions, exact)
+                    residual += np.where(model.used[:, None], given, 0.0)
                 series.setdefault(k, []).append((model, scene, exact, residual))
             for parts in series.values():
                 models, scenes, fine, residuals = zip(*parts, strict=True)
                 used = tuple(m.used for m in models)
                 stretches.append(Stretch(number, used, scenes, fine, models, residuals, noise))
         base, local, prior = _base(solution, stretches, follow)
-        return cls(stretches, follow, base, local, prior)
+        return cls(stretches, follow, base, local, prior, stay)
 
     def without(self, gone: Sequence[int]) -> "Lacking":
         """Return the fit's model less some of its causes: their effect goes back.
@@ -173,10 +181,10 @@ class Projection:
             at += one.free.size
         if not gone:
             return Lacking(np.flatnonzero(rows), self.residual)
-        left = [one for k, one in enumerate(self.extensions) if k not in gone]
+        lost = [one for k, one in enumerate(self.extensions) if k in gone]
 
         def back(scene: Scene) -> FloatArray:
-            return (effect_of(self.extensions, scene) - effect_of(left, scene))[None]
+            return lost_without(lost, self.extensions, scene)[None]
 
         return Lacking(np.flatnonzero(rows), self.residual + self.signals(back, exact=True)[0])
 
@@ -258,14 +266,47 @@ class Projection:
         found = [s.whitened(p) for s, p in zip(self.stretches, signals, strict=True)]
         return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
 
-    def signals(self, of: Signal, exact: bool = False) -> FloatArray:
+    def signals(self, of: Signal, exact: bool = False, term: Term | None = None) -> FloatArray:
         """Return what a function of each scene gives, (k, blocks, 3), whitened, (k, all).
 
-        `exact`: of the scenes on the samples' own grid.
+        Args:
+            of: the function.
+            exact: of the scenes on the samples' own grid.
+            term: of the scenes as this cause finds them, those of the fit before it at work;
+                None: of the scenes as the unit believes them.
         """
+        if term is None:
+            return self.white(
+                [[of(one) for one in (s.exact if exact else s.scenes)] for s in self.stretches]
+            )
         return self.white(
-            [[of(one) for one in (s.exact if exact else s.scenes)] for s in self.stretches]
+            [[of(one.at(term)) for one in part] for part in self._composed(term, exact)]
         )
+
+    def fitted(self, term: Term, values: FloatArray, free: IntArray | Sequence[int]) -> FloatArray:
+        """Return a cause's derivatives and last its effect beside the fit, whitened, exact.
+
+        Args:
+            term: the cause.
+            values: of all its parameters, (k,).
+            free: by which of them to derive.
+        """
+        found = []
+        for part in self._composed(term, exact=True):
+            signals = []
+            for one in part:
+                columns = term.columns(one.at(term), values)[free]
+                signals.append(np.concatenate([columns, one.effect(term, values)[None]]))
+            found.append(signals)
+        return self.white(found)
+
+    def _composed(self, term: Term, exact: bool) -> list[list[Chain]]:
+        """Return the chains of each part; of exact ones only one cause's scenes are kept."""
+        if exact and self._looked_at != label(term):
+            for one in (one for part in self._exact for one in part):
+                one.forget()
+            self._looked_at = label(term)
+        return self._exact if exact else self._chains
 
     def look(self, white: FloatArray) -> Looked:
         """Return what whitened signals say beside the fit."""

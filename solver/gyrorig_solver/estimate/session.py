@@ -13,7 +13,8 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.extension import Extension, columns_of, effect_of
+from gyrorig_solver.estimate.chain import columns_of, effect_of
+from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.noise import NoiseModel, Periodogram, Sampling
 from gyrorig_solver.estimate.normal import Normal, NormalSum, score_again
 from gyrorig_solver.estimate.predict import (

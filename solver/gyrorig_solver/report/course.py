@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.discover.result import Explained, NamedCause
-from gyrorig_solver.estimate.extension import effect_of
+from gyrorig_solver.estimate.chain import effect_of
 from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.noise import binned
 from gyrorig_solver.estimate.result import GyroFit

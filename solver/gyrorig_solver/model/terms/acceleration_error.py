@@ -10,7 +10,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import AngleTerm, scanned
 from gyrorig_solver.model.terms.profiles import relaid
-from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.protocol import Link, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import PAN_TILT, listed
 
@@ -19,6 +19,7 @@ class AccelerationError(AngleTerm):
     """e for pan and tilt."""
 
     cause = "acceleration_error"
+    link: Link = "profile"
     parameters = (
         TermParameter(
             name="share",

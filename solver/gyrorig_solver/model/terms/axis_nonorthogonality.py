@@ -14,7 +14,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import CurvedTerm
-from gyrorig_solver.model.terms.protocol import Part, Scope, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG
 
@@ -24,6 +24,7 @@ class AxisNonOrthogonality(CurvedTerm):
 
     cause = "axis_nonorthogonality"
     part: Part = "ptu"
+    link: Link = "axes"
     scope: Scope = "unit"
     parameters = (
         TermParameter(

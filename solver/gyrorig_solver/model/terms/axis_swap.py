@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearTerm
-from gyrorig_solver.model.terms.protocol import Kind, Part, TermParameter
+from gyrorig_solver.model.terms.protocol import Kind, Link, Part, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 
 PAIRS = ((0, 1), (1, 2), (2, 0))
@@ -19,6 +19,7 @@ class AxisSwap(LinearTerm):
 
     cause = "axis_swap"
     part: Part = "link"
+    link: Link = "readout"
     kind: Kind = "gauge"
     parameters = (
         TermParameter(

@@ -11,7 +11,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import AngleTerm, scanned
 from gyrorig_solver.model.terms.profiles import play
-from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.protocol import Link, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG, PAN_TILT, listed
 
@@ -20,6 +20,7 @@ class Backlash(AngleTerm):
     """The gap, then where in it the recording begins (1: pushing up), for pan and tilt."""
 
     cause = "backlash"
+    link: Link = "play"
     parameters = (
         TermParameter(
             name="gap",

@@ -20,6 +20,7 @@ class BaseCompliance(LinearAngleTerm):
     """c for pan and tilt."""
 
     cause = "base_compliance"
+    reshapes: bool = True
     parameters = (
         TermParameter(
             name="coefficient",

@@ -10,7 +10,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.acceleration_error import no_profiles, redone
 from gyrorig_solver.model.terms.bases import AngleTerm, scanned
-from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.protocol import Link, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG, PAN_TILT, listed
 
@@ -19,6 +19,7 @@ class BaseSpeedJump(AngleTerm):
     """Speed above the told base speed for pan and tilt."""
 
     cause = "base_speed_jump"
+    link: Link = "profile"
     parameters = (
         TermParameter(
             name="speed",

@@ -13,6 +13,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.protocol import (
     Kind,
+    Link,
     Part,
     Scope,
     TermParameter,
@@ -30,6 +31,8 @@ class BaseTerm(ABC):
     cause: str
     part: Part
     kind: Kind = "effect"
+    link: Link = "sensor"
+    reshapes: bool = False
     scope: Scope = "board"
     parameters: tuple[TermParameter, ...]
     confused_with: tuple[str, ...] = ()
@@ -40,6 +43,21 @@ class BaseTerm(ABC):
     @abstractmethod
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the exact change of the measured rate, (blocks, 3), at values (k,)."""
+
+    def passed(self, scene: Scene, values: FloatArray) -> Scene:
+        """Return the scene as the causes further down the chain see it.
+
+        The effect itself, looked at where it arises, is what is passed on.
+        """
+        if self.link in ("axes", "mount"):
+            return scene.with_rate(self.effect(scene.at_stage(), values))
+        if self.link in ("sensor", "threshold", "bias"):
+            return scene.with_sensor(self.effect(scene.at_sensor(), values))
+        if self.link == "limit":
+            return scene.with_output(self.effect(scene.at_output(), values))
+        if self.link == "readout":
+            return scene
+        raise NotImplementedError(f"{self.cause} does not say what {self.link} passes on")
 
     @abstractmethod
     def sentence(self, values: FloatArray) -> str:
@@ -126,6 +144,8 @@ class AngleTerm(CurvedTerm):
     """The stage is not at the angles that the unit believes."""
 
     part: Part = "ptu"
+    link: Link = "stage"
+    reshapes: bool = True
     scope: Scope = "unit"
 
     @abstractmethod
@@ -136,6 +156,10 @@ class AngleTerm(CurvedTerm):
         """Return what the angles' change does to the measured rate, (blocks, 3)."""
         return scene.seen_at_stage(scene.turned(self.change(scene, values)))
 
+    def passed(self, scene: Scene, values: FloatArray) -> Scene:
+        """Return the scene with the angles off."""
+        return scene.with_angles(self.change(scene, values))
+
     def missing(self, scene: Scene) -> str | None:
         """Say that a reference without pan and tilt tells nothing of a unit."""
         return None if scene.has_angles else "the reference has no pan and tilt; use a unit"
@@ -143,6 +167,8 @@ class AngleTerm(CurvedTerm):
 
 class LinearAngleTerm(AngleTerm):
     """Angles off by a sum of sizes times shapes; columns are then first order, analytic."""
+
+    reshapes: bool = False
 
     @abstractmethod
     def shapes(self, scene: Scene, values: FloatArray) -> list[tuple[int, FloatArray]]:
@@ -174,6 +200,7 @@ class TimeTerm(CurvedTerm):
     """The samples were not taken when their stamps say."""
 
     part: Part = "clock"
+    link: Link = "clock"
 
     @abstractmethod
     def delay(self, scene: Scene, values: FloatArray) -> FloatArray:
@@ -182,6 +209,10 @@ class TimeTerm(CurvedTerm):
     @abstractmethod
     def delay_columns(self, scene: Scene, values: FloatArray) -> dict[int, FloatArray]:
         """Return the delay's derivative by each value that has one written out."""
+
+    def passed(self, scene: Scene, values: FloatArray) -> Scene:
+        """Return the scene with its instants later."""
+        return scene.with_delay(self.delay(scene, values))
 
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the change of the measured rate, (blocks, 3)."""
@@ -210,6 +241,8 @@ class TimeTerm(CurvedTerm):
 
 class UnseenTerm(BaseTerm):
     """Nothing shows in the mean of the series: noise, or a fault of the raw stream."""
+
+    link: Link = "readout"
 
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return zeros, shape (blocks, 3)."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearTerm, event_times, scanned, since
-from gyrorig_solver.model.terms.protocol import Part, Scope, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene, by_axis
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
@@ -20,6 +20,7 @@ class BiasStep(LinearTerm):
 
     cause = "bias_step"
     part: Part = "sensor"
+    link: Link = "bias"
     scope: Scope = "recording"
     parameters = (
         TermParameter(

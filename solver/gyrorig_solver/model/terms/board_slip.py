@@ -9,7 +9,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.gain import cross_matrix, rotation_matrix
 from gyrorig_solver.model.terms.bases import CurvedTerm, event_times, scanned, since
-from gyrorig_solver.model.terms.protocol import Part, Scope, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
@@ -21,6 +21,7 @@ class BoardSlip(CurvedTerm):
 
     cause = "board_slip"
     part: Part = "mount"
+    link: Link = "mount"
     scope: Scope = "recording"
     parameters = (
         TermParameter(

@@ -44,6 +44,11 @@ class _Bound:
             return np.asarray(plain.delay(scene, values), dtype=np.float64)
         return np.zeros(scene.use.size)
 
+    def passed(self, scene: Scene, values: FloatArray) -> Scene:
+        plain: Any = super()
+        made: Scene = plain.passed(scene, values) if self._here(scene) else scene
+        return made
+
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
         plain: Any = super()
         if self._here(scene):

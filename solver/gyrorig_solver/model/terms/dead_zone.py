@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import CurvedTerm, scanned
-from gyrorig_solver.model.terms.protocol import Part, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
@@ -23,6 +23,8 @@ class DeadZone(CurvedTerm):
 
     cause = "dead_zone"
     part: Part = "sensor"
+    link: Link = "threshold"
+    reshapes: bool = True
     parameters = (
         TermParameter(
             name="threshold",

@@ -16,7 +16,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearTerm
-from gyrorig_solver.model.terms.protocol import Kind, Part, Scope, TermParameter
+from gyrorig_solver.model.terms.protocol import Kind, Link, Part, Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene, Site
 from gyrorig_solver.model.terms.wording import DEG
 
@@ -28,6 +28,7 @@ class EarthRotation(LinearTerm):
 
     cause = "earth_rotation"
     part: Part = "environment"
+    link: Link = "axes"
     kind: Kind = "known"
     scope: Scope = "recording"
     parameters = (

@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearAngleTerm
-from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.protocol import Link, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG
 
@@ -29,6 +29,7 @@ class Eccentricity(LinearAngleTerm):
     """c and s."""
 
     cause = "eccentricity"
+    link: Link = "wheel"
     parameters = (_parameter("cosine"), _parameter("sine"))
     confused_with = ("worm_error", "step_resolution")
     excitation = "pan over its full range; over +-80 deg one and two per turn look alike"

@@ -15,7 +15,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.model.terms.bases import LinearAngleTerm, scanned
-from gyrorig_solver.model.terms.protocol import Scope, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG, PAN_TILT, listed
 
@@ -78,6 +78,7 @@ class LostSteps(LinearAngleTerm):
     """Angle lost by pan and tilt, then when."""
 
     cause = "lost_steps"
+    link: Link = "rotor"
     scope: Scope = "recording"
     parameters = (
         TermParameter(

@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.model.terms.bases import CurvedTerm, scanned
-from gyrorig_solver.model.terms.protocol import Part, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 
 HIGHEST_SHARE = 0.45  # of the grid's rate: a bilinear filter cannot have a higher cut-off
@@ -23,6 +24,7 @@ class LowPassLag(CurvedTerm):
 
     cause = "low_pass_lag"
     part: Part = "sensor"
+    link: Link = "low_pass"
     parameters = (
         TermParameter("log_cutoff", "1", typical=0.3, lower=-1.6, upper=1.6, prior_std=1.0),
     )
@@ -32,14 +34,24 @@ class LowPassLag(CurvedTerm):
 
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the difference of the two filters' outputs, (blocks, 3)."""
-        if scene.low_pass is None or values[0] == 0.0:
+        other = self._other(scene, values)
+        if other is None:
             return np.zeros((scene.blocks, 3))
+        rate = scene.sensor_rate_rad_s
+        there = replace(scene, low_pass=other)
+        return scene.read(there.low_passed(rate) - scene.low_passed(rate))
+
+    def passed(self, scene: Scene, values: FloatArray) -> Scene:
+        """Return the scene with the other filter."""
+        other = self._other(scene, values)
+        return scene if other is None else replace(scene, low_pass=other)
+
+    def _other(self, scene: Scene, values: FloatArray) -> LowPass | None:
+        if scene.low_pass is None or values[0] == 0.0:
+            return None
         highest = HIGHEST_SHARE * scene.low_pass.rate_hz
         cutoff = min(scene.low_pass.bandwidth_hz * float(np.exp(values[0])), highest)
-        other = replace(scene.low_pass, bandwidth_hz=cutoff)
-        rate = np.ascontiguousarray(scene.sensor_rate_rad_s.T)
-        change = other.apply_to_means(rate) - scene.low_pass.apply_to_means(rate)
-        return scene.read(change.T)
+        return replace(scene.low_pass, bandwidth_hz=cutoff)
 
     def bank(self, scene: Scene) -> FloatArray:
         """Look from both sides; the effect is far from linear."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearTerm
-from gyrorig_solver.model.terms.protocol import Part, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, TermParameter
 from gyrorig_solver.model.terms.scene import Scene, by_axis
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
@@ -30,6 +30,7 @@ class MotorCoupling(LinearTerm):
 
     cause = "motor_coupling"
     part: Part = "sensor"
+    link: Link = "bias"
     parameters = (_parameter("pan"), _parameter("tilt"))
     confused_with = (
         "scale_asymmetry",

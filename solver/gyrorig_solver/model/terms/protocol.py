@@ -5,7 +5,7 @@ What to use when: a fit asks `missing`, `effect` and `columns`; a search over ca
 """
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.scene import Scene
@@ -21,6 +21,30 @@ Scope = Literal["board", "unit", "recording"]
 # size: how much of it, zero means none. shape, event: a nuisance that means nothing at size
 # zero (a period, a lag, a time constant; a time), scanned before it is refined.
 Role = Literal["size", "shape", "event"]
+# Where on the way from what the motor is told to a stamped sample a cause acts. What comes
+# later sees what comes earlier: a gap swallows the motion that rounded ramps have.
+Link = Literal[
+    "profile",  # which moves the controller lays
+    "motor",  # how the motor carries them out
+    "rotor",  # what it loses on the way
+    "drive",  # steps to the worm's turn
+    "play",  # from worm to wheel
+    "wheel",  # the wheel's own turn
+    "stage",  # what the wheel carries, and what carries the unit
+    "axes",  # from the axes' turn to the stage's rate
+    "mount",  # from stage to sensor
+    "sensor",  # what the element makes of a rate
+    "threshold",  # and of a small one
+    "bias",  # what it shows without any
+    "low_pass",
+    "limit",  # of what it can show
+    "clock",  # when that is read
+    "readout",  # what is written instead; nothing comes after it
+]
+CHAIN: tuple[Link, ...] = get_args(Link)
+# These take a signal as it is, filtered or later: their effect on what others add is exact
+# when it is taken with them at work.
+OPERATORS: tuple[Link, ...] = ("low_pass", "clock")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +91,16 @@ class Term(Protocol):
         ...
 
     @property
+    def link(self) -> Link:
+        """Where in the chain from motor to stamp it acts."""
+        ...
+
+    @property
+    def reshapes(self) -> bool:
+        """Whether what it does hangs strongly on small changes further up the chain."""
+        ...
+
+    @property
     def scope(self) -> Scope:
         """Whose it is."""
         ...
@@ -97,6 +131,10 @@ class Term(Protocol):
 
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the exact change of the measured rate, (blocks, 3), at values (k,)."""
+        ...
+
+    def passed(self, scene: Scene, values: FloatArray) -> Scene:
+        """Return the scene as the causes further down the chain see it."""
         ...
 
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:

@@ -21,6 +21,7 @@ class Ringing(LinearAngleTerm):
     """A for pan and tilt, then frequency and damping of the mode."""
 
     cause = "ringing"
+    reshapes: bool = True
     parameters = (
         TermParameter(
             name="share",

@@ -11,7 +11,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import AngleTerm, scanned
 from gyrorig_solver.model.terms.profiles import box_mean
-from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.protocol import Link, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import PAN_TILT, listed
 
@@ -20,6 +20,7 @@ class SCurve(AngleTerm):
     """L for pan and tilt."""
 
     cause = "s_curve"
+    link: Link = "motor"
     parameters = (
         TermParameter(
             name="length",

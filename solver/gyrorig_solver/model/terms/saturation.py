@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import CurvedTerm, scanned
-from gyrorig_solver.model.terms.protocol import Part, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 
 
@@ -18,6 +18,8 @@ class Saturation(CurvedTerm):
 
     cause = "saturation"
     part: Part = "sensor"
+    link: Link = "limit"
+    reshapes: bool = True
     parameters = (
         TermParameter("shortfall", "1", typical=0.2, lower=0.0, upper=0.98, prior_std=1.0),
     )

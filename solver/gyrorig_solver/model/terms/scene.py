@@ -9,9 +9,13 @@ The grid has `fine` intervals to a sample instant, an odd number so that one is 
 it, and `block` instants to a mean. On the series' own fine grid that is what the samples
 saw, exactly. A coarser grid (a few intervals to a block, each standing for an instant) is
 as good for derivatives and several times faster.
+
+A scene may be one that other causes have changed already: `with_angles`, `with_rate`,
+`with_sensor`, `with_output` and `with_delay` are what each link of the chain from motor to
+stamp passes on; `at_stage`, `at_sensor` and `at_output` look at a link with nothing behind it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -73,6 +77,11 @@ class Scene:
     low_pass: LowPass | None
     has_angles: bool  # False: a reference without pan and tilt
     arrived: tuple[float, float]  # direction of each axis' last move before this part, or 0
+    # What causes further up the chain have changed already; None: nothing.
+    runs: BoolArray | None = None  # (2, n), whether the motors turn, whatever the stage does
+    sensor_added_rad_s: FloatArray | None = None  # (n, 3), in front of the low-pass
+    output_added_rad_s: FloatArray | None = None  # (n, 3), behind it
+    delay_s: FloatArray | None = None  # (instants,), how much later than stamped
 
     @classmethod
     def build(
@@ -182,6 +191,8 @@ class Scene:
     @cached_property
     def moving(self) -> BoolArray:
         """Whether pan and tilt turn, shape (2, n)."""
+        if self.runs is not None:
+            return self.runs
         rates = np.stack([self.pan_rate_rad_s, self.tilt_rate_rad_s])
         return np.asarray(np.abs(rates) > MOVING_RAD_S, dtype=np.bool_)
 
@@ -204,7 +215,8 @@ class Scene:
     @cached_property
     def sensor_rate_rad_s(self) -> FloatArray:
         """What the sensor turns by its own axes, G omega, shape (n, 3), without bias."""
-        return np.asarray(self.rate_rad_s @ self.gain.T, dtype=np.float64)
+        rate = np.asarray(self.rate_rad_s @ self.gain.T, dtype=np.float64)
+        return rate if self.sensor_added_rad_s is None else rate + self.sensor_added_rad_s
 
     @cached_property
     def specific_force_m_s2(self) -> FloatArray:
@@ -216,7 +228,8 @@ class Scene:
     @cached_property
     def filtered_rad_s(self) -> FloatArray:
         """G omega behind the low-pass, shape (n, 3)."""
-        return self.low_passed(self.sensor_rate_rad_s)
+        rate = self.low_passed(self.sensor_rate_rad_s)
+        return rate if self.output_added_rad_s is None else rate + self.output_added_rad_s
 
     @cached_property
     def filtered_slope_rad_s2(self) -> FloatArray:
@@ -255,27 +268,37 @@ class Scene:
 
     def read(self, output: FloatArray) -> FloatArray:
         """Return the block means of what leaves the low-pass, shape (..., n, 3)."""
-        return self.mean(output[..., self._first :: self.fine, :])
+        if self.delay_s is None:
+            return self.mean(output[..., self._first :: self.fine, :])
+        slope = np.asarray(np.gradient(output, self.step_s, axis=-2), dtype=np.float64)
+        return self.mean(self._between(output, slope, self.delay_s)[0])
 
     def later(self, delay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what the sensor would show if each instant were later, and its slope.
 
         Args:
-            delay_s: shape (instants,).
+            delay_s: shape (instants,); what the scene has already comes on top.
 
         Returns:
             G omega behind the low-pass and its time derivative, (instants, 3) each, by
             cubic Hermite interpolation; constant beyond the ends.
         """
+        whole = delay_s if self.delay_s is None else delay_s + self.delay_s
+        return self._between(self.filtered_rad_s, self.filtered_slope_rad_s2, whole)
+
+    def _between(
+        self, signal: FloatArray, signal_slope: FloatArray, delay_s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a signal (..., n, 3) and its slope at delayed instants, (..., instants, 3)."""
         at = np.clip(self.instants_s + delay_s, self.time_s[0], self.time_s[-1])
         k = np.clip(np.searchsorted(self.time_s, at, side="right") - 1, 0, self.n - 2)
-        width = self.time_s[k + 1] - self.time_s[k]
-        u = ((at - self.time_s[k]) / width)[:, None]
-        low, high = self.filtered_rad_s[k], self.filtered_rad_s[k + 1]
-        rise = (high - low) / width[:, None]
-        begin, end = self.filtered_slope_rad_s2[k], self.filtered_slope_rad_s2[k + 1]
+        width = (self.time_s[k + 1] - self.time_s[k])[:, None]
+        u = (at - self.time_s[k])[:, None] / width
+        low, high = signal[..., k, :], signal[..., k + 1, :]
+        rise = (high - low) / width
+        begin, end = signal_slope[..., k, :], signal_slope[..., k + 1, :]
         c, d = 3.0 * rise - 2.0 * begin - end, begin + end - 2.0 * rise
-        value = low + width[:, None] * u * (begin + u * (c + u * d))
+        value = low + width * u * (begin + u * (c + u * d))
         slope = begin + u * (2.0 * c + 3.0 * u * d)
         return np.asarray(value, np.float64), np.asarray(slope, np.float64)
 
@@ -308,6 +331,11 @@ class Scene:
             first: index of its first interval.
             stage_rate: shape (m, 3).
         """
+        if self.delay_s is not None:
+            whole = np.zeros((self.n, 3))
+            inside = whole[first : first + len(stage_rate)]
+            inside[:] = stage_rate[: len(inside)]
+            return self.seen_at_stage(whole)
         found = np.zeros((self.blocks, 3))
         per = self.fine * self.block
         settle = 0 if self.low_pass is None else int(3.0 / self.low_pass.bandwidth_hz / self.step_s)
@@ -343,6 +371,58 @@ class Scene:
     @cached_property
     def _told_rad_s(self) -> FloatArray:
         return AxisTurn.along(self.angle_rad, self.edges_s, (1.0, 1.0))[0]
+
+    # ---- what the next link of the chain sees
+
+    def with_angles(self, change_rad: FloatArray) -> Self:
+        """Return the scene with the stage at other angles, shape (2, n + 1)."""
+        angle = self.angle_rad + change_rad
+        rate, turn = AxisTurn.along(angle, self.edges_s, (1.0, 1.0))
+        more = np.where(self.known[:, None], rate - self._told_rad_s, 0.0)
+        return replace(
+            self,
+            angle_rad=angle,
+            turn=turn,
+            rate_rad_s=self.rate_rad_s + more,
+            runs=self.moving,
+        )
+
+    def with_rate(self, change_rad_s: FloatArray) -> Self:
+        """Return the scene with the stage, or what is on it, turning otherwise, (n, 3)."""
+        more = np.where(self.known[:, None], change_rad_s, 0.0)
+        return replace(self, rate_rad_s=self.rate_rad_s + more)
+
+    def with_sensor(self, change_rad_s: FloatArray) -> Self:
+        """Return the scene with more rate in front of the low-pass, sensor frame, (n, 3)."""
+        before = self.sensor_added_rad_s
+        more = change_rad_s if before is None else before + change_rad_s
+        return replace(self, sensor_added_rad_s=more)
+
+    def with_output(self, change_rad_s: FloatArray) -> Self:
+        """Return the scene with more rate behind the low-pass, (n, 3)."""
+        before = self.output_added_rad_s
+        more = change_rad_s if before is None else before + change_rad_s
+        return replace(self, output_added_rad_s=more)
+
+    def with_delay(self, delay_s: FloatArray) -> Self:
+        """Return the scene with instants later than stamped, (instants,)."""
+        return replace(self, delay_s=delay_s if self.delay_s is None else self.delay_s + delay_s)
+
+    def at_stage(self) -> Self:
+        """Return a scene in which every interval of the stage's own rate is a block."""
+        return replace(self._bare(), gain=np.eye(3), low_pass=None)
+
+    def at_sensor(self) -> Self:
+        """Return a scene in which every interval in front of the low-pass is a block."""
+        return replace(self._bare(), low_pass=None)
+
+    def at_output(self) -> Self:
+        """Return a scene in which every interval behind the low-pass is a block."""
+        return self._bare()
+
+    def _bare(self) -> Self:
+        every = np.ones(self.n, dtype=np.bool_)
+        return replace(self, use=every, block=1, fine=1, lead=0, delay_s=None)
 
     def turn_column(self, axis: int, change_rad: FloatArray) -> FloatArray:
         """Return that change, (n, 3), to first order, for one axis, shape (n + 1,)."""

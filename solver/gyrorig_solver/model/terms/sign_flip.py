@@ -6,7 +6,7 @@ negative determinant, which no mount makes.
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearTerm
-from gyrorig_solver.model.terms.protocol import Kind, Part, TermParameter
+from gyrorig_solver.model.terms.protocol import Kind, Link, Part, TermParameter
 from gyrorig_solver.model.terms.scene import Scene, by_axis
 from gyrorig_solver.model.terms.wording import XYZ
 
@@ -16,6 +16,7 @@ class SignFlip(LinearTerm):
 
     cause = "sign_flip"
     part: Part = "link"
+    link: Link = "readout"
     kind: Kind = "gauge"
     parameters = (
         TermParameter("flipped", "1", typical=1.0, lower=0.0, upper=1.0, prior_std=1.0, parts=XYZ),

@@ -7,7 +7,7 @@ whole: nothing shows. On tilt it shows in where the pan axis lies in the stage o
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearAngleTerm
-from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.protocol import Link, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import PAN_TILT, listed
 
@@ -16,6 +16,7 @@ class StepResolution(LinearAngleTerm):
     """e for pan and tilt."""
 
     cause = "step_resolution"
+    link: Link = "drive"
     parameters = (
         TermParameter(
             name="share",

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearTerm, scanned
-from gyrorig_solver.model.terms.protocol import Part, Scope, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene, by_axis
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
@@ -23,6 +23,7 @@ class SupplyHum(LinearTerm):
 
     cause = "supply_hum"
     part: Part = "sensor"
+    link: Link = "readout"
     scope: Scope = "recording"
     parameters = (
         TermParameter(

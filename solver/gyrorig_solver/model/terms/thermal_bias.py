@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearTerm, scanned
-from gyrorig_solver.model.terms.protocol import Part, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, TermParameter
 from gyrorig_solver.model.terms.scene import Scene, by_axis
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
@@ -29,6 +29,7 @@ class ThermalBias(LinearTerm):
 
     cause = "thermal_bias"
     part: Part = "sensor"
+    link: Link = "bias"
     confused_with = ("warm_up", "bias_ramp", "bias_step", "bias_random_walk")
     excitation = "heat, cool and heat again while resting between moves"
     harm = "the bias is right at the temperature of the recording only"

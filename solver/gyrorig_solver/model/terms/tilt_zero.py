@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import CurvedTerm
-from gyrorig_solver.model.terms.protocol import Kind, Part, Scope, TermParameter
+from gyrorig_solver.model.terms.protocol import Kind, Link, Part, Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG
 
@@ -20,6 +20,7 @@ class TiltZero(CurvedTerm):
 
     cause = "tilt_zero"
     part: Part = "ptu"
+    link: Link = "axes"
     kind: Kind = "gauge"
     scope: Scope = "unit"
     parameters = (

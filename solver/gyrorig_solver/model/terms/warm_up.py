@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearTerm, scanned
-from gyrorig_solver.model.terms.protocol import Part, Scope, TermParameter
+from gyrorig_solver.model.terms.protocol import Link, Part, Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene, by_axis
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
@@ -18,6 +18,7 @@ class WarmUp(LinearTerm):
 
     cause = "warm_up"
     part: Part = "sensor"
+    link: Link = "bias"
     scope: Scope = "recording"
     parameters = (
         TermParameter(

@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearAngleTerm, scanned
-from gyrorig_solver.model.terms.protocol import TermParameter
+from gyrorig_solver.model.terms.protocol import Link, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import DEG, PAN_TILT, listed
 
@@ -33,6 +33,7 @@ class WormError(LinearAngleTerm):
     """c, then s, for pan and tilt each; then the period."""
 
     cause = "worm_error"
+    link: Link = "drive"
     parameters = (
         _parameter("cosine"),
         _parameter("sine"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import CurvedTerm, scanned
-from gyrorig_solver.model.terms.protocol import Kind, Part, TermParameter
+from gyrorig_solver.model.terms.protocol import Kind, Link, Part, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 
 
@@ -18,6 +18,7 @@ class WrongFullScale(CurvedTerm):
 
     cause = "wrong_full_scale"
     part: Part = "link"
+    link: Link = "readout"
     kind: Kind = "gauge"
     parameters = (
         TermParameter("doublings", "1", typical=1.0, lower=-4.0, upper=4.0, prior_std=2.0),

@@ -1,0 +1,163 @@
+"""Causes fitted together are a chain: each acts on what those before it have made of a motion.
+
+From what the motor is told over gear, stage, mount, sensor and low-pass to the stamp, in
+the order of `protocol.CHAIN`. A gap in the gear swallows the motion that rounded ramps
+have, not the told one; a late clock shows the gap's pulse late. Effects taken one by one on
+scenes that the earlier ones have changed add up to the whole change exactly.
+
+What to use when: `effect_of` and `columns_of` in a fit, `shares_of` for what each cause
+adds, `lost_without` for what would lack without some; `Chain` for a cause that may come in
+beside those of a fit.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.estimate.extension import Extension
+from gyrorig_solver.model.terms.bound import label
+from gyrorig_solver.model.terms.protocol import CHAIN, OPERATORS, Term
+from gyrorig_solver.model.terms.scene import Scene
+
+
+def ordered(extensions: Sequence[Extension]) -> list[Extension]:
+    """Return causes in the order in which they act."""
+    return sorted(extensions, key=lambda one: _key(one.term))
+
+
+def shares_of(extensions: Sequence[Extension], scene: Scene) -> list[FloatArray]:
+    """Return what each cause adds to those before it in the chain, (blocks, 3) each.
+
+    In the order given. Their sum is what all of them change together.
+    """
+    found = {}
+    acting = [one for one in ordered(extensions) if one.acts]
+    for k, one in enumerate(acting):
+        found[id(one)] = one.term.effect(scene, one.values)
+        if k + 1 < len(acting):
+            scene = one.term.passed(scene, one.values)
+    none = np.zeros((scene.blocks, 3))
+    return [found.get(id(one), none) for one in extensions]
+
+
+def effect_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray:
+    """Return what the causes together change, (blocks, 3), sensor frame."""
+    total = np.zeros((scene.blocks, 3))
+    for share in shares_of(extensions, scene):
+        total += share
+    return total
+
+
+def lost_without(
+    gone: Sequence[Extension], extensions: Sequence[Extension], scene: Scene
+) -> FloatArray:
+    """Return what the causes show less if some of them were not there, (blocks, 3).
+
+    Args:
+        gone: which of them.
+        extensions: all of them.
+        scene: without any.
+    """
+    acting = [one for one in ordered(extensions) if one.acts]
+    stays = [all(one is not other for other in gone) for one in acting]
+    if all(stays):
+        return np.zeros((scene.blocks, 3))
+    first = stays.index(False)
+    for one in acting[:first]:  # these show the same with and without
+        scene = one.term.passed(scene, one.values)
+    rest = [one for one, stay in zip(acting, stays, strict=True) if stay][first:]
+    return effect_of(acting[first:], scene) - effect_of(rest, scene)
+
+
+def columns_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray:
+    """Return the derivatives by all fitted values, (k, blocks, 3).
+
+    To first order: what a value changes in the effect of causes further down is left out,
+    but for those that only filter or delay.
+    """
+    chain = Chain(extensions, scene)
+    found = []
+    for one in extensions:
+        if one.free.size:
+            found.append(one.term.columns(chain.at(one.term), one.values)[one.free])
+    return np.concatenate(found) if found else np.zeros((0, scene.blocks, 3))
+
+
+class Chain:
+    """One part of a series with the causes of a fit at work in it.
+
+    Scenes are made when they are asked for, and kept.
+    """
+
+    def __init__(self, extensions: Sequence[Extension], scene: Scene) -> None:
+        """Take the causes and the scene without them."""
+        self.scene = scene
+        self._extensions = [one for one in ordered(extensions) if one.acts]
+        self._scenes: dict[tuple[int, tuple[str, ...]], Scene] = {}
+        self._effects: dict[str, FloatArray] = {}
+
+    def at(self, term: Term) -> Scene:
+        """Return the scene as a cause finds it: those before it, and all that only read.
+
+        Where the cause itself is among those of the fit, it is left out.
+        """
+        if not self._extensions:
+            return self.scene
+        before = [one for one in self._extensions if _key(one.term) < _key(term)]
+        signals = [one for one in before if one.term.link not in OPERATORS]
+        readers = [
+            one
+            for one in self._extensions
+            if one.term.link in OPERATORS and label(one.term) != label(term)
+        ]
+        return self._after(signals, readers)
+
+    def effect(self, term: Term, values: FloatArray) -> FloatArray:
+        """Return how a cause changes what the causes of the fit show together, (blocks, 3).
+
+        What it does to those further down is counted where that is more than the product of
+        two small effects.
+        """
+        here = self.at(term)
+        total = term.effect(here, values)
+        later = [one for one in self._extensions if _key(one.term) > _key(term)]
+        later = [one for one in later if one.term.link not in OPERATORS]
+        last = max((k for k, one in enumerate(later) if one.term.reshapes), default=-1)
+        if last < 0:
+            return total
+        changed = term.passed(here, values)
+        for k, one in enumerate(later[: last + 1]):
+            if one.term.reshapes:
+                total = total + one.term.effect(changed, one.values) - self._own(one)
+            if k < last:
+                changed = one.term.passed(changed, one.values)
+        return total
+
+    def forget(self) -> None:
+        """Drop the scenes that were made."""
+        self._scenes.clear()
+
+    def _own(self, one: Extension) -> FloatArray:
+        """Return the effect of a cause of the fit, without the one that is looked at."""
+        own = label(one.term)
+        if own not in self._effects:
+            self._effects[own] = one.term.effect(self.at(one.term), one.values)
+        return self._effects[own]
+
+    def _after(self, signals: list[Extension], readers: list[Extension]) -> Scene:
+        key = len(signals), tuple(label(one.term) for one in readers)
+        if key not in self._scenes:
+            if signals:
+                last = signals[-1]
+                scene = last.term.passed(self._after(signals[:-1], readers), last.values)
+            else:
+                scene = self.scene
+                for one in readers:
+                    scene = one.term.passed(scene, one.values)
+            self._scenes[key] = scene
+        return self._scenes[key]
+
+
+def _key(term: Term) -> tuple[int, str]:
+    return CHAIN.index(term.link), label(term)
