@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
@@ -10,7 +9,6 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.model.terms.scene import STANDARD_GRAVITY_M_S2, Setting, Site
 from gyrorig_solver.model.terms.temperature import Temperature
-from gyrorig_solver.reference.course import Course
 from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.samples import GyroSamples, number
@@ -77,7 +75,7 @@ def _setting(
         site=site_of(recording),
         temperature=temperature,
         rad_per_step=None if unit is None else unit.rad_per_step,
-        courses=() if unit is None else _courses(unit),
+        courses=() if unit is None else unit.courses,
         begin_s=float(samples.time_s[0]),
         end_s=float(samples.time_s[-1]),
         full_scale_rad_s=None if full_scale_dps is None else float(np.radians(full_scale_dps)),
@@ -85,16 +83,3 @@ def _setting(
         sample_period_s=samples.period_s,
         recording=recording.path.name,
     )
-
-
-def _courses(unit: PtuReference) -> tuple[tuple[int, Course], ...]:
-    """Return every move's course as the polls have it."""
-    found = unit.starts.found
-    log_ramp = cast("tuple[float, float]", tuple(float(v) for v in found.log_acceleration))
-    courses, first = [], 0
-    for move in unit.starts.table.moves:
-        own = slice(first, first + len(move.orders))
-        first = own.stop
-        course = move.course(found.starts_s[own], found.log_speed, log_ramp[move.axis])
-        courses.append((move.axis, course))
-    return tuple(courses)

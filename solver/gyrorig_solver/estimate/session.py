@@ -353,8 +353,15 @@ class SessionFit:
             gain=gain,
             bias_rad_s=self.bias_rad_s,
             rate_rad_s=self.reference.evaluate(edges, derivatives=False).rate_rad_s,
-            setting=self._setting,
+            setting=self._setting_now(),
         )
+
+    def _setting_now(self) -> Setting | None:
+        """Return the setting with the moves as the fit has them by now."""
+        courses = getattr(self.reference, "courses", None)
+        if self._setting is None or courses is None or self._setting.courses is courses:
+            return self._setting
+        return replace(self._setting, courses=courses)
 
     def _model(self, k: int, blocks: slice, gain: FloatArray) -> PartModel:
         s, key = self._stretches[k], (k, blocks.start)

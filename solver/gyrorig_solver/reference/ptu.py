@@ -12,13 +12,14 @@ Unknowns, each held by what the polls know of it and fitted with the board's own
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.arrow import Arrow
 from gyrorig_solver.reference.columns import AxisColumns
+from gyrorig_solver.reference.course import Course
 from gyrorig_solver.reference.kinematics import AxisTurn
 from gyrorig_solver.reference.motion import Evaluated, LocalColumn
 from gyrorig_solver.reference.moves import Motion
@@ -106,6 +107,19 @@ class PtuReference:
             columns = AxisColumns(axis, table, self._found, spots[axis], edges_s, turn)
             local += [*columns.starts(shared), *columns.rests()]
         return Evaluated(rate, tuple(sorted(local, key=lambda column: column.unknown)), shared)
+
+    @cached_property
+    def courses(self) -> tuple[tuple[int, Course], ...]:
+        """Axis and course of every move, as the unknowns of now have it, counted steps."""
+        found = self._found
+        log_ramp = cast("tuple[float, float]", tuple(float(v) for v in found.log_acceleration))
+        courses, first = [], 0
+        for move in self.starts.table.moves:
+            own = slice(first, first + len(move.orders))
+            first = own.stop
+            course = move.course(found.starts_s[own], found.log_speed, log_ramp[move.axis])
+            courses.append((move.axis, course))
+        return tuple(courses)
 
     @cached_property
     def _tracks(self) -> tuple[Track, Track]:
