@@ -67,7 +67,7 @@ def true_values(
         yield from ((f"sensitivity.{name}", value) for name, value in parameters.items())
         return
     at = [part.strip() for part in (place or "").split(",")]
-    if cause in HARMONICS:
+    if cause in HARMONICS and HARMONICS[cause][0] in parameters:
         amplitude, phase = (parameters[name] for name in HARMONICS[cause])
         for part in at:
             yield f"cosine.{part}", amplitude * math.sin(phase)

@@ -1,0 +1,96 @@
+"""What must follow from what: one session changed in a known way, and what is said of it.
+
+No truth is needed here but that of the change itself. Sessions are recorded by another process.
+"""
+
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from tests.hidden.fast import Line, Sessions
+
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver import solve
+from gyrorig_solver.discover.finder import explain
+from gyrorig_solver.discover.result import Findings, NamedCause
+from gyrorig_solver.samples import GyroSamples, load_samples
+
+FAR = 4.0  # standard deviations: one in 16 000
+TURNED = {"x": "y", "y": "z", "z": "x"}
+HIDDEN: Line = {"cause": "scale_quadratic", "place": "x", "seed": 301, "kind": "one"}
+LINES: list[Line] = [
+    {**HIDDEN, "name": "plus", "size": 0.004},
+    {**HIDDEN, "name": "minus", "size": -0.004},
+    {**HIDDEN, "name": "nothing", "size": 0.0},
+    # The same rig on another day: its noise is new.
+    {**HIDDEN, "name": "again", "size": 0.004, "seed": 302, "rig_seed": 301},
+]
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
+    return Sessions(tmp_path_factory.mktemp("changed"), LINES)
+
+
+def findings(there: Sessions, k: int) -> Findings:
+    return there.stated(LINES[k]).explained.findings
+
+
+def only(found: Findings) -> NamedCause:
+    (one,) = found.causes
+    assert one.candidates == (HIDDEN["cause"],)
+    return one
+
+
+def size(one: NamedCause, axis: str) -> tuple[float, float]:
+    """Return the fitted coefficient of an axis with its deviation."""
+    value = next(v for v in one.values if v.name == f"coefficient.{axis}")
+    return value.value, value.std
+
+
+def test_a_flipped_effect_flips_the_estimate(there: Sessions) -> None:
+    plus, minus = (size(only(findings(there, k)), "x") for k in (0, 1))
+    # Both are of the same noise: their sum is what it adds to each, less than two deviations.
+    assert plus[0] > 0.0 > minus[0]
+    assert plus[0] == pytest.approx(-minus[0], abs=FAR * np.hypot(plus[1], minus[1]))
+
+
+def test_at_size_zero_nothing_is_found(there: Sessions) -> None:
+    found = findings(there, 2)
+    assert found.verdict == "adequate"
+    assert found.causes == ()
+
+
+def test_a_board_mounted_otherwise_has_the_same_names(there: Sessions) -> None:
+    def turned(samples: GyroSamples) -> GyroSamples:
+        accel = samples.accel_m_s2
+        return replace(
+            samples,
+            rate_rad_s=np.roll(samples.rate_rad_s, 1, axis=1),
+            accel_m_s2=None if accel is None else np.roll(accel, 1, axis=1),
+        )
+
+    recording = read_recording(there.path("plus"))
+    with patch.object(solve, "load_samples", lambda *a: turned(load_samples(*a))):
+        one = only(explain([recording], recording.board_ids[0]).findings)
+    before = only(findings(there, 0))
+    assert {TURNED[axis] for axis in before.where} == set(one.where)
+    was, now = size(before, "x"), size(one, "y")
+    assert now[0] == pytest.approx(was[0], abs=0.1 * was[1])
+    assert one.statistic == pytest.approx(before.statistic, rel=0.02)
+
+
+def test_the_evidence_of_two_runs_adds(there: Sessions) -> None:
+    each = [only(findings(there, k)) for k in (0, 3)]
+    recordings = [read_recording(there.path(name)) for name in ("plus", "again")]
+    both = only(explain(recordings, recordings[0].board_ids[0]).findings)
+    total = sum(one.statistic for one in each)
+    # Chi-squared about its non-centrality: 2 (d + 2 lambda) is its variance. What both share
+    # (the gain) is told better by two, so that less of the effect is taken by it.
+    slack = FAR * np.sqrt(2.0 * (both.degrees_of_freedom + 2.0 * total))
+    assert both.statistic == pytest.approx(total, abs=slack)
+    assert both.statistic > 1.4 * max(one.statistic for one in each)
+    value, std = size(both, "x")
+    assert std < min(size(one, "x")[1] for one in each)
+    assert value == pytest.approx(np.mean([size(one, "x")[0] for one in each]), abs=FAR * std)
