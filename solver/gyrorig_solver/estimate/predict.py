@@ -97,16 +97,15 @@ def predict_columns(
     lanes = pack(found.local, n * per, int(np.ceil(2.0 * (REACH_S + FORGET_S) * rate_hz)))
     slope = _slope(reference, edges).T[None]
     everywhere = np.concatenate([slope, found.shared.transpose(0, 2, 1)])
-    local = lanes.values
-    if low_pass is not None:
-        coarse = LowPass(low_pass.bandwidth_hz, rate_hz)
-        everywhere, local = coarse.apply_to_means(everywhere), coarse.apply_to_means(local)
-    everywhere = _decimated(everywhere, per, series.block)
+    coarse = None if low_pass is None else LowPass(low_pass.bandwidth_hz, rate_hz)
+    everywhere, local = (
+        _decimated(signals, coarse, per, series.block) for signals in (everywhere, lanes.values)
+    )
     reach = int(np.ceil(REACH_S * block_hz))
     return PartColumns(
         slope=everywhere[0],
         shared=everywhere[1:],
-        lanes=lanes.coarser(_decimated(local, per, series.block), per, reach),
+        lanes=lanes.coarser(local, per, reach),
     )
 
 
@@ -147,8 +146,12 @@ def _slope(reference: ReferenceMotion, edges_s: FloatArray) -> FloatArray:
     return np.where(np.isfinite(slope), slope, 0.0)
 
 
-def _decimated(signals: FloatArray, per: int, block: int) -> FloatArray:
+def _decimated(signals: FloatArray, low_pass: LowPass | None, per: int, block: int) -> FloatArray:
     """Return the value of each block: a mean, or the middle where a block is an instant."""
+    if low_pass is not None and block == 1:
+        return low_pass.apply_to_instants(signals, per)
+    if low_pass is not None:
+        signals = low_pass.apply_to_means(signals)
     if per == 1:
         return signals
     if block == 1:

@@ -50,3 +50,29 @@ def test_what_the_fit_follows_vanishes(projection: Projection) -> None:
     own = projection._base[:12]  # gain and bias have next to no prior
     looked = projection.look(own)
     assert np.diag(looked.information) == pytest.approx(0.0, abs=1e-3 * looked.raw.max())
+
+
+def test_whitening_is_one_signal_and_one_axis_at_a_time(projection: Projection) -> None:
+    blocks = projection.scenes[0].blocks
+    signals = np.random.default_rng(5).standard_normal((4, blocks, 3))
+    signals[1, :, 0] = signals[2] = 0.0
+    before = signals.copy()
+    together = projection.signals(lambda scene: signals)
+    assert np.array_equal(signals, before)
+    for one, white in zip(signals, together, strict=True):
+        apart = np.zeros((3, blocks, 3))
+        for axis in range(3):
+            apart[axis, :, axis] = one[:, axis]
+        sums = projection.signals(lambda scene, apart=apart: apart).sum(axis=0)
+        assert white == pytest.approx(sums, rel=1e-9, abs=1e-9)
+    assert not together[2].any()
+
+
+def test_many_signals_say_what_each_says_alone(projection: Projection) -> None:
+    signals = np.random.default_rng(6).standard_normal((25, projection.residual.size))
+    together = projection.look(signals)
+    for k in (0, 11, 24):
+        alone = projection.look(signals[k : k + 1])
+        assert together.part([k]).information == pytest.approx(alone.information, rel=1e-6)
+        assert together.score[k] == pytest.approx(float(alone.score[0]), rel=1e-6)
+        assert together.taken[k] == pytest.approx(alone.taken[0], rel=1e-6, abs=1e-12)
