@@ -16,13 +16,16 @@ from gyrorig_daemon.emulator.physics.axis import Order
 from gyrorig_daemon.emulator.physics.imu import ImuModel
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.settings import BoardSettings, RigSettings
+from gyrorig_daemon.emulator.truth import RigTruth
 from gyrorig_protocol.errors import MachineError
 
 FloatArray = NDArray[np.float64]
 
-_LATER_S = 0.1e-3  # for a difference in time: short against the low-pass, long for rounding
+_KNOT_S = 0.5e-3  # of delays: short against the low-pass
 _NEAR_S = 20e-6  # a delay that the slope alone accounts for
-_ROUNDS = 5
+_ROUNDS = 8
+_LONG_BLOCK = 40  # samples: their number a block changes no rate, and saves time
+_MORE_S = 0.1  # behind the end: a block that had begun
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,21 +66,23 @@ class Twins:
         origin_ns: int,
         orders: Mapping[str, Sequence[Order]],
         until_ns: int,
+        truth: RigTruth | None = None,
     ) -> None:
-        """Run the plain twin.
+        """Move the plain twin.
 
         Args:
             settings: of the rig; what they hide is left out.
             origin_ns: its power-up.
             orders: what its axes `pan` and `tilt` were told.
             until_ns: how far, on the rig's clock.
+            truth: the plain one; drawn from the seed where it is not given.
         """
         self._settings = replace(settings, noise_free=True, hide=())
         self._origin_ns, self._orders = origin_ns, orders
         self._until_s = (until_ns - origin_ns) * 1e-9
-        self._plain = EmulatedRig(self._settings, origin_ns)
+        self._plain = EmulatedRig(self._settings, origin_ns, truth)
         self._obey(self._plain)
-        self._known: dict[tuple[str, float], FloatArray] = {}
+        self._known: dict[tuple[str, int], FloatArray] = {}
 
     def rates(self, like: EmulatedRig) -> dict[str, NoiseFreeRates]:
         """Return the rates of each board by name, hidden as in a rig of the same seed."""
@@ -88,7 +93,7 @@ class Twins:
         for board in settings.boards:
             time_s, hidden = _run(hiding, board, self._until_s)
             aligned, slope = self._aligned(board, hidden)
-            bare = self._delayed(board, 0.0)
+            bare = self._at(board, 0)
             rates[board.name] = NoiseFreeRates(
                 np.arange(len(time_s)), time_s, hidden, bare, aligned, slope
             )
@@ -101,15 +106,24 @@ class Twins:
         ):
             axis.obey(told[len(axis.orders) :])  # what comes by itself has come already
 
-    def _delayed(self, board: BoardSettings, later_s: float) -> FloatArray:
-        """Return the plain rates, somewhat later; those without delay are kept."""
-        key = (board.name, later_s)
-        if key in self._known:
-            return self._known[key]
-        told = _run(self._plain, board, self._until_s, later_s)[1]
-        if later_s in (0.0, _LATER_S):
-            self._known[key] = told
-        return told
+    def _at(self, board: BoardSettings, knot: int) -> FloatArray:
+        """Return the plain rates, later by a number of knots; run once."""
+        key = (board.name, knot)
+        if key not in self._known:
+            self._known[key] = _run(self._plain, board, self._until_s, knot * _KNOT_S)[1]
+        return self._known[key]
+
+    def _delayed(self, board: BoardSettings, later_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the plain rates somewhat later, and how they change in time.
+
+        A parabola through three knots: the low-passed rates have nothing finer.
+        """
+        knot = round(later_s / _KNOT_S)
+        x = later_s / _KNOT_S - knot
+        before, here, after = (self._at(board, knot + k) for k in (-1, 0, 1))
+        rise, bend = 0.5 * (after - before), after - 2.0 * here + before
+        late = here if x == 0.0 else here + x * (rise + 0.5 * x * bend)
+        return late, -(rise + x * bend) / _KNOT_S
 
     def _aligned(self, board: BoardSettings, hidden: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the plain rates at the delay that fits the hidden ones best, and their slope.
@@ -118,8 +132,7 @@ class Twins:
         """
         delay_s = 0.0
         for _ in range(_ROUNDS):
-            aligned = self._delayed(board, delay_s)
-            slope = (aligned - self._delayed(board, delay_s + _LATER_S)) / _LATER_S
+            aligned, slope = self._delayed(board, delay_s)
             power = float((slope**2).sum())
             more_s = -float((slope * (hidden - aligned)).sum()) / power if power > 0.0 else 0.0
             if abs(more_s) < _NEAR_S:
@@ -163,18 +176,23 @@ def _run(
 ) -> tuple[FloatArray, FloatArray]:
     """Return times and rates of a board from power-up on, with the motion somewhat later."""
     imu = rig.board_truth(board.name).imu
+    hooks = rig.fresh_hooks().board(board.name)
+    together = board.batch if board.format == "gcb1" else 1
     model = ImuModel(
         replace(imu, tau_s=imu.tau_s + later_s),
         rig.stage,
         0.0,
         np.random.default_rng(0),  # what it draws is multiplied by nothing
-        board.batch if board.format == "gcb1" else 1,
-        rig.fresh_hooks().board(board.name),
+        together if hooks.lags else max(together, _LONG_BLOCK),  # a lag changes by blocks
+        hooks,
     )
     times: list[FloatArray] = []
     rates: list[FloatArray] = []
-    while not times or times[-1][-1] < until_s:
+    end_s = until_s + _MORE_S
+    while not times or times[-1][-1] < end_s:
         block = model.next_block()
         times.append(block.time_s)
         rates.append(block.rate_rad_s)
-    return np.concatenate(times), np.vstack(rates)
+    time_s, rate_rad_s = np.concatenate(times), np.vstack(rates)
+    kept = int(np.searchsorted(time_s, end_s))
+    return time_s[:kept], rate_rad_s[:kept]

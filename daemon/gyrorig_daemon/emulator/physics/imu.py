@@ -175,7 +175,10 @@ class ImuModel:
         self._state = self._end_state
         self._wander_from, self._wander_to = self._wander_to, self._wander.advance()
         count = self._samples * self._substeps
-        self._noise = self._sigma * self._noise_rng.standard_normal((count, 3))
+        if self._sigma.any():
+            self._noise = self._sigma * self._noise_rng.standard_normal((count, 3))
+        else:
+            self._noise = np.zeros((count, 3))
         self._accel_noise = self.truth.accel_noise_m_s2 * self._accel_rng.standard_normal(
             (self._samples, 3)
         )

@@ -7,6 +7,7 @@ mode, so that both give the same numbers.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,7 @@ class BlockFilter:
         return (1 - part) * free + part * free_before, (1 - part) * forced + part * forced_before
 
 
+@lru_cache(maxsize=16)
 def block_filter(cutoff_hz: float, period_s: float, substeps: int, samples: int) -> BlockFilter:
     """Return the filter for blocks of `samples` outputs, each after `substeps` substeps.
 

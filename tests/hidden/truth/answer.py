@@ -1,0 +1,125 @@
+"""The answer to a session: what is hidden, sealed before a finder sees the recording."""
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from tests.hidden.truth.draws import Item, Session, sizer_of
+from tests.hidden.truth.outside import NEARLY, SHAPES
+from tests.hidden.truth.session import BOARD, ORIGIN_NS, Recorded, settings_of
+from tests.hidden.truth.shapes import parameters
+from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE
+
+from gyrorig_daemon.emulator.causes import Quantity
+from gyrorig_daemon.emulator.noncentrality import detectable
+
+SCHEMA = "gyrorig/hidden-answer/1"
+
+
+def answer_of(session: Session, recorded: Recorded) -> dict[str, Any]:
+    """Return the whole truth about a session as plain values."""
+    first_s, last_s = recorded.course.span_s
+    span_ns = (ORIGIN_NS + round(first_s * 1e9), ORIGIN_NS + round(last_s * 1e9))
+    truth = recorded.rig.truth_document(*span_ns)
+    told = {one["cause"]: one for one in truth.get("hidden", {}).get("causes", [])}
+    for board in truth["boards"].values():
+        delay_s = math.sqrt(2.0) / (2.0 * math.pi * board["low_pass"]["cutoff_hz"])
+        board["time_offset_s"] = board["tau_s"] + delay_s
+    shapes = [SHAPES[item.name] for item in session.items if item.name in SHAPES]
+    return {
+        "schema": SCHEMA,
+        "seed": session.rig.seed,
+        "tier": session.tier,
+        "kind": session.kind,
+        "program": session.rig.program,
+        "soak_k": session.rig.soak_k,
+        "rig": {
+            "ptu_baud": session.rig.ptu_baud,
+            "command_time_ms": session.rig.command_time_ms,
+        },
+        "decoy": session.decoy,
+        "detectable": detectable(),
+        "causes": [
+            _cause(item, told.get(item.name), beside, session)
+            for item, beside in zip(session.items, _beside(session), strict=True)
+        ],
+        "expected_groups": [group for shape in shapes for group in shape.groups],
+        "near": next((shape.near for shape in shapes if shape.near), None),
+        "expected_set": list(session.expected_set),
+        "unobservable": [i.name for i in session.items if session.kind == "unobservable"],
+        "ladder": None
+        if session.rung is None
+        else {"times": session.rung, "soak": session.rig.soak_k != 0.0},
+        "held": None
+        if session.held is None
+        else {"program": session.held.program, "seed": session.held.seed},
+        "span_s": [first_s, last_s],
+        "power_up_raw_ns": ORIGIN_NS,
+        "truth": truth,
+    }
+
+
+def seal(folder: Path, document: dict[str, Any]) -> str:
+    """Write an answer and what binds it; return the SHA-256 of the answer's bytes."""
+    data = (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+    sealed = hashlib.sha256(data).hexdigest()
+    (folder / "answer.json").write_bytes(data)
+    (folder / "sealed.txt").write_text(sealed + "\n", encoding="ascii")
+    return sealed
+
+
+def _cause(
+    item: Item, told: dict[str, Any] | None, beside: float | None, session: Session
+) -> dict[str, Any]:
+    if told is None:
+        told = _shape(item, session)
+    size = told["size"]["value"]
+    seen = item.seen
+    lambda_ = None if seen is None else seen.noncentrality
+    counted, varied = item.name in COUNTED, item.name in IN_VARIANCE
+    return {
+        "cause": told["cause"],
+        "place": told["where"],
+        "board": told["board"],
+        "sign": -1 if size < 0.0 else 1,
+        "size": told["size"],
+        "parameters": told["parameters"],
+        "statistic": "count" if counted else "variance" if varied else "mean",
+        "noncentrality": lambda_,
+        "beside_others": beside,
+        "absorbed": None if seen is None else seen.absorbed,
+        "times_detectable": None
+        if lambda_ is None
+        else math.sqrt(max(lambda_, 0.0) / detectable()),
+        "wanted_times": item.wanted_times,
+    }
+
+
+def _shape(item: Item, session: Session) -> dict[str, Any]:
+    shape, size = SHAPES[item.name], item.size or 0.0
+    told = parameters(shape, size, settings_of(session.rig))
+    prefix = "nearly" if item.name in NEARLY else "outside"
+    return {
+        "cause": f"{prefix}:{item.name}",
+        "where": "all",
+        "board": BOARD,
+        "size": _plain(Quantity(size, shape.unit)),
+        "parameters": {name: _plain(one) for name, one in told.items()},
+    }
+
+
+def _plain(told: Quantity) -> dict[str, Any]:
+    value = list(told.value) if isinstance(told.value, tuple) else told.value
+    return {"value": value, "unit": told.unit}
+
+
+def _beside(session: Session) -> list[float | None]:
+    """Return each effect's non-centrality with the others taken off as well."""
+    items = session.items
+    if len(items) < 2:
+        return [None if i.seen is None else i.seen.noncentrality for i in items]
+    return sizer_of(session.rig).beside_others(
+        [None if i.name in (*COUNTED, *IN_VARIANCE) or i.size is None else i.order for i in items]
+    )

@@ -1,0 +1,310 @@
+"""What one number decides: kind, causes, places, signs, sizes, rig, program, soak, decoy.
+
+What to use when: `drawn` for a session of a tier. Sizes are found with a `Sizer` on the way,
+because a cause that this rig cannot show under this program is drawn anew.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from tests.hidden.truth.outside import NEARLY, OUTSIDE, SHAPES, Shape
+from tests.hidden.truth.session import Course, More, RigDraw, course, settings_of
+from tests.hidden.truth.shapes import hanger
+from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
+
+from gyrorig_daemon.emulator.causes import CAUSES
+from gyrorig_daemon.emulator.noncentrality import Visibility
+from gyrorig_daemon.emulator.settings import HideOrder
+
+TIERS = ("mixed", "nulls", "ladder", "outside", "many")
+KINDS = ("null", "one", "two", "outside", "nearly", "unobservable")
+SHARES = (0.30, 0.35, 0.15, 0.10, 0.05, 0.05)
+
+# Program and share of sessions: the long ones less often, as they cost ten times as much.
+PROGRAMS = {
+    "survey-40": 0.46, "quick": 0.15, "planned-75": 0.11, "paper": 0.08, "survey-130": 0.08,
+    "full": 0.07, "planned-300": 0.05,
+}  # fmt: skip
+NULL_PROGRAMS = {
+    "survey-40": 0.41, "quick": 0.15, "planned-75": 0.12, "paper": 0.12, "survey-130": 0.0667,
+    "full": 0.0667, "planned-300": 0.0666,
+}  # fmt: skip
+MANY_PROGRAMS = {"survey-130": 0.6, "full": 0.4}
+LADDER_PROGRAMS = ("survey-40", "survey-130")
+# Lines that a unit may be set to, and how long its controller thinks (pan-tilt survey, 3).
+LINES = ((9600, 1.0), (9600, 20.0), (38400, 5.0), (115200, 1.0), (115200, 5.0))
+
+# What a calibration absorbs whole, or a session is too short for: never to be seen.
+UNSEEN = ("clock_offset", "tilt_zero", "earth_rotation")
+# Also not under a program that never pans while tilted.
+FLAT_PROGRAM, UNSEEN_FLAT = "paper", ("axis_nonorthogonality",)
+SIZED = tuple(name for name in CAUSES if name not in (*COUNTED, *UNSEEN))
+PAIR = ("bias_ramp", "thermal_bias", "warm_up")  # alike where the room keeps its temperature
+EVENTS = ("bias_step", "board_slip", "clock_step", "lost_steps")
+TWO_TIMES = 3.0
+_TRIES = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One thing to hide."""
+
+    name: str  # of a cause, or of a shape outside the catalogue
+    place: str
+    size: float | None  # None: the emulator's own draw
+    wanted_times: float | None = None
+    seen: Visibility | None = None
+
+    @property
+    def order(self) -> HideOrder:
+        """The same for the emulator."""
+        return HideOrder(self.name, self.place, self.size)
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """All that is decided before a session."""
+
+    tier: str
+    kind: str
+    rig: RigDraw
+    items: tuple[Item, ...] = ()
+    decoy: str | None = None
+    expected_set: tuple[str, ...] = ()
+    rung: float | None = None
+    held: RigDraw | None = None
+
+    @property
+    def more(self) -> More | None:
+        """What hangs shapes outside the catalogue, None without any."""
+        item = next((item for item in self.items if item.name in SHAPES), None)
+        if item is None or item.size is None:
+            return None
+        return hanger(SHAPES[item.name], item.size, settings_of(self.rig))
+
+
+@dataclass(slots=True)
+class _Drawing:
+    """A session on its way."""
+
+    rng: np.random.Generator
+    tier: str
+    rig: RigDraw
+
+    @property
+    def sizer(self) -> Sizer:
+        """The visibility of what may be hidden in this rig."""
+        return sizer_of(self.rig)
+
+    def place(self, name: str) -> str:
+        """Return a place: an axis of the unit, else wherever it is by itself."""
+        cause = CAUSES[name]
+        if cause.together or not cause.places:
+            return ""
+        return str(self.rng.choice(cause.places))
+
+    def sign(self, name: str) -> float:
+        """Return a direction."""
+        return float(self.rng.choice((-1.0, 1.0))) if CAUSES[name].signed else 1.0
+
+    def at(self, name: str, times: float) -> Item | None:
+        """Return a cause of so many times its minimal size, None where that cannot be."""
+        place, sign = self.place(name), self.sign(name)
+        if name in COUNTED:
+            return Item(name, place, None)
+        told = self.sizer.size_of_cause(name, place, times, sign)
+        return None if told is None else Item(name, place, told.size, times, told.seen)
+
+
+def drawn(
+    seed: int, tier: str, rungs: Sequence[float] = (1.0, 2.0, 3.0), first: int = 0
+) -> Session | None:
+    """Return what a session is to be, a pure function of its arguments.
+
+    Args:
+        seed: the session's number.
+        tier: one of `TIERS`.
+        rungs: of a ladder, in minimal detectable sizes.
+        first: the first seed of a ladder, whose causes and rungs go round.
+
+    Returns:
+        None where a ladder asks for what its programs cannot show.
+    """
+    rng = np.random.default_rng([seed, TIERS.index(tier), 0x5452])
+    if tier == "ladder":
+        return _ladder(rng, seed, rungs, first)
+    kind = {"nulls": "null", "many": "many", "outside": "outside"}.get(tier, "")
+    kind = kind or str(rng.choice(KINDS, p=SHARES))
+    programs = {"nulls": NULL_PROGRAMS, "many": MANY_PROGRAMS}.get(tier, PROGRAMS)
+    program = str(rng.choice(list(programs), p=list(programs.values())))
+    drawing = _Drawing(rng, tier, _rig(rng, seed, program, soak=bool(rng.random() < 0.35)))
+    return _OF_KIND[kind](drawing)
+
+
+def course_of(rig: RigDraw) -> Course:
+    """Return what the axes do in a session."""
+    return course(rig.program, rig.ptu_baud, rig.command_time_ms)
+
+
+@lru_cache(maxsize=2)
+def sizer_of(rig: RigDraw) -> Sizer:
+    """Return the visibility of what may be hidden in a rig."""
+    return Sizer(settings_of(rig), course_of(rig))
+
+
+def _rig(rng: np.random.Generator, seed: int, program: str, soak: bool) -> RigDraw:
+    soak_k = float(rng.choice((-1.0, 1.0)) * rng.uniform(10.0, 25.0))
+    baud, command_time_ms = LINES[int(rng.integers(len(LINES)))]
+    return RigDraw(seed, program, soak_k if soak else 0.0, baud, command_time_ms)
+
+
+def _null(drawing: _Drawing) -> Session:
+    roll = float(drawing.rng.random())
+    decoy = "temperature" if roll < 0.08 else "idle_channel" if roll < 0.12 else None
+    return Session(drawing.tier, "null", drawing.rig, decoy=decoy)
+
+
+def _one(drawing: _Drawing) -> Session:
+    rng = drawing.rng
+    if rng.random() < 0.05:
+        return _pair(drawing)
+    for _ in range(_TRIES):
+        times = float(np.exp(rng.uniform(np.log(0.7), np.log(10.0))))
+        item = drawing.at(str(rng.choice([*SIZED, *COUNTED])), times)
+        if item is not None:
+            return Session(drawing.tier, "one", drawing.rig, (item,), held=_held(drawing, item))
+    return _null(drawing)
+
+
+def _pair(drawing: _Drawing) -> Session:
+    """Causes that this program cannot part: the right answer is the set of them."""
+    rng, rig = drawing.rng, drawing.rig
+    drawing.rig = RigDraw(rig.seed, "survey-40", 0.0, rig.ptu_baud, rig.command_time_ms)
+    for name in rng.permutation(PAIR).tolist():
+        item = drawing.at(name, float(rng.uniform(1.3, 2.0)))
+        if item is not None:
+            return Session(
+                drawing.tier, "one", drawing.rig, (item,), decoy="pair", expected_set=PAIR
+            )
+    return _null(drawing)
+
+
+def _two(drawing: _Drawing) -> Session:
+    found: list[Item] = []
+    for name in drawing.rng.permutation(SIZED).tolist():
+        item = drawing.at(name, TWO_TIMES)
+        if item is not None:
+            found.append(item)
+        if len(found) == 2:
+            break
+    return Session(drawing.tier, "two", drawing.rig, tuple(found), held=_held(drawing, *found))
+
+
+def _many(drawing: _Drawing) -> Session:
+    """Four to eight causes of usual sizes: near the typical one, as the parts scatter."""
+    rng = drawing.rng
+    names = rng.permutation([n for n in SIZED if n not in ("bias_random_walk", "sample_jitter")])
+    items = []
+    for name in names[: int(rng.integers(4, 9))].tolist():
+        cause = CAUSES[name]
+        place = drawing.place(name)
+        size = float(np.clip(cause.typical * np.exp(0.4 * rng.standard_normal()),
+                             cause.lowest, cause.highest))  # fmt: skip
+        size = drawing.sign(name) * (float(max(round(size), 1)) if cause.whole else size)
+        items.append(Item(name, place, size, None, drawing.sizer.of_cause(name, place)(size)))
+    return Session(drawing.tier, "many", drawing.rig, tuple(items))
+
+
+def _shape(shapes: dict[str, Shape]) -> "Callable[[_Drawing], Session]":
+    def of(drawing: _Drawing) -> Session:
+        rng, rig = drawing.rng, drawing.rig
+        kind = "nearly" if shapes is NEARLY else "outside"
+        for name in rng.permutation(list(shapes)).tolist():
+            shape = shapes[name]
+            if (shape.needs_soak and rig.soak_k == 0.0) or (
+                rig.program == FLAT_PROGRAM and shape.needs_tilted_pan
+            ):
+                continue
+            times = float(np.exp(rng.uniform(np.log(3.0), np.log(10.0))))
+            told = shape_sized(drawing.sizer, shape, rig, times)
+            if told is not None:
+                item = Item(name, "", told.size, times, told.seen)
+                return Session(drawing.tier, kind, rig, (item,))
+        return _null(drawing)
+
+    return of
+
+
+def shape_sized(sizer: Sizer, shape: Shape, rig: RigDraw, times: float) -> Sized | None:
+    """Return the size at which a shape is so many times its minimal detectable size."""
+    settings = settings_of(rig)
+
+    def seen(size: float) -> Visibility:
+        return sizer.visibility(more=hanger(shape, size, settings))
+
+    return sizer.sized(seen, times, shape.start, shape.most)
+
+
+def _unobservable(drawing: _Drawing) -> Session:
+    """A cause of a usual size that no session of this program can show."""
+    rng = drawing.rng
+    names = [*UNSEEN, "step_resolution"]
+    if drawing.rig.program == FLAT_PROGRAM:
+        names += UNSEEN_FLAT
+    name = str(rng.choice(names))
+    cause = CAUSES[name]
+    place = "pan" if name == "step_resolution" else drawing.place(name)
+    size = float(np.exp(rng.uniform(np.log(cause.lowest), np.log(cause.highest))))
+    size *= drawing.sign(name)
+    seen = drawing.sizer.of_cause(name, place)(size)
+    return Session(
+        drawing.tier, "unobservable", drawing.rig, (Item(name, place, size, None, seen),)
+    )
+
+
+def _ladder(
+    rng: np.random.Generator, seed: int, rungs: Sequence[float], first: int
+) -> Session | None:
+    turn, cause = divmod(seed - first, len(SIZED) + len(COUNTED))
+    turn, rung = divmod(turn, len(rungs))
+    soak, name = bool(turn % 2), (*SIZED, *COUNTED)[cause]
+    if name in COUNTED and rung:
+        return None  # their sizes are the emulator's own: once is enough
+    for program in LADDER_PROGRAMS:
+        drawing = _Drawing(rng, "ladder", _rig(rng, seed, program, soak))
+        item = drawing.at(name, float(rungs[rung]))
+        if item is None and CAUSES[name].places and not CAUSES[name].together:
+            item = drawing.at(name, float(rungs[rung]))  # another place, maybe
+        if item is not None:
+            return Session("ladder", "one", drawing.rig, (item,), rung=float(rungs[rung]))
+    return None
+
+
+def _held(drawing: _Drawing, *items: Item) -> RigDraw | None:
+    """Return a second session of the same rig, for one in ten where all causes stay."""
+    if drawing.rng.random() >= 0.1 or any(item.name in (*EVENTS, *COUNTED) for item in items):
+        return None
+    program = {
+        "survey-40": "quick", "survey-130": "planned-75", "full": "survey-130",
+        "planned-300": "full", "planned-75": "survey-40",
+    }.get(drawing.rig.program, "survey-40")  # fmt: skip
+    rig = drawing.rig
+    return RigDraw(rig.seed + 500_000_000, program, 0.0, rig.ptu_baud, rig.command_time_ms)
+
+
+def orders_of(items: Sequence[Item]) -> tuple[HideOrder, ...]:
+    """Return what the emulator has to hide, without shapes outside the catalogue."""
+    return tuple(item.order for item in items if item.name not in SHAPES)
+
+
+_OF_KIND: dict[str, Callable[[_Drawing], Session]] = {
+    "null": _null,
+    "one": _one,
+    "two": _two,
+    "many": _many,
+    "outside": _shape(OUTSIDE),
+    "nearly": _shape(NEARLY),
+    "unobservable": _unobservable,
+}

@@ -1,0 +1,123 @@
+"""Physics that is in no catalogue. A finder has to say: unexplained, depends on X.
+
+`groups` are the words of the finder's nameless tests, of which one has to come out first:
+what the effect physically depends on.
+"""
+
+import numpy as np
+from tests.hidden.truth.outside.motion import Creep, StickSlip, WornBearing
+from tests.hidden.truth.outside.sensing import (
+    CrossProduct,
+    GainDip,
+    Magnet,
+    RateDelay,
+    Settling,
+    Telegraph,
+    TwistedCable,
+)
+from tests.hidden.truth.outside.shape import Shape, Site
+
+from gyrorig_daemon.emulator.causes import Quantity
+
+_DEG = np.pi / 180.0
+
+
+def _vector(values: np.ndarray, unit: str) -> Quantity:
+    return Quantity(tuple(values.tolist()), unit)
+
+
+def _settling(site: Site) -> dict[str, Quantity]:
+    constant_s = float(site.rng.uniform(0.15, 0.5))
+    site.hooks.board(site.board).rates.append(Settling(site.size, constant_s))
+    return {"share": Quantity(site.size, "1"), "time_constant": Quantity(constant_s, "s")}
+
+
+def _magnet(site: Site) -> dict[str, Quantity]:
+    bias, phase = site.size * site.direction(), float(site.rng.uniform(-np.pi, np.pi))
+    site.hooks.board(site.board).rates.append(Magnet(bias, phase))
+    return {"bias": _vector(bias, "rad/s"), "phase": Quantity(phase, "rad")}
+
+
+def _bearing(site: Site) -> dict[str, Quantity]:
+    phase = float(site.rng.uniform(-np.pi, np.pi))
+    period_s = float(site.rng.uniform(15.0, 30.0))
+    site.hooks.pan.angles.append(WornBearing(site.size, 3.0, phase, 0.2, period_s))
+    return {"amplitude": Quantity(site.size, "rad"), "phase": Quantity(phase, "rad"),
+            "modulation_period": Quantity(period_s, "s")}  # fmt: skip
+
+
+def _dip(site: Site) -> dict[str, Quantity]:
+    at, width = float(site.rng.uniform(-45.0, 30.0)) * _DEG, float(site.rng.uniform(5, 12)) * _DEG
+    site.hooks.board(site.board).rates.append(GainDip(site.size, at, width))
+    return {"depth": Quantity(site.size, "1"), "at": Quantity(at, "rad"),
+            "width": Quantity(width, "rad")}  # fmt: skip
+
+
+def _creep(site: Site) -> dict[str, Quantity]:
+    site.hooks.pan.angles.append(Creep(site.size, 2.0))
+    return {"share": Quantity(site.size, "1"), "time_constant": Quantity(2.0, "s")}
+
+
+def _delay(site: Site) -> dict[str, Quantity]:
+    site.hooks.board(site.board).rates.append(RateDelay(site.size))
+    return {"delay_per_rate": Quantity(site.size, "s^2")}
+
+
+def _stick(site: Site) -> dict[str, Quantity]:
+    below = float(site.rng.uniform(15.0, 30.0)) * _DEG
+    pitch = float(site.rng.uniform(0.5, 1.5)) * _DEG
+    site.hooks.pan.angles.append(StickSlip(site.size, pitch, below))
+    return {"amplitude": Quantity(site.size, "rad"), "pitch": Quantity(pitch, "rad"),
+            "below": Quantity(below, "rad/s")}  # fmt: skip
+
+
+def _cable(site: Site) -> dict[str, Quantity]:
+    bias = site.size * site.direction()
+    site.hooks.board(site.board).rates.append(TwistedCable(bias))
+    return {"bias": _vector(bias, "rad/s")}
+
+
+def _telegraph(site: Site) -> dict[str, Quantity]:
+    begin_s, end_s = site.rig.session_s
+    waits = site.rng.exponential((end_s - begin_s) / 8.0, 200)
+    bias = site.size * site.direction()
+    site.hooks.board(site.board).biases.append(Telegraph(bias, np.cumsum(waits)))
+    return {"half_jump": _vector(bias, "rad/s"),
+            "mean_dwell": Quantity((end_s - begin_s) / 8.0, "s")}  # fmt: skip
+
+
+def _product(site: Site) -> dict[str, Quantity]:
+    coefficient = site.size * site.direction()
+    site.hooks.board(site.board).rates.append(CrossProduct(coefficient))
+    return {"coefficient": _vector(coefficient, "s/rad")}
+
+
+_MOVES = ("pan_transient", "tilt_transient", "move_gain")
+
+OUTSIDE = {
+    shape.name: shape
+    for shape in (
+        Shape("settling_gain", "the gain is off for a while after a move begins",
+              "1", 1e-3, _MOVES, _settling),
+        Shape("magnet", "a bias that follows where the stage points",
+              "rad/s", 1e-3, ("bias_pan",), _magnet),
+        Shape("worn_bearing", "three waves a turn of pan, of an amplitude that swings by 20 %",
+              "rad", 1e-4, ("pan_angle",), _bearing),
+        Shape("gain_dip", "the gain drops near one tilt",
+              "1", 1e-2, ("tilt_angle",), _dip, needs_tilted_pan=True),
+        Shape("creep", "a part of each way of pan is gone late, within 2 s",
+              "1", 1e-3, ("pan_transient", "move_gain", "bias_time"), _creep),
+        Shape("rate_delay", "the sensor is the later the faster it turns",
+              "s^2", 1e-4, ("pan_transient", "tilt_transient", "move_delay", "speed"), _delay),
+        Shape("stick_slip", "pan sticks and jumps where it is slow",
+              "rad", 1e-3, ("pan_transient", "speed", "moving"), _stick),
+        Shape("twisted_cable", "a bias where the stage is both turned and tilted",
+              "rad/s", 1e-3, ("bias_pan", "bias_tilt"), _cable,
+              needs_tilted_pan=True),
+        Shape("telegraph", "a bias that jumps between two values",
+              "rad/s", 1e-3, ("bias_time",), _telegraph),
+        Shape("cross_product", "each axis feels the product of the two others",
+              "s/rad", 1e-3, ("tilt_angle", "speed", "own_rate"), _product,
+              needs_tilted_pan=True),
+    )
+}  # fmt: skip

@@ -1,0 +1,163 @@
+"""One session of an emulated rig with something hidden in it, recorded in this process.
+
+What to use when: `RigDraw` says what the rig is; `settings_of` as the emulator takes it;
+`record` writes the recording; `course` is what a program makes the axes do, for sizing
+before anything is recorded.
+"""
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+from gyrorig_daemon.config import parse_rig
+from gyrorig_daemon.description import SessionOrder
+from gyrorig_daemon.emulated import rig_settings
+from gyrorig_daemon.emulation import rough_session_s
+from gyrorig_daemon.emulator.physics.axis import Order
+from gyrorig_daemon.emulator.physics.effects.hooks import RigHooks
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.settings import HideOrder, RigSettings
+from gyrorig_daemon.emulator.truth import RigTruth
+from gyrorig_daemon.emulator.virtual_hub import VirtualHub
+from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
+from gyrorig_daemon.session import Surroundings, record_session
+from gyrorig_protocol.documents import dump_yaml, parse_yaml
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.program import parse_program
+from gyrorig_protocol.recording.messages import imu_topic
+
+ROOT = Path(__file__).resolve().parents[3]
+BOARD = "GY80-1"
+ORIGIN_NS = 5_000_000_000  # power-up, on the rig's raw clock
+_EPOCH_NS = 1_760_000_000_000_000_000  # the first session's begin; then one every 1000 s
+_GAP_NS = 1_000_000_000_000
+
+More = Callable[[RigHooks], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RigDraw:
+    """The rig of one session, besides what is drawn inside it from its seed."""
+
+    seed: int
+    program: str
+    soak_k: float = 0.0
+    ptu_baud: int = 115200
+    command_time_ms: float = 5.0
+    hide: tuple[HideOrder, ...] = ()
+    noise_free: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """What a program made the axes do."""
+
+    orders: Mapping[str, Sequence[Order]]  # `pan` and `tilt`
+    until_ns: int  # the end, on the rig's clock
+    span_s: tuple[float, float]  # of the recorded samples, since power-up
+
+    @property
+    def moves_s(self) -> list[tuple[str, float]]:
+        """Axis and begin of each move, since power-up."""
+        return [(n, o[1]) for n, told in self.orders.items() for o in told if o[0] == "move"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """A session that was held."""
+
+    rig: EmulatedRig
+    course: Course
+
+
+def settings_of(draw: RigDraw) -> RigSettings:
+    """Return the settings of a session's rig."""
+    order = _order(draw, Path())
+    settings = rig_settings(order.config, draw.seed)
+    return replace(
+        settings,
+        hide=draw.hide,
+        noise_free=draw.noise_free,
+        session_s=rough_session_s(order.program),
+        soak_k=draw.soak_k,
+    )
+
+
+def record(
+    draw: RigDraw, path: Path, truth: RigTruth | None = None, more: More | None = None
+) -> Recorded:
+    """Hold a session and put its recording at `path`.
+
+    Args:
+        draw: the rig.
+        path: of the recording; its folder is there.
+        truth: of the rig; drawn from its seed where it is not given.
+        more: hangs on the rig what no cause is.
+    """
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        order = _order(draw, Path(folder))
+        settings = settings_of(draw)
+        rig = EmulatedRig(settings, ORIGIN_NS, truth, more)
+        hub = VirtualHub(rig)
+        capture = CaptureClock(_EPOCH_NS + _GAP_NS * (draw.seed % 1_000_000), hub.now_ns())
+
+        def read_host() -> HostClocks:
+            now_ns = hub.now_ns()
+            return HostClocks(now_ns, now_ns, capture.utc_ns(now_ns), 0.0, 0.0, 0)
+
+        around = Surroundings(
+            capture, read_host, threaded_writer=False, host="emulated", seed=settings.seed
+        )
+        made = record_session(hub, order, around)
+        span_s = _span_s(made, capture)
+        made.replace(path)
+    orders = {"pan": tuple(rig.stage.pan.orders), "tilt": tuple(rig.stage.tilt.orders)}
+    return Recorded(rig, Course(orders, hub.now_ns(), span_s))
+
+
+@lru_cache(maxsize=64)
+def course(program: str, ptu_baud: int, command_time_ms: float) -> Course:
+    """Return what a program makes the axes of a rig do: the same to a few ms on each rig."""
+    draw = RigDraw(0, program, 0.0, ptu_baud, command_time_ms, noise_free=True)
+    with tempfile.TemporaryDirectory() as folder:
+        return record(draw, Path(folder) / "course.mcap").course
+
+
+def _order(draw: RigDraw, out: Path) -> SessionOrder:
+    config_text = _rig_text(draw.ptu_baud, draw.command_time_ms)
+    name = f"{draw.program}.yaml"
+    program_text = (ROOT / "config" / "programs" / name).read_bytes()
+    return SessionOrder(
+        config=parse_rig(config_text, "rig.yaml"),
+        config_text=config_text,
+        program=parse_program(program_text, name),
+        program_text=program_text,
+        out_dir=out,
+        session=f"s{draw.seed}",
+    )
+
+
+@lru_cache(maxsize=64)
+def _rig_text(ptu_baud: int, command_time_ms: float) -> bytes:
+    """Return the shipped rig with another line and controller."""
+    document = parse_yaml((ROOT / "config" / "rig.yaml").read_bytes(), "rig.yaml")
+    document["ptu"]["baud"] = ptu_baud
+    document["emulator"]["command_time_ms"] = command_time_ms
+    return dump_yaml(document).encode()
+
+
+def _span_s(path: Path, capture: CaptureClock) -> tuple[float, float]:
+    """Return when the first and the last sample came, since power-up."""
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        topics = [imu_topic(BoardId(BOARD))]
+        ends = [
+            next(m.log_time for _, _, m in reader.iter_messages(topics, reverse=reverse))
+            for reverse in (False, True)
+        ]
+    first, last = ((at_ns - capture.anchor_utc_ns) * 1e-9 for at_ns in ends)
+    return first, last

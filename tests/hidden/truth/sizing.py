@@ -1,0 +1,186 @@
+"""How large an effect has to be to be so and so visible, by its own noise-free difference.
+
+What to use when: `Sizer` for one rig under one program: `visibility` of given sizes,
+`sized` for the size at a wanted non-centrality. The energy of most effects goes with the
+square of their size; for the others a secant in logarithms goes on until it fits.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from tests.hidden.truth.session import BOARD, ORIGIN_NS, Course, More
+from tests.hidden.truth.variance import jitter_noncentrality, walk_noncentrality
+
+from gyrorig_daemon.emulator.causes import CAUSES
+from gyrorig_daemon.emulator.noise_free import NoiseFreeRates, Twins
+from gyrorig_daemon.emulator.noncentrality import Beside, Visibility, detectable
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.settings import HideOrder, RigSettings
+from gyrorig_daemon.emulator.truth import draw_rig_truth
+
+FloatArray = NDArray[np.float64]
+
+NEAR = 0.02  # of the wanted non-centrality
+COUNTED = (
+    "lost_samples", "repeated_samples", "corrupt_samples", "axis_swap", "sign_flip",
+    "wrong_full_scale",
+)  # fmt: skip
+IN_VARIANCE = ("sample_jitter", "bias_random_walk")
+_ROUNDS = 12
+_KEPT = 10  # rates, as they are asked for again
+_STEEPEST = 8.0  # of the energy with size, in logarithms
+
+
+@dataclass(frozen=True, slots=True)
+class Sized:
+    """A size and what it shows."""
+
+    size: float
+    seen: Visibility
+
+    @property
+    def times(self) -> float:
+        """How many times the minimal detectable size it is."""
+        return math.sqrt(max(self.seen.noncentrality, 0.0) / detectable())
+
+
+class Sizer:
+    """Visibility of what may be hidden in one rig under one program."""
+
+    def __init__(self, settings: RigSettings, course: Course) -> None:
+        """Take the rig, and what its axes are told."""
+        self._settings = replace(settings, hide=(), noise_free=True)
+        self._course = course
+        truth = draw_rig_truth(self._settings)
+        self._board = truth.boards[BOARD].to_document()
+        self._twins = Twins(self._settings, ORIGIN_NS, course.orders, course.until_ns, truth)
+        self._known: dict[tuple[HideOrder, ...], NoiseFreeRates] = {}
+        self._plain: NoiseFreeRates | None = None
+        self._plain_space: Beside | None = None
+
+    def rates(self, *hide: HideOrder, more: More | None = None) -> NoiseFreeRates:
+        """Return the rates with something hidden, and without it."""
+        known = self._known.get(hide) if more is None else None
+        if known is not None:
+            return known
+        settings = replace(self._settings, hide=hide)
+        rates = self._twins.rates(EmulatedRig(settings, ORIGIN_NS, more=more))[BOARD]
+        if more is None:
+            self._known[hide] = rates
+            if len(self._known) > _KEPT:
+                del self._known[next(iter(self._known))]
+        return rates
+
+    def space(self, rates: NoiseFreeRates) -> Beside:
+        """Return the space beside what a calibration estimates of such rates."""
+        if rates.aligned_rad_s is not rates.plain_rad_s:
+            return self._beside(rates)
+        if self._plain_space is None:
+            self._plain_space = self._beside(rates)
+        return self._plain_space
+
+    def visibility(self, *hide: HideOrder, more: More | None = None) -> Visibility:
+        """Return how visible it is."""
+        rates = self.rates(*hide, more=more)
+        return self.space(rates).visibility(rates)
+
+    def beside_others(self, orders: Sequence[HideOrder | None]) -> list[float | None]:
+        """Return each effect's non-centrality with the effects of the others taken off too."""
+        left: list[FloatArray | None] = []
+        for order in orders:
+            rates = None if order is None else self.rates(order)
+            left.append(None if rates is None else self.space(rates).effect(rates))
+        told: list[float | None] = []
+        for k, own in enumerate(left):
+            if own is None:
+                told.append(None)
+                continue
+            others = [o for j, o in enumerate(left) if j != k and o is not None]
+            rest = own
+            if others:
+                basis = np.stack(others, axis=1)
+                rest = own - basis @ np.linalg.lstsq(basis, own, rcond=None)[0]
+            told.append(float(rest @ rest))
+        return told
+
+    def of_cause(self, name: str, place: str) -> Callable[[float], Visibility]:
+        """Return how visible a cause is, by its size."""
+        if name == "sample_jitter":
+            plain = self._plain_rates()
+            unit = jitter_noncentrality(self.space(plain), plain)
+            return lambda size: Visibility(unit * size**4, 0.0)
+        if name == "bias_random_walk":
+            return lambda size: Visibility(self._walk(place, size), 0.0)
+        return lambda size: self.visibility(HideOrder(name, place, size))
+
+    def sized(
+        self, seen: Callable[[float], Visibility], times: float, start: float, most: float
+    ) -> Sized | None:
+        """Return the size at which an effect is `times` its minimal detectable size.
+
+        Args:
+            seen: how visible it is, by size; grows with the size's amount.
+            times: wanted.
+            start: a size to begin with; its sign is kept.
+            most: amount that it may have at most.
+
+        Returns:
+            None where it needs more than the most.
+        """
+        wanted = math.log(times**2 * detectable())
+        sign, x = math.copysign(1.0, start), math.log(min(abs(start), most))
+        slope, known = 2.0, [-math.inf, math.inf]
+        before: tuple[float, float] | None = None
+        for _ in range(_ROUNDS):
+            told = seen(sign * math.exp(x))
+            y = math.log(max(told.noncentrality, 1e-12))
+            if abs(y - wanted) < NEAR:
+                return Sized(sign * math.exp(x), told)
+            known[0 if y < wanted else 1] = x
+            if y < wanted and x >= math.log(most) - 1e-12:
+                return None
+            if before is not None and abs(x - before[0]) > 1e-9:
+                slope = (y - before[1]) / (x - before[0])
+                slope = min(max(slope, 0.5), _STEEPEST)
+            before = x, y
+            x = min(x + min(max((wanted - y) / slope, -4.0), 4.0), math.log(most))
+            if not known[0] < x < known[1]:
+                x = 0.5 * (known[0] + known[1]) if math.isfinite(sum(known)) else x
+        return None
+
+    def size_of_cause(self, name: str, place: str, times: float, sign: float) -> Sized | None:
+        """Return a cause's size at so many times the minimal detectable one, None above the most.
+
+        A rate that is never exceeded is the smaller the more it shows; steps are lost whole.
+        """
+        cause, seen = CAUSES[name], self.of_cause(name, place)
+        if name == "saturation":
+            peak = float(np.abs(self._plain_rates().plain_rad_s).max())
+            told = self.sized(lambda x: seen(peak - x), times, 0.05 * peak, 0.8 * peak)
+            return None if told is None else Sized(peak - told.size, told.seen)
+        if cause.whole:
+            one = seen(1.0)
+            if one.noncentrality <= 0.0:
+                return None
+            steps = max(round(times / Sized(1.0, one).times), 1)
+            return Sized(sign * steps, seen(sign * steps)) if steps <= cause.highest else None
+        return self.sized(seen, times, sign * cause.typical, cause.highest)
+
+    def _plain_rates(self) -> NoiseFreeRates:
+        if self._plain is None:
+            self._plain = self.rates()
+        return self._plain
+
+    def _walk(self, place: str, size: float) -> float:
+        order = HideOrder("bias_random_walk", place, size)
+        settings = replace(self._settings, hide=(order,))
+        walk = draw_rig_truth(settings).hidden[0].array("walk")
+        plain = self._plain_rates()
+        count = int(self.space(plain).inside.sum())
+        return walk_noncentrality(self._board, walk, count)
+
+    def _beside(self, rates: NoiseFreeRates) -> Beside:
+        return Beside(rates, self._board, self._course.moves_s, self._course.span_s)
