@@ -1,7 +1,8 @@
 """Causes of the catalogue as unknowns of a fit, beside gain, bias and time offset.
 
 What to use when: `fitted` for a cause whose sizes are to be found, `known` for one whose
-size is known beforehand (the Earth's rotation). `chain` has what several do together.
+size is known beforehand (the Earth's rotation), `Told` for one that other boards of the
+unit have measured too. `chain` has what several do together.
 """
 
 from dataclasses import dataclass, replace
@@ -15,12 +16,25 @@ from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """What others know of a cause's fitted values: the other boards on the same unit."""
+
+    values: FloatArray  # (free,), where they have them
+    information: FloatArray  # (free, free), inverse covariance; singular where they know nothing
+
+    def pull(self, now: FloatArray) -> FloatArray:
+        """Return the score that this knowledge has at some values, (free,)."""
+        return np.asarray(self.information @ (self.values - now), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Extension:
     """One cause with its values of now."""
 
     term: Term
     values: FloatArray  # (k,), of all its parameters
     free: IntArray  # which of them are fitted
+    told: Told | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

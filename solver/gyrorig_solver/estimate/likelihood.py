@@ -240,6 +240,13 @@ class _Work:
             index = self._index(k)
             information[np.ix_(index, index)] += marginal.information
             score[index] += marginal.score
+        first = GAINS + PER_SESSION * len(found)
+        for one in self._extensions:
+            if one.told is not None:
+                at = slice(first, first + one.free.size)
+                information[at, at] += one.told.information
+                score[at] += one.told.pull(one.values[one.free])
+            first += one.free.size
         return information, score
 
     def _of_one(self, k: int, offset_of: int | None = None) -> FloatArray:

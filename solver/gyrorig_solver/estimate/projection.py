@@ -429,6 +429,13 @@ def _known(
     std = [PRIOR_STD["gain"]] * GAINS + each * len(solution.sessions)
     std += [float(v) for one in extensions for v in one.prior_std]
     shared[np.arange(board), np.arange(board)] = np.array(std) ** -2.0
+    first = GAINS + PER_SESSION * len(solution.sessions)
+    for one in extensions:
+        at = slice(first, first + one.free.size)
+        if one.told is not None:
+            shared[at, at] += one.told.information
+            pull_shared[at] += one.told.pull(one.values[one.free])
+        first = at.stop
     near = []
     for k, session in enumerate(solution.sessions):
         known = session.reference.information
