@@ -6,11 +6,12 @@
 PYTHON ?= python3
 VENV   := .venv
 OUT    ?= demo
+HIDDEN ?= hidden
 SEED   ?=
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench clean
+.PHONY: help demo test check bench hidden clean
 
 help:  ## this text
 	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
@@ -36,6 +37,9 @@ bench: $(VENV)/.dev  ## the benchmarks: speed, efficiency, clock error
 		echo "== $$script"; $(VENV)/bin/python $$script || missed="$$missed $$script"; done; \
 	$(VENV)/bin/python -m pytest -m bench -s --timeout 1800 || missed="$$missed pytest"; \
 	if [ -n "$$missed" ]; then echo "make bench: a bar was missed in:$$missed" >&2; exit 1; fi
+
+hidden: $(VENV)/.dev  ## the long tier of hidden effects: hours; writes docs/discovery-scores.md
+	@$(VENV)/bin/python tests/hidden/long_tier.py --out $(HIDDEN)
 
 clean:  ## remove the virtual environment, caches and the demo's output
 	rm -rf $(VENV) $(OUT) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
