@@ -32,6 +32,7 @@ from gyrorig_solver.model.terms.scene import Scene, Setting
 from gyrorig_solver.reference.motion import ReferenceMotion
 
 SAME_NOISE = 0.03  # of the logarithm of a weight: less does not call for new ones
+LAWS = ("profile", "motor")  # what the controller does: the unit's answers follow it too
 MOVING_RAD_S = 0.003  # the reference turns faster than this: moving
 
 
@@ -252,6 +253,10 @@ class SessionFit:
             judge: set spikes aside anew.
             fresh: take derivatives anew too.
         """
+        by_own_law = getattr(self.reference, "by_own_law", None)
+        if by_own_law is not None:
+            laws = [one.term.link for one in self.extensions if one.free.size]
+            self.reference = by_own_law(any(link in LAWS for link in laws))
         before = [s.used.copy() for s in self._stretches]
         for s in self._stretches:
             for blocks in s.series.parts():

@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Self, cast
 
 import numpy as np
+from scipy.sparse import csc_array, diags_array
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.arrow import Arrow
@@ -27,6 +28,8 @@ from gyrorig_solver.reference.polls import StartTimes
 from gyrorig_solver.reference.table import Unknowns
 from gyrorig_solver.reference.track import Track, lay_tracks
 
+OWN_LAW = 0.1  # polls ten times less sure: 50 us become half a millisecond
+
 
 @dataclass(frozen=True, eq=False)
 class PtuReference:
@@ -37,6 +40,7 @@ class PtuReference:
     rad_per_step: tuple[float, float]  # pan and tilt, with the sign of the unit
     shift: FloatArray  # unknowns minus what the polls say
     span_s: tuple[float, float]  # where the polls saw the unit
+    own_law: bool = False  # the axes move by another law than the polls were read with
 
     @classmethod
     def of(
@@ -49,10 +53,26 @@ class PtuReference:
         """Return the reference at what the polls say."""
         return cls(motion, starts, rad_per_step, np.zeros(sum(starts.information.size)), span_s)
 
-    @property
+    @cached_property
     def information(self) -> Arrow:
-        """What the polls know of the unknowns."""
-        return self.starts.information
+        """What the polls know of the unknowns.
+
+        Counts follow what the controller does. Read by another law than its own they say a
+        little wrong, and very surely, when moves began and how fast they sped up: then
+        these are believed less, and the samples tell.
+        """
+        told = self.starts.information
+        if not self.own_law:
+            return told
+        table = self.starts.table
+        local, shared = np.ones(told.size[0]), np.ones(told.size[1])
+        local[: table.starts] = shared[table.classes : table.classes + 2] = OWN_LAW
+        scale = diags_array(local)
+        return Arrow(
+            csc_array(scale @ told.local @ scale),
+            local[:, None] * told.cross * shared,
+            shared[:, None] * told.shared * shared,
+        )
 
     @property
     def description(self) -> str:
@@ -86,6 +106,10 @@ class PtuReference:
     def moved(self, step: FloatArray) -> Self:
         """Return the reference with its unknowns changed by `step`."""
         return replace(self, shift=self.shift + step)
+
+    def by_own_law(self, own: bool) -> Self:
+        """Return the reference with its polls believed, or not so much: see `information`."""
+        return self if own == self.own_law else replace(self, own_law=own)
 
     def angles_rad(self, time_s: FloatArray) -> FloatArray:
         """Return pan and tilt at times that do not decrease, shape (2, n)."""
