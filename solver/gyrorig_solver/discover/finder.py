@@ -4,7 +4,8 @@ What to use when: `explain` from recordings, `explain_fit` from a fit of the bas
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from gyrorig_solver.discover.result import (
     Unexplained,
     Value,
     Verdict,
+    Whose,
 )
 from gyrorig_solver.discover.search import Found, Standing, by_chance, search, testable, tests_of
 from gyrorig_solver.estimate.conclusion import TERMS
@@ -30,7 +32,7 @@ from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.motion import reduced_chi2
 from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.bound import recording_of
+from gyrorig_solver.model.terms.bound import label, recording_of
 from gyrorig_solver.model.terms.protocol import (
     indices,
     places,
@@ -68,7 +70,25 @@ def explain_fit(base: Solution, board: str, begin: float | None = None) -> Expla
         begin: when the work began, `time.monotonic`.
     """
     begin = time.monotonic() if begin is None else begin
-    found = search(base)
+    return conclude(base, search(base), board, begin)
+
+
+def conclude(
+    base: Solution,
+    found: Found,
+    board: str,
+    begin: float,
+    whose: Mapping[str, Whose] | None = None,
+) -> Explained:
+    """Say what a search has found.
+
+    Args:
+        base: the fit of the base model.
+        found: where the search ended.
+        board: its name.
+        begin: when the work began, `time.monotonic`.
+        whose: of causes by label, where several boards were searched together.
+    """
     first = Projection.of(base) if found.standings else found.last
     left = signatures(found.last)
     shown = signatures(first) if found.standings else left
@@ -82,6 +102,8 @@ def explain_fit(base: Solution, board: str, begin: float | None = None) -> Expla
     tests = tests_of(testable(found.last))
     gains = {} if worth is None else worth.each
     causes = [_named(found.solution, k, s, calibration, tests, gains.get(k)) for k, s in fitted]
+    for_whom = whose or {}
+    causes = [replace(one, whose=for_whom.get(label(one.term))) for one in causes]
     causes.sort(key=lambda one: (-one.harm_sigma, one.p_value))
     absent, blind = limits(found.last, found.sights, calibration, len(base.sessions))
     verdict: Verdict = "explained" if causes else "adequate"
@@ -203,6 +225,10 @@ def _unexplained(found: Found, left: Sequence[Signature]) -> Unexplained | None:
     odd = tuple(one for one in left if one.p_value < GROUPS_ALPHA)
     if not odd:
         return None
-    won = sum(2.0 * max(s.best.won, 0.0) for s in found.standings)
+    won = sum(2.0 * max(_won_here(s), 0.0) for s in found.standings)
     rest = max(one.statistic - one.degrees_of_freedom for one in odd)
     return Unexplained(odd[0], odd[1:], won / (won + rest) if won > 0.0 else 0.0)
+
+
+def _won_here(standing: Standing) -> float:
+    return standing.best.won if standing.here is None else standing.here

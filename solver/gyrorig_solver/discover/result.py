@@ -14,6 +14,7 @@ from gyrorig_solver.model.terms.protocol import Part, Term
 
 # adequate: the base model leaves nothing but noise. explained: it did not, the named causes
 # account for all of it. unexplained: structure remains that no known cause explains.
+DISAGREE_P = 1e-3  # once in a thousand by chance: boards that differ more are said to
 Verdict = Literal["adequate", "explained", "unexplained"]
 
 
@@ -62,6 +63,27 @@ class Gain:
 
 
 @dataclass(frozen=True, slots=True)
+class Whose:
+    """Whether a cause is the unit's or a board's, where several boards were on the unit."""
+
+    whose: Literal["unit", "board"]
+    seen_by: int  # boards whose own data show it
+    boards: int  # that were on the unit
+    disagreement_p: float | None  # of a unit's: boards differ as much in its size by chance
+
+    @property
+    def words(self) -> str:
+        """The same for a person."""
+        if self.whose == "unit":
+            said = f"the unit's: seen by {self.seen_by} of {self.boards} boards"
+            agree = self.disagreement_p is None or self.disagreement_p > DISAGREE_P
+            return said if agree else f"{said}, which do not agree on its size"
+        if self.seen_by == 1:
+            return f"this board's alone: none of the other {self.boards - 1} shows it"
+        return f"the board's own: {self.seen_by} of {self.boards} boards have one"
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrationChange:
     """What a cause does to one parameter of the calibration when it is taken in."""
 
@@ -93,6 +115,7 @@ class NamedCause:
     rivals: tuple[Rival, ...]
     changes: tuple[CalibrationChange, ...]  # what leaving it out does to the calibration
     gain: Gain | None  # None: too little data to hold any out
+    whose: Whose | None = None  # None: there was one board only
     recording: str | None = None  # in which it happened, of several; None: in all of them
 
     @property
@@ -114,7 +137,9 @@ class NamedCause:
     def sentence(self) -> str:
         """What it means to a person at the rig."""
         said = self.term.sentence(self.extension.values)
-        return said if self.recording is None else f"{said}, in {self.recording}"
+        if self.recording is not None:
+            said += f", in {self.recording}"
+        return said if self.whose is None else f"{said}; {self.whose.words}"
 
     @property
     def harm_sigma(self) -> float:

@@ -53,6 +53,7 @@ class Standing:
     looks: float
     rivals: tuple[tuple[Weighed, float], ...]  # other causes and their posterior
     posterior: float
+    here: float | None = None  # nats won on this board, where several share it
 
     @property
     def one_of(self) -> tuple[str, ...]:
