@@ -6,11 +6,11 @@ import math
 from pathlib import Path
 from typing import Any
 
-from tests.hidden.truth.draws import Item, Session, sizer_of
+from tests.hidden.truth.draws import Item, Session
 from tests.hidden.truth.outside import NEARLY, SHAPES
 from tests.hidden.truth.session import BOARD, ORIGIN_NS, Recorded, settings_of
 from tests.hidden.truth.shapes import parameters
-from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE
+from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
 
 from gyrorig_daemon.emulator.causes import Quantity
 from gyrorig_daemon.emulator.noncentrality import detectable
@@ -18,7 +18,7 @@ from gyrorig_daemon.emulator.noncentrality import detectable
 SCHEMA = "gyrorig/hidden-answer/1"
 
 
-def answer_of(session: Session, recorded: Recorded) -> dict[str, Any]:
+def answer_of(session: Session, recorded: Recorded, sizer: Sizer) -> dict[str, Any]:
     """Return the whole truth about a session as plain values."""
     first_s, last_s = recorded.course.span_s
     span_ns = (ORIGIN_NS + round(first_s * 1e9), ORIGIN_NS + round(last_s * 1e9))
@@ -43,7 +43,7 @@ def answer_of(session: Session, recorded: Recorded) -> dict[str, Any]:
         "detectable": detectable(),
         "causes": [
             _cause(item, told.get(item.name), beside, session)
-            for item, beside in zip(session.items, _beside(session), strict=True)
+            for item, beside in zip(session.items, _beside(session, sizer), strict=True)
         ],
         "expected_groups": [group for shape in shapes for group in shape.groups],
         "near": next((shape.near for shape in shapes if shape.near), None),
@@ -115,11 +115,11 @@ def _plain(told: Quantity) -> dict[str, Any]:
     return {"value": value, "unit": told.unit}
 
 
-def _beside(session: Session) -> list[float | None]:
+def _beside(session: Session, sizer: Sizer) -> list[float | None]:
     """Return each effect's non-centrality with the others taken off as well."""
     items = session.items
     if len(items) < 2:
         return [None if i.seen is None else i.seen.noncentrality for i in items]
-    return sizer_of(session.rig).beside_others(
+    return sizer.beside_others(
         [None if i.name in (*COUNTED, *IN_VARIANCE) or i.size is None else i.order for i in items]
     )

@@ -5,7 +5,7 @@ because a cause that this rig cannot show under this program is drawn anew.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +15,7 @@ from tests.hidden.truth.shapes import hanger
 from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
 
 from gyrorig_daemon.emulator.causes import CAUSES
-from gyrorig_daemon.emulator.noncentrality import Visibility
+from gyrorig_daemon.emulator.noncentrality import Visibility, detectable
 from gyrorig_daemon.emulator.settings import HideOrder
 
 TIERS = ("mixed", "nulls", "ladder", "outside", "many")
@@ -44,6 +44,7 @@ SIZED = tuple(name for name in CAUSES if name not in (*COUNTED, *UNSEEN))
 PAIR = ("bias_ramp", "thermal_bias", "warm_up")  # alike where the room keeps its temperature
 EVENTS = ("bias_step", "board_slip", "clock_step", "lost_steps")
 TWO_TIMES = 3.0
+RUNG_WIDTH = 0.04  # of a ladder's non-centrality
 _TRIES = 40
 
 
@@ -292,6 +293,36 @@ def _held(drawing: _Drawing, *items: Item) -> RigDraw | None:
     }.get(drawing.rig.program, "survey-40")  # fmt: skip
     rig = drawing.rig
     return RigDraw(rig.seed + 500_000_000, program, 0.0, rig.ptu_baud, rig.command_time_ms)
+
+
+def seen_by(sizer: Sizer, session: Session) -> Session:
+    """Return a session whose effects are as visible as under the motion that it really had."""
+    items = []
+    for item in session.items:
+        if item.size is None:
+            items.append(item)
+            continue
+        if item.name in SHAPES:
+            seen = sizer.visibility(more=session.more)
+        else:
+            seen = sizer.of_cause(item.name, item.place)(item.size)
+        items.append(replace(item, seen=seen))
+    return replace(session, items=tuple(items))
+
+
+def on_rung(sizer: Sizer, session: Session) -> Session | None:
+    """Return a ladder's session with a size that meets its rung, None where it does already."""
+    if session.rung is None or session.items[0].seen is None:
+        return None
+    (item,) = session.items
+    if item.seen is None or item.size is None or CAUSES[item.name].whole:
+        return None
+    wanted = session.rung**2 * detectable()
+    if abs(item.seen.noncentrality / wanted - 1.0) < RUNG_WIDTH:
+        return None
+    sign = -1.0 if item.size < 0.0 else 1.0
+    told = sizer.size_of_cause(item.name, item.place, session.rung, sign)
+    return None if told is None else replace(session, items=(replace(item, size=told.size),))
 
 
 def orders_of(items: Sequence[Item]) -> tuple[HideOrder, ...]:

@@ -24,13 +24,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from tests.hidden.truth.answer import answer_of, seal
 from tests.hidden.truth.decoys import hot_truth, with_idle_channel
-from tests.hidden.truth.draws import TIERS, Session, drawn, orders_of
-from tests.hidden.truth.session import ORIGIN_NS, record, settings_of
+from tests.hidden.truth.draws import TIERS, Session, drawn, on_rung, orders_of, seen_by
+from tests.hidden.truth.session import ORIGIN_NS, Recorded, record, settings_of
+from tests.hidden.truth.sizing import Sizer
 
 from gyrorig_daemon.emulator.noise_free import Twins, write_rates
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.truth import RigTruth, draw_rig_truth
 
+_TRIES = 4
 SKIPPED = "skipped.txt"  # seeds whose session cannot be, in a ladder
 
 
@@ -38,18 +40,34 @@ def make(folder: Path, session: Session) -> str:
     """Hold a session, seal its answer, and put the recording there last; return the seal."""
     folder.mkdir(parents=True, exist_ok=True)
     raw = folder / "recording.part"
-    rig = replace(session.rig, hide=orders_of(session.items))
-    settings = settings_of(rig)
-    truth = hot_truth(settings) if session.decoy == "temperature" else None
-    recorded = record(rig, raw, truth, session.more)
-    document = answer_of(session, recorded)
+    session, recorded, sizer = _fitting(session, raw)
+    document = answer_of(session, recorded, sizer)
     if session.held is not None:
-        _hold(folder, session, draw_rig_truth(settings))
+        _hold(folder, session, recorded.rig.truth)
     sealed = seal(folder, document)
     if session.decoy == "idle_channel":
-        with_idle_channel(raw, rig.seed)
+        with_idle_channel(raw, session.rig.seed)
     raw.replace(folder / "recording.mcap")
     return sealed
+
+
+def _fitting(session: Session, raw: Path) -> tuple[Session, Recorded, Sizer]:
+    """Hold a session, with a ladder's rung met by the session as it was.
+
+    How visible an effect on the edges of the motion is depends on how the samples fall on
+    them, and so on when exactly each move began.
+    """
+    for _ in range(_TRIES):
+        rig = replace(session.rig, hide=orders_of(session.items))
+        truth = hot_truth(settings_of(rig)) if session.decoy == "temperature" else None
+        recorded = record(rig, raw, truth, session.more)
+        sizer = Sizer(settings_of(session.rig), recorded.course)
+        session = seen_by(sizer, session)
+        better = on_rung(sizer, session)
+        if better is None:
+            break
+        session = better
+    return session, recorded, sizer
 
 
 def _hold(folder: Path, session: Session, truth: RigTruth) -> None:

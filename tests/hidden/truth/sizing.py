@@ -29,7 +29,9 @@ COUNTED = (
     "wrong_full_scale",
 )  # fmt: skip
 IN_VARIANCE = ("sample_jitter", "bias_random_walk")
-_ROUNDS = 12
+_ROUNDS = 16
+_SMOOTH = 6  # rounds of secants
+_ROUGHLY = 0.3  # where no size fits, as for what begins with a jump
 _KEPT = 10  # rates, as they are asked for again
 _STEEPEST = 8.0  # of the energy with size, in logarithms
 
@@ -131,25 +133,26 @@ class Sizer:
             None where it needs more than the most.
         """
         wanted = math.log(times**2 * detectable())
-        sign, x = math.copysign(1.0, start), math.log(min(abs(start), most))
-        slope, known = 2.0, [-math.inf, math.inf]
+        sign, x, top = math.copysign(1.0, start), math.log(min(abs(start), most)), math.log(most)
+        low, high = -math.inf, math.inf
+        best: tuple[float, Sized] | None = None
         before: tuple[float, float] | None = None
-        for _ in range(_ROUNDS):
+        for round_ in range(_ROUNDS):
             told = seen(sign * math.exp(x))
             y = math.log(max(told.noncentrality, 1e-12))
-            if abs(y - wanted) < NEAR:
-                return Sized(sign * math.exp(x), told)
-            known[0 if y < wanted else 1] = x
-            if y < wanted and x >= math.log(most) - 1e-12:
-                return None
+            if best is None or abs(y - wanted) < best[0]:
+                best = abs(y - wanted), Sized(sign * math.exp(x), told)
+            if best[0] < NEAR or (y < wanted and x >= top - 1e-12):
+                break
+            low, high = (max(low, x), high) if y < wanted else (low, min(high, x))
+            slope = 2.0
             if before is not None and abs(x - before[0]) > 1e-9:
-                slope = (y - before[1]) / (x - before[0])
-                slope = min(max(slope, 0.5), _STEEPEST)
+                slope = min(max((y - before[1]) / (x - before[0]), 0.5), _STEEPEST)
             before = x, y
-            x = min(x + min(max((wanted - y) / slope, -4.0), 4.0), math.log(most))
-            if not known[0] < x < known[1]:
-                x = 0.5 * (known[0] + known[1]) if math.isfinite(sum(known)) else x
-        return None
+            x = min(x + min(max((wanted - y) / slope, -4.0), 4.0), top)
+            if not low < x < high or (round_ > _SMOOTH and math.isfinite(high - low)):
+                x = 0.5 * (low + high)  # what jumps with the size is halved until it fits
+        return best[1] if best is not None and best[0] < _ROUGHLY else None
 
     def size_of_cause(self, name: str, place: str, times: float, sign: float) -> Sized | None:
         """Return a cause's size at so many times the minimal detectable one, None above the most.

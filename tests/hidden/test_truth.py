@@ -1,0 +1,162 @@
+"""The truth side keeps its word: nothing of the solver in it, sizes that fit, sealed answers."""
+
+import ast
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.hidden.truth import make
+from tests.hidden.truth.draws import (
+    LINES,
+    PROGRAMS,
+    SHARES,
+    SIZED,
+    Item,
+    Session,
+    course_of,
+    drawn,
+    orders_of,
+    shape_sized,
+    sizer_of,
+)
+from tests.hidden.truth.outside import SHAPES
+from tests.hidden.truth.session import ROOT, RigDraw, record, settings_of
+from tests.hidden.truth.sizing import COUNTED, Sizer
+
+from gyrorig_daemon.emulator.causes import CAUSES
+from gyrorig_daemon.emulator.noncentrality import detectable
+from gyrorig_daemon.emulator.settings import HideOrder
+
+RIG = RigDraw(77, "quick", 0.0, *LINES[3])
+TRUTH = Path(__file__).parent / "truth"
+
+
+def imported(file: Path) -> set[str]:
+    """Every module that a file names in an import."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add(node.module or "")
+    return found
+
+
+def test_the_truth_imports_nothing_of_the_finder() -> None:
+    ours = ("gyrorig_daemon", "gyrorig_protocol", "tests.hidden.truth")
+    for file in TRUTH.rglob("*.py"):
+        for module in imported(file):
+            inside = module.startswith(("gyrorig", "tests"))
+            assert not inside or module.startswith(ours) or module == "tests.hidden", (file, module)
+
+
+def test_the_finder_imports_nothing_of_the_truth() -> None:
+    for file in (ROOT / "solver").rglob("*.py"):
+        assert not any(m.startswith(("gyrorig_daemon", "tests")) for m in imported(file)), file
+
+
+def test_no_order_of_a_user_reaches_what_is_outside_the_catalogue() -> None:
+    assert not SHAPES.keys() & CAUSES.keys()
+    assert {shape.near for shape in SHAPES.values() if shape.near} <= CAUSES.keys()
+    assert len([shape for shape in SHAPES.values() if shape.near is None]) >= 8
+    assert sum(SHARES) == pytest.approx(1.0)
+    assert sum(PROGRAMS.values()) == pytest.approx(1.0)
+    shipped = {path.stem for path in (ROOT / "config" / "programs").glob("*.yaml")}
+    assert shipped == {*PROGRAMS, "static"}
+
+
+def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        session = drawn(4, "nulls")
+        assert session is not None
+        make.make(tmp_path / name, replace(session, rig=replace(session.rig, program="quick")))
+    first, second = ((tmp_path / name) for name in ("first", "second"))
+    for name in ("answer.json", "sealed.txt", "recording.mcap"):
+        assert (first / name).read_bytes() == (second / name).read_bytes(), name
+
+
+def test_draws_depend_on_the_seed_alone() -> None:
+    one, again, other = drawn(300_003, "mixed"), drawn(300_003, "mixed"), drawn(300_004, "mixed")
+    assert one == again
+    assert one != other
+
+
+def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
+    item = Item(
+        "backlash", "pan", 5e-4, 3.0, sizer_of(RIG).visibility(HideOrder("backlash", "pan", 5e-4))
+    )
+    sealed = make.make(tmp_path, Session("mixed", "one", RIG, (item,)))
+    data = (tmp_path / "answer.json").read_bytes()
+    assert (
+        hashlib.sha256(data).hexdigest() == sealed == (tmp_path / "sealed.txt").read_text().strip()
+    )
+    assert b"backlash" not in (tmp_path / "recording.mcap").read_bytes()
+    answer = json.loads(data)
+    (cause,) = answer["causes"]
+    assert cause["parameters"]["gap"] == {"value": 5e-4, "unit": "rad"}
+    assert cause["times_detectable"] ** 2 * answer["detectable"] == pytest.approx(
+        cause["noncentrality"]
+    )
+    begin_s, end_s = answer["span_s"]
+    assert 10.0 < begin_s < end_s < begin_s + 60.0
+
+
+@pytest.mark.parametrize(
+    ("name", "place"), [("backlash", "tilt"), ("bias_step", ""), ("s_curve", "")]
+)
+def test_a_rung_is_met_by_the_session_that_comes_of_it(
+    name: str, place: str, tmp_path: Path
+) -> None:
+    told = sizer_of(RIG).size_of_cause(name, place, 2.0, 1.0)
+    assert told is not None
+    item = Item(name, place, told.size, 2.0, told.seen)
+    make.make(tmp_path, Session("ladder", "one", RIG, (item,), rung=2.0))
+    answer = json.loads((tmp_path / "answer.json").read_text())
+    (cause,) = answer["causes"]
+    assert cause["times_detectable"] == pytest.approx(2.0, rel=0.03)
+    order = HideOrder(name, place, cause["size"]["value"])
+    course = record(replace(RIG, hide=(order,)), tmp_path / "again.mcap").course
+    seen = Sizer(settings_of(RIG), course).visibility(order)
+    assert seen.noncentrality == pytest.approx(cause["noncentrality"], rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["clock_step", "saturation"])
+def test_a_size_is_as_visible_as_wanted(name: str) -> None:
+    told = sizer_of(RIG).size_of_cause(name, "", 3.0, 1.0)
+    assert told is not None
+    assert told.seen.noncentrality == pytest.approx(9.0 * detectable(), rel=0.05)
+    assert sizer_of(RIG).visibility(HideOrder(name, "", told.size)) == told.seen
+
+
+def test_what_scatters_only_has_a_size_too() -> None:
+    sizer = sizer_of(RIG)
+    small, large = (sizer.size_of_cause("sample_jitter", "", k, 1.0) for k in (1.0, 2.0))
+    assert small is not None
+    assert large is not None
+    assert large.size == pytest.approx(np.sqrt(2.0) * small.size, rel=0.02)
+
+
+@pytest.mark.parametrize("name", sorted(SHAPES))
+def test_every_shape_outside_the_catalogue_shows(name: str) -> None:
+    rig = replace(RIG, soak_k=20.0) if SHAPES[name].needs_soak else RIG
+    told = shape_sized(sizer_of(rig), SHAPES[name], rig, 3.0)
+    assert told is not None
+    assert told.seen.noncentrality == pytest.approx(9.0 * detectable(), rel=0.05)
+
+
+def test_a_ladder_goes_round_all_causes_before_the_next_rung() -> None:
+    many = len(SIZED) + len(COUNTED)
+    first, second = (drawn(1000 + k * many + SIZED.index("warm_up"), "ladder", (1.0, 2.0), 1000)
+                     for k in (0, 1))  # fmt: skip
+    for told, times in ((first, 1.0), (second, 2.0)):
+        assert told is not None
+        assert [item.name for item in told.items] == ["warm_up"]
+        assert told.rung == times
+        seen = told.items[0].seen
+        assert seen is not None
+        assert seen.noncentrality == pytest.approx(times**2 * detectable(), rel=0.05)
+        assert orders_of(told.items)
+        assert course_of(told.rig).moves_s
