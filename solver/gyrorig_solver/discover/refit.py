@@ -13,7 +13,7 @@ Levenberg-Marquardt with the scaling of More (1978).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,8 @@ ROUNDS = 12
 ENOUGH = 1e-2  # nats won by a step: less is no reason for another
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 LEVELS, PER_LEVEL = 4, 4  # an event is looked for this many times, each so much finer
+NEAR_S = 2e-3  # an event known better than this lies on one smooth hill of the likelihood
+LOOKS_PER_SIDE = 20  # times to either side of one that is known worse
 AT_BOUND = 1e-6  # of the range
 
 
@@ -43,6 +45,7 @@ class Weighed:
     std: FloatArray  # (free,)
     taken: FloatArray  # (board,), what its effect makes of the fit's parameters
     impossible: bool  # it would be better still outside what is possible
+    event_std: float | None = None  # of its event's time, s; None where it has none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +74,7 @@ def refit(
     shapes = np.array(indices(term, place, "shape"), dtype=np.int64)
     events = indices(term, role="event")
     best: _State | None = None
+    timed: _State | None = None
     for start in starts:
         values = _only(term, start, sizes)
         if events:
@@ -78,15 +82,19 @@ def refit(
         elif not values[sizes].any():
             values = _sized(projection, term, values, sizes)
         state = _descend(projection, term, values, np.concatenate([sizes, shapes]))
+        freed = state
         if events:
             wide = np.concatenate([sizes, shapes, np.array(events, dtype=np.int64)])
-            state = _descend(projection, term, state.values, wide)
-            state = _state(projection, term, state.values, np.concatenate([sizes, shapes]))
+            freed = _descend(projection, term, state.values, wide)
+            state = _state(projection, term, freed.values, np.concatenate([sizes, shapes]))
         if best is None or state.cost < best.cost:
-            best = state
-    if best is None:
+            best, timed = state, freed
+    if best is None or timed is None:
         return None
-    return _weighed(projection, term, place, best, sizes, shapes)
+    weighed = _weighed(projection, term, place, best, sizes, shapes)
+    if not events:
+        return weighed
+    return replace(weighed, event_std=_event_std(projection, term, timed, sizes, events[0]))
 
 
 def _only(term: Term, start: FloatArray, sizes: IntArray) -> FloatArray:
@@ -130,6 +138,38 @@ def _timed(
                 best = _inside(projection, term, trial)
         step_s /= PER_LEVEL
     return best
+
+
+def _event_std(
+    projection: Projection, term: Term, state: _State, sizes: IntArray, event: int
+) -> float:
+    """Return the deviation of an event's time, s; `state` has it free, last.
+
+    Where the likelihood is no smooth hill (a small step in noise, a stamp that jumps while
+    all is at rest) it is the scatter of the times about, each by its likelihood.
+    """
+    variance = float(np.linalg.pinv(state.curvature, hermitian=True)[-1, -1])
+    if state.curvature[-1, -1] > 0.0 and 0.0 < variance < NEAR_S**2:
+        return float(np.sqrt(variance))
+    every = indices(term, role="size")
+    at = [every.index(k) for k in sizes]
+    setting = _setting(projection, term)
+    now = float(state.values[event])
+    away = np.geomspace(0.5 * NEAR_S, setting.end_s - setting.begin_s, LOOKS_PER_SIDE)
+    times = now + np.concatenate([-away[::-1], [0.0], away])
+    times = times[(times >= setting.begin_s) & (times <= setting.end_s)]
+    statistics = []
+    for time_s in times:
+        trial = state.values.copy()
+        trial[event] = time_s
+
+        def signal(scene: Scene, trial: FloatArray = trial) -> FloatArray:
+            return term.directions(scene, trial)[at]
+
+        seen = Seen.of(projection.look(projection.signals(signal, term=term)))
+        statistics.append(seen.statistic)
+    weight = np.exp(0.5 * (np.array(statistics) - max(statistics))) * np.gradient(times)
+    return float(np.sqrt(np.sum(weight * (times - now) ** 2) / np.sum(weight)))
 
 
 def _inside(projection: Projection, term: Term, values: FloatArray) -> FloatArray:

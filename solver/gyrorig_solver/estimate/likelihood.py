@@ -28,6 +28,7 @@ UNSETTLED_SIGMA = 5.0  # a step above this judges spikes anew
 FAR_SIGMA = 50.0  # a step above this takes derivatives anew
 GAINS = 9
 PER_SESSION = 4  # bias and time offset
+TURN_X = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # d Rx(z)^T / dz
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,13 +168,13 @@ class _Work:
         causes = [one.values[one.free] for one in self._extensions]
         own = [self._of_one(k) for k in range(len(self._sessions))]
         unit = np.concatenate([prior_std(NAMES), *(one.prior_std for one in self._extensions)])
-        decisions = tuple(decide_in(one, unit) for one in own)
+        decisions = tuple(self._zero_open(decide_in(one, unit)) for one in own)
         # A board that lay still last tells its bias, but not how late its samples are.
         last = len(own) - 1
         moved = max((k for k, one in enumerate(decisions) if one.shows(12)), default=last)
         joint = decisions[last]
         if moved != last:
-            joint = decide_in(self._of_one(last, offset_of=moved), unit)
+            joint = self._zero_open(decide_in(self._of_one(last, offset_of=moved), unit))
         return Solution(
             names=(*NAMES, *(name for one in self._extensions for name in one.names)),
             unit=unit,
@@ -195,6 +196,19 @@ class _Work:
             outliers=sum(session.outliers for session in self._sessions),
             converged=converged,
         )
+
+    def _zero_open(self, decision: Decision) -> Decision:
+        """Return it with what the causes leave open of the tilt's zero in G's deviations.
+
+        A stage that stands z higher than told turns by Rx(z)^T omega: see `tilt_zero`.
+        """
+        each = [one.term.tilt_zero_std_rad(one.values) for one in self._extensions]
+        std = float(np.linalg.norm(each))
+        if std == 0.0:
+            return decision
+        moved = np.zeros(decision.covariance.shape[0])
+        moved[:GAINS] = std * (self._gain @ TURN_X).ravel()
+        return replace(decision, covariance=decision.covariance + np.outer(moved, moved))
 
     @property
     def _causes(self) -> int:

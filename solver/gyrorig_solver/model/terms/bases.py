@@ -67,6 +67,10 @@ class BaseTerm(ABC):
         """Return None: it can always be looked at."""
         return None
 
+    def tilt_zero_std_rad(self, values: FloatArray) -> float:
+        """Return zero: the stage stands where it is told to."""
+        return 0.0
+
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the derivative by the values, (k, blocks, 3), by central differences."""
         found = np.zeros((values.size, scene.blocks, 3))

@@ -137,6 +137,10 @@ class Term(Protocol):
         """Return the scene as the causes further down the chain see it."""
         ...
 
+    def tilt_zero_std_rad(self, values: FloatArray) -> float:
+        """Return how far it leaves open where the stage stands at the told tilt's zero."""
+        ...
+
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return its derivative by the values, (k, blocks, 3)."""
         ...

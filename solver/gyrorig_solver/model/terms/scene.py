@@ -304,8 +304,8 @@ class Scene:
 
     def seen(self, sensor_rate: FloatArray) -> FloatArray:
         """Return what of a rate at the sensor, (..., n, 3), shows in the block means."""
-        if self.low_pass is None:
-            return self.read(sensor_rate)
+        if self.low_pass is None or self.delay_s is not None:
+            return self.read(self.low_passed(sensor_rate))
         means = np.ascontiguousarray(np.swapaxes(sensor_rate, -1, -2))
         instants = self.low_pass.apply_to_instants(means, self.fine)
         return self.mean(np.swapaxes(instants[..., self.lead :], -1, -2))
