@@ -60,7 +60,9 @@ def said_of(case: Path, variant: str, out: Path) -> Row:
         return line
     _write(out, {**line, "seal": seal})
     if (case / HELD).exists() and stated.explained.findings.causes:
-        _write(held_path(out), {"seed": seed, **gap_of(case, stated.explained, seal)})
+        gap = gap_of(case, stated.explained, seal)
+        if gap is not None:
+            _write(held_path(out), {"seed": seed, **gap})
     return line
 
 

@@ -20,13 +20,16 @@ from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.discover.result import Explained
 from gyrorig_solver.discover.second import Other
 from gyrorig_solver.estimate.likelihood import GAINS, Solution
+from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.samples import GyroSamples, load_samples
 
 EVERY = 7  # a sample in so many tells where a recording begins
 
 
-def gap_of(case: Path, found: Explained, seal: str) -> dict[str, Any]:
+def gap_of(case: Path, found: Explained, seal: str) -> dict[str, Any] | None:
     """Open a case's answer and compare its finder's model with the oracle.
+
+    None where something is hidden that belongs to one recording: no model carries it over.
 
     Args:
         case: folder with a second recording.
@@ -34,6 +37,8 @@ def gap_of(case: Path, found: Explained, seal: str) -> dict[str, Any]:
         seal: of the answer.
     """
     answer = opened(case, seal)
+    if not all(_persists(name) for name in answer.names):
+        return None
     recording = read_recording(case / HELD)
     samples = load_samples(recording, found.board)
     effect = effect_on(samples, case / HELD_RATES, found.board)
@@ -51,6 +56,11 @@ def gap_of(case: Path, found: Explained, seal: str) -> dict[str, Any]:
     short = oracle.log_likelihood - each["extended"]
     gap = Gap(answer.seed, oracle.log_likelihood - each["base"], short, values)
     return {"nats": round(gap.nats, 3), "short": round(gap.short, 3), "values": gap.values}
+
+
+def _persists(cause: str) -> bool:
+    term = catalogue().get(cause)
+    return term is not None and term.scope != "recording"
 
 
 def effect_on(samples: GyroSamples, rates: Path, board: str) -> FloatArray:

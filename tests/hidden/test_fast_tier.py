@@ -1,0 +1,73 @@
+"""The fast tier: nulls, every cause once at three times its detectable size, worse finders.
+
+Sessions come from fast_tier.json: what the truth drew and sized (`make.py --tier ladder
+--rungs 3`, `--tier nulls`, `--tier outside`), recorded anew by another process. The bars are
+those of the long tier, `scoring/goals.py`: of so few sessions they allow hardly a miss.
+"""
+
+import math
+
+import pytest
+from tests.hidden.fast import Line, Sessions, name_of, sessions
+from tests.hidden.scoring import goals
+from tests.hidden.scoring.figures import figures, missed, sole_right
+from tests.hidden.scoring.variants import REAL, VARIANTS
+
+NULLS = [line for line in sessions() if line["kind"] == "null"]
+CAUSES = [line for line in sessions() if line["kind"] == "one"]
+OUTSIDE = [line for line in sessions() if line["kind"] == "outside"]
+# A few of each, on which the finder as it ships makes no mistake.
+FEW = ("backlash", "scale_quadratic", "board_slip")
+# An upper limit needs more than a few.
+BARS = [goal for goal in goals.GOALS if goal.name != "false_alarms_upper"]
+SMALL = [*NULLS[:3], *(one for one in CAUSES if one["cause"] in FEW), *OUTSIDE]
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
+    return Sessions(tmp_path_factory.mktemp("fast"), sessions())
+
+
+def test_every_cause_that_can_be_sized_is_in_the_tier() -> None:
+    assert len(NULLS) == 20
+    assert len({one["cause"] for one in CAUSES}) == len(CAUSES) >= 30
+    assert all(one["times"] is None or abs(one["times"] - 3.0) < 0.1 for one in CAUSES)
+
+
+def test_no_false_alarm_on_nulls(there: Sessions) -> None:
+    alarms = [one.seed for one in map(there.outcome, NULLS) if one.alarmed]
+    assert len(alarms) <= math.floor(goals.FALSE_ALARMS * len(NULLS)), alarms
+
+
+@pytest.mark.parametrize("line", CAUSES, ids=lambda line: str(line["cause"]))
+def test_a_cause_is_found_and_no_other_is_named(there: Sessions, line: Line) -> None:
+    one = there.outcome(line)
+    assert one.alarmed
+    assert not one.misled, one.sets
+
+
+def test_causes_have_their_right_name_alone(there: Sessions) -> None:
+    others = [f"{one['cause']}: {there.outcome(one).sets}" for one in CAUSES
+              if not sole_right(there.outcome(one))]  # fmt: skip
+    assert len(others) <= math.floor((1.0 - goals.SOLE_RIGHT) * len(CAUSES)), others
+
+
+def test_what_is_in_no_catalogue_gets_no_name(there: Sessions) -> None:
+    for line in OUTSIDE:
+        one = there.outcome(line)
+        assert not one.wrong_sole, (name_of(line), one.sets)
+        assert one.rest, name_of(line)
+
+
+def test_the_finder_as_it_ships_meets_the_goals_on_a_few(there: Sessions) -> None:
+    assert missed(figures([there.outcome(line) for line in SMALL]), BARS) == []
+
+
+@pytest.mark.parametrize("variant", sorted(set(VARIANTS) - {REAL}))
+def test_a_finder_made_worse_misses_a_goal(there: Sessions, variant: str) -> None:
+    outcomes = []
+    for line in SMALL:
+        outcomes.append(there.outcome(line, variant))
+        if missed(figures(outcomes), BARS):
+            return
+    pytest.fail(f"nothing caught a finder that {VARIANTS[variant].words}")
