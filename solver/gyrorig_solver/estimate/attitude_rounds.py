@@ -222,6 +222,16 @@ def _bins(frequency_hz: FloatArray) -> IntArray:
     return found
 
 
+def level_by_bins(power: FloatArray, frequency_hz: FloatArray) -> FloatArray:
+    """Return each coefficient's expected power, (n, 3), smooth over frequency.
+
+    Args:
+        power: shape (n, 3).
+        frequency_hz: shape (n,), above zero for most.
+    """
+    return _by_bin(power, _bins(frequency_hz), frequency_hz)
+
+
 def _by_bin(power: FloatArray, bins: IntArray, frequency_hz: FloatArray) -> FloatArray:
     """Return each coefficient's expected power: bin means, joined by straight lines in log-log.
 

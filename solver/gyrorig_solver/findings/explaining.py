@@ -16,6 +16,7 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration.profiles import find_profile
+from gyrorig_solver.discover.attitude import explain_attitudes
 from gyrorig_solver.discover.finder import explain
 from gyrorig_solver.discover.gain import held_out_by
 from gyrorig_solver.discover.result import Explained, Findings, Gain
@@ -26,13 +27,14 @@ from gyrorig_solver.findings.writing import PAGE, figure_name, write_findings
 from gyrorig_solver.raw.checks import look_at
 from gyrorig_solver.raw.gain import look_at_gain
 from gyrorig_solver.raw.result import Look
-from gyrorig_solver.report.course import Course, course_of, course_of_fit
+from gyrorig_solver.report.course import Course, course_of, course_of_attitudes, course_of_fit
 from gyrorig_solver.report.drawing import alone
 from gyrorig_solver.report.explain_html import figures_of, render_findings
 from gyrorig_solver.samples import load_samples
 from gyrorig_solver.solve import solve_recordings
 
 UNJUDGED = "nothing here judges the residual over time: the reference has angles, no motion"
+NOTHING = "no cause was named, so {} had nothing to measure"
 TOGETHER = "all recordings"  # what a look at the common gain is of
 
 
@@ -105,6 +107,8 @@ def explain_board(
             remarks=_no_gain(explained, held_out),
             explained=explained,
         )
+    if any("/reference/attitude" in r.topics for r in ordered):
+        return _beside_attitudes(ordered, board, raw, held_out)
     fit = solve_recordings(ordered, board)
     raw.append(RawEvidence(_together(ordered), _judged(fit.gain, ordered[0], board)))
     return Explanation(
@@ -114,6 +118,30 @@ def explain_board(
         raw=tuple(raw),
         course=course_of_fit(fit),
         remarks=(*fit.warnings, *fit.distrust, *(() if fit.diagnostics else (UNJUDGED,))),
+        explained=None,
+    )
+
+
+def _beside_attitudes(
+    ordered: Sequence[Recording],
+    board: BoardId,
+    raw: Sequence[RawEvidence],
+    held_out: Recording | None,
+) -> Explanation:
+    """Look at a board that a reference told the attitude of, a camera say."""
+    some = [r for r in ordered if "/reference/attitude" in r.topics]
+    found = explain_attitudes(some, board, held_out)
+    fit = found.fit
+    none = held_out is not None and found.findings.elsewhere is None
+    gone = [f"{r.path.name} has no reference attitude: left out" for r in ordered if r not in some]
+    nothing = () if not none or held_out is None else (NOTHING.format(held_out.path.name),)
+    return Explanation(
+        board=board,
+        recordings=tuple(some),
+        findings=found.findings,
+        raw=(*raw, RawEvidence(_together(ordered), _judged(fit.gain, some[0], board))),
+        course=course_of_attitudes(found),
+        remarks=(*gone, *fit.warnings, *fit.distrust, *found.remarks, *nothing),
         explained=None,
     )
 
@@ -129,7 +157,7 @@ def _elsewhere(explained: Explained, held_out: Recording | None) -> Gain | None:
 def _no_gain(explained: Explained, held_out: Recording | None) -> tuple[str, ...]:
     if held_out is None or explained.findings.causes:
         return ()
-    return (f"no cause was named, so {held_out.path.name} had nothing to measure",)
+    return (NOTHING.format(held_out.path.name),)
 
 
 def write_explanation(out: Path, found: Explanation) -> Written:

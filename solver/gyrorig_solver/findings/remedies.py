@@ -56,6 +56,8 @@ REMEDIES = MappingProxyType(
         "base_compliance": "bolt the unit's foot to something heavy and stiff",
         "board_slip": "fasten the board again, and record again: the calibration holds for a "
         "mount that does not move",
+        "reference_smoothing": "export the attitudes unfiltered and at the camera's own rate, with "
+        "short exposures; or compare slow turns only",
         "earth_rotation": "give latitude_deg and heading_deg of the site",
     }
 )

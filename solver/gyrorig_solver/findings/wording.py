@@ -69,6 +69,7 @@ TITLES = MappingProxyType(
         "base_compliance": "The foot of the unit gives way",
         "board_slip": "The board slipped on its mount",
         "earth_rotation": "The Earth turns",
+        "reference_smoothing": "The reference is smoothed",
     }
 )
 MANY = 8  # names in one line
@@ -78,8 +79,8 @@ _MDEG = 1e3 * _DEG
 
 _BLIND = (
     "Nothing found, little could be looked at",
-    "The reference is no pan-tilt unit's motion: only the samples themselves, and whether what "
-    "is left depends on rates and time, were looked at.",
+    "The reference is neither a unit's motion nor attitudes: only the samples themselves, and "
+    "whether what is left depends on rates and time, were looked at.",
 )
 
 

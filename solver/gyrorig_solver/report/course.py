@@ -1,19 +1,22 @@
 """What an explain report draws from: one board's block means beside both models.
 
-What to use when: `course_of` on what a search for causes found; `course_of_fit` on a fit
-against another reference than a unit's motion.
+What to use when: `course_of` on what a search for causes found, `course_of_attitudes` on one
+beside reference attitudes; `course_of_fit` on a fit that no cause was looked for in.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.discover.attitude import AttitudeExplained
 from gyrorig_solver.discover.result import Explained, NamedCause
 from gyrorig_solver.estimate.chain import effect_of
+from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution
-from gyrorig_solver.estimate.noise import binned
+from gyrorig_solver.estimate.noise import Periodogram, binned
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.estimate.session import SessionFit
 from gyrorig_solver.findings.build import figure_key
@@ -120,6 +123,52 @@ def course_of_fit(fit: GyroFit) -> Course | None:
         spectrum_extended=data.spectrum,
         spectrum_model=data.spectrum_model,
     )
+
+
+def course_of_attitudes(found: AttitudeExplained) -> Course:
+    """Return the arrays for the pictures of what was found beside reference attitudes.
+
+    Everything is in the band that was compared; recordings and stretches follow each other.
+    """
+    space, causes = found.space, found.findings.causes
+    named = [k for k, one in enumerate(space.extensions) if one in found.findings.extensions]
+    before, after = space.remaining(named), space.remaining()
+    effects = {
+        figure_key(cause.cause, cause.where): np.concatenate(
+            space.in_band(partial(_effect, cause.extension))
+        )
+        for cause in causes
+    }
+    measured = np.concatenate([one.modelled for one in space.pieces]) + np.concatenate(before)
+    base = measured - np.concatenate(before)
+    n, begin_s, time_s = base.shape[0], 0.0, []
+    for one in space.pieces:
+        time_s.append(one.time_s - one.time_s[0] + begin_s)
+        begin_s = float(time_s[-1][-1]) + BETWEEN_S
+    rate_hz = 1.0 / float(np.median(np.diff(space.pieces[0].time_s)))
+    spectra = [
+        binned([Periodogram.of(r, rate_hz).between(0.0, space.band_hz) for r in left])
+        for left in (before, after)
+    ]
+    at = spectra[0].frequency_hz
+    return Course(
+        time_s=np.concatenate(time_s),
+        measured_rad_s=measured,
+        base_rad_s=base,
+        extended_rad_s=measured - np.concatenate(after),
+        rate_rad_s=np.concatenate([one.rate for one in space.pieces]),
+        angle_rad=np.full((2, n), np.nan),
+        temperature_degc=np.full(n, np.nan),
+        effects=effects,
+        frequency_hz=at,
+        spectrum_base=spectra[0].density,
+        spectrum_extended=_at(at, spectra[1].frequency_hz, spectra[1].density),
+        spectrum_model=space.density(at),
+    )
+
+
+def _effect(extension: Extension, scene: Scene) -> FloatArray:
+    return effect_of((extension,), scene)[None]
 
 
 def _pieces(

@@ -4,6 +4,7 @@ A gain error that follows an angle has no mean, and a lag that grows has neither
 looked at by the quantity that it acts on. Every bin is a small regression with its own bar.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -54,6 +55,7 @@ OF_CAUSE = {
     "step_resolution": Dependence("gain", "tilt", 10),
     "board_slip": Dependence("gain", "time", 12),
     "earth_rotation": Dependence("mean", "pan"),
+    "reference_smoothing": Dependence("mean", "bend"),
 }
 # The covariates of the nameless tests, see `discover.groups`.
 OF_SIGNATURE = {
@@ -61,6 +63,9 @@ OF_SIGNATURE = {
     "bias_time": Dependence("mean", "time"),
     "speed": Dependence("gain", "speed", 12),
     "own_rate": Dependence("mean", "own_rate"),
+    "moving": Dependence("mean", "speed", 16),
+    "frequency": Dependence("mean", "bend"),
+    "turning_axis": Dependence("mean", "across"),
     "pan_angle": Dependence("gain", "pan"),
     "tilt_angle": Dependence("gain", "tilt", 10),
     "bias_pan": Dependence("mean", "pan"),
@@ -76,9 +81,11 @@ LABELS = {
     "worm_tilt": "tilt within one turn of the worm, deg",
     "speed": "speed of the stage, deg/s",
     "own_rate": "rate about the same axis, deg/s",
+    "bend": "second derivative of the rate about the same axis, deg/s³",
+    "across": "rate across its own change, about the same axis, rad²/s³",
     "temperature": "temperature, °C",
 }
-UNITS = {"mean": "deg/s", "gain": "% of the motor's rate", "lag": "ms late"}
+UNITS = {"mean": "deg/s", "gain": "% of the rate", "lag": "ms late"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,17 +135,18 @@ def in_bins(
 
 def covariate(course: Course, name: str, axis: int, motor: int = 0) -> FloatArray:
     """Return a covariate in the unit that its label says, shape (n,)."""
-    if name == "time":
-        return course.time_s
-    if name in ("pan", "tilt"):
-        return np.asarray(np.degrees(course.angle_rad[0 if name == "pan" else 1]))
-    if name == "worm":
-        return np.asarray(np.degrees(np.mod(course.angle_rad[motor], WORM_RAD)))
-    if name == "speed":
-        return np.asarray(np.degrees(np.linalg.norm(course.rate_rad_s, axis=1)))
-    if name == "temperature":
-        return course.temperature_degc
-    return np.asarray(np.degrees(course.base_rad_s[:, axis]))
+    made: dict[str, Callable[[], FloatArray]] = {
+        "time": lambda: course.time_s,
+        "pan": lambda: np.degrees(course.angle_rad[0]),
+        "tilt": lambda: np.degrees(course.angle_rad[1]),
+        "worm": lambda: np.degrees(np.mod(course.angle_rad[motor], WORM_RAD)),
+        "speed": lambda: np.degrees(np.linalg.norm(course.rate_rad_s, axis=1)),
+        "temperature": lambda: course.temperature_degc,
+        "bend": lambda: np.degrees(_slope(course, _slope(course, course.base_rad_s)))[:, axis],
+        "across": lambda: np.cross(course.base_rad_s, _slope(course, course.base_rad_s))[:, axis],
+        "own_rate": lambda: np.degrees(course.base_rad_s[:, axis]),
+    }
+    return np.asarray(made[name](), dtype=np.float64)
 
 
 def label(name: str, motor: int = 0) -> str:
@@ -159,9 +167,15 @@ def _by(course: Course, quantity: Quantity, axis: int, motor: int) -> FloatArray
     if quantity == "mean":
         return np.ones(course.time_s.size)
     if quantity == "gain":
+        if np.isnan(course.angle_rad).all():  # no motors: of the axis' own rate
+            return course.base_rad_s[:, axis]
         return motor_rate_rad_s(course, motor)
+    return _slope(course, course.base_rad_s)[:, axis]
+
+
+def _slope(course: Course, values: FloatArray) -> FloatArray:
     step_s = float(np.median(np.diff(course.time_s)))
-    return np.asarray(np.gradient(course.base_rad_s[:, axis], step_s), dtype=np.float64)
+    return np.asarray(np.gradient(values, step_s, axis=0), dtype=np.float64)
 
 
 def _largest(values: FloatArray) -> float:

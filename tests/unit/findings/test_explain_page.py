@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import linregress
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.discover.attitude_terms import ReferenceSmoothing
 from gyrorig_solver.discover.result import Findings
 from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
 from gyrorig_solver.model.terms.catalogue import catalogue
@@ -183,4 +184,4 @@ def test_a_rest_is_drawn_against_whatever_it_depends_on(covariate: str) -> None:
 
 
 def test_dependences_are_of_causes_that_there_are() -> None:
-    assert set(OF_CAUSE) <= set(catalogue())
+    assert set(OF_CAUSE) <= {*catalogue(), ReferenceSmoothing.cause}
