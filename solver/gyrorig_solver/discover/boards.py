@@ -180,10 +180,9 @@ def _shared(
     each = [heard(beside, joint) for beside in besides]
     whose = Whose("unit", sum(h.won > SEEN_NATS for h in each), len(each), disagreement(each))
     together = Together(besides)
+    everyone = heard(together, joint)
     for k, board in enumerate(boards):
-        others = told(
-            joint.extension.values[joint.extension.free], [h for j, h in enumerate(each) if j != k]
-        )
+        others = told(joint.extension.values[joint.extension.free], everyone, each[k])
         cause = replace(joint.extension, told=others)
         best = replace(joint, extension=cause, taken=together.of_board(k, joint.taken))
         board.put(asked[k][0] if k in asked else None, cause, _standing(best, found, each[k]))

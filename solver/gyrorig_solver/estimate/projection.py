@@ -12,7 +12,7 @@ Inference, 6e.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self
 
@@ -345,12 +345,41 @@ class Projection:
             shared[: self.board].T,
         )
 
+    def apart(self) -> "Apart":
+        """Return what the space is made of."""
+        board, prior = self.board, self._prior
+        across = prior.cross[:, board:]
+        return Apart(
+            own=self._base[:board],
+            own_known=prior.shared[:board, :board],
+            own_pull=prior.pull_shared[:board],
+            local=self._local,
+            shared=self._base[board:],
+            motion_known=np.block(
+                [[prior.local.toarray(), across], [across.T, prior.shared[board:, board:]]]
+            ),
+            motion_away=prior.away,
+        )
+
     def left(self, white: FloatArray) -> FloatArray:
         """Return what remains of one whitened signal once the fit has followed, (all,)."""
         felt, own = self._local @ white, self._base @ white
         shared = self._inverse @ (own - self._carry.T @ felt)
         near = self._near(felt) - self._carry @ shared
         return np.asarray(white - self._local.T @ near - self._base.T @ shared, np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Apart:
+    """What a space is made of: derivatives, whitened, and what is known of the unknowns."""
+
+    own: FloatArray  # (board, all), by the board's own: G, each (b, tau), causes
+    own_known: FloatArray  # (board, board), information
+    own_pull: FloatArray  # (board,), score of that
+    local: csr_array  # (m, all), by the motion's local unknowns
+    shared: FloatArray  # (g, all), by its shared ones
+    motion_known: FloatArray  # (m + g, m + g), information
+    motion_away: FloatArray  # (m + g,), where that has them, minus where they are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -364,6 +393,8 @@ class Prior:
     pull_shared: FloatArray
     first: int  # where the causes begin among the shared ones
     board: int  # and where they end: the first so many are the board's, G, b, tau, causes
+    away: FloatArray = field(default_factory=lambda: np.zeros(0))  # of a motion's unknowns:
+    # where knowledge has them, minus where they are
 
 
 def _base(
@@ -437,6 +468,8 @@ def _known(
             pull_shared[at] += one.told.pull(one.values[one.free])
         first = at.stop
     near = []
+    pulls = [(one.reference.pull, one.reference.information.size[0]) for one in solution.sessions]
+    away = np.concatenate([*(p[:m] for p, m in pulls), *(p[m:] for p, m in pulls)])
     for k, session in enumerate(solution.sessions):
         known = session.reference.information
         pull = known.times(session.reference.pull)
@@ -449,7 +482,7 @@ def _known(
     some = [one for one in near if one.shape[0]]
     local = csc_array(block_diag(some, format="csc")) if some else csc_array((0, 0))
     first = GAINS + PER_SESSION * len(solution.sessions)
-    return Prior(local, cross, shared, pull_local, pull_shared, first, board)
+    return Prior(local, cross, shared, pull_local, pull_shared, first, board, away)
 
 
 def _columns(

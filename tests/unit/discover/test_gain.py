@@ -35,7 +35,10 @@ def test_each_cause_has_its_own_gain(two: Explained) -> None:
 
 
 def test_a_model_without_a_cause_is_that_of_a_fit_that_has_none(two: Explained) -> None:
-    """The space with a cause's rows struck out is the space made without it."""
+    """The space with a cause's rows struck out is the space made without it.
+
+    Not to the last digit: other causes act on what the one that is gone had made.
+    """
     solution = two.solution_extended
     whole = Projection.of(solution)
     windows = np.arange(whole.residual.size) // 997 % 5
@@ -46,8 +49,7 @@ def test_a_model_without_a_cause_is_that_of_a_fit_that_has_none(two: Explained) 
         apart = Projection.of(solution, extensions=others, back=[one])
         (struck,) = whole.kept_out(windows, [whole.without([k])])
         (made,) = apart.kept_out(windows, [apart.without([])])
-        # The same but for derivatives, which are those of the model with all causes at work.
-        assert struck == pytest.approx(made, abs=1e-3 * float(np.abs(made).max()))
+        assert struck == pytest.approx(made, abs=0.01 * float(np.abs(made).max()))
 
 
 def test_no_cause_has_no_gain(two: Explained) -> None:
