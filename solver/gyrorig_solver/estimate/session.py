@@ -23,9 +23,10 @@ from gyrorig_solver.estimate.predict import (
     predict_columns,
     predict_rate,
 )
+from gyrorig_solver.estimate.pulses import axis_motions, made_by_the_rig
 from gyrorig_solver.estimate.quiet import Stretch, periodograms
 from gyrorig_solver.estimate.series import PART_BLOCKS, Series
-from gyrorig_solver.estimate.spikes import spikes
+from gyrorig_solver.estimate.spikes import spikes, spread
 from gyrorig_solver.estimate.start import Rough, correlation_lag, speeds
 from gyrorig_solver.estimate.whitening import PartModel, WhitePart
 from gyrorig_solver.model.terms.scene import Scene, Setting
@@ -331,11 +332,32 @@ class SessionFit:
             left = measured - sampled.rate @ gain.T - self.bias_rad_s
             if self.extensions:
                 left -= np.repeat(s.effect[blocks], series.block, axis=0)
-            s.good[samples] = series.good[samples] & ~spikes(left, use, self.sampling.quantum_rad_s)
+            odd = spikes(left, use, self.sampling.quantum_rad_s)
+            if odd.any():
+                odd &= ~self._by_the_rig(series, samples, left, use, odd, gain)
+            s.good[samples] = series.good[samples] & ~odd
         use = use & s.good[samples]
         s.measured[blocks] = series.means(measured, use)
         s.rate[blocks] = series.means(sampled.rate, use)
         s.used[blocks] = series.used(use)
+
+    def _by_the_rig(
+        self,
+        series: Series,
+        samples: slice,
+        left: FloatArray,
+        use: BoolArray,
+        odd: BoolArray,
+        gain: FloatArray,
+    ) -> BoolArray:
+        """Return which rows that stick out a pulse of pan or tilt explains."""
+        angles = getattr(self.reference, "angles_rad", None)
+        if angles is None or series.bandwidth_hz is None:
+            return np.zeros_like(odd)
+        time_s = series.time_s[samples] - self.lag_s
+        axes = axis_motions(angles(time_s), gain)
+        deviation = spread(left, use, self.sampling.quantum_rad_s)[1]
+        return made_by_the_rig(left, odd, time_s, axes, series.bandwidth_hz, deviation)
 
     def scene(self, series: Series, blocks: slice, gain: FloatArray, exact: bool = False) -> Scene:
         """Return what causes may look at in one part of a series.

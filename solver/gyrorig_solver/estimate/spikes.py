@@ -17,10 +17,8 @@ def spikes(left: FloatArray, use: BoolArray, quantum_rad_s: float) -> BoolArray:
     What a wrong start or a wrong model leaves is smooth over some samples: it is no spike,
     and to set it aside would hide it.
     """
-    own = (left if use.all() else left[use])[:: max(1, int(use.sum()) // ENOUGH)]
-    middle = np.median(own, axis=0)
-    deviation = 1.4826 * np.median(np.abs(own - middle), axis=0)
-    limit = SPIKE_SIGMA * np.maximum(deviation, quantum_rad_s)
+    middle, deviation = spread(left, use, quantum_rad_s)
+    limit = SPIKE_SIGMA * deviation
     odd = np.asarray((np.abs(left - middle) > limit).any(axis=1) & use, dtype=np.bool_)
     if not odd.any():
         return odd
@@ -39,3 +37,11 @@ def spikes(left: FloatArray, use: BoolArray, quantum_rad_s: float) -> BoolArray:
     alone = np.abs(left[far] - np.nanmedian(around, axis=1)) > limit
     odd[far] = alone.any(axis=1)
     return odd
+
+
+def spread(left: FloatArray, use: BoolArray, quantum_rad_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return median and robust deviation of a residual's used rows, (3,) each."""
+    own = (left if use.all() else left[use])[:: max(1, int(use.sum()) // ENOUGH)]
+    middle = np.median(own, axis=0)
+    deviation = 1.4826 * np.median(np.abs(own - middle), axis=0)
+    return np.asarray(middle), np.maximum(deviation, quantum_rad_s)
