@@ -104,9 +104,7 @@ def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
     assert 10.0 < begin_s < end_s < begin_s + 60.0
 
 
-@pytest.mark.parametrize(
-    ("name", "place"), [("backlash", "tilt"), ("bias_step", ""), ("s_curve", "")]
-)
+@pytest.mark.parametrize(("name", "place"), [("bias_step", ""), ("s_curve", "")])
 def test_a_rung_is_met_by_the_session_that_comes_of_it(
     name: str, place: str, tmp_path: Path
 ) -> None:

@@ -1,0 +1,74 @@
+"""How large each cause has to be to be seen under a program, beside how large it may be.
+
+One rig, without noise: the size at the minimal detectable non-centrality, by the truth's own
+difference. A cause that does not get there at the largest size that a part has is
+"never" under this program: no finder can find it, and none may say that it is absent.
+
+Run: python tests/hidden/truth/visible.py [--programs survey-40 ...] [--soak KELVIN] [--seed N]
+"""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tests.hidden.truth.draws import PROGRAMS, sizer_of
+from tests.hidden.truth.session import RigDraw
+from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
+
+from gyrorig_daemon.emulator.causes import CAUSES, Cause
+
+
+def verdict(cause: Cause, told: Sized | None) -> str:
+    """Return whether a cause shows at the sizes that it usually has."""
+    if told is None:
+        return "never"
+    size = abs(told.size)
+    if cause.name == "saturation":
+        return "yes"
+    if size <= cause.lowest:
+        return "always"
+    return "yes" if size <= cause.typical else "only when large"
+
+
+def row(sizer: Sizer, cause: Cause, place: str) -> str:
+    """Return a line of the table."""
+    told = sizer.size_of_cause(cause.name, place, 1.0, 1.0)
+    if told is None:
+        top = Sized(cause.highest, sizer.of_cause(cause.name, place)(cause.highest))
+        shown = f"{top.times:.2g}x at {cause.highest:.2g}"
+    else:
+        shown = f"{abs(told.size):.2g}"
+        if told.times > 1.1:
+            shown += f" ({told.times:.1f}x)"
+    unit = "" if cause.unit == "1" else f" {cause.unit}"
+    where = f"@{place}" if place else ""
+    usual = f"{cause.lowest:.2g} to {cause.highest:.2g}"
+    return f"| {cause.name}{where} | {shown}{unit} | {usual} | {verdict(cause, told)} |"
+
+
+def main() -> None:
+    """Read the command line and print a table for each program."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--programs", nargs="+", choices=list(PROGRAMS), default=list(PROGRAMS))
+    parser.add_argument("--soak", type=float, default=0.0)
+    parser.add_argument("--seed", type=int, default=5)
+    told = parser.parse_args()
+    for program in told.programs:
+        sizer = sizer_of(RigDraw(told.seed, program, told.soak))
+        head = f"{program}, soak {told.soak:g} K" if told.soak else program
+        sys.stdout.write(
+            f"\n{head}\n\n| cause | seen from | usual sizes | seen |\n|---|---|---|---|\n"
+        )
+        for cause in CAUSES.values():
+            places = cause.places if cause.places and not cause.together else ("",)
+            for place in places if cause.name not in COUNTED else ():
+                sys.stdout.write(row(sizer, cause, place) + "\n")
+                sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
