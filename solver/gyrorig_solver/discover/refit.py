@@ -27,6 +27,7 @@ from gyrorig_solver.model.terms.scene import Scene, Setting
 
 ROUNDS = 12
 ENOUGH = 1e-2  # nats won by a step: less is no reason for another
+NOTHING = 1e-4  # nats that a step promises: a hundredth of a deviation, not worth a look
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 LEVELS, PER_LEVEL = 4, 4  # an event is looked for this many times, each so much finer
 NEAR_S = 2e-3  # an event known better than this lies on one smooth hill of the likelihood
@@ -214,7 +215,7 @@ def _descend(projection: Projection, term: Term, values: FloatArray, free: IntAr
     now = _state(projection, term, values, free)
     own = value_parameters(term)
     typical = np.array([own[k].typical for k in free])
-    damping = FIRST_DAMPING
+    damping, refused = FIRST_DAMPING, False
     for _ in range(ROUNDS):
         scale = np.maximum(np.diag(now.curvature), 1e-12 / typical**2)
         moving = ~_held(term, now, free)
@@ -224,6 +225,9 @@ def _descend(projection: Projection, term: Term, values: FloatArray, free: IntAr
         damped = now.curvature[np.ix_(at, at)] + damping * np.diag(scale[at])
         step = np.zeros(free.size)
         step[at] = np.linalg.lstsq(damped, now.slope[at], rcond=None)[0]
+        promised = float(now.slope @ step - 0.5 * step @ now.curvature @ step)
+        if promised < (ENOUGH if refused else NOTHING):
+            break
         trial = now.values.copy()
         trial[free] += step
         trial = _inside(projection, term, trial)
@@ -233,9 +237,11 @@ def _descend(projection: Projection, term: Term, values: FloatArray, free: IntAr
         if after.cost < now.cost:
             won = now.cost - after.cost
             now, damping = after, max(damping * 0.1, LEAST_DAMPING)
+            refused = False
             if won < ENOUGH:
                 break
         else:
+            refused = True
             damping *= 10.0
             if damping > MOST_DAMPING:
                 break

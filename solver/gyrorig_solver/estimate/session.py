@@ -68,6 +68,25 @@ class _Frozen:
         return Normal(self.normal.matrix, score_again(self.part, residual, local))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """All of a state that a scene is made of."""
+
+    lag_s: float
+    gain: FloatArray
+    bias_rad_s: FloatArray
+    reference: ReferenceMotion
+
+    def same(self, other: "_Seen") -> bool:
+        """Return whether a scene of one is the other's."""
+        return (
+            self.reference is other.reference
+            and self.lag_s == other.lag_s
+            and np.array_equal(self.gain, other.gain)
+            and np.array_equal(self.bias_rad_s, other.bias_rad_s)
+        )
+
+
 class SessionFit:
     """A recording's state: what `likelihood` asks of it in every round."""
 
@@ -100,6 +119,7 @@ class SessionFit:
         self._stamp_std_s, self._setting = stamp_std_s, setting
         self._stretches = [_blank(s) for s in series]
         self._models: dict[tuple[int, int], PartModel] = {}
+        self._scenes: dict[tuple[int, int, bool], tuple[_Seen, Scene]] = {}
         self._frozen: _Frozen | None = None
 
     # ---- what it is now
@@ -182,7 +202,7 @@ class SessionFit:
             )
             for s in self._stretches
         ]
-        other._models, other._frozen = {}, None
+        other._models, other._scenes, other._frozen = {}, self._scenes.copy(), None
         return other
 
     def begun_at(self, other: "SessionFit") -> "SessionFit":
@@ -363,8 +383,19 @@ class SessionFit:
         """Return what causes may look at in one part of a series.
 
         `exact`: where a block is a sample, on the samples' own fine grid; corners of a few
-        milliseconds show only there. Else on a coarse one, good for derivatives.
+        milliseconds show only there. Else on a coarse one, good for derivatives. The last
+        ones of a series that is not long are kept: fit, derivatives and a search ask for them.
         """
+        state = _Seen(self.lag_s, gain.copy(), self.bias_rad_s.copy(), self.reference)
+        key = id(series), blocks.start, exact
+        if key in self._scenes and self._scenes[key][0].same(state):
+            return self._scenes[key][1]
+        found = self._scene(series, blocks, gain, exact)
+        if series.blocks * series.fine <= 2 * PART_BLOCKS:
+            self._scenes[key] = state, found
+        return found
+
+    def _scene(self, series: Series, blocks: slice, gain: FloatArray, exact: bool) -> Scene:
         per, fine = instants_per_block(series), 1
         if exact and series.block == 1:
             fine = series.fine

@@ -221,8 +221,7 @@ class TimeTerm(CurvedTerm):
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the change of the measured rate, (blocks, 3)."""
         value, _ = scene.later(self.delay(scene, values))
-        now, _ = scene.later(np.zeros(scene.use.size))
-        return scene.mean(value - now)
+        return scene.mean(value - scene.now_rad_s)
 
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return slope times the delay's derivative, (k, blocks, 3)."""

@@ -286,6 +286,11 @@ class Scene:
         whole = delay_s if self.delay_s is None else delay_s + self.delay_s
         return self._between(self.filtered_rad_s, self.filtered_slope_rad_s2, whole)
 
+    @cached_property
+    def now_rad_s(self) -> FloatArray:
+        """What the sensor shows at its instants, as they are, (instants, 3)."""
+        return self.later(np.zeros(self.use.size))[0]
+
     def _between(
         self, signal: FloatArray, signal_slope: FloatArray, delay_s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
