@@ -18,7 +18,7 @@ from gyrorig_solver.commands.terminal import (
     json_option,
 )
 from gyrorig_solver.findings.document import FindingsDocument, to_plain
-from gyrorig_solver.findings.explaining import Written, explain_into
+from gyrorig_solver.findings.explaining import Written, explain_together, write_explanation
 from gyrorig_solver.findings.wording import summary
 
 
@@ -48,8 +48,9 @@ def explain_command(
 ) -> int:
     r"""Say what the model of the rig gets wrong, and name the causes, as far as data bear it.
 
-    All recordings of one board are looked at together. The samples themselves are looked at
-    first, then what the model leaves; each cause is measured on data that it was not fitted
+    All recordings of one board are looked at together, and all boards of one unit: what all
+    of them show is the unit's. The samples themselves are looked at first, then what the
+    model leaves; each cause is measured on data that it was not fitted
     to. Leaves with 4 when the recordings cannot show a single cause: the findings say what
     would.
 
@@ -76,16 +77,18 @@ def explain_command(
             faults.append(fault)
             failed.append({"recording": str(path), "board": "", "error": str(fault)})
     written: list[Written] = []
-    for name, together in grouped(read, board).items():
-        terminal.progress(f"explaining {name} of {', '.join(r.path.name for r in together)}")
+    together = grouped(read, board)
+    terminal.progress(f"explaining {', '.join(together)}")
+    for name, found in explain_together(together, other):
         try:
-            written.append(explain_into(out, together, name, other))
+            if isinstance(found, GyrorigError):
+                raise found
+            written.append(write_explanation(out, found))
             terminal.say(said(written[-1]))
         except GyrorigError as fault:
             faults.append(fault)
-            failed.append(
-                {"recording": str(together[0].path), "board": str(name), "error": str(fault)}
-            )
+            at = str(together[name][0].path)
+            failed.append({"recording": at, "board": str(name), "error": str(fault)})
     if len(faults) == 1 and not written:
         raise faults[0]
     for failure in failed:

@@ -1,10 +1,10 @@
 """One board, all the way: the raw stream, the search for causes, the document, the page.
 
 What to use when: `explain_into` for a folder with everything, `explain_board` where the parts
-are to be used otherwise.
+are to be used otherwise; `explain_together` for several boards, those of one unit together.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
@@ -12,14 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
+from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration.profiles import find_profile
 from gyrorig_solver.discover.attitude import explain_attitudes
+from gyrorig_solver.discover.boards import explain_boards
 from gyrorig_solver.discover.finder import explain
 from gyrorig_solver.discover.gain import held_out_by
 from gyrorig_solver.discover.result import Explained, Findings, Gain
+from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
 from gyrorig_solver.findings.document import FindingsDocument, Input, Subject, to_yaml
 from gyrorig_solver.findings.plain import findings_of_fit
@@ -31,7 +34,7 @@ from gyrorig_solver.report.course import Course, course_of, course_of_attitudes,
 from gyrorig_solver.report.drawing import alone
 from gyrorig_solver.report.explain_html import figures_of, render_findings
 from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import solve_recordings
+from gyrorig_solver.solve import solve_recordings, unit_solution
 
 UNJUDGED = "nothing here judges the residual over time: the reference has angles, no motion"
 NOTHING = "no cause was named, so {} had nothing to measure"
@@ -78,6 +81,33 @@ def explain_into(
     return write_explanation(out, explain_board(recordings, board, held_out))
 
 
+def explain_together(
+    recordings: Mapping[BoardId, Sequence[Recording]], held_out: Recording | None = None
+) -> Iterator[tuple[BoardId, Explanation | GyrorigError]]:
+    """Look at several boards, those that were on one unit in the same recordings together.
+
+    Args:
+        recordings: those of each board, in any order.
+        held_out: a recording on which the named causes are measured, and nothing else.
+
+    Yields:
+        Each board with what is known of it, or why it could not be looked at.
+    """
+    groups: dict[tuple[str, ...], list[BoardId]] = {}
+    for board, own in recordings.items():
+        groups.setdefault(tuple(sorted(r.sha256 for r in own)), []).append(board)
+    for boards in groups.values():
+        own = recordings[boards[0]]
+        if len(boards) > 1 and _of_a_unit(own):
+            yield from explain_unit(own, boards, held_out).items()
+            continue
+        for board in boards:
+            try:
+                yield board, explain_board(recordings[board], board, held_out)
+            except GyrorigError as fault:
+                yield board, fault
+
+
 def explain_board(
     recordings: Sequence[Recording], board: BoardId, held_out: Recording | None = None
 ) -> Explanation:
@@ -93,20 +123,9 @@ def explain_board(
         UsageError: recordings that cannot be looked at together.
     """
     ordered = sorted(recordings, key=lambda recording: recording.start_ns)
-    raw = [RawEvidence(r.path.name, look_at(load_samples(r, board))) for r in ordered]
-    if any("/ptu/position" in r.topics for r in ordered):
-        explained = explain(ordered, board)
-        gain = explained.solution_extended.gain
-        raw.append(RawEvidence(_together(ordered), _judged(gain, ordered[0], board)))
-        return Explanation(
-            board=board,
-            recordings=tuple(ordered),
-            findings=replace(explained.findings, elsewhere=_elsewhere(explained, held_out)),
-            raw=tuple(raw),
-            course=course_of(explained),
-            remarks=_no_gain(explained, held_out),
-            explained=explained,
-        )
+    raw = _raw(ordered, board)
+    if _of_a_unit(ordered):
+        return _on_unit(ordered, explain(ordered, board), held_out)
     if any("/reference/attitude" in r.topics for r in ordered):
         return _beside_attitudes(ordered, board, raw, held_out)
     fit = solve_recordings(ordered, board)
@@ -120,6 +139,62 @@ def explain_board(
         remarks=(*fit.warnings, *fit.distrust, *(() if fit.diagnostics else (UNJUDGED,))),
         explained=None,
     )
+
+
+def explain_unit(
+    recordings: Sequence[Recording], boards: Sequence[BoardId], held_out: Recording | None = None
+) -> dict[BoardId, Explanation | GyrorigError]:
+    """Look at several boards on one pan-tilt unit: what is the unit's, and what each board's.
+
+    Args:
+        recordings: in any order.
+        boards: in each of them.
+        held_out: a recording on which the named causes are measured, and nothing else.
+
+    Returns:
+        Each board's findings, or why it could not be looked at.
+    """
+    ordered = sorted(recordings, key=lambda recording: recording.start_ns)
+    bases: dict[BoardId, Solution] = {}
+    found: dict[BoardId, Explanation | GyrorigError] = {}
+    for board in boards:
+        try:
+            bases[board] = unit_solution(ordered, board)
+        except GyrorigError as fault:
+            found[board] = fault
+    together = explain_boards({str(board): base for board, base in bases.items()})
+    for board in bases:
+        try:
+            found[board] = _on_unit(ordered, together[str(board)], held_out)
+        except GyrorigError as fault:
+            found[board] = fault
+    return found
+
+
+def _on_unit(
+    ordered: Sequence[Recording], explained: Explained, held_out: Recording | None
+) -> Explanation:
+    """Put together what is known of a board on a unit."""
+    board = BoardId(explained.board)
+    gain = explained.solution_extended.gain
+    judged = RawEvidence(_together(ordered), _judged(gain, ordered[0], board))
+    return Explanation(
+        board=board,
+        recordings=tuple(ordered),
+        findings=replace(explained.findings, elsewhere=_elsewhere(explained, held_out)),
+        raw=(*_raw(ordered, board), judged),
+        course=course_of(explained),
+        remarks=_no_gain(explained, held_out),
+        explained=explained,
+    )
+
+
+def _raw(ordered: Sequence[Recording], board: BoardId) -> list[RawEvidence]:
+    return [RawEvidence(r.path.name, look_at(load_samples(r, board))) for r in ordered]
+
+
+def _of_a_unit(recordings: Sequence[Recording]) -> bool:
+    return any("/ptu/position" in r.topics for r in recordings)
 
 
 def _beside_attitudes(
