@@ -26,7 +26,16 @@ from gyrorig_solver.discover.result import (
     Verdict,
     Whose,
 )
-from gyrorig_solver.discover.search import Found, Standing, by_chance, search, testable, tests_of
+from gyrorig_solver.discover.scatter_names import look_for_jitter
+from gyrorig_solver.discover.search import (
+    ALPHA,
+    Found,
+    Standing,
+    by_chance,
+    search,
+    testable,
+    tests_of,
+)
 from gyrorig_solver.estimate.conclusion import TERMS
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution
@@ -90,22 +99,27 @@ def conclude(
         whose: of causes by label, where several boards were searched together.
     """
     first = Projection.of(base) if found.standings else found.last
-    left = signatures(found.last)
-    shown = signatures(first) if found.standings else left
+    tests = tests_of(testable(found.last))
+    jitter = look_for_jitter(found.last, tests, ALPHA)
+    every = signatures(found.last)
+    shown = signatures(first) if found.standings else every
+    left = jitter.of(every)
     unexplained = _unexplained(found, left)
     if unexplained is not None and found.standings and unexplained.named_share < FILLS:
         found = Found(base, (), first, found.sights)
-        unexplained = _unexplained(found, shown) or unexplained
+        jitter = look_for_jitter(first, tests, ALPHA)
+        unexplained = _unexplained(found, jitter.of(shown)) or unexplained
     calibration = Board.of(found.solution)
     fitted = _fitted(found)
     worth = held_out(found.last, [k for k, _ in fitted])
-    tests = tests_of(testable(found.last))
     gains = {} if worth is None else worth.each
     causes = [_named(found.solution, k, s, calibration, tests, gains.get(k)) for k, s in fitted]
     for_whom = whose or {}
     causes = [replace(one, whose=for_whom.get(label(one.term))) for one in causes]
+    causes += [] if jitter.named is None else [jitter.named]
     causes.sort(key=lambda one: (-one.harm_sigma, one.p_value))
     absent, blind = limits(found.last, found.sights, calibration, len(base.sessions))
+    absent += () if jitter.absent is None else (jitter.absent,)
     verdict: Verdict = "explained" if causes else "adequate"
     findings = Findings(
         verdict="unexplained" if unexplained is not None else verdict,

@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrorig_solver.discover.changes import PARAMETERS, Board, own_part
 from gyrorig_solver.discover.result import Limit, NotTestable
+from gyrorig_solver.discover.scatter_names import wandering
 from gyrorig_solver.discover.scores import Sight
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.bound import recording_of
@@ -68,7 +69,7 @@ def _elsewhere(projection: Projection, found: Sequence[Sight]) -> list[NotTestab
         if term.kind == "gauge":
             why.append(NotTestable(cause, None, term.excitation))
         elif term.kind == "stochastic" and cause != "sample_jitter":
-            why.append(NotTestable(cause, None, "the noise model's own levels hold it"))
+            why.append(NotTestable(cause, None, wandering(projection)))
         elif term.kind in ("effect", "known"):
             missing = term.missing(scene)
             if missing is not None:

@@ -211,8 +211,8 @@ class Findings:
 
     @property
     def extensions(self) -> tuple[Extension, ...]:
-        """The named causes as fitted."""
-        return tuple(one.extension for one in self.causes)
+        """The named causes that a fit can follow, as fitted."""
+        return tuple(one.extension for one in self.causes if one.term.kind == "effect")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,8 +30,23 @@ class SampleJitter(UnseenTerm):
     def variance(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the variance that it adds to each block mean, (blocks, 3)."""
         slope = scene.filtered_slope_rad_s2
-        count = np.maximum(scene.use.reshape(scene.blocks, scene.block).sum(axis=1), 1)
-        return np.asarray(values[0] ** 2 * scene.read(slope**2) / count[:, None], np.float64)
+        return np.asarray(values[0] ** 2 * scene.read(slope**2) / self._samples(scene), np.float64)
+
+    def shape(self, scene: Scene) -> FloatArray:
+        """Return what a unit of it adds to each block mean, (blocks, 3).
+
+        All axes of a block by one random number, for a sample is early or late on all of them.
+        """
+        slope = scene.read(scene.filtered_slope_rad_s2)
+        return np.asarray(slope / np.sqrt(self._samples(scene)), dtype=np.float64)
+
+    def _samples(self, scene: Scene) -> FloatArray:
+        """Return how many samples are in each block mean, (blocks, 1)."""
+        used = scene.use.reshape(scene.blocks, scene.block).sum(axis=1)
+        period_s = scene.setting.sample_period_s
+        instant_s = scene.fine * scene.step_s
+        each = 1.0 if period_s is None else max(1.0, instant_s / period_s)
+        return np.asarray(np.maximum(used * each, 1.0)[:, None], dtype=np.float64)
 
     def sentence(self, values: FloatArray) -> str:
         """Say the deviation."""
