@@ -36,17 +36,28 @@ class Sessions:
     """Some sessions, each explained once by each finder."""
 
     def __init__(self, folder: Path, lines: Sequence[Line]) -> None:
-        """Record them all; truth and finder share files alone, and no process."""
+        """Begin to record; truth and finder share files alone, and no process."""
         self.lines = list(lines)
         self._folder = folder
+        self._there: set[str] = set()
         self._said: dict[tuple[str, str], Stated] = {}
         told = folder / "lines.json"
         told.write_text(json.dumps(self.lines), encoding="utf-8")
         order = [sys.executable, str(RECORDER), "--out", str(folder), "--lines", str(told)]
-        subprocess.run(order, check=True, capture_output=True)
+        self._recorder = subprocess.Popen(order, stdout=subprocess.PIPE, text=True)
+
+    def close(self) -> None:
+        """End the recorder, done or not."""
+        self._recorder.terminate()
+        self._recorder.communicate()
 
     def path(self, name: str) -> Path:
-        """Return where a session's recording is."""
+        """Return where a session's recording is, as soon as it is there."""
+        while name not in self._there:
+            said = self._recorder.stdout.readline() if self._recorder.stdout else ""
+            if not said:
+                raise RuntimeError(f"{name} was not recorded")
+            self._there.add(said.strip())
         return self._folder / f"{name}.mcap"
 
     def stated(self, line: Line, variant: str = REAL) -> Stated:

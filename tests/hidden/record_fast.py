@@ -80,7 +80,10 @@ def main() -> None:
     every = json.loads(told.lines.read_text(encoding="utf-8"))
     told.out.mkdir(parents=True, exist_ok=True)
     for line in every:
-        hold(line, told.out / f"{line.get('name', line['seed'])}.mcap")
+        name = str(line.get("name", line["seed"]))
+        hold(line, told.out / f"{name}.mcap")
+        sys.stdout.write(f"{name}\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 No truth is needed here but that of the change itself. Sessions are recorded by another process.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from unittest.mock import patch
 
@@ -29,8 +30,10 @@ LINES: list[Line] = [
 
 
 @pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
-    return Sessions(tmp_path_factory.mktemp("changed"), LINES)
+def there(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
+    made = Sessions(tmp_path_factory.mktemp("changed"), LINES)
+    yield made
+    made.close()
 
 
 def findings(there: Sessions, k: int) -> Findings:
