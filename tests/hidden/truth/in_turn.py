@@ -6,24 +6,38 @@ Run: python tests/hidden/truth/in_turn.py --out CORPORA --rounds N
 import argparse
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from tests.hidden.truth import make
-from tests.hidden.truth.draws import SIZED
+from tests.hidden.truth.draws import SIZED, TIERS
 from tests.hidden.truth.sizing import COUNTED
 
 ROUND = len(SIZED) + len(COUNTED)  # each cause once; then the next rung, then with soak
 
-# Tier: first seed, sessions in all, sessions a round.
-TIERS = {
-    "nulls": (10_000, 1000, 50),
-    "ladder": (200_000, 8 * 2 * 3 * ROUND, ROUND),
-    "mixed": (300_000, 1000, 50),
-    "many": (400_000, 40, 2),
-}
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Sessions of one tier."""
+
+    folder: str
+    tier: str
+    first: int  # seed
+    count: int
+    a_round: int
+    rungs: tuple[str, ...] = ("1", "2", "3")
+
+
+PARTS = (
+    Part("nulls", "nulls", 10_000, 1000, 60),
+    Part("ladder", "ladder", 210_000, 8 * 2 * 2 * ROUND, 2 * ROUND, ("3", "2")),
+    Part("mixed", "mixed", 300_000, 1000, 25),
+    Part("ladder", "ladder", 250_000, 8 * 2 * ROUND, ROUND // 2, ("1",)),
+    Part("many", "many", 400_000, 40, 2),
+)
 
 
 def main() -> None:
@@ -31,14 +45,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--rounds", type=int, default=50)
+    parser.add_argument("--tiers", nargs="+", choices=TIERS, default=list(TIERS))
     told = parser.parse_args()
     for turn in range(told.rounds):
-        for tier, (first, count, many) in TIERS.items():
-            at = turn * many
-            if at < count:
+        for part in PARTS:
+            at = turn * part.a_round
+            if at < part.count and part.tier in told.tiers:
                 make.main(
-                    ["--out", str(told.out / tier), "--tier", tier, "--base", str(first),
-                     "--first", str(first + at), "--count", str(min(many, count - at))]
+                    ["--out", str(told.out / part.folder), "--tier", part.tier,
+                     "--base", str(part.first), "--first", str(part.first + at),
+                     "--count", str(min(part.a_round, part.count - at)),
+                     "--rungs", *part.rungs]
                 )  # fmt: skip
 
 
