@@ -3,7 +3,7 @@
 Every step goes on where it was stopped: sessions that are there are not made again, explained
 ones not explained again. Hours on two cores; some GB in the folder.
 
-Run: python tests/hidden/long_tier.py --out FOLDER [--workers 2]
+Run: python tests/hidden/long_tier.py --out FOLDER [--workers 2] [--rounds 50]
 """
 
 import argparse
@@ -12,33 +12,21 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
+MAKER = HERE / "truth" / "in_turn.py"
 RESULTS = HERE.parents[1] / "docs" / "discovery" / "results.json"
-# Tier of tests/hidden/truth/make.py, first seed, how many.
-TIERS = (
-    ("nulls", 10_000, 1000),
-    ("ladder", 20_000, 310),
-    ("mixed", 30_000, 300),
-    ("outside", 40_000, 100),
-    ("many", 50_000, 40),
-)
+SIDE_BY_SIDE = (("nulls",), ("ladder", "mixed", "many"))  # about as long to make
 
 
-def made(out: Path, workers: int) -> list[Path]:
-    """Make what is missing of the corpora, in as many processes; return their folders."""
-    folders = []
-    for tier, first, count in TIERS:
-        folder = out / tier
-        order = [str(HERE / "truth" / "make.py"), "--out", str(folder), "--tier", tier]
-        order += ["--first", str(first), "--count", str(count)]
-        started = [
-            subprocess.Popen([sys.executable, *order, "--shard", f"{k}/{workers}"])
-            for k in range(1, workers + 1)
-        ]
-        codes = [one.wait() for one in started]
-        if any(codes):
-            raise SystemExit(f"long tier: {tier} was not made")
-        folders.append(folder)
-    return folders
+def make(out: Path, rounds: int) -> list[str]:
+    """Make what is missing of the corpora; return their folders."""
+    started = []
+    for tiers in SIDE_BY_SIDE:
+        order = [sys.executable, str(MAKER), "--out", str(out), "--rounds", str(rounds)]
+        started.append(subprocess.Popen([*order, "--tiers", *tiers]))
+    codes = [one.wait() for one in started]
+    if any(codes):
+        raise SystemExit(f"long tier: the sessions were not made: {codes}")
+    return [str(out / tier) for tiers in SIDE_BY_SIDE for tier in tiers]
 
 
 def main() -> None:
@@ -46,8 +34,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=50, help="fewer make a smaller corpus")
     told = parser.parse_args()
-    corpora = [str(folder) for folder in made(told.out, told.workers)]
+    corpora = make(told.out, told.rounds)
     lines = str(told.out / "results.jsonl")
     steps = (
         ["explain_cases.py", *corpora, "--out", lines, "--workers", str(told.workers)],
