@@ -12,7 +12,7 @@ from gyrorig_solver.model.terms.protocol import Link, Part, Scope, TermParameter
 from gyrorig_solver.model.terms.scene import Scene, by_axis
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
-_TYPICAL = 0.02 * DEG / 300.0
+_TYPICAL = 0.1 * DEG / 300.0
 
 
 class BiasRamp(LinearTerm):
