@@ -25,8 +25,9 @@ from gyrorig_solver.model.terms.bound import label
 from gyrorig_solver.model.terms.protocol import Term
 
 Owner = Literal["unit", "board", "either"]
-# Belief that what is a unit's by its kind shows on one board alone: a mount of its own.
-UNLIKELY_NATS = 4.6  # ln 100
+# What is a unit's by its kind acts on all boards. That it shows on one alone takes a mount of
+# its own that yields or rings as a unit would: believed once in ten thousand.
+UNLIKELY_NATS = 9.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -79,6 +79,8 @@ class Whose:
             agree = self.disagreement_p is None or self.disagreement_p > DISAGREE_P
             return said if agree else f"{said}, which do not agree on its size"
         if self.seen_by == 1:
+            if self.boards == 2:
+                return "this board's alone: the other does not show it"
             return f"this board's alone: none of the other {self.boards - 1} shows it"
         return f"the board's own: {self.seen_by} of {self.boards} boards have one"
 

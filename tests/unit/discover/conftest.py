@@ -13,6 +13,7 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[3]
+CONFIG = ROOT / "config" / "rig.yaml"
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Hidden:
 
     @property
     def board(self) -> str:
-        """The only board."""
+        """The first board."""
         return str(self.recording.board_ids[0])
 
 
@@ -33,14 +34,14 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Hidden]:
     """Return a function that records a session with something hidden in it, once each."""
     made: dict[tuple[str, ...], Hidden] = {}
 
-    def record(*hide: str, seed: int = 7, program: str = "quick") -> Hidden:
-        key = (*hide, str(seed), program)
+    def record(*hide: str, seed: int = 7, program: str = "quick", config: Path = CONFIG) -> Hidden:
+        key = (*hide, str(seed), program, str(config))
         if key not in made:
             folder = tmp_path_factory.mktemp("hidden")
             orders = [word for text in hide for word in ("--hide", text)]
             truth = folder / "truth.json"
             run(
-                ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
+                ["record", "--config", str(config), "--program",
                  str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", str(folder),
                  "--simulated-time", "--seed", str(seed), "--truth", str(truth), *orders]
             )  # fmt: skip

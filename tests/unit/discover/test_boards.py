@@ -1,0 +1,166 @@
+"""Several boards on one unit: what is the unit's, and what is one board's.
+
+The authority is the emulated rig: a rounded ramp is its controller's, a low-pass that is
+not as configured one board's.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrorig_solver.discover.boards import explain_boards
+from gyrorig_solver.discover.hypotheses import owner
+from gyrorig_solver.discover.result import Explained
+from gyrorig_solver.discover.together import Heard, Together, disagreement, told
+from gyrorig_solver.estimate.likelihood import Solution
+from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.catalogue import catalogue
+from gyrorig_solver.solve import unit_solution
+
+BOARDS = ("GY80-1", "GY80-2", "GY80-3", "GY80-4")
+FAR = 4.0  # standard deviations
+
+Bases = Callable[..., dict[str, Solution]]
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An emulated rig with four boards."""
+    path = tmp_path_factory.mktemp("rig") / "rig.yaml"
+    boards = "".join(
+        f"  - {{id: {name}, port: emulated, baud: 460800, format: gcb1}}\n" for name in BOARDS
+    )
+    path.write_text(
+        "schema: gyrorig/rig/1\nrig: four\nptu: {port: emulated, baud: 115200}\n"
+        f"boards:\n{boards}emulator: {{seed: 1, dialect: e46, odr_hz: 100, bandwidth_hz: 25.0}}\n"
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def bases(hidden: Callable[..., Any], config: Path) -> Bases:
+    """Return a function that fits the base model to each board of a session."""
+
+    def fit(*hide: str, boards: int = 4) -> dict[str, Solution]:
+        session = hidden(*hide, seed=3, program="survey-40", config=config)
+        return {name: unit_solution([session.recording], name) for name in BOARDS[:boards]}
+
+    return fit
+
+
+@pytest.fixture(scope="module")
+def rounded(bases: Bases) -> dict[str, Explained]:
+    """Two boards on a unit that rounds its ramps."""
+    return explain_boards(bases("s_curve:0.02", boards=2))
+
+
+def test_what_all_boards_show_is_the_units(rounded: dict[str, Explained]) -> None:
+    for explained in rounded.values():
+        (named,) = explained.findings.causes
+        assert named.candidates == ("s_curve",)
+        assert named.whose is not None
+        assert named.whose.whose == "unit"
+        assert (named.whose.seen_by, named.whose.boards) == (2, 2)
+        assert "the unit's: seen by 2 of 2 boards" in named.sentence
+        assert named.whose.disagreement_p is not None
+        assert named.whose.disagreement_p > 1e-4
+        for value in named.values:
+            assert value.value == pytest.approx(0.02, abs=FAR * value.std)
+
+
+def test_a_units_cause_has_one_size_at_all_boards(rounded: dict[str, Explained]) -> None:
+    sizes = [[(v.value, v.std) for v in one.findings.causes[0].values] for one in rounded.values()]
+    for each in zip(*sizes, strict=True):
+        values, stds = np.array(each).T
+        assert np.ptp(values) < 0.2 * stds.min()  # each fit was told what the others know
+        assert stds == pytest.approx(stds.mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("boards", [2, pytest.param(4, marks=pytest.mark.bench)])
+def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
+    found = explain_boards(bases("low_pass_lag@GY80-2:0.3", boards=boards))
+    for name, explained in found.items():
+        causes = explained.findings.causes
+        if name != "GY80-2":
+            assert causes == ()
+            continue
+        (named,) = causes
+        assert named.candidates == ("low_pass_lag",)
+        assert named.whose is not None
+        assert named.whose.whose == "board"
+        assert named.sentence.endswith(
+            "; this board's alone"
+            + (": the other does not show it" if boards == 2 else ": none of the other 3 shows it")
+        )
+
+
+@pytest.mark.parametrize("boards", [2, pytest.param(4, marks=pytest.mark.bench)])
+def test_boards_with_nothing_have_no_findings(bases: Bases, boards: int) -> None:
+    for explained in explain_boards(bases(boards=boards)).values():
+        assert explained.findings.verdict == "adequate"
+
+
+def test_whose_a_cause_can_be() -> None:
+    causes = catalogue()
+    assert owner(causes["s_curve"]) == "unit"
+    assert owner(causes["lost_steps"]) == "unit"
+    assert owner(causes["low_pass_lag"]) == "board"
+    assert owner(causes["clock_skew"]) == "either"
+
+
+def test_boards_side_by_side_are_one_least_squares_problem(bases: Bases) -> None:
+    """Against a dense solution with one set of the motion's unknowns, put together by itself."""
+    parts = [Projection.of(one) for one in bases(boards=2).values()]
+    together = Together(parts)
+    rng = np.random.default_rng(5)
+    signal = rng.standard_normal((2, together.residual.size))
+    apart = [one.apart() for one in parts]
+    own = [one.own.shape[0] for one in apart]
+    common = apart[0].motion_known.shape[0]
+    size = sum(own) + common
+    rows, data, first = [], [], 0
+    for k, (one, board) in enumerate(zip(apart, parts, strict=True)):
+        design = np.zeros((board.residual.size, size))
+        design[:, first : first + own[k]] = one.own.T
+        motion = np.vstack([one.local.toarray(), one.shared])
+        design[:, sum(own) :] = motion.T
+        rows.append(design)
+        data.append(board.residual - motion.T @ one.motion_away)
+        first += own[k]
+    known = np.zeros((size, size))
+    pull, first = np.zeros(size), 0
+    for k, one in enumerate(apart):
+        at = slice(first, first + own[k])
+        known[at, at], pull[at] = one.own_known, one.own_pull
+        first += own[k]
+    known[first:, first:] = min((one.motion_known for one in apart), key=np.trace)
+    whole = np.vstack(rows)
+    normal = whole.T @ whole + known
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    step = scale[:, None] * np.linalg.solve(
+        normal * np.outer(scale, scale), scale[:, None] * (whole.T @ signal.T)
+    )
+    looked = together.look(signal)
+    assert looked.information == pytest.approx(
+        signal @ signal.T - signal @ whole @ step, rel=1e-6, abs=1e-3
+    )
+    residual = np.concatenate(data)
+    score = signal @ residual - step.T @ (whole.T @ residual + pull)
+    assert looked.score == pytest.approx(score, rel=1e-6, abs=1e-3)
+
+
+def test_a_board_that_is_told_the_rest_ends_where_all_do() -> None:
+    """Two quadratics: the sum's minimum is that of one with what it is told of the other."""
+    one = Heard(np.diag([4.0, 1.0]), np.array([2.0, -1.0]), 0.0)
+    two = Heard(np.diag([1.0, 3.0]), np.array([-2.0, 1.0]), 0.0)
+    both = Heard(one.information + two.information, one.slope + two.slope, 0.0)
+    at = np.array([0.3, 0.7])
+    knows = told(at, both, one)
+    # All rest at `at`: there the one's own slope and what it is told cancel.
+    assert knows.pull(at) == pytest.approx(-one.slope)
+    assert knows.information == pytest.approx(two.information)
+    assert disagreement([one, one]) == pytest.approx(1.0)
+    assert disagreement([one, Heard(two.information, -40.0 * one.slope, 0.0)]) < 1e-6
