@@ -13,6 +13,7 @@ Run: python tests/hidden/truth/make.py --out CORPUS --first SEED --count N [--ti
 
 import argparse
 import os
+import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -103,6 +104,8 @@ def run(told: argparse.Namespace) -> int:
             with skipped.open("a") as file:
                 file.write(f"{seed}\n")
             continue
+        if folder.exists():
+            shutil.rmtree(folder)  # left half made
         sealed = make(folder, session)
         made += 1
         rate_s = (time.monotonic() - begun_s) / made
