@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from gyrorig_solver.model.terms.catalogue import term
@@ -141,11 +142,19 @@ def test_every_pulse_at_once(rig: Any, lead: int) -> None:
         close(ours, exact, 1e-3)
 
 
-@pytest.mark.parametrize(("cosine", "sine"), [(0.001, 0.0), (-0.0004, 0.0009)])
-def test_eccentricity(rig: Any, cosine: float, sine: float) -> None:
-    ours = term("eccentricity").effect(rig.scene, np.array([cosine, sine]))
-    amplitude, phase = np.hypot(cosine, sine), np.arctan2(sine, cosine)
-    close(ours, made(rig, pan=lambda t, a: a + amplitude * np.cos(a - phase)), 5e-3)
+@pytest.mark.parametrize(
+    ("cosine", "sine", "oval", "ahead"),
+    [(0.001, 0.0, 0.0, 0.0), (-0.0004, 0.0009, 0.0, 0.0), (-0.0004, 0.0009, 0.4, -0.9)],
+)
+def test_eccentricity(rig: Any, cosine: float, sine: float, oval: float, ahead: float) -> None:
+    share = oval * np.array([np.cos(ahead), np.sin(ahead)])
+    ours = term("eccentricity").effect(rig.scene, np.array([cosine, sine, *share]))
+    size, phase = np.hypot(cosine, sine), np.arctan2(sine, cosine)
+
+    def eccentric(time_s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return a + size * (np.cos(a - phase) + oval * np.cos(2.0 * a - phase - ahead))
+
+    close(ours, made(rig, pan=eccentric), 5e-3)
 
 
 def test_worm(rig: Any) -> None:
@@ -190,6 +199,35 @@ def test_compliance(rig: Any) -> None:
 
     ours = term("base_compliance").effect(rig.build(fine=25), np.array([2e-4, 1e-4]))
     close(ours, made(rig, pan=pushed(2e-4), tilt=pushed(1e-4)), 0.02)
+
+
+def test_compliance_where_speed_jumps() -> None:
+    """A sample just before a jump sees nothing of it, one just after it all of it."""
+    step, speed, coefficient, bandwidth_hz = 9e-4, 100.0, 5e-5, 25.0
+    limits = Limits(speed, 1000.0, speed)
+    at_s = np.array([0.2996, 0.4004])  # 0.4 ms before and after a sample
+    seen = []
+    for begin_s in at_s:
+        course = lay(0.0, [Instruction(float(begin_s), "to", 100.0, limits)])
+        edges_s: np.ndarray = (np.arange(150 * 5 + 1, dtype=np.float64) - 2.5) / 500.0
+        angle = np.stack([course.position_steps(edges_s) * step, np.zeros_like(edges_s)])
+        scene = Scene.build(
+            edges_s, angle, np.ones(150, dtype=np.bool_), block=1, fine=5,
+            bandwidth_hz=bandwidth_hz, gain=np.eye(3),
+            setting=Setting(rad_per_step=(step, step), courses=((0, course),)),
+        )  # fmt: skip
+        effect = term("base_compliance").effect(scene, np.array([coefficient, 0.0]))
+        seen.append(effect[:, 2])
+    omega = 2 * np.pi * bandwidth_hz
+    b, a = signal.butter(2, omega, analog=True)
+    fine = np.arange(0.0, 0.2, 1e-6)
+    pulse = signal.impulse((b, a), T=fine)[1]
+    double = np.gradient(pulse, fine)
+    for effect, begin_s in zip(seen, at_s, strict=True):
+        since = np.arange(150) / 100.0 - begin_s
+        near = (since > -0.05) & (since < 0.15)
+        theirs = -coefficient * speed * step * np.interp(since, fine, double, left=0.0)
+        assert effect[near] == pytest.approx(theirs[near], abs=0.01 * np.abs(theirs).max())
 
 
 @pytest.mark.parametrize("frequency_hz", [4.0, 12.0])

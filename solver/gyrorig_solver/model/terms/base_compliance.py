@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import LinearAngleTerm
+from gyrorig_solver.model.terms.jumps import double_pulses, jumps, sharp_angle
 from gyrorig_solver.model.terms.profiles import acceleration
 from gyrorig_solver.model.terms.protocol import TermParameter
 from gyrorig_solver.model.terms.scene import Scene
@@ -39,6 +40,31 @@ class BaseCompliance(LinearAngleTerm):
     def shapes(self, scene: Scene, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return minus the accelerations."""
         return [(k, -acceleration(scene.edges_s, scene.angle_rad[k])) for k in (0, 1)]
+
+    def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return what the twist does to the measured rate, (blocks, 3)."""
+        seen = super().effect(scene, values)
+        for axis, sharper in enumerate(self._sharper(scene)):
+            if values[axis]:
+                seen = seen + values[axis] * sharper
+        return seen
+
+    def directions(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return the derivative by the coefficients, (2, blocks, 3)."""
+        return super().directions(scene, values) + np.stack(self._sharper(scene))
+
+    def _sharper(self, scene: Scene) -> list[FloatArray]:
+        """Return what the grid makes too blunt where the speed of each axis jumps."""
+        found = []
+        for axis in (0, 1):
+            at_s, size = jumps(scene, axis)
+            if scene.low_pass is None or not at_s.size:
+                found.append(np.zeros((scene.blocks, 3)))
+                continue
+            blunt = acceleration(scene.edges_s, sharp_angle(scene.edges_s, at_s, size))
+            held = scene.seen_at_stage(scene.turn_column(axis, -blunt))
+            found.append(-double_pulses(scene, axis, at_s, size) - held)
+        return found
 
     def sentence(self, values: FloatArray) -> str:
         """Say the give."""
