@@ -1,7 +1,8 @@
 """The bias drifts evenly.
 
 y_i += r_i (t - mid), mid the middle of the recording: what is left of a slow warming where
-no thermometer tells, or of ageing. 20 mdeg/s over 300 s.
+no thermometer tells, or of ageing. A board that warms itself by 3 K over 300 s drifts by
+0.1 deg/s at the L3G4200D's 0.03 dps/K, as much as a warm-up settles.
 """
 
 import numpy as np
