@@ -26,6 +26,9 @@ CONVERGED_SIGMA = 1e-2  # largest last step, in standard deviations
 SETTLING = 0.1  # a step that has shrunk by this is followed by one that need not be taken
 UNSETTLED_SIGMA = 5.0  # a step above this judges spikes anew
 FAR_SIGMA = 50.0  # a step above this takes derivatives anew
+CURVED_SIGMA = 3.0  # and this, where causes take part
+TURNED = -0.3  # cosine between steps of causes: less went too far
+LEAST_SHARE = 0.1  # of a step
 GAINS = 9
 PER_SESSION = 4  # bias and time offset
 TURN_X = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # d Rx(z)^T / dz
@@ -123,6 +126,7 @@ class _Work:
         self._noises: list[NoiseModel] = []
         self._spectra: list[Spectrum] = []
         self._sources: list[str] = []
+        self._way, self._share = np.zeros(0), 1.0  # of the causes' last step
 
     def begin(self) -> None:
         """Find lags by correlation, then gain and biases by plain least squares."""
@@ -144,7 +148,7 @@ class _Work:
         found = self._marginals()
         information, score = self._joint(found)
         decision = decide_in(information, self._units())
-        step = decision.inverse @ score
+        step = self._within(decision.inverse @ score, information, score)
         self._marginal = found
         sigma = np.sqrt(np.clip(np.diag(decision.covariance), 0.0, None))
         size = float(np.max(np.abs(step) / np.where(sigma > 0.0, sigma, np.inf)))
@@ -159,9 +163,42 @@ class _Work:
 
     def look_again(self, size: float) -> None:
         """Predict anew after a step of that size."""
-        # A fit that still moves may have taken good samples for spikes.
-        self._observe(judge=size > UNSETTLED_SIGMA, fresh=size > FAR_SIGMA)
+        # A fit that still moves may have taken good samples for spikes. What causes do is
+        # seldom linear: a rounded corner grows as the square of its length.
+        far = CURVED_SIGMA if self._causes else FAR_SIGMA
+        self._observe(judge=size > UNSETTLED_SIGMA, fresh=size > far)
         self._fit_noise()
+
+    def _within(self, step: FloatArray, information: FloatArray, score: FloatArray) -> FloatArray:
+        """Return a step that leaves causes inside their ranges, all else at its best there.
+
+        What lies at a bound and is pushed through it stays; a step that turns back on the
+        last one is halved, for it went too far.
+        """
+        if not self._causes:
+            return step
+        first = step.size - self._causes
+        units = self._units()
+        held = np.zeros(step.size, dtype=np.bool_)
+        for _ in range(self._causes):
+            before = np.concatenate([one.values[one.free] for one in self._extensions])
+            moved = self._moved(step[first:])
+            after = np.concatenate([one.values[one.free] for one in moved])
+            stuck = (after == before) & (step[first:] != 0.0) & ~held[first:]
+            if not stuck.any():
+                break
+            held[first:] |= stuck
+            keep = np.flatnonzero(~held)
+            inner = decide_in(information[np.ix_(keep, keep)], units[keep]).inverse
+            step = np.zeros_like(step)
+            step[keep] = inner @ score[keep]
+        step[first:] = after - before
+        way = step[first:] / units[first:]
+        against = float(way @ self._way) if self._way.size == way.size else 0.0
+        turned = against < TURNED * float(np.linalg.norm(way) * np.linalg.norm(self._way))
+        self._share = max(0.5 * self._share, LEAST_SHARE) if turned else min(2.0 * self._share, 1.0)
+        self._way = way
+        return self._share * step
 
     def solution(self, converged: bool) -> Solution:
         """Return the result, each recording's common shift put into its offset."""
