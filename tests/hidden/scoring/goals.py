@@ -71,5 +71,5 @@ GOALS = (
          COVERED_LOW, COVERED_HIGH),
     Goal(8, "covered_calibration", "95 % intervals of the calibration", "between",
          COVERED_LOW, COVERED_HIGH),
-    Goal(10, "harm_printed", "largest unseen harm is in every findings document", "above", low=1.0),
+    Goal(10, "harm_printed", "largest harm that could be there unseen is said", "above", low=1.0),
 )  # fmt: skip

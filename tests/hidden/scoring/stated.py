@@ -22,6 +22,7 @@ from gyrorig_solver.discover.result import Explained, Findings, NamedCause
 from gyrorig_solver.estimate.likelihood import GAINS, PER_SESSION, Solution
 from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
 from gyrorig_solver.findings.document import Cause, FindingsDocument, Input, Subject
+from gyrorig_solver.findings.wording import summary
 from gyrorig_solver.model.terms.protocol import indices, value_names
 from gyrorig_solver.raw.checks import look_at
 from gyrorig_solver.raw.gain import look_at_gain
@@ -147,17 +148,18 @@ def _mean_of_moves(solution: Solution) -> tuple[FloatArray, FloatArray]:
 
 
 def _harm_printed(findings: Findings, document: FindingsDocument) -> bool:
-    """Return whether the cause that could do most harm unseen stands in the document."""
+    """Return whether what could do most harm unseen is in the document and is said aloud."""
     if not findings.absent:
         return True
     worst = max(findings.absent, key=lambda one: one.harm_sigma)
-    return any(
+    kept = any(
         one.cause == worst.cause
         and one.where == worst.where
         and one.by_sigma is not None
         and math.isclose(one.by_sigma, worst.harm_sigma, rel_tol=1e-6)
         for one in document.minimal_detectable
     )
+    return kept and f"could be there unseen {worst.cause}" in summary(document)
 
 
 def _short(value: float) -> float | None:
