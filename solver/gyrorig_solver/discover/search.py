@@ -35,12 +35,12 @@ HOPELESS = 0.2  # of the leading statistic: a cause that sees less is not fitted
 NEAR = 25.0  # a place alone this much below all places together is not fitted alone,
 LITTLE = 3.0  # and all together not where they see no more than this beyond the best one
 MOST_CAUSES = 12
-SLOW = ("bias_ramp", "bias_step", "thermal_bias", "warm_up")
 CALM = 4.0  # times the power of an ordinary part's wandering
 SAME_LEVELS = 0.2  # relative: nothing hides behind levels that are an ordinary part's
 EQUAL = {"tilt_sag": ("eccentricity",)}  # on tilt the same function of its angle
 STATED = 0.95  # belief that the stated set holds the cause
-SWAPS = 2  # times that named causes may lose their place in the end
+MOST_DOUBTS = 3  # causes that calmed levels alone make significant: the bias does wander
+SWAPS = 4  # times that named causes may lose their place in the end
 CLEARLY = 1.0  # nats of evidence that a rival must be ahead by
 STOOD_FOR = {"lost_samples": "clock_step"}  # the same for small sizes: looked at once
 
@@ -103,48 +103,96 @@ def tests_of(terms: Sequence[Term]) -> int:
 def search(base: Solution) -> Found:
     """Name the causes of a fit's residual and fit them."""
     known = tuple(one for one in base.extensions if not one.free.size)
-    solution, projection = base, Projection.of(base)
+    solution, calm = base, True
+    projection = _beside(solution, calm)
     terms = testable(projection)
     tests = tests_of(terms)
     found: list[Sight] = []
     barred: set[str] = set()
+    doubted: set[str] = set()
     fitted: dict[str, set[str]] = {}
     while True:
         taken = {label(one.term) for one in solution.extensions}
-        open_terms = [t for t in terms if label(t) not in taken]
-        found = sights(projection, open_terms, tests)
-        usable = [s for s in found if label(s.term) not in barred]
-        best, rivals = _next(projection, usable, taken, tests)
-        if best is None:
-            slow = [t for t in open_terms if t.cause in SLOW and label(t) not in barred]
-            best, rivals = _slow(solution, slow, taken, tests)
+        found = sights(projection, [t for t in terms if label(t) not in taken], tests)
+        usable = [s for s in found if label(s.term) not in barred | doubted]
+        best = _next(projection, usable, taken, tests)
         if best is None or len(taken) >= MOST_CAUSES:
-            break
-        fitted.setdefault(label(best.extension.term), set()).update(rivals)
-        after = _with(solution, best.extension)
+            if not (calm and doubted):
+                break
+            calm, doubted = False, set()  # a bias that does wander: once more, as it does
+            projection = _beside(solution, calm)
+            continue
+        cause = label(best.weighed.extension.term)
+        after = _with(solution, best.weighed.extension)
+        if calm and not _likelier(solution, after, best, tests):
+            doubted.add(cause)
+            if len(doubted) == MOST_DOUBTS:
+                calm, doubted = False, set()
+                projection = _beside(solution, calm)
+            continue
+        fitted.setdefault(cause, set()).update(best.beside)
         after = _without_needless(after, known, tests)
         causes = {label(one.term) for one in after.extensions}
         if causes <= taken:  # it could not stay: not again
-            barred.add(label(best.extension.term))
+            barred.add(cause)
         solution = after
-        projection = Projection.of(solution)
+        projection = _beside(solution, calm)
     solution, standings = _reviewed(solution, terms, tests, fitted)
-    last = projection if not standings else Projection.of(solution)
+    last = projection if not standings else _beside(solution, calm)
     return Found(solution, standings, last, tuple(found))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Best:
+    """The cause with the most evidence in one round."""
+
+    weighed: Weighed
+    looks: float
+    beside: frozenset[str]  # all that were weighed
 
 
 def _next(
     projection: Projection, found: Sequence[Sight], taken: set[str], tests: int
-) -> tuple[Weighed | None, set[str]]:
-    """Return the cause with the most evidence, None if none is significant, and all weighed."""
+) -> _Best | None:
+    """Return the cause with the most evidence, None if none is significant."""
     significant = [s for s in found if s.p_value < ALPHA]
     if not significant:
-        return None, set()
+        return None
     weighed = _contenders(projection, significant, found, taken, tests)
     for one, looks in sorted(weighed, key=lambda pair: -pair[0].evidence):
         if by_chance(one, looks, tests) < ALPHA:
-            return one, {label(w.extension.term) for w, _ in weighed}
-    return None, set()
+            return _Best(one, looks, frozenset(label(w.extension.term) for w, _ in weighed))
+    return None
+
+
+def _beside(solution: Solution, calm: bool) -> Projection:
+    """Return the space beside a fit, its noise calmed or as it was found.
+
+    What a model lacks raises the levels that are found beside it, most of all the slow ones,
+    and hides behind them: effects three times as large as can just be detected made the
+    flicker look ten times an ordinary part's, and so themselves five times less significant.
+    """
+    noises = [calmed(noise) for noise in solution.noises]
+    return Projection.of(solution, noises=noises if calm and not _same(noises, solution) else None)
+
+
+def _same(noises: Sequence[NoiseModel], solution: Solution) -> bool:
+    return all(
+        np.allclose(one.levels, other.levels, rtol=SAME_LEVELS)
+        for one, other in zip(noises, solution.noises, strict=True)
+    )
+
+
+def _likelier(before: Solution, after: Solution, best: _Best, tests: int) -> bool:
+    """Return whether a cause that was found with calmed levels is one with those found anew.
+
+    It stays if the likelihood rises by as much when the levels are found beside it: a bias
+    that does wander does not become likelier by a step.
+    """
+    if _same([calmed(noise) for noise in before.noises], before):
+        return True
+    rise = log_likelihood(after) - log_likelihood(before)
+    return by_chance(replace(best.weighed, won=rise), best.looks, tests) < ALPHA
 
 
 def by_chance(one: Weighed, looks: float, tests: int) -> float:
@@ -154,35 +202,6 @@ def by_chance(one: Weighed, looks: float, tests: int) -> float:
     """
     sizes = sum(1 for k in one.extension.free if k in indices(one.extension.term, role="size"))
     return min(1.0, chi2_tail(2.0 * max(one.won, 0.0), sizes) * looks * tests)
-
-
-def _slow(
-    solution: Solution, terms: Sequence[Term], taken: set[str], tests: int
-) -> tuple[Weighed | None, set[str]]:
-    """Return the slow cause that the noise levels may have taken for a wandering bias.
-
-    A step or a drift of the bias raises the levels found beside it, and hides behind them.
-    It is looked for with those of an ordinary part, and stays if the likelihood rises by as
-    much when the levels are found anew beside the cause: a bias that does wander does not
-    become likelier by a step.
-    """
-    calm = [calmed(noise) for noise in solution.noises]
-    same = all(
-        np.allclose(one.levels, other.levels, rtol=SAME_LEVELS)
-        for one, other in zip(calm, solution.noises, strict=True)
-    )
-    if same or not terms:
-        return None, set()
-    projection = Projection.of(solution, noises=calm)
-    found = sights(projection, terms, tests)
-    best, rivals = _next(projection, found, taken, tests)
-    if best is None:
-        return None, set()
-    after = _with(solution, best.extension)
-    rise = 2.0 * (log_likelihood(after) - log_likelihood(solution))
-    looks = next(s.looks for s in found if label(s.term) == label(best.extension.term))
-    risen = replace(best, won=0.5 * rise)
-    return (best, rivals) if by_chance(risen, looks, tests) < ALPHA else (None, set())
 
 
 def calmed(noise: NoiseModel) -> NoiseModel:
