@@ -152,7 +152,7 @@ def test_eccentricity(rig: Any, cosine: float, sine: float, oval: float, ahead: 
     size, phase = np.hypot(cosine, sine), np.arctan2(sine, cosine)
 
     def eccentric(time_s: np.ndarray, a: np.ndarray) -> np.ndarray:
-        return a + size * (np.cos(a - phase) + oval * np.cos(2.0 * a - phase - ahead))
+        return np.asarray(a + size * (np.cos(a - phase) + oval * np.cos(2 * a - phase - ahead)))
 
     close(ours, made(rig, pan=eccentric), 5e-3)
 
