@@ -26,6 +26,7 @@ from tests.hidden.truth.shapes import hanger
 from gyrorig_daemon.emulator.settings import HideOrder
 from gyrorig_daemon.emulator.truth import draw_rig_truth
 
+EVERYWHERE = ("all", "x,y,z", "pan,tilt")  # said of causes that have no place of their own
 Line = dict[str, Any]
 
 
@@ -60,7 +61,8 @@ def sized(corpora: Iterable[Path]) -> list[Line]:
                     "soak_k": told["soak_k"], **told["rig"]}  # fmt: skip
             for one in told["causes"][:1]:
                 kind, _, name = str(one["cause"]).rpartition(":")
-                line |= {"shape" if kind else "cause": name, "place": one["place"]}
+                place = "" if one["place"] in EVERYWHERE else one["place"]
+                line |= {"shape" if kind else "cause": name, "place": place}
                 line |= {"size": one["size"]["value"], "times": one["times_detectable"]}
             found.append(line | {"groups": told.get("expected_groups") or []})
     return found
