@@ -88,7 +88,7 @@ def fit_joint(
         rms_after_rad_s=after,
         reference="; ".join(dict.fromkeys(r.description for _, r in recordings)),
         words=words,
-        terms=(*TERMS, "time_offset", *(one.term.cause for one in extensions)),
+        terms=(*TERMS, "time_offset", *dict.fromkeys(one.term.cause for one in extensions)),
         warnings=warnings,
         distrust=_distrust(solution, chi2),
         diagnostics=_diagnostics(solution),
