@@ -30,7 +30,7 @@ _COMMANDS = {
     "explain": ("explain", "What the model of the rig gets wrong, and why."),
     "plan": ("plan", "The motion program that tells most in a given time."),
 }
-_SOLVER_EXTRA = {"scipy", "matplotlib", "jinja2"}
+_SOLVER_EXTRA = {"scipy", "jinja2"}
 _INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 

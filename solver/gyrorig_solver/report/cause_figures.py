@@ -7,7 +7,6 @@ What to use when: `cause_figure` for a named cause, `rest_figure` for what none 
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.report.course import Course
@@ -26,7 +25,6 @@ from gyrorig_solver.report.drawing import (
     SOFT,
     envelope,
     stacked,
-    svg,
 )
 
 CLOSE_S, EVENT_S = 1.4, 0.3  # of a picture close by, and of what is in its middle
@@ -41,98 +39,125 @@ def cause_figure(course: Course, cause: str, key: str, where: Sequence[str]) -> 
     if dependence == OF_CAUSE["eccentricity"] and motor == 1:
         dependence = Dependence("gain", "tilt")
     if dependence is None:
-        return close_by(course, effect, axis, key)
+        return close_by(course, effect, axis)
     data = in_bins(course, course.without(key), dependence, axis, motor)
     model = in_bins(course, effect, dependence, axis, motor)
     if data.centre.size < 3:
-        return close_by(course, effect, axis, key)
+        return close_by(course, effect, axis)
     figure, (panel,) = stacked(1, 3.4)
-    panel.errorbar(
-        data.centre, data.value, yerr=data.bar, color=INK, ecolor=BEFORE, linewidth=0.0,
-        elinewidth=1.0, marker="o", markersize=4, label="data",
-    )  # fmt: skip
-    panel.axhline(0.0, color=SOFT, linewidth=1.1, linestyle="--", label="base model")
-    panel.plot(
-        model.centre, model.value, color=AXIS_COLOURS[axis], linewidth=1.8, label="extended model"
+    panel.dots(
+        data.centre,
+        data.value,
+        data.bar,
+        colour=INK,
+        bar_colour=BEFORE,
+        linewidth=0.0,
+        markersize=4,
+        label="data",
     )
-    panel.set_xlabel(label(dependence.covariate, motor))
-    panel.set_ylabel(f"{'xyz'[axis]}: {UNITS[dependence.quantity]}")
-    _legend(panel)
-    return svg(figure, key)
+    panel.level(0.0, colour=SOFT, linewidth=1.1, linestyle="--", label="base model")
+    panel.plot(
+        model.centre, model.value, colour=AXIS_COLOURS[axis], linewidth=1.8, label="extended model"
+    )
+    panel.xlabel = label(dependence.covariate, motor)
+    panel.ylabel = f"{'xyz'[axis]}: {UNITS[dependence.quantity]}"
+    panel.key = True
+    return figure.svg()
 
 
-def close_by(course: Course, effect: FloatArray, axis: int, name: str) -> str:
+def close_by(course: Course, effect: FloatArray, axis: int) -> str:
     """Draw the moment at which a change of the model is largest: rates, then what is left."""
     rows = _busiest(course, effect[:, axis])
     time_s = course.time_s[rows]
     figure, (above, below) = stacked(2, 4.6)
     above.plot(
-        time_s, np.degrees(course.measured_rad_s[rows, axis]), color=INK, linewidth=0.0,
-        marker="o", markersize=2.4, label="data",
-    )  # fmt: skip
+        time_s,
+        np.degrees(course.measured_rad_s[rows, axis]),
+        colour=INK,
+        linewidth=0.0,
+        markersize=2.4,
+        label="data",
+    )
     for values, colour, style, words in (
         (course.base_rad_s, SOFT, "--", "base model"),
         (course.extended_rad_s, AXIS_COLOURS[axis], "-", "extended model"),
     ):
         above.plot(
-            time_s, np.degrees(values[rows, axis]),
-            color=colour, linewidth=1.3, linestyle=style, label=words,
-        )  # fmt: skip
-    above.set_ylabel(f"{'xyz'[axis]}  deg/s")
-    _legend(above)
+            time_s,
+            np.degrees(values[rows, axis]),
+            colour=colour,
+            linewidth=1.3,
+            linestyle=style,
+            label=words,
+        )
+    above.ylabel = f"{'xyz'[axis]}  deg/s"
+    above.key = True
     below.plot(
-        time_s, np.degrees(course.left_base_rad_s[rows, axis]),
-        color=BEFORE, linewidth=1.2, marker="o", markersize=2.2, label="left by the base model",
-    )  # fmt: skip
+        time_s,
+        np.degrees(course.left_base_rad_s[rows, axis]),
+        colour=BEFORE,
+        linewidth=1.2,
+        markersize=2.2,
+        label="left by the base model",
+    )
     below.plot(
-        time_s, np.degrees(course.left_extended_rad_s[rows, axis]), color=AXIS_COLOURS[axis],
-        linewidth=1.2, marker="o", markersize=2.2, label="left by the extended model",
-    )  # fmt: skip
-    below.axhline(0.0, color=SOFT, linewidth=0.5)
-    below.set_ylabel("left, deg/s")
-    below.set_xlabel("seconds")
-    _legend(below)
-    return svg(figure, name)
+        time_s,
+        np.degrees(course.left_extended_rad_s[rows, axis]),
+        colour=AXIS_COLOURS[axis],
+        linewidth=1.2,
+        markersize=2.2,
+        label="left by the extended model",
+    )
+    below.level(0.0, colour=SOFT, linewidth=0.5)
+    below.ylabel = "left, deg/s"
+    below.xlabel = "seconds"
+    below.key = True
+    return figure.svg()
 
 
 def rest_figure(course: Course, signature: str, axis: int | None) -> str:
     """Draw what no cause explains against what it depends on most."""
     left = course.left_extended_rad_s
     if signature == "line":
-        return spectrum(course, "unexplained")
+        return spectrum(course)
     dependence = OF_SIGNATURE.get(signature)
     if dependence is None:
-        return left_over_time(course, "unexplained")
+        return left_over_time(course)
     motor = 1 if signature.startswith("tilt") else 0
     figure, (panel,) = stacked(1, 3.4)
     axes = range(3) if axis is None else (axis,)
     for one in axes:
         found = in_bins(course, left, dependence, one, motor)
-        panel.errorbar(
-            found.centre, found.value, yerr=found.bar, color=AXIS_COLOURS[one], linewidth=1.0,
-            elinewidth=1.0, marker="o", markersize=3.5, label="xyz"[one],
-        )  # fmt: skip
-    panel.axhline(0.0, color=SOFT, linewidth=0.8)
-    panel.set_xlabel(label(dependence.covariate, motor))
-    panel.set_ylabel(UNITS[dependence.quantity])
-    _legend(panel)
-    return svg(figure, "unexplained")
+        panel.dots(
+            found.centre,
+            found.value,
+            found.bar,
+            colour=AXIS_COLOURS[one],
+            linewidth=1.0,
+            markersize=3.5,
+            label="xyz"[one],
+        )
+    panel.level(0.0, colour=SOFT, linewidth=0.8)
+    panel.xlabel = label(dependence.covariate, motor)
+    panel.ylabel = UNITS[dependence.quantity]
+    panel.key = True
+    return figure.svg()
 
 
-def left_over_time(course: Course, name: str = "left") -> str:
+def left_over_time(course: Course) -> str:
     """Draw what both models leave, in deg/s, one panel an axis."""
     figure, panels = stacked(3, 5.0)
     base, extended = course.left_base_rad_s, course.left_extended_rad_s
     for axis, panel in enumerate(panels):
         envelope(panel, course.time_s, np.degrees(base[:, axis]), BEFORE)
         envelope(panel, course.time_s, np.degrees(extended[:, axis]), AXIS_COLOURS[axis])
-        panel.axhline(0.0, color=SOFT, linewidth=0.5)
-        panel.set_ylabel(f"{'xyz'[axis]}  deg/s")
-    panels[-1].set_xlabel("seconds")
-    return svg(figure, name)
+        panel.level(0.0, colour=SOFT, linewidth=0.5)
+        panel.ylabel = f"{'xyz'[axis]}  deg/s"
+    panels[-1].xlabel = "seconds"
+    return figure.svg()
 
 
-def spectrum(course: Course, name: str = "density") -> str:
+def spectrum(course: Course) -> str:
     """Draw the density of what both models leave, and of the noise assumed."""
     figure, (panel,) = stacked(1, 3.6)
     for axis in range(3):
@@ -140,25 +165,26 @@ def spectrum(course: Course, name: str = "density") -> str:
             (course.spectrum_base, BEFORE, 1.4),
             (course.spectrum_extended, AXIS_COLOURS[axis], 1.0),
         ):
-            panel.loglog(
+            panel.plot(
                 course.frequency_hz,
                 np.degrees(np.sqrt(density[:, axis])),
-                color=colour,
+                colour=colour,
                 linewidth=width,
-                label="xyz"[axis] if colour != BEFORE else None,
+                label="xyz"[axis] if colour != BEFORE else "",
             )
-        panel.loglog(
+        panel.plot(
             course.frequency_hz,
             np.degrees(np.sqrt(course.spectrum_model[:, axis])),
-            color=SOFT,
+            colour=SOFT,
             linewidth=0.9,
             linestyle="--",
-            label="noise assumed" if axis == 0 else None,
+            label="noise assumed" if axis == 0 else "",
         )
-    panel.set_xlabel("Hz")
-    panel.set_ylabel("deg/s/sqrt(Hz)")
-    _legend(panel)
-    return svg(figure, name)
+    panel.decades = True
+    panel.xlabel = "Hz"
+    panel.ylabel = "deg/s/sqrt(Hz)"
+    panel.key = True
+    return figure.svg()
 
 
 def dependences(course: Course) -> dict[str, str]:
@@ -181,15 +207,20 @@ def dependences(course: Course) -> dict[str, str]:
             (before, BEFORE, "base model"),
             (after, AXIS_COLOURS[axis], "extended model"),
         ):
-            panel.errorbar(
-                found.centre, found.value, yerr=found.bar, color=colour, linewidth=1.0,
-                elinewidth=1.0, marker="o", markersize=3, label=words,
-            )  # fmt: skip
-        panel.axhline(0.0, color=SOFT, linewidth=0.6)
-        panel.set_xlabel(label(dependence.covariate, motor))
-        panel.set_ylabel(f"{'xyz'[axis]}: {UNITS[dependence.quantity]}")
-        _legend(panel)
-        drawn[name] = svg(figure, f"on-{name}")
+            panel.dots(
+                found.centre,
+                found.value,
+                found.bar,
+                colour=colour,
+                linewidth=1.0,
+                markersize=3,
+                label=words,
+            )
+        panel.level(0.0, colour=SOFT, linewidth=0.6)
+        panel.xlabel = label(dependence.covariate, motor)
+        panel.ylabel = f"{'xyz'[axis]}: {UNITS[dependence.quantity]}"
+        panel.key = True
+        drawn[name] = figure.svg()
     return drawn
 
 
@@ -197,13 +228,6 @@ def strongest(effect: FloatArray) -> int:
     """Return the sensor axis on which an effect (n, 3) has most energy about its mean."""
     known = effect[np.isfinite(effect).all(axis=1)]
     return int(np.argmax(np.var(known, axis=0))) if known.size else 2
-
-
-def _legend(panel: Axes) -> None:
-    panel.legend(
-        frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1.01, 0.98),
-        borderaxespad=0.1, labelcolor=SOFT, fontsize=9,
-    )  # fmt: skip
 
 
 def _busiest(course: Course, change: FloatArray) -> slice:

@@ -4,7 +4,7 @@ import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.result import FitDiagnostics
-from gyrorig_solver.report.drawing import AXIS_COLOURS, BEFORE, SOFT, envelope, stacked, svg
+from gyrorig_solver.report.drawing import AXIS_COLOURS, BEFORE, SOFT, envelope, stacked
 
 
 def rate_error(data: FitDiagnostics, error_after_rad_s: FloatArray) -> str:
@@ -19,10 +19,10 @@ def rate_error(data: FitDiagnostics, error_after_rad_s: FloatArray) -> str:
     for axis, panel in enumerate(panels):
         envelope(panel, data.time_s, np.degrees(before[:, axis]), BEFORE)
         envelope(panel, data.time_s, np.degrees(error_after_rad_s[:, axis]), AXIS_COLOURS[axis])
-        panel.set_ylabel(f"{'xyz'[axis]}  deg/s")
-        panel.axhline(0.0, color=SOFT, linewidth=0.5)
-    panels[-1].set_xlabel("seconds")
-    return svg(figure, "error")
+        panel.ylabel = f"{'xyz'[axis]}  deg/s"
+        panel.level(0.0, colour=SOFT, linewidth=0.5)
+    panels[-1].xlabel = "seconds"
+    return figure.svg()
 
 
 def residual_over_time(data: FitDiagnostics) -> str:
@@ -31,36 +31,37 @@ def residual_over_time(data: FitDiagnostics) -> str:
     for axis, panel in enumerate(panels):
         residual = np.degrees(data.residual_rad_s[:, axis])
         envelope(panel, data.time_s, residual, AXIS_COLOURS[axis])
-        panel.set_ylabel(f"{'xyz'[axis]}  deg/s")
-        panel.axhline(0.0, color=SOFT, linewidth=0.5)
-    panels[-1].set_xlabel("seconds")
-    return svg(figure, "residual")
+        panel.ylabel = f"{'xyz'[axis]}  deg/s"
+        panel.level(0.0, colour=SOFT, linewidth=0.5)
+    panels[-1].xlabel = "seconds"
+    return figure.svg()
 
 
 def residual_spectrum(data: FitDiagnostics) -> str:
     """Draw the density of the residual and of the noise assumed, in deg/s/sqrt(Hz)."""
     figure, (panel,) = stacked(1, 3.6)
     for axis in range(3):
-        panel.loglog(
+        panel.plot(
             data.frequency_hz,
             np.degrees(np.sqrt(data.spectrum[:, axis])),
-            color=AXIS_COLOURS[axis],
+            colour=AXIS_COLOURS[axis],
             linewidth=0.9,
             label="xyz"[axis],
         )
     for axis in range(3):
-        panel.loglog(
+        panel.plot(
             data.frequency_hz,
             np.degrees(np.sqrt(data.spectrum_model[:, axis])),
-            color=SOFT,
+            colour=SOFT,
             linewidth=1.0,
             linestyle="--",
-            label="noise assumed" if axis == 0 else None,
+            label="noise assumed" if axis == 0 else "",
         )
-    panel.set_xlabel("Hz")
-    panel.set_ylabel("deg/s/sqrt(Hz)")
-    panel.legend(frameon=False, ncols=4, loc="upper right", labelcolor=SOFT)
-    return svg(figure, "spectrum")
+    panel.decades = True
+    panel.xlabel = "Hz"
+    panel.ylabel = "deg/s/sqrt(Hz)"
+    panel.key = True
+    return figure.svg()
 
 
 def residual_against_rate(data: FitDiagnostics) -> str:
@@ -68,21 +69,20 @@ def residual_against_rate(data: FitDiagnostics) -> str:
     figure, (panel,) = stacked(1, 3.2)
     for axis in range(3):
         centre, mean, bar = _binned(data.reference_rad_s[:, axis], data.residual_rad_s[:, axis])
-        panel.errorbar(
+        panel.dots(
             np.degrees(centre),
             np.degrees(mean),
-            yerr=np.degrees(bar),
-            color=AXIS_COLOURS[axis],
+            np.degrees(bar),
+            colour=AXIS_COLOURS[axis],
             linewidth=0.9,
-            marker="o",
             markersize=3,
             label="xyz"[axis],
         )
-    panel.axhline(0.0, color=SOFT, linewidth=0.5)
-    panel.set_xlabel("stage rate about the same axis, deg/s")
-    panel.set_ylabel("residual, deg/s")
-    panel.legend(frameon=False, ncols=3, loc="upper right", labelcolor=SOFT)
-    return svg(figure, "linearity")
+    panel.level(0.0, colour=SOFT, linewidth=0.5)
+    panel.xlabel = "stage rate about the same axis, deg/s"
+    panel.ylabel = "residual, deg/s"
+    panel.key = True
+    return figure.svg()
 
 
 def _binned(

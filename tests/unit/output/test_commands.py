@@ -145,7 +145,7 @@ def test_a_fault_of_the_program_is_one_line_and_1(
     assert "gyrorig --traceback check x.mcap" in said
 
 
-@pytest.mark.parametrize("missing", ["scipy", "matplotlib", "jinja2"])
+@pytest.mark.parametrize("missing", ["scipy", "jinja2"])
 def test_without_the_solver_extra_the_error_names_it(missing: str, tmp_path: Path) -> None:
     code = (
         f"import sys; sys.modules[{missing!r}] = None; from gyrorig_solver.cli import run; "
