@@ -31,7 +31,9 @@ from gyrorig_solver.discover.search import (
     ALPHA,
     Found,
     Standing,
+    beside,
     by_chance,
+    is_calm,
     search,
     testable,
     tests_of,
@@ -51,6 +53,7 @@ from gyrorig_solver.model.terms.protocol import (
 from gyrorig_solver.solve import unit_solution
 
 GROUPS_ALPHA = 0.001  # as `search.ALPHA`, of what is odd without a name
+STILL_ODD = 0.05  # with the noise levels as they are
 FILLS = 0.8  # share of what is odd that names must explain, or they would fill a gap
 SHOWN_SIGMA = 3.0  # a part this many deviations from zero is where a cause acts
 
@@ -98,11 +101,11 @@ def conclude(
         begin: when the work began, `time.monotonic`.
         whose: of causes by label, where several boards were searched together.
     """
-    first = Projection.of(base) if found.standings else found.last
+    first = beside(base) if found.standings else found.last
     tests = tests_of(testable(found.last))
     jitter = look_for_jitter(found.last, tests, ALPHA)
-    every = signatures(found.last)
-    shown = signatures(first) if found.standings else every
+    every = _nameless(found.last, found.solution)
+    shown = _nameless(first, base) if found.standings else every
     left = jitter.of(every)
     unexplained = _unexplained(found, left)
     if unexplained is not None and found.standings and unexplained.named_share < FILLS:
@@ -162,7 +165,7 @@ def _named(
         term=term,
         where=_where(solution, k),
         extension=one,
-        values=_values(solution, k),
+        values=_values(solution, k, best.event_std),
         statistic=statistic,
         degrees_of_freedom=len(sizes),
         p_value=by_chance(best, standing.looks, tests),
@@ -198,24 +201,32 @@ def _why(won: float, evidence: float) -> str:
     return f"its best fit leaves {-won:.1f} nats more unexplained"
 
 
-def _std(solution: Solution, k: int) -> list[float]:
-    """Return the deviation of every value of a cause, inf where it is not fitted or seen."""
+def _std(solution: Solution, k: int, event: float | None = None) -> list[float]:
+    """Return the deviation of every value of a cause, inf where it is not fitted or seen.
+
+    Args:
+        solution: the fit.
+        k: which of its causes.
+        event: of the time of an event, which the fit itself holds.
+    """
     one: Extension = solution.extensions[k]
     first = solution.estimate.size - sum(e.free.size for e in solution.extensions[k:])
     variance = np.diag(solution.decision.covariance)[first : first + one.free.size]
     found = np.full(one.values.size, np.inf)
     found[one.free] = np.where(variance > 0.0, np.sqrt(np.clip(variance, 0.0, None)), np.inf)
+    if event is not None:
+        found[[j for j in indices(one.term, role="event") if j not in one.free]] = event
     return [float(v) for v in found]
 
 
-def _values(solution: Solution, k: int) -> tuple[Value, ...]:
+def _values(solution: Solution, k: int, event: float | None) -> tuple[Value, ...]:
     one = solution.extensions[k]
     return tuple(
         Value(name, float(value), std, parameter.unit, parameter.typical)
         for name, value, std, parameter in zip(
             value_names(one.term),
             one.values,
-            _std(solution, k),
+            _std(solution, k, event),
             value_parameters(one.term),
             strict=True,
         )
@@ -233,6 +244,25 @@ def _where(solution: Solution, k: int) -> tuple[str, ...]:
     if some or not strength:
         return some
     return (max(strength, key=lambda place: strength[place]),)
+
+
+def _nameless(projection: Projection, solution: Solution) -> list[Signature]:
+    """Return the nameless tests beside a fit.
+
+    What calmed noise levels alone make odd may be the wandering of the bias: it is no more
+    odd than with the levels as they are, unless it is a little odd with those too.
+    """
+    found = signatures(projection)
+    if is_calm(solution):
+        return found
+    own = {one.covariate: one.p_value for one in signatures(Projection.of(solution))}
+    doubted = [
+        replace(one, p_value=max(one.p_value, own.get(one.covariate, 1.0)))
+        if own.get(one.covariate, 1.0) > STILL_ODD
+        else one
+        for one in found
+    ]
+    return sorted(doubted, key=lambda one: (one.p_value, -one.statistic))
 
 
 def _unexplained(found: Found, left: Sequence[Signature]) -> Unexplained | None:

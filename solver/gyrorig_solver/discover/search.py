@@ -104,7 +104,7 @@ def search(base: Solution) -> Found:
     """Name the causes of a fit's residual and fit them."""
     known = tuple(one for one in base.extensions if not one.free.size)
     solution, calm = base, True
-    projection = _beside(solution, calm)
+    projection = beside(solution, calm)
     terms = testable(projection)
     tests = tests_of(terms)
     found: list[Sight] = []
@@ -120,7 +120,7 @@ def search(base: Solution) -> Found:
             if not (calm and doubted):
                 break
             calm, doubted = False, set()  # a bias that does wander: once more, as it does
-            projection = _beside(solution, calm)
+            projection = beside(solution, calm)
             continue
         cause = label(best.weighed.extension.term)
         after = _with(solution, best.weighed.extension)
@@ -128,7 +128,7 @@ def search(base: Solution) -> Found:
             doubted.add(cause)
             if len(doubted) == MOST_DOUBTS:
                 calm, doubted = False, set()
-                projection = _beside(solution, calm)
+                projection = beside(solution, calm)
             continue
         fitted.setdefault(cause, set()).update(best.beside)
         after = _without_needless(after, known, tests)
@@ -136,9 +136,9 @@ def search(base: Solution) -> Found:
         if causes <= taken:  # it could not stay: not again
             barred.add(cause)
         solution = after
-        projection = _beside(solution, calm)
+        projection = beside(solution, calm)
     solution, standings = _reviewed(solution, terms, tests, fitted)
-    last = projection if not standings else _beside(solution, calm)
+    last = projection if not standings else beside(solution, calm)
     return Found(solution, standings, last, tuple(found))
 
 
@@ -165,21 +165,22 @@ def _next(
     return None
 
 
-def _beside(solution: Solution, calm: bool) -> Projection:
+def beside(solution: Solution, calm: bool = True) -> Projection:
     """Return the space beside a fit, its noise calmed or as it was found.
 
     What a model lacks raises the levels that are found beside it, most of all the slow ones,
     and hides behind them: effects three times as large as can just be detected made the
     flicker look ten times an ordinary part's, and so themselves five times less significant.
     """
-    noises = [calmed(noise) for noise in solution.noises]
-    return Projection.of(solution, noises=noises if calm and not _same(noises, solution) else None)
+    if not calm or is_calm(solution):
+        return Projection.of(solution)
+    return Projection.of(solution, noises=[calmed(noise) for noise in solution.noises])
 
 
-def _same(noises: Sequence[NoiseModel], solution: Solution) -> bool:
+def is_calm(solution: Solution) -> bool:
+    """Return whether a fit's own noise levels are an ordinary part's."""
     return all(
-        np.allclose(one.levels, other.levels, rtol=SAME_LEVELS)
-        for one, other in zip(noises, solution.noises, strict=True)
+        np.allclose(calmed(one).levels, one.levels, rtol=SAME_LEVELS) for one in solution.noises
     )
 
 
@@ -189,7 +190,7 @@ def _likelier(before: Solution, after: Solution, best: _Best, tests: int) -> boo
     It stays if the likelihood rises by as much when the levels are found beside it: a bias
     that does wander does not become likelier by a step.
     """
-    if _same([calmed(noise) for noise in before.noises], before):
+    if is_calm(before):
         return True
     rise = log_likelihood(after) - log_likelihood(before)
     return by_chance(replace(best.weighed, won=rise), best.looks, tests) < ALPHA
