@@ -67,9 +67,21 @@ def said_of(case: Path, variant: str, out: Path) -> Row:
 
 
 def _write(out: Path, row: Row) -> None:
+    """Add a line in one piece: two processes may write."""
     text = json.dumps(row, separators=(",", ":")) + "\n"
-    with out.open("a", encoding="utf-8") as file:  # one write of a line: two processes may
-        file.write(text)
+    file = os.open(out, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    try:
+        os.write(file, text.encode())
+    finally:
+        os.close(file)
+
+
+def end_cut_line(path: Path) -> None:
+    """End a line that a stop cut off, so that the next one begins anew."""
+    said = path.read_bytes() if path.exists() else b""
+    if said and not said.endswith(b"\n"):
+        with path.open("ab") as file:
+            file.write(b"\n")
 
 
 def explain_all(todo: Sequence[Path], variant: str, out: Path, workers: int) -> Iterator[Row]:
@@ -94,6 +106,8 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=None, help="stop after so many cases")
     told = parser.parse_args()
     told.out.parent.mkdir(parents=True, exist_ok=True)
+    for path in (told.out, held_path(told.out)):
+        end_cut_line(path)
     done = results_of(told.out)
     every = [case for corpus in told.corpus for case in cases(corpus)]
     todo = [case for case in every if int(case.name) not in done][: told.most]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.hidden.explain_cases import results_of
+from tests.hidden.explain_cases import end_cut_line, results_of
 from tests.hidden.scoring.answers import SCHEMA, Answer, HiddenCause, SealError, opened
 from tests.hidden.scoring.figures import Gap, confusion, figures, missed
 from tests.hidden.scoring.kept import Kept, read_kept, write_kept
@@ -189,7 +189,10 @@ def test_an_answer_opens_by_its_seal_only(tmp_path: Path) -> None:
 def test_a_line_cut_off_by_a_stop_is_done_again(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
     path.write_text('{"seed": 3, "verdict": "adequate"}\n{"seed": 4, "verd')
-    assert list(results_of(path)) == [3]
+    end_cut_line(path)
+    with path.open("a") as file:
+        file.write('{"seed": 5}\n')
+    assert list(results_of(path)) == [3, 5]
 
 
 def test_what_is_kept_gives_the_same_figures(tmp_path: Path) -> None:
