@@ -58,15 +58,15 @@ class PtuReference:
         """What the polls know of the unknowns.
 
         Counts follow what the controller does. Read by another law than its own they say a
-        little wrong, and very surely, when moves began and how fast they sped up: then
-        these are believed less, and the samples tell.
+        little wrong, and very surely, when moves began, how fast they were and how fast they
+        sped up: then these are believed less, and the samples tell.
         """
         told = self.starts.information
         if not self.own_law:
             return told
         table = self.starts.table
         local, shared = np.ones(told.size[0]), np.ones(told.size[1])
-        local[: table.starts] = shared[table.classes : table.classes + 2] = OWN_LAW
+        local[: table.starts] = shared[: table.classes + 2] = OWN_LAW
         scale = diags_array(local)
         return Arrow(
             csc_array(scale @ told.local @ scale),
