@@ -1,0 +1,59 @@
+"""Each cause of the unit and its mount takes up its own effect, where there is no noise."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+
+def _completeness() -> ModuleType:
+    """The scorer beside this file, which meets both sides in files alone."""
+    name = "hidden_completeness"
+    if name not in sys.modules:
+        path = Path(__file__).with_name("completeness.py")
+        told = importlib.util.spec_from_file_location(name, path)
+        assert told is not None
+        assert told.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(told)
+        told.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+completeness = _completeness()
+LEAST = 20.0  # energy of an effect that can be seen at all
+
+
+@pytest.mark.parametrize(
+    ("cause", "place", "size"),
+    [
+        ("axis_nonorthogonality", None, None),
+        ("base_compliance", "pan", None),
+        ("board_slip", None, None),
+        ("eccentricity", "pan", None),
+        ("lost_steps", "pan", None),
+        ("lost_steps", "tilt", None),
+        ("lost_steps", "tilt", 1.0),
+        ("motor_coupling", None, None),
+        ("ringing", "pan", None),
+        ("ringing", "tilt", None),
+        ("s_curve", None, None),
+        ("step_resolution", "tilt", None),
+        ("tilt_sag", "tilt", None),
+        ("worm_error", "pan", None),
+        ("worm_error", "tilt", None),
+    ],
+)
+def test_its_term_leaves_next_to_nothing(cause: str, place: str | None, size: float | None) -> None:
+    found = completeness.energies(cause, size, place)
+    assert found.effect > LEAST
+    assert found.share <= completeness.GOAL
+
+
+@pytest.mark.parametrize(
+    ("cause", "place"), [("acceleration_error", None), ("step_resolution", "pan")]
+)
+def test_what_the_base_takes_up_leaves_nothing(cause: str, place: str | None) -> None:
+    # The unit's answers show its true ramps, and the gain takes pan's step: no residual.
+    assert abs(completeness.energies(cause, None, place).effect) < 1.0
