@@ -10,7 +10,7 @@ What to use when: `lay` for a course; its methods for position, speed and share 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -56,6 +56,7 @@ class Course:
     speed: FloatArray  # (n,), signed
     acceleration: FloatArray  # (n,), signed
     way: FloatArray  # (n,), steps gone in either direction
+    limits: Limits | None = None  # of its only order; None where there were several
 
     @property
     def end_s(self) -> float:
@@ -111,7 +112,8 @@ def lay(from_steps: float, orders: Sequence[Instruction]) -> Course:
         if order.kind != "keep":
             target = order.steps if order.kind == "to" else round(path.steps + order.steps)
         path.towards(target, order.limits)
-    return path.course()
+    only = orders[0].limits if len(orders) == 1 and orders[0].kind in ("to", "by") else None
+    return replace(path.course(), limits=only)
 
 
 def carry_on(

@@ -16,6 +16,8 @@ from gyrorig_solver.estimate.chain import (
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.model.terms.catalogue import catalogue, term
 from gyrorig_solver.model.terms.protocol import CHAIN, indices, value_parameters
+from gyrorig_solver.model.terms.scene import Scene, Setting
+from gyrorig_solver.reference.course import Instruction, Limits, lay
 
 Array = np.ndarray
 KINDS = ("effect", "known")
@@ -190,3 +192,33 @@ def test_a_tilt_gap_leaves_the_tilt_zero_open() -> None:
         for cause, one in catalogue().items()
         if cause != "backlash"
     )
+
+
+def test_limits_changed_together(rig: Any) -> None:
+    """Steeper ramps and a jump to the base speed: the move that has both, laid at once."""
+    step, begin_s, share, base = 0.0009, 1.0, 0.2, 0.08
+    # The way is short: peaks rise with both, until the told speed cuts them off.
+    for speed in (1200.0, 2000.0):
+        told = Limits(speed, 4000.0, 60.0)
+        both = Limits(speed, 4000.0 * (1.0 + share), 60.0 + base / step)
+        courses = [lay(0.0, [Instruction(begin_s, "to", 300.0, one)]) for one in (told, both)]
+        edges = np.arange(0.0, 3.0, 1e-3)
+        angles = [step * course.position_steps(edges) for course in courses]
+        scene = Scene.build(
+            edges,
+            np.stack([angles[0], np.zeros_like(edges)]),
+            np.ones(edges.size - 1, dtype=np.bool_),
+            block=1,
+            fine=1,
+            bandwidth_hz=None,
+            gain=rig.gain,
+            setting=Setting(rad_per_step=(step, step), courses=((0, courses[0]),)),
+        )
+        chain = [
+            extension("base_speed_jump", [base, 0.0]),
+            extension("acceleration_error", [share, 0.0]),
+        ]
+        change = np.stack([angles[1] - angles[0], np.zeros_like(edges)])
+        exact = scene.seen_at_stage(scene.turned(change))
+        assert norm(exact) > 0.0
+        assert norm(effect_of(chain, scene) - exact) < 1e-9 * norm(exact)

@@ -5,6 +5,8 @@ of a ramp (a part in a thousand), and a unit may not do the acceleration it acce
 moves without orders on the way are laid anew. A reference that fits the ramps has it already.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
@@ -39,6 +41,10 @@ class AccelerationError(AngleTerm):
         """Return the moves as they were done minus as told, (2, n + 1)."""
         return redone(scene, (float(values[0]), float(values[1])), (0.0, 0.0))
 
+    def passed(self, scene: Scene, values: FloatArray) -> Scene:
+        """Return the scene with the moves laid anew."""
+        return laid_anew(scene, (float(values[0]), float(values[1])), (0.0, 0.0))
+
     def bank(self, scene: Scene) -> FloatArray:
         """Look from small and large errors."""
         return scanned(self, share=np.array([-0.2, -0.05, 0.01, 0.05, 0.2]))
@@ -55,24 +61,42 @@ class AccelerationError(AngleTerm):
 def redone(
     scene: Scene, acceleration_share: tuple[float, float], base_rad_s: tuple[float, float]
 ) -> FloatArray:
-    """Return the change of the angles, (2, n + 1), by other limits of the axes."""
+    """Return the change of the angles, (2, n + 1), by other limits of the axes.
+
+    Beside what has changed them already: `scene.setting.laid`.
+    """
     found = np.zeros_like(scene.angle_rad)
     resolution = scene.setting.rad_per_step
     if resolution is None:
         return found
+    before = scene.setting.laid
     for axis, told in scene.setting.courses:
         size = resolution[axis]
         more = acceleration_share[axis], base_rad_s[axis] / abs(size)
         if more == (0.0, 0.0) or told.start_s[0] > scene.edges_s[-1]:
             continue
-        done = relaid(told, *more)
-        if done is None:
+        share, base = before[axis][0], before[axis][1] / abs(size)
+        done = relaid(told, more[0] + share, more[1] + base)
+        had = told if before[axis] == (0.0, 0.0) else relaid(told, share, base)
+        if done is None or had is None:
             continue
-        end_s = max(told.end_s, done.end_s)
+        end_s = max(had.end_s, done.end_s)
         first, last = np.searchsorted(scene.edges_s, [told.start_s[0], end_s])
         at = scene.edges_s[first:last]
-        found[axis, first:last] += size * (done.position_steps(at) - told.position_steps(at))
+        found[axis, first:last] += size * (done.position_steps(at) - had.position_steps(at))
     return found
+
+
+def laid_anew(
+    scene: Scene, acceleration_share: tuple[float, float], base_rad_s: tuple[float, float]
+) -> Scene:
+    """Return the scene with the moves laid by other limits of the axes."""
+    made = scene.with_angles(redone(scene, acceleration_share, base_rad_s))
+    laid = [
+        (had[0] + share, had[1] + base)
+        for had, share, base in zip(scene.setting.laid, acceleration_share, base_rad_s, strict=True)
+    ]
+    return replace(made, setting=replace(made.setting, laid=(laid[0], laid[1])))
 
 
 def no_profiles(scene: Scene) -> str | None:

@@ -8,7 +8,7 @@ is a shorter move, which start delays and the time offset take (0.998).
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.model.terms.acceleration_error import no_profiles, redone
+from gyrorig_solver.model.terms.acceleration_error import laid_anew, no_profiles, redone
 from gyrorig_solver.model.terms.bases import AngleTerm, scanned
 from gyrorig_solver.model.terms.protocol import Link, TermParameter
 from gyrorig_solver.model.terms.scene import Scene
@@ -38,6 +38,10 @@ class BaseSpeedJump(AngleTerm):
     def change(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the moves as they were done minus as told, (2, n + 1)."""
         return redone(scene, (0.0, 0.0), (float(values[0]), float(values[1])))
+
+    def passed(self, scene: Scene, values: FloatArray) -> Scene:
+        """Return the scene with the moves laid anew."""
+        return laid_anew(scene, (0.0, 0.0), (float(values[0]), float(values[1])))
 
     def bank(self, scene: Scene) -> FloatArray:
         """Look from several jumps."""

@@ -11,9 +11,7 @@ from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.model.recursive import recursed, step_invariant
 from gyrorig_solver.reference.course import Course, Instruction, Limits, lay
 
-_PLAIN_LEGS = (3, 4)  # up, down, rest; or with a cruise between
 _STILL_RAD = 1e-12  # rounding of an angle at rest
-_NEVER_REACHED = 1e3  # times the top speed, of a move that was still speeding up
 
 
 def play(angle_rad: FloatArray, gap_rad: float, begin: float) -> FloatArray:
@@ -105,17 +103,13 @@ def relaid(course: Course, acceleration_share: float, base_steps_s: float) -> Co
         acceleration_share: added to 1.
         base_steps_s: added to the base speed.
     """
-    onward = course.speed[:-1] * float(np.sign(course.steps[-1] - course.steps[0]))
-    ramp = float(np.max(np.abs(course.acceleration)))
-    if course.start_s.size not in _PLAIN_LEGS or np.any(onward < 0.0) or ramp == 0.0:
+    told = course.limits
+    if told is None or told.speed_steps_s <= told.base_speed_steps_s:
         return None
-    top = float(np.max(onward)) * (
-        1.0 if course.start_s.size == max(_PLAIN_LEGS) else _NEVER_REACHED
-    )
     limits = Limits(
-        speed_steps_s=top,
-        acceleration_steps_s2=ramp * (1.0 + acceleration_share),
-        base_speed_steps_s=max(0.0, float(onward[0]) + base_steps_s),
+        speed_steps_s=told.speed_steps_s,
+        acceleration_steps_s2=told.acceleration_steps_s2 * (1.0 + acceleration_share),
+        base_speed_steps_s=max(0.0, told.base_speed_steps_s + base_steps_s),
     )
     begin, target = float(course.start_s[0]), float(course.steps[-1])
     return lay(float(course.steps[0]), [Instruction(begin, "to", target, limits)])

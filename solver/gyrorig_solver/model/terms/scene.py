@@ -54,6 +54,8 @@ class Setting:
     full_scale_rad_s: float | None = None  # of the configured range
     quantum_rad_s: float = 0.0  # one count
     sample_period_s: float | None = None
+    # By how much causes have changed these limits of pan and tilt: share, base speed (rad/s).
+    laid: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     recording: str = ""  # its name
     number: int = 0  # of the recording, among those that are fitted together
 
