@@ -11,6 +11,7 @@ beside those of a fit.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.model.terms.bound import label
 from gyrorig_solver.model.terms.protocol import CHAIN, OPERATORS, Term
 from gyrorig_solver.model.terms.scene import Scene
+
+CUTTING = ("threshold", "limit")  # links of the chain at which rates are cut off
+GAIN_STEP = 1e-4
 
 
 def ordered(extensions: Sequence[Extension]) -> list[Extension]:
@@ -82,6 +86,33 @@ def columns_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray:
         if one.free.size:
             found.append(one.term.columns(chain.at(one.term), one.values)[one.free])
     return np.concatenate(found) if found else np.zeros((0, scene.blocks, 3))
+
+
+def gain_columns_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray | None:
+    """Return what each axis' row of G changes in the effect of causes that cut rates off.
+
+    A rate below a threshold, or beyond a limit, does not show, and nor does what G makes of
+    it: without this a fit takes for measured what never was. By central differences.
+
+    Returns:
+        Shape (3, 3, blocks): axis, entry of its row; None where nothing is cut off.
+    """
+    cut = [one for one in extensions if one.acts and one.term.link in CUTTING]
+    if not cut:
+        return None
+    chain = Chain(extensions, scene)
+    found = np.zeros((3, 3, scene.blocks))
+    for one in cut:
+        here = chain.at(one.term)
+        for entry in range(3):
+            step = np.zeros((3, 3))
+            step[:, entry] = GAIN_STEP  # all rows at once: an axis has its own alone
+            more, less = (
+                one.term.effect(replace(here, gain=here.gain + by), one.values)
+                for by in (step, -step)
+            )
+            found[:, entry] += ((more - less) / (2.0 * GAIN_STEP)).T
+    return found
 
 
 class Chain:

@@ -494,6 +494,8 @@ def _columns(
     for axis in range(3):
         own[3 * axis : 3 * axis + 3, :, axis] = model.rate.T
         own[GAINS + axis, :, axis] = 1.0
+        if model.bent is not None:
+            own[3 * axis : 3 * axis + 3, :, axis] += model.bent[axis]
     own[12] = -(gain @ model.columns.slope).T
     shared = np.einsum("ij,gjn->gni", gain, model.columns.shared)
     return np.concatenate([own, columns_of(extensions, scene), shared])

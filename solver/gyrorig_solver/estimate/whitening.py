@@ -30,6 +30,8 @@ class PartModel:
     used: BoolArray  # (n,)
     terms: FloatArray  # (k, n, 3), derivatives by the terms' parameters, sensor frame
     columns: PartColumns
+    # (3, 3, n), what each axis' row of G changes in the causes' effect; None: nothing
+    bent: FloatArray | None = None
     _kept: dict[str, FloatArray] = field(default_factory=dict)
 
     def spectra(self) -> FloatArray:
@@ -42,6 +44,14 @@ class PartModel:
             stacked = np.concatenate(rows) * used
             self._kept["everywhere"] = dct_of(stacked)
         return self._kept["everywhere"]
+
+    def bent_spectra(self) -> FloatArray | None:
+        """Return the DCT of what G changes in the causes' effect, (3, 3, n)."""
+        if self.bent is None:
+            return None
+        if "bent" not in self._kept:
+            self._kept["bent"] = dct_of(self.bent * self.used)
+        return self._kept["bent"]
 
     def lane_spectra(self) -> FloatArray:
         """Return the DCT of the lanes, unused blocks zero, (3, lanes, n), kept once made."""
@@ -83,6 +93,9 @@ class WhitePart:
                 for axis in range(3)
             ]
         )
+        bent = part.bent_spectra()
+        if bent is not None:
+            columns[:, :3] += bent / deviation.T[:, None, :]
         felt = np.zeros((3, lanes.values.shape[0], n))
         if lanes.count:
             spectra = np.tensordot(gain, part.lane_spectra(), axes=1)
