@@ -123,10 +123,10 @@ def _by_unit(
 
 
 def unit_solution(recordings: Sequence[Recording], board: str) -> Solution:
-    """Fit the base model to one board's recordings on a unit; return where the fit ended.
+    """Fit the base model to one board's recordings on a unit, or all at rest.
 
-    Every recording's setting is put in, and the Earth's rotation where the site is known:
-    causes can be looked for from here.
+    Returns where the fit ended. Every recording's setting is put in, and the Earth's rotation
+    where the site is known: causes can be looked for from here.
 
     Args:
         recordings: in any order.
@@ -134,16 +134,37 @@ def unit_solution(recordings: Sequence[Recording], board: str) -> Solution:
 
     Raises:
         InputError: the board is not there.
-        UsageError: recordings that cannot be fitted together, or none of a unit.
+        UsageError: recordings that cannot be fitted together, or in which a board moved
+            without a unit.
     """
     ordered = sorted(recordings, key=lambda recording: recording.start_ns)
-    _check_unit(ordered)
+    if not rests_throughout(ordered, board):
+        _check_unit(ordered)
     loaded = [(one, without_repeats(load_samples(one, board))) for one in ordered]
     _check_alike(loaded)
     found = [(r, samples, _motion_of(r, samples)[0]) for r, samples in loaded]
     chosen = choose_extensions(found, ())
     settings = chosen.settings or settings_of(found)
     return solution_of([(s, m) for _, s, m in found], chosen.extensions, settings)
+
+
+def rests_throughout(recordings: Sequence[Recording], board: str) -> bool:
+    """Return whether a board lay still in all of its recordings, without a unit.
+
+    Raises:
+        InputError: the board is not there.
+    """
+    topics = {topic for recording in recordings for topic in recording.topics}
+    if topics & {"/ptu/position", "/reference/attitude"}:
+        return False
+    loaded = [(one, load_samples(one, board)) for one in recordings]
+    return all(
+        mostly_at_rest(
+            read_turns(one.events(), samples.origin_ns).rests,
+            float(samples.time_s[-1] - samples.time_s[0]),
+        )
+        for one, samples in loaded
+    )
 
 
 def unit_session(

@@ -48,7 +48,7 @@ from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
 from gyrorig_solver.samples import GyroSamples, load_samples
 from gyrorig_solver.setting import settings_of
 
-WORDS = {"moving": "on whether the board moves, as a bias"}
+WORDS = {"moving_bias": "on whether the board moves, as a bias"}
 SHOWN_SIGMA = 3.0
 
 

@@ -46,12 +46,13 @@ def groups_of(scenes: Sequence[Scene]) -> list[Group]:
     fastest = max(float(_speed(s).max()) for s in scenes)
     speeds, times = np.linspace(0.0, fastest, KNOTS), np.linspace(begin, end, KNOTS)
     few = np.linspace(begin, end, FEW_KNOTS)
+    moving = partial(_effect, MovingBias())
     return [
         Group("own_rate", "on each axis' own rate", partial(_own, largest)),
         Group("speed", "on the speed, as a gain", partial(_gain, _speed, speeds)),
         Group("time", "on the time, as a gain", partial(_gain, _time, times)),
         Group("bias_time", "on the time, as a bias", partial(_bias, _time, few)),
-        Group("moving", "on whether the board moves, as a bias", partial(_effect, MovingBias())),
+        Group("moving_bias", "on whether the board moves, as a bias", moving),
         Group("frequency", "on how quickly the rates change, as a filter", _filtered),
         Group("turning_axis", "on how the axis turns between attitudes", _turning_axis),
     ]

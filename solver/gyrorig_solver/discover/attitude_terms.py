@@ -23,7 +23,7 @@ from gyrorig_solver.model.terms.supply_hum import SupplyHum
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
 LEAST_FORCE_M_S2 = 3.0  # of every component: a third of gravity
-NAMELESS = ("moving",)  # weighed beside the causes, never named
+NAMELESS = ("moving_bias",)  # weighed beside the causes, never named
 # Whose a cause may be just as well, where the reference is attitudes.
 OR_THE_REFERENCE = {
     "clock_skew": "the reference's clock may be the one that is off",
@@ -79,7 +79,7 @@ class MovingBias(LinearTerm):
     It is weighed like a cause so that no cause gets its name for standing in.
     """
 
-    cause = "moving"
+    cause = "moving_bias"
     part: Part = "sensor"
     parameters = (
         TermParameter(

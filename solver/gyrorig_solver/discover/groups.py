@@ -125,8 +125,11 @@ def _groups(scenes: list[Scene]) -> Iterator[_Group]:
     few = _knots(scenes, _time, FEW_KNOTS)
     yield _Group("bias_time", "on the time, as a bias", partial(_bias, _time, few))
     speed = _knots(scenes, _speed, SPEED_KNOTS)
-    yield _Group("speed", "on the speed, as a gain", partial(_gain, _speed, speed))
-    yield _Group("own_rate", "on each axis' own rate", partial(_own, _largest(scenes)))
+    if speed.size:  # a board at rest has no speeds
+        yield _Group("speed", "on the speed, as a gain", partial(_gain, _speed, speed))
+    largest = _largest(scenes)
+    if float(largest.max()) > LEAST_SPAN:
+        yield _Group("own_rate", "on each axis' own rate", partial(_own, largest))
     if not angles:
         return
     for axis, name, knots in ((0, "pan", PAN_KNOTS), (1, "tilt", TILT_KNOTS)):

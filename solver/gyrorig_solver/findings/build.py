@@ -123,8 +123,11 @@ def rest_harm_sigma(rest: FoundUnexplained) -> float:
 
     A signal of which the base parameters take as much as they leave moves a parameter that
     lies along it by the square root of its energy, which is what its statistic is beyond
-    its degrees of freedom. How much they do take nobody knows without a name for it.
+    its degrees of freedom. How much they do take nobody knows without a name for it. No
+    parameter follows a single line.
     """
+    if rest.best.covariate == "line":
+        return 0.0
     return math.sqrt(max(0.0, rest.best.statistic - rest.best.degrees_of_freedom))
 
 
@@ -253,6 +256,8 @@ def _unexplained(rest: FoundUnexplained | None, figures: Mapping[str, str]) -> U
         harm=(
             f"If the calibration took in as much of it as is left to see, a parameter would be "
             f"off by up to {harm_sigma:.1f} standard deviations."
+            if harm_sigma
+            else "It moves no parameter of the calibration; the noise looks larger."
         ),
         harm_sigma=harm_sigma,
         others=[

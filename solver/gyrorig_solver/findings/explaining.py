@@ -34,7 +34,7 @@ from gyrorig_solver.report.course import Course, course_of, course_of_attitudes,
 from gyrorig_solver.report.drawing import alone
 from gyrorig_solver.report.explain_html import figures_of, render_findings
 from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import solve_recordings, unit_solution
+from gyrorig_solver.solve import rests_throughout, solve_recordings, unit_solution
 
 UNJUDGED = "nothing here judges the residual over time: the reference has angles, no motion"
 NOTHING = "no cause was named, so {} had nothing to measure"
@@ -126,6 +126,9 @@ def explain_board(
     raw = _raw(ordered, board)
     if _of_a_unit(ordered):
         return _on_unit(ordered, explain(ordered, board), held_out)
+    if rests_throughout(ordered, board):
+        found = _on_unit(ordered, explain(ordered, board), None)
+        return replace(found, remarks=solve_recordings(ordered, board).warnings)
     if any("/reference/attitude" in r.topics for r in ordered):
         return _beside_attitudes(ordered, board, raw, held_out)
     fit = solve_recordings(ordered, board)

@@ -1,8 +1,9 @@
-"""Findings where the reference is no unit's motion: nameless tests of a fit's residual.
+"""Findings where the reference tells no rates: nameless tests of a fit's residual, if it has one.
 
-Attitudes from a camera, or turns by hand, come without a model of the rig that moved, so no
-cause of a rig can be looked for. Whether the residual depends on the rates, the speed or the
-time can: smooth functions of each, whitened by the fit's own noise, beside gain, bias and lag.
+Turns by known angles and gravity between rests say what a motion came to, not how it went: there
+is nothing over time that a cause could be seen in. Where a fit does keep a residual over time,
+whether that depends on the rates, the speed or the time is tested: smooth functions of each,
+whitened by the fit's own noise, beside gain, bias and lag.
 """
 
 import math
@@ -39,7 +40,7 @@ def findings_of_fit(fit: GyroFit) -> Findings:
         unexplained=Unexplained(rest[0], tuple(rest[1:]), 0.0) if rest else None,
         signatures=signatures,
         absent=(),
-        not_testable=tuple(_not_testable()),
+        not_testable=tuple(_not_testable(fit)),
         base_terms=fit.terms,
         base_reduced_chi2=fit.reduced_chi2,
         base_whiteness_p=signatures[0].p_value if signatures else math.nan,
@@ -50,8 +51,12 @@ def findings_of_fit(fit: GyroFit) -> Findings:
     )
 
 
-def _not_testable() -> list[NotTestable]:
-    why = "the reference is no pan-tilt unit's motion; record the board on one"
+def _not_testable(fit: GyroFit) -> list[NotTestable]:
+    compared = fit.reference.partition(";")[0] or "what the reference says"
+    why = (
+        f"compared was {compared}, not the rate at each moment; record the board on a pan-tilt "
+        "unit, or beside reference attitudes"
+    )
     return [
         NotTestable(term.cause, None, why)
         for term in catalogue().values()

@@ -63,7 +63,7 @@ OF_SIGNATURE = {
     "bias_time": Dependence("mean", "time"),
     "speed": Dependence("gain", "speed", 12),
     "own_rate": Dependence("mean", "own_rate"),
-    "moving": Dependence("mean", "speed", 16),
+    "moving_bias": Dependence("mean", "speed", 16),
     "frequency": Dependence("mean", "bend"),
     "turning_axis": Dependence("mean", "across"),
     "pan_angle": Dependence("gain", "pan"),

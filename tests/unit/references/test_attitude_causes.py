@@ -155,7 +155,7 @@ def test_a_bias_of_motion_gets_no_name(samples_of: Maker, true_gain: FloatArray)
     assert names(found) == []
     rest = found.findings.unexplained
     assert rest is not None
-    assert rest.best.covariate == "moving"
+    assert rest.best.covariate == "moving_bias"
     assert any("on data left out" in remark for remark in found.remarks)
 
 
