@@ -40,6 +40,7 @@ from gyrorig_solver.model.terms.protocol import Term
 
 SEEN_NATS = 4.0  # won on a board's own data: less may be chance (once in 200 for one size)
 CLOSE_NATS = 30.0  # of evidence behind: no more than a look at all boards might make good
+MOST_UNKNOWNS = 4000  # of a motion: beyond, a dense matrix over them takes too much memory
 MOST_WEAK = 4  # causes that only all boards together show
 
 Asked = dict[int, tuple[Extension, Standing]]  # by board: what is to be explained
@@ -93,6 +94,8 @@ class _Board:
 def explain_boards(bases: Mapping[str, Solution]) -> dict[str, Explained]:
     """Find what the base model gets wrong for the boards on one unit, all of them together.
 
+    Where motions differ, or are of thousands of moves, each board is explained for itself.
+
     Args:
         bases: the fit of the base model to each board, of the same recordings.
     """
@@ -101,12 +104,19 @@ def explain_boards(bases: Mapping[str, Solution]) -> dict[str, Explained]:
     for name, base in bases.items():
         found = search(base)
         boards.append(_Board(name, base, found, found.solution, list(found.standings), {}))
-    if len(boards) > 1:
+    if len(boards) > 1 and _of_one_motion(list(bases.values())):
         for asked in _questions(boards):
             _answer(boards, asked)
         _weak(boards)
         _own(boards)
     return {b.name: conclude(b.base, b.ended(), b.name, begin, b.whose) for b in boards}
+
+
+def _of_one_motion(bases: Sequence[Solution]) -> bool:
+    """Return whether fits follow the same motion, and one short enough to be followed at once."""
+    sizes = [[session.reference.information.size for session in b.sessions] for b in bases]
+    many = sum(local + shared for local, shared in sizes[0])
+    return many <= MOST_UNKNOWNS and all(one == sizes[0] for one in sizes)
 
 
 def _questions(boards: Sequence[_Board]) -> list[Asked]:

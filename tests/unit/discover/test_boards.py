@@ -11,17 +11,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.discover.boards import explain_boards
+from gyrorig_solver.discover.gain import held_out_by
 from gyrorig_solver.discover.hypotheses import owner
 from gyrorig_solver.discover.result import Explained
 from gyrorig_solver.discover.together import Heard, Together, disagreement, told
 from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.findings.explaining import Explanation, explain_together
 from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.solve import unit_solution
 
 BOARDS = ("GY80-1", "GY80-2", "GY80-3", "GY80-4")
 FAR = 4.0  # standard deviations
+
+FEW_OR_ALL = pytest.mark.parametrize(
+    ("boards", "program"), [(2, "quick"), pytest.param(4, "survey-40", marks=pytest.mark.bench)]
+)
 
 Bases = Callable[..., dict[str, Solution]]
 
@@ -44,8 +52,8 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def bases(hidden: Callable[..., Any], config: Path) -> Bases:
     """Return a function that fits the base model to each board of a session."""
 
-    def fit(*hide: str, boards: int = 4) -> dict[str, Solution]:
-        session = hidden(*hide, seed=3, program="survey-40", config=config)
+    def fit(*hide: str, boards: int = 4, program: str = "survey-40") -> dict[str, Solution]:
+        session = hidden(*hide, seed=3, program=program, config=config)
         return {name: unit_solution([session.recording], name) for name in BOARDS[:boards]}
 
     return fit
@@ -54,7 +62,7 @@ def bases(hidden: Callable[..., Any], config: Path) -> Bases:
 @pytest.fixture(scope="module")
 def rounded(bases: Bases) -> dict[str, Explained]:
     """Two boards on a unit that rounds its ramps."""
-    return explain_boards(bases("s_curve:0.02", boards=2))
+    return explain_boards(bases("s_curve:0.03", boards=2, program="quick"))
 
 
 def test_what_all_boards_show_is_the_units(rounded: dict[str, Explained]) -> None:
@@ -68,7 +76,7 @@ def test_what_all_boards_show_is_the_units(rounded: dict[str, Explained]) -> Non
         assert named.whose.disagreement_p is not None
         assert named.whose.disagreement_p > 1e-4
         for value in named.values:
-            assert value.value == pytest.approx(0.02, abs=FAR * value.std)
+            assert value.value == pytest.approx(0.03, abs=FAR * value.std)
 
 
 def test_a_units_cause_has_one_size_at_all_boards(rounded: dict[str, Explained]) -> None:
@@ -79,9 +87,32 @@ def test_a_units_cause_has_one_size_at_all_boards(rounded: dict[str, Explained])
         assert stds == pytest.approx(stds.mean(), rel=0.1)
 
 
-@pytest.mark.parametrize("boards", [2, pytest.param(4, marks=pytest.mark.bench)])
-def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
-    found = explain_boards(bases("low_pass_lag@GY80-2:0.3", boards=boards))
+def test_a_shared_cause_is_worth_something_on_another_recording(
+    rounded: dict[str, Explained], hidden: Callable[..., Any], config: Path
+) -> None:
+    other = hidden("s_curve:0.03", seed=3, program="survey-40", config=config)
+    for name, one in rounded.items():
+        gain = held_out_by(one.solution_base, one.solution_extended, other.recording, name)
+        assert gain.log_likelihood.low > 0.0
+
+
+def test_boards_are_put_together_by_their_recordings(
+    hidden: Callable[..., Any], config: Path
+) -> None:
+    """A board that is not there fails for itself; the others are explained."""
+    recording = hidden(seed=3, program="quick", config=config).recording
+    boards = [BoardId(name) for name in (*BOARDS[:2], "nowhere")]
+    found = dict(explain_together({board: [recording] for board in boards}))
+    assert isinstance(found.pop(boards[2]), InputError)
+    for board, one in found.items():
+        assert isinstance(one, Explanation)
+        assert one.board == board
+        assert one.findings.verdict == "adequate"
+
+
+@FEW_OR_ALL
+def test_what_one_board_shows_is_its_own(bases: Bases, boards: int, program: str) -> None:
+    found = explain_boards(bases("low_pass_lag@GY80-2:-0.5", boards=boards, program=program))
     for name, explained in found.items():
         causes = explained.findings.causes
         if name != "GY80-2":
@@ -97,9 +128,9 @@ def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
         )
 
 
-@pytest.mark.parametrize("boards", [2, pytest.param(4, marks=pytest.mark.bench)])
-def test_boards_with_nothing_have_no_findings(bases: Bases, boards: int) -> None:
-    for explained in explain_boards(bases(boards=boards)).values():
+@FEW_OR_ALL
+def test_boards_with_nothing_have_no_findings(bases: Bases, boards: int, program: str) -> None:
+    for explained in explain_boards(bases(boards=boards, program=program)).values():
         assert explained.findings.verdict == "adequate"
 
 
@@ -113,7 +144,7 @@ def test_whose_a_cause_can_be() -> None:
 
 def test_boards_side_by_side_are_one_least_squares_problem(bases: Bases) -> None:
     """Against a dense solution with one set of the motion's unknowns, put together by itself."""
-    parts = [Projection.of(one) for one in bases(boards=2).values()]
+    parts = [Projection.of(one) for one in bases(boards=2, program="quick").values()]
     together = Together(parts)
     rng = np.random.default_rng(5)
     signal = rng.standard_normal((2, together.residual.size))
