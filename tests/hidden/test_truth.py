@@ -16,9 +16,8 @@ from tests.hidden.truth.draws import (
     SIZED,
     Item,
     Session,
-    course_of,
     drawn,
-    orders_of,
+    ladder_turn,
     shape_sized,
     sizer_of,
 )
@@ -104,18 +103,16 @@ def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
     assert 10.0 < begin_s < end_s < begin_s + 60.0
 
 
-@pytest.mark.parametrize(("name", "place"), [("bias_step", ""), ("s_curve", "")])
-def test_a_rung_is_met_by_the_session_that_comes_of_it(
-    name: str, place: str, tmp_path: Path
-) -> None:
-    told = sizer_of(RIG).size_of_cause(name, place, 2.0, 1.0)
+def test_a_rung_is_met_by_the_session_that_comes_of_it(tmp_path: Path) -> None:
+    # nearly all of it is absorbed: what is left hangs on how the samples fall on the edges
+    told = sizer_of(RIG).size_of_cause("s_curve", "", 2.0, 1.0)
     assert told is not None
-    item = Item(name, place, told.size, 2.0, told.seen)
+    item = Item("s_curve", "", told.size, 2.0, told.seen)
     make.make(tmp_path, Session("ladder", "one", RIG, (item,), rung=2.0))
     answer = json.loads((tmp_path / "answer.json").read_text())
     (cause,) = answer["causes"]
     assert cause["times_detectable"] == pytest.approx(2.0, rel=0.03)
-    order = HideOrder(name, place, cause["size"]["value"])
+    order = HideOrder("s_curve", "", cause["size"]["value"])
     course = record(replace(RIG, hide=(order,)), tmp_path / "again.mcap").course
     seen = Sizer(settings_of(RIG), course).visibility(order)
     assert seen.noncentrality == pytest.approx(cause["noncentrality"], rel=1e-9)
@@ -147,14 +144,7 @@ def test_every_shape_outside_the_catalogue_shows(name: str) -> None:
 
 def test_a_ladder_goes_round_all_causes_before_the_next_rung() -> None:
     many = len(SIZED) + len(COUNTED)
-    first, second = (drawn(1000 + k * many + SIZED.index("warm_up"), "ladder", (1.0, 2.0), 1000)
-                     for k in (0, 1))  # fmt: skip
-    for told, times in ((first, 1.0), (second, 2.0)):
-        assert told is not None
-        assert [item.name for item in told.items] == ["warm_up"]
-        assert told.rung == times
-        seen = told.items[0].seen
-        assert seen is not None
-        assert seen.noncentrality == pytest.approx(times**2 * detectable(), rel=0.05)
-        assert orders_of(told.items)
-        assert course_of(told.rig).moves_s
+    turns = [ladder_turn(number, 2) for number in range(4 * many)]
+    assert {name for name, _, _ in turns[:many]} == {*SIZED, *COUNTED}
+    assert [turns[k * many][1:] for k in range(4)] == [(0, False), (1, False), (0, True), (1, True)]
+    assert len(set(turns)) == 4 * many

@@ -265,12 +265,17 @@ def _unobservable(drawing: _Drawing) -> Session:
     )
 
 
+def ladder_turn(number: int, rungs: int) -> tuple[str, int, bool]:
+    """Return cause, rung and whether with soak: all causes, then the next rung, then soak."""
+    turn, cause = divmod(number, len(SIZED) + len(COUNTED))
+    turn, rung = divmod(turn, rungs)
+    return (*SIZED, *COUNTED)[cause], rung, bool(turn % 2)
+
+
 def _ladder(
     rng: np.random.Generator, seed: int, rungs: Sequence[float], first: int
 ) -> Session | None:
-    turn, cause = divmod(seed - first, len(SIZED) + len(COUNTED))
-    turn, rung = divmod(turn, len(rungs))
-    soak, name = bool(turn % 2), (*SIZED, *COUNTED)[cause]
+    name, rung, soak = ladder_turn(seed - first, len(rungs))
     if name in COUNTED and rung:
         return None  # their sizes are the emulator's own: once is enough
     for program in LADDER_PROGRAMS:

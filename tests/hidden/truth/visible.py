@@ -39,6 +39,7 @@ def row(sizer: Sizer, cause: Cause, place: str) -> str:
     told = sizer.size_of_cause(cause.name, place, 1.0, 1.0)
     if told is None:
         top = Sized(cause.highest, sizer.of_cause(cause.name, place)(cause.highest))
+        told = top if top.times > 1.0 else None  # it begins with a jump past 1x
         shown = f"{top.times:.2g}x at {cause.highest:.2g}"
     else:
         shown = f"{abs(told.size):.2g}"
