@@ -5,9 +5,9 @@ any two models' residuals.
 """
 
 import numpy as np
-from scipy.stats import norm
 
 from gyrorig_solver.arrays import FloatArray, IntArray
+from gyrorig_solver.chance import normal_limit
 from gyrorig_solver.discover.attitude_terms import NAMELESS
 from gyrorig_solver.discover.result import Gain, Interval
 from gyrorig_solver.estimate.attitude_space import AttitudeSpace
@@ -59,7 +59,7 @@ def gain_of(
 
 
 def _interval(each: FloatArray, value: float, factor: float) -> Interval:
-    half = float(norm.isf(0.025) * np.std(each, ddof=1) / np.sqrt(each.size)) * factor
+    half = normal_limit(0.025) * float(np.std(each, ddof=1) / np.sqrt(each.size)) * factor
     return Interval(value, value - half, value + half)
 
 

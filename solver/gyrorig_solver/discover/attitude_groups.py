@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.attitude_terms import MovingBias
 from gyrorig_solver.discover.result import Signature
 from gyrorig_solver.discover.scores import Seen
@@ -67,7 +67,7 @@ def attitude_signatures(space: AttitudeSpace) -> list[Signature]:
         seen = Seen.of(looked)
         if not seen.degrees_of_freedom:
             continue
-        p_value = float(chi2.sf(seen.statistic, seen.degrees_of_freedom))
+        p_value = chi2_tail(seen.statistic, seen.degrees_of_freedom)
         found.append(
             Signature(
                 group.covariate,

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
+from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.attitude_gain import gains
 from gyrorig_solver.discover.refit import Weighed, refit
 from gyrorig_solver.discover.scores import Sight, sights
@@ -131,7 +131,7 @@ def _stand(best: Weighed, looks: float, rivals: Sequence[Weighed]) -> Standing:
 def p_value(one: Weighed, looks: float, tests: int) -> float:
     """Return how likely chance alone wins as much, scans and tests counted."""
     free = one.extension.free.size
-    return min(1.0, float(chi2.sf(2.0 * max(one.won, 0.0), free)) * looks * tests)
+    return min(1.0, chi2_tail(2.0 * max(one.won, 0.0), free) * looks * tests)
 
 
 def _sure(one: Standing, tests: int) -> bool:

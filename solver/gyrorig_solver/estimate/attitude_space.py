@@ -18,7 +18,6 @@ from typing import Self
 
 import numpy as np
 from scipy.fft import dct, idct
-from scipy.ndimage import uniform_filter1d
 from scipy.sparse import csc_array, csr_array
 
 from gyrorig_solver.arrays import FloatArray, IntArray
@@ -395,5 +394,13 @@ def _even(one: Piece, whitener: Whitener) -> Whitener:
     power = np.mean(white**2, axis=0)
     step_s = float(one.time_s[-1] - one.time_s[0]) / power.size
     width = max(round(LOCAL_S / step_s), LOCAL_VALUES // 3)
-    scatter = np.sqrt(uniform_filter1d(power, min(width, power.size), mode="nearest"))
+    scatter = np.sqrt(_running_mean(power, min(width, power.size)))
     return replace(whitener, scatter=np.maximum(scatter, LEAST_SCATTER))
+
+
+def _running_mean(values: FloatArray, width: int) -> FloatArray:
+    """Return the mean of so many values around each, (n,); the ends last beyond themselves."""
+    before = width // 2
+    whole = np.pad(values, (before, width - 1 - before), mode="edge")
+    total = np.concatenate([[0.0], np.cumsum(whole)])
+    return np.asarray(np.maximum(total[width:] - total[:-width], 0.0) / width, dtype=np.float64)
