@@ -6,7 +6,7 @@ windows left out bear, and none below 10 K.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from gyrorig_solver.estimate.likelihood import solve_likelihood
 from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.session import SessionFit
 from gyrorig_solver.estimate.thermal_order import LEAST_SPAN_K, choose_order
+from gyrorig_solver.model.terms.bound import bound
 from gyrorig_solver.model.terms.catalogue import term
 from gyrorig_solver.model.terms.earth_rotation import earth_in_base
 from gyrorig_solver.model.terms.scene import Setting
@@ -81,10 +82,18 @@ def choose_extensions(
         if extension is None:
             remarks.append(f"{cause} was not fitted: {why}")
             continue
-        extensions.append(extension)
         remarks += [f"{cause}: {why}"] if why else []
-        words |= dict.fromkeys(extension.names, extension.term.excitation)
+        for one in _in_each(extension, len(found)):
+            extensions.append(one)
+            words |= dict.fromkeys(one.names, one.term.excitation)
     return Chosen(tuple(extensions), tuple(settings), tuple(remarks), words)
+
+
+def _in_each(extension: Extension, recordings: int) -> list[Extension]:
+    """Return a cause as it is, or one for each recording where it is a recording's."""
+    if recordings == 1 or extension.term.scope != "recording":
+        return [extension]
+    return [replace(extension, term=bound(extension.term, k)) for k in range(recordings)]
 
 
 def _check(cause: str) -> None:

@@ -117,7 +117,7 @@ class Other:
         for one in model.extensions:
             persists = one.term.kind == "known" or one.term.scope != "recording"
             if persists and one.term.missing(scene) is None:
-                kept.append(replace(one, free=_none()))
+                kept.append(replace(one, free=_none(), told=None))
             else:
                 left_out.append(one)
         return tuple(kept), tuple(left_out)

@@ -110,9 +110,9 @@ def test_boards_are_put_together_by_their_recordings(
         assert one.findings.verdict == "adequate"
 
 
-@FEW_OR_ALL
-def test_what_one_board_shows_is_its_own(bases: Bases, boards: int, program: str) -> None:
-    found = explain_boards(bases("low_pass_lag@GY80-2:-0.5", boards=boards, program=program))
+@pytest.mark.parametrize("boards", [2, pytest.param(4, marks=pytest.mark.bench)])
+def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
+    found = explain_boards(bases("low_pass_lag@GY80-2:0.3", boards=boards))
     for name, explained in found.items():
         causes = explained.findings.causes
         if name != "GY80-2":
