@@ -3,7 +3,8 @@
 The cut-off is f_c e^v: a register that selects 12.5 instead of 25 Hz is v = -0.69; between
 parts of one type the cut-off varies by some 10 %. Nearly all of it is a lag, which the time
 offset takes (0.998 of the energy); what is left is the shape of fast edges, on all axes and
-both motors alike.
+both motors alike. The lag is left to the time offset for good: the effect is the other filter
+without what it is slower by, so that a fit need not move its offset by milliseconds.
 """
 
 from dataclasses import replace
@@ -34,17 +35,19 @@ class LowPassLag(CurvedTerm):
 
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the difference of the two filters' outputs, (blocks, 3)."""
-        other = self._other(scene, values)
-        if other is None:
+        there = self.passed(scene, values)
+        if there is scene:
             return np.zeros((scene.blocks, 3))
-        rate = scene.sensor_rate_rad_s
-        there = replace(scene, low_pass=other)
-        return scene.read(there.low_passed(rate) - scene.low_passed(rate))
+        return scene.mean(there.now_rad_s - scene.now_rad_s)
 
     def passed(self, scene: Scene, values: FloatArray) -> Scene:
-        """Return the scene with the other filter."""
+        """Return the scene with the other filter, its delay taken off."""
         other = self._other(scene, values)
-        return scene if other is None else replace(scene, low_pass=other)
+        if other is None or scene.low_pass is None:
+            return scene
+        slower_s = other.delay_s - scene.low_pass.delay_s
+        there = replace(scene, low_pass=other)
+        return there.with_delay(np.full(scene.use.size, slower_s))
 
     def _other(self, scene: Scene, values: FloatArray) -> LowPass | None:
         if scene.low_pass is None or values[0] == 0.0:
