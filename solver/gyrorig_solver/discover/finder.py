@@ -14,6 +14,7 @@ from gyrorig_solver.discover.changes import Board, own_part
 from gyrorig_solver.discover.gain import held_out
 from gyrorig_solver.discover.groups import signatures
 from gyrorig_solver.discover.limits import limits
+from gyrorig_solver.discover.ramps import RAMPS, look_for_ramps
 from gyrorig_solver.discover.result import (
     Explained,
     Findings,
@@ -119,10 +120,12 @@ def conclude(
     causes = [_named(found.solution, k, s, calibration, tests, gains.get(k)) for k, s in fitted]
     for_whom = whose or {}
     causes = [replace(one, whose=for_whom.get(label(one.term))) for one in causes]
-    causes += [] if jitter.named is None else [jitter.named]
+    ramps = look_for_ramps(found.solution, tests, ALPHA)
+    causes += [one.named for one in (jitter, ramps) if one.named is not None]
     causes.sort(key=lambda one: (-one.harm_sigma, one.p_value))
     absent, blind = limits(found.last, found.sights, calibration, len(base.sessions))
     absent += () if jitter.absent is None else (jitter.absent,)
+    absent = (*(one for one in absent if one.cause != RAMPS), *ramps.absent)
     verdict: Verdict = "explained" if causes else "adequate"
     findings = Findings(
         verdict="unexplained" if unexplained is not None else verdict,

@@ -214,7 +214,8 @@ class Findings:
     @property
     def extensions(self) -> tuple[Extension, ...]:
         """The named causes that a fit can follow, as fitted."""
-        return tuple(one.extension for one in self.causes if one.term.kind == "effect")
+        fitted = (one.extension for one in self.causes if one.term.kind == "effect")
+        return tuple(one for one in fitted if one.free.size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

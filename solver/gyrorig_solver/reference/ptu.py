@@ -18,16 +18,17 @@ import numpy as np
 from scipy.sparse import csc_array, diags_array
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.arrow import Arrow
+from gyrorig_solver.arrow import Arrow, eliminate
 from gyrorig_solver.reference.columns import AxisColumns
 from gyrorig_solver.reference.course import Course
 from gyrorig_solver.reference.kinematics import AxisTurn
 from gyrorig_solver.reference.motion import Evaluated, LocalColumn
 from gyrorig_solver.reference.moves import Motion
-from gyrorig_solver.reference.polls import StartTimes
+from gyrorig_solver.reference.polls import LOG_ACCELERATION_STD, StartTimes
 from gyrorig_solver.reference.table import Unknowns
 from gyrorig_solver.reference.track import Track, lay_tracks
 
+SAYS_MORE = 0.5  # of a prior deviation: what is known better than so is known by the answers
 OWN_LAW = 0.1  # polls ten times less sure: 50 us become half a millisecond
 
 
@@ -131,6 +132,19 @@ class PtuReference:
             columns = AxisColumns(axis, table, self._found, spots[axis], edges_s, turn)
             local += [*columns.starts(shared), *columns.rests()]
         return Evaluated(rate, tuple(sorted(local, key=lambda column: column.unknown)), shared)
+
+    @cached_property
+    def log_acceleration(self) -> tuple[FloatArray, FloatArray]:
+        """How far pan's and tilt's ramps are from told, as a logarithm, and its deviation.
+
+        By the answers; inf where these say nothing beyond what was known beforehand.
+        """
+        table = self.starts.table
+        beside = eliminate(self.information, np.zeros(sum(self.information.size))).information
+        at = slice(table.classes, table.classes + 2)
+        std = np.sqrt(np.diag(np.linalg.inv(beside))[at])
+        held = LOG_ACCELERATION_STD / (OWN_LAW if self.own_law else 1.0)
+        return self._found.log_acceleration, np.where(std < SAYS_MORE * held, std, np.inf)
 
     @cached_property
     def courses(self) -> tuple[tuple[int, Course], ...]:
