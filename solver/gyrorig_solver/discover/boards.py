@@ -75,6 +75,12 @@ class _Board:
         self.standings = [*(s for _, s in stay), standing]
         self.solution = solve_again(self.solution, [*known, *(one for one, _ in stay), cause])
 
+    def drop(self, gone: Extension) -> None:
+        """Fit without a cause."""
+        self.standings = [standing for one, standing in self.fitted() if one is not gone]
+        stay = [one for one in self.solution.extensions if one is not gone]
+        self.solution = solve_again(self.solution, stay)
+
     def judge(self, cause: Extension, standing: Standing) -> None:
         """Put another standing in the place of a cause's."""
         fitted = self.fitted()
@@ -174,7 +180,11 @@ def _answer(boards: Sequence[_Board], asked: Asked) -> None:
     if not found:
         return
     found.sort(key=lambda one: -one.evidence)
-    if found[0].common is not None:
+    if found[0].evidence <= 0.0:
+        # What a unit does all boards show: on one alone, and as little, it is chance.
+        for k, (cause, _) in asked.items():
+            boards[k].drop(cause)
+    elif found[0].common is not None:
         _shared(boards, besides, asked, found)
     else:
         _apart(boards, asked, found)
