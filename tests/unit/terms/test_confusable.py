@@ -117,9 +117,18 @@ def alike(one: np.ndarray, other: np.ndarray) -> float:
 
 def test_what_the_base_model_swallows(directions: Any) -> None:
     assert absorbed(directions["axis_nonorthogonality"]) == pytest.approx(0.993, abs=0.004)
-    assert absorbed(directions["low_pass_lag"]) == pytest.approx(0.998, abs=0.001)
+    # The lag, which is nearly all of another filter, is the time offset's from the first.
+    assert absorbed(directions["low_pass_lag"]) < 0.05
     assert absorbed(directions["worm_error"]) < 0.05
     assert absorbed(directions["tilt_sag"]) == pytest.approx(0.94, abs=0.03)
+
+
+def test_nearly_all_of_another_filter_is_its_lag(scene: Scene) -> None:
+    """Rig discovery survey, section 2: 0.998 of the energy, with the lag counted."""
+    step = 0.1
+    shape = term("low_pass_lag").effect(scene, np.array([step])) / step
+    lag = scene.read(scene.filtered_slope_rad_s2) * np.sqrt(2.0) / (2.0 * np.pi * 25.0)
+    assert 1.0 - np.sum(shape**2) / np.sum((shape + lag) ** 2) == pytest.approx(0.998, abs=0.002)
 
 
 def test_all_but_gauges_leave_something(directions: Any) -> None:
