@@ -33,8 +33,8 @@ from gyrorig_protocol.recording.messages import imu_topic
 ROOT = Path(__file__).resolve().parents[3]
 BOARD = "GY80-1"
 ORIGIN_NS = 5_000_000_000  # power-up, on the rig's raw clock
-_EPOCH_NS = 1_760_000_000_000_000_000  # the first session's begin; then one every 1000 s
-_GAP_NS = 1_000_000_000_000
+_EPOCH_NS = 1_760_000_000_000_000_000  # the first session's begin; then one every 100 s
+_GAP_NS = 100_000_000_000
 
 More = Callable[[RigHooks], None]
 
