@@ -90,6 +90,7 @@ def left_share(
     place: str | None = None,
     program: str = "survey-40",
     soak_k: float | None = None,
+    seed: int = SEED,
 ) -> float:
     """Return the share of a cause's energy that its term leaves.
 
@@ -99,8 +100,9 @@ def left_share(
         place: axis; None: drawn from the seed.
         program: of config/programs.
         soak_k: by how much the room warms up and cools down.
+        seed: of the rig and of what is drawn of the cause.
     """
-    return energies(cause, size, place, program, soak_k).share
+    return energies(cause, size, place, program, soak_k, seed).share
 
 
 def energies(
@@ -109,22 +111,24 @@ def energies(
     place: str | None = None,
     program: str = "survey-40",
     soak_k: float | None = None,
+    seed: int = SEED,
 ) -> Energies:
     """Return the energies that `left_share` is made of; arguments as there."""
     size = CAUSES[cause].typical if size is None else size
     hide = cause + (f"@{place}" if place else "") + f":{size!r}"
     with _noise_held():
-        base = _solved(program, soak_k, hide)
+        base = _solved(program, soak_k, seed, hide)
         found = extended(base, cause)
     own = found.extensions[-1].values if found.extensions else np.zeros(0)
-    return Energies(floor_of(program, soak_k), energy(base), energy(found), tuple(own.tolist()))
+    floor = floor_of(program, soak_k, seed)
+    return Energies(floor, energy(base), energy(found), tuple(own.tolist()))
 
 
 @cache
-def floor_of(program: str, soak_k: float | None) -> float:
+def floor_of(program: str, soak_k: float | None, seed: int) -> float:
     """Return what the base model leaves of a session with nothing hidden."""
     with _noise_held():
-        return energy(_solved(program, soak_k))
+        return energy(_solved(program, soak_k, seed))
 
 
 def extended(base: Solution, cause: str) -> Solution:
@@ -172,7 +176,7 @@ def _noise_held() -> Iterator[None]:
         yield
 
 
-def _solved(program: str, soak_k: float | None, hide: str | None = None) -> Solution:
+def _solved(program: str, soak_k: float | None, seed: int, hide: str | None = None) -> Solution:
     """Record a session in simulated time and fit the base model to it."""
     told = ["--hide", hide] if hide else []
     told += ["--soak", repr(soak_k)] if soak_k else []
@@ -182,7 +186,7 @@ def _solved(program: str, soak_k: float | None, hide: str | None = None) -> Solu
             code = run(
                 ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
                  str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", folder,
-                 "--simulated-time", "--noise-free", "--seed", str(SEED), "--rates", str(rates),
+                 "--simulated-time", "--noise-free", "--seed", str(seed), "--rates", str(rates),
                  *told]
             )  # fmt: skip
         if code:
@@ -228,6 +232,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--program", default="survey-40")
     parser.add_argument("--soak", type=float)
+    parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("causes", nargs="*", metavar="CAUSE[@PLACE][:SIZE]")
     told = parser.parse_args()
     known = catalogue()
@@ -237,7 +242,7 @@ def main() -> None:
         if name in known and known[name].kind == "effect"
         for place in (cause.places if cause.part == "ptu" else ("",)) or ("",)
     ]
-    floor = floor_of(told.program, told.soak)
+    floor = floor_of(told.program, told.soak, told.seed)
     sys.stdout.write(f"{told.program}: floor {floor:.1f}\n")
     sys.stdout.write(f"{'cause':32} {'effect':>11} {'left':>9} {'share':>8}  seconds  values\n")
     for one in wanted:
@@ -246,8 +251,9 @@ def main() -> None:
         begin = time.monotonic()
         try:
             e = energies(
-                cause, float(size) if size else None, place or None, told.program, told.soak
-            )
+                cause, float(size) if size else None, place or None, told.program, told.soak,
+                told.seed,
+            )  # fmt: skip
         except (ValueError, RuntimeError) as fault:
             sys.stdout.write(f"{one:32} {fault}\n")
             continue
