@@ -9,7 +9,7 @@ tests the catalogue makes.
 What to use when: `sights` in each round of the search; `Seen.of` for one set of signals.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,7 +24,8 @@ from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.plan.causes import noncentrality
 
 VANISHED = 1e-9  # of its energy: a signal with less left is the fit's own
-GRAM = 48  # signals of one cause whose likeness is looked at
+GRAM = 48  # signals of one cause that are looked at together, and whose likeness counts
+MOST_VALUES = 4_000_000  # of signals that are looked at together: memory counts
 MOST_PLACES = 3  # sizes with more parts are looked at together only
 
 
@@ -44,6 +45,8 @@ class Seen:
         values = np.zeros(energy.size)
         if not some.any():
             return cls(0.0, 0, values)
+        if energy.size == 1:
+            return cls(float(looked.score[0] ** 2 / energy[0]), 1, looked.score / energy)
         scale = np.sqrt(energy[some])
         alike = looked.information[np.ix_(some, some)] / np.outer(scale, scale)
         strength, along = np.linalg.eigh(alike)
@@ -128,19 +131,19 @@ def _of_term(
     best: dict[str | None, tuple[FloatArray, Seen]] = {}
     shown: dict[str | None, list[Shown]] = {place: [] for place, _ in scenes}
     wanted = {p: noncentrality(len(at), tests * max(looked, 1)) for p, at in scenes}
-    kept: list[FloatArray] = []
-    for row in rows:
-        white = projection.signals(partial(_directions, term, row), term=term)
-        says = projection.look(white)
-        if 1 < len(rows) == looked and len(rows) * len(white) <= GRAM:
-            kept.append(white)
-        for place, at in scenes:
-            own = says.part(at)
-            seen = Seen.of(own)
-            shown[place].append(_shown(term, row, at, own, wanted[place]))
-            if place not in best or seen.statistic > best[place][1].statistic:
-                best[place] = row, seen
-    looks = _independent(projection, kept) if kept else float(max(looked, 1))
+    counted = 1 < len(rows) == looked and len(rows) * len(scenes[0][1]) <= GRAM
+    looks = float(max(looked, 1))
+    for some, says in _looked_at(projection, term, rows, counted):
+        size = says.score.size // len(some)
+        if counted:
+            looks = _independent(says.information, size)
+        for k, row in enumerate(some):
+            for place, at in scenes:
+                own = says.part([k * size + j for j in at])
+                seen = Seen.of(own)
+                shown[place].append(_shown(term, row, at, own, wanted[place]))
+                if place not in best or seen.statistic > best[place][1].statistic:
+                    best[place] = row, seen
     found = []
     for place, (row, seen) in best.items():
         if seen.degrees_of_freedom:
@@ -150,34 +153,62 @@ def _of_term(
     return found
 
 
+def _looked_at(
+    projection: Projection, term: Term, rows: FloatArray, whole: bool
+) -> Iterator[tuple[list[FloatArray], Looked]]:
+    """Yield rows of a bank and what their signals say, several at a time: that is quicker.
+
+    `whole`: all rows at once.
+    """
+    some: list[FloatArray] = []
+    white: list[FloatArray] = []
+    for k, row in enumerate(rows):
+        some.append(row)
+        white.append(projection.signals(partial(_directions, term, row), term=term))
+        count = (len(some) + 1) * len(white[0])
+        full = not whole and (count > GRAM or count * white[0].shape[1] > MOST_VALUES)
+        if full or k + 1 == len(rows):
+            yield some, projection.look(white[0] if len(white) == 1 else np.concatenate(white))
+            some, white = [], []
+
+
 def _shown(term: Term, row: FloatArray, at: Sequence[int], looked: Looked, wanted: float) -> Shown:
     own = value_parameters(term)
     sizes = [indices(term, role="size")[k] for k in at]
     typical = np.array([own[k].typical for k in sizes])
     size = float(np.max(np.abs(row[sizes]) / typical))
-    values, vectors = np.linalg.eigh(looked.information * np.outer(typical, typical))
-    if values[0] <= VANISHED * float(np.max(looked.raw * typical**2)):
-        return Shown(size, np.inf, looked.taken.T @ (vectors[:, 0] * typical))
-    detectable = float(np.sqrt(wanted / values[0]))
-    return Shown(size, detectable, looked.taken.T @ (vectors[:, 0] * typical * detectable))
+    if len(at) == 1:
+        least, along = float(looked.information[0, 0]) * typical[0] ** 2, typical
+    else:
+        values, vectors = np.linalg.eigh(looked.information * np.outer(typical, typical))
+        least, along = float(values[0]), vectors[:, 0] * typical
+    if least <= VANISHED * float(np.max(looked.raw * typical**2)):
+        return Shown(size, np.inf, looked.taken.T @ along)
+    detectable = float(np.sqrt(wanted / least))
+    return Shown(size, detectable, looked.taken.T @ (along * detectable))
 
 
 def _directions(term: Term, row: FloatArray, scene: Scene) -> FloatArray:
     return term.directions(scene, row)
 
 
-def _independent(projection: Projection, kept: Sequence[FloatArray]) -> float:
-    """Return how many independent looks rows of a bank are, the most of their sizes."""
+def _independent(information: FloatArray, sizes: int) -> float:
+    """Return how many independent looks rows of a bank are, the most of their sizes.
+
+    Args:
+        information: of all signals, those of one row after the other.
+        sizes: signals of a row.
+    """
     several = []
-    for k in range(kept[0].shape[0]):
-        information = projection.look(np.stack([white[k] for white in kept])).information
-        energy = np.diag(information)
+    for k in range(sizes):
+        own = information[k::sizes, k::sizes]
+        energy = np.diag(own)
         some = energy > 1e-12 * max(float(energy.max()), 1e-300)
         if some.sum() < 2:
             several.append(1.0)
             continue
         scale = np.sqrt(energy[some])
-        alike = information[np.ix_(some, some)] / np.outer(scale, scale)
+        alike = own[np.ix_(some, some)] / np.outer(scale, scale)
         strength = np.clip(np.linalg.eigvalsh(alike), 0.0, None)
         several.append(float(np.sum(np.sqrt(strength)) ** 2 / np.sum(strength)))
     return max(several, default=1.0)
