@@ -29,9 +29,13 @@ LEAST = 20.0  # energy of an effect that can be seen at all
     ("cause", "place", "size"),
     [
         ("axis_nonorthogonality", None, None),
+        ("backlash", "pan", None),
+        ("backlash", "tilt", None),
         ("base_compliance", "pan", None),
         ("board_slip", None, None),
+        ("base_speed_jump", None, None),
         ("eccentricity", "pan", None),
+        ("eccentricity", "tilt", None),
         ("lost_steps", "pan", None),
         ("lost_steps", "tilt", None),
         ("lost_steps", "tilt", 1.0),
