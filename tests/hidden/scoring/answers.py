@@ -6,7 +6,7 @@ What to use when: `cases` for the folders of a corpus, `opened` for one answer.
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,7 +100,7 @@ def opened(case: Path, seal: str) -> Answer:
         groups=tuple(told.get("expected_groups") or ()),
         allowed=tuple(told.get("expected_set") or ()),
         near=told.get("near"),
-        calibration=_calibration(board),
+        calibration=_calibration(board, told["causes"]),
         gain=tuple(tuple(map(float, row)) for row in board["STM"]),
     )
 
@@ -127,8 +127,18 @@ def _flat(parameters: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
             yield name, float(value)
 
 
-def _calibration(board: Mapping[str, Any]) -> dict[str, float]:
-    """Return the true calibration of a board, its bias as the recording's mean."""
+def _calibration(board: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Return the true calibration of a board, its bias as the recording's mean.
+
+    The time offset is the whole lag: with a hidden filter that of the filter as it is.
+    """
     factors = factorise(np.array(board["STM"]))
-    values = [*factors.as_vector(), *board["mean_bias_rad_s"], board["time_offset_s"]]
+    offset_s = float(board["time_offset_s"])
+    for one in causes:
+        if one["cause"] == "low_pass_lag":
+            change = float(one["parameters"]["cutoff_change"]["value"])
+            # Butterworth, second order: its delay at zero frequency is sqrt(2) / omega.
+            delay_s = math.sqrt(2.0) / (2.0 * math.pi * float(board["low_pass"]["cutoff_hz"]))
+            offset_s += delay_s * (1.0 / (1.0 + change) - 1.0)
+    values = [*factors.as_vector(), *board["mean_bias_rad_s"], offset_s]
     return dict(zip(PARAMETERS, map(float, values), strict=True))
