@@ -60,7 +60,7 @@ def test_no_false_alarm_on_a_null(there: Sessions, line: Line) -> None:
     assert not one.alarmed, (one.sets, one.rest)
 
 
-@pytest.mark.parametrize("line", map(known, CAUSES))
+@pytest.mark.parametrize("line", [known(line) for line in CAUSES])
 def test_a_cause_is_found_and_no_other_is_named(there: Sessions, line: Line) -> None:
     one = there.outcome(line)
     assert one.alarmed
