@@ -32,13 +32,12 @@ from gyrorig_solver.discover.search import (
     ALPHA,
     Found,
     Standing,
-    beside,
     by_chance,
-    is_calm,
     search,
     testable,
     tests_of,
 )
+from gyrorig_solver.discover.wandering import beside, is_calm, wandering
 from gyrorig_solver.estimate.conclusion import TERMS
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution
@@ -54,7 +53,6 @@ from gyrorig_solver.model.terms.protocol import (
 from gyrorig_solver.solve import unit_solution
 
 GROUPS_ALPHA = 0.001  # as `search.ALPHA`, of what is odd without a name
-STILL_ODD = 0.05  # with the noise levels as they are
 FILLS = 0.8  # share of what is odd that names must explain, or they would fill a gap
 SHOWN_SIGMA = 3.0  # a part this many deviations from zero is where a cause acts
 
@@ -102,11 +100,11 @@ def conclude(
         begin: when the work began, `time.monotonic`.
         whose: of causes by label, where several boards were searched together.
     """
-    first = beside(base) if found.standings else found.last
+    first = Projection.of(base) if found.standings else found.last
     tests = tests_of(testable(found.last))
     jitter = look_for_jitter(found.last, tests, ALPHA)
-    every = _nameless(found.last, found.solution)
-    shown = _nameless(first, base) if found.standings else every
+    every = _nameless(found.solution, found.last)
+    shown = _nameless(base, first) if found.standings else every
     left = jitter.of(every)
     unexplained = _unexplained(found, left)
     if unexplained is not None and found.standings and unexplained.named_share < FILLS:
@@ -249,23 +247,15 @@ def _where(solution: Solution, k: int) -> tuple[str, ...]:
     return (max(strength, key=lambda place: strength[place]),)
 
 
-def _nameless(projection: Projection, solution: Solution) -> list[Signature]:
-    """Return the nameless tests beside a fit.
-
-    What calmed noise levels alone make odd may be the wandering of the bias: it is no more
-    odd than with the levels as they are, unless it is a little odd with those too.
-    """
-    found = signatures(projection)
+def _nameless(solution: Solution, as_found: Projection) -> list[Signature]:
+    """Return the nameless tests beside a fit; see `wandering` for what it may take for odd."""
     if is_calm(solution):
-        return found
-    own = {one.covariate: one.p_value for one in signatures(Projection.of(solution))}
-    doubted = [
-        replace(one, p_value=max(one.p_value, own.get(one.covariate, 1.0)))
-        if own.get(one.covariate, 1.0) > STILL_ODD
-        else one
-        for one in found
-    ]
-    return sorted(doubted, key=lambda one: (one.p_value, -one.statistic))
+        return signatures(as_found)
+    bias = wandering(solution)
+    found = signatures(beside(solution), None if bias.wild else as_found)
+    own = bias.signature
+    rest = [one for one in found if one.covariate != own.covariate or one.p_value < own.p_value]
+    return sorted([*rest, own], key=lambda one: (one.p_value, -one.statistic))
 
 
 def _unexplained(found: Found, left: Sequence[Signature]) -> Unexplained | None:

@@ -8,7 +8,7 @@ What to use when: `signatures` for the mean; `scatter` for what shows in the var
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -17,6 +17,7 @@ from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.chance import chi2_tail, normal_tail
 from gyrorig_solver.discover.result import Signature
 from gyrorig_solver.discover.scores import Seen
+from gyrorig_solver.discover.wandering import risen
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.sample_jitter import SampleJitter
 from gyrorig_solver.model.terms.scene import Scene, by_axis
@@ -25,6 +26,7 @@ PAN_KNOTS, TILT_KNOTS, SPEED_KNOTS, RATE_KNOTS, TIME_KNOTS, FEW_KNOTS = 24, 8, 6
 TRANSIENT_S, TRANSIENT_KNOTS = 0.5, 9
 LEAST_SPAN = 1e-6  # of a covariate: what does not change, nothing can depend on
 SINGLE = 4  # tests of the scatter
+WORTH_A_LOOK = 0.05  # by calmed levels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,15 +36,26 @@ class _Group:
     signal: Callable[[Scene], FloatArray]
 
 
-def signatures(projection: Projection) -> list[Signature]:
-    """Return all nameless tests of a residual, the least likely by chance first."""
+def signatures(projection: Projection, as_found: Projection | None = None) -> list[Signature]:
+    """Return all nameless tests of a residual, the least likely by chance first.
+
+    Args:
+        projection: the space beside the fit.
+        as_found: where its noise levels are calmed, the same with those that were found:
+            what passes for odd must make the likelihood rise, the levels found anew.
+    """
     groups = list(_groups(projection.scenes))
     tests = len(groups) + SINGLE
-    found = scatter(projection, tests)
+    found = scatter(as_found or projection, tests)
     for group in groups:
-        seen = Seen.of(projection.look(projection.signals(group.signal)))
+        white = projection.signals(group.signal)
+        seen = Seen.of(projection.look(white))
         if seen.degrees_of_freedom:
             p_value = chi2_tail(seen.statistic, seen.degrees_of_freedom)
+            if as_found is not None and p_value * tests < WORTH_A_LOOK:
+                rise = 2.0 * max(risen(projection, white, seen.values), 0.0)
+                seen = replace(seen, statistic=min(rise, seen.statistic))
+                p_value = chi2_tail(seen.statistic, seen.degrees_of_freedom)
             found.append(
                 Signature(
                     group.covariate,

@@ -18,9 +18,9 @@ from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.banks import all_rows
 from gyrorig_solver.discover.refit import Weighed, refit
 from gyrorig_solver.discover.scores import Sight, sights, where
+from gyrorig_solver.discover.wandering import beside, is_calm, log_likelihood
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution, solve_again
-from gyrorig_solver.estimate.noise import SPREAD, NoiseModel, ordinary_levels
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.bound import bound, label, recording_of
 from gyrorig_solver.model.terms.catalogue import catalogue
@@ -35,8 +35,6 @@ HOPELESS = 0.2  # of the leading statistic: a cause that sees less is not fitted
 NEAR = 25.0  # a place alone this much below all places together is not fitted alone,
 LITTLE = 3.0  # and all together not where they see no more than this beyond the best one
 MOST_CAUSES = 12
-CALM = 4.0  # times the power of an ordinary part's wandering
-SAME_LEVELS = 0.2  # relative: nothing hides behind levels that are an ordinary part's
 EQUAL = {"tilt_sag": ("eccentricity",)}  # on tilt the same function of its angle
 STATED = 0.95  # belief that the stated set holds the cause
 MOST_DOUBTS = 3  # causes that calmed levels alone make significant: the bias does wander
@@ -138,7 +136,8 @@ def search(base: Solution) -> Found:
         solution = after
         projection = beside(solution, calm)
     solution, standings = _reviewed(solution, terms, tests, fitted)
-    last = projection if not standings else beside(solution, calm)
+    same = not standings and (not calm or is_calm(solution))
+    last = projection if same else beside(solution, calm=False)
     return Found(solution, standings, last, tuple(found))
 
 
@@ -165,25 +164,6 @@ def _next(
     return None
 
 
-def beside(solution: Solution, calm: bool = True) -> Projection:
-    """Return the space beside a fit, its noise calmed or as it was found.
-
-    What a model lacks raises the levels that are found beside it, most of all the slow ones,
-    and hides behind them: effects three times as large as can just be detected made the
-    flicker look ten times an ordinary part's, and so themselves five times less significant.
-    """
-    if not calm or is_calm(solution):
-        return Projection.of(solution)
-    return Projection.of(solution, noises=[calmed(noise) for noise in solution.noises])
-
-
-def is_calm(solution: Solution) -> bool:
-    """Return whether a fit's own noise levels are an ordinary part's."""
-    return all(
-        np.allclose(calmed(one).levels, one.levels, rtol=SAME_LEVELS) for one in solution.noises
-    )
-
-
 def _likelier(before: Solution, after: Solution, best: _Best, tests: int) -> bool:
     """Return whether a cause that was found with calmed levels is one with those found anew.
 
@@ -203,26 +183,6 @@ def by_chance(one: Weighed, looks: float, tests: int) -> float:
     """
     sizes = sum(1 for k in one.extension.free if k in indices(one.extension.term, role="size"))
     return min(1.0, chi2_tail(2.0 * max(one.won, 0.0), sizes) * looks * tests)
-
-
-def calmed(noise: NoiseModel) -> NoiseModel:
-    """Return a noise that wanders no more than twice as much as an ordinary part's."""
-    most = np.stack([CALM * ordinary_levels(float(axis[0])) for axis in noise.levels])
-    most[:, 0] = np.inf
-    return replace(noise, levels=np.minimum(noise.levels, most))
-
-
-def log_likelihood(solution: Solution) -> float:
-    """Return Whittle's log likelihood of a fit's residual, the levels' priors in it."""
-    total = 0.0
-    for spectrum, noise in zip(solution.spectra, solution.noises, strict=True):
-        density = noise.density(spectrum.frequency_hz)
-        misfit = np.log(density) + spectrum.density / density
-        total -= 0.5 * float(np.sum(spectrum.count[:, None] * misfit))
-        for axis in noise.levels:
-            usual = ordinary_levels(float(axis[0]))[1:3]
-            total -= 0.5 * float(np.sum((np.log(axis[1:3] / usual) / SPREAD) ** 2))
-    return total
 
 
 def _contenders(
