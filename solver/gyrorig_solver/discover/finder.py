@@ -214,7 +214,8 @@ def _std(solution: Solution, k: int, event: float | None = None) -> list[float]:
     first = solution.estimate.size - sum(e.free.size for e in solution.extensions[k:])
     variance = np.diag(solution.decision.covariance)[first : first + one.free.size]
     found = np.full(one.values.size, np.inf)
-    found[one.free] = np.where(variance > 0.0, np.sqrt(np.clip(variance, 0.0, None)), np.inf)
+    shown = [solution.decision.shows(first + j) for j in range(one.free.size)]
+    found[one.free] = np.where(shown, np.sqrt(np.clip(variance, 0.0, None)), np.inf)
     if event is not None:
         found[[j for j in indices(one.term, role="event") if j not in one.free]] = event
     return [float(v) for v in found]
