@@ -179,9 +179,9 @@ def _noise_held() -> Iterator[None]:
         yield
 
 
-def _solved(program: str, soak_k: float | None, seed: int, hide: str | None = None) -> Solution:
+def _solved(program: str, soak_k: float | None, seed: int, *hidden: str) -> Solution:
     """Record a session in simulated time and fit the base model to it."""
-    told = ["--hide", hide] if hide else []
+    told = [word for one in hidden for word in ("--hide", one)]
     told += ["--soak", repr(soak_k)] if soak_k else []
     with tempfile.TemporaryDirectory() as folder:
         rates = Path(folder) / "rates.npz"
@@ -193,7 +193,7 @@ def _solved(program: str, soak_k: float | None, seed: int, hide: str | None = No
                  *told]
             )  # fmt: skip
         if code:
-            raise RuntimeError(f"recording {hide} ended with {code}")
+            raise RuntimeError(f"recording {hidden} ended with {code}")
         with np.load(rates) as file:
             board = next(name for name in file if name.endswith(".number")).partition(".")[0]
             unrounded = file[f"{board}.hidden_rad_s"]

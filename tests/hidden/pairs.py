@@ -1,0 +1,123 @@
+"""How much of the joint effect of several causes their terms leave together, without noise.
+
+What `completeness` does for one cause. Causes on one rig are a chain, so their effect is not
+the sum of what each does alone: terms that are merely added leave a fifth of a gap's and a
+rounded ramp's. Terms are begun where the finder's exact refit puts them, the one that
+explains most first, the next beside it, and then fitted together.
+
+Run: python tests/hidden/pairs.py [--program survey-40] [CAUSE[@PLACE]:SIZE,... ...]
+"""
+
+import argparse
+import importlib.util
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+from gyrorig_solver.discover.banks import all_rows
+from gyrorig_solver.discover.scores import sights
+from gyrorig_solver.discover.search import _with, best_fit, testable, tests_of
+from gyrorig_solver.estimate.likelihood import Solution
+from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.catalogue import catalogue
+from gyrorig_solver.model.terms.protocol import value_names
+
+GOAL = 0.005
+SEED = 7
+PAIRS = (
+    "backlash@tilt:0.0012,s_curve:0.03",
+    "backlash@pan:0.0012,s_curve:0.06",
+    "backlash@pan:0.0012,eccentricity@pan:0.0009",
+    "backlash@pan:0.0012,lost_steps@pan:8",
+    "backlash@pan:0.0012,clock_step:0.02",
+    "backlash@pan:0.0012,scale_asymmetry:0.004",
+    "backlash@tilt:0.0012,tilt_sag:0.002",
+    "s_curve:0.03,base_speed_jump:0.05",
+    "s_curve:0.03,base_compliance@pan:5e-5",
+    "acceleration_error:0.02,base_speed_jump:0.05",
+    "board_slip:0.012,worm_error@pan:0.0004",
+    "low_pass_lag:0.3,clock_step:0.01",
+    "low_pass_lag:0.3,ringing@pan:0.05",
+    "low_pass_lag:0.3,saturation:1.2",
+    "scale_quadratic:0.004,clock_skew:0.0005",
+)
+
+
+def completeness() -> ModuleType:
+    """Return the module for one cause; the tests' folders are no package."""
+    path = Path(__file__).with_name("completeness.py")
+    spec = importlib.util.spec_from_file_location("hidden_completeness", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(path)
+    if spec.name not in sys.modules:
+        sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[spec.name])
+    return sys.modules[spec.name]
+
+
+def left_share(
+    hidden: str, program: str = "survey-40", seed: int = SEED
+) -> tuple[float, float, Solution]:
+    """Return the share of causes' joint energy that their terms leave, the energy, the fit.
+
+    Args:
+        hidden: CAUSE[@PLACE][:SIZE] after a comma each.
+        program: of config/programs.
+        seed: of the rig and of what is drawn of the causes.
+    """
+    one = completeness()
+    told = hidden.split(",")
+    floor = one.floor_of(program, None, seed)
+    with one._noise_held():
+        base = one._solved(program, None, seed, *told)
+        found = together(base, [name.partition(":")[0].partition("@")[0] for name in told])
+    effect = one.energy(base) - floor
+    return (one.energy(found) - floor) / effect, effect, found
+
+
+def together(base: Solution, causes: list[str]) -> Solution:
+    """Fit causes beside a base fit, from where the finder would begin."""
+    solution, open_causes = base, list(causes)
+    while open_causes:
+        projection = Projection.of(solution)
+        tests = tests_of(testable(projection))
+        weighed = []
+        for cause in open_causes:
+            term = catalogue()[cause]
+            found = sights(projection, [term], tests, all_rows(projection, term))
+            best = best_fit(projection, [s for s in found if s.place is None])
+            if best is not None:
+                weighed.append(best[0])
+        if not weighed:
+            raise ValueError(f"{open_causes} could not be fitted")
+        first = max(weighed, key=lambda one: one.won)
+        solution = _with(solution, first.extension)
+        open_causes.remove(first.extension.term.cause)
+    return solution
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--program", default="survey-40")
+    parser.add_argument("causes", nargs="*", metavar="CAUSE[@PLACE]:SIZE,...")
+    told = parser.parse_args()
+    sys.stdout.write(f"{'causes':48} {'effect':>11} {'share':>8}  seconds  values\n")
+    for hidden in told.causes or PAIRS:
+        begin = time.monotonic()
+        share, effect, found = left_share(hidden, told.program)
+        said = " ".join(
+            f"{one.term.cause}.{name}={value:.4g}"
+            for one in found.extensions
+            for name, value in zip(value_names(one.term), one.values, strict=True)
+        )
+        sys.stdout.write(
+            f"{hidden:48} {effect:11.1f} {share:8.3%} {'' if share <= GOAL else '*':1} "
+            f"{time.monotonic() - begin:6.1f}  {said}\n"
+        )
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
