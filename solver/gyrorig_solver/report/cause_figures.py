@@ -11,6 +11,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.report.course import Course
 from gyrorig_solver.report.dependence import (
+    LEAST_BLOCKS,
     OF_CAUSE,
     OF_SIGNATURE,
     UNITS,
@@ -27,11 +28,13 @@ from gyrorig_solver.report.drawing import (
     stacked,
 )
 
+WITHOUT, WITH = "without it", "with it"
+BY_EFFECT = 14  # groups of equal size in a picture by effect
 CLOSE_S, EVENT_S = 1.4, 0.3  # of a picture close by, and of what is in its middle
 
 
 def cause_figure(course: Course, cause: str, key: str, where: Sequence[str]) -> str:
-    """Draw one cause: data, base model and extended model, by what the cause acts on."""
+    """Draw one cause: data, and the models without and with it, by what it acts on."""
     dependence = OF_CAUSE.get(cause)
     effect = course.effects[key]
     axis = strongest(effect)
@@ -39,11 +42,11 @@ def cause_figure(course: Course, cause: str, key: str, where: Sequence[str]) -> 
     if dependence == OF_CAUSE["eccentricity"] and motor == 1:
         dependence = Dependence("gain", "tilt")
     if dependence is None:
-        return close_by(course, effect, axis)
+        return _elsewise(course, effect, key, axis)
     data = in_bins(course, course.without(key), dependence, axis, motor)
     model = in_bins(course, effect, dependence, axis, motor)
     if data.centre.size < 3:
-        return close_by(course, effect, axis)
+        return _elsewise(course, effect, key, axis)
     figure, (panel,) = stacked(1, 3.4)
     panel.dots(
         data.centre,
@@ -55,18 +58,50 @@ def cause_figure(course: Course, cause: str, key: str, where: Sequence[str]) -> 
         markersize=4,
         label="data",
     )
-    panel.level(0.0, colour=SOFT, linewidth=1.1, linestyle="--", label="base model")
-    panel.plot(
-        model.centre, model.value, colour=AXIS_COLOURS[axis], linewidth=1.8, label="extended model"
-    )
+    panel.level(0.0, colour=SOFT, linewidth=1.1, linestyle="--", label=WITHOUT)
+    panel.plot(model.centre, model.value, colour=AXIS_COLOURS[axis], linewidth=1.8, label=WITH)
     panel.xlabel = label(dependence.covariate, motor)
-    panel.ylabel = f"{'xyz'[axis]}: {UNITS[dependence.quantity]}"
+    panel.ylabel = f"left on {'xyz'[axis]}, {UNITS[dependence.quantity]}"
+    panel.key = True
+    return figure.svg()
+
+
+def _elsewise(course: Course, effect: FloatArray, key: str, axis: int) -> str:
+    """Draw a cause that has no picture of its own here."""
+    if np.isfinite(course.angle_rad).any():
+        return close_by(course, effect, axis)
+    return by_effect(course, effect, key, axis)
+
+
+def by_effect(course: Course, effect: FloatArray, key: str, axis: int) -> str:
+    """Draw what is left without a cause by what the cause says: on the diagonal it is right.
+
+    For hand motion, where no moment shows an effect but all together do.
+    """
+    says, left = np.degrees(effect[:, axis]), np.degrees(course.without(key)[:, axis])
+    known = np.isfinite(says) & np.isfinite(left)
+    order = np.argsort(says[known])
+    groups = np.array_split(order, min(BY_EFFECT, max(1, order.size // LEAST_BLOCKS)))
+    at = np.array([says[known][g].mean() for g in groups])
+    value = np.array([left[known][g].mean() for g in groups])
+    bar = np.array([1.96 * left[known][g].std() / np.sqrt(g.size) for g in groups])
+    figure, (panel,) = stacked(1, 3.4)
+    panel.dots(
+        at, value, bar, colour=INK, bar_colour=BEFORE, linewidth=0.0, markersize=4, label="data"
+    )
+    panel.level(0.0, colour=SOFT, linewidth=1.1, linestyle="--", label=WITHOUT)
+    panel.plot(at, at, colour=AXIS_COLOURS[axis], linewidth=1.8, label=WITH)
+    panel.xlabel = f"what the cause adds on {'xyz'[axis]}, deg/s"
+    panel.ylabel = f"left on {'xyz'[axis]} without it, deg/s"
     panel.key = True
     return figure.svg()
 
 
 def close_by(course: Course, effect: FloatArray, axis: int) -> str:
-    """Draw the moment at which a change of the model is largest: rates, then what is left."""
+    """Draw the moment at which a cause's effect is largest: rates, then what is left.
+
+    All other causes are in both models.
+    """
     rows = _busiest(course, effect[:, axis])
     time_s = course.time_s[rows]
     figure, (above, below) = stacked(2, 4.6)
@@ -79,8 +114,8 @@ def close_by(course: Course, effect: FloatArray, axis: int) -> str:
         label="data",
     )
     for values, colour, style, words in (
-        (course.base_rad_s, SOFT, "--", "base model"),
-        (course.extended_rad_s, AXIS_COLOURS[axis], "-", "extended model"),
+        (course.extended_rad_s - effect, SOFT, "--", WITHOUT),
+        (course.extended_rad_s, AXIS_COLOURS[axis], "-", WITH),
     ):
         above.plot(
             time_s,
@@ -94,11 +129,11 @@ def close_by(course: Course, effect: FloatArray, axis: int) -> str:
     above.key = True
     below.plot(
         time_s,
-        np.degrees(course.left_base_rad_s[rows, axis]),
+        np.degrees((course.left_extended_rad_s + effect)[rows, axis]),
         colour=BEFORE,
         linewidth=1.2,
         markersize=2.2,
-        label="left by the base model",
+        label=f"left {WITHOUT}",
     )
     below.plot(
         time_s,
@@ -106,7 +141,7 @@ def close_by(course: Course, effect: FloatArray, axis: int) -> str:
         colour=AXIS_COLOURS[axis],
         linewidth=1.2,
         markersize=2.2,
-        label="left by the extended model",
+        label=f"left {WITH}",
     )
     below.level(0.0, colour=SOFT, linewidth=0.5)
     below.ylabel = "left, deg/s"
@@ -117,7 +152,7 @@ def close_by(course: Course, effect: FloatArray, axis: int) -> str:
 
 def rest_figure(course: Course, signature: str, axis: int | None) -> str:
     """Draw what no cause explains against what it depends on most."""
-    left = course.left_extended_rad_s
+    left = course.unexplained_rad_s
     if signature == "line":
         return spectrum(course)
     dependence = OF_SIGNATURE.get(signature)
@@ -139,7 +174,7 @@ def rest_figure(course: Course, signature: str, axis: int | None) -> str:
         )
     panel.level(0.0, colour=SOFT, linewidth=0.8)
     panel.xlabel = label(dependence.covariate, motor)
-    panel.ylabel = UNITS[dependence.quantity]
+    panel.ylabel = f"left, {UNITS[dependence.quantity]}"
     panel.key = True
     return figure.svg()
 
@@ -170,8 +205,9 @@ def spectrum(course: Course) -> str:
                 np.degrees(np.sqrt(density[:, axis])),
                 colour=colour,
                 linewidth=width,
-                label="xyz"[axis] if colour != BEFORE else "",
+                label="xyz"[axis] if colour != BEFORE else "base model" * (axis == 0),
             )
+    for axis in range(3):
         panel.plot(
             course.frequency_hz,
             np.degrees(np.sqrt(course.spectrum_model[:, axis])),
@@ -218,7 +254,7 @@ def dependences(course: Course) -> dict[str, str]:
             )
         panel.level(0.0, colour=SOFT, linewidth=0.6)
         panel.xlabel = label(dependence.covariate, motor)
-        panel.ylabel = f"{'xyz'[axis]}: {UNITS[dependence.quantity]}"
+        panel.ylabel = f"left on {'xyz'[axis]}, {UNITS[dependence.quantity]}"
         panel.key = True
         drawn[name] = figure.svg()
     return drawn

@@ -41,6 +41,7 @@ class Course:
     spectrum_base: FloatArray  # (k, 3), (rad/s)^2/Hz
     spectrum_extended: FloatArray  # (k, 3)
     spectrum_model: FloatArray  # (k, 3), the noise assumed
+    unnamed_rad_s: FloatArray | None = None  # (n, 3), what was fitted, but has no name
 
     @property
     def left_base_rad_s(self) -> FloatArray:
@@ -51,6 +52,12 @@ class Course:
     def left_extended_rad_s(self) -> FloatArray:
         """Measured minus extended model."""
         return self.measured_rad_s - self.extended_rad_s
+
+    @property
+    def unexplained_rad_s(self) -> FloatArray:
+        """Measured minus what has a name."""
+        left = self.left_extended_rad_s
+        return left if self.unnamed_rad_s is None else left + self.unnamed_rad_s
 
     def without(self, key: str) -> FloatArray:
         """Measured minus all of the extended model but one cause, (n, 3)."""
@@ -132,6 +139,7 @@ def course_of_attitudes(found: AttitudeExplained) -> Course:
     """
     space, causes = found.space, found.findings.causes
     named = [k for k, one in enumerate(space.extensions) if one in found.findings.extensions]
+    nameless = [one for k, one in enumerate(space.extensions) if k not in named]
     before, after = space.remaining(named), space.remaining()
     effects = {
         figure_key(cause.cause, cause.where): np.concatenate(
@@ -164,6 +172,10 @@ def course_of_attitudes(found: AttitudeExplained) -> Course:
         spectrum_base=spectra[0].density,
         spectrum_extended=_at(at, spectra[1].frequency_hz, spectra[1].density),
         spectrum_model=space.density(at),
+        unnamed_rad_s=sum(
+            (np.concatenate(space.in_band(partial(_effect, one))) for one in nameless),
+            np.zeros((n, 3)),
+        ),
     )
 
 

@@ -25,6 +25,7 @@ class Dependence:
     quantity: Quantity
     covariate: str
     bins: int = 24
+    ranked: bool = False  # as many blocks in each bin: what is seldom large has few bins else
 
 
 # What shows each cause; those that are not here show in time, close by (see `cause_figures`).
@@ -55,7 +56,6 @@ OF_CAUSE = {
     "step_resolution": Dependence("gain", "tilt", 10),
     "board_slip": Dependence("gain", "time", 12),
     "earth_rotation": Dependence("mean", "pan"),
-    "reference_smoothing": Dependence("mean", "bend"),
 }
 # The covariates of the nameless tests, see `discover.groups`.
 OF_SIGNATURE = {
@@ -64,8 +64,8 @@ OF_SIGNATURE = {
     "speed": Dependence("gain", "speed", 12),
     "own_rate": Dependence("mean", "own_rate"),
     "moving_bias": Dependence("mean", "speed", 16),
-    "frequency": Dependence("mean", "bend"),
-    "turning_axis": Dependence("mean", "across"),
+    "frequency": Dependence("mean", "bend", 16, ranked=True),
+    "turning_axis": Dependence("mean", "across", 16, ranked=True),
     "pan_angle": Dependence("gain", "pan"),
     "tilt_angle": Dependence("gain", "tilt", 10),
     "bias_pan": Dependence("mean", "pan"),
@@ -79,7 +79,7 @@ LABELS = {
     "tilt": "tilt, deg",
     "worm": "pan within one turn of the worm, deg",
     "worm_tilt": "tilt within one turn of the worm, deg",
-    "speed": "speed of the stage, deg/s",
+    "speed": "speed, deg/s",
     "own_rate": "rate about the same axis, deg/s",
     "bend": "second derivative of the rate about the same axis, deg/s³",
     "across": "rate across its own change, about the same axis, rad²/s³",
@@ -118,10 +118,10 @@ def in_bins(
     if known.sum() < LEAST_BLOCKS:
         return Bins(np.zeros(0), np.zeros(0), np.zeros(0))
     at, left, by = at[known], left[known], by[known]
-    index = np.minimum(
-        ((at - at.min()) / max(float(np.ptp(at)), 1e-12) * dependence.bins).astype(np.int64),
-        dependence.bins - 1,
-    )
+    along = (at - at.min()) / max(float(np.ptp(at)), 1e-12)
+    if dependence.ranked:
+        along = np.argsort(np.argsort(at)) / at.size
+    index = np.minimum((along * dependence.bins).astype(np.int64), dependence.bins - 1)
     count = np.bincount(index, minlength=dependence.bins)
     energy = np.bincount(index, by * by, dependence.bins)
     slope = np.bincount(index, by * left, dependence.bins) / np.maximum(energy, 1e-30)

@@ -42,9 +42,9 @@ def envelope(panel: Panel, time_s: FloatArray, values: FloatArray, colour: str) 
 
 _ALONE = (
     "<style>:root{font-family:sans-serif;--ink:#1f2328;--soft:#5c6470;--line:#c9ccd1;--grid:#e6e7e9;--x:#c2410c;"
-    "--y:#0f766e;--z:#4f46e5;--before:#b4b8bf;background:#fff}"
+    "--y:#0f766e;--z:#4f46e5;--before:#868d98;background:#fff}"
     "@media(prefers-color-scheme:dark){:root{--ink:#e7e9ec;--soft:#a0a7b2;--line:#4a505a;"
-    "--grid:#2b2f37;--x:#fb923c;--y:#2dd4bf;--z:#a5b4fc;--before:#646b76;background:#1c1f25}}"
+    "--grid:#2b2f37;--x:#fb923c;--y:#2dd4bf;--z:#a5b4fc;--before:#8b93a0;background:#1c1f25}}"
     "</style>"
 )
 

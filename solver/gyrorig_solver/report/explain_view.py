@@ -19,6 +19,7 @@ from gyrorig_solver.findings.wording import (
 from gyrorig_solver.model.terms.catalogue import catalogue
 
 _DEG = 180.0 / math.pi
+FIRST_ROWS = 12  # of what could be there unseen; the rest folds away
 WORTH_A_ROW, LEAST_ROWS = 0.3, 2  # standard deviations that a parameter moves by
 TONES = {"adequate": "good", "explained": "limited", "unexplained": "refused"}
 ON_WHAT = {
@@ -57,12 +58,14 @@ def view_of(document: FindingsDocument, figures: Mapping[str, str]) -> dict[str,
             for name, words in ON_WHAT.items()
             if f"on-{name}" in figures
         ],
-        "unseen": [_unseen(one) for one in document.minimal_detectable],
+        "unseen": [_unseen(one) for one in document.minimal_detectable[:FIRST_ROWS]],
+        "unseen_more": [_unseen(one) for one in document.minimal_detectable[FIRST_ROWS:]],
         "hidden": _hidden(document),
         "raw": document.raw,
         "many": len(document.recording) > 1,
         "changes": _changes(document.effect_on_calibration),
         "gain_how": document.gain.how if document.gain else "",
+        "elsewhere": _gain_text(document.elsewhere),
         "base": _base(document),
         "remarks": document.remarks,
         "recordings": document.recording,
@@ -114,6 +117,9 @@ def _tiles(document: FindingsDocument) -> list[dict[str, str]]:
                     f"most of all {most.parameter}",
                 )
             )
+    away = document.elsewhere
+    if away is not None and away.held_out_log_likelihood is not None:
+        out.append(_tile("on another recording", "", f"{_nats(away)} nats", _interval(away)))
     silent = [d for d in document.minimal_detectable if d.by_sigma is not None]
     if silent:
         worst = max(silent, key=lambda d: d.by_sigma or 0.0)
@@ -137,7 +143,10 @@ def _cause(cause: Cause, figures: Mapping[str, str]) -> dict[str, Any]:
         "part": cause.part,
         "one_of": [_lower(one) for one in cause.one_of],
         "seen_as": cause.evidence.seen_as[:1].upper() + cause.evidence.seen_as[1:],
-        "sizes": [(name, size_text(size)) for name, size in cause.parameters.items()],
+        "sizes": [
+            ("when" if name == "time" else name, size_text(size) + _since(name))
+            for name, size in cause.parameters.items()
+        ],
         "chance": "" if chance is None else _chance(chance),
         "statistic": "" if cause.gain is None else short(cause.evidence.statistic or 0.0),
         "remedy": cause.remedy,
@@ -156,6 +165,10 @@ def _cause(cause: Cause, figures: Mapping[str, str]) -> dict[str, Any]:
         "gain": _gain_text(cause.gain),
         "changes": _changes(cause.effect_on_calibration),
     }
+
+
+def _since(name: str) -> str:
+    return " after the recording's first sample" if name == "time" else ""
 
 
 def _chance(p_value: float) -> str:
@@ -202,7 +215,7 @@ def _changes(changes: Sequence[Change]) -> list[dict[str, str]]:
         out.append(
             {
                 "parameter": one.parameter,
-                "before": before,
+                "before": f"{before} {unit}".strip(),
                 "after": f"{after} ± {std} {unit}".strip(),
                 "sigma": f"{_sigma(one):.1f}",
             }

@@ -61,6 +61,8 @@ def _page(data: ReportData) -> dict[str, Any]:
             + (f"; condition number {seen.condition:.3g}." if seen.condition is not None else ".")
         ),
         "unobservable": collapsed(seen.unobservable),
+        "level": view.level_text(calibration),
+        "apart": view.apart_rows(calibration),
         "clock": view.clock_rows(data.clock) if data.clock is not None else [],
         "reference": data.reference.rstrip("."),
         "nominal_scale": f"{scale:.9g} rad/s" if scale else "the nominal scale",

@@ -156,6 +156,46 @@ def clock_rows(clock: Clock) -> list[tuple[str, str]]:
     return rows
 
 
+def level_text(calibration: Calibration) -> str:
+    """Return how the unit stands by the board's accelerometer; empty if it was not seen."""
+    level = calibration.quality.level
+    if level is None:
+        return ""
+    tilt, right, forward = (
+        " ± ".join(quantity(math.degrees(value), math.degrees(std)))
+        for value, std in zip(
+            (level.tilt_zero, *level.lean), (level.tilt_zero_std, *level.lean_std), strict=True
+        )
+    )
+    return (
+        f"By the board's accelerometer in {level.rests} rests: the zero of tilt, less how the "
+        f"board sits about x, is at {tilt}°; the pan axis leans by {right}° to the right and "
+        f"{forward}° forward."
+    )
+
+
+def apart_rows(calibration: Calibration) -> list[dict[str, str]]:
+    """Return what is each recording's own in a joint solve, row by row."""
+    return [
+        {
+            "name": own.name,
+            "bias": ", ".join(
+                _pair(value, std, math.degrees(1.0))
+                for value, std in zip(own.bias, own.bias_std, strict=True)
+            ),
+            "time_offset": _pair(own.time_offset, own.time_offset_std, 1e3),
+        }
+        for own in calibration.quality.recordings or []
+    ]
+
+
+def _pair(value: float | None, std: float | None, factor: float) -> str:
+    if value is None:
+        return "not shown"
+    text, error = quantity(factor * value, None if std is None else factor * std)
+    return f"{text} ± {error}" if error else text
+
+
 def inverse_gain(calibration: Calibration) -> FloatArray:
     """Return G⁻¹, or the identity where G is not all known or has none; shape (3, 3)."""
     rows = calibration.matrices.STM

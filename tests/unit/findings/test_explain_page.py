@@ -175,7 +175,32 @@ def test_every_kind_of_figure_is_drawn(cause: str) -> None:
     shown = replace(course(effect), effects={"own": effect})
     text = cause_figure(shown, cause, "own", ("pan",))
     assert text.startswith("<svg")
-    assert "extended model" in text
+    assert "with it" in text
+
+
+def test_without_a_unit_a_cause_is_drawn_by_what_it_says() -> None:
+    effect = 0.01 * np.sin(np.arange(N))[:, None] * np.ones((1, 3))
+    bare = replace(course(effect), effects={"own": effect}, angle_rad=np.full((2, N), np.nan))
+    text = cause_figure(bare, "reference_smoothing", "own", ())
+    assert "what the cause adds on" in text
+    assert "left on" in text
+
+
+def test_all_other_causes_are_in_both_models_of_a_picture() -> None:
+    """A large other cause must not show in the picture of a small one."""
+    own, other = np.zeros((N, 3)), np.zeros((N, 3))
+    own[4000:4010, 2], other[:, 2] = 0.01, 1.0
+    seen = course(own + other)
+    shown = replace(seen, effects={"own": own})
+    flat = replace(course(own), effects={"own": own})
+    assert close_scale(cause_figure(shown, "ringing", "own", ())) == close_scale(
+        cause_figure(flat, "ringing", "own", ())
+    )
+
+
+def close_scale(text: str) -> list[str]:
+    """The lower panel's numbers: what is left."""
+    return [w for w in page_of(text).words if w.strip().startswith("0.")][-3:]
 
 
 @pytest.mark.parametrize("covariate", [*OF_SIGNATURE, "line", "pan_transient", "moving"])

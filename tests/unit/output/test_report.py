@@ -10,7 +10,7 @@ import pytest
 
 from gyrorig_protocol.profile import parse_profile
 from gyrorig_solver.calibration.build import Provenance, calibration_of
-from gyrorig_solver.calibration.document import Calibration
+from gyrorig_solver.calibration.document import Calibration, Level, OwnOfRecording
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.report.data import ReportData
 from gyrorig_solver.report.html import render
@@ -117,3 +117,23 @@ def test_a_fit_without_arrays_or_clock_still_has_a_page(
 
 def test_the_same_fit_makes_the_same_page(good_fit: GyroFit, provenance: Provenance) -> None:
     assert report(good_fit, provenance) == report(good_fit, provenance)
+
+
+def test_level_and_what_is_each_recordings_own_are_said(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    level = Level(0.0035, 0.0002, [0.01, -0.002], [0.001, 0.001], 14)
+    own = [
+        OwnOfRecording("a.mcap", [0.01, None, -0.02], [0.001, None, 0.001], 0.004, 1e-5),
+        OwnOfRecording("b.mcap", [0.011, 0.0, -0.02], [0.001, 0.001, 0.001], None, None),
+    ]
+    document = made(good_fit, provenance)
+    plain = render(ReportData(document, None, None, None, ""))
+    assert "How the unit stands" not in plain
+    quality = msgspec.structs.replace(document.quality, level=level, recordings=own)
+    fuller = msgspec.structs.replace(document, quality=quality)
+    said = " ".join(page_of(render(ReportData(fuller, None, None, None, ""))).words)
+    assert "14 rests" in said
+    assert "+0.201 ± 0.011°" in said  # 0.0035 rad
+    assert "+4.000 ± 0.010" in said  # ms
+    assert "not shown" in said
