@@ -17,6 +17,7 @@ from gyrorig_solver.discover.boards import explain_boards
 from gyrorig_solver.discover.gain import held_out_by
 from gyrorig_solver.discover.hypotheses import owner
 from gyrorig_solver.discover.result import Explained
+from gyrorig_solver.discover.search import search
 from gyrorig_solver.discover.together import Heard, Together, disagreement, told
 from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.projection import Projection
@@ -110,6 +111,7 @@ def test_boards_are_put_together_by_their_recordings(
         assert one.findings.verdict == "adequate"
 
 
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("boards", [2, pytest.param(4, marks=pytest.mark.bench)])
 def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
     found = explain_boards(bases("low_pass_lag@GY80-2:0.3", boards=boards))
@@ -128,6 +130,7 @@ def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
         )
 
 
+@pytest.mark.timeout(600)
 @FEW_OR_ALL
 def test_boards_with_nothing_have_no_findings(bases: Bases, boards: int, program: str) -> None:
     for explained in explain_boards(bases(boards=boards, program=program)).values():
@@ -195,3 +198,19 @@ def test_a_board_that_is_told_the_rest_ends_where_all_do() -> None:
     assert knows.information == pytest.approx(two.information)
     assert disagreement([one, one]) == pytest.approx(1.0)
     assert disagreement([one, Heard(two.information, -40.0 * one.slope, 0.0)]) < 1e-6
+
+
+@pytest.mark.bench
+@pytest.mark.timeout(900)
+def test_what_no_board_sees_alone_all_of_them_see(hidden: Callable[..., Any], config: Path) -> None:
+    """Corners rounded over 6.5 ms are below what one board can be sure of in 40 s."""
+    session = hidden("s_curve:0.0065", seed=5, program="survey-40", config=config)
+    bases = {name: unit_solution([session.recording], name) for name in BOARDS}
+    assert search(bases[BOARDS[0]]).standings == ()
+    for explained in explain_boards(bases).values():
+        (named,) = explained.findings.causes
+        assert named.candidates == ("s_curve",)
+        assert named.whose is not None
+        assert named.whose.whose == "unit"
+        for value in named.values:
+            assert value.value == pytest.approx(0.0065, abs=FAR * value.std)
