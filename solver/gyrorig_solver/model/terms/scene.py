@@ -20,8 +20,10 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.model.between import Between
 from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.model.terms.temperature import Temperature
 from gyrorig_solver.reference.course import Course
@@ -272,8 +274,22 @@ class Scene:
         """Return the block means of what leaves the low-pass, shape (..., n, 3)."""
         if self.delay_s is None:
             return self.mean(output[..., self._first :: self.fine, :])
-        slope = np.asarray(np.gradient(output, self.step_s, axis=-2), dtype=np.float64)
-        return self.mean(self._between(output, slope, self.delay_s)[0])
+        return self._read_late(np.ascontiguousarray(np.swapaxes(output, -1, -2)))
+
+    def _read_late(self, output: FloatArray) -> FloatArray:
+        """Return block means of what leaves the low-pass, (..., 3, n), at the late instants."""
+        rows = output.reshape(-1, self.n)
+        found = np.empty((len(rows), self.use.size))
+        for k, row in enumerate(rows):
+            found[k] = self._late @ row
+        shaped = found.reshape(*output.shape[:-1], self.use.size)
+        return self.mean(np.swapaxes(shaped, -1, -2))
+
+    @cached_property
+    def _late(self) -> csr_array:
+        """What takes a signal (n,) to the instants, as late as they are."""
+        late = self.instants_s if self.delay_s is None else self.instants_s + self.delay_s
+        return Between.of(self.time_s, late).operator(self.step_s)
 
     def later(self, delay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what the sensor would show if each instant were later, and its slope.
@@ -286,34 +302,21 @@ class Scene:
             cubic Hermite interpolation; constant beyond the ends.
         """
         whole = delay_s if self.delay_s is None else delay_s + self.delay_s
-        return self._between(self.filtered_rad_s, self.filtered_slope_rad_s2, whole)
+        there = Between.of(self.time_s, self.instants_s + whole)
+        return there.read(self.filtered_rad_s, self.filtered_slope_rad_s2)
 
     @cached_property
     def now_rad_s(self) -> FloatArray:
         """What the sensor shows at its instants, as they are, (instants, 3)."""
         return self.later(np.zeros(self.use.size))[0]
 
-    def _between(
-        self, signal: FloatArray, signal_slope: FloatArray, delay_s: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return a signal (..., n, 3) and its slope at delayed instants, (..., instants, 3)."""
-        at = np.clip(self.instants_s + delay_s, self.time_s[0], self.time_s[-1])
-        k = np.clip(np.searchsorted(self.time_s, at, side="right") - 1, 0, self.n - 2)
-        width = (self.time_s[k + 1] - self.time_s[k])[:, None]
-        u = (at - self.time_s[k])[:, None] / width
-        low, high = signal[..., k, :], signal[..., k + 1, :]
-        rise = (high - low) / width
-        begin, end = signal_slope[..., k, :], signal_slope[..., k + 1, :]
-        c, d = 3.0 * rise - 2.0 * begin - end, begin + end - 2.0 * rise
-        value = low + width * u * (begin + u * (c + u * d))
-        slope = begin + u * (2.0 * c + 3.0 * u * d)
-        return np.asarray(value, np.float64), np.asarray(slope, np.float64)
-
     def seen(self, sensor_rate: FloatArray) -> FloatArray:
         """Return what of a rate at the sensor, (..., n, 3), shows in the block means."""
-        if self.low_pass is None or self.delay_s is not None:
-            return self.read(self.low_passed(sensor_rate))
+        if self.low_pass is None:
+            return self.read(sensor_rate)
         means = np.ascontiguousarray(np.swapaxes(sensor_rate, -1, -2))
+        if self.delay_s is not None:
+            return self._read_late(self.low_pass.apply_to_means(means))
         instants = self.low_pass.apply_to_instants(means, self.fine)
         return self.mean(np.swapaxes(instants[..., self.lead :], -1, -2))
 
