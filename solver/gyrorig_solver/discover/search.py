@@ -106,12 +106,15 @@ def search(base: Solution) -> Found:
     terms = testable(projection)
     tests = tests_of(terms)
     found: list[Sight] = []
+    seen: Projection | None = None  # what `found` is of
     barred: set[str] = set()
     doubted: set[str] = set()
     fitted: dict[str, set[str]] = {}
     while True:
         taken = {label(one.term) for one in solution.extensions}
-        found = sights(projection, [t for t in terms if label(t) not in taken], tests)
+        if seen is not projection:
+            found = sights(projection, [t for t in terms if label(t) not in taken], tests)
+            seen = projection
         usable = [s for s in found if label(s.term) not in barred | doubted]
         best = _next(projection, usable, taken, tests)
         if best is None or len(taken) >= MOST_CAUSES:
