@@ -11,7 +11,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.model.terms.bases import CurvedTerm, scanned
 from gyrorig_solver.model.terms.protocol import Link, Part, TermParameter
-from gyrorig_solver.model.terms.scene import Scene
+from gyrorig_solver.model.terms.scene import Scene, by_axis
 from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 
 SHARP = 3.0  # times the changes on either side: a jump (steppers start at a base speed)
@@ -43,7 +43,18 @@ class DeadZone(CurvedTerm):
 
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return what is not felt, (blocks, 3)."""
-        return scene.seen(_not_felt(scene.sensor_rate_rad_s, values))
+        rate = scene.sensor_rate_rad_s
+        lost = np.zeros_like(rate)
+        for axis in np.flatnonzero(values > 0.0):
+            own = slice(int(axis), int(axis) + 1)
+            lost[:, own] = _not_felt(np.ascontiguousarray(rate[:, own]), values[own])
+        return scene.seen(lost)
+
+    def directions(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return the effect of each axis' width per unit of it, (3, blocks, 3)."""
+        if np.any(values <= 0.0):
+            return super().directions(scene, values)
+        return by_axis(self.effect(scene, values) / values)
 
     def bank(self, scene: Scene) -> FloatArray:
         """Look from several widths; there is no derivative at zero."""

@@ -301,14 +301,23 @@ class Scene:
             G omega behind the low-pass and its time derivative, (instants, 3) each, by
             cubic Hermite interpolation; constant beyond the ends.
         """
+        if not delay_s.any():
+            return self._now
         whole = delay_s if self.delay_s is None else delay_s + self.delay_s
+        return self._later(whole)
+
+    def _later(self, whole: FloatArray) -> tuple[FloatArray, FloatArray]:
         there = Between.of(self.time_s, self.instants_s + whole)
         return there.read(self.filtered_rad_s, self.filtered_slope_rad_s2)
 
     @cached_property
     def now_rad_s(self) -> FloatArray:
         """What the sensor shows at its instants, as they are, (instants, 3)."""
-        return self.later(np.zeros(self.use.size))[0]
+        return self._now[0]
+
+    @cached_property
+    def _now(self) -> tuple[FloatArray, FloatArray]:
+        return self._later(np.zeros(self.use.size) if self.delay_s is None else self.delay_s)
 
     def seen(self, sensor_rate: FloatArray) -> FloatArray:
         """Return what of a rate at the sensor, (..., n, 3), shows in the block means."""
