@@ -12,6 +12,7 @@ from gyrorig_solver.model.recursive import recursed, step_invariant
 from gyrorig_solver.reference.course import Course, Instruction, Limits, lay
 
 _STILL_RAD = 1e-12  # rounding of an angle at rest
+_NO_WIDTH_S = 1e-5  # a difference of integrals over less is their rounding
 
 
 def play(angle_rad: FloatArray, gap_rad: float, begin: float) -> FloatArray:
@@ -44,7 +45,7 @@ def box_mean(edges_s: FloatArray, angle_rad: FloatArray, width_s: float) -> Floa
     Straight lines between edges h apart would add h^2/12 angle'' to width^2/24 angle''.
     Beyond the ends the angle stays what it is there.
     """
-    if width_s <= 0.0:
+    if width_s <= _NO_WIDTH_S:
         return angle_rad
     width = np.diff(edges_s)
     rise = np.diff(angle_rad) / width
