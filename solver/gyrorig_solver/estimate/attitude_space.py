@@ -28,7 +28,8 @@ from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import GAINS, PER_SESSION
 from gyrorig_solver.estimate.noise import NoiseModel, Periodogram, Sampling, binned, fit_levels
 from gyrorig_solver.estimate.observability import PRIOR_STD
-from gyrorig_solver.estimate.projection import Prior, Projection, Signal, Stretch
+from gyrorig_solver.estimate.projection import Prior, Projection, Signal
+from gyrorig_solver.estimate.stretch import Stretch
 from gyrorig_solver.model.terms.scene import Scene, Setting
 
 FINE_S = 0.01  # steps that functions of the rates are taken at: hands are slower

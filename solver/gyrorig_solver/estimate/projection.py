@@ -13,21 +13,21 @@ Inference, 6e.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Self
 
 import numpy as np
 from scipy.fft import dct, idct
 from scipy.sparse import block_diag, csc_array, csr_array
 
-from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.arrow import factor
 from gyrorig_solver.estimate.chain import Chain, columns_of, lost_without
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import GAINS, PER_SESSION, Solution
-from gyrorig_solver.estimate.noise import NoiseModel, frequencies
+from gyrorig_solver.estimate.noise import NoiseModel
 from gyrorig_solver.estimate.observability import PRIOR_STD
 from gyrorig_solver.estimate.products import product, sparse_product
+from gyrorig_solver.estimate.stretch import Stretch
 from gyrorig_solver.estimate.whitening import PartModel
 from gyrorig_solver.model.terms.bound import label
 from gyrorig_solver.model.terms.protocol import Term
@@ -36,63 +36,6 @@ from gyrorig_solver.model.terms.scene import Scene
 ONCE = 0.01  # share of a cause's information below which data do not tell of it
 
 Signal = Callable[[Scene], FloatArray]  # to (k, blocks, 3)
-
-
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """One series of one recording, its parts' state at a fit."""
-
-    session: int
-    used: tuple[BoolArray, ...]  # of each part
-    scenes: tuple[Scene, ...]
-    exact: tuple[Scene, ...]  # the same on the samples' own grid
-    models: tuple[PartModel, ...]
-    residuals: tuple[FloatArray, ...]  # (n, 3) each
-    noise: NoiseModel
-
-    def whitened(self, parts: Sequence[FloatArray]) -> FloatArray:
-        """Return signals (k, n, 3) of each part in units of the noise, (k, 3 blocks)."""
-        shaped = [
-            np.where(used[:, None], signal, 0.0) if not used.all() else signal
-            for signal, used in zip(parts, self.used, strict=True)
-        ]
-        along = [np.ascontiguousarray(one.transpose(0, 2, 1)) for one in shaped]
-        # Many causes act on one axis at a time: what is zero stays zero.
-        live = np.any([_nonzero(one) for one in along], axis=0)
-        axis = np.nonzero(live)[1]
-        spectra = [dct(one[live], axis=-1, norm="ortho", overwrite_x=True) for one in along]
-        constants = np.stack([spectrum[:, 0] for spectrum in spectra], axis=-1)
-        for k, weight in enumerate(self._weights):
-            spectra[k] *= weight[axis]
-        if len(parts) > 1:
-            # A long series' parts share its lowest frequencies; see `normal`.
-            blocks = sum(used.size for used in self.used)
-            rate_hz = self.noise.sampling.rate_hz
-            density = self.noise.density(frequencies(blocks, rate_hz)[: len(parts)])
-            weighed = dct(constants, axis=-1, norm="ortho")
-            weighed /= np.sqrt(density * rate_hz / 2.0).T[axis]
-            for k, spectrum in enumerate(spectra):
-                spectrum[:, 0] = weighed[:, k]
-        signals = []
-        for one, spectrum in zip(along, spectra, strict=True):
-            white = np.zeros_like(one)
-            white[live] = idct(spectrum, axis=-1, norm="ortho", overwrite_x=True)
-            signals.append(white.reshape(one.shape[0], -1))
-        return signals[0] if len(signals) == 1 else np.concatenate(signals, axis=1)
-
-    @cached_property
-    def _weights(self) -> tuple[FloatArray, ...]:
-        """One over the deviation of each part's coefficients, (3, n) each."""
-        return tuple(
-            np.ascontiguousarray(self.noise.variance(used.size).T) ** -0.5 for used in self.used
-        )
-
-
-def _nonzero(signals: FloatArray) -> BoolArray:
-    """Return which of (k, 3, n) are not zero throughout, (k, 3)."""
-    return np.array([[np.count_nonzero(axis) > 0 for axis in one] for one in signals]).reshape(
-        signals.shape[:2]
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
