@@ -32,6 +32,7 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 LEVELS, PER_LEVEL = 4, 4  # an event is looked for this many times, each so much finer
 NEAR_S = 2e-3  # an event known better than this lies on one smooth hill of the likelihood
 LOOKS_PER_SIDE = 20  # times to either side of one that is known worse
+SURE = 4.0  # deviations
 AT_BOUND = 1e-6  # of the range
 
 
@@ -45,7 +46,7 @@ class Weighed:
     evidence: float  # nats, Occam's factor counted
     std: FloatArray  # (free,)
     taken: FloatArray  # (board,), what its effect makes of the fit's parameters
-    impossible: bool  # it would be better still outside what is possible
+    impossible: bool  # better still outside what is possible, or a part of what is whole
     event_std: float | None = None  # of its event's time, s; None where it has none
 
 
@@ -288,12 +289,22 @@ def _weighed(
     held = _held(term, state, free)
     value = state.values[free]
     at_zero = np.array([own[k].role == "size" for k in free]) & (value == 0.0)
+    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    outside = bool(np.any(held[: sizes.size] & ~at_zero[: sizes.size]))
     return Weighed(
         extension=Extension(term, state.values, free),
         place=place,
         won=-state.cost,
         evidence=evidence,
-        std=np.sqrt(np.clip(np.diag(covariance), 0.0, None)),
+        std=std,
         taken=state.taken,
-        impossible=bool(np.any(held[: sizes.size] & ~at_zero[: sizes.size])),
+        impossible=outside or _parted(term, value, free, std),
     )
+
+
+def _parted(term: Term, value: FloatArray, free: IntArray, std: FloatArray) -> bool:
+    """Return whether a count is surely none: further from 1, 2, 3 ... than it may be off."""
+    own = value_parameters(term)
+    counts = np.array([own[k].whole for k in free], dtype=np.bool_)
+    off = np.abs(value - np.maximum(np.round(np.abs(value)), 1.0) * np.where(value < 0, -1.0, 1.0))
+    return bool(np.any(counts & (value != 0.0) & (off > SURE * std)))

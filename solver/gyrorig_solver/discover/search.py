@@ -124,7 +124,7 @@ def search(base: Solution) -> Found:
             projection = beside(solution, calm)
             continue
         cause = label(best.weighed.extension.term)
-        after = _with(solution, best.weighed.extension)
+        after = _timed_anew(_with(solution, best.weighed.extension))
         if calm and not _likelier(solution, after, best, tests):
             doubted.add(cause)
             if len(doubted) == MOST_DOUBTS:
@@ -254,6 +254,26 @@ def _with(solution: Solution, one: Extension) -> Solution:
         after = solve_again(solution, [*others, held])
     # What was a spike beside the model before may be none beside this one.
     return solve_again(after, after.extensions) if after.outliers else after
+
+
+def _timed_anew(solution: Solution) -> Solution:
+    """Return the fit with each event where it is now best, beside the last cause added.
+
+    An event is found when other causes are still to come; what its time is off by then,
+    later ones would have to fill.
+    """
+    causes = list(solution.extensions)
+    moved = False
+    for k, one in enumerate(causes[:-1]):
+        if not one.free.size or not indices(one.term, role="event"):
+            continue
+        others = [other for j, other in enumerate(solution.extensions) if j != k]
+        beside_it = Projection.of(solution, extensions=others, back=[one])
+        again = refit(beside_it, one.term, _place_of(one), [one.values])
+        if again is not None and not again.impossible:
+            causes[k] = replace(one, values=again.extension.values)
+            moved = True
+    return solve_again(solution, causes) if moved else solution
 
 
 def _without_needless(solution: Solution, known: tuple[Extension, ...], tests: int) -> Solution:

@@ -20,7 +20,15 @@ class LostSamples(TimeTerm):
     cause = "lost_samples"
     scope: Scope = "recording"
     parameters = (
-        TermParameter("count", "samples", typical=3.0, lower=0.0, upper=1000.0, prior_std=100.0),
+        TermParameter(
+            "count",
+            "samples",
+            typical=3.0,
+            lower=0.0,
+            upper=1000.0,
+            prior_std=100.0,
+            whole=True,
+        ),
         TermParameter(
             "time", "s", typical=1.0, lower=-np.inf, upper=np.inf, prior_std=np.inf, role="event"
         ),

@@ -60,6 +60,7 @@ class TermParameter:
     parts: tuple[str, ...] = ()  # x, y, z or pan, tilt; () is one value
     role: Role = "size"
     start: float = 0.0  # where a fit begins; of a size: no effect
+    whole: bool = False  # counts things: 0.23 of a sample was never lost
 
     @property
     def count(self) -> int:
