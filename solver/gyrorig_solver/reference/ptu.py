@@ -29,7 +29,7 @@ from gyrorig_solver.reference.table import Unknowns
 from gyrorig_solver.reference.track import Track, lay_tracks
 
 SAYS_MORE = 0.5  # of a prior deviation: what is known better than so is known by the answers
-OWN_LAW = 0.1  # polls ten times less sure: 50 us become half a millisecond
+OWN_LAW = 0.005  # polls so much less sure: 50 us become 10 ms
 
 
 @dataclass(frozen=True, eq=False)
