@@ -52,6 +52,7 @@ from gyrorig_solver.model.terms.protocol import (
 )
 from gyrorig_solver.solve import unit_solution
 
+SCATTERED = ("moving", "acceleration_scatter", "line", "wandering")  # no shape of a mean
 GROUPS_ALPHA = 0.001  # as `search.ALPHA`, of what is odd without a name
 FILLS = 0.8  # share of what is odd that names must explain, or they would fill a gap
 SHOWN_SIGMA = 3.0  # a part this many deviations from zero is where a cause acts
@@ -254,15 +255,15 @@ def _nameless(solution: Solution, as_found: Projection) -> list[Signature]:
         return signatures(as_found)
     bias = wandering(solution)
     found = signatures(beside(solution), None if bias.wild else as_found)
-    own = bias.signature
-    rest = [one for one in found if one.covariate != own.covariate or one.p_value < own.p_value]
-    return sorted([*rest, own], key=lambda one: (one.p_value, -one.statistic))
+    return sorted([*found, bias.signature], key=lambda one: (one.p_value, -one.statistic))
 
 
 def _unexplained(found: Found, left: Sequence[Signature]) -> Unexplained | None:
-    odd = tuple(one for one in left if one.p_value < GROUPS_ALPHA)
-    if not odd:
+    some = [one for one in left if one.p_value < GROUPS_ALPHA]
+    if not some:
         return None
+    # What is odd in the mean adds to the scatter too, and is the better lead.
+    odd = tuple(sorted(some, key=lambda one: one.covariate in SCATTERED))
     won = sum(2.0 * max(_won_here(s), 0.0) for s in found.standings)
     rest = max(one.statistic - one.degrees_of_freedom for one in odd)
     return Unexplained(odd[0], odd[1:], won / (won + rest) if won > 0.0 else 0.0)

@@ -33,7 +33,7 @@ from gyrorig_solver.estimate.projection import Projection
 
 WILD = 5.0  # times an ordinary part's wandering: that is odd in itself
 CALM = 4.0  # times the power of an ordinary part's wandering
-COVARIATE = "bias_time"
+COVARIATE = "wandering"
 SAME_LEVELS = 0.2  # relative: nothing hides behind levels that are an ordinary part's
 
 
@@ -87,7 +87,7 @@ def wandering(solution: Solution) -> Wandering:
     ratios = np.stack([excess(n) for n in solution.noises]).max(axis=0)
     worst = int(np.argmax(ratios))
     ratio = float(ratios[worst])
-    words = f"on the time, as a bias: it wanders {ratio:.1f} times as much as an ordinary part's"
+    words = f"on the time: the bias wanders {ratio:.1f} times as much as an ordinary part's"
     p_value = chi2_tail(rise, capped) if capped else 1.0
     return Wandering(
         ratio,

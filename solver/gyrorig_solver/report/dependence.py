@@ -61,6 +61,7 @@ OF_CAUSE = {
 OF_SIGNATURE = {
     "time": Dependence("gain", "time"),
     "bias_time": Dependence("mean", "time"),
+    "wandering": Dependence("mean", "time"),
     "speed": Dependence("gain", "speed", 12),
     "own_rate": Dependence("mean", "own_rate"),
     "moving_bias": Dependence("mean", "speed", 16),
