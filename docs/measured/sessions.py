@@ -30,6 +30,7 @@ from gyrorig_solver.samples import GyroSamples, load_samples
 ROOT = Path(__file__).resolve().parents[2]
 VARIABLE = "GYRORIG_DATA"
 STORE = "calibrations"
+EXPLAINED = "explained"  # the set of explain commands, and their folder
 
 # In the order of the page. Boards of `broad` are named by unit: 02, 05, 07 share one.
 COMMANDS: dict[str, tuple[str, ...]] = {
@@ -92,6 +93,21 @@ COMMANDS: dict[str, tuple[str, ...]] = {
         "gyrorig import car-imu-can $GYRORIG_DATA/car_imu_can/imu_pose.npz --out car.mcap",
         "gyrorig check car.mcap",
         "gyrorig solve car.mcap",
+    ),
+    EXPLAINED: (
+        "gyrorig explain 02.mcap --held-out 05.mcap --out explained/02",
+        "gyrorig explain 05.mcap --held-out 02.mcap --out explained/05",
+        "gyrorig explain 07.mcap --held-out 02.mcap --out explained/07",
+        "gyrorig explain 24.mcap --held-out 03.mcap --out explained/24",
+        "gyrorig explain 03.mcap --held-out 24.mcap --out explained/03",
+        "gyrorig explain 33.mcap --out explained/33",
+        "gyrorig explain 02.mcap 05.mcap --held-out 07.mcap --out explained/02-05",
+        "gyrorig explain car.mcap --out explained/car",
+        "gyrorig explain rest.mcap --out explained/rest",
+        "gyrorig explain still.mcap --out explained/still",
+        "gyrorig explain forward.mcap up.mcap rest.mcap --out explained/forward-up-rest",
+        "gyrorig explain xsens.mcap --out explained/xsens",
+        "gyrorig explain ferraris.mcap --out explained/ferraris",
     ),
 }
 

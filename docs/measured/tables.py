@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 from docs.markdown import number, table
-from docs.measured.sessions import Done, Measured
+from docs.measured.sessions import EXPLAINED, Done, Measured
 
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration.document import Calibration
@@ -23,6 +23,8 @@ def codes(measured: Measured) -> str:
     """How each command of each set ended."""
     rows = []
     for name, done in measured.done.items():
+        if name == EXPLAINED:
+            continue
         ended: dict[str, list[str]] = {"import": [], "check": [], "solve": []}
         for one in done:
             ended[one.line.split()[1]].append(str(one.exit_code))

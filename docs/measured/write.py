@@ -3,9 +3,9 @@
     python docs/measured/write.py            write every block
     python docs/measured/write.py --check    change nothing; 1 if a block differs
 
-Imports, checks and solves the six sets with the commands that the page shows, in a folder that
-is thrown away; half a minute. The measurements are not part of this repository: $GYRORIG_DATA is
-their folder, shared/data beside the checkout if it is not set.
+Imports, checks, solves and explains the six sets with the commands that the page shows, in a
+folder that is thrown away; two minutes. The measurements are not part of this repository:
+$GYRORIG_DATA is their folder, shared/data beside the checkout if it is not set.
 """
 
 import argparse
@@ -22,6 +22,7 @@ from docs.markdown import Block
 from docs.measured import (
     attitude_sets,
     cross_validation,
+    explained,
     gravity_sets,
     held_out_moves,
     tables,
@@ -60,6 +61,11 @@ TABLES: dict[str, Callable[[Measured], str]] = {
     "car-found": attitude_sets.car_found,
     "car-doubts": attitude_sets.car_doubts,
     "car-refused": attitude_sets.car_refused,
+    "explained-causes": explained.causes,
+    "explained-gains": explained.gains,
+    "explained-smoothing": explained.smoothing,
+    "explained-moving": explained.moving,
+    "explained-untold": explained.untold,
 }
 
 

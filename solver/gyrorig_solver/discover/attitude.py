@@ -148,6 +148,19 @@ def explain_beside(
     return AttitudeExplained(findings, fit, last, tuple(said))
 
 
+def space_beside(recordings: Sequence[Recording], board: str) -> AttitudeSpace:
+    """Return the space beside the base model's fit, for a question of one's own.
+
+    Args:
+        recordings: each with a reference attitude.
+        board: in each of them.
+
+    Raises:
+        InputError: the board is not there, or gyro and reference hardly overlap.
+    """
+    return _space(_loaded(recordings, board))[0]
+
+
 def _loaded(recordings: Sequence[Recording], board: str) -> list[Beside]:
     loaded = [(r, load_samples(r, board)) for r in recordings]
     settings = settings_of([(r, s, None) for r, s in loaded])

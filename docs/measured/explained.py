@@ -1,0 +1,144 @@
+"""What `gyrorig explain` says of the measured sets: causes, gains on data left out, the rest."""
+
+from functools import cache
+
+import numpy as np
+from docs.markdown import number, table
+from docs.measured.sessions import EXPLAINED, Measured
+
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.discover.attitude import space_beside
+from gyrorig_solver.discover.attitude_terms import MovingBias, ReferenceSmoothing
+from gyrorig_solver.estimate.extension import fitted
+from gyrorig_solver.findings.document import Cause, FindingsDocument, Gain, parse_findings
+from gyrorig_solver.findings.wording import size_text, verdict_words
+from gyrorig_solver.model.terms.bases import start_values
+
+TRIALS = ("02", "05", "07", "24", "03", "33")
+MOST = 3  # sizes of one cause that are written out
+
+
+def findings_of(measured: Measured, name: str) -> FindingsDocument:
+    """The findings that one explain command wrote."""
+    (path,) = (measured.folder / EXPLAINED / name).glob("*/findings.yaml")
+    return parse_findings(path.read_bytes(), path.name)
+
+
+def names(measured: Measured) -> list[str]:
+    """The folders of all explain commands, in the order of the page."""
+    return [one.line.rpartition("/")[2] for one in measured.done[EXPLAINED]]
+
+
+def causes(measured: Measured) -> str:
+    """Verdict, causes and what is left, one row a command."""
+    rows = []
+    for name in names(measured):
+        found = findings_of(measured, name)
+        rest = found.unexplained
+        left = [] if rest is None else [rest.best_covariate, *(o.covariate for o in rest.others)]
+        rows.append(
+            [
+                name,
+                verdict_words(found)[0].lower(),
+                "; ".join(_named(one) for one in found.causes) or "none",
+                "; ".join(dict.fromkeys(left)) or "nothing",
+            ]
+        )
+    return table(["recordings", "verdict", "causes", "what is left depends"], rows)
+
+
+def gains(measured: Measured) -> str:
+    """What the named causes are worth on data that they were not fitted to."""
+    rows = []
+    for name in names(measured):
+        found = findings_of(measured, name)
+        if found.gain is None:
+            continue
+        before, after = found.gain.residual_rms_before, found.gain.residual_rms_after
+        rows.append(
+            [
+                name,
+                _nats(found.gain),
+                f"{_mdps(before)} → {_mdps(after)}",
+                "-" if found.elsewhere is None else _where(found.elsewhere),
+                "-" if found.elsewhere is None else _nats(found.elsewhere),
+            ]
+        )
+    head = ["recordings", "windows left out, nats", "rms, mdeg/s", "other recording", "there, nats"]
+    return table(head, rows)
+
+
+def smoothing(measured: Measured) -> str:
+    """Over what time each trial's attitudes are means."""
+    rows = []
+    for name in TRIALS:
+        for cause in findings_of(measured, name).causes:
+            if cause.cause == ReferenceSmoothing.cause:
+                size = cause.parameters["variance"]
+                value, std = size.value or 0.0, size.std or 0.0
+                width_ms = 1e3 * np.sqrt(value)
+                rows.append(
+                    [name, f"{number(width_ms, 2)} ± {number(width_ms * std / value / 2.0, 2)}"]
+                )
+    return table(["trial", "attitudes are means over, ms rms"], rows)
+
+
+def moving(measured: Measured) -> str:
+    """The bias of the moving board less that of the resting one, as each trial shows it."""
+    rows = []
+    for name in TRIALS:
+        value, std = moving_bias(measured, name)
+        cells = [
+            f"{number(np.degrees(1e3 * v), 0)} ± {number(np.degrees(1e3 * s), 0)}"
+            for v, s in zip(value.tolist(), std.tolist(), strict=True)
+        ]
+        rows.append([name, *cells])
+    return table(["trial", *(f"{axis}, mdeg/s" for axis in "xyz")], rows)
+
+
+@cache
+def moving_bias(measured: Measured, name: str) -> tuple[FloatArray, FloatArray]:
+    """That difference of one trial and its deviation, rad/s, the reference's smoothing fitted."""
+    recording = read_recording(measured.folder / f"{name}.mcap")
+    space = space_beside([recording], recording.board_ids[0])
+    beside = space.with_causes([fitted(ReferenceSmoothing())])
+    term = MovingBias()
+    looked = beside.look(beside.signals(lambda scene: term.directions(scene, start_values(term))))
+    covariance = np.linalg.inv(looked.information)
+    return covariance @ looked.score, np.sqrt(np.diag(covariance))
+
+
+def untold(measured: Measured) -> str:
+    """Where nothing but the samples themselves could be looked at, and why."""
+    lines = []
+    for name in names(measured):
+        found = findings_of(measured, name)
+        if found.minimal_detectable:
+            continue
+        reasons = {one.reason for one in found.not_testable}
+        lines += [f"- {name}: {reason}" for reason in sorted(reasons)]
+    return "\n".join(lines)
+
+
+def _named(cause: Cause) -> str:
+    sizes = list(cause.parameters.items())
+    said = ", ".join(f"{name} {size_text(size)}" for name, size in sizes[:MOST])
+    also = "".join(f" or `{one}`" for one in cause.one_of)
+    return f"`{cause.cause}`{also} ({said}{', ...' if len(sizes) > MOST else ''})"
+
+
+def _nats(gain: Gain) -> str:
+    low, high = gain.interval or (None, None)
+    value = gain.held_out_log_likelihood
+    if value is None or low is None or high is None:
+        return "-"
+    return f"{value:+.1f} ({low:+.1f} to {high:+.1f})"
+
+
+def _where(gain: Gain) -> str:
+    return (gain.how or "").removeprefix("the recording ").partition(",")[0].partition(";")[0]
+
+
+def _mdps(value: float | None) -> str:
+    return "-" if value is None else number(float(np.degrees(1e3 * value)), 1)
