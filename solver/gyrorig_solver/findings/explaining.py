@@ -123,12 +123,12 @@ def explain_board(
         UsageError: recordings that cannot be looked at together.
     """
     ordered = sorted(recordings, key=lambda recording: recording.start_ns)
-    raw = _raw(ordered, board)
     if _of_a_unit(ordered):
         return _on_unit(ordered, explain(ordered, board), held_out)
     if rests_throughout(ordered, board):
         found = _on_unit(ordered, explain(ordered, board), None)
         return replace(found, remarks=solve_recordings(ordered, board).warnings)
+    raw = _raw(ordered, board)
     if any("/reference/attitude" in r.topics for r in ordered):
         return _beside_attitudes(ordered, board, raw, held_out)
     fit = solve_recordings(ordered, board)
