@@ -119,7 +119,7 @@ def _by_unit(
         chosen.extensions,
         chosen.settings,
     )
-    return replace(fit, level=_level(*found[-1][1:]))
+    return replace(fit, level=level_of(*found[-1][1:]))
 
 
 def unit_solution(recordings: Sequence[Recording], board: str) -> Solution:
@@ -204,7 +204,7 @@ def _check_unit(recordings: Sequence[Recording]) -> None:
         )
 
 
-def _level(samples: GyroSamples, reference: ReferenceMotion) -> StageLevel | None:
+def level_of(samples: GyroSamples, reference: ReferenceMotion) -> StageLevel | None:
     """Return how the accelerometer sees the stage stand, None where it cannot tell."""
     if not isinstance(reference, PtuReference) or samples.number.size > MOST_FOR_LEVEL:
         return None

@@ -101,6 +101,31 @@ def quantity(value: float, std: float | None) -> tuple[str, str]:
     return f"{value:+.{places}f}", f"{std:.{places}f}"
 
 
+def level_words(
+    tilt_zero_rad: tuple[float, float],
+    lean_rad: Sequence[float],
+    lean_std_rad: Sequence[float],
+    rests: int,
+) -> str:
+    """Return how the unit stands by the board's accelerometer.
+
+    Args:
+        tilt_zero_rad: value and standard deviation.
+        lean_rad: of the pan axis, to the right and forward.
+        lean_std_rad: the same's standard deviations.
+        rests: in which it was seen.
+    """
+    tilt, right, forward = (
+        " ± ".join(quantity(math.degrees(value), math.degrees(std)))
+        for value, std in (tilt_zero_rad, *zip(lean_rad, lean_std_rad, strict=True))
+    )
+    return (
+        f"By the board's accelerometer in {rests} rests: the zero of tilt, less how the board sits "
+        f"about x, is at {tilt}°; the pan axis leans by {right}° to the right and {forward}° "
+        "forward."
+    )
+
+
 def short(value: float) -> str:
     """Return a number with three significant digits, without an exponent where it can."""
     if value == 0.0:

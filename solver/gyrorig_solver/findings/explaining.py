@@ -17,6 +17,7 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration.profiles import find_profile
+from gyrorig_solver.calibration.wording import level_words
 from gyrorig_solver.discover.attitude import explain_attitudes
 from gyrorig_solver.discover.boards import explain_boards
 from gyrorig_solver.discover.finder import explain
@@ -34,7 +35,7 @@ from gyrorig_solver.report.course import Course, course_of, course_of_attitudes,
 from gyrorig_solver.report.drawing import alone
 from gyrorig_solver.report.explain_html import figures_of, render_findings
 from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import rests_throughout, solve_recordings, unit_solution
+from gyrorig_solver.solve import level_of, rests_throughout, solve_recordings, unit_solution
 
 UNJUDGED = "nothing here judges the residual over time: the reference has angles, no motion"
 NOTHING = "no cause was named, so {} had nothing to measure"
@@ -127,7 +128,7 @@ def explain_board(
         return _on_unit(ordered, explain(ordered, board), held_out)
     if rests_throughout(ordered, board):
         found = _on_unit(ordered, explain(ordered, board), None)
-        return replace(found, remarks=solve_recordings(ordered, board).warnings)
+        return replace(found, remarks=(*found.remarks, *solve_recordings(ordered, board).warnings))
     raw = _raw(ordered, board)
     if any("/reference/attitude" in r.topics for r in ordered):
         return _beside_attitudes(ordered, board, raw, held_out)
@@ -187,9 +188,28 @@ def _on_unit(
         findings=replace(explained.findings, elsewhere=_elsewhere(explained, held_out)),
         raw=(*_raw(ordered, board), judged),
         course=course_of(explained),
-        remarks=_no_gain(explained, held_out),
+        remarks=(*_stands(ordered, explained), *_no_gain(explained, held_out)),
         explained=explained,
     )
+
+
+def _stands(ordered: Sequence[Recording], explained: Explained) -> tuple[str, ...]:
+    """Say how the unit stands, and what is each recording's own where there are several."""
+    said = []
+    reference = explained.solution_extended.sessions[-1].reference
+    level = level_of(load_samples(ordered[-1], explained.board), reference)
+    if level is not None:
+        zero = level.tilt_zero_rad, level.tilt_zero_std_rad
+        said.append(level_words(zero, level.lean_rad, level.lean_std_rad, level.rests))
+    if len(ordered) > 1:
+        for recording, session in zip(ordered, explained.solution_extended.sessions, strict=True):
+            bias = ", ".join(f"{v:+.4f}" for v in np.degrees(session.bias_rad_s))
+            offset_ms = 1e3 * session.time_offset_s
+            said.append(
+                f"{recording.path.name} by itself: bias {bias} deg/s, "
+                f"time offset {offset_ms:.2f} ms"
+            )
+    return tuple(said)
 
 
 def _raw(ordered: Sequence[Recording], board: BoardId) -> list[RawEvidence]:

@@ -18,6 +18,7 @@ from gyrorig_solver.calibration.wording import (
     VERDICTS,
     Group,
     entries,
+    level_words,
     other_groups,
     quantity,
     short,
@@ -161,17 +162,8 @@ def level_text(calibration: Calibration) -> str:
     level = calibration.quality.level
     if level is None:
         return ""
-    tilt, right, forward = (
-        " ± ".join(quantity(math.degrees(value), math.degrees(std)))
-        for value, std in zip(
-            (level.tilt_zero, *level.lean), (level.tilt_zero_std, *level.lean_std), strict=True
-        )
-    )
-    return (
-        f"By the board's accelerometer in {level.rests} rests: the zero of tilt, less how the "
-        f"board sits about x, is at {tilt}°; the pan axis leans by {right}° to the right and "
-        f"{forward}° forward."
-    )
+    zero = level.tilt_zero, level.tilt_zero_std
+    return level_words(zero, level.lean, level.lean_std, level.rests)
 
 
 def apart_rows(calibration: Calibration) -> list[dict[str, str]]:
