@@ -184,7 +184,8 @@ def left_over_time(course: Course) -> str:
     figure, panels = stacked(3, 5.0)
     base, extended = course.left_base_rad_s, course.left_extended_rad_s
     for axis, panel in enumerate(panels):
-        envelope(panel, course.time_s, np.degrees(base[:, axis]), BEFORE)
+        if course.effects:
+            envelope(panel, course.time_s, np.degrees(base[:, axis]), BEFORE)
         envelope(panel, course.time_s, np.degrees(extended[:, axis]), AXIS_COLOURS[axis])
         panel.level(0.0, colour=SOFT, linewidth=0.5)
         panel.ylabel = f"{'xyz'[axis]}  deg/s"
@@ -196,8 +197,9 @@ def spectrum(course: Course) -> str:
     """Draw the density of what both models leave, and of the noise assumed."""
     figure, (panel,) = stacked(1, 3.6)
     for axis in range(3):
+        before = [(course.spectrum_base, BEFORE, 1.4)] if course.effects else []
         for density, colour, width in (
-            (course.spectrum_base, BEFORE, 1.4),
+            *before,
             (course.spectrum_extended, AXIS_COLOURS[axis], 1.0),
         ):
             panel.plot(
@@ -239,10 +241,10 @@ def dependences(course: Course) -> dict[str, str]:
         if before.centre.size < 3:
             continue
         figure, (panel,) = stacked(1, 2.7)
-        for found, colour, words in (
-            (before, BEFORE, "base model"),
-            (after, AXIS_COLOURS[axis], "extended model"),
-        ):
+        # Where no cause was found there is but one model.
+        pairs = [(before, BEFORE, "base model")] if course.effects else []
+        last = "extended model" if course.effects else "base model"
+        for found, colour, words in (*pairs, (after, AXIS_COLOURS[axis], last)):
             panel.dots(
                 found.centre,
                 found.value,

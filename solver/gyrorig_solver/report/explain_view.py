@@ -52,6 +52,7 @@ def view_of(document: FindingsDocument, figures: Mapping[str, str]) -> dict[str,
         "causes": [_cause(one, figures) for one in document.causes],
         "rest": _rest(document, figures),
         "left": figures.get("left", ""),
+        "two_models": any(one.harm_sigma is not None for one in document.causes),
         "density": figures.get("density", ""),
         "on_what": [
             {"svg": figures[f"on-{name}"], "words": words}
