@@ -3,7 +3,7 @@
 The answers are opened here and nowhere before; each must be the one whose seal was in the
 case's line when the finder had its say.
 
-Run: python tests/hidden/score_cases.py CORPUS... --results RESULTS.jsonl [--out scores.json]
+Run: python tests/hidden/score_cases.py CORPUS... --results RESULTS.jsonl... [--out scores.json]
 """
 
 import argparse
@@ -21,13 +21,17 @@ from tests.hidden.scoring.kept import Kept, write_kept
 from tests.hidden.scoring.outcome import Outcome, outcome_of
 
 
-def judged(corpora: Sequence[Path], results: Path) -> Kept:
+def judged(corpora: Sequence[Path], results: Sequence[Path]) -> Kept:
     """Return the outcome of every case that was explained.
+
+    Args:
+        corpora: folders of cases.
+        results: files of lines; no seed is in two corpora.
 
     Raises:
         SealError: an answer is not the one that was sealed when the finder had its say.
     """
-    lines = results_of(results)
+    lines = {seed: line for path in results for seed, line in results_of(path).items()}
     outcomes = []
     for corpus in corpora:
         for case in cases(corpus):
@@ -37,7 +41,8 @@ def judged(corpora: Sequence[Path], results: Path) -> Kept:
     there = {one.seed for one in outcomes}
     gaps = [
         Gap(seed, row["nats"], row["short"], row["values"])
-        for seed, row in results_of(held_path(results)).items()
+        for path in results
+        for seed, row in results_of(held_path(path)).items()
         if seed in there
     ]
     return Kept(sorted(outcomes, key=lambda one: one.seed), sorted(gaps, key=lambda one: one.seed))
@@ -77,7 +82,7 @@ def main() -> None:
     """Judge, say, and keep."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("corpus", type=Path, nargs="+")
-    parser.add_argument("--results", type=Path, required=True)
+    parser.add_argument("--results", type=Path, nargs="+", required=True)
     parser.add_argument("--out", type=Path, help="keep the outcomes here")
     told = parser.parse_args()
     kept = judged(told.corpus, told.results)

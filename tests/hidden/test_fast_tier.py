@@ -26,7 +26,6 @@ SMALL = [*NULLS[:3], *(one for one in CAUSES if one["cause"] in FEW), *OUTSIDE[:
 # What the finder gets wrong: each a miss of a goal, told in docs/discovery-scores.md. Whoever
 # mends one takes its line out.
 KNOWN = {
-    "clock_step": "called lost samples, 0.23 of one",
     "step_resolution": "called tilt's sag or eccentricity, from which this motion hardly tells it",
     "warm_up": "taken for a bias that wanders, beside a room that warms",
 }

@@ -38,6 +38,7 @@ def picture() -> str:
 
 BLOCKS: dict[str, Block] = {
     "cases": lambda: tables.cases(kept().outcomes),
+    "reached": lambda: tables.reached(kept().outcomes),
     "goals": lambda: tables.goals(kept().outcomes, kept().gaps),
     "nulls": lambda: tables.nulls(kept().outcomes),
     "causes": lambda: tables.causes(kept().outcomes),

@@ -6,7 +6,7 @@ What to use when: `GOALS` for the whole list in the order of the page; a single 
 from dataclasses import dataclass
 from typing import Literal
 
-NULLS = 1000  # sessions with nothing in them that the full tier asks for
+NULLS, HIDDEN = 1000, 1000  # sessions that the long tier asks for, at least
 FALSE_ALARMS, FALSE_ALARMS_UPPER = 0.01, 0.015
 SOLE_RIGHT, SOLE_RIGHT_SOAK = 0.98, 0.99
 WRONG_NAMES, WRONG_NAMES_AMONG = 0, 1000

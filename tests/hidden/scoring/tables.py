@@ -22,7 +22,7 @@ from tests.hidden.scoring.figures import (
     right_group,
     sole_right,
 )
-from tests.hidden.scoring.goals import BOUND, GOALS, RUNG_WIDTH, RUNGS, Goal
+from tests.hidden.scoring.goals import BOUND, GOALS, HIDDEN, NULLS, RUNG_WIDTH, RUNGS, Goal
 from tests.hidden.scoring.outcome import AMONG, Outcome, is_sole
 from tests.hidden.scoring.shares import Share
 
@@ -42,6 +42,21 @@ def cases(outcomes: Outcomes) -> str:
         soaked, decoys = sum(o.soak for o in own), sum(o.decoy is not None for o in own)
         rows.append((kind, str(len(own)), programs, str(soaked), str(decoys)))
     return table(("kind", "cases", "program", "with a soak", "with a decoy"), rows)
+
+
+def reached(outcomes: Outcomes) -> str:
+    """How much of what is asked for was run."""
+    alone = sum(one.kind == "null" for one in outcomes)
+    other = len(outcomes) - alone
+    said = [
+        f"- {what}: {count} of {asked} were run"
+        + ("." if count >= asked else "; the limits are as wide as that makes them.")
+        for what, count, asked in (
+            ("Sessions with nothing hidden", alone, NULLS),
+            ("Sessions with something hidden", other, HIDDEN),
+        )
+    ]
+    return "\n".join(said)
 
 
 def goals(outcomes: Outcomes, gaps: Sequence[Gap]) -> str:
