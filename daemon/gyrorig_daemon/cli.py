@@ -22,10 +22,16 @@ def main() -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Carry out a command line and return its exit code."""
-    from gyrorig_daemon.commands import cli  # noqa: PLC0415 - see above
-
     try:
-        returned = cli.main(list(arguments), prog_name="gyrorigd", standalone_mode=False)
+        if arguments[:1] == ["halt"]:  # at once, and when little else works: not all commands
+            from gyrorig_daemon.halt_command import halt_command  # noqa: PLC0415
+
+            name, rest = "gyrorigd halt", list(arguments[1:])
+            returned = halt_command.main(rest, prog_name=name, standalone_mode=False)
+        else:
+            from gyrorig_daemon.commands import cli  # noqa: PLC0415 - see above
+
+            returned = cli.main(list(arguments), prog_name="gyrorigd", standalone_mode=False)
         if sys.stdout is not None:  # closed by whoever started us
             sys.stdout.flush()
     except BrokenPipeError:

@@ -19,6 +19,7 @@ from gyrorig_daemon import record
 from gyrorig_daemon.config import load_rig, parse_rig, read_document
 from gyrorig_daemon.description import SessionOrder
 from gyrorig_daemon.emulation import Emulation, rough_session_s
+from gyrorig_daemon.halt_command import halt_command
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
@@ -65,6 +66,9 @@ def cli() -> None:
 
     Example: gyrorigd record --config config/rig.yaml --program config/programs/survey-40.yaml
     """
+
+
+cli.add_command(halt_command)
 
 
 @cli.command("record")

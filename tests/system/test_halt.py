@@ -1,0 +1,379 @@
+"""`gyrorigd halt`: the unit stands, whatever became of the daemon, and the word is true."""
+
+import fcntl
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gyrorig_daemon import halt
+from gyrorig_daemon.cli import run
+from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.settings import PtuFaults, PtuSettings, RigSettings
+from gyrorig_daemon.halt import PATIENCE_S, halt_unit
+from gyrorig_protocol.errors import DeviceError
+
+GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
+E46 = PtuSettings(baud=115200)
+BOTH_TURN = b"PS200 TS100 PP3000 TP600 "  # 15 s and 6 s
+PAN_STEPS, TILT_STEPS = 3000, 600
+
+
+class Emulated:
+    """An emulated rig on ptys, served in a thread; it may be put in motion beforehand."""
+
+    def __init__(self, settings: PtuSettings, orders: bytes = b"", only_at: int = 0) -> None:
+        self.rig = EmulatedRig(RigSettings(seed=1, ptu=settings), raw_now_ns())
+        self.server = PtyServer(self.rig)
+        self.port = self.server.paths["ptu"]
+        self.board = self.server.paths["board:GY80-1"]
+        self.moves = threading.Event()
+        self.ramps = threading.Event()  # pan is so fast that it cannot stop at once
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self.server.run, args=(self._look,))
+        if self.rig.ptu is None:
+            raise AssertionError
+        if orders:
+            self.rig.ptu.receive(orders, raw_now_ns())
+        if only_at:
+            self._gate(only_at)
+
+    def turning(self) -> bool:
+        now_s = (raw_now_ns() - self.rig.origin_ns) * 1e-9
+        return self.rig.stage.pan.moving(now_s) or self.rig.stage.tilt.moving(now_s)
+
+    def steps(self) -> tuple[int, int]:
+        now_s = (raw_now_ns() - self.rig.origin_ns) * 1e-9
+        return self.rig.stage.pan.count(now_s), self.rig.stage.tilt.count(now_s)
+
+    def halts(self) -> int:
+        return [order[0] for order in self.rig.stage.pan.orders].count("halt")
+
+    def _look(self) -> bool:
+        if self.turning():
+            self.moves.set()
+        now_s = (raw_now_ns() - self.rig.origin_ns) * 1e-9
+        if abs(self.rig.stage.pan.state(now_s)[1]) > 1700.0:
+            self.ramps.set()
+        return self._ended.is_set()
+
+    def _gate(self, baud: int) -> None:
+        """Let the unit hear only what is sent at one rate, as a real line does."""
+        ptu, master = self.rig.ptu, self.server._ptys["ptu"].master
+        if ptu is None:
+            raise AssertionError
+        hear = ptu.receive
+        speed = getattr(termios, f"B{baud}")
+
+        def receive(data: bytes, at_ns: int) -> None:
+            if termios.tcgetattr(master)[5] == speed:
+                hear(data, at_ns)
+
+        ptu.receive = receive  # type: ignore[method-assign]
+
+    def __enter__(self) -> "Emulated":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+        self.server.close()
+
+
+@contextmanager
+def scripted(answer: Callable[[bytes], bytes]) -> Iterator[str]:
+    """A device on a pty that answers each read by `answer`; b"" asks for a spontaneous word."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    ended = threading.Event()
+
+    def serve() -> None:
+        os.set_blocking(master, False)
+        while not ended.wait(0.005):
+            data = b""
+            with suppress(BlockingIOError):
+                data = os.read(master, 4096)
+            with suppress(BlockingIOError):
+                os.write(master, answer(data))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        ended.set()
+        thread.join()
+        os.close(slave)
+        os.close(master)
+
+
+def rig_yaml(folder: Path, port: str, board: str = "/dev/none", baud: int = 115200) -> str:
+    path = folder / "rig.yaml"
+    path.write_text(
+        f"rig: system\nptu: {{port: {port}, baud: {baud}}}\n"
+        f"boards: [{{id: B-1, port: {board}, baud: 460800}}]\n"
+    )
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        replace(E46, echo=True, verbose=True),
+        replace(E46, echo=False, verbose=False, command_time_ms=20.0),
+        replace(E46, dialect="d46", echo=True, verbose=False),
+        replace(E46, dialect="d46", echo=False, verbose=True, command_time_ms=100.0, baud=9600),
+    ],
+    ids=["e46", "e46-terse", "d46-terse-echo", "d46-slow"],
+)
+def test_halted_in_motion(
+    tmp_path: Path, settings: PtuSettings, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Emulated(settings, BOTH_TURN) as unit:
+        assert unit.moves.wait(5)
+        config = rig_yaml(tmp_path, unit.port, baud=settings.baud)
+        assert run(["halt", "--config", config, "--json"]) == 0
+        assert not unit.turning()
+        pan, tilt = unit.steps()
+        assert 0 < pan < PAN_STEPS
+        assert 0 < tilt < TILT_STEPS
+    told = capsys.readouterr()
+    assert json.loads(told.out) == {
+        "halted": True,
+        "port": unit.port,
+        "baud": settings.baud,
+        "pan_steps": pan,
+        "tilt_steps": tilt,
+    }
+    assert told.err == ""
+
+
+def test_the_word_is_given_when_it_stands_not_when_it_was_told(tmp_path: Path) -> None:
+    fast = replace(E46, speed_steps_s=2900, acceleration_steps_s2=2000)
+    with Emulated(fast, b"PP-3000 ") as unit:
+        pan = unit.rig.stage.pan
+        assert unit.ramps.wait(5)
+        begun = time.monotonic()
+        stands = halt_unit(unit.port, (115200,))
+        took_s = time.monotonic() - begun
+        assert not unit.turning()
+        assert stands.pan_steps == unit.steps()[0] > -3000
+        (halted_s,) = [order[1] for order in pan.orders if order[0] == "halt"][:1]
+        assert pan.rests_at_s() - halted_s > 0.25  # it ramped down, and was waited for
+        assert took_s < PATIENCE_S
+
+
+def test_a_command_cut_short_by_a_death(tmp_path: Path) -> None:
+    with Emulated(E46, b"PS200 PP3000 PP-30") as unit:  # the writer died before the last 00
+        assert unit.moves.wait(5)
+        halt_unit(unit.port, (115200,))
+        assert not unit.turning()
+
+
+def test_no_answer_is_lost_for_a_few_faults() -> None:
+    faults = PtuFaults(garbage_every=3, lose_byte_every=7)
+    with Emulated(replace(E46, faults=faults), BOTH_TURN) as unit:
+        assert unit.moves.wait(5)
+        halt_unit(unit.port, (115200,))
+        assert not unit.turning()
+
+
+def test_killed_with_its_acquisition_process_the_daemon_leaves_it_moving_and_halt_ends_that(
+    tmp_path: Path,
+) -> None:
+    program = tmp_path / "program.yaml"
+    program.write_text("name: p\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 12.0}\n")
+    with Emulated(replace(E46, command_time_ms=2.0)) as unit:
+        config = rig_yaml(tmp_path, unit.port, unit.board)
+        daemon = subprocess.Popen(
+            [*GYRORIGD, "record", "--config", config, "--program", program, "--out", tmp_path]
+        )
+        assert unit.moves.wait(30)
+        children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
+        both = [daemon.pid, *map(int, children)]
+        assert len(both) == 2
+        halts = unit.halts()
+        for number in (signal.SIGSTOP, signal.SIGKILL):  # neither may see the other's end
+            for pid in both:
+                os.kill(pid, number)
+        daemon.wait()
+        assert unit.turning()
+        ended = subprocess.run(
+            [*GYRORIGD, "halt", "--config", config], capture_output=True, text=True, check=False
+        )
+        assert (ended.returncode, ended.stderr) == (0, "")
+        assert unit.halts() > halts
+        assert not unit.turning()
+        pan, tilt = unit.steps()
+        assert 0 < pan < 2917
+        assert ended.stdout == (
+            f"the unit on {unit.port} stands at pan {pan}, tilt {tilt} steps (115200 baud)\n"
+        )
+
+
+def test_another_rate_than_configured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(halt, "FIRST_ANSWER_S", 0.3)
+    with Emulated(replace(E46, baud=19200), BOTH_TURN, only_at=19200) as unit:
+        assert unit.moves.wait(5)
+        assert run(["halt", "--config", rig_yaml(tmp_path, unit.port)]) == 0
+        assert not unit.turning()
+    assert capsys.readouterr().out.endswith("(19200 baud, not 115200)\n")
+
+
+def test_a_silent_port_ends_within_seconds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with scripted(lambda _: b"") as port:
+        begun = time.monotonic()
+        assert run(["halt", "--config", rig_yaml(tmp_path, port)]) == 1
+        assert time.monotonic() - begun < PATIENCE_S
+    told = capsys.readouterr().err
+    assert "nothing answers" in told
+    assert "look whether the unit stands" in told
+    assert told.count("\n") == 1
+
+
+def test_what_is_no_unit_is_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(halt, "FIRST_ANSWER_S", 0.2)
+    with Emulated(E46) as rig, pytest.raises(DeviceError, match="is no pan-tilt unit"):
+        halt_unit(rig.board, (460800,))
+    noise = bytes(range(256)) * 2
+    with scripted(lambda _: noise) as port, pytest.raises(DeviceError, match="is no pan-tilt"):
+        halt_unit(port, (9600,))
+    with scripted(lambda sent: sent) as port, pytest.raises(DeviceError, match="only sends back"):
+        halt_unit(port, (9600,))
+
+
+def test_a_unit_that_does_not_stand() -> None:
+    answers = {b"V": b"* Pan-Tilt v1.90.0(D46 C14/E)", b"H": b"*"}
+    steps = iter(range(10**6))
+
+    def answer(sent: bytes) -> bytes:
+        words = (answers.get(word) or b"* %d" % next(steps) for word in sent.split())
+        return b"".join(word + b"\r\n" for word in words)
+
+    with scripted(answer) as port, pytest.raises(DeviceError, match="was not seen to stand"):
+        halt_unit(port, (9600,), patience_s=1.0)
+
+
+def test_a_unit_that_refuses() -> None:
+    def answer(sent: bytes) -> bytes:
+        known = {b"V": b"* Pan-Tilt v1.90.0(D46 C14/E)"}
+        words = (known.get(word, b"! Illegal Command Entered") for word in sent.split())
+        return b"".join(word + b"\r\n" for word in words)
+
+    with scripted(answer) as port, pytest.raises(DeviceError, match="does not acknowledge"):
+        halt_unit(port, (9600,))
+
+
+def test_a_port_that_hangs_up() -> None:
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    os.close(slave)
+    hang_up = threading.Timer(0.1, os.close, [master])
+    hang_up.start()
+    with pytest.raises(DeviceError, match="hung up"):
+        halt_unit(path, (9600,))
+    hang_up.join()
+
+
+@pytest.mark.parametrize(
+    ("text", "more", "code", "words"),
+    [
+        ("ptu: {port: /dev/none}\n", (), 2, "not halted: /dev/none (ptu) cannot be used"),
+        ("ptu: {port: /dev/none, baud: 9600}\nboards: 3\n", (), 2, "/dev/none (ptu) cannot"),
+        ("ptu:\n  port: /dev/none # cable\n  baud: 9600\nboards: [}\n", (), 2, "/dev/none (ptu)"),
+        ("boards: [{port: /dev/x}]\n", (), 2, "does not say on which port"),
+        ("ptu:\nboards: [{port: /dev/x]\n", (), 2, "does not say on which port"),
+        ("ptu: {port: [1]}\n", ("--port", "/dev/none2"), 2, "/dev/none2 (ptu) cannot"),
+        ("\x00*b\n", ("--port", "/dev/null"), 2, "it is no serial port"),
+        ("", ("--baud", "1"), 2, "--help"),
+    ],
+)
+def test_configurations_that_are_broken(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    text: str,
+    more: tuple[str, ...],
+    code: int,
+    words: str,
+) -> None:
+    (tmp_path / "rig.yaml").write_text(text)
+    assert run(["halt", "--config", str(tmp_path / "rig.yaml"), *more]) == code
+    told = capsys.readouterr().err
+    assert words in told
+    assert told.count("\n") == 1
+
+
+def test_no_configuration_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["halt"]) == 2
+    assert "give --config or --port" in capsys.readouterr().err
+    assert run(["halt", "--config", str(tmp_path / "none.yaml")]) == 2
+    assert "cannot be read" in capsys.readouterr().err
+    with Emulated(replace(E46, baud=9600), BOTH_TURN) as unit:
+        assert run(["halt", "--config", str(tmp_path / "none.yaml"), "--port", unit.port]) == 0
+        assert not unit.turning()
+
+
+def test_an_emulated_unit_ends_with_its_rig(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["halt", "--config", rig_yaml(tmp_path, "emulated")]) == 0
+    assert "nothing to halt" in capsys.readouterr().out
+
+
+def test_a_port_that_another_program_holds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(halt, "BUSY_S", 0.1)
+    with scripted(lambda _: b"") as port:
+        held = os.open(port, os.O_RDWR | os.O_NOCTTY)
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert run(["halt", "--config", rig_yaml(tmp_path, port)]) == 75
+        os.close(held)
+    told = capsys.readouterr().err
+    assert f"process {os.getpid()}" in told
+    assert told.count("\n") == 1
+
+
+def test_it_starts_within_a_blink() -> None:
+    script = (
+        "import sys; from gyrorig_daemon.cli import run; run(sys.argv[1:]);"
+        "print(*[m for m in ('numpy', 'mcap', 'serial', 'can', 'msgspec', 'yaml') "
+        "if m in sys.modules])"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script, "halt", "--port", "/dev/none"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.stdout.split() == []
+    config = str(Path(__file__).parents[2] / "config" / "rig-raspberrypi.yaml")
+    spent_s = []
+    for _ in range(3):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(
+            [*GYRORIGD, "halt", "--config", config], stderr=subprocess.DEVNULL, check=False
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent_s.append(
+            after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+        )  # of the processor: whoever else runs here hardly matters
+    assert min(spent_s) < 0.15
