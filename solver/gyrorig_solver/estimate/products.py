@@ -12,6 +12,7 @@ from gyrorig_solver.arrays import FloatArray
 
 FEW = 20  # signals at once; more are worth packing
 SMALL = 990_000  # multiplications at once: what OpenBLAS takes as small, and does not pack
+TOGETHER = 16  # signals that sparse rows take at once: they are copied
 LONGEST, SHORTEST = 4096, 64  # a piece
 
 
@@ -29,9 +30,11 @@ def product(first: FloatArray, second: FloatArray) -> FloatArray:
 
 def sparse_product(first: csr_array, second: FloatArray) -> FloatArray:
     """Return first @ second.T of sparse rows (a, n) and rows (b, n), shape (a, b)."""
-    if len(second) > FEW:
-        return np.asarray(first @ second.T, dtype=np.float64)
     found = np.empty((first.shape[0], len(second)))
+    if len(second) > FEW:
+        for at in range(0, len(second), TOGETHER):
+            found[:, at : at + TOGETHER] = first @ second[at : at + TOGETHER].T
+        return found
     for k, one in enumerate(second):
         found[:, k] = first @ one
     return found

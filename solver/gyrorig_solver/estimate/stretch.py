@@ -15,6 +15,8 @@ from gyrorig_solver.estimate.noise import NoiseModel, frequencies
 from gyrorig_solver.estimate.whitening import PartModel
 from gyrorig_solver.model.terms.scene import Scene
 
+AT_ONCE = 8  # signals: what is worked on stays small, whatever their number
+
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
@@ -30,6 +32,16 @@ class Stretch:
 
     def whitened(self, parts: Sequence[FloatArray]) -> FloatArray:
         """Return signals (k, n, 3) of each part in units of the noise, (k, 3 blocks)."""
+        count = len(parts[0])
+        if count <= AT_ONCE:
+            return self._whitened(parts)
+        found = np.empty((count, 3 * sum(used.size for used in self.used)))
+        for at in range(0, count, AT_ONCE):
+            some = slice(at, at + AT_ONCE)
+            found[some] = self._whitened([signal[some] for signal in parts])
+        return found
+
+    def _whitened(self, parts: Sequence[FloatArray]) -> FloatArray:
         along = [_by_axis(signal, used) for signal, used in zip(parts, self.used, strict=True)]
         # Many causes act on one axis at a time: what is zero stays zero.
         live = np.any([[np.count_nonzero(row) > 0 for row in one] for one in along], axis=0)
