@@ -5,7 +5,9 @@ Nothing of the product knows of these: each takes one of its rules away from out
 What to use when: `VARIANTS` by name; `explain` looks at recordings, `said` may change the words.
 """
 
+import sys
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
@@ -19,7 +21,6 @@ from gyrorig_solver.discover import finder
 from gyrorig_solver.discover.result import Explained
 from gyrorig_solver.discover.scores import sights
 from gyrorig_solver.discover.search import testable, tests_of
-from gyrorig_solver.estimate import likelihood
 from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.noise import NoiseModel, Sampling, Spectrum, fit_levels
 from gyrorig_solver.estimate.projection import Looked, Projection
@@ -53,7 +54,10 @@ def _white_only(recordings: Sequence[Recording], board: str) -> Explained:
         white[:, 1:] *= WHITE
         return NoiseModel(white, sampling)
 
-    with patch.object(likelihood, "fit_levels", levels):
+    with ExitStack() as everywhere:
+        for module in list(sys.modules.values()):
+            if getattr(module, "fit_levels", None) is fit_levels and module.__name__ != __name__:
+                everywhere.enter_context(patch.object(module, "fit_levels", levels))
         return _explain(recordings, board)
 
 
