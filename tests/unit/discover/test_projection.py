@@ -1,12 +1,15 @@
 """The space beside a fit against a dense least-squares problem, put together by itself."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
+from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.solve import unit_solution
 
 
@@ -60,12 +63,17 @@ def test_whitening_is_one_signal_and_one_axis_at_a_time(projection: Projection) 
     together = projection.signals(lambda scene: signals)
     assert np.array_equal(signals, before)
     for one, white in zip(signals, together, strict=True):
-        apart = np.zeros((3, blocks, 3))
-        for axis in range(3):
-            apart[axis, :, axis] = one[:, axis]
-        sums = projection.signals(lambda scene, apart=apart: apart).sum(axis=0)
+        sums = projection.signals(partial(_apart, one)).sum(axis=0)
         assert white == pytest.approx(sums, rel=1e-9, abs=1e-9)
     assert not together[2].any()
+
+
+def _apart(one: FloatArray, scene: Scene) -> FloatArray:
+    """Return a signal's three axes as three signals."""
+    found = np.zeros((3, scene.blocks, 3))
+    for axis in range(3):
+        found[axis, :, axis] = one[:, axis]
+    return found
 
 
 def test_many_signals_say_what_each_says_alone(projection: Projection) -> None:
