@@ -21,6 +21,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.clocks.envelope import forget_envelopes
 from gyrorig_solver.discover import finder, search
 from gyrorig_solver.findings import explaining
 
@@ -91,6 +92,7 @@ def steps(path: Path) -> tuple[dict[str, float], list[str]]:
         (explaining, "write_explanation", "report"),
     ]
     before = [(module, name, getattr(module, name)) for module, name, _ in watched]
+    forget_envelopes()
     begin = time.process_time()
     try:
         for module, name, step in watched:

@@ -32,6 +32,7 @@ from tests.bench.peers import turns
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.calibration.document import to_yaml
 from gyrorig_solver.calibration.solving import document_of
+from gyrorig_solver.clocks.envelope import forget_envelopes
 from gyrorig_solver.estimate.motion import fit_motion
 from gyrorig_solver.reference.ptu_recording import ptu_reference
 from gyrorig_solver.samples import load_samples
@@ -72,6 +73,7 @@ def eq_7(rate: np.ndarray) -> np.ndarray:
 
 def turn(path: Path, spent: dict[str, list[float]]) -> None:
     """Solve once, booking the processor time of every step."""
+    forget_envelopes()
     at = time.process_time()
 
     def book(step: str) -> None:

@@ -7,6 +7,7 @@ the envelope by 0.2 us).
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 
 _FAR_S = 1e5  # how far an envelope is continued
 _BLOCK = 32  # points looked at together when a hull is thinned
+_KEPT = 1 << 14  # points, at most, of an envelope that is not made twice
 _PIECE = 1 << 16  # points whose hull is found at a time: they stay in the processor's cache
 
 
@@ -147,6 +149,23 @@ def piecewise_envelope(
         knot_spacing_s: distance of the knots.
         stiffness: s per unit slope change, times the number of points; see `stiffness`.
     """
+    if x.size > _KEPT:
+        return _programmed(x, y, knot_spacing_s, stiffness)
+    # Whoever explains a recording asks for its samples, and so for their clock, twice.
+    return _kept(x.tobytes(), y.tobytes(), knot_spacing_s, stiffness)
+
+
+def forget_envelopes() -> None:
+    """Forget what was made before; a benchmark does, to measure a recording as a new one."""
+    _kept.cache_clear()
+
+
+@lru_cache(maxsize=32)
+def _kept(x: bytes, y: bytes, knot_spacing_s: float, stiffness: float) -> Envelope:
+    return _programmed(np.frombuffer(x), np.frombuffer(y), knot_spacing_s, stiffness)
+
+
+def _programmed(x: FloatArray, y: FloatArray, knot_spacing_s: float, stiffness: float) -> Envelope:
     count = max(1, round((x[-1] - x[0]) / knot_spacing_s))
     knots = np.linspace(x[0], x[-1], count + 1)
     width = np.diff(knots)
