@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.banks import quick_rows
 from gyrorig_solver.estimate.projection import Looked, Projection
@@ -40,13 +40,13 @@ class Seen:
     @classmethod
     def of(cls, looked: Looked) -> "Seen":
         """Judge signals by their information and score, vanished ones left out."""
+        if looked.score.size == 1:
+            return cls._of_one(looked)
         energy = np.diag(looked.information)
         some = energy > VANISHED * np.maximum(looked.raw, 1e-300)
         values = np.zeros(energy.size)
         if not some.any():
             return cls(0.0, 0, values)
-        if energy.size == 1:
-            return cls(float(looked.score[0] ** 2 / energy[0]), 1, looked.score / energy)
         scale = np.sqrt(energy[some])
         alike = looked.information[np.ix_(some, some)] / np.outer(scale, scale)
         strength, along = np.linalg.eigh(alike)
@@ -55,6 +55,13 @@ class Seen:
         values[some] = along[:, keep] @ (score[keep] / strength[keep]) / scale
         statistic = float(np.sum(score[keep] ** 2 / strength[keep]))
         return cls(statistic, int(keep.sum()), values)
+
+    @classmethod
+    def _of_one(cls, looked: Looked) -> "Seen":
+        energy, score = float(looked.information[0, 0]), float(looked.score[0])
+        if energy <= VANISHED * max(float(looked.raw[0]), 1e-300):
+            return cls(0.0, 0, np.zeros(1))
+        return cls(score * score / energy, 1, np.array([score / energy]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,26 +131,59 @@ def where(term: Term) -> list[tuple[str | None, list[int]]]:
     return found
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spot:
+    """One place of a cause, and what it takes to be seen there."""
+
+    place: str | None
+    at: IntArray  # which sizes of the cause
+    sizes: IntArray  # the same among all its values
+    typical: FloatArray
+    wanted: float  # non-centrality
+
+    @classmethod
+    def of(cls, term: Term, place: str | None, at: Sequence[int], tests: int) -> "_Spot":
+        """Return a place with the sizes that it has; `tests` share the false alarms."""
+        own, every = value_parameters(term), indices(term, role="size")
+        sizes = np.array([every[k] for k in at], dtype=np.int64)
+        typical = np.array([own[k].typical for k in sizes])
+        wanted = noncentrality(len(at), tests)
+        return cls(place, np.array(at, dtype=np.int64), sizes, typical, wanted)
+
+    def shown(self, row: FloatArray, looked: Looked) -> Shown:
+        """Return what a row of the bank would show here."""
+        typical = self.typical
+        size = float(np.max(np.abs(row[self.sizes]) / typical))
+        if typical.size == 1:
+            least, along = float(looked.information[0, 0] * typical[0] ** 2), typical
+        else:
+            values, vectors = np.linalg.eigh(looked.information * np.outer(typical, typical))
+            least, along = float(values[0]), vectors[:, 0] * typical
+        if least <= VANISHED * float(np.max(looked.raw * typical**2)):
+            return Shown(size, np.inf, looked.taken.T @ along)
+        detectable = float(np.sqrt(self.wanted / least))
+        return Shown(size, detectable, looked.taken.T @ (along * detectable))
+
+
 def _of_term(
     projection: Projection, term: Term, rows: FloatArray, looked: int, tests: int
 ) -> list[Sight]:
-    scenes = where(term)
+    spots = [_Spot.of(term, place, at, tests * max(looked, 1)) for place, at in where(term)]
     best: dict[str | None, tuple[FloatArray, Seen]] = {}
-    shown: dict[str | None, list[Shown]] = {place: [] for place, _ in scenes}
-    wanted = {p: noncentrality(len(at), tests * max(looked, 1)) for p, at in scenes}
-    counted = 1 < len(rows) == looked and len(rows) * len(scenes[0][1]) <= GRAM
+    shown: dict[str | None, list[Shown]] = {one.place: [] for one in spots}
+    counted = 1 < len(rows) == looked and len(rows) * spots[0].at.size <= GRAM
     looks = float(max(looked, 1))
     for some, says in _looked_at(projection, term, rows, counted):
         size = says.score.size // len(some)
         if counted:
             looks = _independent(says.information, size)
         for k, row in enumerate(some):
-            for place, at in scenes:
-                own = says.part([k * size + j for j in at])
+            for one in spots:
+                own = says.part(k * size + one.at)
                 seen = Seen.of(own)
-                shown[place].append(_shown(term, row, at, own, wanted[place]))
-                if place not in best or seen.statistic > best[place][1].statistic:
-                    best[place] = row, seen
+                shown[one.place].append(one.shown(row, own))
+                if one.place not in best or seen.statistic > best[one.place][1].statistic:
+                    best[one.place] = row, seen
     found = []
     for place, (row, seen) in best.items():
         if seen.degrees_of_freedom:
@@ -170,22 +210,6 @@ def _looked_at(
         if full or k + 1 == len(rows):
             yield some, projection.look(white[0] if len(white) == 1 else np.concatenate(white))
             some, white = [], []
-
-
-def _shown(term: Term, row: FloatArray, at: Sequence[int], looked: Looked, wanted: float) -> Shown:
-    own = value_parameters(term)
-    sizes = [indices(term, role="size")[k] for k in at]
-    typical = np.array([own[k].typical for k in sizes])
-    size = float(np.max(np.abs(row[sizes]) / typical))
-    if len(at) == 1:
-        least, along = float(looked.information[0, 0]) * typical[0] ** 2, typical
-    else:
-        values, vectors = np.linalg.eigh(looked.information * np.outer(typical, typical))
-        least, along = float(values[0]), vectors[:, 0] * typical
-    if least <= VANISHED * float(np.max(looked.raw * typical**2)):
-        return Shown(size, np.inf, looked.taken.T @ along)
-    detectable = float(np.sqrt(wanted / least))
-    return Shown(size, detectable, looked.taken.T @ (along * detectable))
 
 
 def _directions(term: Term, row: FloatArray, scene: Scene) -> FloatArray:

@@ -50,6 +50,11 @@ class Looked:
     def part(self, at: Sequence[int] | IntArray) -> "Looked":
         """Return what some of them say."""
         some = np.asarray(at)
+        if some.size == 1:
+            one = slice(int(some[0]), int(some[0]) + 1)
+            return Looked(
+                self.information[one, one], self.score[one], self.raw[one], self.taken[one]
+            )
         return Looked(
             self.information[np.ix_(some, some)],
             self.score[some],
