@@ -20,21 +20,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gyrorig_daemon.halt_line import HaltLine
 from gyrorig_daemon.links.serial_port import RefusedError, make_raw, open_port
 from gyrorig_protocol.errors import BusyError, DeviceError, GyrorigError
-from gyrorig_protocol.ptu import (
-    Axis,
-    FrameError,
-    PtuCommand,
-    PtuReplyParser,
-    Quantity,
-    Reading,
-    Refusal,
-    Reply,
-    ValueFault,
-    Version,
-    read,
-)
+from gyrorig_protocol.ptu import Axis, PtuCommand, Quantity, Refusal, Version
 from gyrorig_protocol.ptu.commands import HALT, QUERY_VERSION, query
 from gyrorig_protocol.ptu.dialect import Dialect, dialect_from_version, offers
 from gyrorig_protocol.ptu.values import Done
@@ -45,13 +34,9 @@ PATIENCE_S = 7.0  # for everything; from 206 deg/s a unit needs 1.5 s to stand (
 BUSY_S = 2.0  # a dying process closes its ports that late
 FIRST_ANSWER_S = 0.8  # the slowest: 0.1 s a command, 0.1 s of text at 9600 baud
 OTHER_ANSWER_S = 0.4
-QUIET_S = 0.15  # so long without a byte, and what was under way is over (0.1 s a command)
-DRAIN_S = 0.3  # a port that never falls silent is listened to no longer than this
 ATTEMPTS = 3
 ROUND_S = 0.1  # between two looks at the axes
 STILL_ROUNDS = 3  # equal positions in a row, where speeds are not answered
-HEARD_BYTES = 4096
-_READ_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +67,7 @@ def halt_unit(port: str, bauds: Sequence[int], patience_s: float = PATIENCE_S) -
     end_s = time.monotonic() + patience_s
     fd = _open(port, bauds[0], end_s)
     try:
-        line = _Line(fd, port, end_s)
+        line = HaltLine(fd, port, end_s)
         baud = _find(line, bauds)
         _order(line)
         pan_steps, tilt_steps = _see_it_stand(line)
@@ -91,100 +76,6 @@ def halt_unit(port: str, bauds: Sequence[int], patience_s: float = PATIENCE_S) -
         with contextlib.suppress(termios.error):
             termios.tcflush(fd, termios.TCIOFLUSH)  # what nobody takes would delay the closing
         os.close(fd)
-
-
-class _Line:
-    """One exchange after another on an open port, each with an end."""
-
-    def __init__(self, fd: int, port: str, end_s: float) -> None:
-        self.fd, self.port, self.end_s = fd, port, end_s
-        self.heard = bytearray()
-        self.interval_s = 0.0
-        self._parser = PtuReplyParser()
-
-    def left_s(self) -> float:
-        """Return how much patience is left."""
-        return self.end_s - time.monotonic()
-
-    def send(self, data: bytes) -> None:
-        """Write what the port takes now.
-
-        Raises:
-            DeviceError: the port hung up.
-        """
-        try:
-            os.write(self.fd, data)
-        except BlockingIOError:
-            return  # it takes nothing: the answer will be missing
-        except OSError as fault:
-            raise self._gone() from fault
-
-    def receive(self, wait_s: float) -> bytes:
-        """Return what came, nothing when nothing did.
-
-        Raises:
-            DeviceError: the port hung up.
-        """
-        ready, _, _ = select.select([self.fd], [], [], max(0.0, min(wait_s, self.left_s())))
-        if not ready:
-            return b""
-        try:
-            data = os.read(self.fd, _READ_BYTES)
-        except BlockingIOError:
-            return b""
-        except OSError as fault:
-            raise self._gone() from fault
-        if not data:
-            raise self._gone()
-        self.heard += data[: HEARD_BYTES - len(self.heard)]
-        return data
-
-    def drain(self) -> None:
-        """Let go by what is still under way."""
-        end_s = time.monotonic() + DRAIN_S
-        while time.monotonic() < end_s and self.receive(QUIET_S):
-            pass
-        self._parser.reset()
-
-    def ask(self, command: PtuCommand, wait_s: float) -> Reading | None:
-        """Send one command and return what its answer says, None where none came.
-
-        An answer that cannot be this command's is one to an earlier command, perhaps of the
-        program that died: it is let go by.
-        """
-        self._parser.expect(command.text)
-        self.send(command.encode())
-        end_s = min(time.monotonic() + wait_s, self.end_s)
-        garbled = False
-        while not garbled and (left_s := end_s - time.monotonic()) > 0.0:
-            for event in self._parser.feed(self.receive(left_s), time.monotonic_ns()):
-                if isinstance(event, Reply):
-                    value = read(command, event)
-                    if not isinstance(value, ValueFault):
-                        self.pause(self.interval_s)
-                        return value
-                garbled = garbled or isinstance(event, FrameError)
-        self.send(b" ")
-        if garbled:
-            self.drain()
-        return None
-
-    def ask_integer(self, command: PtuCommand) -> int | None:
-        """Return what the unit answers, None where that is no number."""
-        for _ in range(ATTEMPTS):
-            value = self.ask(command, FIRST_ANSWER_S)
-            if value is not None:
-                return value if isinstance(value, int) else None
-        return None
-
-    def pause(self, seconds: float) -> None:
-        """Let time pass; what comes meanwhile belongs to nothing."""
-        end_s = time.monotonic() + seconds
-        while (left_s := end_s - time.monotonic()) > 0.0 and self.left_s() > 0.0:
-            self._parser.feed(self.receive(left_s), time.monotonic_ns())
-
-    def _gone(self) -> DeviceError:
-        return DeviceError(f"{self.port} hung up", "look whether the unit stands; check the cable")
 
 
 def _open(port: str, baud: int, end_s: float) -> int:
@@ -223,7 +114,7 @@ def _holder(port: str) -> str:
     return ""
 
 
-def _find(line: _Line, bauds: Sequence[int]) -> int:
+def _find(line: HaltLine, bauds: Sequence[int]) -> int:
     """Send the order at each rate until a pan-tilt unit answers; return that rate.
 
     Raises:
@@ -247,7 +138,7 @@ def _find(line: _Line, bauds: Sequence[int]) -> int:
     raise _nobody(line, bauds)
 
 
-def _nobody(line: _Line, bauds: Sequence[int]) -> DeviceError:
+def _nobody(line: HaltLine, bauds: Sequence[int]) -> DeviceError:
     """Return the error for a port on which no pan-tilt unit answers."""
     heard = bytes(line.heard)
     tried = ", ".join(str(baud) for baud in bauds)
@@ -268,7 +159,7 @@ def _nobody(line: _Line, bauds: Sequence[int]) -> DeviceError:
     )
 
 
-def _order(line: _Line) -> None:
+def _order(line: HaltLine) -> None:
     """Give the order in step with the unit.
 
     Raises:
@@ -286,7 +177,7 @@ def _order(line: _Line) -> None:
     )
 
 
-def _see_it_stand(line: _Line) -> tuple[int, int]:
+def _see_it_stand(line: HaltLine) -> tuple[int, int]:
     """Ask until both axes stand; return where.
 
     Raises:
@@ -297,8 +188,8 @@ def _see_it_stand(line: _Line) -> tuple[int, int]:
     known: list[int | None] = []
     equal = 0
     while line.left_s() > 0.0:
-        rates = [line.ask_integer(command) for command in speeds]
-        steps = [line.ask_integer(command) for command in places]
+        rates = [_ask_integer(line, command) for command in speeds]
+        steps = [_ask_integer(line, command) for command in places]
         equal = equal + 1 if steps == known else 1
         known = steps
         enough = STILL_ROUNDS if None in rates else 2
@@ -310,3 +201,12 @@ def _see_it_stand(line: _Line) -> tuple[int, int]:
         f"the unit on {line.port} took the order to halt and was not seen to stand",
         "look at it; cut its power if it still turns",
     )
+
+
+def _ask_integer(line: HaltLine, command: PtuCommand) -> int | None:
+    """Return what the unit answers, None where that is no number."""
+    for _ in range(ATTEMPTS):
+        value = line.ask(command, FIRST_ANSWER_S)
+        if value is not None:
+            return value if isinstance(value, int) else None
+    return None

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon import halt
+from gyrorig_daemon import halt, halt_line
 from gyrorig_daemon.cli import run
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
 from gyrorig_daemon.emulator.rig import EmulatedRig
@@ -185,7 +185,7 @@ def test_a_command_cut_short_by_a_death(tmp_path: Path) -> None:
 
 
 def test_no_answer_is_lost_for_a_few_faults() -> None:
-    faults = PtuFaults(garbage_every=3, lose_byte_every=7)
+    faults = PtuFaults(garbage_every=5, lose_byte_every=7)
     with Emulated(replace(E46, faults=faults), BOTH_TURN) as unit:
         assert unit.moves.wait(5)
         halt_unit(unit.port, (115200,))
@@ -228,7 +228,7 @@ def test_killed_with_its_acquisition_process_the_daemon_leaves_it_moving_and_hal
 def test_another_rate_than_configured(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(halt, "FIRST_ANSWER_S", 0.3)
+    monkeypatch.setattr(halt, "FIRST_ANSWER_S", 0.2)
     with Emulated(replace(E46, baud=19200), BOTH_TURN, only_at=19200) as unit:
         assert unit.moves.wait(5)
         assert run(["halt", "--config", rig_yaml(tmp_path, unit.port)]) == 0
@@ -251,6 +251,7 @@ def test_a_silent_port_ends_within_seconds(
 
 def test_what_is_no_unit_is_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(halt, "FIRST_ANSWER_S", 0.2)
+    monkeypatch.setattr(halt_line, "DRAIN_S", 0.1)
     with Emulated(E46) as rig, pytest.raises(DeviceError, match="is no pan-tilt unit"):
         halt_unit(rig.board, (460800,))
     noise = bytes(range(256)) * 2
@@ -269,7 +270,7 @@ def test_a_unit_that_does_not_stand() -> None:
         return b"".join(word + b"\r\n" for word in words)
 
     with scripted(answer) as port, pytest.raises(DeviceError, match="was not seen to stand"):
-        halt_unit(port, (9600,), patience_s=1.0)
+        halt_unit(port, (9600,), patience_s=0.6)
 
 
 def test_a_unit_that_refuses() -> None:
