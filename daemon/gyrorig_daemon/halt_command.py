@@ -19,6 +19,7 @@ _LARGEST_BYTES = 4_000_000
 _BAUDS = range(600, 2_000_001)
 # Of a document that is no YAML any more: what stands under `ptu:`, and its entries.
 _SECTION = re.compile(r"^ptu[ \t]*:(.*(?:\n(?:[ \t#].*)?)*)", re.MULTILINE)
+_COMMENT = re.compile(r"(?:^|(?<=\s))#.*", re.MULTILINE)
 _ENTRY = r"(?:^|[\s{,])%s[ \t]*:[ \t]*[\"']?([^\s\"',{}#]+)"
 
 
@@ -88,7 +89,7 @@ def _told(text: bytes, name: str) -> tuple[str | None, int | None]:
         document = parse_yaml(text, name)
     except UsageError:
         section = _SECTION.search(text.decode("utf-8", errors="replace"))
-        found = {} if section is None else _scan(section[1])
+        found = {} if section is None else _scan(_COMMENT.sub("", section[1]))
     else:
         ptu = document.get("ptu") if isinstance(document, dict) else None
         found = ptu if isinstance(ptu, dict) else {}

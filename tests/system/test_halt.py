@@ -300,6 +300,7 @@ def test_a_port_that_hangs_up() -> None:
         ("ptu: {port: /dev/none}\n", (), 2, "not halted: /dev/none (ptu) cannot be used"),
         ("ptu: {port: /dev/none, baud: 9600}\nboards: 3\n", (), 2, "/dev/none (ptu) cannot"),
         ("ptu:\n  port: /dev/none # cable\n  baud: 9600\nboards: [}\n", (), 2, "/dev/none (ptu)"),
+        ("ptu:\n  # port: /dev/old\n  port: '/dev/none'\nboards: [}\n", (), 2, "/dev/none (ptu)"),
         ("boards: [{port: /dev/x}]\n", (), 2, "does not say on which port"),
         ("ptu:\nboards: [{port: /dev/x]\n", (), 2, "does not say on which port"),
         ("ptu: {port: [1]}\n", ("--port", "/dev/none2"), 2, "/dev/none2 (ptu) cannot"),
@@ -367,14 +368,12 @@ def test_it_starts_within_a_blink() -> None:
     )
     assert ended.stdout.split() == []
     config = str(Path(__file__).parents[2] / "config" / "rig-raspberrypi.yaml")
-    spent_s = []
-    for _ in range(3):
+    spent_s: list[float] = []
+    while len(spent_s) < 5 and min(spent_s, default=1.0) >= 0.15:  # the least: others run too
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run(
             [*GYRORIGD, "halt", "--config", config], stderr=subprocess.DEVNULL, check=False
         )
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        spent_s.append(
-            after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-        )  # of the processor: whoever else runs here hardly matters
+        spent_s.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
     assert min(spent_s) < 0.15
