@@ -41,6 +41,7 @@ class Emulated:
         self.port = self.server.paths["ptu"]
         self.board = self.server.paths["board:GY80-1"]
         self.moves = threading.Event()
+        self.rests = threading.Event()  # again, after it has moved
         self.ramps = threading.Event()  # pan is so fast that it cannot stop at once
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self.server.run, args=(self._look,))
@@ -65,6 +66,8 @@ class Emulated:
     def _look(self) -> bool:
         if self.turning():
             self.moves.set()
+        elif self.moves.is_set():
+            self.rests.set()
         now_s = (raw_now_ns() - self.rig.origin_ns) * 1e-9
         if abs(self.rig.stage.pan.state(now_s)[1]) > 1700.0:
             self.ramps.set()
@@ -223,6 +226,21 @@ def test_killed_with_its_acquisition_process_the_daemon_leaves_it_moving_and_hal
         assert ended.stdout == (
             f"the unit on {unit.port} stands at pan {pan}, tilt {tilt} steps (115200 baud)\n"
         )
+
+
+def test_a_recording_refused_for_a_missing_board_halts_the_unit_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program = tmp_path / "program.yaml"
+    program.write_text("name: p\nsteps:\n  - rest: {seconds: 1.0}\n")
+    with Emulated(E46, BOTH_TURN) as unit:
+        assert unit.moves.wait(5)
+        config = rig_yaml(tmp_path, unit.port)
+        arguments = ["record", "--config", config, "--program", str(program)]
+        assert run([*arguments, "--out", str(tmp_path / "out")]) == 2
+        assert unit.rests.wait(2)  # of 15 s that it would have turned
+        assert unit.steps()[0] < PAN_STEPS
+    assert "/dev/none (board:B-1) cannot be used" in capsys.readouterr().err
 
 
 def test_another_rate_than_configured(

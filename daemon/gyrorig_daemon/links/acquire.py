@@ -220,6 +220,9 @@ def _open_all(wanted: list[tuple[str, int, str]], reports_fd: int) -> list[_Port
         try:
             ports.append(_Port(index, open_port(path, baud), farewell.encode("ascii")))
         except RefusedError as fault:
+            # Nothing will be done here then, but what an earlier program left turning ends.
+            for port in ports:
+                _write_out(port.fd, port.farewell)
             text = f"{fault.reason}\n{fault}".encode()
             os.write(reports_fd, wire.REPORT.pack(wire.REFUSED, index, len(text), 0, 0) + text)
             return None
