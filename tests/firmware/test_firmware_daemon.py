@@ -1,0 +1,91 @@
+"""The firmware as a program on a pty, and the daemon's own acquisition and board link."""
+
+import os
+import pty
+import random
+import subprocess
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from gyrorig_daemon.config import BoardPort
+from gyrorig_daemon.links.board_link import BoardLink
+from gyrorig_daemon.links.board_samples import BoardSinks
+from gyrorig_daemon.links.capture_clock import anchor_now
+from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.pump import Pump
+from gyrorig_protocol.recording.messages import ClockPing, ImuRaw, ImuStatus
+
+RUN_NS = 1_000_000_000
+PERIOD_US = 5_000  # of host_board.c
+GAP_EVERY = 100
+
+
+@pytest.fixture(params=[1, 5], ids=["samples", "batches"])
+def port(request: pytest.FixtureRequest, host_board: Path) -> Iterator[str]:
+    """The pty on which `host_board.c` speaks."""
+    device, held = pty.openpty()
+    os.set_blocking(device, False)
+    program = subprocess.Popen([host_board, str(device), str(request.param)], pass_fds=[device])
+    os.close(device)
+    try:
+        yield os.ttyname(held)
+    finally:
+        program.terminate()
+        program.wait(10)
+        with suppress(OSError):
+            os.close(held)
+
+
+def test_every_sample_arrives_as_it_was_taken(port: str) -> None:
+    samples: list[tuple[ImuRaw, int]] = []
+    pings: list[ClockPing] = []
+    faults: list[str] = []
+    sinks = BoardSinks(
+        sample=lambda _, message, taken_ns: samples.append((message, taken_ns)),
+        ping=lambda _, message: pings.append(message),
+        note=faults.append,
+        fault=faults.append,
+    )
+    config = BoardPort(id="A", port=port, baud=115200)
+    with AcquisitionHub({config.hub_port: PortSettings(port, config.baud)}) as hub:
+        pump = Pump(hub)
+        link = BoardLink(pump, config, anchor_now(), sinks, random.Random(1))
+        link.identify()
+        pump.run_until(pump.now_ns() + RUN_NS)
+        said = link.metadata()
+        broken = {cause: count for cause, count in link.faults().items() if count}
+        counts = link.counts
+    assert (said["uid"], said["sensor"], said["odr_hz"]) == (
+        "00112233aabbccdd",
+        "L3G4200D",
+        "200.0",
+    )
+    assert len(samples) > 150
+    numbers = [message.sequence for message, _ in samples]
+    # all but those that the firmware says were lost
+    gaps = [n + 1 for n, after in pairwise(numbers) if after != n + 1]
+    assert gaps == [n for n in range(numbers[0], numbers[-1]) if n % GAP_EVERY == GAP_EVERY - 1]
+    assert counts.missing == len(gaps)
+    for message, _ in samples:
+        n = message.sequence
+        assert message.gyro == tuple(_int16(value) for value in (n, -n, 3 * n))
+        assert message.accel == (1, 2, 256)
+        assert message.temperature == 215
+    stamps = [message.device_time for message, _ in samples]
+    steps = {after - before for before, after in pairwise(stamps)}
+    assert steps <= {PERIOD_US, 2 * PERIOD_US}
+    overrun = [m.sequence for m, _ in samples if m.status & ImuStatus.OVERRUN]
+    assert {n - 1 for n in overrun} >= set(gaps)
+    assert pings
+    assert all(ping.device_receive <= ping.device_send for ping in pings)
+    assert broken in ({}, {"cobs": 1}, {"crc": 1}, {"length": 1})  # the port opens mid-frame
+    assert counts.restarts == counts.reordered == counts.duplicated == 0
+    assert not faults
+
+
+def _int16(value: int) -> int:
+    return (value + 0x8000) % 0x10000 - 0x8000

@@ -1,0 +1,21 @@
+"""Random bytes and calls against the board, under the address and undefined sanitizers."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROUNDS = 60_000
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_random_input_harms_nothing(fuzzer: Path, seed: int) -> None:
+    done = subprocess.run(
+        [fuzzer, str(seed), str(ROUNDS)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    inputs, frames, answers, faults = map(int, done.stdout.split())
+    assert inputs > ROUNDS // 10
+    assert frames > ROUNDS // 50
+    assert answers > 100  # not everything was refused
+    assert faults > 100
