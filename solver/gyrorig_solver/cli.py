@@ -5,6 +5,7 @@ where an error becomes a line and an exit code. The commands are in
 `gyrorig_solver.commands`, one module each.
 """
 
+import gc
 import importlib
 import json
 import os
@@ -109,6 +110,8 @@ def main() -> NoReturn:
     # Before numpy is there: many small matrices are four times slower on several threads.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    # Loading makes many objects and no garbage: look for it less often.
+    gc.set_threshold(50_000, 20, 20)
     sys.exit(run(sys.argv[1:]))
 
 

@@ -49,8 +49,9 @@ class BoardSlip(CurvedTerm):
     def directions(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the derivative at no turn, -(e x omega) after the event, (3, blocks, 3)."""
         after = since(scene, float(values[3]))[:, None]
-        found = [after * (scene.rate_rad_s @ cross_matrix(unit)) for unit in np.eye(3)]
-        return scene.seen_at_stage(np.stack(found))
+        # A low-pass of each component: what it leaves is turned about all axes at once.
+        late = scene.seen(after * scene.rate_rad_s)
+        return np.stack([late @ cross_matrix(unit) @ scene.gain.T for unit in np.eye(3)])
 
     def bank(self, scene: Scene) -> FloatArray:
         """Look from times all over the recording."""

@@ -384,6 +384,8 @@ class Scene:
         Args:
             change_rad: true minus told pan and tilt, shape (2, n + 1).
         """
+        if not change_rad[1].any():
+            return self.turn_column(0, change_rad[0])  # linear in what pan does
         rate, _ = AxisTurn.along(self.angle_rad + change_rad, self.edges_s, (1.0, 1.0))
         return np.asarray(rate - self._told_rad_s, dtype=np.float64)
 
