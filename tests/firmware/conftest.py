@@ -38,7 +38,7 @@ def c_build(tmp_path_factory: pytest.TempPathFactory) -> Build:
     folder = tmp_path_factory.mktemp("firmware")
 
     def build(name: str, *flags: str) -> Path:
-        program = folder / name.removesuffix(".c")
+        program = folder / f"{name.removesuffix('.c')}-{len(list(folder.iterdir()))}"
         run_compiler(gcc, *C99, *flags, HERE / name, SOURCE, "-o", program)
         return program
 
@@ -57,11 +57,14 @@ def host_board(c_build: Build) -> Path:
     return c_build("host_board.c", "-D_POSIX_C_SOURCE=200809L")
 
 
-@pytest.fixture(scope="session")
-def fuzzer(c_build: Build) -> Path:
+AVR_MEMORY = ["-DGYB_QUEUE_BYTES=256", "-DGYB_BATCH_BYTES=131"]  # the defaults of an AVR
+
+
+@pytest.fixture(scope="session", params=[[], AVR_MEMORY], ids=["large", "small"])
+def fuzzer(request: pytest.FixtureRequest, c_build: Build) -> Path:
     """`fuzz_board.c` with the sanitizers."""
-    sanitizers = "-fsanitize=address,undefined"
-    return c_build("fuzz_board.c", sanitizers, "-fno-sanitize-recover=all", "-g")
+    sanitizers = "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
+    return c_build("fuzz_board.c", *sanitizers, *request.param)
 
 
 @pytest.fixture(scope="session")

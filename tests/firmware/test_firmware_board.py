@@ -55,6 +55,9 @@ class Board:
     def lose(self, count: int) -> None:
         self._lib.vb_lost(c_uint32(count))
 
+    def stick(self) -> None:
+        self._lib.vb_stuck(c_uint16(1))
+
     def edge(self, time: int) -> None:
         self._lib.vb_edge(c_uint32(time & 0xFFFF_FFFF))
 
@@ -196,6 +199,19 @@ def test_time_requests_are_answered_with_both_stamps(library: CDLL) -> None:
         assert (reply.nonce, reply.host_stamp) == (nonce, 1 << 60)
         assert reply.device_receive == asked
         assert reply.device_send == at > asked
+
+
+def test_a_port_that_is_never_empty_does_not_silence_it(library: CDLL) -> None:
+    board = Board(library)
+    board.stick()
+    for _ in range(200):
+        board.take()
+        board.hear(TimeRequest(1, 1).encode())
+        board.run(5_000)
+    board.run(100_000)
+    kinds = {type(frame) for frame in board.frames()}
+    assert kinds == {Hello, Sample}  # no stamp that would be wrong
+    assert len(list(board.of(Sample))) == 200
 
 
 def test_set_is_done_and_acknowledged(library: CDLL) -> None:

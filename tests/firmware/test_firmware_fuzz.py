@@ -3,15 +3,12 @@
 import subprocess
 from pathlib import Path
 
-import pytest
-
-ROUNDS = 60_000
+ROUNDS = 300_000
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_random_input_harms_nothing(fuzzer: Path, seed: int) -> None:
+def test_random_input_harms_nothing(fuzzer: Path) -> None:
     done = subprocess.run(
-        [fuzzer, str(seed), str(ROUNDS)], capture_output=True, text=True, check=False
+        [fuzzer, "20261121", str(ROUNDS)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     inputs, frames, answers, faults = map(int, done.stdout.split())

@@ -8,6 +8,7 @@
 static gyb_board board;
 static uint64_t now_ticks, sent_until;
 static uint32_t byte_ticks, room;
+static uint16_t stuck; /* what the port says it holds although it does not */
 static uint8_t out[1 << 20];
 static uint64_t first_byte_at[1 << 20];
 static uint32_t out_size;
@@ -38,7 +39,7 @@ static uint8_t take_bytes(void *context, const uint8_t *data, uint8_t size) {
 
 static uint16_t unsent(void *context) {
     (void)context;
-    return (uint16_t)waiting();
+    return (uint16_t)(waiting() + stuck);
 }
 
 static void configure(void *context, gyb_board *it, const gyb_wanted *wanted) {
@@ -63,6 +64,7 @@ void vb_begin(uint64_t ticks, uint32_t seed, uint32_t ticks_a_byte, uint32_t rin
     now_ticks = ticks;
     sent_until = 0;
     out_size = 0;
+    stuck = 0;
     byte_ticks = ticks_a_byte;
     room = ring;
     port.clock = clock_ticks;
@@ -75,6 +77,7 @@ void vb_begin(uint64_t ticks, uint32_t seed, uint32_t ticks_a_byte, uint32_t rin
 }
 
 void vb_at(uint64_t ticks) { now_ticks = ticks; }
+void vb_stuck(uint16_t bytes) { stuck = bytes; }
 void vb_poll(void) { gyb_poll(&board); }
 void vb_lost(uint32_t count) { gyb_lost(&board, count); }
 void vb_edge(uint32_t time) { gyb_edge(&board, time, 3, 1); }

@@ -9,6 +9,8 @@
 #define REDRAWS 8           /* moments drawn anew for a busy line, then it waits its turn */
 #define REDRAW_SPAN 4096UL  /* ticks within which they lie */
 
+#define PATIENCE 50000UL    /* ticks that a clock frame waits for the port to be empty */
+
 /* What is to be sent as soon as it can, in this order. */
 #define PENDING_REPLY 1
 #define PENDING_SLOW 2
@@ -479,6 +481,14 @@ static void plan_clock(gyb_board *board, uint32_t from) {
     board->clock_tries = 0;
 }
 
+/* A clock frame is due. */
+static void want_clock(gyb_board *board, uint8_t which, uint32_t time) {
+    if (!(board->pending & (PENDING_REPLY | PENDING_SLOW))) {
+        board->clock_waits = time;
+    }
+    board->pending |= which;
+}
+
 /* ---- the queue ---- */
 
 static uint8_t push(gyb_board *board, const uint8_t *payload, uint8_t size) {
@@ -665,7 +675,7 @@ static void take_frame(gyb_board *board, const uint8_t *payload, uint8_t size, u
         /* of two at once the later is answered: the host knows its questions by nonce */
         memcpy(board->ping, payload + 1, sizeof board->ping);
         board->ping_received = whole(board, time);
-        board->pending |= PENDING_REPLY;
+        want_clock(board, PENDING_REPLY, now(board).low);
     } else if (payload[0] == GYB_SET) {
         take_set(board, payload + 1, (uint8_t)(size - 1));
     } else {
@@ -719,8 +729,17 @@ static uint8_t write_slow(gyb_board *board, uint8_t *payload) {
 static uint8_t next_payload(gyb_board *board, uint8_t *payload) {
     if (board->pending & (PENDING_REPLY | PENDING_SLOW)) {
         if (board->port.unsent(board->port.context)) {
-            return 0; /* its stamp would not be that of its first byte */
+            /* its stamp would not be that of its first byte */
+            if (!board->never_empty &&
+                (uint32_t)(now(board).low - board->clock_waits) < PATIENCE) {
+                return 0;
+            }
+            /* samples without a clock are better than silence */
+            board->never_empty = 1;
+            board->pending &= (uint8_t)~(PENDING_REPLY | PENDING_SLOW);
+            return next_payload(board, payload);
         }
+        board->never_empty = 0;
         if (board->pending & PENDING_REPLY) {
             board->pending &= (uint8_t)~PENDING_REPLY;
             return gyb_pack_time_reply(payload, board->ping, board->ping_received,
@@ -755,7 +774,7 @@ static void look_at_clock(gyb_board *board) {
         board->clock_due = time + draw(board, REDRAW_SPAN);
         return;
     }
-    board->pending |= PENDING_SLOW;
+    want_clock(board, PENDING_SLOW, time);
     plan_clock(board, time);
 }
 

@@ -14,8 +14,8 @@
  * Theory of operation. Samples wait in a queue as bare payloads; a frame gets its check
  * and its stuffing when it is its turn on the line. HELLO, ACK, SLOW and TIME replies are
  * not queued: they are written when they are sent, so that the stamp of a clock frame is
- * that of its own first byte. They pass queued samples, but begin only when the port has
- * nothing left to send. SLOW goes out at random phase: a regular one would beat against
+ * that of its own first byte. They pass queued samples, but those with a stamp begin only
+ * when the port has nothing left to send; where that takes 50 ms they are given up. SLOW goes out at random phase: a regular one would beat against
  * the 1 ms frames of USB. Where the line is busy at the drawn moment a new moment is drawn,
  * for the end of the frame on the line has the phase of the samples.
  */
@@ -179,8 +179,8 @@ typedef struct gyb_board {
     uint32_t overruns, dropped, bus_errors, saturations;
     uint32_t receive_faults; /* bytes from the host that were no frame of ours */
     /* inside */
-    uint32_t clock_last, clock_high, clock_due, random;
-    uint8_t clock_tries, flags, batch_size, pending;
+    uint32_t clock_last, clock_high, clock_due, clock_waits, random;
+    uint8_t clock_tries, never_empty, flags, batch_size, pending;
     gyb_ticks ping_received;
     uint8_t ping[12]; /* nonce and host stamp, as they came */
     uint8_t received_length, receive_overlong;
