@@ -77,7 +77,7 @@ static void say(gyb_board *board) {
     case 0: /* noise */
         size = (uint8_t)any(GYB_MAX_WIRE);
         for (i = 0; i < size; i++) {
-            wire[i] = (uint8_t)any(any(2) ? 256 : 3);
+            wire[i] = (uint8_t)(size % 2 ? any(any(2) ? 256 : 3) : 1 + any(255)); /* or overlong */
         }
         break;
     case 1:

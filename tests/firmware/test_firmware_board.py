@@ -164,6 +164,31 @@ def test_a_full_queue_drops_frames_and_says_so(library: CDLL) -> None:
     assert slow[-1].sequence == 401
 
 
+def test_the_queue_is_full_to_the_byte(library: CDLL) -> None:
+    board = Board(library, clock_us=0)
+    for _ in range(7):  # 23 bytes each
+        board.take()
+    for time in range(328):  # 12 each: together one more than 4096
+        board.edge(time)
+    board.run(400_000)
+    frames = board.frames()
+    assert [f.sequence for f in frames if isinstance(f, Sample)] == [*range(7)]
+    assert [f.device_time for f in frames if isinstance(f, Edge)] == [*range(327)]
+
+
+def test_two_losses_in_a_row_leave_no_gap_within_a_batch(library: CDLL) -> None:
+    board = Board(library, clock_us=0)
+    board.batch(4, accel=False)
+    for loss in (3, 5):
+        board.lose(loss)
+        board.take()
+    for _ in range(3):
+        board.take()
+    board.run(50_000)
+    batches = [frame for frame in board.of(Batch) if isinstance(frame, Batch)]
+    assert [(b.sequence, len(b.gyro)) for b in batches] == [(3, 1), (9, 4)]
+
+
 @pytest.mark.parametrize(("accel", "size"), [(False, 8), (True, 8), (True, 39)])
 def test_batches_hold_the_stamp_of_their_last(library: CDLL, accel: bool, size: int) -> None:
     board = Board(library, clock_us=0)

@@ -205,6 +205,15 @@ def test_c_and_python_agree_on_noise(library: CDLL, data: bytes) -> None:
     assert (size == 0) == bool({"COBS", "CRC"} & named.keys())
 
 
+def test_a_code_beyond_the_end_is_refused_although_the_check_holds(library: CDLL) -> None:
+    stuffed = bytearray(Edge(1, 2, True).encode()[1:-1])
+    at = 0
+    while at + stuffed[at] < len(stuffed):
+        at += stuffed[at]
+    stuffed[at] += 1  # the last code: what is unstuffed stays the same
+    assert library.gyb_unstuff(create_string_buffer(bytes(stuffed)), c_uint8(len(stuffed))) == 0
+
+
 def test_what_is_too_long_is_no_frame(library: CDLL) -> None:
     assert library.gyb_seal(create_string_buffer(260), c_uint8(249)) == 0
     assert library.gyb_seal(create_string_buffer(260), c_uint8(0)) == 0
