@@ -137,14 +137,16 @@ class PtuReference:
     def log_acceleration(self) -> tuple[FloatArray, FloatArray]:
         """How far pan's and tilt's ramps are from told, as a logarithm, and its deviation.
 
-        By the answers; inf where these say nothing beyond what was known beforehand.
+        By the answers alone: what else a model lacks pulls at the ramps of its fit. The
+        deviation is inf where they say nothing beyond what was known beforehand.
         """
         table = self.starts.table
         beside = eliminate(self.information, np.zeros(sum(self.information.size))).information
         at = slice(table.classes, table.classes + 2)
         std = np.sqrt(np.diag(np.linalg.inv(beside))[at])
         held = LOG_ACCELERATION_STD / (OWN_LAW if self.own_law else 1.0)
-        return self._found.log_acceleration, np.where(std < SAYS_MORE * held, std, np.inf)
+        found = self.starts.found.log_acceleration
+        return found, np.where(std < SAYS_MORE * held, std, np.inf)
 
     @cached_property
     def courses(self) -> tuple[tuple[int, Course], ...]:
