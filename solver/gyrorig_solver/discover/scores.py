@@ -98,6 +98,8 @@ class Sight:
                 return replace(some[0], detectable=some[0].size)
             return replace(rows[-1], detectable=np.inf)
         rows = sorted(self.shown, key=lambda one: one.detectable)
+        # A step that is lost where the axis stands still is none: such rows say nothing.
+        rows = [one for one in rows if np.isfinite(one.detectable)] or rows
         return rows[(len(rows) - 1) // 2]
 
 
