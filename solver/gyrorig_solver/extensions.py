@@ -109,7 +109,8 @@ def _check(cause: str) -> None:
         )
     if any(p.role != "size" for p in found.parameters) and cause not in THERMAL:
         raise UsageError(
-            f"{cause} has a shape that has to be searched for", "`gyrorig explain` does that"
+            f"{cause} has a shape that has to be searched for",
+            "`--extend auto` does that, and `gyrorig explain`",
         )
 
 

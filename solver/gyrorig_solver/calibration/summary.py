@@ -43,7 +43,7 @@ def _rows(calibration: Calibration, group: Group) -> list[str]:
         return []
     rows = []
     for label, (value, std) in zip(group.labels, entries(parameter), strict=True):
-        head = f"  {group.name.replace('_', ' ') + ' ' + label:<22}"
+        head = f"  {group.name.replace('_', ' ') + ' ' + label:<21} "
         if value is None:
             rows.append(head + nothing_text(calibration))
             continue
