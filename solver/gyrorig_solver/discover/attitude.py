@@ -28,12 +28,12 @@ from gyrorig_solver.discover.result import (
     Gain,
     NamedCause,
     NotTestable,
-    Rival,
     Signature,
     Unexplained,
     Value,
     Verdict,
 )
+from gyrorig_solver.discover.rivals import rivals_of
 from gyrorig_solver.discover.scores import sights
 from gyrorig_solver.discover.search import ALPHA, STATED, tests_of
 from gyrorig_solver.estimate.attitude import Settled, conclude, settle
@@ -315,15 +315,7 @@ def _named(
         p_value=p_value(best, one.looks, tests),
         posterior=one.posterior,
         one_of=tuple(names),
-        rivals=tuple(
-            Rival(
-                rival.extension.term.cause,
-                rival.won - best.won,
-                share,
-                _why(rival.won - best.won, rival.evidence - best.evidence),
-            )
-            for rival, share in one.rivals
-        ),
+        rivals=rivals_of(best, one.rivals),
         changes=board.changes(board.values + board.moved(left_out)),
         gain=gain,
     )
@@ -336,11 +328,3 @@ def _where(term: Term, extension: Extension, std: FloatArray) -> tuple[str, ...]
     }
     some = tuple(place for place, sigma in strength.items() if sigma > SHOWN_SIGMA)
     return some or tuple(sorted(strength, key=lambda p: -strength[p])[:1])
-
-
-def _why(won: float, evidence: float) -> str:
-    if evidence > 0.0:
-        return "it fits as well; the data do not tell them apart"
-    if won > -1.0:
-        return "it fits as well, but needs more unknowns or an unlikely size for it"
-    return f"its best fit leaves {-won:.1f} nats more unexplained"

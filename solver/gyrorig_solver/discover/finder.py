@@ -20,13 +20,13 @@ from gyrorig_solver.discover.result import (
     Findings,
     Gain,
     NamedCause,
-    Rival,
     Signature,
     Unexplained,
     Value,
     Verdict,
     Whose,
 )
+from gyrorig_solver.discover.rivals import rivals_of
 from gyrorig_solver.discover.scatter_names import look_for_jitter
 from gyrorig_solver.discover.search import (
     ALPHA,
@@ -173,15 +173,7 @@ def _named(
         p_value=by_chance(best, standing.looks, tests),
         posterior=standing.posterior,
         one_of=standing.one_of,
-        rivals=tuple(
-            Rival(
-                rival.extension.term.cause,
-                rival.won - best.won,
-                share,
-                _why(rival.won - best.won, rival.evidence - best.evidence),
-            )
-            for rival, share in standing.rivals
-        ),
+        rivals=rivals_of(best, standing.rivals),
         changes=board.changes(board.values + board.moved(left_out)),
         gain=gain,
         recording=_recording(solution, one),
@@ -193,14 +185,6 @@ def _recording(solution: Solution, one: Extension) -> str | None:
     number = recording_of(one.term)
     setting = None if number is None else solution.sessions[number].setting
     return None if setting is None else setting.recording
-
-
-def _why(won: float, evidence: float) -> str:
-    if evidence > 0.0:
-        return "it fits as well; the data do not tell them apart"
-    if won > -1.0:
-        return "it fits as well, but needs more unknowns or an unlikely size for it"
-    return f"its best fit leaves {-won:.1f} nats more unexplained"
 
 
 def _std(solution: Solution, k: int, event: float | None = None) -> list[float]:
