@@ -14,7 +14,10 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 MAKER = HERE / "truth" / "in_turn.py"
 RESULTS = HERE.parents[1] / "docs" / "discovery" / "results.json"
-SIDE_BY_SIDE = (("nulls",), ("ladder", "mixed", "many"))  # about as long to make
+SIDE_BY_SIDE = (
+    ("nulls",),
+    ("ladder", "mixed", "many", "outside", "nearly"),
+)  # about as long to make
 
 
 def make(out: Path, rounds: int) -> list[str]:

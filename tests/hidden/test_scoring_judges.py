@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from tests.hidden.explain_cases import end_cut_line, results_of
-from tests.hidden.scoring.answers import SCHEMA, Answer, HiddenCause, SealError, opened
+from tests.hidden.scoring.answers import SCHEMAS, Answer, HiddenCause, SealError, opened
 from tests.hidden.scoring.figures import Gap, confusion, figures, missed
 from tests.hidden.scoring.kept import Kept, read_kept, write_kept
 from tests.hidden.scoring.outcome import Outcome, outcome_of
@@ -167,7 +167,7 @@ def _case(folder: Path) -> str:
         "beside_others": None, "parameters": {"step": step},
     }  # fmt: skip
     document = {
-        "schema": SCHEMA, "seed": int(folder.name), "tier": "mixed", "kind": "one",
+        "schema": SCHEMAS[1], "seed": int(folder.name), "tier": "mixed", "kind": "one",
         "program": "quick", "soak_k": 0.0, "detectable": 20.0, "causes": [cause],
         "truth": {"boards": {"GY80-1": board}},
     }  # fmt: skip

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.hidden.truth import make
+from tests.hidden.truth.detectable import SIZES, detectable_of, sizes_of
 from tests.hidden.truth.draws import (
     LINES,
     PROGRAMS,
@@ -28,6 +29,7 @@ from tests.hidden.truth.sizing import COUNTED, Sizer
 from gyrorig_daemon.emulator.causes import CAUSES
 from gyrorig_daemon.emulator.noncentrality import detectable
 from gyrorig_daemon.emulator.settings import HideOrder
+from gyrorig_daemon.emulator.truth import draw_rig_truth
 
 RIG = RigDraw(77, "quick", 0.0, *LINES[3])
 TRUTH = Path(__file__).parent / "truth"
@@ -96,7 +98,7 @@ def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
     answer = json.loads(data)
     (cause,) = answer["causes"]
     assert cause["parameters"]["gap"] == {"value": 5e-4, "unit": "rad"}
-    assert cause["times_detectable"] ** 2 * answer["detectable"] == pytest.approx(
+    assert cause["times_detectable"] ** 2 * cause["detectable"] == pytest.approx(
         cause["noncentrality"]
     )
     begin_s, end_s = answer["span_s"]
@@ -122,7 +124,7 @@ def test_a_rung_is_met_by_the_session_that_comes_of_it(tmp_path: Path) -> None:
 def test_a_size_is_as_visible_as_wanted(name: str) -> None:
     told = sizer_of(RIG).size_of_cause(name, "", 3.0, 1.0)
     assert told is not None
-    assert told.seen.noncentrality == pytest.approx(9.0 * detectable(), rel=0.05)
+    assert told.seen.noncentrality == pytest.approx(9.0 * detectable_of(name), rel=0.05)
     assert sizer_of(RIG).visibility(HideOrder(name, "", told.size)) == told.seen
 
 
@@ -148,3 +150,25 @@ def test_a_ladder_goes_round_all_causes_before_the_next_rung() -> None:
     assert {name for name, _, _ in turns[:many]} == {*SIZED, *COUNTED}
     assert [turns[k * many][1:] for k in range(4)] == [(0, False), (1, False), (0, True), (1, True)]
     assert len(set(turns)) == 4 * many
+
+
+def test_one_size_is_found_as_a_two_sided_test_finds_it() -> None:
+    assert detectable_of("backlash") == pytest.approx(detectable(), rel=1e-6)
+    assert detectable_of("bias_step") == pytest.approx(24.80, abs=0.01)  # chi-square, 3
+    assert (
+        detectable_of("g_sensitivity") > detectable_of("eccentricity") > detectable_of("worm_error")
+    )
+    assert set(SIZES) <= set(SIZED)
+
+
+@pytest.mark.parametrize("name", sorted(SIZED))
+def test_sizes_are_counted_as_the_rig_draws_them(name: str) -> None:
+    shapes = {"at", "after", "lag", "time_constant", "frequency", "damping", "lag_at_power_up",
+              "mean_lag"}  # fmt: skip
+    order = HideOrder(name, "", CAUSES[name].typical)
+    (hidden,) = draw_rig_truth(replace(settings_of(RIG), hide=(order,))).hidden
+    drawn_sizes = sum(
+        np.size(told.value) for key, told in hidden.parameters.items() if key not in shapes
+    )
+    # three of the nine of gravity's matrix never show: the stage tilts about one axis
+    assert sizes_of(name) == drawn_sizes - (3 if name == "g_sensitivity" else 0)

@@ -16,7 +16,7 @@ import numpy as np
 from gyrorig_solver.discover.changes import PARAMETERS
 from gyrorig_solver.model.gain import factorise
 
-SCHEMA = "gyrorig/hidden-answer/1"
+SCHEMAS = ("gyrorig/hidden-answer/2", "gyrorig/hidden-answer/1")  # the first: with sizes counted
 ANSWER, SEAL, RECORDING = "answer.json", "sealed.txt", "recording.mcap"
 HELD, HELD_RATES = "held.mcap", "held.npz"
 COUNTED = 1000.0  # times: what is counted in the stream, not weighed against noise, shows
@@ -85,9 +85,9 @@ def opened(case: Path, seal: str) -> Answer:
     if hashlib.sha256(raw).hexdigest() != seal:
         raise SealError(f"{case.name}: the answer is not the one that was sealed")
     told = json.loads(raw)
-    if told["schema"] != SCHEMA or str(told["seed"]) != case.name:
+    if told["schema"] not in SCHEMAS or str(told["seed"]) != case.name:
         raise SealError(f"{case.name}: the answer is of another kind or case")
-    detectable = float(told["detectable"])
+    detectable = float(told.get("detectable", 0.0))
     (board,) = told["truth"]["boards"].values()
     return Answer(
         seed=int(told["seed"]),
@@ -108,11 +108,12 @@ def opened(case: Path, seal: str) -> Answer:
 def _cause(told: Mapping[str, Any], detectable: float) -> HiddenCause:
     times, beside = told.get("times_detectable"), told.get("beside_others")
     seen = COUNTED if times is None else float(times)
+    least = float(told.get("detectable", detectable))
     return HiddenCause(
         cause=str(told["cause"]),
         place=told.get("place"),
         times=seen,
-        beside_others=seen if beside is None else math.sqrt(max(beside, 0.0) / detectable),
+        beside_others=seen if beside is None else math.sqrt(max(beside, 0.0) / least),
         parameters=dict(_flat(told.get("parameters") or {})),
     )
 

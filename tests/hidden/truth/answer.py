@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from tests.hidden.truth.detectable import detectable_of, sizes_of
 from tests.hidden.truth.draws import Item, Session
 from tests.hidden.truth.outside import NEARLY, SHAPES
 from tests.hidden.truth.session import BOARD, ORIGIN_NS, Recorded, settings_of
@@ -13,9 +14,8 @@ from tests.hidden.truth.shapes import parameters
 from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
 
 from gyrorig_daemon.emulator.causes import Quantity
-from gyrorig_daemon.emulator.noncentrality import detectable
 
-SCHEMA = "gyrorig/hidden-answer/1"
+SCHEMA = "gyrorig/hidden-answer/2"
 
 
 def answer_of(session: Session, recorded: Recorded, sizer: Sizer) -> dict[str, Any]:
@@ -40,7 +40,6 @@ def answer_of(session: Session, recorded: Recorded, sizer: Sizer) -> dict[str, A
             "command_time_ms": session.rig.command_time_ms,
         },
         "decoy": session.decoy,
-        "detectable": detectable(),
         "causes": [
             _cause(item, told.get(item.name), beside, session)
             for item, beside in zip(session.items, _beside(session, sizer), strict=True)
@@ -90,9 +89,11 @@ def _cause(
         "noncentrality": lambda_,
         "beside_others": beside,
         "absorbed": None if seen is None else seen.absorbed,
+        "sizes": sizes_of(item.name),
+        "detectable": detectable_of(item.name),
         "times_detectable": None
         if lambda_ is None
-        else math.sqrt(max(lambda_, 0.0) / detectable()),
+        else math.sqrt(max(lambda_, 0.0) / detectable_of(item.name)),
         "wanted_times": item.wanted_times,
     }
 

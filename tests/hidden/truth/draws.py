@@ -9,16 +9,17 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from tests.hidden.truth.detectable import detectable_of
 from tests.hidden.truth.outside import NEARLY, OUTSIDE, SHAPES, Shape
 from tests.hidden.truth.session import Course, More, RigDraw, course, settings_of
 from tests.hidden.truth.shapes import hanger
 from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
 
 from gyrorig_daemon.emulator.causes import CAUSES
-from gyrorig_daemon.emulator.noncentrality import Visibility, detectable
+from gyrorig_daemon.emulator.noncentrality import Visibility
 from gyrorig_daemon.emulator.settings import HideOrder
 
-TIERS = ("mixed", "nulls", "ladder", "outside", "many")
+TIERS = ("mixed", "nulls", "ladder", "outside", "many", "nearly")  # at the end: they seed
 KINDS = ("null", "one", "two", "outside", "nearly", "unobservable")
 SHARES = (0.30, 0.35, 0.15, 0.10, 0.05, 0.05)
 
@@ -136,7 +137,7 @@ def drawn(
     rng = np.random.default_rng([seed, TIERS.index(tier), 0x5452])
     if tier == "ladder":
         return _ladder(rng, seed, rungs, first)
-    kind = {"nulls": "null", "many": "many", "outside": "outside"}.get(tier, "")
+    kind = {"nulls": "null", "mixed": ""}.get(tier, tier)
     kind = kind or str(rng.choice(KINDS, p=SHARES))
     programs = {"nulls": NULL_PROGRAMS, "many": MANY_PROGRAMS}.get(tier, PROGRAMS)
     program = str(rng.choice(list(programs), p=list(programs.values())))
@@ -245,7 +246,7 @@ def shape_sized(sizer: Sizer, shape: Shape, rig: RigDraw, times: float) -> Sized
     def seen(size: float) -> Visibility:
         return sizer.visibility(more=hanger(shape, size, settings))
 
-    return sizer.sized(seen, times, shape.start, shape.most)
+    return sizer.sized(seen, (times, detectable_of(shape.name)), shape.start, shape.most)
 
 
 def _unobservable(drawing: _Drawing) -> Session:
@@ -322,7 +323,7 @@ def on_rung(sizer: Sizer, session: Session) -> Session | None:
     (item,) = session.items
     if item.seen is None or item.size is None or CAUSES[item.name].whole:
         return None
-    wanted = session.rung**2 * detectable()
+    wanted = session.rung**2 * detectable_of(item.name)
     if abs(item.seen.noncentrality / wanted - 1.0) < RUNG_WIDTH:
         return None
     sign = -1.0 if item.size < 0.0 else 1.0

@@ -32,11 +32,13 @@ class Part:
 
 
 PARTS = (
-    Part("nulls", "nulls", 10_000, 1000, 60),
     Part("ladder", "ladder", 210_000, 8 * 2 * 2 * ROUND, 2 * ROUND, ("3", "2")),
-    Part("mixed", "mixed", 300_000, 1000, 25),
-    Part("ladder", "ladder", 250_000, 8 * 2 * ROUND, ROUND // 2, ("1",)),
-    Part("many", "many", 400_000, 40, 2),
+    Part("ladder", "ladder", 250_000, 8 * 2 * ROUND, ROUND, ("1",)),
+    Part("outside", "outside", 500_000, 500, 16),
+    Part("many", "many", 400_000, 40, 4),
+    Part("nearly", "nearly", 600_000, 100, 4),
+    Part("mixed", "mixed", 300_000, 1000, 16),
+    Part("nulls", "nulls", 10_000, 1000, 60),
 )
 
 
@@ -46,14 +48,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--rounds", type=int, default=50)
     parser.add_argument("--tiers", nargs="+", choices=TIERS, default=list(TIERS))
+    parser.add_argument("--beyond", type=int, default=0, help="added to every seed: fresh sessions")
     told = parser.parse_args()
     for turn in range(told.rounds):
         for part in PARTS:
             at = turn * part.a_round
             if at < part.count and part.tier in told.tiers:
+                first = part.first + told.beyond
                 make.main(
                     ["--out", str(told.out / part.folder), "--tier", part.tier,
-                     "--base", str(part.first), "--first", str(part.first + at),
+                     "--base", str(first), "--first", str(first + at),
                      "--count", str(min(part.a_round, part.count - at)),
                      "--rungs", *part.rungs]
                 )  # fmt: skip

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.hidden.truth.detectable import detectable_of
 from tests.hidden.truth.session import BOARD, ORIGIN_NS, Course, More
 from tests.hidden.truth.variance import jitter_noncentrality, walk_noncentrality
 
 from gyrorig_daemon.emulator.causes import CAUSES
 from gyrorig_daemon.emulator.noise_free import NoiseFreeRates, Twins
-from gyrorig_daemon.emulator.noncentrality import Beside, Visibility, detectable
+from gyrorig_daemon.emulator.noncentrality import Beside, Visibility
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.settings import HideOrder, RigSettings
 from gyrorig_daemon.emulator.truth import draw_rig_truth
@@ -42,11 +43,12 @@ class Sized:
 
     size: float
     seen: Visibility
+    detectable: float  # non-centrality that has to be there
 
     @property
     def times(self) -> float:
         """How many times the minimal detectable size it is."""
-        return math.sqrt(max(self.seen.noncentrality, 0.0) / detectable())
+        return math.sqrt(max(self.seen.noncentrality, 0.0) / self.detectable)
 
 
 class Sizer:
@@ -119,20 +121,25 @@ class Sizer:
         return lambda size: self.visibility(HideOrder(name, place, size))
 
     def sized(
-        self, seen: Callable[[float], Visibility], times: float, start: float, most: float
+        self,
+        seen: Callable[[float], Visibility],
+        wanted: tuple[float, float],
+        start: float,
+        most: float,
     ) -> Sized | None:
-        """Return the size at which an effect is `times` its minimal detectable size.
+        """Return the size at which an effect is so many times its minimal detectable size.
 
         Args:
             seen: how visible it is, by size; grows with the size's amount.
-            times: wanted.
+            wanted: how many times, and the minimal detectable non-centrality.
             start: a size to begin with; its sign is kept.
             most: amount that it may have at most.
 
         Returns:
             None where it needs more than the most.
         """
-        wanted = math.log(times**2 * detectable())
+        times, least = wanted
+        aim = math.log(times**2 * least)
         sign, x, top = math.copysign(1.0, start), math.log(min(abs(start), most)), math.log(most)
         low, high = -math.inf, math.inf
         best: tuple[float, Sized] | None = None
@@ -140,16 +147,16 @@ class Sizer:
         for round_ in range(_ROUNDS):
             told = seen(sign * math.exp(x))
             y = math.log(max(told.noncentrality, 1e-12))
-            if best is None or abs(y - wanted) < best[0]:
-                best = abs(y - wanted), Sized(sign * math.exp(x), told)
-            if best[0] < NEAR or (y < wanted and x >= top - 1e-12):
+            if best is None or abs(y - aim) < best[0]:
+                best = abs(y - aim), Sized(sign * math.exp(x), told, least)
+            if best[0] < NEAR or (y < aim and x >= top - 1e-12):
                 break
-            low, high = (max(low, x), high) if y < wanted else (low, min(high, x))
+            low, high = (max(low, x), high) if y < aim else (low, min(high, x))
             slope = 2.0
             if before is not None and abs(x - before[0]) > 1e-9:
                 slope = min(max((y - before[1]) / (x - before[0]), 0.5), _STEEPEST)
             before = x, y
-            x = min(x + min(max((wanted - y) / slope, -4.0), 4.0), top)
+            x = min(x + min(max((aim - y) / slope, -4.0), 4.0), top)
             if not low < x < high or (round_ > _SMOOTH and math.isfinite(high - low)):
                 x = 0.5 * (low + high)  # what jumps with the size is halved until it fits
         return best[1] if best is not None and best[0] < _ROUGHLY else None
@@ -159,18 +166,20 @@ class Sizer:
 
         A rate that is never exceeded is the smaller the more it shows; steps are lost whole.
         """
-        cause, seen = CAUSES[name], self.of_cause(name, place)
+        cause, seen, least = CAUSES[name], self.of_cause(name, place), detectable_of(name)
         if name == "saturation":
             peak = float(np.abs(self._plain_rates().plain_rad_s).max())
-            told = self.sized(lambda x: seen(peak - x), times, 0.05 * peak, 0.8 * peak)
-            return None if told is None else Sized(peak - told.size, told.seen)
+            told = self.sized(lambda x: seen(peak - x), (times, least), 0.05 * peak, 0.8 * peak)
+            return None if told is None else Sized(peak - told.size, told.seen, least)
         if cause.whole:
             one = seen(1.0)
             if one.noncentrality <= 0.0:
                 return None
-            steps = max(round(times / Sized(1.0, one).times), 1)
-            return Sized(sign * steps, seen(sign * steps)) if steps <= cause.highest else None
-        return self.sized(seen, times, sign * cause.typical, cause.highest)
+            steps = max(round(times / Sized(1.0, one, least).times), 1)
+            return (
+                Sized(sign * steps, seen(sign * steps), least) if steps <= cause.highest else None
+            )
+        return self.sized(seen, (times, least), sign * cause.typical, cause.highest)
 
     def _plain_rates(self) -> NoiseFreeRates:
         if self._plain is None:

@@ -15,6 +15,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
+from tests.hidden.truth.detectable import detectable_of
 from tests.hidden.truth.draws import PROGRAMS, sizer_of
 from tests.hidden.truth.session import RigDraw
 from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
@@ -38,7 +39,11 @@ def row(sizer: Sizer, cause: Cause, place: str) -> str:
     """Return a line of the table."""
     told = sizer.size_of_cause(cause.name, place, 1.0, 1.0)
     if told is None:
-        top = Sized(cause.highest, sizer.of_cause(cause.name, place)(cause.highest))
+        top = Sized(
+            cause.highest,
+            sizer.of_cause(cause.name, place)(cause.highest),
+            detectable_of(cause.name),
+        )
         told = top if top.times > 1.0 else None  # it begins with a jump past 1x
         shown = f"{top.times:.2g}x at {cause.highest:.2g}"
     else:
