@@ -1,5 +1,8 @@
 """One session: a rig, a program, a recording; the same code in real and simulated time.
 
+What to use when: `record_session` for one session on ports that are then done with;
+`Session` on a `Rig` that goes on afterwards.
+
 Everything that can refuse refuses before anything moves: first the boards and the unit
 say who they are, then the whole program is checked against the unit's limits, then the
 file is opened, and only then comes the first move. On every way out the unit is halted,
@@ -7,12 +10,11 @@ seen to stand still, and the recording closed.
 """
 
 import contextlib
-import random
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gyrorig_daemon.config import PTU_PORT
 from gyrorig_daemon.description import (
     SessionOrder,
     check_folder,
@@ -20,26 +22,27 @@ from gyrorig_daemon.description import (
     make_folder,
 )
 from gyrorig_daemon.links.board_link import BoardLink
-from gyrorig_daemon.links.board_samples import BoardSinks
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.links.hub import PortHub, PortsGoneError
-from gyrorig_daemon.links.pump import Pump, StopFlag
+from gyrorig_daemon.links.pump import StopFlag, Timer
 from gyrorig_daemon.motion import (
+    Exchange,
     Executor,
     Homing,
     PhaseSink,
     PlannedStep,
     Poller,
-    PtuClient,
     Unit,
     halt_and_confirm,
     identify_unit,
     open_unit,
+    plan_duration_s,
     plan_program,
 )
 from gyrorig_daemon.recorder import Recorder, RecordingPlan
 from gyrorig_daemon.recorder.ptu_log import PtuLog
 from gyrorig_daemon.recorder.timers import DiagnosticsTimer, HostClockTimer, WriterTimer
+from gyrorig_daemon.rig import Rig
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import (
@@ -53,6 +56,8 @@ from gyrorig_protocol.recording.messages import (
 )
 
 Progress = Callable[[int, int], None]
+
+CLOSING_LOOK_NS = 20_000_000  # how often it is asked whether a file is closed yet
 
 
 def no_progress(done: int, total: int) -> None:
@@ -86,7 +91,10 @@ def record_session(hub: PortHub, order: SessionOrder, around: Surroundings) -> P
         GyrorigError: of the class of whoever must act. The unit is halted then, and what
             was recorded is kept; the text says where.
     """
-    session = _Session(hub, order, around)
+    rig = Rig(
+        hub, order.config, around.capture, stop=around.stop, seed=around.seed, paths=around.paths
+    )
+    session = Session(rig, order, around, rig.boards)
     try:
         session.prepare()
         session.carry_out()
@@ -102,34 +110,34 @@ def record_session(hub: PortHub, order: SessionOrder, around: Surroundings) -> P
     return path
 
 
-class _Session:
+class Session:
     """The parts of one session and the order in which they come and go."""
 
-    def __init__(self, hub: PortHub, order: SessionOrder, around: Surroundings) -> None:
+    def __init__(
+        self, rig: Rig, order: SessionOrder, around: Surroundings, boards: Sequence[BoardLink]
+    ) -> None:
+        """Listen to the rig from here on.
+
+        Args:
+            rig: what to record, and what to move.
+            order: what to do.
+            around: clocks, writer.
+            boards: those of the rig that must take part.
+        """
+        self._rig = rig
         self._order = order
         self._around = around
-        self._pump = Pump(hub, around.stop)
-        self._recorder = Recorder(around.threaded_writer)
-        self._log = PtuLog(self._recorder, around.capture)
+        self._boards = boards
+        self._pump = rig.pump
+        self._client = rig.client
+        self.recorder = Recorder(around.threaded_writer)
+        self._log = PtuLog(self.recorder, rig.capture)
         self._unit: Unit | None = None
         self._poller: Poller | None = None
         self._steps: list[PlannedStep] = []
         self._phases: list[str] = []
-        config = order.config
-        self._client = PtuClient(
-            self._pump,
-            PTU_PORT,
-            where=around.paths.get(PTU_PORT, config.ptu.port),
-            baud=config.ptu.baud,
-            on_exchange=self._log.take_exchange,
-            timeout_s=config.ptu.poll.timeout_s,
-        )
-        sinks = BoardSinks(self._take_sample, self._take_ping, self._note, self._fault)
-        rng = random.Random(around.seed)  # noqa: S311 - moments, not secrets
-        self._boards = [
-            BoardLink(self._pump, board, around.capture, sinks, random.Random(rng.random()))  # noqa: S311
-            for board in config.boards
-        ]
+        self._timers: list[Timer] = []
+        rig.listener = self
 
     def prepare(self) -> None:
         """Get to know boards and unit, check the program, open the recording."""
@@ -151,8 +159,13 @@ class _Session:
         start = poller.where()
         self._poller = poller
         self._steps = plan_program(order.program, unit.facts, order.config.ptu.limits, start)
-        self._recorder.open(self._describe(unit))
+        self.recorder.open(self._describe(unit))
         self._start_timers()
+
+    @property
+    def planned_s(self) -> float:
+        """How long the program takes at most, 0 before it is known."""
+        return plan_duration_s(self._steps)
 
     def carry_out(self) -> None:
         """Run the program."""
@@ -170,26 +183,35 @@ class _Session:
             raise AssertionError("not prepared")  # a fault of this program
         self._pump.ignore_stop()
         halt_and_confirm(self._pump, self._unit, self._poller)
-        return self._recorder.close()
+        return self._close()
 
     def give_up(self, why: str, can_halt: bool = True) -> list[str]:
         """Halt whatever moves and keep what was recorded; return what to tell."""
         self._pump.ignore_stop()
-        told: list[str] = []
+        told = self.abort(why, can_halt)
+        told += self.keep()
+        return told
+
+    def abort(self, why: str, can_halt: bool = True) -> list[str]:
+        """Halt whatever moves and say why in the recording, which goes on; return what to tell."""
         try:
-            self._recorder.check()
+            self.recorder.check()
             self._event(EventKind.FAULT, "", why)
             for phase in reversed(self._phases):
                 self._event(EventKind.PHASE_END, phase, "aborted")
         except MachineError:
-            self._recorder.mute()
-        if self._client.identified and can_halt:
-            told.append(self._halt())
-        if self._recorder.is_open:
-            with contextlib.suppress(GyrorigError):
-                self._recorder.close()
-            told.append(f"recorded so far: {self._recorder.path}")
-        return told
+            self.recorder.mute()
+        self._phases.clear()
+        return [self._halt()] if self._client.identified and can_halt else []
+
+    def keep(self) -> list[str]:
+        """Close what was recorded so far, whatever state it is in; return what to tell."""
+        if not self.recorder.is_open:
+            self._listen_no_more()
+            return []
+        with contextlib.suppress(GyrorigError):
+            self._close()
+        return [f"recorded so far: {self.recorder.path}"]
 
     def complain_of_lost_boards(self, path: Path) -> None:
         """Say which boards went away meanwhile.
@@ -204,6 +226,26 @@ class _Session:
                 f"check the cable; the recording is kept: {path}",
             )
 
+    def take_exchange(self, exchange: Exchange) -> None:
+        """Record an exchange with the unit."""
+        self._log.take_exchange(exchange)
+
+    def take_sample(self, board_id: BoardId, message: ImuRaw, publish_ns: int) -> None:
+        """Record a sample."""
+        self.recorder.put(imu_topic(board_id), message, message.host_time_ns, publish_ns)
+
+    def take_ping(self, board_id: BoardId, message: ClockPing) -> None:
+        """Record a board's answer about its clock."""
+        self.recorder.put(clock_topic(board_id), message, message.host_receive_ns)
+
+    def note(self, text: str) -> None:
+        """Record what happened and is no fault."""
+        self._event(EventKind.NOTE, "", text)
+
+    def fault(self, text: str) -> None:
+        """Record what went wrong."""
+        self._event(EventKind.FAULT, "", text)
+
     def _halt(self) -> str:
         try:
             if self._unit is not None and self._poller is not None:
@@ -214,36 +256,51 @@ class _Session:
             return f"the unit could not be seen to halt ({fault.what})"
         return "the unit is halted"
 
+    def _close(self) -> Path:
+        """Close the recording while everything else goes on: a disk may take its time."""
+        self._listen_no_more()
+        if not self._around.threaded_writer:
+            return self.recorder.close()
+        closing = _Closing(self.recorder)
+        with contextlib.suppress(PortsGoneError):
+            while closing.is_alive():
+                self._pump.run_until(
+                    self._pump.now_ns() + CLOSING_LOOK_NS, lambda: not closing.is_alive()
+                )
+        return closing.path()
+
+    def _listen_no_more(self) -> None:
+        for timer in self._timers:
+            self._pump.remove_timer(timer)
+        self._timers.clear()
+        self._rig.listener = None
+
     def _describe(self, unit: Unit) -> RecordingPlan:
         order, around = self._order, self._around
         make_folder(order.out_dir)
         now_ns = self._pump.now_ns()
         return describe_session(
-            order, around.capture, around.host, unit.facts, self._boards, now_ns
+            order, self._rig.capture, around.host, unit.facts, self._boards, now_ns
         )
 
     def _start_timers(self) -> None:
         now_ns = self._pump.now_ns()
-        recorder, around = self._recorder, self._around
-        self._pump.add_timer(WriterTimer(recorder, now_ns))
-        self._pump.add_timer(HostClockTimer(recorder, around.capture, around.read_host, now_ns))
-        self._pump.add_timer(
+        recorder, around, capture = self.recorder, self._around, self._rig.capture
+        self._timers = [
+            WriterTimer(recorder, now_ns),
+            HostClockTimer(recorder, capture, around.read_host, now_ns),
             DiagnosticsTimer(
                 recorder,
-                around.capture,
+                capture,
                 now_ns,
                 client=self._client,
                 controller_clock=lambda: self._log.controller_clock,
                 boards=self._boards,
                 dropped_bytes=around.dropped_bytes,
-            )
-        )
-
-    def _take_sample(self, board_id: BoardId, message: ImuRaw, publish_ns: int) -> None:
-        self._recorder.put(imu_topic(board_id), message, message.host_time_ns, publish_ns)
-
-    def _take_ping(self, board_id: BoardId, message: ClockPing) -> None:
-        self._recorder.put(clock_topic(board_id), message, message.host_receive_ns)
+            ),
+        ]
+        for timer in self._timers:
+            self._pump.add_timer(timer)
 
     def _begin_phase(self, phase: str, text: str) -> None:
         self._phases.append(phase)
@@ -253,13 +310,41 @@ class _Session:
         self._phases.remove(phase)
         self._event(EventKind.PHASE_END, phase, text)
 
-    def _note(self, text: str) -> None:
-        self._event(EventKind.NOTE, "", text)
-
-    def _fault(self, text: str) -> None:
-        self._event(EventKind.FAULT, "", text)
-
     def _event(self, kind: EventKind, phase: str, text: str) -> None:
-        now_ns = self._around.capture.utc_ns(self._pump.now_ns())
+        now_ns = self._rig.capture.utc_ns(self._pump.now_ns())
         event = SessionEvent(now_ns, int(kind), phase, text)
-        self._recorder.hold(SESSION_EVENT_TOPIC, event, now_ns)
+        self.recorder.hold(SESSION_EVENT_TOPIC, event, now_ns)
+
+
+class _Closing:
+    """A recorder that closes in a thread of its own."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self._path: Path | None = None
+        self._fault: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="closing", daemon=True)
+        self._thread.start()
+
+    def is_alive(self) -> bool:
+        """Return whether it is not closed yet."""
+        return self._thread.is_alive()
+
+    def path(self) -> Path:
+        """Wait for the end and return the recording's name.
+
+        Raises:
+            MachineError: the disk refused.
+        """
+        self._thread.join()
+        if self._fault is not None:
+            raise self._fault
+        if self._path is None:
+            raise AssertionError("closed without a path")  # a fault of this program
+        return self._path
+
+    def _run(self) -> None:
+        try:
+            self._path = self._recorder.close()
+        except BaseException as fault:  # noqa: BLE001, RUF100 - raised again in the waiting thread
+            self._fault = fault

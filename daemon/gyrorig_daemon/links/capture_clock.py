@@ -14,12 +14,16 @@ _ADJTIMEX_FREQUENCY_UNIT = 65536.0  # <linux/timex.h>: ppm scaled by 2^16
 _TIMEX_WORDS = 64  # more than the structure's 208 bytes
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class CaptureClock:
-    """The anchor of a session."""
+    """The anchor of a session: one object for as long as the rig is used, moved between sessions."""
 
     anchor_utc_ns: int
     anchor_raw_ns: int
+
+    def anchor(self, other: "CaptureClock") -> None:
+        """Take the other's anchor: a new session begins."""
+        self.anchor_utc_ns, self.anchor_raw_ns = other.anchor_utc_ns, other.anchor_raw_ns
 
     def utc_ns(self, raw_ns: int) -> int:
         """Return the capture time of a raw monotonic stamp."""
