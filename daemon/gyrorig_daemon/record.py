@@ -14,7 +14,6 @@ from pathlib import Path
 from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
 from gyrorig_daemon.description import SessionOrder
 from gyrorig_daemon.emulation import Emulation
-from gyrorig_daemon.links.acquire import raw_ns
 from gyrorig_daemon.links.capture_clock import (
     CaptureClock,
     HostClocks,
@@ -23,6 +22,7 @@ from gyrorig_daemon.links.capture_clock import (
 )
 from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.pump import StopFlag
+from gyrorig_daemon.links.raw_clock import raw_ns
 from gyrorig_daemon.session import (
     Progress,
     Surroundings,

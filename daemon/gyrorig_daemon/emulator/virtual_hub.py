@@ -9,8 +9,13 @@ until then, because it could have overtaken.
 import heapq
 
 from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.links.hub import Chunk, WriteStamp
+from gyrorig_daemon.links.hub import Chunk, PortChange, WriteStamp
 from gyrorig_protocol.errors import DeviceError
+
+NEVER_NS = 1 << 62
+REOPENING_NS = 10_000_000
+
+_Arrival = tuple[int, int, str, bytes, PortChange | None]
 
 
 class VirtualHub:
@@ -22,16 +27,21 @@ class VirtualHub:
         self._devices = rig.devices
         self._latency = rig.latency
         self._now_ns = rig.origin_ns
-        self._arrivals: list[tuple[int, int, str, bytes]] = []
+        self._arrivals: list[_Arrival] = []
         self._order = 0
         self._closed = False
-        self._unplugged: dict[str, int] = {}
+        self._away: dict[str, list[tuple[int, int]]] = {port: [] for port in self._devices}
+        self._down: set[str] = set()
 
-    def unplug(self, port: str, at_ns: int) -> None:
-        """Pull a device's cable at a time to come: its port hangs up for good."""
-        self._unplugged[port] = at_ns
-        heapq.heappush(self._arrivals, (at_ns, self._order, port, b""))
-        self._order += 1
+    def unplug(self, port: str, at_ns: int, until_ns: int | None = None) -> None:
+        """Pull a device's cable at a time to come; plug it in again at `until_ns`, or never.
+
+        The device goes on without it.
+        """
+        self._push(at_ns, port, b"", PortChange.GONE)
+        if until_ns is not None:
+            self._push(until_ns, port, b"", PortChange.BACK)
+        self._away[port].append((at_ns, NEVER_NS if until_ns is None else until_ns))
 
     def now_ns(self) -> int:
         """Return the virtual clock."""
@@ -41,12 +51,12 @@ class VirtualHub:
         """Hand bytes to a device; they begin on its line a little later.
 
         Raises:
-            DeviceError: there is no such port, it hung up, or the hub is closed.
+            DeviceError: there is no such port, it is gone, or the hub is closed.
         """
         device = self._devices.get(port)
         if device is None or self._closed:
             raise DeviceError(f"no emulated device on port {port!r}", "check the rig's ports")
-        if self._now_ns >= self._unplugged.get(port, self._now_ns + 1):
+        if self._is_away(port, self._now_ns):
             raise DeviceError(f"the port {port!r} hung up", "plug the device in again")
         device.receive(data, self._latency.line_ns(self._now_ns))
         return WriteStamp(self._now_ns, self._now_ns)
@@ -67,6 +77,15 @@ class VirtualHub:
         self._now_ns = limit_ns
         return None
 
+    def is_up(self, port: str) -> bool:
+        """Return whether the port is open, by what `read` has told."""
+        return port not in self._down
+
+    def reopen(self, port: str) -> None:
+        """Let go of a port and open it anew, unless its cable is pulled."""
+        if not self._is_away(port, self._now_ns):
+            self.unplug(port, self._now_ns, self._now_ns + REOPENING_NS)
+
     def close(self) -> None:
         """Release every port. Closing twice is no fault."""
         self._closed = True
@@ -83,15 +102,26 @@ class VirtualHub:
     def _collect(self, port: str, until_ns: int) -> None:
         for line_ns, data in self._devices[port].take_output(until_ns):
             arrival_ns = self._latency.arrival_ns(port, line_ns)
-            if arrival_ns >= self._unplugged.get(port, arrival_ns + 1):
-                continue
-            heapq.heappush(self._arrivals, (arrival_ns, self._order, port, data))
-            self._order += 1
+            if not self._is_away(port, arrival_ns):
+                self._push(arrival_ns, port, data)
+
+    def _push(self, at_ns: int, port: str, data: bytes, change: PortChange | None = None) -> None:
+        heapq.heappush(self._arrivals, (at_ns, self._order, port, data, change))
+        self._order += 1
+
+    def _is_away(self, port: str, at_ns: int) -> bool:
+        return any(begin_ns <= at_ns < end_ns for begin_ns, end_ns in self._away[port])
 
     def _deliver(self) -> Chunk:
         """Take the first arrival, with whatever came on the same port at the same time."""
-        at_ns, _, port, data = heapq.heappop(self._arrivals)
+        at_ns, _, port, data, change = heapq.heappop(self._arrivals)
         while data and self._arrivals and self._arrivals[0][:3:2] == (at_ns, port):
+            if self._arrivals[0][4] is not None:
+                break
             data += heapq.heappop(self._arrivals)[3]
         self._now_ns = max(self._now_ns, at_ns)
-        return Chunk(port, self._now_ns, data)
+        if change is None:
+            return Chunk(port, self._now_ns, data)
+        (self._down.add if change is PortChange.GONE else self._down.discard)(port)
+        text = "it hung up" if change is PortChange.GONE else ""
+        return Chunk(port, self._now_ns, b"", change, text)

@@ -1,12 +1,13 @@
 """The acquisition process: reads ports, stamps every read call, and does nothing else.
 
-    python -m gyrorig_daemon.links.acquire '[["/dev/ttyUSB0", 115200, " H "], ...]'
+    python -m gyrorig_daemon.links.acquire '{"waits": false, "pause_ns": 2e9, "ports": [...]}'
 
 Its own interpreter with few imports, because one busy thread in the same process moves
 the median arrival stamp from 35 us to 5 ms (reference: timesync.md section 8). Orders
-come in on standard input, reports go out on standard output (see `wire`). When the
-daemon goes away without saying so, each port is sent its farewell: the pan-tilt unit's
-is the order to halt, which nobody else could send then.
+come in on standard input, reports go out on standard output (see `wire`). A port that
+goes away is tried again for ever (see `supervised_port`). When the daemon goes away
+without saying so, each port is sent its farewell: the pan-tilt unit's is the order to
+halt, which nobody else could send then.
 """
 
 import contextlib
@@ -17,50 +18,26 @@ import os
 import select
 import signal
 import sys
-import time
-from dataclasses import dataclass, field
 
 from gyrorig_daemon.links import wire
-from gyrorig_daemon.links.serial_port import RefusedError, open_port
+from gyrorig_daemon.links.port_kinds import READ_BYTES, Line, PortSettings
+from gyrorig_daemon.links.raw_clock import raw_ns
+from gyrorig_daemon.links.serial_port import RefusedError
+from gyrorig_daemon.links.supervised_port import SupervisedPort, Write
 
-READ_BYTES = 65_536
 PIPE_BYTES = 1 << 20
 MAX_HELD_BYTES = 32 << 20  # about ten minutes of 16 boards at 800 Hz
 FAREWELL_S = 0.5
-_GONE = select.POLLHUP | select.POLLERR | select.POLLNVAL
-
-
-def raw_ns() -> int:
-    """Return CLOCK_MONOTONIC_RAW in ns: no NTP slew enters it."""
-    return time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
-
-
-@dataclass(slots=True)
-class _Write:
-    """A write under way."""
-
-    data: bytes
-    deadline_ns: int
-    before_ns: int = 0
-
-
-@dataclass(slots=True)
-class _Port:
-    """One open port."""
-
-    index: int
-    fd: int
-    farewell: bytes
-    writes: list[_Write] = field(default_factory=list)
-    gone: bool = False
+WAITED_FOR = ("missing", "denied")  # udev gives a node its rights a moment after the node
+_HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 
 
 class Acquisition:
-    """All ports of the rig, between the serial drivers and two pipes."""
+    """All ports of the rig, between their drivers and two pipes."""
 
-    def __init__(self, ports: list[_Port], orders_fd: int, reports_fd: int) -> None:
-        self._ports = {port.fd: port for port in ports}
-        self._by_index = {port.index: port for port in ports}
+    def __init__(self, ports: list[SupervisedPort], orders_fd: int, reports_fd: int) -> None:
+        self._ports = ports
+        self._by_fd: dict[int, SupervisedPort] = {}
         self._orders_fd = orders_fd
         self._reports_fd = reports_fd
         self._orders = bytearray()
@@ -68,41 +45,72 @@ class Acquisition:
         self._dropped_bytes = 0
         self._poll = select.poll()
         self._poll.register(orders_fd, select.POLLIN)
-        for port in ports:
-            self._poll.register(port.fd, select.POLLIN)
 
     def run(self) -> None:
         """Serve until the daemon says so, or is gone."""
         self._report(wire.OPENED, 0, 0, 0, b"")
+        for port in self._ports:
+            if port.line is not None:
+                self._watch(port, port.line)
+            else:
+                self._say_gone(port, port.refusal)
         while True:
             self._flush()
             for fd, events in self._poll.poll(self._timeout_ms()):
-                if fd in self._ports:
-                    port = self._ports[fd]
-                    if events & (select.POLLIN | _GONE):
-                        self._read(port)
-                    if events & select.POLLOUT and port.writes:
-                        self._write(port)
+                if fd in self._by_fd:
+                    self._serve(self._by_fd[fd], events)
                 elif fd == self._reports_fd:
                     self._flush()
-                elif not self._take_orders():
+                elif fd == self._orders_fd and not self._take_orders():
                     return
             self._expire_writes()
+            self._try_again()
 
-    def _read(self, port: _Port) -> None:
-        if port.gone:
+    def _serve(self, port: SupervisedPort, events: int) -> None:
+        if events & (select.POLLIN | _HUNG_UP):
+            data = port.read(bool(events & _HUNG_UP))
+            stamp_ns = raw_ns()
+            if data:
+                self._report(wire.CHUNK, port.index, stamp_ns, 0, data)
+            elif data is not None:
+                self._lose(port, "it hung up")
+        if events & select.POLLOUT and port.writes:
+            self._write(port)
+
+    def _watch(self, port: SupervisedPort, line: Line) -> None:
+        self._by_fd[line.fd] = port
+        self._poll.register(line.fd, select.POLLIN)
+
+    def _lose(self, port: SupervisedPort, why: str, now: bool = False) -> None:
+        """Let go of a port; what was to be written to it fails."""
+        if port.line is not None:
+            self._poll.unregister(port.line.fd)
+            del self._by_fd[port.line.fd]
+            self._say_gone(port, why)
+        port.shut(now)
+        while port.writes:
+            self._end_write(port, b"the port hung up")
+
+    def _say_gone(self, port: SupervisedPort, why: str) -> None:
+        self._report(wire.GONE, port.index, raw_ns(), 0, why.encode())
+
+    def _try_again(self) -> None:
+        if len(self._by_fd) == len(self._ports):
             return
-        try:
-            data = os.read(port.fd, READ_BYTES)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        stamp_ns = raw_ns()
-        if not data:
-            port.gone = True
-            self._poll.unregister(port.fd)
-        self._report(wire.CHUNK, port.index, stamp_ns, 0, data)
+        now_ns = raw_ns()
+        for port in self._ports:
+            if port.line is not None or now_ns < port.retry_ns:
+                continue
+            before = port.refusal
+            try:
+                port.open()
+            except RefusedError as fault:
+                if str(fault) != before:
+                    self._say_gone(port, str(fault))
+                continue
+            if port.line is not None:
+                self._report(wire.BACK, port.index, raw_ns(), 0, b"")
+                self._watch(port, port.line)
 
     def _take_orders(self) -> bool:
         """Read the daemon's orders; return False when it closed or is gone."""
@@ -120,20 +128,23 @@ class Acquisition:
             del self._orders[:end]
             if kind == wire.CLOSE:
                 return False
-            port = self._by_index[index]
-            port.writes.append(_Write(body, deadline_ns))
-            self._write(port)
+            port = self._ports[index]
+            if kind == wire.REOPEN:
+                self._lose(port, "it is opened anew", now=True)
+            else:
+                port.writes.append(Write(body, deadline_ns))
+                self._write(port)
         return True
 
-    def _write(self, port: _Port) -> None:
+    def _write(self, port: SupervisedPort) -> None:
         write = port.writes[0]
-        if port.gone:
+        if port.line is None:
             self._end_write(port, b"the port hung up")
             return
         if not write.before_ns:
             write.before_ns = raw_ns()
         try:
-            sent = os.write(port.fd, write.data)
+            sent = port.line.write(write.data)
         except BlockingIOError:
             sent = 0
         except OSError as fault:
@@ -142,34 +153,35 @@ class Acquisition:
         after_ns = raw_ns()
         write.data = write.data[sent:]
         if write.data:
-            self._poll.modify(port.fd, select.POLLIN | select.POLLOUT)
+            self._poll.modify(port.line.fd, select.POLLIN | select.POLLOUT)
             return
         self._report(wire.WRITTEN, port.index, write.before_ns, after_ns, b"")
         self._next_write(port)
 
-    def _end_write(self, port: _Port, reason: bytes) -> None:
+    def _end_write(self, port: SupervisedPort, reason: bytes) -> None:
         self._report(wire.FAULT, port.index, raw_ns(), 0, reason)
         self._next_write(port)
 
-    def _next_write(self, port: _Port) -> None:
+    def _next_write(self, port: SupervisedPort) -> None:
         port.writes.pop(0)
-        if not port.gone:
+        if port.line is not None:
             mask = select.POLLIN | (select.POLLOUT if port.writes else 0)
-            self._poll.modify(port.fd, mask)
+            self._poll.modify(port.line.fd, mask)
 
     def _expire_writes(self) -> None:
-        for port in self._ports.values():
+        for port in self._ports:
             while port.writes and raw_ns() > port.writes[0].deadline_ns:
                 self._end_write(port, b"it does not take bytes")
 
     def _timeout_ms(self) -> int | None:
-        waiting = [port.writes[0].deadline_ns for port in self._ports.values() if port.writes]
+        waiting = [port.writes[0].deadline_ns for port in self._ports if port.writes]
+        waiting += [port.retry_ns for port in self._ports if port.line is None]
         if not waiting:
             return None
         return max(0, (min(waiting) - raw_ns()) // 1_000_000 + 1)
 
     def _report(self, kind: int, index: int, first_ns: int, second_ns: int, data: bytes) -> None:
-        if len(self._reports) > MAX_HELD_BYTES and kind == wire.CHUNK and data:
+        if len(self._reports) > MAX_HELD_BYTES and kind == wire.CHUNK:
             self._dropped_bytes += len(data)
             return
         if self._dropped_bytes and len(self._reports) < MAX_HELD_BYTES // 2:
@@ -193,40 +205,42 @@ class Acquisition:
             self._poll.unregister(self._reports_fd)
 
     def _say_farewell(self) -> None:
-        for port in self._ports.values():
-            if port.farewell and not port.gone:
-                _write_out(port.fd, port.farewell)
+        for port in self._ports:
+            if port.line is not None:
+                _write_out(port.line, port.farewell)
 
 
-def _write_out(fd: int, data: bytes) -> None:
+def _write_out(line: Line, data: bytes) -> None:
     """Write what a stuck port takes within half a second."""
     poll = select.poll()
-    poll.register(fd, select.POLLOUT)
+    poll.register(line.fd, select.POLLOUT)
     end_ns = raw_ns() + int(FAREWELL_S * 1e9)
     while data and raw_ns() < end_ns:
         poll.poll(50)
-        with contextlib.suppress(BlockingIOError):
-            try:
-                data = data[os.write(fd, data) :]
-            except BlockingIOError:
-                raise
-            except OSError:
-                return
-
-
-def _open_all(wanted: list[tuple[str, int, str]], reports_fd: int) -> list[_Port] | None:
-    ports: list[_Port] = []
-    for index, (path, baud, farewell) in enumerate(wanted):
         try:
-            ports.append(_Port(index, open_port(path, baud), farewell.encode("ascii")))
+            data = data[line.write(data) :]
+        except BlockingIOError:
+            continue
+        except OSError:
+            return
+
+
+def _open_all(ports: list[SupervisedPort], waits: bool, reports_fd: int) -> bool:
+    """Open what can be opened; return False, and say why, where a port must not be waited for."""
+    for port in ports:
+        try:
+            port.open()
         except RefusedError as fault:
+            if waits and fault.reason in WAITED_FOR:
+                continue
             # Nothing will be done here then, but what an earlier program left turning ends.
-            for port in ports:
-                _write_out(port.fd, port.farewell)
+            for opened in ports:
+                if opened.line is not None:
+                    _write_out(opened.line, opened.farewell)
             text = f"{fault.reason}\n{fault}".encode()
-            os.write(reports_fd, wire.REPORT.pack(wire.REFUSED, index, len(text), 0, 0) + text)
-            return None
-    return ports
+            os.write(reports_fd, wire.REPORT.pack(wire.REFUSED, port.index, len(text), 0, 0) + text)
+            return False
+    return True
 
 
 def main() -> int:
@@ -236,8 +250,12 @@ def main() -> int:
     orders_fd, reports_fd = 0, 1
     with contextlib.suppress(OSError):
         fcntl.fcntl(reports_fd, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-    ports = _open_all(json.loads(sys.argv[1]), reports_fd)
-    if ports is None:
+    wanted = json.loads(sys.argv[1])
+    ports = [
+        SupervisedPort(index, PortSettings(**settings), wanted["pause_ns"])
+        for index, settings in enumerate(wanted["ports"])
+    ]
+    if not _open_all(ports, wanted["waits"], reports_fd):
         return 1
     os.set_blocking(reports_fd, False)
     gc.freeze()

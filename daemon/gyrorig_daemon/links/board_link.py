@@ -17,7 +17,7 @@ from gyrorig_daemon.links.board_samples import (
     SampleStream,
 )
 from gyrorig_daemon.links.capture_clock import CaptureClock
-from gyrorig_daemon.links.hub import Chunk
+from gyrorig_daemon.links.hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.board import (
     Batch,
@@ -156,8 +156,9 @@ class BoardLink:
         self._pings[nonce] = (stamp.before_ns, stamp.before_ns + self._samples.wire_ns(len(frame)))
 
     def _take(self, chunk: Chunk) -> None:
-        if not chunk.data:
+        if chunk.change is PortChange.GONE:
             self._lose()
+        if not chunk.data:
             return
         if len(self._first_bytes) < 64:
             self._first_bytes += chunk.data[:64]

@@ -6,18 +6,28 @@ under a virtual clock.
 """
 
 from dataclasses import dataclass
+from enum import Enum
 from typing import Protocol
 
 from gyrorig_protocol.errors import MachineError
 
 
+class PortChange(Enum):
+    """What became of a port; its chunk has no data."""
+
+    GONE = "gone"  # said again where the reason has changed; the hub goes on trying
+    BACK = "back"  # open again: perhaps another device, its state unknown
+
+
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """What one read call returned; `data` is empty when the port hung up."""
+    """What one read call returned, or that the port went away or came back."""
 
     port: str
     received_ns: int  # CLOCK_MONOTONIC_RAW at the return of the read call
     data: bytes
+    change: PortChange | None = None
+    text: str = ""  # why it is gone
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +56,7 @@ class PortHub(Protocol):
         """Write all of `data`.
 
         Raises:
-            DeviceError: the port hung up, or did not take the bytes before the deadline.
+            DeviceError: the port is gone, or did not take the bytes before the deadline.
             PortsGoneError: nothing reaches any port any more.
         """
         ...
@@ -56,6 +66,18 @@ class PortHub(Protocol):
 
         Raises:
             PortsGoneError: nothing comes from any port any more.
+        """
+        ...
+
+    def is_up(self, port: str) -> bool:
+        """Return whether the port is open, by what `read` and `write` have learnt so far."""
+        ...
+
+    def reopen(self, port: str) -> None:
+        """Let go of a port and open it anew; its chunks GONE and BACK tell when.
+
+        Raises:
+            PortsGoneError: nothing reaches any port any more.
         """
         ...
 

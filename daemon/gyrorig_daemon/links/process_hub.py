@@ -7,41 +7,45 @@ import select
 import subprocess
 import sys
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import NoReturn
 
 from gyrorig_daemon.links import wire
-from gyrorig_daemon.links.acquire import PIPE_BYTES, raw_ns
+from gyrorig_daemon.links.acquire import PIPE_BYTES
 from gyrorig_daemon.links.farewell import say_farewell
-from gyrorig_daemon.links.hub import Chunk, PortsGoneError, WriteStamp
+from gyrorig_daemon.links.hub import Chunk, PortChange, PortsGoneError, WriteStamp
+from gyrorig_daemon.links.port_kinds import SERIAL, PortSettings
+from gyrorig_daemon.links.raw_clock import raw_ns
 from gyrorig_daemon.links.serial_port import candidates
+from gyrorig_daemon.links.supervised_port import RETRY_NS
 from gyrorig_protocol.errors import BusyError, DeviceError, GyrorigError, MachineError, UsageError
+
+__all__ = ["AcquisitionHub", "PortSettings", "refusal"]
 
 WRITE_DEADLINE_NS = 500_000_000  # a port that takes nothing holds up all others so long
 REPORT_DEADLINE_NS = 4_000_000_000
 OPEN_DEADLINE_NS = 15_000_000_000
 CLOSE_DEADLINE_S = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class PortSettings:
-    """How to open one port. `farewell` is sent to it if the daemon dies."""
-
-    path: str
-    baud: int
-    farewell: str = ""
+RETRY_S = RETRY_NS * 1e-9
 
 
 class AcquisitionHub:
-    """A `PortHub` over serial ports. Use it as a context, or close it."""
+    """A `PortHub` over real ports. Use it as a context, or close it."""
 
-    def __init__(self, ports: dict[str, PortSettings]) -> None:
-        """Open every port in the acquisition process.
+    def __init__(
+        self, ports: dict[str, PortSettings], waits: bool = False, retry_s: float = RETRY_S
+    ) -> None:
+        """Open the ports in the acquisition process.
+
+        A port that goes away later is tried again for ever, whatever `waits` says.
 
         Args:
             ports: settings by the names that chunks and writes use.
+            waits: begin without the ports that are not there (or not permitted) yet; each
+                of them is GONE until it can be opened.
+            retry_s: how long on average until a port that is gone is tried again.
 
         Raises:
             UsageError: there is no such port; the text names those there are.
@@ -54,10 +58,15 @@ class AcquisitionHub:
         self._parser = wire.ReportParser()
         self._reports: deque[wire.Report] = deque()
         self._chunks: deque[Chunk] = deque()
+        self._down: set[str] = set()
         self._gone: str | None = None  # why nothing can be said any more
         self.dropped_bytes = 0
         self._refuse_twins()
-        wanted = [[s.path, s.baud, s.farewell] for s in self._settings]
+        wanted = {
+            "waits": waits,
+            "pause_ns": int(retry_s * 1e9),
+            "ports": [asdict(s) for s in self._settings],
+        }
         try:
             self._child = subprocess.Popen(  # noqa: S603 - our own module, our own interpreter
                 [sys.executable, "-m", "gyrorig_daemon.links.acquire", json.dumps(wanted)],
@@ -101,7 +110,7 @@ class AcquisitionHub:
         """Write all of `data`; what arrives meanwhile is kept for `read`.
 
         Raises:
-            DeviceError: the port hung up, or did not take the bytes in half a second.
+            DeviceError: the port is gone, or did not take the bytes in half a second.
             PortsGoneError: the acquisition process is gone, or hangs.
         """
         deadline_ns = raw_ns() + WRITE_DEADLINE_NS
@@ -137,6 +146,18 @@ class AcquisitionHub:
             self._keep(report)
         return self._chunks.popleft()
 
+    def is_up(self, port: str) -> bool:
+        """Return whether the port is open, by what the acquisition process has said."""
+        return port not in self._down
+
+    def reopen(self, port: str) -> None:
+        """Let go of a port and open it anew; chunks GONE and BACK tell when.
+
+        Raises:
+            PortsGoneError: the acquisition process is gone.
+        """
+        self._send(wire.ORDER.pack(wire.REOPEN, self._index[port], 0, 0))
+
     def close(self) -> None:
         """End the acquisition process. Closing twice is no fault."""
         if self._child.stdin is None or self._child.stdin.closed:
@@ -157,23 +178,34 @@ class AcquisitionHub:
         if report is None:
             raise MachineError("the acquisition process did not start", "look at its messages")
         if report.kind != wire.REFUSED:
+            self._keep(report)
             return
         reason, _, text = report.data.decode(errors="replace").partition("\n")
         raise refusal(self._names[report.port], self._settings[report.port].path, reason, text)
 
     def _refuse_twins(self) -> None:
         """Two names of one port are a mistake of the configuration, not a busy port."""
-        seen: dict[Path, str] = {}
+        seen: dict[tuple[str, Path], str] = {}
         for settings in self._settings:
-            other = seen.setdefault(Path(settings.path).resolve(), settings.path)
+            path = Path(settings.path)
+            key = settings.kind, path.resolve() if settings.kind == SERIAL else path
+            other = seen.setdefault(key, settings.path)
             if other != settings.path:
                 raise UsageError(
                     f"{other} and {settings.path} are one port", "give each device its own port"
                 )
 
     def _keep(self, report: wire.Report) -> None:
+        name = self._names[report.port]
         if report.kind == wire.CHUNK:
-            self._chunks.append(Chunk(self._names[report.port], report.first_ns, report.data))
+            self._chunks.append(Chunk(name, report.first_ns, report.data))
+        elif report.kind == wire.GONE:
+            self._down.add(name)
+            why = report.data.decode(errors="replace")
+            self._chunks.append(Chunk(name, report.first_ns, b"", PortChange.GONE, why))
+        elif report.kind == wire.BACK:
+            self._down.discard(name)
+            self._chunks.append(Chunk(name, report.first_ns, b"", PortChange.BACK))
         elif report.kind == wire.LOST:
             self.dropped_bytes += report.second_ns
 

@@ -59,9 +59,17 @@ class Pump:
         """Fire `timer` whenever it is due."""
         self._timers.append(timer)
 
+    def remove_timer(self, timer: Timer) -> None:
+        """Fire `timer` no more; one that was never added is no fault."""
+        self._timers = [other for other in self._timers if other is not timer]
+
     def ignore_stop(self) -> None:
         """From here on finish what is begun: the stop has been heard."""
         self._heeds_stop = False
+
+    def heed_stop(self) -> None:
+        """Raise again what the stop flag holds, or will hold: the next session may begin."""
+        self._heeds_stop = True
 
     def now_ns(self) -> int:
         """Return the hub's time in ns."""
@@ -70,6 +78,14 @@ class Pump:
     def write(self, port: str, data: bytes) -> WriteStamp:
         """Write to a port; see `PortHub.write`."""
         return self._hub.write(port, data)
+
+    def is_up(self, port: str) -> bool:
+        """Return whether a port is open; see `PortHub.is_up`."""
+        return self._hub.is_up(port)
+
+    def reopen(self, port: str) -> None:
+        """Open a port anew; see `PortHub.reopen`."""
+        self._hub.reopen(port)
 
     def run_until(self, deadline_ns: int, done: Callable[[], bool] | None = None) -> bool:
         """Serve ports and timers until `done()` or the deadline.

@@ -8,7 +8,7 @@ wire: the next command waits for the answer to the last, and for the vendor's ra
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from gyrorig_daemon.links.hub import Chunk
+from gyrorig_daemon.links.hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import (
@@ -217,8 +217,9 @@ class PtuClient:
         )
 
     def _take(self, chunk: Chunk) -> None:
-        if not chunk.data:
+        if chunk.change is PortChange.GONE:
             self.gone = True
+        if not chunk.data:
             return
         if len(self._raw) < RAW_LIMIT_BYTES:
             self._raw += chunk.data

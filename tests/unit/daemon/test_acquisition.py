@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.links.acquire import raw_ns
-from gyrorig_daemon.links.hub import PortsGoneError
+from gyrorig_daemon.links.hub import Chunk, PortChange, PortsGoneError
 from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.raw_clock import raw_ns
 from gyrorig_daemon.links.wire import CHUNK, REPORT, ReportParser
 from gyrorig_protocol.errors import BusyError, DeviceError, MachineError, UsageError
 
@@ -118,9 +118,118 @@ def test_a_hang_up_is_an_empty_chunk_and_writes_fail(line: Line) -> None:
         line.close()
         chunk = hub.read(raw_ns() + 5 * SECOND_NS)
         assert chunk is not None
-        assert chunk.data == b""
+        assert (chunk.data, chunk.change) == (b"", PortChange.GONE)
+        assert not hub.is_up("a")
         with pytest.raises(DeviceError, match="hung up"):
             hub.write("a", b"PP ")
+
+
+class Cable:
+    """A link to a pty, as udev's to a port: pulled and plugged in again."""
+
+    def __init__(self, link: Path) -> None:
+        self.link = link
+        self.line: Line | None = None
+
+    def plug(self) -> Line:
+        self.line = Line()
+        self.link.symlink_to(self.line.path)
+        return self.line
+
+    def pull(self) -> None:
+        if self.line is not None:
+            self.link.unlink()
+            self.line.close()
+        self.line = None
+
+
+@pytest.fixture
+def cable(tmp_path: Path) -> Iterator[Cable]:
+    made = Cable(tmp_path / "port")
+    yield made
+    made.pull()
+
+
+def next_change(hub: AcquisitionHub, change: PortChange, seconds: float = 10.0) -> Chunk:
+    """Read on until a port changes so."""
+    end_ns = raw_ns() + int(seconds * SECOND_NS)
+    while (chunk := hub.read(end_ns)) is not None:
+        if chunk.change is change:
+            return chunk
+    raise AssertionError(f"no port is {change.value}")
+
+
+def test_a_port_that_is_plugged_in_later(line: Line, cable: Cable) -> None:
+    ports = {"a": PortSettings(line.path, 9600), "b": PortSettings(str(cable.link), 9600)}
+    with AcquisitionHub(ports, waits=True, retry_s=0.2) as hub:
+        gone = next_change(hub, PortChange.GONE)
+        assert (gone.port, gone.text) == ("b", "No such file or directory")
+        assert (hub.is_up("a"), hub.is_up("b")) == (True, False)
+        with pytest.raises(DeviceError, match="hung up"):
+            hub.write("b", b"x")
+        hub.write("a", b"x")
+        later = cable.plug()
+        assert next_change(hub, PortChange.BACK).port == "b"
+        assert hub.is_up("b")
+        hub.write("b", b"hello")
+        assert later.read() == b"hello"
+
+
+def test_a_port_that_is_pulled_and_plugged_again_and_again(line: Line, cable: Cable) -> None:
+    device = cable.plug()
+    ports = {"a": PortSettings(line.path, 9600), "b": PortSettings(str(cable.link), 9600)}
+    with AcquisitionHub(ports, retry_s=0.2) as hub:
+        for _ in range(2):
+            cable.pull()
+            gone = next_change(hub, PortChange.GONE)
+            assert (gone.port, gone.text) == ("b", "it hung up")
+            os.write(line.fd, b"goes on")
+            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            assert chunk is not None
+            assert (chunk.port, chunk.data) == ("a", b"goes on")
+            device = cable.plug()
+            back = next_change(hub, PortChange.BACK)
+            assert back.received_ns > gone.received_ns
+            os.write(device.fd, b"here")
+            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            assert chunk is not None
+            assert (chunk.port, chunk.data) == ("b", b"here")
+
+
+def test_a_port_can_be_opened_anew(line: Line) -> None:
+    with AcquisitionHub({"a": PortSettings(line.path, 9600)}) as hub:
+        hub.reopen("a")
+        assert next_change(hub, PortChange.GONE).text == "it is opened anew"
+        assert not hub.is_up("a")
+        next_change(hub, PortChange.BACK, 1.0)  # at once, not after the pause of a lost port
+        hub.write("a", b"x")
+        assert line.read() == b"x"
+
+
+def test_a_stuck_port_can_be_opened_anew(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gyrorig_daemon.links.process_hub.WRITE_DEADLINE_NS", SECOND_NS // 5)
+    with AcquisitionHub({"a": PortSettings(line.path, 9600)}) as hub:
+        with pytest.raises(DeviceError, match="does not take bytes"):
+            hub.write("a", bytes(200_000))
+        hub.reopen("a")
+        next_change(hub, PortChange.BACK, 5.0)
+
+
+def test_whoever_waits_does_not_wait_for_a_busy_port(line: Line) -> None:
+    with (
+        AcquisitionHub({"a": PortSettings(line.path, 9600)}),
+        pytest.raises(BusyError, match=line.path),
+    ):
+        AcquisitionHub({"b": PortSettings(line.path, 9600)}, waits=True)
+
+
+def test_why_a_port_is_gone_is_said_anew(cable: Cable, tmp_path: Path) -> None:
+    with AcquisitionHub({"b": PortSettings(str(cable.link), 9600)}, waits=True, retry_s=0.2) as hub:
+        assert next_change(hub, PortChange.GONE).text == "No such file or directory"
+        (tmp_path / "file").touch()
+        cable.link.symlink_to(tmp_path / "file")
+        assert next_change(hub, PortChange.GONE).text == "it is no serial port"
+        cable.link.unlink()
 
 
 def test_a_port_that_takes_nothing_is_given_up(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:

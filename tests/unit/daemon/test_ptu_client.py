@@ -7,7 +7,7 @@ from types import MappingProxyType
 import pytest
 
 from gyrorig_daemon.config import PTU_PORT, PtuPort
-from gyrorig_daemon.links.hub import Chunk, WriteStamp
+from gyrorig_daemon.links.hub import Chunk, PortChange, WriteStamp
 from gyrorig_daemon.links.pump import Pump, StopFlag, StopRequestedError
 from gyrorig_daemon.motion import (
     Exchange,
@@ -46,7 +46,8 @@ class ScriptedHub:
             self.heard.append(command)
             answer = self._answers(command)
             if answer is not None:
-                self._due.append(Chunk(port, self._now_ns + 5 * MS, answer))
+                change = None if answer else PortChange.GONE
+                self._due.append(Chunk(port, self._now_ns + 5 * MS, answer, change))
         return WriteStamp(before_ns, self._now_ns)
 
     def read(self, deadline_ns: int) -> Chunk | None:
@@ -56,6 +57,12 @@ class ScriptedHub:
             return chunk
         self._now_ns = max(self._now_ns, deadline_ns)
         return None
+
+    def is_up(self, port: str) -> bool:
+        return port == PTU_PORT
+
+    def reopen(self, port: str) -> None:
+        raise AssertionError(port)
 
     def close(self) -> None:
         return

@@ -18,7 +18,7 @@ from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, PtuFaults, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
-from gyrorig_daemon.links.hub import Chunk
+from gyrorig_daemon.links.hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import StopFlag, StopRequestedError
 from gyrorig_daemon.session import Surroundings, record_session
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, UsageError
@@ -342,7 +342,9 @@ class Scripted(VirtualHub):
         if chunk.received_ns <= self._at_ns:
             return chunk
         data, self._data = self._data, None
-        return replace(chunk, data=data + chunk.data if data else b"")
+        if not data:
+            return replace(chunk, data=b"", change=PortChange.GONE, text="it hung up")
+        return replace(chunk, data=data + chunk.data)
 
 
 def failing(tmp_path: Path, at_s: float, data: bytes, port: str = "ptu") -> tuple[Bench, str]:

@@ -17,7 +17,7 @@ from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.settings import BoardSettings, PtuFaults, PtuSettings, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.hub import Chunk, PortHub
+from gyrorig_daemon.links.hub import Chunk, PortChange, PortHub
 from gyrorig_protocol.board import HelloRequest, TimeRequest
 from gyrorig_protocol.errors import DeviceError, MachineError
 
@@ -114,11 +114,27 @@ def test_a_pulled_cable_is_a_hang_up() -> None:
     hub.unplug("board:A", ORIGIN + SECOND)
     chunks = play(hub, [], 2.0)
     of_a = [chunk for chunk in chunks if chunk.port == "board:A"]
-    assert of_a[-1] == Chunk("board:A", ORIGIN + SECOND, b"")
+    assert of_a[-1] == Chunk("board:A", ORIGIN + SECOND, b"", PortChange.GONE, "it hung up")
+    assert not hub.is_up("board:A")
     assert all(chunk.data for chunk in of_a[:-1])
     assert max(c.received_ns for c in chunks if c.port == "board:B") > ORIGIN + 1.9 * SECOND
     with pytest.raises(DeviceError, match="hung up"):
         hub.write("board:A", b"x")
+
+
+def test_a_cable_that_is_plugged_in_again() -> None:
+    hub = VirtualHub(EmulatedRig(SETTINGS, ORIGIN))
+    hub.unplug("board:A", ORIGIN + SECOND, ORIGIN + 3 * SECOND // 2)
+    of_a = [chunk for chunk in play(hub, [], 2.0) if chunk.port == "board:A"]
+    changes = [chunk for chunk in of_a if chunk.change is not None]
+    assert [chunk.change for chunk in changes] == [PortChange.GONE, PortChange.BACK]
+    gone_ns, back_ns = (chunk.received_ns for chunk in changes)
+    assert not any(gone_ns <= c.received_ns < back_ns for c in of_a if c.data)
+    assert of_a[-1].data
+    hub.reopen("board:A")
+    changed = [c.change for c in play(hub, [], 2.1) if c.change is not None]
+    assert changed == [PortChange.GONE, PortChange.BACK]
+    assert hub.is_up("board:A")
 
 
 def drive(device: EmulatedDevice, script: list[tuple[int, bytes]], looks_ns: list[int]) -> bytes:
