@@ -1,24 +1,22 @@
-"""A new file that knows what of it is on disk, and can be cut back to that.
+"""The file system as a recording needs it, and a new file that can be cut back.
 
-What to use when: only under `writer`. It writes without a buffer of its own, so after
-an error its position is the truth, and it never opens a file that exists.
+What to use when: only under `writer` and whoever moves recordings about. `Disk` is the
+seam at which tests put a disk that fails or forgets; there is one real one, `DISK`. A
+`DiskFile` writes without a buffer of its own, so after an error its position is the
+truth; it never opens a file that exists, and holds a lock by which others see that the
+file is being written: the system drops it with the process, however that ends.
 """
 
+import fcntl
 import os
+from contextlib import suppress
 from pathlib import Path
-
-
-def sync_directory(folder: Path) -> None:
-    """Make a created or renamed name in `folder` survive a power cut."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 class DiskFile:
     """The part of a binary stream that `mcap.writer.Writer` needs, on a bare descriptor.
+
+    `sync` may be called by another thread meanwhile.
 
     Raises:
         FileExistsError: the path exists already.
@@ -29,6 +27,8 @@ class DiskFile:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         self._handle = os.open(path, flags, 0o644)
         self._position = 0
+        with suppress(OSError):  # some network file systems have no locks
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def write(self, data: bytes) -> int:
         """Write all of `data`; a full disk first writes short, then raises."""
@@ -57,5 +57,59 @@ class DiskFile:
         self._position = length
 
     def close(self) -> None:
-        """Close the descriptor."""
-        os.close(self._handle)
+        """Close the descriptor, once: its number may be another file's by the next call."""
+        handle, self._handle = self._handle, -1
+        if handle >= 0:
+            os.close(handle)
+
+
+class Disk:
+    """What happens to names; every method raises OSError as the system reports it."""
+
+    def create(self, path: Path) -> DiskFile:
+        """A new, empty file; FileExistsError where the name is taken."""
+        return DiskFile(path)
+
+    def exists(self, path: Path) -> bool:
+        """Whether the name is taken."""
+        return path.exists()
+
+    def rename(self, old: Path, new: Path) -> None:
+        """Give a file another name, which nobody else takes meanwhile."""
+        old.rename(new)
+
+    def unlink(self, path: Path) -> None:
+        """Take a name away."""
+        path.unlink()
+
+    def sync_directory(self, folder: Path) -> None:
+        """Make created, renamed and deleted names in `folder` survive a power cut."""
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+    def free_bytes(self, folder: Path) -> int:
+        """What this process may still write there."""
+        room = os.statvfs(folder)
+        return room.f_bavail * room.f_frsize
+
+
+DISK = Disk()
+
+
+def is_being_written(path: Path) -> bool:
+    """Whether a living process holds the lock of a `DiskFile`.
+
+    Raises:
+        OSError: the file cannot be opened.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
+    return False

@@ -1,6 +1,7 @@
 """Read a recording of format 1: finished or not, whole or damaged.
 
 What to use when: `read_recording(path)`; see `recording.Recording` for what comes back.
+`read_head` for its metadata alone, without opening a chunk.
 
 Every checksum that the file carries is checked. What is damaged or cut is left out and
 stated in `Recording.losses`; what is left is exactly what was written. A file that is
@@ -48,6 +49,21 @@ def read_recording(path: Path) -> Recording:
         return _read(path, data, all_records=False)
     except SeveralChannelsError:
         return _read(path, data, all_records=True)
+
+
+def read_head(path: Path) -> Metadata:
+    """Return a recording's metadata without reading its messages.
+
+    Raises:
+        InputError: as `read_recording`.
+        MachineError: as `read_recording`.
+    """
+    data = map_file(path)
+    if data[: len(MAGIC)] != MAGIC:
+        raise InputError(f"{path} is no MCAP file", "a recording begins with the MCAP mark")
+    metadata = _metadata(walk(data, read_summary(data)))
+    _check_format(path, metadata)
+    return metadata
 
 
 def _read(path: Path, data: memoryview, *, all_records: bool) -> Recording:

@@ -13,31 +13,22 @@ a torn record in the middle would hide everything behind it from most readers.
 Source: the recording contract, format 1, section "File".
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self, TypeVar, cast
+from typing import NoReturn, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from mcap.writer import CompressionType, Writer
 
 from gyrorig_protocol.errors import MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.copies import (
-    CHANNELS_COPY,
-    MEDIA_TYPE,
-    METADATA_COPY,
-    channels_copy,
-    metadata_copy,
-)
-from gyrorig_protocol.recording.disk_file import DiskFile, sync_directory
+from gyrorig_protocol.recording.disk_file import DISK, Disk
 from gyrorig_protocol.recording.head import Attachment, complete_metadata, software
 from gyrorig_protocol.recording.imu_array import pack_imu
 from gyrorig_protocol.recording.messages import ImuRaw, Message, imu_topic
-from gyrorig_protocol.recording.schemas import SCHEMAS
+from gyrorig_protocol.recording.part_file import PartFile
 
 __all__ = ["Attachment", "RecordingWriter", "software", "unfinished"]
 
@@ -47,27 +38,6 @@ IntArray = npt.NDArray[np.integer]
 
 FLUSH_NS = 1_000_000_000  # contract: "flushed to a complete chunk at least once a second"
 SYNC_NS = 10_000_000_000  # contract: "synced to disk at least every 10 s"
-# A chunk of 1 MiB stalls the writing thread by about 14 ms, one of 16 MiB by 160 ms.
-CHUNK_BYTES = 1 << 20
-
-
-@dataclass(slots=True)
-class _Channel:
-    """What the writer remembers about one topic."""
-
-    number: int
-    type: str
-    sequence: int = 0
-    last_log_time_ns: int = 0
-
-
-@dataclass(slots=True)
-class _Safe:
-    """How far the file holds whole records, and what waits behind that."""
-
-    position: int = 0
-    waiting: int = 0
-    lost: int = field(default=0)
 
 
 class RecordingWriter:
@@ -79,6 +49,9 @@ class RecordingWriter:
             `anchor_monotonic_raw_ns` is required; `format`, `software`, `part`,
             `previous` and `foxglove` are filled in where missing.
         attachments: files to carry, written first.
+        disk: where it goes.
+        aside: slow work is left to the owner, who calls `sync` as often as the contract
+            asks and `salvage` after an error, from another thread if that suits.
 
     Raises:
         UsageError: the file, or its `.part`, exists.
@@ -91,38 +64,35 @@ class RecordingWriter:
         path: Path,
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[Attachment] = (),
+        *,
+        disk: Disk = DISK,
+        aside: bool = False,
     ) -> None:
         if path.suffix != ".mcap":
             raise ValueError(f"a recording is named .mcap, not {path.name}")
         records = complete_metadata(metadata)
         self._final = path
         self._part = unfinished(path)
-        self._channels: dict[str, _Channel] = {}
-        self._schemas: dict[str, int] = {}
-        self._uncopied: dict[int, tuple[str, str]] = {}  # channels since the last copy
-        self._safe = _Safe()
+        self._disk = disk
+        self._aside = aside
         self._last_flush_ns: int | None = None
         self._last_sync_ns: int | None = None
         self._open = False
-        self._final_exists = False
         self._file = self._create()
-        self._mcap = Writer(
-            cast(IO[bytes], self._file),
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-        )
         self._open = True
         try:
-            self._guard(lambda: self._begin(records, attachments))
+            self._guard(lambda: self._file.begin(records, attachments))
         except MachineError:
             with suppress(OSError):  # nothing is in it that the caller does not have
-                self._part.unlink()
+                if aside:
+                    self._file.salvage()
+                disk.unlink(self._part)
             raise
 
     @property
     def path(self) -> Path:
         """Where the recording is now: `.mcap.part` until `close` has succeeded."""
-        return self._final if self._final_exists else self._part
+        return self._final if self._file.renamed else self._part
 
     @property
     def closed(self) -> bool:
@@ -132,12 +102,17 @@ class RecordingWriter:
     @property
     def lost_messages(self) -> int:
         """Messages taken but not in the file, because the disk refused them."""
-        return self._safe.lost
+        return self._file.safe.lost
+
+    @property
+    def waiting_messages(self) -> int:
+        """Messages taken that are in no whole chunk yet: what an error now would cost."""
+        return self._file.safe.waiting
 
     @property
     def bytes_written(self) -> int:
         """Length of the file so far, without the open chunk."""
-        return self._safe.position
+        return self._file.safe.position
 
     def write(
         self,
@@ -167,13 +142,48 @@ class RecordingWriter:
         ours = message.TYPE.startswith("gyrorig_msgs/")
         if ours and payload_time is not None and payload_time != time_ns:
             raise ValueError(f"{topic}: log time {time_ns} is not the payload's {payload_time}")
-        payload = message.encode()
         publish_ns = time_ns if publish_time_ns is None else publish_time_ns
+        self.write_encoded(topic, message.TYPE, message.encode(), time_ns, publish_ns)
+
+    def write_encoded(
+        self,
+        topic: str,
+        type_name: str,
+        payload: bytes,
+        log_time_ns: int,
+        publish_time_ns: int,
+        sequence: int | None = None,
+    ) -> None:
+        """Append one message that is encoded already.
+
+        Args:
+            topic: as in `write`.
+            type_name: of its schema.
+            payload: header and fields.
+            log_time_ns: as in `write`; the payload's own times are not looked at.
+            publish_time_ns: as in `write`.
+            sequence: the message's own, where the caller counts; else the next one.
+
+        Raises:
+            ValueError: as in `write`.
+            MachineError: the disk refused; see the class.
+        """
         self._check_open()
-        channel = self._guard(lambda: self._channel(topic, message.TYPE))
-        if time_ns < channel.last_log_time_ns:
-            raise ValueError(f"{topic}: log time {time_ns} < {channel.last_log_time_ns} before it")
-        self._guard(lambda: self._append(channel, time_ns, publish_ns, payload))
+        file = self._file
+        channel = file.channels.get(topic)
+        if channel is None:
+            channel = self._guard(lambda: file.channel(topic, type_name))
+        if channel.type != type_name:
+            raise ValueError(f"{topic} holds {channel.type}, not {type_name}")
+        if log_time_ns < channel.last_log_time_ns:
+            before_ns = channel.last_log_time_ns
+            raise ValueError(f"{topic}: log time {log_time_ns} < {before_ns} before it")
+        if sequence is not None:
+            channel.sequence = sequence
+        try:
+            file.append(channel, log_time_ns, publish_time_ns, payload)
+        except OSError as error:
+            self._stop_for_good(error)
 
     def write_imu_array(
         self,
@@ -224,13 +234,14 @@ class RecordingWriter:
         if not times:
             return
         self._check_open()
-        channel = self._guard(lambda: self._channel(imu_topic(board_id), ImuRaw.TYPE))
+        file = self._file
+        channel = self._guard(lambda: file.channel(imu_topic(board_id), ImuRaw.TYPE))
         if times[0] < channel.last_log_time_ns or bool(np.any(np.diff(host_time_ns) < 0)):
             raise ValueError(f"{imu_topic(board_id)}: log time goes back")
 
         def append_all() -> None:
             for time_ns, publish_ns, payload in zip(times, published, payloads, strict=True):
-                self._append(channel, time_ns, publish_ns, payload)
+                file.append(channel, time_ns, publish_ns, payload)
 
         self._guard(append_all)
 
@@ -239,7 +250,7 @@ class RecordingWriter:
 
         Before the first message of a topic there is nothing that a gap could follow.
         """
-        channel = self._channels.get(topic)
+        channel = self._file.channels.get(topic)
         if channel is not None:
             channel.sequence = (channel.sequence + count) & 0xFFFFFFFF
 
@@ -259,15 +270,48 @@ class RecordingWriter:
         # Due a little early, so that the calls' own spacing does not exceed the limit.
         if now_ns - self._last_flush_ns >= FLUSH_NS * 3 // 4:
             self._last_flush_ns = now_ns
-            self._guard(self._flush)
-        if now_ns - self._last_sync_ns >= SYNC_NS * 3 // 4:
+            self._guard(self._file.flush)
+        if not self._aside and now_ns - self._last_sync_ns >= SYNC_NS * 3 // 4:
             self._last_sync_ns = now_ns
             self._guard(self._file.sync)
 
     def flush(self) -> None:
         """Close the chunk in progress now; a killed process keeps what is before it."""
         self._check_open()
-        self._guard(self._flush)
+        self._guard(self._file.flush)
+
+    def sync(self) -> None:
+        """Wait until the file is on the disk; any thread may, between creation and `close`.
+
+        Raises:
+            OSError: what was written since the last sync may not last; tell `fail`.
+        """
+        self._file.sync()
+
+    def fail(self, error: OSError) -> NoReturn:
+        """Stop for good because of what `sync` ran into.
+
+        Raises:
+            MachineError: always; see the class.
+        """
+        self._stop_for_good(error)
+
+    def salvage(self) -> str:
+        """Let go of the file after an error, where that was left `aside`; say what is kept."""
+        return self._file.salvage()
+
+    def add_facts(
+        self,
+        metadata: Mapping[str, Mapping[str, str]],
+        attachments: Sequence[Attachment] = (),
+    ) -> None:
+        """Add metadata records and files that were not known at the beginning.
+
+        Raises:
+            MachineError: the disk refused; see the class.
+        """
+        self._check_open()
+        self._guard(lambda: self._file.add_facts(metadata, attachments))
 
     def close(self) -> Path:
         """Finish, sync and rename the file; calling again does nothing.
@@ -278,11 +322,13 @@ class RecordingWriter:
         Raises:
             MachineError: the disk refused, now or before; the text names what is kept.
         """
-        if self._final_exists:
+        if self._file.renamed:
             return self._final
         self._check_open()
-        self._guard(self._flush)
-        self._guard(self._finish)
+        self._aside = False  # whoever closes has the time for what is slow
+        self._guard(self._file.flush)
+        self._guard(self._file.finish)
+        self._open = False
         return self._final
 
     def __enter__(self) -> Self:
@@ -299,83 +345,16 @@ class RecordingWriter:
         if self._open:
             self.close()
 
-    def _create(self) -> DiskFile:
+    def _create(self) -> PartFile:
         for path in (self._final, self._part):
-            if path.exists():
+            if self._disk.exists(path):
                 raise UsageError(f"{path} exists", "a recording is never overwritten")
         try:
-            return DiskFile(self._part)
+            return PartFile(self._final, self._part, self._disk)
         except FileExistsError as error:
             raise UsageError(f"{self._part} exists", "a recording is never overwritten") from error
         except OSError as error:
             raise MachineError(f"cannot create {self._part}: {error.strerror}") from error
-
-    def _begin(
-        self, records: Mapping[str, Mapping[str, str]], attachments: Iterable[Attachment]
-    ) -> None:
-        self._mcap.start(profile="ros2", library=software())
-        for name, record in records.items():
-            self._mcap.add_metadata(name, dict(record))
-        copy = Attachment(METADATA_COPY, MEDIA_TYPE, metadata_copy(records))
-        for one in (*attachments, copy):
-            self._attach(one)
-        self._mark_safe()
-        self._file.sync()
-        sync_directory(self._part.parent)
-
-    def _attach(self, one: Attachment) -> None:
-        self._mcap.add_attachment(
-            one.log_time_ns, one.log_time_ns, one.name, one.media_type, one.data
-        )
-
-    def _channel(self, topic: str, type_name: str) -> _Channel:
-        known = self._channels.get(topic)
-        if known is None:
-            if not topic.startswith("/"):
-                raise ValueError(f"a topic begins with a slash: {topic!r}")
-            if type_name not in self._schemas:
-                text = SCHEMAS[type_name].encode()
-                self._schemas[type_name] = self._mcap.register_schema(type_name, "ros2msg", text)
-            number = self._mcap.register_channel(
-                topic, "cdr", self._schemas[type_name], {"offered_qos_profiles": ""}
-            )
-            known = self._channels[topic] = _Channel(number, type_name)
-            self._uncopied[number] = (topic, type_name)
-        if known.type != type_name:
-            raise ValueError(f"{topic} holds {known.type}, not {type_name}")
-        return known
-
-    def _append(self, channel: _Channel, time_ns: int, publish_ns: int, payload: bytes) -> None:
-        self._safe.waiting += 1
-        self._mcap.add_message(channel.number, time_ns, payload, publish_ns, channel.sequence)
-        channel.sequence = (channel.sequence + 1) & 0xFFFFFFFF
-        channel.last_log_time_ns = time_ns
-        if self._file.tell() != self._safe.position:  # mcap has just written out a chunk
-            self._mark_safe()
-
-    def _flush(self) -> None:
-        self._mcap.flush()  # type: ignore[no-untyped-call]
-        self._mark_safe()
-        if self._uncopied:
-            self._attach(Attachment(CHANNELS_COPY, MEDIA_TYPE, channels_copy(self._uncopied)))
-            self._uncopied.clear()
-            self._mark_safe()
-
-    def _mark_safe(self) -> None:
-        self._safe.position = self._file.tell()
-        self._safe.waiting = 0
-
-    def _finish(self) -> None:
-        self._mcap.finish()  # type: ignore[no-untyped-call]
-        self._file.sync()
-        if self._final.exists():
-            raise FileExistsError(17, "a file of the final name has appeared")
-        self._part.rename(self._final)
-        self._final_exists = True
-        self._mark_safe()
-        self._open = False
-        self._file.close()
-        sync_directory(self._final.parent)
 
     def _check_open(self) -> None:
         if not self._open:
@@ -386,23 +365,19 @@ class RecordingWriter:
         try:
             return step()
         except OSError as error:
-            self._safe.lost = self._safe.waiting
-            self._open = False
-            kept = self._save_what_is_whole()
-            raise MachineError(
-                f"cannot write {self.path}: {error.strerror}; {kept}",
-                "make room and begin another recording",
-            ) from error
+            self._stop_for_good(error)
 
-    def _save_what_is_whole(self) -> str:
-        try:
-            if not self._final_exists:
-                self._file.cut(self._safe.position)
-                self._file.sync()
-            self._file.close()
-        except OSError as error:
-            return f"its last bytes may be torn ({error.strerror})"
-        return f"its first {self._safe.position} bytes are whole and kept"
+    def _stop_for_good(self, error: OSError) -> NoReturn:
+        safe = self._file.safe
+        safe.lost = safe.waiting
+        self._open = False
+        kept = f"its first {safe.position} bytes are whole"
+        if not self._aside:
+            kept = self._file.salvage()
+        raise MachineError(
+            f"cannot write {self.path}: {error.strerror}; {kept}",
+            "make room and begin another recording",
+        ) from error
 
 
 def unfinished(path: Path) -> Path:
