@@ -114,6 +114,8 @@ def test_a_rung_is_met_by_the_session_that_comes_of_it(tmp_path: Path) -> None:
     answer = json.loads((tmp_path / "answer.json").read_text())
     (cause,) = answer["causes"]
     assert cause["times_detectable"] == pytest.approx(2.0, rel=0.03)
+    with np.load(tmp_path / "rates.npz") as file:  # what it would be without noise
+        assert np.any(file["GY80-1.hidden_rad_s"] != file["GY80-1.aligned_rad_s"])
     order = HideOrder("s_curve", "", cause["size"]["value"])
     course = record(replace(RIG, hide=(order,)), tmp_path / "again.mcap").course
     seen = Sizer(settings_of(RIG), course).visibility(order)

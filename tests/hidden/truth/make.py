@@ -5,6 +5,7 @@
                  /sealed.txt       SHA-256 of the answer, written and printed first
                  /held.mcap        for some: the same rig again, under another program,
                  /held.npz         and its rates without noise
+                 /rates.npz        of a ladder: what it would be without noise, for the bound
 
 A seed whose recording is there is left alone: a run can go on where it was stopped.
 
@@ -26,8 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 from tests.hidden.truth.answer import answer_of, seal
 from tests.hidden.truth.decoys import hot_truth, with_idle_channel
 from tests.hidden.truth.draws import TIERS, Session, drawn, on_rung, orders_of, seen_by
-from tests.hidden.truth.session import ORIGIN_NS, Recorded, record, settings_of
-from tests.hidden.truth.sizing import Sizer
+from tests.hidden.truth.session import BOARD, ORIGIN_NS, Recorded, record, settings_of
+from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
 
 from gyrorig_daemon.emulator.noise_free import Twins, write_rates
 from gyrorig_daemon.emulator.rig import EmulatedRig
@@ -45,6 +46,9 @@ def make(folder: Path, session: Session) -> str:
     document = answer_of(session, recorded, sizer)
     if session.held is not None:
         _hold(folder, session, recorded.rig.truth)
+    if session.rung is not None and session.items[0].name not in (*COUNTED, *IN_VARIANCE):
+        rates = {BOARD: sizer.rates(session.items[0].order)}
+        write_rates(folder / "rates.npz", rates, recorded.course.moves_s)
     sealed = seal(folder, document)
     if session.decoy == "idle_channel":
         with_idle_channel(raw, session.rig.seed)
