@@ -10,6 +10,7 @@ from typing import Annotated, Literal, get_args
 
 import msgspec
 
+from gyrorig_daemon.config.service import ScheduleEntry, ServiceSettings, check_schedule
 from gyrorig_protocol.board import ColumnMap, Sample
 from gyrorig_protocol.documents import parse_yaml, read_as
 from gyrorig_protocol.errors import InputError, UsageError
@@ -135,6 +136,8 @@ class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     schema: Literal["gyrorig/rig/1"] = "gyrorig/rig/1"
     site: Site = Site()
     emulator: Emulator = Emulator()
+    schedule: Annotated[tuple[ScheduleEntry, ...], msgspec.Meta(max_length=100)] = ()
+    service: ServiceSettings = ServiceSettings()
 
     @property
     def is_emulated(self) -> bool:
@@ -168,6 +171,7 @@ def parse_rig(text: str | bytes, name: str) -> RigConfig:
         if board.port == EMULATED:
             _check_emulated_line(board, rig.emulator.odr_hz, name)
     _check_limits(rig.ptu.limits, name)
+    check_schedule(rig.schedule, name)
     return rig
 
 
