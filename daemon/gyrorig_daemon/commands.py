@@ -18,6 +18,7 @@ import click
 from gyrorig_daemon import record
 from gyrorig_daemon.config import load_rig, parse_rig, read_document
 from gyrorig_daemon.description import SessionOrder
+from gyrorig_daemon.doctor.command import doctor_command
 from gyrorig_daemon.emulation import Emulation, rough_session_s
 from gyrorig_daemon.halt_command import halt_command
 from gyrorig_daemon.links.pump import StopFlag
@@ -69,6 +70,7 @@ def cli() -> None:
 
 
 cli.add_command(halt_command)
+cli.add_command(doctor_command)
 
 
 @cli.command("record")

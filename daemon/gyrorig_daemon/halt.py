@@ -18,7 +18,6 @@ import termios
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from gyrorig_daemon.halt_line import HaltLine
 from gyrorig_daemon.links.serial_port import RefusedError, make_raw, open_port
@@ -91,27 +90,16 @@ def _open(port: str, baud: int, end_s: float) -> int:
 
 
 def _refusal(port: str, fault: RefusedError) -> GyrorigError:
-    from gyrorig_daemon.links.process_hub import refusal  # noqa: PLC0415 - seldom needed
+    from gyrorig_daemon.links.holder import lock_holder  # noqa: PLC0415 - seldom needed
+    from gyrorig_daemon.links.process_hub import refusal  # noqa: PLC0415
 
     error = refusal("ptu", port, fault.reason, str(fault))
     if fault.reason == "busy":
-        holder = _holder(port)
+        holder = lock_holder(port)
         who = f" ({holder})" if holder else ""
         remedy = f"end that program{who}: it halts the unit itself; or cut the unit's power"
         return BusyError(f"not halted: {error.what}", remedy)
     return type(error)(f"not halted: {error.what}", error.remedy)
-
-
-def _holder(port: str) -> str:
-    """Return which process has locked the port, "" where that cannot be seen."""
-    with contextlib.suppress(OSError, ValueError, IndexError):
-        inode = str(Path(port).stat().st_ino)
-        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
-            words = line.split()  # 1: FLOCK ADVISORY WRITE 4711 00:05:88 0 EOF
-            if words[1] == "FLOCK" and words[5].split(":")[2] == inode:
-                name = Path(f"/proc/{words[4]}/comm").read_text(encoding="utf-8").strip()
-                return f"process {words[4]}, {name}"
-    return ""
 
 
 def _find(line: HaltLine, bauds: Sequence[int]) -> int:

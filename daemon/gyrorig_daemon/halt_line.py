@@ -1,7 +1,7 @@
-"""One exchange after another on an open port, for `halt`: the unit's line without the daemon.
+"""One exchange after another on an open port: the unit's line without the daemon.
 
-What to use when: `HaltLine` in `halt` only; everything else talks to a unit by `PtuClient`,
-which records what is said. No wait here is without an end.
+What to use when: `HaltLine` in `halt` and in `doctor`; everything else talks to a unit by
+`PtuClient`, which records what is said. No wait here is without an end.
 """
 
 import os

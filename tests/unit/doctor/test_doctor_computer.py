@@ -1,0 +1,270 @@
+"""What the doctor says of a computer that is shown to it as a folder."""
+
+import errno
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gyrorig_daemon.doctor import disk, ports
+from gyrorig_daemon.doctor.disk import Disk, examine_disk
+from gyrorig_daemon.doctor.finding import EXIT_CODES, Finding, Level, worst
+from gyrorig_daemon.doctor.machine import examine_machine
+from gyrorig_daemon.doctor.ports import examine_port
+from gyrorig_daemon.doctor.system import System
+from gyrorig_daemon.doctor.timekeeping import STA_UNSYNC, examine_time
+from gyrorig_daemon.doctor.tonight import examine_tonight
+from gyrorig_daemon.links.capture_clock import HostClocks
+from gyrorig_daemon.links.holder import Holder
+
+NOW_NS = 1_795_000_000 * 10**9  # November 2026
+GOOD = HostClocks(1, 1, NOW_NS, 3.0, 0.001, 0x2001)
+
+
+@pytest.fixture
+def system(tmp_path: Path) -> System:
+    """A healthy Raspberry Pi with the service installed and chrony at work."""
+    (tmp_path / "root").mkdir()
+    shown = System(tmp_path / "root")
+    put(shown, "/proc/meminfo", "MemTotal: 3884300 kB\nMemAvailable: 3000000 kB\n")
+    put(shown, "/proc/loadavg", "0.10 0.20 0.30 1/200 4711")
+    put(shown, "/proc/812/comm", "chronyd")
+    put(shown, "/proc/mounts", f"/dev/mmcblk0p2 {tmp_path} ext4 rw,noatime 0 0\n")
+    put(shown, "/sys/class/thermal/thermal_zone0/temp", "48300")
+    put(shown, "/sys/class/rtc/rtc0/name", "rpi_rtc")
+    put(shown, "/etc/systemd/system/multi-user.target.wants/gyrorigd.service", "")
+    return shown
+
+
+def put(system: System, name: str, text: str) -> None:
+    path = system.path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+def codes(findings: list[Finding], least: Level = Level.NOTE) -> list[str]:
+    return [finding.code for finding in findings if finding.level >= least]
+
+
+def test_nothing_to_do(system: System) -> None:
+    found = [*examine_machine(system), *examine_time(system, GOOD)]
+    assert codes(found) == []
+    assert EXIT_CODES[worst(found)] == 0
+    assert all(finding.what for finding in found)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "code", "level"),
+    [
+        ("/sys/class/thermal/thermal_zone1/temp", "84000", "hot", Level.WARNING),
+        ("/proc/meminfo", "MemAvailable: 90000 kB\n", "memory", Level.WARNING),
+        ("/proc/loadavg", "9 900.5 700 1/2 3", "load", Level.WARNING),
+        (
+            "/etc/apt/apt.conf.d/50unattended-upgrades",
+            '// Unattended-Upgrade::Automatic-Reboot "false";\n'
+            'Unattended-Upgrade::Automatic-Reboot "true";\n',
+            "reboots",
+            Level.WARNING,
+        ),
+    ],
+)
+def test_a_computer_with_a_flaw(
+    system: System, name: str, text: str, code: str, level: Level
+) -> None:
+    put(system, name, text)
+    (finding,) = [f for f in examine_machine(system) if f.level > Level.OK]
+    assert (finding.code, finding.level) == (code, level)
+    assert finding.remedy
+
+
+def test_the_pi_s_own_alarm_of_its_supply(system: System) -> None:
+    put(system, "/sys/class/hwmon/hwmon3/name", "rpi_volt")
+    put(system, "/sys/class/hwmon/hwmon3/in0_lcrit_alarm", "0")
+    assert codes(examine_machine(system)) == []
+    put(system, "/sys/class/hwmon/hwmon3/in0_lcrit_alarm", "1")
+    assert codes(examine_machine(system)) == ["undervoltage"]
+
+
+def test_nothing_starts_the_daemon(system: System) -> None:
+    wanted = system.path("/etc/systemd/system/multi-user.target.wants/gyrorigd.service")
+    wanted.unlink()
+    (finding,) = [f for f in examine_machine(system) if f.level > Level.OK]
+    assert (finding.code, finding.remedy) == ("service", "sudo make install-service")
+    put(system, "/etc/systemd/system/gyrorigd.service", "")
+    (finding,) = [f for f in examine_machine(system) if f.level > Level.OK]
+    assert finding.remedy.startswith("systemctl enable")
+
+
+def test_clocks(system: System) -> None:
+    unsynchronised = replace(GOOD, ntp_status=STA_UNSYNC)
+    (finding,) = [f for f in examine_time(system, unsynchronised) if f.level]
+    assert finding.code == "not_synchronised"
+    assert "chronyd runs" in finding.what
+    put(system, "/proc/812/comm", "bash")
+    (finding,) = [f for f in examine_time(system, unsynchronised) if f.level]
+    assert finding.remedy == "install chrony"
+    assert codes(examine_time(system, replace(GOOD, realtime_ns=3 * 10**9))) == ["wrong_date"]
+    assert codes(examine_time(system, replace(GOOD, estimated_error_s=16.0))) == [
+        "not_synchronised"
+    ]
+    # no such call (a container without it): nothing is said that is not known
+    unknown = replace(GOOD, frequency_ppm=float("nan"), estimated_error_s=float("nan"))
+    assert codes(examine_time(system, unknown)) == []
+    put(system, "/sys/devices/system/clocksource/clocksource0/current_clocksource", "jiffies")
+    assert codes(examine_time(system, GOOD)) == ["slow_clock"]
+    (system.path("/sys/class/rtc/rtc0/name")).unlink()
+    system.path("/sys/class/rtc/rtc0").rmdir()
+    assert codes(examine_time(system, GOOD)) == ["no_rtc", "slow_clock"]
+
+
+def test_a_disk_is_measured_and_left_as_it_was(system: System, tmp_path: Path) -> None:
+    kept = tmp_path / "recordings"
+    kept.mkdir()
+    (kept / "a.mcap").write_bytes(b"a")
+    found, measured = examine_disk(kept / "not" / "there", system)
+    assert measured is not None
+    assert measured.folder == kept
+    assert measured.free_bytes > 0
+    assert measured.write_bytes_s > 0.0
+    assert [finding.subject for finding in found] == ["disk"]
+    assert [path.name for path in kept.iterdir()] == ["a.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("spent_s", "code", "level"),
+    [(0.004, "speed", Level.OK), (0.3, "slow", Level.WARNING), (1.5, "too_slow", Level.FAULT)],
+)
+def test_how_slow_a_disk_is(
+    system: System,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    spent_s: float,
+    code: str,
+    level: Level,
+) -> None:
+    monkeypatch.setattr(disk, "_trial", lambda _: spent_s)
+    found, _ = examine_disk(tmp_path, system)
+    assert [(finding.code, finding.level) for finding in found] == [(code, level)]
+
+
+@pytest.mark.parametrize(
+    ("mount", "code", "level"),
+    [
+        ("vfat rw", "no_journal", Level.WARNING),
+        ("tmpfs rw,size=1g", "not_kept", Level.NOTE),
+        ("ext4 ro,noatime", "read_only", Level.FAULT),
+    ],
+)
+def test_kinds_of_disks(
+    system: System,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    mount: str,
+    code: str,
+    level: Level,
+) -> None:
+    monkeypatch.setattr(disk, "_trial", lambda _: 0.001)
+    put(system, "/proc/mounts", f"/dev/a / ext4 rw 0 0\n/dev/b {tmp_path} {mount} 0 0\n")
+    found, measured = examine_disk(tmp_path, system)
+    assert [(f.code, f.level) for f in found if f.level] == [(code, level)]
+    assert (measured is None) == (level is Level.FAULT)
+
+
+def test_a_disk_that_takes_nothing(
+    system: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: Path) -> float:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(disk, "_trial", full)
+    (finding,), measured = examine_disk(tmp_path, system)
+    assert (finding.code, measured) == ("trial_failed", None)
+    assert "No space left" in finding.what
+
+
+def test_tonight() -> None:
+    folder = Path("/var/lib/gyrorig")
+    # 16 boards at 800 Hz and 100 positions a second, 64 bytes each: 2.97 GB an hour
+    (finding,) = examine_tonight(Disk(folder, 20 * 10**9, 5e6), 12800.0, 100.0, 16)
+    assert (finding.code, finding.level) == ("fills_up", Level.WARNING)
+    assert "full in 6.5 h" in finding.what
+    (finding,) = examine_tonight(Disk(folder, 200 * 10**9, 5e6), 100.0, 100.0, 1)
+    assert (finding.code, finding.level) == ("fits", Level.OK)
+    found = examine_tonight(Disk(folder, 10**8, 1e5), 12800.0, 100.0, 16)
+    assert codes(found) == ["full", "disk_too_slow"]
+    assert codes(examine_tonight(Disk(folder, 10**9, 1e6), 0.0, 100.0, 1)) == ["no_rate"]
+    assert examine_tonight(None, 100.0, 100.0, 1) == []
+
+
+@pytest.fixture
+def port() -> Iterator[str]:
+    master, slave = os.openpty()
+    yield os.ttyname(slave)
+    os.close(slave)
+    os.close(master)
+
+
+def test_a_free_port(system: System, port: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "open_holders", lambda _: [])
+    found, state = examine_port("unit", port, system)
+    assert (found, state.can_open) == ([], True)
+
+
+def test_names_that_do_not_hold(
+    system: System, tmp_path: Path, port: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ports, "_UNSTABLE", re.compile(r"/dev/pts/\d+"))
+    put(system, "/dev/serial/by-id/x", "")
+    better = system.path("/dev/serial/by-id/usb-FTDI_PTU00001-if00-port0")
+    better.symlink_to(port)
+    finding = examine_port("unit", port, system)[0][0]
+    assert finding.code == "unstable_name"
+    assert finding.remedy == "name it /dev/serial/by-id/usb-FTDI_PTU00001-if00-port0"
+
+
+def test_what_is_in_the_way_of_a_port(system: System, port: str) -> None:
+    name = Path(port).name
+    put(system, f"/sys/bus/usb-serial/devices/{name}/latency_timer", "16")
+    put(system, "/proc/cmdline", f"console={name},115200 root=/dev/mmcblk0p2")
+    found, _ = examine_port("unit", port, system)
+    assert [f.code for f in found if f.level] == ["latency_timer", "console"]
+    assert "16 ms" in found[0].what
+    put(system, f"/sys/bus/usb-serial/devices/{name}/latency_timer", "1")
+    put(system, "/proc/cmdline", "console=tty1")
+    assert [f.code for f in examine_port("unit", port, system)[0]] == ["latency_timer"]
+
+
+def test_modem_manager(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
+    put(system, "/proc/99/comm", "ModemManager")
+    assert [f.code for f in ports._others("unit", "/dev/ttyUSB0", system)] == ["modem_manager"]
+    assert ports._others("unit", "/dev/ttyAMA0", system) == []
+    put(system, "/etc/udev/rules.d/70-gyrorig.rules", "")
+    assert ports._others("unit", "/dev/ttyUSB0", system) == []
+
+
+def test_the_mini_uart_of_a_pi(system: System) -> None:
+    put(system, "/proc/device-tree/model", "Raspberry Pi 4 Model B Rev 1.4\0")
+    assert [f.code for f in ports._flaws("unit", "/dev/ttyS0", system)] == ["mini_uart"]
+    assert ports._flaws("unit", "/dev/ttyAMA0", system) == []
+
+
+def test_ports_that_are_none(system: System, tmp_path: Path) -> None:
+    (finding,), state = examine_port("unit", "/dev/none", system)
+    assert (finding.code, finding.level, state.can_open) == ("missing", Level.FAULT, False)
+    put(system, "/x", "")
+    (finding,), state = examine_port("unit", str(system.path("/x")), system)
+    assert (finding.code, state.can_open) == ("no_device", False)
+
+
+@pytest.mark.parametrize("is_ours", [True, False])
+def test_a_port_in_use(
+    system: System, port: str, monkeypatch: pytest.MonkeyPatch, is_ours: bool
+) -> None:
+    monkeypatch.setattr(ports, "lock_holder", lambda _: Holder(4711, "minicom", is_ours))
+    (finding,), state = examine_port("unit", port, system)
+    assert not state.can_open
+    assert "process 4711" in finding.what
+    assert finding.level is (Level.NOTE if is_ours else Level.FAULT)
