@@ -119,7 +119,7 @@ def energies(
     """Return the energies that `left_share` is made of; arguments as there."""
     size = CAUSES[cause].typical if size is None else size
     hide = cause + (f"@{place}" if place else "") + f":{size!r}"
-    with _noise_held():
+    with noise_held():
         base = _solved(program, soak_k, seed, hide)
         found = extended(base, SAME.get((cause, place), cause))
     own = found.extensions[-1].values if found.extensions else np.zeros(0)
@@ -130,7 +130,7 @@ def energies(
 @cache
 def floor_of(program: str, soak_k: float | None, seed: int) -> float:
     """Return what the base model leaves of a session with nothing hidden."""
-    with _noise_held():
+    with noise_held():
         return energy(_solved(program, soak_k, seed))
 
 
@@ -169,7 +169,7 @@ def _ordinary(sampling: Sampling) -> NoiseModel:
 
 
 @contextlib.contextmanager
-def _noise_held() -> Iterator[None]:
+def noise_held() -> Iterator[None]:
     """Let fits weigh by an ordinary part's noise."""
 
     def held(_spectrum: Spectrum, sampling: Sampling, _before: object = None) -> NoiseModel:
@@ -202,11 +202,20 @@ def _solved(program: str, soak_k: float | None, seed: int, *hidden: str) -> Solu
 
 def _fitted(recording: Recording, board: str, unrounded: NDArray[np.float64]) -> Solution:
     rounded = load_samples(recording, board)
+    return fitted(recording, rounded, _exact(rounded, unrounded))
+
+
+def fitted(recording: Recording, rounded: GyroSamples, rate_rad_s: NDArray[np.float64]) -> Solution:
+    """Fit the base model to rates without noise; inside `noise_held`.
+
+    Args:
+        recording: the unit's part of it is taken.
+        rounded: samples of a board of it.
+        rate_rad_s: what is put in the place of their rates, (n, 3).
+    """
     bandwidth_hz = rounded.bandwidth_hz or 0.5 / rounded.period_s
     deviation = DENSITY_RAD_S_RTHZ * np.sqrt(1.11 * bandwidth_hz)  # Butterworth, second order
-    samples = replace(
-        rounded, rate_rad_s=_exact(rounded, unrounded), quantum_rad_s=float(deviation)
-    )
+    samples = replace(rounded, rate_rad_s=rate_rad_s, quantum_rad_s=float(deviation))
     reference = ptu_reference(recording, samples.origin_ns)
     found = [(recording, samples, reference)]
     chosen = choose_extensions(found, ())

@@ -69,7 +69,7 @@ def left_share(
     one = completeness()
     told = hidden.split(",")
     floor = one.floor_of(program, None, seed)
-    with one._noise_held():
+    with one.noise_held():
         base = one._solved(program, None, seed, *told)
         found = together(base, [name.partition(":")[0].partition("@")[0] for name in told])
     effect = one.energy(base) - floor

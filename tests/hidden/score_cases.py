@@ -15,10 +15,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.hidden.explain_cases import held_path, results_of
 from tests.hidden.scoring.answers import cases, opened
+from tests.hidden.scoring.bound import bound_of
 from tests.hidden.scoring.figures import Gap, figures, missed
 from tests.hidden.scoring.goals import GOALS
 from tests.hidden.scoring.kept import Kept, write_kept
 from tests.hidden.scoring.outcome import Outcome, outcome_of
+from tests.hidden.scoring.possible import Bound
 
 
 def judged(corpora: Sequence[Path], results: Sequence[Path]) -> Kept:
@@ -32,12 +34,18 @@ def judged(corpora: Sequence[Path], results: Sequence[Path]) -> Kept:
         SealError: an answer is not the one that was sealed when the finder had its say.
     """
     lines = {seed: line for path in results for seed, line in results_of(path).items()}
-    outcomes = []
+    outcomes: list[Outcome] = []
+    bounds: list[Bound] = []
     for corpus in corpora:
         for case in cases(corpus):
             line = lines.get(int(case.name))
-            if line is not None:
-                outcomes.append(outcome_of(opened(case, line["seal"]), line))
+            if line is None:
+                continue
+            answer = opened(case, line["seal"])
+            outcomes.append(outcome_of(answer, line))
+            bound = bound_of(case, answer) if outcomes[-1].kind == "one" else None
+            if bound is not None:
+                bounds.append(bound)
     there = {one.seed for one in outcomes}
     gaps = [
         Gap(seed, row["nats"], row["short"], row["values"])
@@ -45,12 +53,16 @@ def judged(corpora: Sequence[Path], results: Sequence[Path]) -> Kept:
         for seed, row in results_of(held_path(path)).items()
         if seed in there
     ]
-    return Kept(sorted(outcomes, key=lambda one: one.seed), sorted(gaps, key=lambda one: one.seed))
+    return Kept(
+        sorted(outcomes, key=lambda one: one.seed),
+        sorted(gaps, key=lambda one: one.seed),
+        sorted(bounds, key=lambda one: one.seed),
+    )
 
 
 def said(kept: Kept) -> str:
     """Return the figures beside their goals, and what went wrong in which case, for a terminal."""
-    found = figures(kept.outcomes, kept.gaps)
+    found = figures(kept.outcomes, kept.gaps, kept.bounds)
     failed = {goal.name for goal in missed(found)}
     lines = [
         f"{goal.number:2d} {goal.words}: {found[goal.name].words} "

@@ -9,13 +9,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.hidden.explain_cases import end_cut_line, results_of
+from tests.hidden.scoring import tables
 from tests.hidden.scoring.answers import SCHEMAS, Answer, HiddenCause, SealError, opened
 from tests.hidden.scoring.figures import Gap, confusion, figures, missed
 from tests.hidden.scoring.kept import Kept, read_kept, write_kept
 from tests.hidden.scoring.outcome import Outcome, outcome_of
 from tests.hidden.scoring.picture import confusion_picture
+from tests.hidden.scoring.possible import Bound, possible
 from tests.hidden.scoring.shares import Share
 from tests.hidden.scoring.true_values import true_values
 
@@ -204,3 +207,31 @@ def test_what_is_kept_gives_the_same_figures(tmp_path: Path) -> None:
     assert {k: v.words for k, v in before.items()} == {k: v.words for k, v in after.items()}
     picture = confusion_picture(again.outcomes)
     assert "backlash: 1 of 2 called ringing" in picture
+
+
+def bound(left: float, seed: int = 1, times: float = 2.0) -> Bound:
+    lambda_ = times**2 * 20.0
+    return Bound(seed, "scale_asymmetry", times, False, "scale_quadratic", left, left * lambda_)
+
+
+def test_what_the_data_bear_goes_with_what_the_best_rival_leaves() -> None:
+    # 80 of non-centrality: 40 - 2.94 nats ahead, of a deviation of 8.94
+    assert bound(1.0).chance == pytest.approx(0.99998, abs=2e-5)
+    # no difference: never ahead by ln 19
+    assert bound(0.0).chance == 0.0
+    # a rest of 2 ln 19: ahead by enough in half of all cases
+    assert bound(2.0 * np.log(19.0) / 80.0).chance == pytest.approx(0.5)
+    assert possible([bound(1.0), bound(0.0)]) == pytest.approx(0.5, abs=1e-3)
+    assert np.isnan(possible([]))
+
+
+def test_the_bound_is_said_beside_the_figure_and_kept(tmp_path: Path) -> None:
+    told = answer(("scale_asymmetry", 2.0))
+    kept = Kept([judged(told, named("scale_asymmetry"))], [], [bound(0.0, told.seed)])
+    assert figures(kept.outcomes, (), kept.bounds)["sole_right"].words.endswith(
+        "bear 0.0 % at most"
+    )
+    write_kept(tmp_path / "kept.json", kept)
+    assert read_kept(tmp_path / "kept.json").bounds == kept.bounds
+    assert "`scale_quadratic`" in tables.inseparable(kept.bounds)
+    assert tables.inseparable([]) == "Not measured."

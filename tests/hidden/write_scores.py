@@ -39,10 +39,11 @@ def picture() -> str:
 BLOCKS: dict[str, Block] = {
     "cases": lambda: tables.cases(kept().outcomes),
     "reached": lambda: tables.reached(kept().outcomes),
-    "goals": lambda: tables.goals(kept().outcomes, kept().gaps),
+    "goals": lambda: tables.goals(kept().outcomes, kept().gaps, kept().bounds),
     "nulls": lambda: tables.nulls(kept().outcomes),
     "causes": lambda: tables.causes(kept().outcomes),
     "confused": lambda: tables.confused(kept().outcomes),
+    "inseparable": lambda: tables.inseparable(kept().bounds),
     "shapes": lambda: tables.shapes(kept().outcomes),
     "blind": lambda: tables.blind(kept().outcomes),
     "many": lambda: tables.many(kept().outcomes),

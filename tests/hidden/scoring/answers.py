@@ -18,7 +18,7 @@ from gyrorig_solver.model.gain import factorise
 
 SCHEMAS = ("gyrorig/hidden-answer/2", "gyrorig/hidden-answer/1")  # the first: with sizes counted
 ANSWER, SEAL, RECORDING = "answer.json", "sealed.txt", "recording.mcap"
-HELD, HELD_RATES = "held.mcap", "held.npz"
+HELD, HELD_RATES, RATES = "held.mcap", "held.npz", "rates.npz"
 COUNTED = 1000.0  # times: what is counted in the stream, not weighed against noise, shows
 
 
@@ -35,6 +35,7 @@ class HiddenCause:
     times: float  # its size in minimal detectable ones, by the truth's own non-centrality
     beside_others: float  # the same once the other hidden causes are projected off too
     parameters: Mapping[str, float]  # by the truth's names, SI
+    noncentrality: float | None = None  # as it is seen; None for what is counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +116,7 @@ def _cause(told: Mapping[str, Any], detectable: float) -> HiddenCause:
         times=seen,
         beside_others=seen if beside is None else math.sqrt(max(beside, 0.0) / least),
         parameters=dict(_flat(told.get("parameters") or {})),
+        noncentrality=told.get("noncentrality"),
     )
 
 

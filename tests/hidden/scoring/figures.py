@@ -20,6 +20,7 @@ from tests.hidden.scoring.goals import (
     Goal,
 )
 from tests.hidden.scoring.outcome import Outcome, is_sole
+from tests.hidden.scoring.possible import Bound
 from tests.hidden.scoring.shares import Share
 
 IN_CATALOGUE = ("one", "two", "many")
@@ -48,7 +49,9 @@ class Gap:
         return GAP_PER_VALUE * self.values + GAP_BEYOND
 
 
-def figures(outcomes: Sequence[Outcome], gaps: Sequence[Gap] = ()) -> dict[str, Figure]:
+def figures(
+    outcomes: Sequence[Outcome], gaps: Sequence[Gap] = (), bounds: Sequence[Bound] = ()
+) -> dict[str, Figure]:
     """Return each goal's figure by its name."""
     nulls = _share(_of_kind(outcomes, "null"), lambda one: one.alarmed)
     rungs = [one for one in _of_kind(outcomes, "one") if on_rung(one, 2.0) or on_rung(one, 3.0)]
@@ -63,8 +66,8 @@ def figures(outcomes: Sequence[Outcome], gaps: Sequence[Gap] = ()) -> dict[str, 
     return {
         "false_alarms": _of(nulls),
         "false_alarms_upper": Figure(nulls.upper if nulls.trials else np.nan, str(nulls)),
-        "sole_right": _of(_share(plain, sole_right)),
-        "sole_right_soak": _of(_share(soaked, sole_right)),
+        "sole_right": _beside(_of(_share(plain, sole_right)), plain, bounds),
+        "sole_right_soak": _beside(_of(_share(soaked, sole_right)), soaked, bounds),
         "wrong_names": _count(_share(bound, lambda one: one.misled)),
         "detected_once": _of(_share(once, lambda one: one.alarmed)),
         "outside_wrong": _of(_share(outside, lambda one: one.wrong_sole)),
@@ -171,6 +174,16 @@ def _share(some: Sequence[Outcome], hit: Callable[[Outcome], bool]) -> Share:
 
 def _of(share: Share) -> Figure:
     return Figure(share.value, str(share))
+
+
+def _beside(figure: Figure, some: Sequence[Outcome], bounds: Sequence[Bound]) -> Figure:
+    """Say how much more could have been found; what has no bound counts as sure."""
+    chance = {one.seed: one.chance for one in bounds}
+    each = [chance.get(one.seed, 1.0) for one in some]
+    if not each or not chance:
+        return figure
+    most = 100.0 * sum(each) / len(each)
+    return Figure(figure.value, f"{figure.words}; the data bear {most:.1f} % at most")
 
 
 def _count(share: Share) -> Figure:

@@ -3,30 +3,35 @@
 What to use when: `write_kept` after judging, `read_kept` for the page and its test.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
 from tests.hidden.scoring.figures import Gap
 from tests.hidden.scoring.outcome import Covered, Outcome
+from tests.hidden.scoring.possible import Bound
 
 SIGMA_DIGITS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """All outcomes and all second recordings."""
+    """All outcomes, all second recordings, and how near rivals come."""
 
     outcomes: list[Outcome]
     gaps: list[Gap]
+    bounds: list[Bound] = field(default_factory=list)  # of cases that hide one cause
 
 
 def write_kept(path: Path, kept: Kept) -> None:
-    """Write one line a case, the second recordings after them."""
+    """Write one line a case, the second recordings and the bounds after them."""
     lines = [msgspec.json.encode(_short(one)) for one in kept.outcomes]
     gaps = [msgspec.json.encode(one) for one in kept.gaps]
+    bounds = [msgspec.json.encode(_shortened(one)) for one in kept.bounds]
     between = b",\n"
-    body = b'{"outcomes":[\n%b\n],"gaps":[\n%b\n]}\n' % (between.join(lines), between.join(gaps))
+    body = b'{"outcomes":[\n%b\n],"gaps":[\n%b\n],"bounds":[\n%b\n]}\n' % (
+        between.join(lines), between.join(gaps), between.join(bounds),
+    )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(body)
 
@@ -48,4 +53,13 @@ def _short(one: Outcome) -> Outcome:
         covered_causes=near(one.covered_causes),
         covered_calibration=near(one.covered_calibration),
         harm=None if one.harm is None else (one.harm[0], round(one.harm[1], 1)),
+    )
+
+
+def _shortened(one: Bound) -> Bound:
+    return replace(
+        one,
+        times=round(one.times, 2),
+        left=round(one.left, 4),
+        noncentrality=round(one.noncentrality, 2),
     )

@@ -73,11 +73,22 @@ def effect_on(samples: GyroSamples, rates: Path, board: str) -> FloatArray:
         hidden = np.asarray(file[f"{board}.hidden_rad_s"], dtype=np.float64)
         aligned = np.asarray(file[f"{board}.aligned_rad_s"], dtype=np.float64)
     number = np.asarray(samples.number, dtype=np.int64)
-    words = samples.rate_rad_s[::EVERY]
-    shifts = range(len(hidden) - int(number.max()))
-    misfit = [float(np.sum(np.abs(hidden[number[::EVERY] + k] - words))) for k in shifts]
-    begin = shifts[int(np.argmin(misfit))]
+    begin = number_of_first(samples, hidden)
     return np.asarray((hidden - aligned)[number + begin], dtype=np.float64)
+
+
+def number_of_first(samples: GyroSamples, hidden_rad_s: FloatArray) -> int:
+    """Return which of a board's rates since power-up the first sample kept is.
+
+    Args:
+        samples: of a recording.
+        hidden_rad_s: its rates without noise since power-up, (m, 3).
+    """
+    number = np.asarray(samples.number, dtype=np.int64)[::EVERY]
+    words = samples.rate_rad_s[::EVERY]
+    shifts = range(len(hidden_rad_s) - int(samples.number.max()))
+    misfit = [float(np.sum(np.abs(hidden_rad_s[number + k] - words))) for k in shifts]
+    return shifts[int(np.argmin(misfit))]
 
 
 def _with_gain(solution: Solution, gain: FloatArray) -> Solution:

@@ -24,11 +24,14 @@ from tests.hidden.scoring.figures import (
 )
 from tests.hidden.scoring.goals import BOUND, GOALS, HIDDEN, NULLS, RUNG_WIDTH, RUNGS, Goal
 from tests.hidden.scoring.outcome import AMONG, Outcome, is_sole
+from tests.hidden.scoring.possible import Bound, possible
 from tests.hidden.scoring.shares import Share
 
 KINDS = ("null", "one", "two", "many", "outside", "nearly", "unobservable")
 Outcomes = Sequence[Outcome]
 K = TypeVar("K")
+T = TypeVar("T")
+DOUBTFUL = 0.99  # chance below which a cause is listed with its rival
 
 
 def cases(outcomes: Outcomes) -> str:
@@ -59,9 +62,9 @@ def reached(outcomes: Outcomes) -> str:
     return "\n".join(said)
 
 
-def goals(outcomes: Outcomes, gaps: Sequence[Gap]) -> str:
+def goals(outcomes: Outcomes, gaps: Sequence[Gap], bounds: Sequence[Bound] = ()) -> str:
     """Every goal beside its figure."""
-    found = figures(outcomes, gaps)
+    found = figures(outcomes, gaps, bounds)
     failed = {(goal.number, goal.name) for goal in missed(found)}
     rows = []
     for goal in GOALS:
@@ -155,6 +158,26 @@ def confused(outcomes: Outcomes) -> str:
     if not rows:
         return "None."
     return table(("seed", "program", "hidden", "said and not hidden", "and truth not stated"), rows)
+
+
+def inseparable(bounds_: Sequence[Bound]) -> str:
+    """Causes that a rival of the catalogue comes near to, and how sure a name can be."""
+    rows = []
+    for cause, group in _grouped(bounds_, lambda one: one.cause):
+        if min(one.chance for one in group) >= DOUBTFUL:
+            continue
+        cells = []
+        for rung, soak in ((2.0, False), (3.0, False), (2.0, True), (3.0, True)):
+            own = [o for o in group if abs(o.times / rung - 1.0) <= RUNG_WIDTH and o.soak == soak]
+            cells.append(f"{100.0 * possible(own):.0f} %" if own else "")
+        rivals = Counter(one.rival for one in group).most_common(2)
+        left = np.median([one.left for one in group])
+        names = ", ".join(f"`{name}`" for name, _ in rivals)
+        rows.append((f"`{cause}`", names, f"{100.0 * left:.1f} %", *cells))
+    if not rows:
+        return "None." if bounds_ else "Not measured."
+    head = ("cause", "best rival", "it leaves", "2x", "3x", "2x, soak", "3x, soak")
+    return table(head, rows)
 
 
 def shapes(outcomes: Outcomes) -> str:
@@ -301,8 +324,8 @@ def _said(one: Outcome) -> str:
     return names or f"a rest {one.rest[0]}"
 
 
-def _grouped(outcomes: Outcomes, key: Callable[[Outcome], K]) -> list[tuple[K, list[Outcome]]]:
-    found: dict[K, list[Outcome]] = {}
+def _grouped(outcomes: Sequence[T], key: Callable[[T], K]) -> list[tuple[K, list[T]]]:
+    found: dict[K, list[T]] = {}
     for one in outcomes:
         found.setdefault(key(one), []).append(one)
     return sorted(found.items(), key=lambda pair: str(pair[0]))
