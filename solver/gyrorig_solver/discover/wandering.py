@@ -47,7 +47,7 @@ def beside(solution: Solution, calm: bool = True) -> Projection:
 def is_calm(solution: Solution) -> bool:
     """Return whether a fit's own noise levels are an ordinary part's."""
     return all(
-        np.allclose(calmed(one).levels, one.levels, rtol=SAME_LEVELS) for one in solution.noises
+        np.allclose(calmed(one).levels, one.levels, rtol=SAME_LEVELS, atol=0.0) for one in solution.noises
     )
 
 
