@@ -44,7 +44,7 @@ def test_what_finds_the_queue_full_leaves_a_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("gyrorig_daemon.recorder.recorder.QUEUE_LIMIT", 3)
-    stuck, write = threading.Event(), RecordingWriter.write
+    stuck, write = threading.Event(), RecordingWriter.write_encoded
 
     def slow(*arguments: Any, **named: Any) -> None:
         taken.release()
@@ -52,7 +52,7 @@ def test_what_finds_the_queue_full_leaves_a_gap(
         write(*arguments, **named)
 
     taken = threading.Semaphore(0)
-    monkeypatch.setattr(RecordingWriter, "write", slow)
+    monkeypatch.setattr(RecordingWriter, "write_encoded", slow)
     recorder = Recorder(threaded=True)
     recorder.open(RecordingPlan(tmp_path / "a.mcap", METADATA, ()))
     recorder.put(TOPIC, event(0), 0)

@@ -1,0 +1,54 @@
+"""What became of the messages, and how the disk did: every loss by its cause.
+
+What to use when: `RecorderCounts.values()` for diagnostics, status and metrics; the names
+are part of the interface.
+"""
+
+from dataclasses import dataclass, fields
+
+
+@dataclass(slots=True)
+class RecorderCounts:
+    """Counters since the recorder was made, except where a comment says otherwise."""
+
+    written: int = 0  # messages handed to a file
+    dropped_queue_full: int = 0  # the writer was too slow
+    dropped_too_early: int = 0  # more was held before the file than there is room for
+    dropped_from_memory: int = 0  # older than the memory's ring can hold
+    dropped_at_close: int = 0  # in memory when the session ended, and the disk still failing
+    refused: int = 0  # out of order on their topic
+    queue_high_water: int = 0
+    memory_messages: int = 0  # in memory now, because the disk does not take them
+    memory_bytes: int = 0  # now
+    memory_high_water_bytes: int = 0
+    parts_opened: int = 0
+    parts_closed: int = 0
+    rotations: int = 0
+    rotations_postponed: int = 0  # the next part could not be opened: the last one goes on
+    disk_faults: int = 0  # errors at which a file was given up
+    open_failures: int = 0
+    close_failures: int = 0  # a file stays a `.part`, to be recovered
+    room_stops: int = 0  # stops because less than the reserve was free
+    resumes: int = 0
+    syncs: int = 0
+    sync_last_ms: int = 0
+    sync_max_ms: int = 0
+    disk_busy_ms: int = 0  # how long the disk's thread has been at its present work
+    disk_busy_max_ms: int = 0
+    bytes_written: int = 0  # of all parts
+    free_bytes: int = -1  # on the disk when last asked; -1: never asked
+
+    @property
+    def lost(self) -> int:
+        """Messages that are in no file and will be in none."""
+        return (
+            self.dropped_queue_full
+            + self.dropped_too_early
+            + self.dropped_from_memory
+            + self.dropped_at_close
+            + self.refused
+        )
+
+    def values(self) -> dict[str, int]:
+        """Every counter by its name, and `lost`."""
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {"lost": self.lost}

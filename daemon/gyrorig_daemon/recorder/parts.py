@@ -1,0 +1,185 @@
+"""What each part of a recording has to say again, so that it stands alone.
+
+What to use when: under `spool`. `PartOpener` opens them, in the disk's thread;
+`part_path` names them; `Facts` are their metadata and attachments, `Phases` which phases
+a part begins in the middle of.
+"""
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrorig_daemon.recorder.ring import Record
+from gyrorig_daemon.recorder.settings import RecorderSettings, RecordingPlan
+from gyrorig_protocol.errors import InputError, MachineError
+from gyrorig_protocol.recording.disk_file import Disk
+from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
+from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
+
+Records = dict[str, dict[str, str]]
+
+# A turn by a known angle is known only as a whole: half of it in a part would be a lie.
+_WHOLE_ONLY = "turn"
+
+
+def part_path(first: Path, number: int) -> Path:
+    """The name of a part; parts sort behind each other by their names."""
+    return first if number == 0 else first.with_name(f"{first.stem}_p{number:03d}.mcap")
+
+
+class Facts:
+    """Metadata and attachments of a session, which may grow."""
+
+    def __init__(
+        self, metadata: Mapping[str, Mapping[str, str]], attachments: Sequence[Attachment]
+    ) -> None:
+        self._metadata: list[tuple[str, dict[str, str]]] = [
+            (name, dict(record)) for name, record in metadata.items()
+        ]
+        self._attachments = list(attachments)
+        self._lock = threading.Lock()  # parts are opened by another thread
+        self._later: list[tuple[Records, tuple[Attachment, ...]]] = []
+
+    @property
+    def version(self) -> int:
+        """How often they have grown."""
+        return len(self._later)
+
+    def add(
+        self, metadata: Mapping[str, Mapping[str, str]], attachments: Sequence[Attachment]
+    ) -> None:
+        """Take in more."""
+        more = {name: dict(record) for name, record in metadata.items()}
+        with self._lock:
+            self._later.append((more, tuple(attachments)))
+
+    def since(self, version: int) -> tuple[Records, list[Attachment]]:
+        """What came behind the first `version` additions."""
+        metadata: Records = {}
+        attachments: list[Attachment] = []
+        for more, files in self._later[version:]:
+            metadata |= more
+            attachments += files
+        return metadata, attachments
+
+    def of_part(self, number: int, previous: str) -> tuple[int, Records, list[Attachment]]:
+        """Everything that a part begins with, and the version that this is."""
+        with self._lock:
+            version = self.version
+            metadata = dict(self._metadata)
+            more, files = self.since(0)
+        metadata = {name: dict(record) for name, record in (metadata | more).items()}
+        if number:
+            metadata["gyrorig"] |= {"part": str(number), "previous": previous}
+        return version, metadata, [*self._attachments, *files]
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedPart:
+    """A part that has just been created."""
+
+    writer: RecordingWriter
+    number: int
+    facts: int  # version of the facts that are in it
+
+
+class PartOpener:
+    """Opens the parts of one session; its methods may take as long as the disk does."""
+
+    def __init__(
+        self,
+        plan: RecordingPlan,
+        settings: RecorderSettings,
+        disk: Disk,
+        make_room: Callable[[], object] | None,
+        *,
+        aside: bool,
+    ) -> None:
+        self._first, self._settings = plan.path, settings
+        self._disk, self._make_room, self._aside = disk, make_room, aside
+        self.facts = Facts(plan.metadata, plan.attachments)
+
+    def open(self, number: int, previous: str, room_bytes: int) -> OpenedPart:
+        """Create a part.
+
+        Args:
+            number: of the part.
+            previous: name of the part before it, empty for the first.
+            room_bytes: that must be free, where anything is held in reserve.
+
+        Raises:
+            UsageError: a file of that name exists.
+            MachineError: the disk refuses, or has too little room.
+        """
+        if self._settings.reserve_bytes and self.free_bytes(room_bytes) < room_bytes:
+            raise MachineError(
+                f"less than {room_bytes >> 20} MiB are free in {self._first.parent}",
+                "make room: recording begins again by itself",
+            )
+        version, metadata, attachments = self.facts.of_part(number, previous)
+        path = part_path(self._first, number)
+        writer = RecordingWriter(path, metadata, attachments, disk=self._disk, aside=self._aside)
+        return OpenedPart(writer, number, version)
+
+    def free_bytes(self, wanted_bytes: int) -> int:
+        """What is free, after making room where that is less than wanted.
+
+        Raises:
+            MachineError: the disk does not say.
+        """
+        free = self._free_bytes()
+        if free < wanted_bytes and self._make_room is not None:
+            self._make_room()
+            free = self._free_bytes()
+        return free
+
+    def _free_bytes(self) -> int:
+        folder = self._first.parent
+        try:
+            return self._disk.free_bytes(folder)
+        except OSError as fault:
+            raise MachineError(f"cannot look at {folder}: {fault.strerror}") from fault
+
+
+class Phases:
+    """Which phases have begun and not ended, as the events written so far say."""
+
+    def __init__(self) -> None:
+        self._open: list[SessionEvent] = []
+        self._next = 0  # number of the next event in the files
+
+    def follow(self, record: Record) -> None:
+        """Take in one event that was written."""
+        self._next = record.sequence + 1
+        try:
+            event = SessionEvent.decode(record.payload)
+        except InputError:
+            return  # written by this program; whatever it is, it opens no phase
+        if event.kind == EventKind.PHASE_BEGIN:
+            self._open.append(event)
+        elif event.kind == EventKind.PHASE_END:
+            for one in reversed(self._open):
+                if one.phase == event.phase:
+                    self._open.remove(one)
+                    break
+
+    def restated(self, at_ns: int) -> list[Record]:
+        """The open phases as beginning at `at_ns`, numbered so that no gap follows them."""
+        events = [
+            SessionEvent(at_ns, one.kind, one.phase, one.text)
+            for one in self._open
+            if one.phase != _WHOLE_ONLY
+        ]
+        first = self._next - len(events)
+        return [
+            Record(
+                SESSION_EVENT_TOPIC,
+                SessionEvent.TYPE,
+                event.encode(),
+                at_ns,
+                at_ns,
+                (first + place) & 0xFFFF_FFFF,
+            )
+            for place, event in enumerate(events)
+        ]

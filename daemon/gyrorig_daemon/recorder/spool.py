@@ -1,0 +1,439 @@
+"""A session's recording as a row of files, whatever the disk does meanwhile.
+
+What to use when: under `recorder`, in the thread that writes. `take` for each message,
+`turn` several times a second, `close` at the end.
+
+Theory of operation. There is a file, or there is none because the disk did not take it:
+
+    with a file    -- due by time or size --> the disk's thread opens the next part;
+                                              then this one is flushed and handed over
+                                              to be closed: there is always one open
+                   -- an error of the disk --> without: what is in no whole chunk goes
+                                              to memory, the file is cut back and left
+                   -- less free than the reserve --> without: the file is closed cleanly
+    without a file -- every few seconds --> the disk's thread tries to open the next part
+                   -- it is open --> with: memory is written first, then what comes
+
+Each message is numbered when it comes, on its topic; so what memory has to forget, or
+what never reached it, shows as a gap in the file that follows. Nothing here waits for the
+disk, except a write into the system's own buffers.
+"""
+
+import errno
+import math
+import struct
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from gyrorig_daemon.recorder.counts import RecorderCounts
+from gyrorig_daemon.recorder.disk_worker import DiskWorker, Job
+from gyrorig_daemon.recorder.parts import OpenedPart, PartOpener, Phases, part_path
+from gyrorig_daemon.recorder.ring import RamRing, Record
+from gyrorig_daemon.recorder.settings import RecorderSettings, RecordingPlan
+from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
+from gyrorig_protocol.recording.disk_file import Disk
+from gyrorig_protocol.recording.messages import (
+    SESSION_EVENT_TOPIC,
+    EventKind,
+    Message,
+    SessionEvent,
+)
+from gyrorig_protocol.recording.writer import RecordingWriter
+
+RETRY_NS = 5_000_000_000  # between attempts to open a part where the last one failed
+ROOM_NS = 1_000_000_000  # between looks at the free space
+TURN_RECORDS = 2_000  # taken out of memory in one turn: 20 ms of work
+CLOSE_ATTEMPTS = 2
+CLOSING_LIMIT = 4  # files that wait to be closed; with more the disk hardly works at all
+_MS_NS = 1_000_000
+
+
+class Spool:
+    """The parts of one session. Not to be used by two threads at once."""
+
+    def __init__(
+        self,
+        plan: RecordingPlan,
+        settings: RecorderSettings,
+        counts: RecorderCounts,
+        worker: DiskWorker,
+        disk: Disk,
+        make_room: Callable[[], object] | None = None,
+    ) -> None:
+        self._plan, self._settings, self._counts = plan, settings, counts
+        self._worker = worker
+        self._opener = PartOpener(plan, settings, disk, make_room, aside=worker.threaded)
+        self._phases = Phases()
+        self._writer: RecordingWriter | None = None
+        self._written_facts = 0
+        self._ring = RamRing(settings.ring_bytes, settings.ring_s)
+        self._tail: deque[Record] = deque()  # in the writer, but in no whole chunk yet
+        self._next: dict[str, int] = {}  # number of the next message of each topic
+        self._latest_ns = 0
+        self._now_ns = self._begun_ns = self._synced_ns = self._looked_ns = 0
+        self._retry_ns = 0
+        self._restate = False
+        self._opening: Job[OpenedPart] | None = None
+        self._syncing: tuple[Job[None], RecordingWriter] | None = None
+        self._looking: Job[int] | None = None
+        self._closing: list[Job[Path]] = []
+        self._closed_bytes = 0
+        self._number = 0
+        self.paths: list[Path] = []  # final names
+        self.degraded = ""  # why there is no file
+
+    @property
+    def path(self) -> Path:
+        """Where the newest part is now."""
+        return self.paths[-1] if self._writer is None else self._writer.path
+
+    @property
+    def waiting(self) -> int:
+        """Messages in memory that a file could take now."""
+        return 0 if self._writer is None else len(self._ring)
+
+    def open(self) -> None:
+        """Create the first part.
+
+        Raises:
+            UsageError: a file of that name exists.
+            MachineError: the disk refuses, or has less free than the reserve.
+        """
+        job = self._worker.submit(lambda: self._opener.open(0, "", self._settings.resume_bytes))
+        job.wait()
+        self._adopt(job.result())
+
+    def take(
+        self, topic: str, message: Message, log_ns: int, publish_ns: int, skipped: int = 0
+    ) -> None:
+        """Take in one message.
+
+        Args:
+            topic: where it belongs.
+            message: what to record.
+            log_ns: capture time at which it was complete.
+            publish_ns: when it was taken.
+            skipped: messages of the topic before it that never came here.
+
+        Raises:
+            MachineError: the disk refused, and the recording is not to survive that.
+        """
+        number = self._next.get(topic)
+        # Before the first message of a topic there is nothing that a gap could follow.
+        number = 0 if number is None else number + skipped
+        self._next[topic] = number + 1
+        self._latest_ns = max(self._latest_ns, log_ns)
+        try:
+            payload = message.encode()
+        except (ValueError, OverflowError, struct.error) as fault:
+            self._refuse(topic, fault)
+            return
+        record = Record(topic, message.TYPE, payload, log_ns, publish_ns, number & 0xFFFF_FFFF)
+        if self._writer is None or len(self._ring):
+            self._ring.append(record)
+        else:
+            self._write(self._writer, record)
+
+    def turn(self, now_ns: int) -> None:
+        """Do what is due; never waits for the disk.
+
+        Args:
+            now_ns: any clock that does not go back.
+
+        Raises:
+            MachineError: the disk refused, and the recording is not to survive that.
+        """
+        if not self._now_ns:
+            self._begun_ns = self._synced_ns = now_ns
+        self._now_ns = now_ns
+        self._look_at_jobs()
+        writer = self._writer
+        if writer is not None:
+            self._guarded(writer, lambda: writer.tick(now_ns))
+            if not writer.waiting_messages:
+                self._tail.clear()
+        if self._writer is None:
+            self._try_again()
+        else:
+            self._start_what_is_due(self._writer)
+        self._empty_memory(TURN_RECORDS)
+        self._count()
+
+    def add_facts(self, plan: RecordingPlan) -> None:
+        """Take in metadata and files of the session that were not known at its beginning.
+
+        Raises:
+            MachineError: the disk refused, and the recording is not to survive that.
+        """
+        self._opener.facts.add(plan.metadata, plan.attachments)
+        self._write_new_facts()
+
+    def close(self) -> Path:
+        """Write what is left, close the last part and return its name.
+
+        Raises:
+            MachineError: the disk refused; what was written is kept and readable.
+        """
+        for _ in range(CLOSE_ATTEMPTS):
+            writer = self._write_the_rest()
+            if writer is not None and self._guarded(writer, writer.flush):
+                self._tail.clear()
+                break
+        else:
+            self._counts.dropped_at_close += len(self._ring)
+            raise MachineError(
+                f"{self.degraded}; {len(self._ring)} messages in memory are lost",
+                f"what was written before is kept: {self.paths[-1].name}",
+            )
+        last = self._worker.submit(writer.close)
+        self._closing.append(last)
+        for job in self._closing:
+            job.wait()
+        self._look_at_closing()
+        self._count()
+        self._closed_bytes += writer.bytes_written
+        self._writer = None
+        return last.result()
+
+    def _write_the_rest(self) -> RecordingWriter | None:
+        """Wait for a file, and empty the memory into it; None where there is none."""
+        if self._writer is None:
+            self._try_again(at_once=True)
+        if self._opening is not None:
+            self._opening.wait()
+        self._look_at_jobs()
+        while self._writer is not None and len(self._ring):
+            self._empty_memory(TURN_RECORDS)
+        return self._writer
+
+    def abandon(self) -> None:
+        """Let go of the file after an error that the recording does not survive."""
+        if self._writer is not None and self._worker.threaded:
+            self._worker.submit(self._writer.salvage)
+
+    def _write(self, writer: RecordingWriter, record: Record) -> None:
+        if self._restate:
+            self._restate = False
+            self._restate_phases(writer, record.log_ns)
+        tail = self._tail
+        tail.append(record)
+        try:
+            writer.write_encoded(*record)
+        except ValueError as fault:
+            tail.pop()
+            self._refuse(record.topic, fault)
+        except MachineError as fault:
+            self._counts.written += 1
+            self._break_off(writer, fault)
+        else:
+            self._counts.written += 1
+            if record.topic == SESSION_EVENT_TOPIC:
+                self._phases.follow(record)
+            if not writer.waiting_messages:
+                tail.clear()
+
+    def _refuse(self, topic: str, fault: Exception) -> None:
+        """One message that is none, or comes too late on its topic, must not end a recording."""
+        self._counts.refused += 1
+        if not self._settings.survive:
+            raise MachineError(f"{topic}: the recording broke off: {fault}", "report this")
+
+    def _guarded(self, writer: RecordingWriter, step: Callable[[], None]) -> bool:
+        """Do a step of `writer`; False where that was its last."""
+        try:
+            step()
+        except MachineError as fault:
+            self._break_off(writer, fault)
+            return False
+        return True
+
+    def _break_off(self, writer: RecordingWriter, fault: MachineError) -> None:
+        """Go on in memory, with what is in no whole chunk of the file."""
+        self._counts.disk_faults += 1
+        if not self._settings.survive:
+            raise fault
+        self._counts.written -= len(self._tail)  # they will be counted when they are again
+        self._lose_file(fault.what)
+        self._closed_bytes += writer.bytes_written
+        if self._worker.threaded:
+            self._worker.submit(writer.salvage)
+
+    def _lose_file(self, why: str) -> None:
+        self._ring.give_back(self._tail)
+        self._tail.clear()
+        self._writer = None
+        self.degraded = why
+        self._retry_ns = self._now_ns + RETRY_NS
+        self._tell(EventKind.FAULT, f"recording goes on in memory: {why}")
+
+    def _tell(self, kind: EventKind, text: str) -> None:
+        event = SessionEvent(self._latest_ns, int(kind), "", text)
+        self.take(SESSION_EVENT_TOPIC, event, self._latest_ns, self._latest_ns)
+
+    def _restate_phases(self, writer: RecordingWriter, at_ns: int) -> None:
+        """Say in a new part which phases it begins in the middle of."""
+        for record in self._phases.restated(at_ns):
+            if not self._guarded(writer, partial(writer.write_encoded, *record)):
+                return
+
+    def _write_new_facts(self) -> None:
+        writer = self._writer
+        if writer is None:
+            return
+        metadata, attachments = self._opener.facts.since(self._written_facts)
+        if metadata or attachments:
+            self._guarded(writer, lambda: writer.add_facts(metadata, attachments))
+        self._written_facts = self._opener.facts.version
+
+    def _empty_memory(self, limit: int) -> None:
+        for _ in range(limit):
+            if self._writer is None:
+                return
+            record = self._ring.pop()
+            if record is None:
+                return
+            self._write(self._writer, record)
+
+    # What became of it
+
+    def _look_at_jobs(self) -> None:
+        opening = self._opening
+        if opening is not None and opening.done:
+            self._opening = None
+            if opening.error is None:
+                self._adopt(opening.result())
+            else:
+                self._could_not_open(opening.error)
+        self._look_at_sync()
+        looking = self._looking
+        if looking is not None and looking.done:
+            self._looking = None
+            if looking.error is None:
+                self._counts.free_bytes = looking.result()
+                if looking.result() < self._settings.reserve_bytes:
+                    self._stop_for_room()
+        self._look_at_closing()
+
+    def _could_not_open(self, error: Exception) -> None:
+        if isinstance(error, UsageError):  # a file of that name: take the next number
+            self._number += 1
+            return
+        if not isinstance(error, GyrorigError):
+            raise error
+        self._retry_ns = self._now_ns + RETRY_NS
+        self._counts.open_failures += 1
+        if self._writer is None:
+            self.degraded = error.what
+        else:
+            self._counts.rotations_postponed += 1
+
+    def _adopt(self, part: OpenedPart) -> None:
+        old = self._writer
+        if old is not None:
+            self._hand_over(old)
+            self._counts.rotations += 1
+        resumed = old is None and bool(self.paths)
+        self._writer, self._number, self._written_facts = part.writer, part.number, part.facts
+        self.paths.append(part_path(self._plan.path, part.number))
+        self._begun_ns = self._synced_ns = self._now_ns
+        self._counts.parts_opened += 1
+        self._restate = part.number > 0
+        self.degraded = ""
+        if resumed:
+            self._counts.resumes += 1
+            self._tell(EventKind.NOTE, f"recording goes on in {self.paths[-1].name}")
+        self._write_new_facts()
+
+    def _hand_over(self, old: RecordingWriter) -> None:
+        """Have a file closed in which nothing is left to be written."""
+        if not self._guarded(old, old.flush):
+            return  # what it did not take is in memory, and goes to the next file
+        self._tail.clear()
+        self._closed_bytes += old.bytes_written
+        self._closing.append(self._worker.submit(old.close))
+
+    def _look_at_closing(self) -> None:
+        for job in [job for job in self._closing if job.done]:
+            self._closing.remove(job)
+            if job.error is None:
+                self._counts.parts_closed += 1
+            else:
+                self._counts.close_failures += 1
+
+    def _look_at_sync(self) -> None:
+        if self._syncing is None or not self._syncing[0].done:
+            return
+        (job, writer), self._syncing = self._syncing, None
+        took_ms = math.ceil(job.took_ns / _MS_NS)
+        self._counts.syncs += 1
+        self._counts.sync_last_ms = took_ms
+        self._counts.sync_max_ms = max(self._counts.sync_max_ms, took_ms)
+        if job.error is not None and writer is self._writer:
+            error = job.error if isinstance(job.error, OSError) else OSError(errno.EIO, "sync")
+            self._guarded(writer, lambda: writer.fail(error))
+
+    def _stop_for_room(self) -> None:
+        """Close the file while there is room for its end."""
+        writer = self._writer
+        if writer is None:
+            return
+        self._counts.room_stops += 1
+        free_mib = max(self._counts.free_bytes, 0) >> 20
+        why = f"only {free_mib} MiB are free in {self._plan.path.parent}"
+        self._hand_over(writer)
+        if not self._settings.survive:
+            self._writer = None
+            raise MachineError(why, "make room and begin another recording")
+        if self._writer is not None:  # else the flush has failed, and said so
+            self._lose_file(why)
+
+    # What is due
+
+    def _start_what_is_due(self, writer: RecordingWriter) -> None:
+        settings, now_ns = self._settings, self._now_ns
+        threaded = self._worker.threaded
+        if threaded and self._syncing is None and self._is_over(self._synced_ns, settings.sync_s):
+            self._synced_ns = now_ns
+            self._syncing = self._worker.submit(writer.sync), writer
+        if settings.reserve_bytes and self._looking is None and now_ns - self._looked_ns >= ROOM_NS:
+            self._looked_ns = now_ns
+            wanted = settings.reserve_bytes
+            self._looking = self._worker.submit(lambda: self._opener.free_bytes(wanted))
+        due = settings.part_s is not None and self._is_over(self._begun_ns, settings.part_s)
+        if settings.part_bytes is not None:
+            due = due or writer.bytes_written >= settings.part_bytes
+        if (
+            due
+            and self._opening is None
+            and now_ns >= self._retry_ns
+            and len(self._closing) < CLOSING_LIMIT
+        ):
+            self._begin_part(settings.reserve_bytes)
+        if not threaded:
+            self._look_at_jobs()
+
+    def _try_again(self, at_once: bool = False) -> None:
+        if self._opening is None and (at_once or self._now_ns >= self._retry_ns):
+            self._begin_part(self._settings.resume_bytes)
+            if not self._worker.threaded:
+                self._look_at_jobs()
+
+    def _begin_part(self, room_bytes: int) -> None:
+        number, previous = self._number + 1, self.paths[-1].name
+        self._opening = self._worker.submit(lambda: self._opener.open(number, previous, room_bytes))
+
+    def _is_over(self, since_ns: int, limit_s: float) -> bool:
+        return self._now_ns - since_ns >= limit_s * 1e9
+
+    def _count(self) -> None:
+        counts, ring = self._counts, self._ring
+        counts.memory_messages = len(ring)
+        counts.memory_bytes = ring.bytes
+        counts.memory_high_water_bytes = max(counts.memory_high_water_bytes, ring.bytes)
+        counts.dropped_from_memory = ring.dropped
+        counts.disk_busy_ms = self._worker.busy_ns() // _MS_NS
+        counts.disk_busy_max_ms = max(counts.disk_busy_max_ms, counts.disk_busy_ms)
+        now_bytes = 0 if self._writer is None else self._writer.bytes_written
+        counts.bytes_written = self._closed_bytes + now_bytes
