@@ -85,7 +85,7 @@ def in_real_time(call: Call) -> Path:
             if process.seal is not None:
                 call.sealed(process.seal)
             paths |= {port: process.paths[port] for port in emulated}
-        hub = stack.enter_context(AcquisitionHub(_port_settings(config, paths)))
+        hub = stack.enter_context(AcquisitionHub(port_settings(config, paths)))
         around = Surroundings(
             capture=anchor_now(),
             read_host=read_host_clocks,
@@ -149,7 +149,7 @@ def in_simulated_time(call: Call) -> Path:
     return path
 
 
-def _port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, PortSettings]:
+def port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, PortSettings]:
     bauds = {PTU_PORT: config.ptu.baud, **{b.hub_port: b.baud for b in config.boards}}
     return {
         port: PortSettings(path, bauds[port], FAREWELL if port == PTU_PORT else "")

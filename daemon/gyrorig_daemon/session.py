@@ -127,7 +127,7 @@ class Session:
         self._rig = rig
         self._order = order
         self._around = around
-        self._boards = boards
+        self.boards = boards
         self._pump = rig.pump
         self._client = rig.client
         self.recorder = Recorder(around.threaded_writer)
@@ -144,7 +144,7 @@ class Session:
         order = self._order
         check_folder(order.out_dir)
         version = identify_unit(self._client)  # first of all: it may be turning yet
-        for board in self._boards:
+        for board in self.boards:
             board.identify()
         ptu, settings = order.config.ptu, order.program.settings
         homing = Homing.NEVER
@@ -219,7 +219,7 @@ class Session:
         Raises:
             DeviceError: any did.
         """
-        lost = [str(board.board_id) for board in self._boards if board.gone]
+        lost = [str(board.board_id) for board in self.boards if board.gone]
         if lost:
             raise DeviceError(
                 f"the program ended, but without board {', '.join(lost)}: hung up",
@@ -280,7 +280,7 @@ class Session:
         make_folder(order.out_dir)
         now_ns = self._pump.now_ns()
         return describe_session(
-            order, self._rig.capture, around.host, unit.facts, self._boards, now_ns
+            order, self._rig.capture, around.host, unit.facts, self.boards, now_ns
         )
 
     def _start_timers(self) -> None:
@@ -295,7 +295,7 @@ class Session:
                 now_ns,
                 client=self._client,
                 controller_clock=lambda: self._log.controller_clock,
-                boards=self._boards,
+                boards=self.boards,
                 dropped_bytes=around.dropped_bytes,
             ),
         ]

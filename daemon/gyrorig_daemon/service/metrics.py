@@ -1,0 +1,155 @@
+"""The status as a text file for Prometheus, by a node exporter's textfile collector.
+
+What to use when: `MetricsWriter` as one of those that a status is published to. The file is
+replaced in one step, from a thread of its own: a slow disk holds up nothing. Names end as
+Prometheus wants them: `_total` only grows, everything else is as of now.
+"""
+
+import math
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from gyrorig_daemon.service.files import write_whole
+
+FILE_NAME = "gyrorig.prom"
+STATES = ("starting", "waiting", "ready", "running", "fault", "stopping")
+MODE = 0o644  # the node exporter is another user
+_ESCAPES = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
+
+
+class MetricsWriter:
+    """Writes the last status that it was given, when it gets to it."""
+
+    def __init__(self, folder: Path, every: int = 5) -> None:
+        """Begin to write.
+
+        Args:
+            folder: where the file goes.
+            every: each how many-th status is written; a second apart, scraped each 15 or so.
+        """
+        self.path = folder / FILE_NAME
+        self.failures = 0
+        self._every = every
+        self._seen = 0
+        self._status: dict[str, Any] | None = None
+        self._wanted = threading.Event()
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name="metrics", daemon=True)
+        self._thread.start()
+
+    def publish(self, status: dict[str, Any]) -> None:
+        """Take note of a status."""
+        self._seen += 1
+        if self._seen % self._every == 1 or self._every == 1:
+            self._status = status
+            self._wanted.set()
+
+    def close(self) -> None:
+        """Write no more; the file stays."""
+        self._ended = True
+        self._wanted.set()
+        self._thread.join(2.0)
+
+    def _run(self) -> None:
+        while not self._ended:
+            self._wanted.wait()
+            self._wanted.clear()
+            status, self._status = self._status, None
+            if status is None:
+                continue
+            try:
+                write_whole(self.path, exposition(status).encode(), MODE, durable=False)
+            except OSError:
+                self.failures += 1
+
+
+def exposition(status: dict[str, Any]) -> str:
+    """Return a status in Prometheus' text format 0.0.4."""
+    lines: list[str] = []
+    known: set[str] = set()
+    for name, kind, what, labels, value in _metrics(status):
+        if value is None or not math.isfinite(value):
+            continue
+        full = f"gyrorig_{name}"
+        if full not in known:
+            known.add(full)
+            lines += [f"# HELP {full} {what}", f"# TYPE {full} {kind}"]
+        told = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in labels.items())
+        lines.append(f"{full}{{{told}}} {value:g}" if told else f"{full} {value:.17g}")
+    return "\n".join(lines) + "\n"
+
+
+Metric = tuple[str, str, str, dict[str, str], float | None]
+
+
+def _metrics(status: dict[str, Any]) -> Iterator[Metric]:
+    """Yield each metric, those of one name together."""
+    for state in STATES:
+        yield (
+            "state",
+            "gauge",
+            "1 for the daemon's state",
+            {"state": state},
+            float(status["state"] == state),
+        )
+    yield "uptime_seconds", "gauge", "since the daemon began", {}, status["uptime_s"]
+    yield (
+        "unit_known",
+        "gauge",
+        "1 while the unit answers",
+        {},
+        float(status["unit"]["state"] == "stands"),
+    )
+    for cause, count in status["unit"]["counts"].items():
+        labels = {"cause": cause}
+        yield "unit_line_total", "counter", "exchanges with the unit, and faults", labels, count
+    for name, count in status["counts"].items():
+        yield f"{name}_total", "counter", "see docs/service.md", {}, count
+    yield "queue_waiting", "gauge", "jobs that wait", {}, status["queue"]["waiting"]
+    yield (
+        "jobs_refused_total",
+        "counter",
+        "dropped files that were no jobs",
+        {},
+        status["queue"]["refused"],
+    )
+    yield "disk_free_bytes", "gauge", "room for recordings", {}, status["disk"]["free_bytes"]
+    yield (
+        "acquisition_dropped_bytes_total",
+        "counter",
+        "the daemon was too slow",
+        {},
+        status["acquisition_dropped_bytes"],
+    )
+    synchronised = status["clock"]["synchronised"]
+    yield (
+        "clock_synchronised",
+        "gauge",
+        "1 while the wall clock is disciplined",
+        {},
+        (None if synchronised is None else float(synchronised)),
+    )
+    yield from _board_metrics(status["boards"])
+    for name, value in status["recorder"].items():
+        if isinstance(value, int | float):
+            what = "of the recording that is open, or of all; see docs/service.md"
+            yield f"recorder_{name}", "gauge", what, {}, float(value)
+
+
+def _board_metrics(boards: list[dict[str, Any]]) -> Iterator[Metric]:
+    for board in boards:
+        yield (
+            "board_known",
+            "gauge",
+            "1 while the board is there",
+            {"board": board["id"]},
+            float(board["state"] == "known"),
+        )
+    for board in boards:
+        yield "board_rate_hz", "gauge", "samples a second", {"board": board["id"]}, board["rate_hz"]
+    for board in boards:
+        for cause, count in (*board["counts"].items(), *board["faults"].items()):
+            labels = {"board": board["id"], "cause": cause}
+            yield "board_line_total", "counter", "what came and what was lost", labels, count

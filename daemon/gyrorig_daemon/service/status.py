@@ -1,0 +1,167 @@
+"""What the daemon says of itself once a second: one document for people, programs and meters.
+
+What to use when: `StatusTimer` in the pump; it hands the document to `Parts.publish`. The
+losses in it are by cause and only grow; docs/service.md says what each means.
+"""
+
+import os
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+from gyrorig_daemon.links.board_link import BoardLink
+from gyrorig_daemon.rig import Rig
+from gyrorig_daemon.service.parts import Parts
+from gyrorig_daemon.service.present import is_known
+from gyrorig_protocol.recording.writer import software
+
+if TYPE_CHECKING:
+    from gyrorig_daemon.service.daemon import Daemon
+
+SCHEMA = "gyrorig/status/1"
+PERIOD_NS = 1_000_000_000
+MAX_NEXT = 20  # entries of the queue that are named
+
+
+@dataclass(frozen=True, slots=True)
+class Glance:
+    """What goes on, in the words of the loop itself."""
+
+    state: str  # starting, waiting, ready, running, fault, stopping
+    reason: str
+    session: dict[str, Any] | None
+    last: dict[str, Any] | None  # what became of the last session
+
+
+class StatusTimer:
+    """Writes the status once a second."""
+
+    def __init__(self, rig: Rig, parts: Parts, daemon: "Daemon", now_ns: int) -> None:
+        self._rig = rig
+        self._parts = parts
+        self._daemon = daemon
+        self._started_s = parts.clocks.monotonic_s()
+        self._samples: dict[str, tuple[int, int]] = {}
+        self._due_before_ns = now_ns
+        self.due_ns = now_ns
+
+    def fire(self, now_ns: int) -> None:
+        """Look at everything and publish it."""
+        if now_ns - self.due_ns > PERIOD_NS:
+            self._parts.counts.late_turns += 1
+        self.due_ns = now_ns + PERIOD_NS
+        document = self.document(now_ns)
+        self._parts.publish(document)
+        reason = f": {document['reason']}" if document["reason"] else ""
+        self._parts.notifier.status(f"{document['state']}{reason}")
+
+    def document(self, now_ns: int) -> dict[str, Any]:
+        """Return the status as of now."""
+        parts, glance = self._parts, self._daemon.glance
+        wall = self._daemon.wall
+        return {
+            "schema": SCHEMA,
+            "software": software(),
+            "rig": self._rig.config.rig,
+            "pid": os.getpid(),
+            "utc": _utc(parts.clocks.utc_s()),
+            "uptime_s": round(parts.clocks.monotonic_s() - self._started_s, 1),
+            "state": glance.state,
+            "reason": glance.reason,
+            "session": self._session(),
+            "last_session": glance.last,
+            "unit": self._unit(),
+            "boards": [self._board(board, now_ns) for board in self._rig.boards],
+            "recorder": self._recorder(),
+            "queue": self._queue(),
+            "schedule": self._schedule(),
+            "disk": {"free_bytes": parts.state.free_bytes()},
+            "clock": {
+                "synchronised": wall.synchronised,
+                "frequency_ppm": _number(None if wall.last is None else wall.last.frequency_ppm),
+                "estimated_error_s": _number(
+                    None if wall.last is None else wall.last.estimated_error_s
+                ),
+            },
+            "acquisition_dropped_bytes": parts.dropped_bytes(),
+            "counts": {
+                name: getattr(parts.counts, name) for name in parts.counts.__dataclass_fields__
+            }
+            | {"unit_lost": parts.counts.unit_lost + self._daemon.unit.lost},
+        }
+
+    def _session(self) -> dict[str, Any] | None:
+        session = self._daemon.glance.session
+        return None if session is None else dict(session)
+
+    def _unit(self) -> dict[str, Any]:
+        client, unit = self._rig.client, self._daemon.unit
+        counts = client.counts
+        names = ("exchanges", "polls", "timeouts", "garbled", "stale", "frame_errors", "refused")
+        return {
+            "state": unit.state.name.lower(),
+            "text": unit.why or unit.state.value,
+            "port": client.where,
+            "steps_are_sure": unit.steps_are_sure,
+            "counts": {name: getattr(counts, name) for name in (*names, "limit_flags")},
+            "reply_wait_max_ms": round(counts.reply_wait_max_ns * 1e-6, 3),
+        }
+
+    def _board(self, board: BoardLink, now_ns: int) -> dict[str, Any]:
+        name, counts = str(board.board_id), board.counts
+        before_ns, before = self._samples.get(name, (now_ns, counts.samples))
+        rate_hz = None
+        if now_ns > before_ns:
+            rate_hz = round((counts.samples - before) / ((now_ns - before_ns) * 1e-9), 1)
+        self._samples[name] = now_ns, counts.samples
+        clock = board.clock_report()
+        return {
+            "id": name,
+            "state": "gone" if board.gone else "known" if is_known(board) else "unknown",
+            "rate_hz": rate_hz,
+            "counts": {key: getattr(counts, key) for key in counts.__dataclass_fields__},
+            "faults": board.faults(),
+            "clock": {
+                "mapped": clock.mapped,
+                "skew_ppm": _number(clock.skew_ppm),
+                "sigma_s": _number(clock.sigma_s),
+            },
+        }
+
+    def _recorder(self) -> dict[str, Any]:
+        session = self._daemon.session
+        if session is None:
+            return {"open": False}
+        recorder = session.recorder
+        return {
+            "open": recorder.is_open,
+            "path": None if recorder.path is None else str(recorder.path),
+            "written": recorder.written,
+            "dropped": recorder.dropped,
+            "queue_high_water": recorder.high_water,
+        }
+
+    def _queue(self) -> dict[str, Any]:
+        waiting = self._parts.queue.waiting()
+        return {
+            "waiting": len(waiting),
+            "next": waiting[:MAX_NEXT],
+            "refused": self._parts.queue.refused,
+        }
+
+    def _schedule(self) -> list[dict[str, Any]]:
+        clocks, schedule = self._parts.clocks, self._parts.schedule
+        now_s, utc_s = clocks.monotonic_s(), clocks.utc_s()
+        return [
+            {"name": entry.name, "due_in_s": round(schedule.next_s(entry, now_s, utc_s))}
+            for entry in schedule.entries
+        ]
+
+
+def _utc(utc_s: float) -> str:
+    return datetime.fromtimestamp(utc_s, UTC).isoformat(timespec="seconds")
+
+
+def _number(value: float | None) -> float | None:
+    """Return a number that JSON has, None for what is none."""
+    return value if value is not None and abs(value) < 1e300 else None

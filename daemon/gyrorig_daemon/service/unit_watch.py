@@ -1,0 +1,118 @@
+"""The unit between sessions: halted before anything else, known, and asked whether it is there.
+
+What to use when: `first_halt` once a rig is open; `UnitWatch.look` from the daemon's idle
+loop. Nothing here moves anything. A unit that was away is unknown until it has said again
+who it is, and is halted then: somebody may have given it orders meanwhile.
+"""
+
+import random
+from enum import Enum
+
+from gyrorig_daemon.config import PTU_PORT
+from gyrorig_daemon.links.pump import Pump
+from gyrorig_daemon.motion import PtuClient, identify_unit
+from gyrorig_daemon.rig import Rig
+from gyrorig_protocol.errors import DeviceError
+from gyrorig_protocol.ptu import Axis, Quantity, query
+from gyrorig_protocol.ptu.commands import HALT
+
+RETRY_S = 2.0  # reference: reliability.md section 3 row 1
+LOOK_EVERY_S = 2.0
+SILENT_LOOKS = 2
+
+
+class UnitState(Enum):
+    """What is known of the unit; the value is what a person is told."""
+
+    ABSENT = "its port is not there"
+    SILENT = "it does not answer"
+    STANDS = "it stands"
+
+
+def first_halt(rig: Rig) -> None:
+    """Tell the unit to halt before anything else is said to it.
+
+    Whoever is on the port stops sooner so, and no device is moved by it.
+    """
+    if rig.pump.is_up(PTU_PORT):
+        try:
+            rig.pump.write(PTU_PORT, b"   " + HALT.encode())
+        except DeviceError:
+            return  # it is asked again as soon as it can be
+
+
+class UnitWatch:
+    """Knows whether the unit is there, and halts it whenever it comes."""
+
+    def __init__(self, rig: Rig, seed: int) -> None:
+        self._pump: Pump = rig.pump
+        self._client: PtuClient = rig.client
+        self._rng = random.Random(seed)  # noqa: S311 - moments, not secrets
+        self.state = UnitState.ABSENT
+        self.why = ""
+        self.lost = 0
+        self.steps_are_sure = True  # False: it restarted, or met a limit, since it was homed
+        self._silent = 0
+        self._due_ns = rig.pump.now_ns()
+
+    def look(self) -> UnitState:
+        """Make sure of the unit, if that is due."""
+        if not self._pump.is_up(PTU_PORT) or self._client.gone:
+            if self.state is not UnitState.ABSENT:
+                self.lose(UnitState.ABSENT, "its port hung up")
+            if not self._pump.is_up(PTU_PORT):
+                return self.state
+        if self._pump.now_ns() < self._due_ns:
+            return self.state
+        if self.state is UnitState.STANDS:
+            self._ask()
+        else:
+            self._greet()
+        wait_s = LOOK_EVERY_S if self.state is UnitState.STANDS else RETRY_S
+        self._due_ns = self._pump.now_ns() + int(wait_s * self._rng.uniform(0.8, 1.2) * 1e9)
+        return self.state
+
+    def lose(self, state: UnitState, why: str) -> None:
+        """Note that nothing is known of the unit any more."""
+        self.lost += self.state is UnitState.STANDS
+        self.state, self.why = state, why
+        self._due_ns = self._pump.now_ns()
+
+    def session_begins(self) -> None:
+        """Let a session find out anew what the unit has lost."""
+        self._client.lost_synchrony = None
+        self._client.expects_banner = True
+
+    def session_ended(self, homed: bool) -> None:
+        """Take from a session what it learnt of the unit."""
+        if homed:
+            self.steps_are_sure = True
+        self._see_losses()
+        self._silent = 0
+        self._due_ns = self._pump.now_ns()
+
+    def _ask(self) -> None:
+        try:
+            exchange = self._client.exchange(query(Axis.PAN, Quantity.POSITION), is_poll=True)
+        except DeviceError as fault:
+            self.lose(UnitState.ABSENT, fault.what)
+            return
+        self._silent = 0 if exchange.reply is not None else self._silent + 1
+        self._see_losses()
+        if self._silent >= SILENT_LOOKS:
+            self.lose(UnitState.SILENT, "it does not answer any more")
+
+    def _greet(self) -> None:
+        try:
+            identify_unit(self._client)
+        except DeviceError as fault:
+            self.state = UnitState.SILENT if self._pump.is_up(PTU_PORT) else UnitState.ABSENT
+            self.why = fault.what
+            return
+        self._see_losses()
+        self.state, self.why, self._silent = UnitState.STANDS, "", 0
+
+    def _see_losses(self) -> None:
+        if self._client.lost_synchrony is not None:
+            self.steps_are_sure = False
+            self._client.lost_synchrony = None
