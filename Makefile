@@ -8,10 +8,12 @@ VENV   := .venv
 OUT    ?= demo
 HIDDEN ?= hidden
 SEED   ?=
+FUZZ   ?= fuzz
+SECONDS ?= 180
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench hidden clean
+.PHONY: help demo test check bench hidden fuzz clean
 
 help:  ## this text
 	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
@@ -41,6 +43,13 @@ bench: $(VENV)/.dev  ## the benchmarks: speed, efficiency, clock error
 hidden: $(VENV)/.dev  ## the long tier of hidden effects: hours; writes docs/discovery-scores.md
 	@$(VENV)/bin/python tests/hidden/long_tier.py --out $(HIDDEN)
 
+fuzz: $(VENV)/.dev  ## every parser, SECONDS=180 each, guided by coverage where atheris is; damaged frames by the million
+	@$(VENV)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[fuzz]" || \
+		echo "make fuzz: no atheris for this Python: inputs by chance alone" >&2
+	@mkdir -p $(FUZZ)
+	@nice -n 10 $(VENV)/bin/python tests/fuzz/inject.py --out $(FUZZ)/inject.json
+	@$(VENV)/bin/python tests/fuzz/fuzz.py --seconds $(SECONDS) --out $(FUZZ)
+
 clean:  ## remove the virtual environment, caches and the demo's output
 	rm -rf $(VENV) $(OUT) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
@@ -59,5 +68,5 @@ $(VENV)/.solver: $(VENV)/.python pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
 	@echo "Installing gyrorig, what it needs and what its tests need"
-	@$(PIP) -e ".[solver,dev]"
+	@$(PIP) -e ".[solver,fleet,dev]"
 	@touch $@ $(VENV)/.solver

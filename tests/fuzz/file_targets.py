@@ -1,0 +1,135 @@
+"""Files that strangers hand over: recordings, chunks with a right checksum, tables."""
+
+import functools
+import struct
+import tempfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import zstandard
+from tests.fuzz.target import Target, one_line, refused
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import (
+    PTU_POSITION_TOPIC,
+    SESSION_EVENT_TOPIC,
+    EventKind,
+    ImuRaw,
+    PtuPosition,
+    SessionEvent,
+    imu_topic,
+)
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.importers.columns import open_columns
+
+MAGIC = b"\x89MCAP0\r\n"
+CHUNK = 0x06
+START_NS = 1_790_000_000_000_000_000
+BOARD = BoardId("B-1")
+_MEMORY = Path("/dev/shm")  # noqa: S108 - a file that is read once and never reaches a disk
+
+
+@functools.cache
+def folder() -> Path:
+    """A folder of this process's own, in memory where there is such a place."""
+    return Path(tempfile.mkdtemp(prefix="gyrorig-fuzz-", dir=_MEMORY if _MEMORY.is_dir() else None))
+
+
+def recording(data: bytes) -> None:
+    """A recording is refused in one line, or all of it that is there can be had."""
+    path = folder() / "fuzz.mcap"
+    path.write_bytes(data)
+    refused(lambda _: _read_all(path), InputError, data)
+
+
+def _read_all(path: Path) -> None:
+    found = read_recording(path)
+    for topic in found.topics:
+        try:
+            found.messages(topic)
+        except InputError as fault:
+            one_line(fault)
+
+
+def chunk(data: bytes) -> None:
+    """As `recording`, of a chunk whose checksum is right: none keeps a liar out."""
+    head = struct.pack("<QQQII", START_NS, 2**62, len(data), zlib.crc32(data), 0)
+    body = head + struct.pack("<Q", len(data)) + data
+    recording(_before_chunks() + struct.pack("<BQ", CHUNK, len(body)) + body + MAGIC)
+
+
+def table(data: bytes) -> None:
+    """A table of numbers is refused in one line, or its columns can be had."""
+    path = folder() / "fuzz.csv"
+    path.write_bytes(data)
+    refused(lambda _: open_columns(path, ["t", "x", "y"]).matrix(["x", "y"], 2), InputError, data)
+
+
+@functools.cache
+def small_recording() -> bytes:
+    """A recording of samples, positions and an event, in two chunks."""
+    axis = "pan_resolution_arcsec tilt_resolution_arcsec pan_acceleration tilt_acceleration"
+    names = ["model", *axis.split(), "pan_base_speed", "tilt_base_speed"]
+    metadata = {
+        "gyrorig": {
+            "session": "s-1",
+            "rig": "rig-1",
+            "anchor_utc_ns": str(START_NS),
+            "anchor_monotonic_raw_ns": "5000000000",
+        },
+        "gyrorig.ptu": dict.fromkeys(names, "185.142857"),
+        f"gyrorig.board.{BOARD}": {
+            "uid": "u", "sensor": "L3G4200D", "link": "serial", "gyro_scale_rad_s": "0.000153",
+        },
+    }  # fmt: skip
+    path = folder() / "seed.mcap"
+    with RecordingWriter(path, metadata, []) as out:
+        for number in range(6):
+            now_ns = START_NS + number * 10_000_000
+            sample = ImuRaw(now_ns, number, number, 3, 20, (1, 2, number), (0, 0, 256))
+            out.write(imu_topic(BOARD), sample, now_ns)
+            place = PtuPosition(
+                now_ns, now_ns + 3, now_ns + 5, number, -number, 0.1, -0.1, 7, number, 3
+            )
+            out.write(PTU_POSITION_TOPIC, place, now_ns + 5)
+            out.write(SESSION_EVENT_TOPIC, SessionEvent(now_ns, EventKind.NOTE, "s", "x"), now_ns)
+            if number == 3:
+                out.flush()
+    return path.read_bytes()
+
+
+def _records(whole: bytes) -> Iterator[tuple[int, int, int]]:
+    """Opcode, begin and end of each record in the data section."""
+    at = len(MAGIC)
+    while at + 9 <= len(whole) - len(MAGIC):
+        end = at + 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+        yield whole[at], at, end
+        at = end
+
+
+@functools.cache
+def _before_chunks() -> bytes:
+    whole = small_recording()
+    return whole[: next(begin for opcode, begin, _ in _records(whole) if opcode == CHUNK)]
+
+
+def _contents() -> list[bytes]:
+    """What stands in the chunks, unpacked."""
+    whole, contents = small_recording(), []
+    for opcode, begin, end in _records(whole):
+        if opcode == CHUNK:
+            name = int.from_bytes(whole[begin + 37 : begin + 41], "little")
+            packed = whole[begin + 41 + name + 8 : end]
+            unpacked = zstandard.ZstdDecompressor().decompressobj().decompress(packed)
+            contents.append(unpacked if name else packed)
+    return contents
+
+
+TARGETS = (
+    Target("recording", recording, lambda: [small_recording()], 16384),
+    Target("chunk", chunk, _contents, 8192),
+    Target("table", table, lambda: [b"t,x,y\n0,1,2\n1,3,4\n", b"t\tx\ty\n1\t2\t3\n"], 1024),
+)

@@ -1,0 +1,53 @@
+"""Every target holds on its seeds, on what once broke it, and on inputs by chance."""
+
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.fuzz.every import TARGETS, found_inputs
+from tests.fuzz.inject import KINDS, inject
+from tests.fuzz.mutate import mutated
+from tests.fuzz.target import BrokenError
+
+INPUTS = 300
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_target_holds(name: str) -> None:
+    target = TARGETS[name]
+    seeds = list(target.seeds())
+    assert seeds
+    chance = random.Random(f"gyrorig {name}")
+    for data in [b"", *seeds, *found_inputs(name)]:
+        target.run(data)
+    for _ in range(INPUTS):
+        target.run(mutated(chance, seeds, target.max_bytes))
+
+
+def test_a_target_that_does_not_hold_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tests.fuzz import link_targets  # noqa: PLC0415
+
+    monkeypatch.setattr(link_targets, "MAX_STUFFED_BYTES", 3)
+    with pytest.raises(BrokenError, match="more is kept"):
+        TARGETS["board_frames"].run(b"\x01" * 9)
+
+
+def test_the_fuzzer_counts(tmp_path: Path) -> None:
+    fuzzer = Path(__file__).with_name("fuzz.py")
+    ended = subprocess.run(
+        [sys.executable, fuzzer, "--chance", "--seconds", "0.2", "--out", tmp_path,
+         "--target", "ptu_replies"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    assert "0 broken" in ended.stdout
+    assert int(ended.stdout.split()[1]) > 20
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_no_damaged_frame_gives_a_wrong_sample(name: str) -> None:
+    found = inject(KINDS[name], 2000, f"test {name}")
+    assert found["wrong"] == 0
+    assert found["neighbours_lost"] <= 2000 * 0.2  # only where the border between was hit
