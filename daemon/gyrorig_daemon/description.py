@@ -85,11 +85,18 @@ def _files(
         Attachment("program.yaml", "application/yaml", order.program_text, now_utc_ns),
     ]
     for board in boards:
-        for number, payload in enumerate(board.hello_bytes):
-            text = payload[1:]  # behind the frame's type
-            attached = f"hello.{board.board_id}.{number}.json"
-            files.append(Attachment(attached, "application/json", text, now_utc_ns))
+        files += hello_files(board, now_utc_ns)
     return tuple(files)
+
+
+def hello_files(board: BoardLink, now_utc_ns: int) -> tuple[Attachment, ...]:
+    """Return what a board said of itself, as received."""
+    name = f"hello.{board.board_id}"
+    return tuple(
+        # behind the frame's type
+        Attachment(f"{name}.{number}.json", "application/json", payload[1:], now_utc_ns)
+        for number, payload in enumerate(board.hello_bytes)
+    )
 
 
 def check_folder(folder: Path) -> None:

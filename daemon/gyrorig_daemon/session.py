@@ -10,7 +10,6 @@ seen to stand still, and the recording closed.
 """
 
 import contextlib
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,7 @@ from gyrorig_daemon.description import (
     SessionOrder,
     check_folder,
     describe_session,
+    hello_files,
     make_folder,
 )
 from gyrorig_daemon.links.board_link import BoardLink
@@ -40,6 +40,7 @@ from gyrorig_daemon.motion import (
     plan_program,
 )
 from gyrorig_daemon.recorder import Recorder, RecordingPlan
+from gyrorig_daemon.recorder.closing import Closing
 from gyrorig_daemon.recorder.ptu_log import PtuLog
 from gyrorig_daemon.recorder.timers import DiagnosticsTimer, HostClockTimer, WriterTimer
 from gyrorig_daemon.rig import Rig
@@ -57,6 +58,8 @@ from gyrorig_protocol.recording.messages import (
 
 Progress = Callable[[int, int], None]
 
+CLOSE_PATIENCE_S = 60.0
+NEWCOMERS_EVERY_NS = 1_000_000_000
 CLOSING_LOOK_NS = 20_000_000  # how often it is asked whether a file is closed yet
 
 
@@ -77,6 +80,8 @@ class Surroundings:
     dropped_bytes: Callable[[], int] = lambda: 0
     stop: StopFlag = field(default_factory=StopFlag)
     progress: Progress = no_progress
+    new_recorder: Callable[[], Recorder] | None = None  # None: one file, told when a disk fails
+    close_patience_s: float = CLOSE_PATIENCE_S
 
 
 def record_session(hub: PortHub, order: SessionOrder, around: Surroundings) -> Path:
@@ -127,10 +132,13 @@ class Session:
         self._rig = rig
         self._order = order
         self._around = around
-        self.boards = boards
+        self.boards = list(boards)
+        self._named = {board.board_id for board in boards}
+        self._unfit: list[BoardLink] = []
         self._pump = rig.pump
         self._client = rig.client
-        self.recorder = Recorder(around.threaded_writer)
+        new_recorder = around.new_recorder or (lambda: Recorder(around.threaded_writer))
+        self.recorder = new_recorder()
         self._log = PtuLog(self.recorder, rig.capture)
         self._unit: Unit | None = None
         self._poller: Poller | None = None
@@ -232,11 +240,13 @@ class Session:
 
     def take_sample(self, board_id: BoardId, message: ImuRaw, publish_ns: int) -> None:
         """Record a sample."""
-        self.recorder.put(imu_topic(board_id), message, message.host_time_ns, publish_ns)
+        if board_id in self._named:
+            self.recorder.put(imu_topic(board_id), message, message.host_time_ns, publish_ns)
 
     def take_ping(self, board_id: BoardId, message: ClockPing) -> None:
         """Record a board's answer about its clock."""
-        self.recorder.put(clock_topic(board_id), message, message.host_receive_ns)
+        if board_id in self._named:
+            self.recorder.put(clock_topic(board_id), message, message.host_receive_ns)
 
     def note(self, text: str) -> None:
         """Record what happened and is no fault."""
@@ -245,6 +255,24 @@ class Session:
     def fault(self, text: str) -> None:
         """Record what went wrong."""
         self._event(EventKind.FAULT, "", text)
+
+    def take_newcomers(self) -> None:
+        """Let boards take part that have said who they are only now."""
+        for board in self._rig.boards:
+            if board.board_id in self._named or board in self._unfit or not board.known:
+                continue
+            try:
+                board.identify()  # it is known: this waits for nothing
+                metadata = {f"gyrorig.board.{board.board_id}": board.metadata()}
+            except DeviceError as fault:
+                self._unfit.append(board)
+                self.fault(f"it cannot take part: {fault.what}")
+                continue
+            self._named.add(board.board_id)
+            self.boards.append(board)
+            now_utc_ns = self._rig.capture.utc_ns(self._pump.now_ns())
+            self.recorder.add_facts(metadata, hello_files(board, now_utc_ns))
+            self.note(f"board {board.board_id} takes part from here on")
 
     def _halt(self) -> str:
         try:
@@ -261,7 +289,7 @@ class Session:
         self._listen_no_more()
         if not self._around.threaded_writer:
             return self.recorder.close()
-        closing = _Closing(self.recorder)
+        closing = Closing(self.recorder, self._around.close_patience_s)
         with contextlib.suppress(PortsGoneError):
             while closing.is_alive():
                 self._pump.run_until(
@@ -298,6 +326,7 @@ class Session:
                 boards=self.boards,
                 dropped_bytes=around.dropped_bytes,
             ),
+            _NewcomersTimer(self, now_ns),
         ]
         for timer in self._timers:
             self._pump.add_timer(timer)
@@ -316,35 +345,14 @@ class Session:
         self.recorder.hold(SESSION_EVENT_TOPIC, event, now_ns)
 
 
-class _Closing:
-    """A recorder that closes in a thread of its own."""
+class _NewcomersTimer:
+    """Looks once a second for boards that came late."""
 
-    def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
-        self._path: Path | None = None
-        self._fault: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="closing", daemon=True)
-        self._thread.start()
+    def __init__(self, session: Session, now_ns: int) -> None:
+        self._session = session
+        self.due_ns = now_ns + NEWCOMERS_EVERY_NS
 
-    def is_alive(self) -> bool:
-        """Return whether it is not closed yet."""
-        return self._thread.is_alive()
-
-    def path(self) -> Path:
-        """Wait for the end and return the recording's name.
-
-        Raises:
-            MachineError: the disk refused.
-        """
-        self._thread.join()
-        if self._fault is not None:
-            raise self._fault
-        if self._path is None:
-            raise AssertionError("closed without a path")  # a fault of this program
-        return self._path
-
-    def _run(self) -> None:
-        try:
-            self._path = self._recorder.close()
-        except BaseException as fault:  # noqa: BLE001, RUF100 - raised again in the waiting thread
-            self._fault = fault
+    def fire(self, now_ns: int) -> None:
+        """Look."""
+        self.due_ns = now_ns + NEWCOMERS_EVERY_NS
+        self._session.take_newcomers()

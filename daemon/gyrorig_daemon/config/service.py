@@ -36,6 +36,16 @@ class ServiceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     board_patience_s: Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)] = 30.0
     # After a fault of the motion the recording goes on, but no longer than this.
     aftermath_s: Annotated[float, msgspec.Meta(ge=0.0, le=3_600.0)] = 600.0
+    # A recording is cut into parts of this length and size.
+    part_s: Annotated[float, msgspec.Meta(ge=10.0, le=86_400.0)] = 3_600.0
+    part_mb: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 512
+    # Less than this is never left free on the disk.
+    reserve_mb: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 1_024
+    # Recordings beyond these are deleted, the oldest first; left out, none ever is.
+    keep_days: Annotated[float, msgspec.Meta(gt=0.0, le=36_600.0)] | None = None
+    keep_mb: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    # What a calibration in one of these folders cites is kept; beside the state folder's own.
+    stores: Annotated[tuple[str, ...], msgspec.Meta(max_length=20)] = ()
 
 
 def check_schedule(entries: tuple[ScheduleEntry, ...], name: str) -> None:
