@@ -71,6 +71,7 @@ class Rig:
         self.capture = capture
         self.stop = stop
         self.pump = Pump(hub, stop)
+        self.pump.on_stall = self._take_stall
         self.listener: Listener | None = None
         self.client = PtuClient(
             self.pump,
@@ -106,3 +107,10 @@ class Rig:
     def _fault(self, text: str) -> None:
         if self.listener is not None:
             self.listener.fault(text)
+
+    def _take_stall(self, who: str, begin_ns: int, end_ns: int) -> None:
+        """Say when a process stood still; only the acquisition's makes stamps late."""
+        seconds = (end_ns - begin_ns) * 1e-9
+        begin_s = self.capture.utc_ns(begin_ns) * 1e-9
+        late = "" if who == "the daemon" else ": the next arrival stamps are late by up to that"
+        self._fault(f"{who} stood still for {seconds:.3f} s from {begin_s:.3f} s{late}")

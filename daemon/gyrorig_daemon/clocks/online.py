@@ -71,6 +71,7 @@ class OnlineClock:
         self._last_ticks = 0
         self._restarts = -1  # the first stamp is no restart
         self._pings: deque[_Ping] = deque(maxlen=PING_MEMORY)
+        self._sent: deque[tuple[float, float]] = deque(maxlen=PING_MEMORY)  # at device, here
         self._low_s = -math.inf
         self._high_s = math.inf
         self._correction_s = 0.0
@@ -100,6 +101,7 @@ class OnlineClock:
             self._floor.restart()
             self._origin_ticks, self._origin_ns = stamp.ticks, left_ns
             self._pings.clear()
+            self._sent.clear()
             self._low_s, self._high_s, self._correction_s = -math.inf, math.inf, 0.0
         self._last_ticks = max(stamp.ticks, self._origin_ticks)
         device_s = self._device_s(stamp.ticks)
@@ -139,7 +141,7 @@ class OnlineClock:
         """
         if not self._floor.has_state:
             return
-        self._pings.append(
+        self._bracket(
             _Ping(
                 (sent_ns - self._origin_ns) * 1e-9,
                 self._device_s(self._nearest(device_receive)),
@@ -147,12 +149,29 @@ class OnlineClock:
                 (received_ns - self._origin_ns) * 1e-9,
             )
         )
+
+    def one_way(self, device_send: int, received_ns: int) -> None:
+        """Take a stamp of a sending: the truth is not later than what it was received at.
+
+        Args:
+            device_send: 64-bit ticks when the frame's first byte left the device.
+            received_ns: when the frame was in the host's hands, less its time on the wire.
+        """
+        if not self._floor.has_state or not math.isfinite(self._low_s):
+            return  # one bound alone corrects nothing
+        send_s = self._device_s(self._nearest(device_send))
+        received_s = (received_ns - self._origin_ns) * 1e-9
+        self._sent.append((send_s, received_s))
+
+    def _bracket(self, ping: _Ping) -> None:
+        self._pings.append(ping)
         floor_s = self._floor.latency_floor_s
         self._low_s = max(
             p.sent_s - p.device_receive_s - floor_s(p.device_receive_s) for p in self._pings
         )
+        sent = [(p.device_send_s, p.received_s) for p in self._pings]
         self._high_s = min(
-            p.received_s - p.device_send_s - floor_s(p.device_send_s) for p in self._pings
+            received_s - send_s - floor_s(send_s) for send_s, received_s in (*sent, *self._sent)
         )
         if self._low_s <= self._high_s:
             self._correction_s = 0.5 * (self._low_s + self._high_s)

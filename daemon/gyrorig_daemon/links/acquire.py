@@ -29,6 +29,8 @@ PIPE_BYTES = 1 << 20
 MAX_HELD_BYTES = 32 << 20  # about ten minutes of 16 boards at 800 Hz
 FAREWELL_S = 0.5
 WAITED_FOR = ("missing", "denied")  # udev gives a node its rights a moment after the node
+HEARTBEAT_MS = 100  # the longest wait: what takes much longer is this process standing still
+STALL_NS = 150_000_000  # beyond the stamps' usual lateness by far, and above the heartbeat
 _HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 
 
@@ -43,6 +45,7 @@ class Acquisition:
         self._orders = bytearray()
         self._reports = bytearray()
         self._dropped_bytes = 0
+        self._late_ns = 0  # by which the stamps of this turn may be late
         self._poll = select.poll()
         self._poll.register(orders_fd, select.POLLIN)
 
@@ -54,9 +57,13 @@ class Acquisition:
                 self._watch(port, port.line)
             else:
                 self._say_gone(port, port.refusal)
+        turn_ns = raw_ns()
         while True:
             self._flush()
-            for fd, events in self._poll.poll(self._timeout_ms()):
+            ready = self._poll.poll(self._timeout_ms())
+            before_ns, turn_ns = turn_ns, raw_ns()
+            self._late_ns = _lateness_ns(turn_ns - before_ns)
+            for fd, events in ready:
                 if fd in self._by_fd:
                     self._serve(self._by_fd[fd], events)
                 elif fd == self._reports_fd:
@@ -71,7 +78,7 @@ class Acquisition:
             data = port.read(bool(events & _HUNG_UP))
             stamp_ns = raw_ns()
             if data:
-                self._report(wire.CHUNK, port.index, stamp_ns, 0, data)
+                self._report(wire.CHUNK, port.index, stamp_ns, self._late_ns, data)
             elif data is not None:
                 self._lose(port, "it hung up")
         if events & select.POLLOUT and port.writes:
@@ -129,7 +136,9 @@ class Acquisition:
             if kind == wire.CLOSE:
                 return False
             port = self._ports[index]
-            if kind == wire.REOPEN:
+            if kind == wire.PING:
+                self._report(wire.PONG, 0, raw_ns(), 0, b"")
+            elif kind == wire.REOPEN:
                 self._lose(port, "it is opened anew", now=True)
             else:
                 port.writes.append(Write(body, deadline_ns))
@@ -173,12 +182,12 @@ class Acquisition:
             while port.writes and raw_ns() > port.writes[0].deadline_ns:
                 self._end_write(port, b"it does not take bytes")
 
-    def _timeout_ms(self) -> int | None:
+    def _timeout_ms(self) -> int:
         waiting = [port.writes[0].deadline_ns for port in self._ports if port.writes]
         waiting += [port.retry_ns for port in self._ports if port.line is None]
         if not waiting:
-            return None
-        return max(0, (min(waiting) - raw_ns()) // 1_000_000 + 1)
+            return HEARTBEAT_MS
+        return max(0, min((min(waiting) - raw_ns()) // 1_000_000 + 1, HEARTBEAT_MS))
 
     def _report(self, kind: int, index: int, first_ns: int, second_ns: int, data: bytes) -> None:
         if len(self._reports) > MAX_HELD_BYTES and kind == wire.CHUNK:
@@ -208,6 +217,11 @@ class Acquisition:
         for port in self._ports:
             if port.line is not None:
                 _write_out(port.line, port.farewell)
+
+
+def _lateness_ns(turn_ns: int) -> int:
+    """Return by how much stamps may be late after a turn that took so long."""
+    return turn_ns if turn_ns > STALL_NS else 0
 
 
 def _write_out(line: Line, data: bytes) -> None:

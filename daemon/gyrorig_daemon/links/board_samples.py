@@ -47,6 +47,10 @@ class BoardCounts:
     silences: int = 0
     unmapped: int = 0  # samples whose publish_time is their arrival
     hung_up: int = 0
+    reopened: int = 0  # its port, because it was silent
+    unidentified: int = 0  # samples not taken because it had not said yet who it is
+    foreign: int = 0  # how often another board was on its port
+    late_chunks: int = 0  # read after the acquisition process had stood still
 
 
 class SampleStream:
@@ -63,6 +67,7 @@ class SampleStream:
         self._last_sequence: int | None = None
         self._last_batch: tuple[int, int] | None = None  # last sequence and its stamp
         self.counts = BoardCounts()
+        self.seen = False  # a sample came, taken or not
         self.clock = self._new_clock()
 
     def use_hello(self, hello: Hello) -> None:
@@ -74,7 +79,7 @@ class SampleStream:
     def restart(self) -> None:
         """The board says that it has started anew: nothing before holds for what follows."""
         self.clock.restart()
-        self._last_sequence = None
+        self._last_sequence = self._last_batch = None
 
     def take(self, frame: Sample | Batch, event: FrameEvent) -> None:
         """Count, date and hand on what a frame holds."""
@@ -171,4 +176,5 @@ class SampleStream:
         if restarts > self.counts.restarts:
             self.counts.restarts = restarts
             self._last_sequence = None
+            self._last_batch = None
             self._sinks.fault(f"board {self._board_id} has restarted its clock")

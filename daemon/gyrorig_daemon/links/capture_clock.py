@@ -16,7 +16,7 @@ _TIMEX_WORDS = 64  # more than the structure's 208 bytes
 
 @dataclass(slots=True)
 class CaptureClock:
-    """The anchor of a session: one object for as long as the rig is used, moved between sessions."""
+    """The anchor of a session: one object as long as the rig is used, moved between sessions."""
 
     anchor_utc_ns: int
     anchor_raw_ns: int

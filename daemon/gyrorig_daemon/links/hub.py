@@ -28,6 +28,7 @@ class Chunk:
     data: bytes
     change: PortChange | None = None
     text: str = ""  # why it is gone
+    late_ns: int = 0  # how late the stamp may be: the reading process had stood still
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,6 +61,7 @@ class AcquisitionHub:
         self._down: set[str] = set()
         self._gone: str | None = None  # why nothing can be said any more
         self.dropped_bytes = 0
+        self.answered_ns = raw_ns()  # when the acquisition process last answered a ping
         self._refuse_twins()
         wanted = {
             "waits": waits,
@@ -158,6 +159,14 @@ class AcquisitionHub:
         """
         self._send(wire.ORDER.pack(wire.REOPEN, self._index[port], 0, 0))
 
+    def ping(self) -> None:
+        """Ask the acquisition process whether all is well; `answered_ns` moves when it is.
+
+        Raises:
+            PortsGoneError: the acquisition process is gone.
+        """
+        self._send(wire.ORDER.pack(wire.PING, 0, 0, 0))
+
     def close(self) -> None:
         """End the acquisition process. Closing twice is no fault."""
         if self._child.stdin is None or self._child.stdin.closed:
@@ -198,7 +207,8 @@ class AcquisitionHub:
     def _keep(self, report: wire.Report) -> None:
         name = self._names[report.port]
         if report.kind == wire.CHUNK:
-            self._chunks.append(Chunk(name, report.first_ns, report.data))
+            late_ns = report.second_ns
+            self._chunks.append(Chunk(name, report.first_ns, report.data, late_ns=late_ns))
         elif report.kind == wire.GONE:
             self._down.add(name)
             why = report.data.decode(errors="replace")
@@ -208,6 +218,8 @@ class AcquisitionHub:
             self._chunks.append(Chunk(name, report.first_ns, b"", PortChange.BACK))
         elif report.kind == wire.LOST:
             self.dropped_bytes += report.second_ns
+        elif report.kind == wire.PONG:
+            self.answered_ns = report.first_ns
 
     def _send(self, order: bytes) -> None:
         if self._gone is not None:

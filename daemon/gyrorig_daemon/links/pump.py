@@ -12,8 +12,11 @@ from gyrorig_daemon.links.hub import Chunk, PortHub, WriteStamp
 from gyrorig_protocol.errors import GyrorigError
 
 SLICE_NS = 50_000_000  # how long a request to stop may go unnoticed
+STALL_NS = 700_000_000  # a turn of the loop takes so long only if the process stood still:
+# the longest that it waits by itself is for a stuck port, half a second
 
 Sink = Callable[[Chunk], None]
+StallSink = Callable[[str, int, int], None]  # who stood still, from when, until when
 
 
 class StopRequestedError(GyrorigError):
@@ -50,6 +53,11 @@ class Pump:
         self._sinks: dict[str, Sink] = {}
         self._timers: list[Timer] = []
         self._heeds_stop = True
+        self._turn_ns: int | None = None
+        self._late_until_ns = 0
+        self.stalls = 0  # of this process: commands came late, stamps did not
+        self.late_stalls = 0  # of the acquisition process: the stamps after them are late
+        self.on_stall: StallSink | None = None
 
     def attach(self, port: str, sink: Sink) -> None:
         """Give every chunk of `port` to `sink`."""
@@ -102,8 +110,9 @@ class Pump:
             if done is not None and done():
                 return True
             now_ns = self._hub.now_ns()
+            self._watch_turn(now_ns)
             if now_ns >= deadline_ns:
-                return False
+                return self._catch_up(deadline_ns, done)
             until_ns = min(deadline_ns, now_ns + SLICE_NS)
             for timer in self._timers:
                 if timer.due_ns <= now_ns:
@@ -111,6 +120,36 @@ class Pump:
                 until_ns = min(until_ns, timer.due_ns)
             chunk = self._hub.read(until_ns)
             if chunk is not None:
-                sink = self._sinks.get(chunk.port)
-                if sink is not None:
-                    sink(chunk)
+                self._deliver(chunk)
+
+    def _catch_up(self, deadline_ns: int, done: Callable[[], bool] | None) -> bool:
+        """Take what was there at the deadline: this process may have slept past it.
+
+        An answer that came in time is no silence, however late it is looked at.
+        """
+        while (chunk := self._hub.read(deadline_ns)) is not None:
+            self._deliver(chunk)
+            if done is not None and done():
+                return True
+            if chunk.received_ns > deadline_ns:
+                break
+        return False
+
+    def _deliver(self, chunk: Chunk) -> None:
+        if chunk.late_ns and chunk.received_ns - chunk.late_ns > self._late_until_ns:
+            self._late_until_ns = chunk.received_ns
+            self.late_stalls += 1
+            if self.on_stall is not None:
+                begin_ns = chunk.received_ns - chunk.late_ns
+                self.on_stall("the acquisition process", begin_ns, chunk.received_ns)
+        sink = self._sinks.get(chunk.port)
+        if sink is not None:
+            sink(chunk)
+
+    def _watch_turn(self, now_ns: int) -> None:
+        """Note when this process stood still: stopped, suspended, or starved by others."""
+        before_ns, self._turn_ns = self._turn_ns, now_ns
+        if before_ns is not None and now_ns - before_ns > STALL_NS:
+            self.stalls += 1
+            if self.on_stall is not None:
+                self.on_stall("the daemon", before_ns, now_ns)

@@ -12,17 +12,21 @@ ORDER = struct.Struct("<BBxxIq")
 WRITE = 1
 CLOSE = 2
 REOPEN = 3  # let go of the port and open it anew
+PING = 4  # say that all is well
 
 # acquisition -> daemon: kind, port index, length of the data, two stamps in ns
 REPORT = struct.Struct("<BBxxIqq")
 OPENED = 1  # every port is open, or is waited for; no data
-CHUNK = 2  # data read, never empty; the first stamp is the return of the read call
+# data read, never empty; the first stamp is the return of the read call, the second no
+# stamp: how many ns late the first may be, because this process stood still before
+CHUNK = 2
 WRITTEN = 3  # stamps before and after the write
 FAULT = 4  # a write failed; data is the reason
 REFUSED = 5  # a port could not be opened; data is "<reason>\n<text>"
 LOST = 6  # the first stamp: when; the second: bytes dropped because the daemon did not read
 GONE = 7  # the first stamp: when; data is why. Said again where the reason has changed
 BACK = 8  # the port is open again; the first stamp: when
+PONG = 9  # the answer to a ping; the first stamp: when
 
 MAX_DATA_BYTES = 1 << 20
 

@@ -54,10 +54,10 @@ class Poller:
         """Ask once; None where no usable answer came.
 
         Args:
-            checked: raise when the unit has lost synchrony.
+            checked: raise when the unit has lost synchrony, or was away.
 
         Raises:
-            DeviceError: synchrony is lost, or the unit is silent.
+            DeviceError: synchrony is lost, or the unit is silent or was away.
         """
         command = self._command()
         exchange = self._client.exchange(command, is_poll=True)
@@ -67,6 +67,8 @@ class Poller:
             self._on_position(position)
         else:
             self._silent += 1
+        if checked and not self._client.identified:
+            raise self._client.unknown()
         if checked and self._client.lost_synchrony is not None:
             raise DeviceError(
                 f"synchrony lost: {self._client.lost_synchrony}",
@@ -120,7 +122,7 @@ class Poller:
             counter=counter,
             earliest_ns=earliest_ns,
             latest_ns=latest_ns,
-            synchrony_lost=self._client.lost_synchrony is not None,
+            synchrony_lost=self._client.lost_synchrony is not None or not self._client.identified,
         )
 
     def _see(self, axis: Axis, steps: int) -> None:

@@ -5,6 +5,7 @@ a silence is to be lived with; `halt` on every way out. There is no flow control
 wire: the next command waits for the answer to the last, and for the vendor's rate.
 """
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -71,6 +72,7 @@ class Counts:
     frame_errors: int = 0
     refused: int = 0
     limit_flags: int = 0
+    hung_up: int = 0
     exchanges: int = 0
     polls: int = 0
     reply_wait_max_ns: int = field(default=0)
@@ -118,7 +120,7 @@ class PtuClient:
         self.expects_banner = True
         self.identified = False  # what is on the port has said that it is a pan-tilt unit
         self.lost_synchrony: str | None = None
-        self.gone = False
+        self.gone = not pump.is_up(port)
         pump.attach(port, self._take)
 
     def exchange(
@@ -170,8 +172,11 @@ class PtuClient:
         """Send an order, repeatable, that must be carried out.
 
         Raises:
-            DeviceError: refused, or no answer to three attempts.
+            DeviceError: refused, no answer to three attempts, or nobody has said yet that
+                what is on the port is a pan-tilt unit.
         """
+        if not self.identified and command != HALT:
+            raise self.unknown()
         require_done(command, self.ask(command))
 
     def halt(self) -> None:
@@ -209,6 +214,13 @@ class PtuClient:
         """Return how long so many bytes are on the wire."""
         return byte_count * BITS_PER_BYTE * 1_000_000_000 // self.baud
 
+    def unknown(self) -> DeviceError:
+        """Return the error for a unit that has to say who it is before anything moves."""
+        return DeviceError(
+            f"the port of the pan-tilt unit on {self.where} was gone: where it stands is not known",
+            "check its cable; it is asked anew before it moves again",
+        )
+
     def silence(self, command: PtuCommand) -> DeviceError:
         """Return the error for a unit that does not answer."""
         return DeviceError(
@@ -217,9 +229,8 @@ class PtuClient:
         )
 
     def _take(self, chunk: Chunk) -> None:
-        if chunk.change is PortChange.GONE:
-            self.gone = True
-        if not chunk.data:
+        if chunk.change is not None:
+            self._lose() if chunk.change is PortChange.GONE else self._come_back()
             return
         if len(self._raw) < RAW_LIMIT_BYTES:
             self._raw += chunk.data
@@ -240,6 +251,23 @@ class PtuClient:
                 case FrameError():
                     self.counts.frame_errors += 1
                     self._garbled = self._in_flight is not None
+
+    def _lose(self) -> None:
+        """The unit goes on with its last order, and nobody sees it any more."""
+        if not self.gone:
+            self.counts.hung_up += 1
+        self.gone = True
+
+    def _come_back(self) -> None:
+        """The port is open again. Whoever is there is told to halt before anything is asked.
+
+        No device is moved by it, and a unit that was left turning stops sooner.
+        """
+        self.gone = self.identified = False
+        self._parser.reset()
+        self.expects_banner = True  # it may have been switched off, too
+        with contextlib.suppress(DeviceError):
+            self._pump.write(self._port, b"   " + HALT.encode())
 
     def _take_limit(self, axis: Axis) -> None:
         self.counts.limit_flags += 1
@@ -278,5 +306,5 @@ class PtuClient:
     def _check_port(self) -> None:
         if self.gone:
             raise DeviceError(
-                f"{self.where} (pan-tilt unit) hung up", "check the cable, then start again"
+                f"{self.where} (pan-tilt unit) hung up", "check the cable and its power"
             )

@@ -134,6 +134,7 @@ class DiagnosticsTimer:
                 "frame_errors",
                 "refused",
                 "limit_flags",
+                "hung_up",
             )
         }
         values["reply_wait_max_ms"] = f"{counts.reply_wait_max_ns * 1e-6:.3f}"
@@ -142,14 +143,12 @@ class DiagnosticsTimer:
 
 def _board_status(board: BoardLink) -> DiagnosticStatus:
     counts, faults = board.counts, board.faults()
-    level, text = DiagnosticLevel.OK, "sends samples"
-    if counts.missing or counts.restarts or sum(faults.values()):
+    level, text = DiagnosticLevel.OK, board.state.value
+    if counts.missing or counts.restarts or counts.hung_up or sum(faults.values()):
         level, text = DiagnosticLevel.WARN, "samples were lost or frames damaged"
-    if board.gone:
-        level, text = DiagnosticLevel.ERROR, "hung up"
-    names = counts.__dataclass_fields__
-    values = {name: str(getattr(counts, name)) for name in names}
-    values |= {f"fault_{cause}": str(count) for cause, count in faults.items()}
+    if not board.known:
+        level, text = DiagnosticLevel.ERROR, board.state.value
+    values = board.values()
     return DiagnosticStatus(level, f"board/{board.board_id}", text, str(board.board_id), values)
 
 
