@@ -29,9 +29,12 @@ _COMMANDS = {
     "check": ("check", "Is this recording sound, and what can it calibrate?"),
     "solve": ("solve", "Turn recordings into a calibration and a report."),
     "explain": ("explain", "What the model of the rig gets wrong, and why."),
+    "batch": ("batch", "Every new recording of a spool, into a fleet's store."),
+    "store": ("store", "What a fleet's store holds, and whether it is whole."),
     "plan": ("plan", "The motion program that tells most in a given time."),
 }
-_SOLVER_EXTRA = {"scipy", "jinja2"}
+# a package that is not there, and the extra that brings it
+_EXTRAS = {"scipy": "solver", "jinja2": "solver", "duckdb": "fleet"}
 _INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
@@ -119,11 +122,13 @@ def main() -> NoReturn:
 
 def _report(terminal: Terminal, fault: Exception, arguments: Sequence[str]) -> int:
     """Say in one line what `fault` is, and return the exit code for it."""
-    if isinstance(fault, ModuleNotFoundError) and (fault.name or "").split(".")[0] in _SOLVER_EXTRA:
-        fault = UsageError(
-            f"this command needs {fault.name}, which is not installed",
-            "pip install 'gyrorig[solver]'",
-        )
+    if isinstance(fault, ModuleNotFoundError):
+        extra = _EXTRAS.get((fault.name or "").split(".")[0])
+        if extra is not None:
+            fault = UsageError(
+                f"this command needs {fault.name}, which is not installed",
+                f"pip install 'gyrorig[{extra}]'",
+            )
     if isinstance(fault, GyrorigError):
         return _fail(terminal, str(fault), fault.exit_code)
     if isinstance(fault, click.ClickException):

@@ -61,8 +61,13 @@ class Provenance:
     @property
     def settings_sha256(self) -> str:
         """The digest of the settings, independent of their order."""
-        text = json.dumps(self.settings, sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+        return settings_sha256(self.settings)
+
+
+def settings_sha256(settings: Mapping[str, Any]) -> str:
+    """Return the digest of a solver's settings, independent of their order."""
+    text = json.dumps(settings, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def calibration_of(

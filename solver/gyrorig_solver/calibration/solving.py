@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version as installed_version
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -116,8 +117,7 @@ def document_of(
     """
     lost = [fit.lost] if len(recordings) == 1 else [load_samples(r, board).lost for r in recordings]
     software = installed_version("gyrorig")
-    settings = {"method": "likelihood", **({"extend": list(extend)} if extend else {})}
-    origin = provenance(recordings, board, lost, software, settings)
+    origin = provenance(recordings, board, lost, software, likelihood_settings(extend))
     profile = find_profile(origin.board.sensor)
 
     def document(version: int, previous: str | None, created: str) -> Calibration:
@@ -126,6 +126,11 @@ def document_of(
         )
 
     return document
+
+
+def likelihood_settings(extend: Sequence[str]) -> dict[str, Any]:
+    """Return the settings that a calibration of `likelihood` carries the digest of."""
+    return {"method": "likelihood", **({"extend": list(extend)} if extend else {})}
 
 
 def _by_likelihood(

@@ -2,6 +2,11 @@
 
     STORE/<board>/v0001.yaml  v0001.report.html  v0002.yaml ...
 
+A store of a fleet, which says so in `gyrorig-store.yaml`, spreads its boards over 65536
+folders, because a folder of a million entries is slow to list and to make:
+
+    STORE/calib/<h2>/<h2>/<board>/v0001.yaml ...    h: of the SHA-256 of the board's name
+
 What to use when: `CalibrationStore.add` to write the next version, `latest` to read
 back. Each version names the digest of the one before, so that a store is a chain that
 shows when something in it was changed or is missing. Two solvers may write at once: a
@@ -17,10 +22,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrorig_protocol.errors import BusyError, MachineError
+from gyrorig_protocol.documents import parse_yaml
+from gyrorig_protocol.errors import BusyError, InputError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
 
+STORE_FILE = "gyrorig-store.yaml"
+STORE_SCHEMA = "gyrorig/store/1"
 _VERSION = re.compile(r"v(\d{4,9})\.yaml")
+_MADE_AT_ONCE = {STORE_FILE, "journal", "claims", "index", "calib"}  # by another, a moment ago
 _MAX_TRIES = 100  # each lost race means that another solver wrote a version
 
 
@@ -40,11 +49,24 @@ class CalibrationStore:
     """The versions of every board below one folder."""
 
     def __init__(self, folder: Path) -> None:
+        """Use the store below `folder`, which need not be there yet.
+
+        Raises:
+            InputError: its `gyrorig-store.yaml` is of another schema.
+        """
         self.folder = folder
+        self.sharded = _is_sharded(folder)
+
+    def folder_of(self, board: BoardId) -> Path:
+        """Return where the versions of `board` are, or will be."""
+        if not self.sharded:
+            return self.folder / board
+        digest = hashlib.sha256(board.encode()).hexdigest()
+        return self.folder / "calib" / digest[:2] / digest[2:4] / board
 
     def versions(self, board: BoardId) -> list[StoredVersion]:
         """Return the versions of `board`, oldest first."""
-        folder = self.folder / board
+        folder = self.folder_of(board)
         if not folder.is_dir():
             return []
         found = (
@@ -65,7 +87,7 @@ class CalibrationStore:
         Raises:
             MachineError: the folder cannot be made or written.
         """
-        folder = self.folder / board
+        folder = self.folder_of(board)
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as fault:
@@ -100,6 +122,54 @@ class CalibrationStore:
             if write_whole(final, text.encode(), replace=False):
                 return StoredVersion(number, final)
         raise BusyError(f"other solvers keep writing to {folder}", "try again")
+
+
+def make_sharded(folder: Path) -> CalibrationStore:
+    """Return the fleet's store in `folder`, which is made one if it is empty or not there.
+
+    Raises:
+        InputError: it is of another schema.
+        UsageError: it holds something else.
+        MachineError: it cannot be made.
+    """
+    if not (folder / STORE_FILE).exists():
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            others = [p.name for p in folder.iterdir() if p.name not in _MADE_AT_ONCE]
+        except OSError as fault:
+            raise MachineError(
+                f"cannot make the store {folder}, {fault.strerror}", "choose another with --store"
+            ) from fault
+        if others:
+            raise UsageError(
+                f"{folder} is no store of a fleet: it holds {sorted(others)[0]}",
+                "name an empty or a new folder with --store",
+            )
+        write_whole(folder / STORE_FILE, f'schema: "{STORE_SCHEMA}"\n'.encode(), replace=False)
+    return CalibrationStore(folder)
+
+
+def _is_sharded(folder: Path) -> bool:
+    """Return whether `folder` says that it is a fleet's store.
+
+    Raises:
+        InputError: it says so in another schema.
+    """
+    mark = folder / STORE_FILE
+    try:
+        text = mark.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as fault:
+        raise MachineError(f"cannot read {mark}, {fault.strerror}", "mend its rights") from fault
+    found = parse_yaml(text, str(mark), InputError)
+    schema = found.get("schema") if isinstance(found, dict) else None
+    if schema != STORE_SCHEMA:
+        raise InputError(
+            f"{mark} is of schema {str(schema)[:40]!r}, this program knows {STORE_SCHEMA!r}",
+            "use the program that wrote it, or a newer one",
+        )
+    return True
 
 
 def write_whole(final: Path, data: bytes, *, replace: bool) -> bool:

@@ -1,0 +1,216 @@
+"""`gyrorig batch`: a spool of recordings in, calibrations and an index out, every night."""
+
+import os
+import shutil
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.commands.terminal import IN_PART, Terminal, json_option, version_text
+from gyrorig_solver.fleet.batch import Shard, Summary, run_batch
+from gyrorig_solver.fleet.lanes import local_lanes
+from gyrorig_solver.fleet.task import Settings
+
+_REASONS_SHOWN = 10
+_RETRIED = ("rejected", "failed", "quarantined")
+
+
+@click.command("batch")
+@click.option(
+    "--spool",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="The folder of recordings, looked at with all below it.",
+)
+@click.option(
+    "--store",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="The fleet's store; made if it is not there.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 512),
+    help="Processes on this machine. Without it: one a core.",
+)
+@click.option("--shard", metavar="K/N", help="Only the K-th of N parts of the work, K from 1.")
+@click.option(
+    "--extend",
+    type=click.Choice(["none", "auto"]),
+    default="none",
+    show_default=True,
+    help="auto: search each recording for causes, and fit those that it shows.",
+)
+@click.option(
+    "--retry",
+    multiple=True,
+    type=click.Choice(_RETRIED),
+    help="Do such work again that ended so before. May be given several times.",
+)
+@click.option(
+    "--deadline",
+    type=click.FloatRange(min=1.0),
+    default=300.0,
+    show_default=True,
+    help="Seconds for one session's work.",
+)
+@click.option(
+    "--memory",
+    type=click.IntRange(min=256),
+    default=4096,
+    show_default=True,
+    help="Megabytes for one worker.",
+)
+@json_option
+@click.pass_obj
+def batch_command(
+    terminal: Terminal,
+    spool: Path,
+    store: Path,
+    workers: int | None,
+    shard: str | None,
+    extend: str,
+    retry: tuple[str, ...],
+    deadline: float,
+    memory: int,
+) -> int:
+    r"""Solve every new recording of a spool; each board gets its next version in the store.
+
+    Every recording ends in exactly one of: ok; rejected, with the reason; failed, with its
+    trace kept in the index; quarantined, after it has killed its worker twice. What is done
+    is not done again, so a batch may be killed and started again at any moment, and
+    several may run on one store at once. Leaves with 5 when something did not end well.
+
+    \b
+    Example:
+      gyrorig batch --spool recordings --store calibrations
+      gyrorig batch --spool recordings --store calibrations --shard 3/16 --workers 1
+    """
+    settings = Settings(
+        solver_version=version_text(),
+        extend=() if extend == "none" else (extend,),
+        deadline_s=deadline,
+        memory_bytes=memory << 20,
+    )
+    lanes = local_lanes(workers or os.cpu_count() or 1, settings.memory_bytes)
+    bar = _Bar()
+    try:
+        summary = run_batch(
+            spool,
+            store,
+            settings,
+            lanes,
+            shard=_shard(shard),
+            retry=retry,
+            progress=bar.show,
+        )
+    finally:
+        bar.end()
+    terminal.say(_told(summary, store))
+    code = IN_PART if summary.in_part else 0
+    terminal.emit(_plain(summary, code))
+    return code
+
+
+class _Bar:
+    """One line on standard error, if that is a terminal: how far, how fast, how long yet."""
+
+    def __init__(self) -> None:
+        self._shown = sys.stderr.isatty()
+
+    def show(self, summary: Summary) -> None:
+        if not self._shown:
+            return
+        finished, total = summary.finished + summary.put_off, summary.to_do
+        width = max(10, min(40, shutil.get_terminal_size().columns - 60))
+        full = width * finished // max(total, 1)
+        left = "" if summary.left_s is None else f", {_duration(summary.left_s)} left"
+        wrong = finished - summary.ended["ok"]
+        click.echo(
+            f"\r[{'#' * full}{'.' * (width - full)}] {finished} of {total} sessions, "
+            f"{summary.sessions_a_second:.1f} a second{left}"
+            f"{f', {wrong} not ok' if wrong else ''}\x1b[K",
+            nl=False,
+            err=True,
+        )
+
+    def end(self) -> None:
+        if self._shown:
+            click.echo(err=True)
+
+
+def _shard(text: str | None) -> Shard:
+    """Return what `--shard` says.
+
+    Raises:
+        UsageError: it is not K/N.
+    """
+    if text is None:
+        return Shard()
+    number, _, of = text.partition("/")
+    if not (number.isascii() and number.isdigit() and of.isascii() and of.isdigit()):
+        raise UsageError(f"--shard is no {text!r}", "write it as 3/16")
+    if not 1 <= int(number) <= int(of) <= 1_000_000:
+        raise UsageError(f"there is no shard {text}", "write it as 3/16: from 1 to 16")
+    return Shard(int(number), int(of))
+
+
+def _told(summary: Summary, store: Path) -> str:
+    lines = [
+        f"{summary.sessions} sessions in {len(summary.spool.recordings)} recordings: "
+        f"{summary.done_before} done before, {summary.finished} now"
+        + (f", {summary.others} of other batches" if summary.others else ""),
+    ]
+    if summary.spool.unfinished:
+        lines.append(f"  {summary.spool.unfinished} recordings are still being written")
+    for status in ("ok", *_RETRIED):
+        if summary.ended[status]:
+            boards = f"{summary.boards[status]} boards" if summary.boards[status] else ""
+            lines.append(f"  {status:<12} {summary.ended[status]:>7} sessions   {boards}")
+    if summary.put_off:
+        lines.append(f"  {'put off':<12} {summary.put_off:>7} sessions   {summary.put_off_why}")
+    if summary.gave_up:
+        lines.append("  the store takes nothing: given up; the next batch goes on from here")
+    reasons = Counter(f"{row.status}: {row.reason}" for row in summary.wrong)
+    for reason, count in reasons.most_common(_REASONS_SHOWN):
+        lines.append(f"  {count:>5} x {reason}")
+    if len(reasons) > _REASONS_SHOWN:
+        lines.append(
+            f"  and {len(reasons) - _REASONS_SHOWN} reasons more: gyrorig store ls --wrong"
+        )
+    lines.append(
+        f"  {_duration(summary.elapsed_s)}, {summary.sessions_a_second:.1f} sessions a second; "
+        f"the store: {store}"
+    )
+    return "\n".join(lines)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.1f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+def _plain(summary: Summary, code: int) -> dict[str, Any]:
+    return {
+        "sessions": summary.sessions,
+        "recordings": len(summary.spool.recordings),
+        "unfinished": summary.spool.unfinished,
+        "done_before": summary.done_before,
+        "others": summary.others,
+        "ended": dict(summary.ended),
+        "boards": dict(summary.boards),
+        "put_off": summary.put_off,
+        "wrong": [
+            {"names": row.names, "board": row.board, "status": row.status, "reason": row.reason}
+            for row in summary.wrong
+        ],
+        "elapsed_s": summary.elapsed_s,
+        "exit_code": code,
+    }

@@ -1,0 +1,214 @@
+"""`gyrorig store`: a fleet's calibrations listed, shown, compared, verified."""
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.calibration.document import Calibration, parse_calibration, to_plain
+from gyrorig_solver.calibration.summary import summary
+from gyrorig_solver.commands.terminal import Terminal, json_option
+from gyrorig_solver.fleet.rows import parameter_columns, parameters_of
+from gyrorig_solver.fleet.shelf import (
+    Chosen,
+    gone_wrong,
+    newest,
+    opened,
+    rebuild_index,
+    verify,
+    versions_of,
+)
+
+_DAMAGED = 3
+_FAULTS_SHOWN = 50
+_DATES = ["%Y-%m-%d", "%Y-%m-%dT%H:%M:%SZ"]
+
+_folder = click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+
+
+@click.group("store")
+def store_command() -> None:
+    r"""Look at the store that `gyrorig batch` writes.
+
+    \b
+    Example:
+      gyrorig store ls calibrations --board 'GY80-*' --since 2026-01-01
+      gyrorig store verify calibrations
+    """
+
+
+@store_command.command("ls")
+@_folder
+@click.option("--board", help="Only boards of such a name; * and ? stand for anything.")
+@click.option("--sensor", help="Only boards with this sensor.")
+@click.option("--rig", help="Only what this rig recorded.")
+@click.option("--config", "config_hash", help="Only boards set so: the configuration's digest.")
+@click.option("--since", type=click.DateTime(_DATES), help="Only what was made then or later.")
+@click.option("--until", type=click.DateTime(_DATES), help="Only what was made before.")
+@click.option("--all", "every", is_flag=True, help="Every version, not only the newest.")
+@click.option("--wrong", is_flag=True, help="What has no calibration, and why.")
+@click.option("--limit", type=click.IntRange(1), default=1000, show_default=True)
+@json_option
+@click.pass_obj
+def ls_command(
+    terminal: Terminal,
+    folder: Path,
+    board: str | None,
+    sensor: str | None,
+    rig: str | None,
+    config_hash: str | None,
+    since: datetime | None,
+    until: datetime | None,
+    every: bool,
+    wrong: bool,
+    limit: int,
+) -> int:
+    """List the newest calibration of each board."""
+    opened(folder)
+    chosen = Chosen(board, sensor, rig, config_hash, since, until)
+    if wrong:
+        found = gone_wrong(folder, limit)
+        shown: tuple[str, ...] = ("status", "board", "created", "names", "reason")
+    else:
+        found = (versions_of if every else newest)(folder, chosen, limit)
+        shown = ("board", "version", "trust", "created", "start", "sensor", "rig")
+    terminal.say(_table(found, shown))
+    if len(found) == limit:
+        terminal.say(f"the first {limit}: see --limit")
+    terminal.emit({"rows": [{key: _plain(row[key]) for key in row} for row in found]})
+    return 0
+
+
+@store_command.command("show")
+@_folder
+@click.argument("board")
+@click.option("--version", type=click.IntRange(1), help="Without it: the newest.")
+@json_option
+@click.pass_obj
+def show_command(terminal: Terminal, folder: Path, board: str, version: int | None) -> int:
+    """Show one calibration, and where it came from."""
+    path, made = _version(folder, BoardId(board), version)
+    terminal.say(summary(made))
+    for one in made.inputs:
+        terminal.say(f"  from                  {one.name}, {one.start}, sha256 {one.sha256}")
+    terminal.say(f"  calibration           {path}")
+    terminal.emit({"file": str(path), "calibration": to_plain(made)})
+    return 0
+
+
+@store_command.command("diff")
+@_folder
+@click.argument("board")
+@click.argument("old", type=click.IntRange(1), required=False)
+@click.argument("new", type=click.IntRange(1), required=False)
+@json_option
+@click.pass_obj
+def diff_command(
+    terminal: Terminal, folder: Path, board: str, old: int | None, new: int | None
+) -> int:
+    r"""Compare two versions of a board: without numbers, the newest with the one before.
+
+    Each difference is given in combined standard deviations. The bias of a gyroscope moves
+    from day to day by much more than its deviation within one.
+    """
+    name = BoardId(board)
+    _, later = _version(folder, name, new)
+    _, earlier = _version(folder, name, old if old is not None else later.version - 1 or 1)
+    rows = list(_differences(earlier, later))
+    terminal.say(f"{board}: version {earlier.version} to {later.version}")
+    terminal.say(_table(rows, ("parameter", "before", "after", "change", "sigma")))
+    terminal.emit({"from": earlier.version, "to": later.version, "parameters": rows})
+    return 0
+
+
+@store_command.command("verify")
+@_folder
+@json_option
+@click.pass_obj
+def verify_command(terminal: Terminal, folder: Path) -> int:
+    """Compare every version with its digest, the version after it and the index.
+
+    Leaves with 3 when anything is damaged, missing or unknown.
+    """
+    found = verify(folder)
+    said = f"{found.boards} boards, {found.versions} versions, {found.rows} rows of the index"
+    for fault in found.faults[:_FAULTS_SHOWN]:
+        terminal.say(f"{fault.kind:<11} {fault.file}: {fault.text}")
+    if len(found.faults) > _FAULTS_SHOWN:
+        terminal.say(f"and {len(found.faults) - _FAULTS_SHOWN} more")
+    terminal.say(f"{said}: {f'{len(found.faults)} faults' if found.faults else 'all as written'}")
+    code = _DAMAGED if found.faults else 0
+    faults = [{"kind": f.kind, "file": f.file, "text": f.text} for f in found.faults]
+    terminal.emit({"versions": found.versions, "faults": faults, "exit_code": code})
+    return code
+
+
+@store_command.command("rebuild-index")
+@_folder
+@json_option
+@click.pass_obj
+def rebuild_command(terminal: Terminal, folder: Path) -> int:
+    """Make the index anew from the calibrations themselves."""
+    count = rebuild_index(folder)
+    terminal.say(f"{count} versions in the index of {folder}")
+    terminal.emit({"versions": count})
+    return 0
+
+
+def _version(folder: Path, board: BoardId, number: int | None) -> tuple[Path, Calibration]:
+    """Return one version of a board.
+
+    Raises:
+        InputError: there is no such board or version, or it is damaged.
+    """
+    versions = opened(folder).versions(board)
+    chosen = [one for one in versions if number in (None, one.number)]
+    if not chosen:
+        there = f"it has 1 to {versions[-1].number}" if versions else "see gyrorig store ls"
+        what = f"version {number} of board {board}" if number else f"board {board}"
+        raise InputError(f"{folder} holds no {what}", there)
+    path = chosen[-1].path
+    return path, parse_calibration(path.read_bytes(), str(path))
+
+
+def _differences(earlier: Calibration, later: Calibration) -> Any:
+    before, after = parameters_of(earlier), parameters_of(later)
+    for name in parameter_columns():
+        if name.endswith("_std") or name not in before or name not in after:
+            continue
+        change = after[name] - before[name]
+        both = (before[f"{name}_std"] ** 2 + after[f"{name}_std"] ** 2) ** 0.5
+        yield {
+            "parameter": name,
+            "before": before[name],
+            "after": after[name],
+            "change": change,
+            "sigma": change / both if both else None,
+        }
+
+
+def _table(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
+    cells = [list(columns), *([_text(row.get(name)) for name in columns] for row in rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
+    lines = ("  ".join(f"{c:<{w}}" for c, w in zip(line, widths, strict=True)) for line in cells)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, datetime):
+        return f"{value:%Y-%m-%d %H:%M}"
+    return ", ".join(value) if isinstance(value, list) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return f"{value:%Y-%m-%dT%H:%M:%SZ}"
+    return value

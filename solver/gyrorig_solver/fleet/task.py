@@ -1,0 +1,256 @@
+"""One session's work, as a worker does it: recordings in, versions in the store, rows out.
+
+What to use when: `carry_out` is what is sent to an executor; it never raises for what a
+recording holds. What it raises is a fault of the machine or of the store, and the work is
+then put off, not done.
+"""
+
+import contextlib
+import faulthandler
+import hashlib
+import json
+import resource
+import signal
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from gyrorig_protocol.errors import GyrorigError, InputError, MachineError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration.build import settings_sha256
+from gyrorig_solver.calibration.document import Calibration, parse_calibration
+from gyrorig_solver.calibration.solving import Solved, likelihood_settings, solve_into
+from gyrorig_solver.calibration.store import CalibrationStore, StoredVersion
+from gyrorig_solver.fleet.rows import MAX_TEXT, Row, Status, row_of_calibration, utc_now_text
+
+HARD_FACTOR = 1.5  # the work is ended from outside Python so much later than from inside
+LOOKED_BACK = 3  # versions in which a cut-off batch's own work is looked for
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How every session of a batch is solved."""
+
+    solver_version: str
+    extend: tuple[str, ...] = ()
+    deadline_s: float = 300.0
+    memory_bytes: int = 4 << 30
+
+    @property
+    def config_sha256(self) -> str:
+        """As the calibrations have it."""
+        return settings_sha256(likelihood_settings(self.extend))
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """One piece of work."""
+
+    key: str
+    batch: str
+    store: Path
+    paths: tuple[Path, ...]
+    digests: tuple[str, ...]
+    settings: Settings
+    refused: str = ""  # why it must not be solved; its worker says so
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of it: at least one row."""
+
+    key: str
+    rows: tuple[Row, ...]
+
+
+class TooLongError(Exception):
+    """The work took longer than its deadline."""
+
+
+def key_of(digests: Sequence[str], solver_version: str, config_sha256: str) -> str:
+    """Return the name of a piece of work: what goes in, by what it is solved, and how."""
+    text = json.dumps([sorted(digests), solver_version, config_sha256])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def limit_memory(memory_bytes: int) -> None:
+    """Let this process have no more memory than that; it meets a MemoryError then."""
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    if hard == resource.RLIM_INFINITY or hard > memory_bytes:
+        resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, hard))
+
+
+def carry_out(order: Order) -> Outcome:
+    """Solve every board of one session.
+
+    Raises:
+        MachineError: the store or the machine refuses; nothing of this is to be recorded.
+    """
+    begun_s = time.process_time()
+    try:
+        with _deadline(order.settings.deadline_s):
+            rows = tuple(_solve(order))
+    except MachineError:
+        raise
+    except GyrorigError as fault:
+        rows = (row_of(order, "rejected", reason=str(fault)),)
+    except TooLongError:
+        reason = f"it took longer than {order.settings.deadline_s:g} s"
+        rows = (row_of(order, "failed", reason=reason, trace=traceback.format_exc()),)
+    except MemoryError:
+        reason = f"it needs more than {order.settings.memory_bytes >> 20} MB of memory"
+        rows = (row_of(order, "failed", reason=reason),)
+    except Exception as fault:  # a fault of this program must not stop a fleet
+        reason = f"a fault of the program, {type(fault).__name__}: {fault}"
+        rows = (row_of(order, "failed", reason=reason, trace=traceback.format_exc()),)
+    spent_s = time.process_time() - begun_s
+    return Outcome(order.key, tuple(msgspec.structs.replace(row, seconds=spent_s) for row in rows))
+
+
+def row_of(
+    order: Order,
+    status: Status,
+    *,
+    reason: str = "",
+    trace: str = "",
+    recording: Recording | None = None,
+    board: str = "",
+) -> Row:
+    """Return the row of work that has no calibration."""
+    own = {} if recording is None else recording.metadata.get("gyrorig", {})
+    return Row(
+        key=order.key,
+        status=status,
+        created=utc_now_text(datetime.now(UTC)),
+        batch=order.batch,
+        inputs=list(order.digests),
+        names=[path.name for path in order.paths],
+        reason=" ".join(reason.split())[:MAX_TEXT],
+        trace=trace[-MAX_TEXT:],
+        session=own.get("session", ""),
+        rig=own.get("rig", ""),
+        board=board,
+        solver_version=order.settings.solver_version,
+        config_sha256=order.settings.config_sha256,
+    )
+
+
+def _solve(order: Order) -> Iterator[Row]:
+    if order.refused:
+        raise InputError(order.refused, "keep one of them in the spool")
+    recordings = [read_recording(path) for path in order.paths]
+    for recording in recordings:
+        if recording.sha256 not in order.digests:
+            raise InputError(
+                f"{recording.path.name} has changed since it was looked at",
+                "leave recordings as they are; the next batch takes it as it is now",
+            )
+    boards = sorted({board for recording in recordings for board in recording.board_ids})
+    if not boards:
+        raise InputError(
+            f"{order.paths[0].name} holds no board's samples", "look at it with gyrorig check"
+        )
+    store = CalibrationStore(order.store)
+    for board in boards:
+        yield _solve_board(order, store, recordings, board)
+
+
+def _solve_board(
+    order: Order, store: CalibrationStore, recordings: Sequence[Recording], board: BoardId
+) -> Row:
+    """Solve one board; what is wrong with it does not keep the others."""
+    holding = [recording for recording in recordings if board in recording.board_ids]
+    first = holding[0]
+    try:
+        _refuse_twins(store, first, board)
+        done = _done_before(order, store, board)
+        if done is None:
+            solved = solve_into(store, holding, board, extend=order.settings.extend)
+            done = (solved.calibration, _stored(solved))
+    except MachineError:
+        raise
+    except GyrorigError as fault:
+        return row_of(order, "rejected", reason=str(fault), recording=first, board=board)
+    except (TooLongError, MemoryError):
+        raise
+    except Exception as fault:  # see carry_out
+        reason = f"a fault of the program, {type(fault).__name__}: {fault}"
+        trace = traceback.format_exc()
+        return row_of(order, "failed", reason=reason, trace=trace, recording=first, board=board)
+    made, stored = done
+    own = first.metadata.get("gyrorig", {})
+    return row_of_calibration(
+        made,
+        key=order.key,
+        batch=order.batch,
+        session=own.get("session", ""),
+        rig=own.get("rig", ""),
+        file=str(stored.path.relative_to(store.folder)),
+        file_sha256=stored.digest().removeprefix("sha256:"),
+    )
+
+
+def _stored(solved: Solved) -> StoredVersion:
+    return StoredVersion(solved.calibration.version, solved.path)
+
+
+def _done_before(
+    order: Order, store: CalibrationStore, board: BoardId
+) -> tuple[Calibration, StoredVersion] | None:
+    """Return this work's own version, where a batch was cut off between version and row."""
+    config = order.settings.config_sha256
+    for stored in reversed(store.versions(board)[-LOOKED_BACK:]):
+        made = parse_calibration(stored.path.read_bytes(), str(stored.path))
+        same_inputs = {one.sha256 for one in made.inputs} <= set(order.digests)
+        same_solver = made.solver.version == order.settings.solver_version
+        if same_inputs and same_solver and made.solver.config_sha256 == config:
+            return made, stored
+    return None
+
+
+def _refuse_twins(store: CalibrationStore, recording: Recording, board: BoardId) -> None:
+    """Refuse a board whose name another board has in this store.
+
+    Raises:
+        InputError: the uid differs.
+    """
+    uid = recording.metadata.get(f"gyrorig.board.{board}", {}).get("uid", "")
+    latest = store.latest(board)
+    if latest is None or not uid:
+        return
+    before = parse_calibration(latest.path.read_bytes(), str(latest.path)).board.uid
+    if before and before != uid:
+        raise InputError(
+            f"board {board} has the uid {uid[:40]!r} here and {before[:40]!r} in the store: "
+            "two boards have one name",
+            "give one of them another id in its rig's configuration",
+        )
+
+
+@contextlib.contextmanager
+def _deadline(deadline_s: float) -> Iterator[None]:
+    """Raise TooLongError in the block after that time; end the process a little later.
+
+    Python's handlers run between its own instructions: a loop inside a library is ended
+    by faulthandler's thread, which takes the process with it.
+    """
+
+    def too_long(_signal: int, _frame: object) -> None:
+        raise TooLongError
+
+    before = signal.signal(signal.SIGALRM, too_long)
+    signal.setitimer(signal.ITIMER_REAL, deadline_s)
+    faulthandler.dump_traceback_later(HARD_FACTOR * deadline_s, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
