@@ -150,11 +150,15 @@ def in_simulated_time(call: Call) -> Path:
 
 
 def port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, PortSettings]:
-    bauds = {PTU_PORT: config.ptu.baud, **{b.hub_port: b.baud for b in config.boards}}
-    return {
-        port: PortSettings(path, bauds[port], FAREWELL if port == PTU_PORT else "")
-        for port, path in paths.items()
+    """Return how to open every port of a rig; `paths` are those of the moment."""
+    bauds = {PTU_PORT: config.ptu.baud, **{b.hub_port: b.baud for b in config.serial_boards}}
+    settings = {
+        port: PortSettings(paths[port], baud, FAREWELL if port == PTU_PORT else "")
+        for port, baud in bauds.items()
     }
+    for bus in config.buses:
+        settings[bus.hub_port] = PortSettings(paths[bus.hub_port], bus.bitrate, kind="can")
+    return settings
 
 
 def emulate(

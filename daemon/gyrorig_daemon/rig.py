@@ -5,13 +5,12 @@ it for as long as a session lasts, and what comes while nobody listens is counte
 links and forgotten.
 """
 
-import random
 from collections.abc import Mapping
 from typing import Protocol
 
 from gyrorig_daemon.config import PTU_PORT, RigConfig
-from gyrorig_daemon.links.board_link import BoardLink
 from gyrorig_daemon.links.board_samples import BoardSinks
+from gyrorig_daemon.links.boards import make_boards
 from gyrorig_daemon.links.capture_clock import CaptureClock
 from gyrorig_daemon.links.hub import PortHub
 from gyrorig_daemon.links.pump import Pump, StopFlag
@@ -82,11 +81,7 @@ class Rig:
             timeout_s=config.ptu.poll.timeout_s,
         )
         sinks = BoardSinks(self._take_sample, self._take_ping, self._note, self._fault)
-        rng = random.Random(seed)  # noqa: S311 - moments, not secrets
-        self.boards = [
-            BoardLink(self.pump, board, capture, sinks, random.Random(rng.random()))  # noqa: S311
-            for board in config.boards
-        ]
+        self.boards = make_boards(self.pump, config, capture, sinks, seed)
 
     def _take_exchange(self, exchange: Exchange) -> None:
         if self.listener is not None:

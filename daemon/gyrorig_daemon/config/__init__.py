@@ -1,5 +1,6 @@
 """The rig's configuration as a person writes it."""
 
+from gyrorig_daemon.config.buses import BusPort
 from gyrorig_daemon.config.document import (
     EMULATED,
     PTU_PORT,
@@ -21,6 +22,7 @@ __all__ = [
     "PTU_PORT",
     "BoardFacts",
     "BoardPort",
+    "BusPort",
     "CommandLimits",
     "Emulator",
     "Polling",

@@ -2,7 +2,8 @@
 
 What to use when: `load_rig` for a file that a person wrote. A port that reads
 `emulated` stands for a device of the emulated rig; every other port is a path. So only
-the ports differ between a rig on the desk and one that exists as a program.
+the ports differ between a rig on the desk and one that exists as a program. CAN buses, and
+boards on them, are in `buses`.
 """
 
 from pathlib import Path
@@ -10,8 +11,10 @@ from typing import Annotated, Literal, get_args
 
 import msgspec
 
+from gyrorig_daemon.config.buses import BusPort, Node, bus_port, check_buses
 from gyrorig_daemon.config.service import ScheduleEntry, ServiceSettings, check_schedule
 from gyrorig_protocol.board import ColumnMap, Sample
+from gyrorig_protocol.can import SignalMap
 from gyrorig_protocol.documents import parse_yaml, read_as
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
@@ -95,13 +98,16 @@ class BoardFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class BoardPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One board: its name, its port, what its bytes are."""
+    """One board: its name, its port or its bus, what its bytes are."""
 
     id: str
-    port: PortPath
+    port: PortPath = ""
     baud: Baud = 115200
-    format: Literal["gcb1", "text"] = "gcb1"
+    bus: Annotated[str, msgspec.Meta(max_length=32)] = ""  # of `buses`; then `port` is left out
+    node: Node | None = None  # on that bus
+    format: Literal["gcb1", "text", "signals"] = "gcb1"
     columns: ColumnMap | None = None  # of the text lines
+    signals: SignalMap | None = None  # of the bus's frames
     facts: BoardFacts = BoardFacts()
 
     @property
@@ -111,8 +117,8 @@ class BoardPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def hub_port(self) -> str:
-        """The name of this board's port in the hub."""
-        return f"board:{self.id}"
+        """The name of this board's port in the hub: its own, or its bus's."""
+        return bus_port(self.bus) if self.bus else f"board:{self.id}"
 
 
 class Emulator(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -133,6 +139,7 @@ class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rig: str
     ptu: PtuPort
     boards: Annotated[tuple[BoardPort, ...], msgspec.Meta(min_length=1, max_length=64)]
+    buses: Annotated[tuple[BusPort, ...], msgspec.Meta(max_length=8)] = ()
     schema: Literal["gyrorig/rig/1"] = "gyrorig/rig/1"
     site: Site = Site()
     emulator: Emulator = Emulator()
@@ -146,7 +153,24 @@ class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def ports(self) -> dict[str, str]:
         """Return the paths of all ports by the hub's names for them."""
-        return {PTU_PORT: self.ptu.port, **{b.hub_port: b.port for b in self.boards}}
+        return {
+            PTU_PORT: self.ptu.port,
+            **{board.hub_port: board.port for board in self.serial_boards},
+            **{bus.hub_port: bus.port for bus in self.buses},
+        }
+
+    @property
+    def serial_boards(self) -> tuple[BoardPort, ...]:
+        """The boards that have a port of their own."""
+        return tuple(board for board in self.boards if not board.bus)
+
+    def bus_boards(self, bus: BusPort) -> tuple[BoardPort, ...]:
+        """Return the boards on a bus."""
+        return tuple(board for board in self.boards if board.bus == bus.id)
+
+    def is_emulated_board(self, board: BoardPort) -> bool:
+        """Return whether a board's port or bus is an emulated one."""
+        return self.ports()[board.hub_port] == EMULATED
 
 
 def parse_rig(text: str | bytes, name: str) -> RigConfig:
@@ -166,7 +190,8 @@ def parse_rig(text: str | bytes, name: str) -> RigConfig:
     paths = [path for path in rig.ports().values() if path != EMULATED]
     if len(set(paths)) < len(paths):
         raise UsageError(f"{name} names a port twice", "give each device its own port")
-    for board in rig.boards:
+    check_buses(rig, name)
+    for board in rig.serial_boards:
         _check_board(board, name)
         if board.port == EMULATED:
             _check_emulated_line(board, rig.emulator.odr_hz, name)
@@ -176,12 +201,31 @@ def parse_rig(text: str | bytes, name: str) -> RigConfig:
 
 
 def load_rig(path: Path) -> RigConfig:
-    """Return the rig that the file describes.
+    """Return the rig that the file describes, with the DBC files that it names.
 
     Raises:
-        UsageError: the file cannot be read or is not a rig.
+        UsageError: the file, or a DBC file, cannot be read or is not one.
     """
-    return parse_rig(read_document(path), path.name)
+    rig = parse_rig(read_document(path), path.name)
+    if all(board.signals is None or board.signals.dbc_file is None for board in rig.boards):
+        return rig
+    boards = tuple(_with_dbc(board, path.parent) for board in rig.boards)
+    rig = msgspec.structs.replace(rig, boards=boards)
+    check_buses(rig, path.name)
+    return rig
+
+
+def _with_dbc(board: BoardPort, folder: Path) -> BoardPort:
+    """Return a board whose DBC file, beside the rig's document, has been read."""
+    if board.signals is None or board.signals.dbc_file is None:
+        return board
+    content = read_document(folder / board.signals.dbc_file)
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError:  # Windows tools write their own letters, a degree sign at most
+        text = content.decode("cp1252", errors="replace")
+    signals = msgspec.structs.replace(board.signals, dbc=text + "\n")
+    return msgspec.structs.replace(board, signals=signals)
 
 
 def read_document(path: Path) -> bytes:
@@ -200,6 +244,8 @@ def read_document(path: Path) -> bytes:
 
 
 def _check_board(board: BoardPort, name: str) -> None:
+    if not board.port or board.format == "signals":
+        raise UsageError(f"{name}: board {board.id} has no port", "give its port, or bus and node")
     if board.format == "gcb1":
         if board.columns is not None:
             raise UsageError(f"{name}: board {board.id} has columns", "only format: text has them")

@@ -29,7 +29,7 @@ def board_metadata(config: BoardPort, hello: Hello | None) -> dict[str, str]:
     Raises:
         UsageError: neither the board nor the configuration says what a recording needs.
     """
-    values: dict[str, str | float | int | None] = {"link": "serial"}
+    values: dict[str, str | float | int | None] = {"link": "can" if config.bus else "serial"}
     values |= _from_hello(hello) if hello is not None else _from_columns(config)
     facts = config.facts
     for key in facts.__struct_fields__:

@@ -168,7 +168,9 @@ class SampleStream:
         return FRAME_OVERHEAD_BYTES if self._speaks else 0
 
     def wire_ns(self, byte_count: int) -> int:
-        """Return how long so many bytes are on the wire."""
+        """Return how long so many bytes are on the wire; a bus's edges are exact without."""
+        if self._config.bus:
+            return 0
         return byte_count * BITS_PER_BYTE * 1_000_000_000 // self._config.baud
 
     def _note_restarts(self) -> None:

@@ -16,7 +16,7 @@ from gyrorig_daemon.links.serial_port import open_port
 SERIAL = "serial"
 READ_BYTES = 65_536
 # kind -> module with `open_line`; the serial port is at home here
-KINDS: dict[str, str] = {}
+KINDS: dict[str, str] = {"can": "gyrorig_daemon.links.can_line"}
 
 
 @dataclass(frozen=True, slots=True)

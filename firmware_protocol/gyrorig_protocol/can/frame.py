@@ -36,7 +36,8 @@ class FrameFlag(IntFlag):
     EXTENDED = 1  # 29-bit identifier
     REMOTE = 2
     ERROR = 4  # no frame but the controller's report, see `bus_errors`
-    LOST = 8  # no frame but the kernel's count of frames it had no room for
+    LOST = 8  # no frame but the count of frames that the kernel had no room for
+    FOREIGN = 16  # bytes on the bus that are no classical frame
 
 
 class CanFrame(msgspec.Struct, frozen=True, gc=False):
