@@ -210,7 +210,8 @@ class Session:
         except MachineError:
             self.recorder.mute()
         self._phases.clear()
-        return [self._halt()] if self._client.identified and can_halt else []
+        is_ours = self._client.identified or self._unit is not None
+        return [self._halt()] if is_ours and can_halt else []
 
     def keep(self) -> list[str]:
         """Close what was recorded so far, whatever state it is in; return what to tell."""

@@ -17,9 +17,6 @@ class ServiceCounts:
     acquisition_restarts: int = 0
     clock_steps: int = 0
     late_turns: int = 0
-    messages_written: int = 0  # of recordings that are closed
-    messages_dropped: int = 0
-    recordings_failed: int = 0
     clients: int = 0
     clients_slow: int = 0
     clients_refused: int = 0

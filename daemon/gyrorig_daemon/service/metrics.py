@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrorig_daemon.service.files import write_whole
+from gyrorig_daemon.service.keeping import is_sum
 
 FILE_NAME = "gyrorig.prom"
 STATES = ("starting", "waiting", "ready", "running", "fault", "stopping")
@@ -132,10 +133,18 @@ def _metrics(status: dict[str, Any]) -> Iterator[Metric]:
         (None if synchronised is None else float(synchronised)),
     )
     yield from _board_metrics(status["boards"])
-    for name, value in status["recorder"].items():
-        if isinstance(value, int | float):
-            what = "of the recording that is open, or of all; see docs/service.md"
-            yield f"recorder_{name}", "gauge", what, {}, float(value)
+    yield (
+        "recorder_degraded",
+        "gauge",
+        "1 while the disk takes nothing",
+        {},
+        float(status["recorder"]["state"] == "degraded"),
+    )
+    for name, value in status["recorder"]["counts"].items():
+        if is_sum(name):
+            yield f"recorder_{name}_total", "counter", "see docs/service.md", {}, value
+        else:
+            yield f"recorder_{name}", "gauge", "see docs/service.md", {}, value
 
 
 def _board_metrics(boards: list[dict[str, Any]]) -> Iterator[Metric]:

@@ -5,12 +5,13 @@ that is opened. Under simulated time the same loop gets clocks of its own.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.jobs import JobQueue
+from gyrorig_daemon.service.keeping import Account
 from gyrorig_daemon.service.notify import Notifier
 from gyrorig_daemon.service.orders import Orders
 from gyrorig_daemon.service.schedule import Schedule
@@ -46,5 +47,7 @@ class Parts:
     hanging: Callable[[], list[str]]  # loops outside the pump that make no progress
     dropped_bytes: Callable[[], int]
     log: Callable[[str], None]
+    make_room: Callable[[], object] | None = None  # deletes what retention allows
+    account: Account = field(default_factory=Account)
     threaded_writer: bool = True
     seed: int = 0

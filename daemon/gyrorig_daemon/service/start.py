@@ -19,15 +19,17 @@ from gyrorig_daemon.emulation import Emulation
 from gyrorig_daemon.links.capture_clock import anchor_now, read_host_clocks
 from gyrorig_daemon.links.hub import PortsGoneError
 from gyrorig_daemon.links.process_hub import AcquisitionHub
+from gyrorig_daemon.links.raw_clock import raw_ns
 from gyrorig_daemon.record import port_settings
 from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.counts import ServiceCounts
-from gyrorig_daemon.service.daemon import Daemon, Ending, Hold
+from gyrorig_daemon.service.daemon import Daemon, Ending
 from gyrorig_daemon.service.jobs import JobQueue
 from gyrorig_daemon.service.metrics import MetricsWriter
 from gyrorig_daemon.service.notify import Notifier
 from gyrorig_daemon.service.orders import Orders
 from gyrorig_daemon.service.parts import Clocks, Parts
+from gyrorig_daemon.service.running import Hold
 from gyrorig_daemon.service.schedule import Schedule
 from gyrorig_daemon.service.server import Peer, StatusServer
 from gyrorig_daemon.service.state import StateFolder
@@ -35,6 +37,7 @@ from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.program import parse_program
 
 AGAIN_S = 2.0  # between two attempts to open a rig that was open before
+ACQUISITION_LIMIT_S = 8.0  # so long may the acquisition process not answer
 EMULATED_USE_S = (0.0, 3_600.0)  # what an emulated rig hides happens within
 
 
@@ -124,7 +127,7 @@ class Service:
                 read_program=lambda name: read_document(call.config_path.parent / name),
                 reread=self._reread,
                 publish=publish,
-                hanging=lambda: [server.pulse.name] if server.pulse.hangs else [],
+                hanging=lambda: self._hanging(server),
                 dropped_bytes=self._all_dropped_bytes,
                 log=log,
                 seed=time.monotonic_ns(),
@@ -152,7 +155,7 @@ class Service:
                     raise
                 self._again(str(fault))
                 ending = Ending.REOPEN
-            hold = hold if daemon is None else daemon.hold
+            hold = hold if daemon is None else daemon.scene.hold
             if ending is Ending.END:
                 return
             self._use_next(parts)
@@ -195,6 +198,15 @@ class Service:
 
     def _all_dropped_bytes(self) -> int:
         return self._dropped_bytes + (0 if self._hub is None else self._hub.dropped_bytes)
+
+    def _hanging(self, server: StatusServer) -> list[str]:
+        """Return the loops that make no progress; called in the pump's thread."""
+        hanging = [server.pulse.name] if server.pulse.hangs else []
+        if self._hub is not None:
+            if (raw_ns() - self._hub.answered_ns) * 1e-9 > ACQUISITION_LIMIT_S:
+                hanging.append("acquisition")
+            self._hub.ping()
+        return hanging
 
     def _reread(self) -> str:
         try:

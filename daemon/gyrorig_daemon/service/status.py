@@ -5,41 +5,40 @@ losses in it are by cause and only grow; docs/service.md says what each means.
 """
 
 import os
-from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gyrorig_daemon.links.board_link import BoardLink
 from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.parts import Parts
-from gyrorig_daemon.service.present import is_known
+from gyrorig_daemon.service.running import Scene
+from gyrorig_daemon.service.unit_watch import UnitWatch
+from gyrorig_daemon.service.wall_clock import WallClockTimer
 from gyrorig_protocol.recording.writer import software
-
-if TYPE_CHECKING:
-    from gyrorig_daemon.service.daemon import Daemon
 
 SCHEMA = "gyrorig/status/1"
 PERIOD_NS = 1_000_000_000
 MAX_NEXT = 20  # entries of the queue that are named
 
 
-@dataclass(frozen=True, slots=True)
-class Glance:
-    """What goes on, in the words of the loop itself."""
-
-    state: str  # starting, waiting, ready, running, fault, stopping
-    reason: str
-    session: dict[str, Any] | None
-    last: dict[str, Any] | None  # what became of the last session
-
-
 class StatusTimer:
     """Writes the status once a second."""
 
-    def __init__(self, rig: Rig, parts: Parts, daemon: "Daemon", now_ns: int) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        parts: Parts,
+        scene: Scene,
+        unit: UnitWatch,
+        wall: WallClockTimer,
+        now_ns: int,
+    ) -> None:
+        """Begin to tell of a rig."""
         self._rig = rig
         self._parts = parts
-        self._daemon = daemon
+        self._scene = scene
+        self._unit_watch = unit
+        self._wall = wall
         self._started_s = parts.clocks.monotonic_s()
         self._samples: dict[str, tuple[int, int]] = {}
         self._due_before_ns = now_ns
@@ -57,8 +56,7 @@ class StatusTimer:
 
     def document(self, now_ns: int) -> dict[str, Any]:
         """Return the status as of now."""
-        parts, glance = self._parts, self._daemon.glance
-        wall = self._daemon.wall
+        parts, glance, wall = self._parts, self._scene.glance, self._wall
         return {
             "schema": SCHEMA,
             "software": software(),
@@ -68,8 +66,8 @@ class StatusTimer:
             "uptime_s": round(parts.clocks.monotonic_s() - self._started_s, 1),
             "state": glance.state,
             "reason": glance.reason,
-            "session": self._session(),
-            "last_session": glance.last,
+            "session": None if glance.session is None else dict(glance.session),
+            "last_session": self._scene.last,
             "unit": self._unit(),
             "boards": [self._board(board, now_ns) for board in self._rig.boards],
             "recorder": self._recorder(),
@@ -87,15 +85,11 @@ class StatusTimer:
             "counts": {
                 name: getattr(parts.counts, name) for name in parts.counts.__dataclass_fields__
             }
-            | {"unit_lost": parts.counts.unit_lost + self._daemon.unit.lost},
+            | {"unit_lost": parts.counts.unit_lost + self._unit_watch.lost},
         }
 
-    def _session(self) -> dict[str, Any] | None:
-        session = self._daemon.glance.session
-        return None if session is None else dict(session)
-
     def _unit(self) -> dict[str, Any]:
-        client, unit = self._rig.client, self._daemon.unit
+        client, unit = self._rig.client, self._unit_watch
         counts = client.counts
         names = ("exchanges", "polls", "timeouts", "garbled", "stale", "frame_errors", "refused")
         return {
@@ -117,7 +111,8 @@ class StatusTimer:
         clock = board.clock_report()
         return {
             "id": name,
-            "state": "gone" if board.gone else "known" if is_known(board) else "unknown",
+            "state": board.state.name.lower(),
+            "text": board.state.value,
             "rate_hz": rate_hz,
             "counts": {key: getattr(counts, key) for key in counts.__dataclass_fields__},
             "faults": board.faults(),
@@ -129,16 +124,15 @@ class StatusTimer:
         }
 
     def _recorder(self) -> dict[str, Any]:
-        session = self._daemon.session
+        session, account = self._scene.session, self._parts.account
         if session is None:
-            return {"open": False}
+            return {"state": "idle", "path": None, "degraded": "", "counts": account.total(None)}
         recorder = session.recorder
         return {
-            "open": recorder.is_open,
+            "state": recorder.state.value,
             "path": None if recorder.path is None else str(recorder.path),
-            "written": recorder.written,
-            "dropped": recorder.dropped,
-            "queue_high_water": recorder.high_water,
+            "degraded": recorder.degraded,
+            "counts": account.total(recorder.counts.values()),
         }
 
     def _queue(self) -> dict[str, Any]:

@@ -3,6 +3,13 @@
 from typing import Any
 
 _BAR = 24
+LOST_MESSAGES = (
+    "dropped_queue_full",
+    "dropped_too_early",
+    "dropped_from_memory",
+    "dropped_at_close",
+    "refused",
+)
 
 
 def picture(status: dict[str, Any]) -> str:
@@ -46,9 +53,8 @@ def losses(status: dict[str, Any]) -> dict[str, int]:
     for cause in ("timeouts", "garbled", "frame_errors"):
         found[f"unit's answers: {cause.replace('_', ' ')}"] = status["unit"]["counts"][cause]
     found["bytes dropped by a slow daemon"] = status["acquisition_dropped_bytes"]
-    found["messages dropped before the file"] = status["counts"]["messages_dropped"] + int(
-        status["recorder"].get("dropped", 0)
-    )
+    for cause in LOST_MESSAGES:
+        found[f"messages {cause.replace('_', ' ')}"] = status["recorder"]["counts"].get(cause, 0)
     return {name: count for name, count in found.items() if count}
 
 
@@ -64,14 +70,17 @@ def _board(board: dict[str, Any]) -> str:
     mapped = ", clock not mapped yet"
     if clock["mapped"] and clock["skew_ppm"] is not None:
         mapped = f", clock {clock['skew_ppm']:+.1f} ppm"
-    return f"board {board['id']}  {board['state']}{rate}, {counts['samples']} samples{mapped}"
+    return f"board {board['id']}  {board['text']}{rate}, {counts['samples']} samples{mapped}"
 
 
 def _session(session: dict[str, Any], recorder: dict[str, Any]) -> str:
     step, steps = session.get("step", 0), session.get("steps", 0)
     done = round(_BAR * step / steps) if steps else 0
     bar = "#" * done + "." * (_BAR - done)
-    written = f", {recorder['written']} messages" if recorder.get("open") else ""
+    path = recorder["path"]
+    written = "" if path is None else f"\n  {path}"
+    if recorder["degraded"]:
+        written += f"\n  NOT ON DISK: {recorder['degraded']}"
     return f"session {session['session']}  [{bar}] step {step} of {steps}{written}"
 
 
