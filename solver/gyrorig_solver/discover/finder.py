@@ -14,6 +14,7 @@ from gyrorig_solver.discover.changes import Board, own_part
 from gyrorig_solver.discover.gain import held_out
 from gyrorig_solver.discover.groups import signatures
 from gyrorig_solver.discover.limits import limits
+from gyrorig_solver.discover.name_tests import kept
 from gyrorig_solver.discover.ramps import RAMPS, look_for_ramps
 from gyrorig_solver.discover.result import (
     Explained,
@@ -101,17 +102,18 @@ def conclude(
         begin: when the work began, `time.monotonic`.
         whose: of causes by label, where several boards were searched together.
     """
+    found, fallen = kept(base, found)
     first = Projection.of(base) if found.standings else found.last
     tests = tests_of(testable(found.last))
     jitter = look_for_jitter(found.last, tests, ALPHA)
     every = _nameless(found.solution, found.last)
     shown = _nameless(base, first) if found.standings else every
     left = jitter.of(every)
-    unexplained = _unexplained(found, left)
+    unexplained = _unexplained(found, left, fallen)
     if unexplained is not None and found.standings and unexplained.named_share < FILLS:
         found = Found(base, (), first, found.sights)
         jitter = look_for_jitter(first, tests, ALPHA)
-        unexplained = _unexplained(found, jitter.of(shown)) or unexplained
+        unexplained = _unexplained(found, jitter.of(shown), fallen) or unexplained
     calibration = Board.of(found.solution)
     fitted = _fitted(found)
     worth = held_out(found.last, [k for k, _ in fitted])
@@ -242,12 +244,18 @@ def _nameless(solution: Solution, as_found: Projection) -> list[Signature]:
     return sorted([*found, bias.signature], key=lambda one: (one.p_value, -one.statistic))
 
 
-def _unexplained(found: Found, left: Sequence[Signature]) -> Unexplained | None:
-    some = [one for one in left if one.p_value < GROUPS_ALPHA]
+def _unexplained(
+    found: Found, left: Sequence[Signature], fallen: Sequence[Signature]
+) -> Unexplained | None:
+    some = {one.covariate: one for one in fallen}
+    some |= {one.covariate: one for one in left if one.p_value < GROUPS_ALPHA}
     if not some:
         return None
     # What is odd in the mean adds to the scatter too, and is the better lead.
-    odd = tuple(sorted(some, key=lambda one: one.covariate in SCATTERED))
+    # Of several that pass for one another the likeliest is, not the least likely by chance.
+    odd = tuple(
+        sorted(some.values(), key=lambda one: (one.covariate in SCATTERED, -one.evidence))
+    )
     won = sum(2.0 * max(_won_here(s), 0.0) for s in found.standings)
     rest = max(one.statistic - one.degrees_of_freedom for one in odd)
     return Unexplained(odd[0], odd[1:], won / (won + rest) if won > 0.0 else 0.0)

@@ -1,39 +1,41 @@
 """Nameless tests: does a residual depend on an angle, a speed, the time, a transient?
 
-A smooth function of each covariate, as a sum of hats, is projected off all that a fit can
-follow, like a cause. What is significant here and explained by no cause is "unexplained,
-depends on X".
+Free functions of each covariate are projected off all that a fit can follow, like a cause:
+at first the smooth ones alone, then ever more detail. What is significant here and
+explained by no cause is "unexplained, depends on X". Where several covariates are
+significant, for most programs let one pass for the other, X is the one whose free
+function is the most likely to have made the residual.
 
-What to use when: `signatures` for the mean; `scatter` for what shows in the variance only.
+What to use when: `signatures` for all of it; `scatter` for what shows in the variance only.
 """
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.chance import chi2_tail, normal_tail
+from gyrorig_solver.discover.free_shapes import Family, families
 from gyrorig_solver.discover.result import Signature
-from gyrorig_solver.discover.scores import Seen
+from gyrorig_solver.discover.scores import VANISHED, Seen
 from gyrorig_solver.discover.wandering import risen
-from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.estimate.projection import Looked, Projection
 from gyrorig_solver.model.terms.sample_jitter import SampleJitter
-from gyrorig_solver.model.terms.scene import Scene, by_axis
 
-PAN_KNOTS, TILT_KNOTS, SPEED_KNOTS, RATE_KNOTS, TIME_KNOTS, FEW_KNOTS = 24, 8, 6, 7, 10, 6
-TRANSIENT_S, TRANSIENT_KNOTS = 0.5, 9
-LEAST_SPAN = 1e-6  # of a covariate: what does not change, nothing can depend on
+DETAILS = (3.0, 8.0, np.inf)  # half waves that are looked at together, coarse to fine
 SINGLE = 4  # tests of the scatter
+SPEED_WAVES = 3  # of the scatter in motion
 WORTH_A_LOOK = 0.05  # by calmed levels
+SIZES = np.exp(np.linspace(-4.0, 16.0, 61))  # of a free function, squared, in deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Group:
-    covariate: str
-    words: str
-    signal: Callable[[Scene], FloatArray]
+class Judged:
+    """What a family of free functions says of a residual."""
+
+    seen: Seen  # by the detail that shows most
+    at: IntArray  # (k,), which signals that are
+    p_value: float  # the choice of the detail counted
 
 
 def signatures(projection: Projection, as_found: Projection | None = None) -> list[Signature]:
@@ -44,28 +46,91 @@ def signatures(projection: Projection, as_found: Projection | None = None) -> li
         as_found: where its noise levels are calmed, the same with those that were found:
             what passes for odd must make the likelihood rise, the levels found anew.
     """
-    groups = list(_groups(projection.scenes))
-    tests = len(groups) + SINGLE
-    found = scatter(as_found or projection, tests)
-    for group in groups:
-        white = projection.signals(group.signal)
-        seen = Seen.of(projection.look(white))
+    every = list(families(projection.scenes))
+    tests = len(every) + SINGLE
+    found = {one.covariate: one for one in scatter(as_found or projection, tests)}
+    for family in every:
+        one = _signature(projection, as_found, family, tests)
+        before = None if one is None else found.get(one.covariate)
+        if one is not None and (before is None or one.p_value < before.p_value):
+            found[one.covariate] = one
+    return sorted(found.values(), key=lambda one: (one.p_value, -one.statistic))
+
+
+def _signature(
+    projection: Projection, as_found: Projection | None, family: Family, tests: int
+) -> Signature | None:
+    white = family.white(projection)
+    looked = projection.look(white)
+    judged = judge(looked, family.detail)
+    if judged is None:
+        return None
+    seen, p_value = judged.seen, judged.p_value
+    if as_found is not None and p_value * tests < WORTH_A_LOOK:
+        rise = 2.0 * max(risen(projection, white[judged.at], seen.values), 0.0)
+        seen = replace(seen, statistic=min(rise, seen.statistic))
+        p_value = len(DETAILS) * chi2_tail(seen.statistic, seen.degrees_of_freedom)
+    return Signature(
+        family.covariate,
+        family.words,
+        seen.statistic,
+        seen.degrees_of_freedom,
+        min(1.0, p_value * tests),
+        evidence=evidence(looked, family.detail),
+    )
+
+
+def judge(looked: Looked, detail: FloatArray) -> Judged | None:
+    """Return what signals say, the detail chosen that shows most; None where nothing is left.
+
+    Each set of signals up to some detail gives a chi-squared statistic where there is nothing
+    but noise; the least likely of m sets is no less likely than its chance times m
+    (Bonferroni). A wide function is found by few degrees of freedom so, and a fine one at
+    the price of ln m nats.
+
+    Args:
+        looked: what the projection says of them.
+        detail: of each signal, half waves.
+    """
+    best: Judged | None = None
+    sets = {int((detail <= most).sum()): np.flatnonzero(detail <= most) for most in DETAILS}
+    for at in sets.values():
+        if not at.size:
+            continue
+        seen = Seen.of(looked.part(at))
         if seen.degrees_of_freedom:
-            p_value = chi2_tail(seen.statistic, seen.degrees_of_freedom)
-            if as_found is not None and p_value * tests < WORTH_A_LOOK:
-                rise = 2.0 * max(risen(projection, white, seen.values), 0.0)
-                seen = replace(seen, statistic=min(rise, seen.statistic))
-                p_value = chi2_tail(seen.statistic, seen.degrees_of_freedom)
-            found.append(
-                Signature(
-                    group.covariate,
-                    group.words,
-                    seen.statistic,
-                    seen.degrees_of_freedom,
-                    min(1.0, p_value * tests),
-                )
-            )
-    return sorted(found, key=lambda one: (one.p_value, -one.statistic))
+            chance = chi2_tail(max(seen.statistic, 0.0), seen.degrees_of_freedom)
+            if best is None or chance < best.p_value:
+                best = Judged(seen, at, chance)
+    return None if best is None else replace(best, p_value=min(1.0, len(sets) * best.p_value))
+
+
+def evidence(looked: Looked, detail: FloatArray) -> float:
+    """Return by how many nats a free function is likelier than none, at its likeliest size.
+
+    The function's parts are taken as independent and normal, of a variance that falls with
+    the square of the detail, as Brownian motion's over an interval. Their common size is
+    chosen (type II likelihood). A function that could have shown anything pays for it.
+
+    Source: MacKay, Neural Computation 4 (1992) 415; Brownian motion's expansion: Karhunen
+    and Loeve.
+
+    Args:
+        looked: what the projection says of its parts.
+        detail: of each part, half waves.
+    """
+    some = np.flatnonzero(np.diag(looked.information) > VANISHED * np.maximum(looked.raw, 1e-300))
+    if not some.size:
+        return 0.0
+    width = 1.0 / (np.maximum(detail[some], 1.0) * np.sqrt(looked.raw[some]))
+    information = looked.information[np.ix_(some, some)] * np.outer(width, width)
+    strength, along = np.linalg.eigh(information)
+    keep = strength > VANISHED
+    known = strength[keep]
+    shown = (along[:, keep].T @ (looked.score[some] * width)) ** 2 / known
+    gain = SIZES[:, None] / float(known.max()) * known
+    nats = 0.5 * np.sum(shown * gain / (1.0 + gain) - np.log1p(gain), axis=1)
+    return max(0.0, float(nats.max()))
 
 
 def scatter(projection: Projection, tests: int) -> list[Signature]:
@@ -80,37 +145,69 @@ def scatter(projection: Projection, tests: int) -> list[Signature]:
     moving, jitter, power = _shapes(projection)
     some = power > 0.0
     excess = left**2 - 1.0
-    for name, words, shape in (
-        ("moving", "on whether the stage moves, in its scatter", moving),
+    for name, words, shapes in (
+        ("moving", "on whether and how fast the stage moves, in its scatter", moving),
         ("acceleration_scatter", "on the acceleration, in its scatter", jitter),
     ):
-        weight = np.where(some, shape, 0.0)
-        weight[some] -= weight[some].mean()
-        size = float(np.sqrt(2.0 * np.sum(weight**2)))
-        if size > 0.0:
-            z = float(weight @ excess) / size
-            # What a model lacks adds scatter; it takes none away.
-            p_value = normal_tail(z)
-            found.append(Signature(name, words, max(z, 0.0) ** 2, 1, min(1.0, p_value * tests)))
+        one = _grown(shapes[:, some], excess[some])
+        if one is not None:
+            p_value = min(1.0, one[2] * tests)
+            found.append(Signature(name, words, one[0], one[1], p_value))
     found.append(_line(projection, left, tests))
     return found
+
+
+def _grown(shapes: FloatArray, excess: FloatArray) -> tuple[float, int, float] | None:
+    """Return statistic, degrees of freedom and chance of a scatter that grows by shapes.
+
+    A sum of many squares is normal: the excess has the variance 2. What a model lacks adds
+    scatter; it takes none away: the first shape alone, and all together as far as they add.
+
+    Args:
+        shapes: (k, n), the first all that the others are parts of.
+        excess: squares less 1, (n,).
+    """
+    weights = shapes - shapes.mean(axis=1, keepdims=True)
+    first = float(np.sqrt(2.0 * np.sum(weights[0] ** 2)))
+    if first <= 0.0:
+        return None
+    z = float(weights[0] @ excess) / first
+    alone = max(z, 0.0) ** 2, 1, normal_tail(z)
+    if len(shapes) == 1 or z <= 0.0:
+        return alone
+    strength, along = np.linalg.eigh(2.0 * weights @ weights.T)
+    keep = strength > 1e-7 * strength[-1]
+    score = along[:, keep].T @ (weights @ excess)
+    statistic, degrees = float(np.sum(score**2 / strength[keep])), int(keep.sum())
+    # z > 0 is half of all: counted once more would be too much.
+    together = statistic, degrees, chi2_tail(statistic, degrees)
+    best = min(alone, together, key=lambda one: one[2])
+    return best[0], best[1], 2.0 * best[2]
 
 
 def _shapes(projection: Projection) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return, as long as the whitened residual: motion, variance by jitter, and use."""
     moving, jitter, use = [], [], []
+    fastest = max(
+        (float(np.linalg.norm(m.rate, axis=1).max()) for s in projection.stretches
+         for m in s.models if len(m.rate)), default=0.0
+    )  # fmt: skip
+    wave = np.arange(SPEED_WAVES + 1)[:, None]
     for s in projection.stretches:
         for scene, model in zip(s.scenes, s.models, strict=True):
             n = model.used.size
-            speed = np.linalg.norm(model.rate, axis=1) > 1e-3
+            speed = np.linalg.norm(model.rate, axis=1)
+            share = speed / max(fastest, 1e-3)
+            runs = np.where(speed > 1e-3, np.cos(np.pi * wave * share), 0.0)
             own = (
                 SampleJitter().variance(scene, np.ones(1)).T
                 / np.mean(s.noise.variance(n), axis=0)[:, None]
             )
-            moving.append(np.tile(speed.astype(np.float64), (3, 1)).ravel())
-            jitter.append(own.ravel())
+            moving.append(np.tile(runs, (1, 3)))
+            jitter.append(own.reshape(1, -1))
             use.append(np.tile(model.used.astype(np.float64), (3, 1)).ravel())
-    return np.concatenate(moving), np.concatenate(jitter), np.concatenate(use)
+    used = np.concatenate(use)
+    return np.concatenate(moving, axis=1) * (used > 0.0), np.concatenate(jitter, axis=1), used
 
 
 def _line(projection: Projection, left: FloatArray, tests: int) -> Signature:
@@ -129,122 +226,3 @@ def _line(projection: Projection, left: FloatArray, tests: int) -> Signature:
     p_value = -np.expm1(many * np.log1p(-np.exp(-best[0]))) if many else 1.0
     words = f"on a line at {best[1]:.2f} Hz"
     return Signature("line", words, 2.0 * best[0], 2, min(1.0, float(p_value) * tests))
-
-
-def _groups(scenes: list[Scene]) -> Iterator[_Group]:
-    angles = all(scene.has_angles for scene in scenes)
-    time = _knots(scenes, _time, TIME_KNOTS)
-    yield _Group("time", "on the time, as a gain", partial(_gain, _time, time))
-    few = _knots(scenes, _time, FEW_KNOTS)
-    yield _Group("bias_time", "on the time, as a bias", partial(_bias, _time, few))
-    speed = _knots(scenes, _speed, SPEED_KNOTS)
-    if speed.size:  # a board at rest has no speeds
-        yield _Group("speed", "on the speed, as a gain", partial(_gain, _speed, speed))
-    largest = _largest(scenes)
-    if float(largest.max()) > LEAST_SPAN:
-        yield _Group("own_rate", "on each axis' own rate", partial(_own, largest))
-    if not angles:
-        return
-    for axis, name, knots in ((0, "pan", PAN_KNOTS), (1, "tilt", TILT_KNOTS)):
-        of = partial(_angle, axis)
-        at = _knots(scenes, of, knots)
-        if at.size:
-            yield _Group(f"{name}_angle", f"on {name}, as a gain", partial(_gain, of, at))
-            few = _knots(scenes, of, FEW_KNOTS)
-            yield _Group(f"bias_{name}", f"on {name}, as a bias", partial(_bias, of, few))
-    courses = scenes[0].setting.courses
-    if not courses:
-        return
-    for axis, name in ((0, "pan"), (1, "tilt")):
-        own = [course for moved, course in courses if moved == axis]
-        if own:
-            begin = np.array([float(c.start_s[0]) for c in own])
-            end = np.array([float(c.end_s) for c in own])
-            signal = partial(_transient, axis, begin, end)
-            yield _Group(f"{name}_transient", f"on the time since {name} starts or stops", signal)
-    spans = np.array([(float(c.start_s[0]), float(c.end_s)) for _, c in courses])
-    yield _Group("move_gain", "on the move, as a gain", partial(_by_move, spans, False))
-    yield _Group("move_delay", "on the move, as a delay", partial(_by_move, spans, True))
-
-
-def _time(scene: Scene) -> FloatArray:
-    return scene.time_s
-
-
-def _angle(axis: int, scene: Scene) -> FloatArray:
-    return scene.pan_rad if axis == 0 else scene.tilt_rad
-
-
-def _speed(scene: Scene) -> FloatArray:
-    return np.asarray(np.linalg.norm(scene.rate_rad_s, axis=1), dtype=np.float64)
-
-
-def _knots(scenes: list[Scene], of: Callable[[Scene], FloatArray], count: int) -> FloatArray:
-    values = [of(scene)[scene.known] for scene in scenes]
-    low = min(float(v.min()) for v in values)
-    high = max(float(v.max()) for v in values)
-    return np.linspace(low, high, count) if high - low > LEAST_SPAN else np.zeros(0)
-
-
-def _largest(scenes: list[Scene]) -> FloatArray:
-    found = [np.abs(scene.filtered_rad_s).max(axis=0) for scene in scenes]
-    return np.asarray(np.max(found, axis=0), dtype=np.float64)
-
-
-def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return hats, 1 at their own knot and 0 at the others, (k, n)."""
-    width = knots[1] - knots[0]
-    return np.asarray(np.clip(1.0 - np.abs(x - knots[:, None]) / width, 0.0, None), np.float64)
-
-
-def _gain(of: Callable[[Scene], FloatArray], knots: FloatArray, scene: Scene) -> FloatArray:
-    hats = _hats(of(scene), knots)
-    return scene.read(hats[:, :, None] * scene.filtered_rad_s)
-
-
-def _bias(of: Callable[[Scene], FloatArray], knots: FloatArray, scene: Scene) -> FloatArray:
-    seen = scene.read(np.repeat(_hats(of(scene), knots)[:, :, None], 3, axis=2))
-    return np.concatenate([by_axis(one) for one in seen])
-
-
-def _own(largest: FloatArray, scene: Scene) -> FloatArray:
-    rate = scene.filtered_rad_s
-    found = []
-    for axis in range(3):
-        knots = np.linspace(-largest[axis], largest[axis], RATE_KNOTS)
-        if largest[axis] <= LEAST_SPAN:
-            continue
-        shown = np.zeros((RATE_KNOTS, scene.n, 3))
-        shown[:, :, axis] = _hats(rate[:, axis], knots)
-        found.append(scene.read(shown))
-    return np.concatenate(found)
-
-
-def _transient(axis: int, begin: FloatArray, end: FloatArray, scene: Scene) -> FloatArray:
-    """Return shapes after starts and stops of an axis, signed by its direction."""
-    delta = np.diff(scene.angle_rad[axis])
-    found = np.zeros((2 * TRANSIENT_KNOTS, scene.n, 3))
-    knots = np.linspace(0.0, TRANSIENT_S, TRANSIENT_KNOTS)
-    stage = np.zeros((scene.n, 3))
-    if axis == 0:
-        stage[:, 1], stage[:, 2] = np.sin(scene.tilt_rad), np.cos(scene.tilt_rad)
-    else:
-        stage[:, 0] = 1.0
-    along = stage @ scene.gain.T
-    for first, last in zip(begin, end, strict=True):
-        inside = slice(*np.searchsorted(scene.time_s, (first, last)))
-        sign = float(np.sign(np.sum(delta[inside])))
-        for row, edge in ((0, first), (TRANSIENT_KNOTS, last)):
-            near = slice(*np.searchsorted(scene.time_s, (edge, edge + TRANSIENT_S)))
-            hats = _hats(scene.time_s[near] - edge, knots) * sign
-            found[row : row + TRANSIENT_KNOTS, near] += hats[:, :, None] * along[near]
-    return scene.read(found)
-
-
-def _by_move(spans: FloatArray, delay: bool, scene: Scene) -> FloatArray:
-    signal = scene.filtered_slope_rad_s2 if delay else scene.filtered_rad_s
-    found = np.zeros((len(spans), scene.n, 3))
-    for k, (begin, end) in enumerate(spans):
-        near = slice(*np.searchsorted(scene.time_s, (begin, end + 0.1)))
-        found[k, near] = signal[near]
-    return scene.read(found)

@@ -159,6 +159,7 @@ class Signature:
     degrees_of_freedom: int
     p_value: float  # all signatures counted
     axis: str | None = None  # sensor axis that shows it most, None: all alike
+    evidence: float = 0.0  # nats for a free function of this against none; 0 of scatter
 
 
 @dataclass(frozen=True, slots=True, eq=False)

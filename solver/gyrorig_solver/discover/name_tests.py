@@ -1,0 +1,205 @@
+"""Does a name hold against a free function of what it hangs on? One that does not is dropped.
+
+A cause of the catalogue has a form: an eccentric wheel is off once and twice a turn, a ramp
+is off in proportion to the same ramps told. Physics that is in no catalogue is often near
+enough to such a form that the cause is significant and wins against all others there are.
+It is not what the data show where they have more of the same kind that the form does not
+allow. So each named cause is held against
+
+ * free functions of its own covariates (`OWN`): of the angle, the rate, the time since a
+   move began, whatever its form hangs on;
+ * its own effect, growing and shrinking with the time, the angles and the speed, on which
+   its size must not depend.
+
+Both as score tests beside the fit in which the cause, its sizes and shapes and event, is
+free. Where the name is right, and the model else, the statistic of a set of d signals that
+the fit cannot follow is chi-squared with d degrees of freedom; the choice among sets is paid
+for by Bonferroni, so that a right name is dropped in at most `LEVEL` of all sessions.
+
+A right name of a large effect leaves something as well, as every form is a little short
+of the truth. What is less than `LITTLE` of what the cause explains is no reason.
+
+What to use when: `kept` after a search.
+
+Source: score test, Rao, Linear Statistical Inference, 6e; smooth tests of fit, Neyman 1937.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_solver.chance import chi2_tail
+from gyrorig_solver.discover.free_shapes import Family, families, swells
+from gyrorig_solver.discover.groups import DETAILS
+from gyrorig_solver.discover.result import Signature
+from gyrorig_solver.discover.scores import Seen
+from gyrorig_solver.discover.search import Found
+from gyrorig_solver.estimate.extension import Extension
+from gyrorig_solver.estimate.likelihood import Solution, solve_again
+from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.protocol import indices
+from gyrorig_solver.model.terms.scene import Scene
+
+LEVEL = 0.005  # share of right names that may be dropped: a quarter of what names may be lost
+# Share of a cause's own statistic: twice what its form may leave of its effect without any
+# noise (discovery notes, section 0, item 7: 0.2 %).
+LITTLE = 0.004
+
+_EDGES = ("pan_transient", "tilt_transient", "move_gain", "move_delay")
+_ANGLES = ("pan_angle", "tilt_angle")
+_RATES = ("own_rate", "speed")
+# The covariates that a cause's form hangs on; what is not here has none but its own size.
+OWN: dict[str, tuple[str, ...]] = {
+    "eccentricity": ("pan_angle",),
+    "worm_error": _ANGLES,
+    "step_resolution": _ANGLES,
+    "tilt_sag": ("tilt_angle",),
+    "axis_nonorthogonality": ("tilt_angle",),
+    "acceleration_error": (*_EDGES, "speed"),
+    "base_speed_jump": (*_EDGES, "speed"),
+    "s_curve": (*_EDGES, "speed"),
+    "base_compliance": _EDGES,
+    "ringing": _EDGES,
+    "backlash": _EDGES,
+    "low_pass_lag": (*_EDGES, "speed"),
+    "scale_asymmetry": _RATES,
+    "scale_quadratic": _RATES,
+    "scale_cubic": _RATES,
+    "saturation": _RATES,
+    "dead_zone": _RATES,
+    "vibration_rectification": _RATES,
+    "motor_coupling": _RATES,
+    "bias_ramp": ("bias_time",),
+    "bias_step": ("bias_time",),
+    "warm_up": ("bias_time",),
+    "thermal_bias": ("bias_time",),
+    "thermal_scale": ("time",),
+    "board_slip": ("time",),
+    "clock_skew": ("move_delay",),
+    "clock_step": ("move_delay",),
+    "lost_samples": ("move_delay",),
+    "g_sensitivity": ("bias_tilt",),
+    "supply_hum": ("bias_time",),
+}
+WHOLE_STEP_SIGMA = 5.0  # that a loss must lie below a step to be none
+
+
+@dataclass(frozen=True, slots=True)
+class Against:
+    """What free functions have against a name."""
+
+    covariate: str
+    words: str
+    statistic: float  # that they explain beyond the name
+    degrees_of_freedom: int
+    p_value: float  # all that it was held against counted
+
+
+def kept(base: Solution, found: Found) -> tuple[Found, tuple[Signature, ...]]:
+    """Return a search's end without the names that do not hold, and what they hang on.
+
+    Args:
+        base: the fit of the base model.
+        found: where the search ended.
+    """
+    free = [one for one in found.solution.extensions if one.free.size]
+    against = [
+        what_is_against(found, one, 2.0 * standing.best.won)
+        for one, standing in zip(free, found.standings, strict=True)
+    ]
+    if not any(against):
+        return found, ()
+    stay = [k for k, one in enumerate(against) if one is None]
+    gone = [one for one, doubt in zip(free, against, strict=True) if doubt is not None]
+    left = [one for one in found.solution.extensions if all(one is not other for other in gone)]
+    solution = solve_again(found.solution, left) if stay else base
+    standings = tuple(found.standings[k] for k in stay)
+    last = Projection.of(solution)
+    doubts = sorted((one for one in against if one is not None), key=lambda one: one.p_value)
+    signatures = tuple(
+        Signature(d.covariate, d.words, d.statistic, d.degrees_of_freedom, d.p_value)
+        for d in doubts
+    )
+    return replace(found, solution=solution, standings=standings, last=last), signatures
+
+
+def what_is_against(found: Found, one: Extension, explains: float) -> Against | None:
+    """Return why a name does not hold, None where it does.
+
+    Args:
+        found: where the search ended.
+        one: a cause of its fit.
+        explains: its statistic, twice the nats that it won.
+    """
+    projection = found.last
+    if one.term.cause == "lost_steps" and _is_no_step(found.solution, one):
+        words = "on a jump of less than one step"
+        return Against("pan_transient", words, explains, 1, 0.0)
+    scenes = projection.scenes
+    own = OWN.get(one.term.cause, ())
+    every = [(f, False) for f in families(scenes) if f.covariate in own]
+    every += [(f, True) for f in swells(one, scenes)]
+    heard = [held_against(projection, one, family, itself) for family, itself in every]
+    worst = min((h for h in heard if h is not None), key=lambda h: h.p_value, default=None)
+    if worst is None:
+        return None
+    worst = replace(worst, p_value=min(1.0, worst.p_value * len(every)))
+    beyond = worst.statistic - worst.degrees_of_freedom
+    return worst if worst.p_value < LEVEL and beyond > LITTLE * explains else None
+
+
+def held_against(
+    projection: Projection, one: Extension, family: Family, itself: bool
+) -> Against | None:
+    """Return what a family of free functions explains beyond a name, None if nothing can.
+
+    Args:
+        projection: the space beside the fit that the cause is in.
+        one: the cause as fitted.
+        family: the free functions.
+        itself: whether they are made of the cause's own effect.
+    """
+    held = [k for k in (*indices(one.term, role="shape"), *indices(one.term, role="event"))
+            if k not in one.free]  # fmt: skip
+
+    def shaped(scene: Scene) -> np.ndarray:
+        return one.term.columns(scene, one.values)[held]
+
+    white = family.white(projection, one.term if itself else None)
+    if held:
+        white = np.concatenate([projection.signals(shaped, term=one.term), white])
+    looked, many = projection.look(white), len(held)
+    before = Seen.of(looked.part(np.arange(many))) if many else None
+    least, degrees = (before.statistic, before.degrees_of_freedom) if before else (0.0, 0)
+    sets = {int((family.detail <= most).sum()): family.detail <= most for most in DETAILS}
+    best: Against | None = None
+    for some in sets.values():
+        if not some.any():
+            continue
+        seen = Seen.of(looked.part(np.concatenate([np.arange(many), many + np.flatnonzero(some)])))
+        statistic, more = seen.statistic - least, seen.degrees_of_freedom - degrees
+        if more > 0:
+            chance = min(1.0, len(sets) * chi2_tail(max(statistic, 0.0), more))
+            if best is None or chance < best.p_value:
+                best = Against(family.covariate, family.words, statistic, more, chance)
+    return best
+
+
+def _is_no_step(solution: Solution, one: Extension) -> bool:
+    """Return whether a loss is clearly less than a step: an angle slips by that, no motor does."""
+    setting = solution.sessions[0].setting
+    if setting is None or setting.rad_per_step is None:
+        return False
+    sizes = indices(one.term, role="size")
+    first = solution.estimate.size - sum(e.free.size for e in solution.extensions)
+    for other in solution.extensions:
+        if other is one:
+            break
+        first += other.free.size
+    for j, k in enumerate(one.free):
+        if k in sizes and one.values[k] != 0.0:
+            step = abs(setting.rad_per_step[sizes.index(int(k))])
+            std = float(np.sqrt(solution.decision.covariance[first + j, first + j]))
+            if abs(float(one.values[k])) > step - WHOLE_STEP_SIGMA * std:
+                return False
+    return True
