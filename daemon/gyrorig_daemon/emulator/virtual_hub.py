@@ -43,6 +43,10 @@ class VirtualHub:
             self._push(until_ns, port, b"", PortChange.BACK)
         self._away[port].append((at_ns, NEVER_NS if until_ns is None else until_ns))
 
+    def swap(self, port: str, other: str) -> None:
+        """Exchange what hangs on two ports, as names that follow the order of plugging do."""
+        self._devices[port], self._devices[other] = self._devices[other], self._devices[port]
+
     def now_ns(self) -> int:
         """Return the virtual clock."""
         return self._now_ns

@@ -353,7 +353,7 @@ class BoardLink:
         self._boot = None
         self._is_confirmed = not self._speaks
         self._deaf_until_ns = 0
-        self._last_asked_ns = now_ns - int(HELLO_EVERY_S * 1e9)
+        self._last_asked_ns = now_ns - int(HELLO_EVERY_S * 1e9) - 1  # at once
         self.due_ns = now_ns
 
     def _is_settled(self) -> bool:

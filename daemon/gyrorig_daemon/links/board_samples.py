@@ -2,7 +2,8 @@
 
 What to use when: `BoardLink` for a board on a port; `SampleStream` is the half of it that
 no port is needed for. A sample's time is the map's of its own stamp; where there is no
-map yet, or the board sends no stamps, it is the arrival.
+map yet, or the board sends no stamps, it is the arrival, in a batch less the board's own
+time between that sample and the last.
 """
 
 from collections.abc import Callable
@@ -102,8 +103,15 @@ class SampleStream:
                 taken_ns = self.clock.map_ns(sample.device_time)
             if taken_ns is None or taken_ns == arrival_ns:
                 self.counts.unmapped += 1
-                taken_ns = arrival_ns
+                taken_ns = arrival_ns - self._before_ns(sample, last)
             self._emit(sample, arrival_ns, taken_ns)
+
+    def _before_ns(self, sample: Sample, last: Sample) -> int:
+        """Return how long before the last of its batch a sample was taken, by the nominal tick."""
+        if sample.device_time is None or last.device_time is None:
+            return 0
+        ticks = (last.device_time - sample.device_time) % (1 << 32)
+        return 0 if ticks >= 1 << 31 else round(ticks / self._tick_hz * 1e9)
 
     def _emit(self, sample: Sample, arrival_ns: int, taken_ns: int) -> None:
         status = sample.flags & 0xFF
@@ -141,6 +149,7 @@ class SampleStream:
         tick_hz = facts.tick_hz or (columns and columns.tick_hz) or DEFAULT_TICK_HZ
         if self._hello is not None:
             tick_hz = self._hello.tick_hz
+        self._tick_hz = tick_hz
         bits = 32 if self._speaks else facts.counter_bits or 64
         return OnlineClock(tick_hz, bits, SEQUENCE_BITS if self._speaks else 32)
 

@@ -151,3 +151,23 @@ def test_pings_bracket_the_truth() -> None:
     # the map lies one latency floor (50 us) behind the truth
     assert report.two_way_low_s <= -50e-6 + 20e-6
     assert report.two_way_high_s >= -50e-6 - 20e-6
+
+
+def test_a_stamp_of_a_sending_bounds_the_clock_from_above() -> None:
+    """The device reads 1 s; frames take 3 ms, pings 2 ms each way, the stamp of a sending 1 ms."""
+    tick_hz, begin_ns = 1e6, 10_000_000_000
+    reports = []
+    for with_sendings in (False, True):
+        clock = OnlineClock(tick_hz, 32)
+        for number in range(400):
+            ticks, now_ns = 10_000 * number, begin_ns + 10_000_000 * number
+            clock.observe(ticks, now_ns + 3_000_000, 0, number)
+            if number % 20 == 10:
+                clock.two_way(now_ns - 2_000_000, ticks, ticks, now_ns + 2_000_000)
+                if with_sendings:
+                    clock.one_way(ticks + 5_000, now_ns + 5_000_000 + 1_000_000)
+        reports.append(clock.report())
+    highs = [report.two_way_high_s for report in reports]
+    lows = [report.two_way_low_s for report in reports]
+    assert highs == [pytest.approx(-1e-3, abs=2e-5), pytest.approx(-2e-3, abs=2e-5)]
+    assert lows == [pytest.approx(-5e-3, abs=2e-5)] * 2

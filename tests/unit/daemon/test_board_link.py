@@ -1,0 +1,352 @@
+"""One board's link under simulated time: pulled, reset, silent, swapped, damaged, and back."""
+
+import random
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrorig_daemon.config import BoardFacts, BoardPort
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, RigSettings
+from gyrorig_daemon.emulator.virtual_hub import VirtualHub
+from gyrorig_daemon.links.board_link import BoardLink
+from gyrorig_daemon.links.board_presence import LinkState
+from gyrorig_daemon.links.board_samples import BoardSinks
+from gyrorig_daemon.links.capture_clock import CaptureClock
+from gyrorig_daemon.links.hub import Chunk, PortHub, WriteStamp
+from gyrorig_daemon.links.pump import Pump
+from gyrorig_protocol.errors import DeviceError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import ClockPing, ImuRaw
+
+ORIGIN_NS = 5_000_000_000
+UTC_NS = 1_790_000_000_000_000_000
+A, B = "board:A", "board:B"
+NO_FAULTS, NO_FACTS = BoardFaults(), BoardFacts()
+
+
+def at_ns(seconds: float) -> int:
+    return ORIGIN_NS + round(seconds * 1e9)
+
+
+class Desk:
+    """Two emulated boards, their links, and all that the links said."""
+
+    def __init__(
+        self,
+        *,
+        faults: BoardFaults = NO_FAULTS,
+        facts: BoardFacts = NO_FACTS,
+        batch: int = 1,
+        wrap: Callable[[VirtualHub], PortHub] = lambda hub: hub,
+        prepare: Callable[[VirtualHub], None] = lambda hub: None,
+    ) -> None:
+        boards = (
+            BoardSettings("A", faults=faults, batch=batch),
+            BoardSettings("B"),
+        )
+        self.rig = EmulatedRig(RigSettings(seed=4, ptu=None, boards=boards), ORIGIN_NS)
+        self.hub = VirtualHub(self.rig)
+        prepare(self.hub)
+        self.pump = Pump(wrap(self.hub))
+        self.samples: dict[str, list[tuple[ImuRaw, int]]] = {"A": [], "B": []}
+        self.said: list[str] = []
+        sinks = BoardSinks(self._take, self._ping, self.said.append, self.said.append)
+        capture = CaptureClock(UTC_NS, ORIGIN_NS)
+        self.links = [
+            BoardLink(
+                self.pump,
+                BoardPort(id=name, port=f"/dev/{name}", baud=460800, facts=said),
+                capture,
+                sinks,
+                random.Random(seed),
+            )
+            for seed, (name, said) in enumerate((("A", facts), ("B", BoardFacts())))
+        ]
+        self.link, self.other = self.links
+
+    def run(self, until_s: float) -> None:
+        self.pump.run_until(at_ns(until_s))
+
+    def sequences(self, name: str = "A") -> list[int]:
+        return [message.sequence for message, _ in self.samples[name]]
+
+    def taken_s(self, name: str = "A") -> list[float]:
+        return [(taken_ns - UTC_NS) * 1e-9 for _, taken_ns in self.samples[name]]
+
+    def assert_other_is_whole(self) -> None:
+        """Whatever became of A, B lost nothing."""
+        assert np.all(np.diff(self.sequences("B")) == 1)
+        assert self.other.counts.missing == 0
+
+    def _take(self, board_id: BoardId, message: ImuRaw, taken_ns: int) -> None:
+        self.samples[str(board_id)].append((message, taken_ns))
+
+    def _ping(self, board_id: BoardId, message: ClockPing) -> None:
+        assert message.host_receive_ns >= message.host_send_ns, board_id
+
+
+def test_a_board_makes_itself_known() -> None:
+    desk = Desk()
+    assert desk.link.state is LinkState.UNKNOWN
+    desk.run(0.2)
+    assert desk.link.known
+    assert desk.link.values()["state"] == "known"
+
+
+def test_a_board_that_is_not_there_at_first() -> None:
+    desk = Desk(prepare=lambda hub: hub.unplug(A, ORIGIN_NS, at_ns(3.0)))
+    desk.run(1.0)
+    assert (desk.link.state, desk.link.gone) == (LinkState.ABSENT, True)
+    assert desk.samples["A"] == []
+    desk.run(4.0)
+    assert desk.link.known
+    assert 85 < len(desk.samples["A"]) < 110
+    desk.assert_other_is_whole()
+
+
+@pytest.mark.parametrize("batch", [1, 8])
+def test_a_board_that_is_pulled_and_plugged_again(batch: int) -> None:
+    desk = Desk(batch=batch)
+    desk.hub.unplug(A, at_ns(3.0), at_ns(6.0))
+    desk.run(9.0)
+    link = desk.link
+    assert link.known
+    assert (link.counts.hung_up, link.counts.restarts, link.counts.missing) == (1, 1, 0)
+    sequences = desk.sequences()
+    gap = int(np.argmax(np.diff(sequences)))
+    assert sum(step != 1 for step in np.diff(sequences)) == 1
+    assert sequences[gap + 1] - sequences[gap] == pytest.approx(300, rel=0.1)
+    # what comes before it has said who it is is not taken: some ten milliseconds
+    assert sequences[gap + 1] - sequences[gap] < 1.1 * 300 + 2 * batch
+    assert link.counts.unidentified < 3 * batch + 1
+    assert desk.said[0] == "board A on /dev/A is gone: it hung up"
+    assert desk.said[1].startswith("board A on /dev/A sends samples again, after 3.")
+    desk.assert_other_is_whole()
+    taken = np.array(desk.taken_s())
+    assert np.all(np.diff(taken) > 0.0)
+    # a fresh map: the stamps after the gap lie on the true rate, not on the old offset
+    arrivals = [(m.host_time_ns - UTC_NS) * 1e-9 for m, _ in desk.samples["A"]]
+    assert np.all(np.array(arrivals) - taken >= 0.0)
+    assert np.max(np.array(arrivals) - taken) < 0.02 * batch + 0.02
+
+
+@pytest.mark.parametrize("silence_s", [0.0, 0.05, 0.5])
+@pytest.mark.parametrize("at_s", [3.0, 3.07, 3.13, 3.4])
+def test_a_reset_is_one_new_epoch(at_s: float, silence_s: float) -> None:
+    desk = Desk(faults=BoardFaults(reset_at_s=(at_s,), reset_silence_s=silence_s))
+    desk.run(5.5)
+    link = desk.link
+    assert link.counts.restarts == 1
+    assert desk.said.count("board A has restarted its clock") == 1
+    assert link.counts.missing <= 1  # nothing joined over the reset
+    taken = np.array(desk.taken_s())
+    assert np.all(np.diff(taken) > 0.0)
+    assert np.max(np.diff(taken)) < silence_s + 0.1
+    desk.assert_other_is_whole()
+
+
+def test_a_reset_while_it_is_unplugged_and_two_in_a_row() -> None:
+    desk = Desk(faults=BoardFaults(reset_at_s=(4.0, 7.0, 7.3), reset_silence_s=0.1))
+    desk.hub.unplug(A, at_ns(3.0), at_ns(5.0))
+    desk.run(9.0)
+    assert desk.link.counts.restarts == 3  # back after the gap, and twice
+    assert desk.link.known
+    assert np.all(np.diff(desk.taken_s()) > 0.0)
+    assert desk.link.hello is not None
+    boots = {payload[payload.find(b'"boot":') :][:9] for payload in desk.link.hello_bytes}
+    assert len(boots) >= 3
+
+
+def test_another_board_behind_the_name_is_not_taken_for_it() -> None:
+    desk = Desk()
+    desk.run(2.0)
+    for link in desk.links:
+        link.pin()
+    for port in (A, B):
+        desk.hub.unplug(port, at_ns(2.5), at_ns(3.0))
+    desk.run(2.7)
+    desk.hub.swap(A, B)
+    known = len(desk.samples["A"]), len(desk.samples["B"])
+    desk.run(6.0)
+    assert [link.state for link in desk.links] == [LinkState.FOREIGN] * 2
+    assert (len(desk.samples["A"]), len(desk.samples["B"])) == known
+    assert desk.link.counts.foreign == 1
+    assert sum("is another board: it says" in text for text in desk.said) == 2
+    for port in (A, B):
+        desk.hub.unplug(port, at_ns(6.5), at_ns(7.0))
+    desk.run(6.7)
+    desk.hub.swap(A, B)
+    desk.run(9.0)
+    assert all(link.known for link in desk.links)
+
+
+def test_between_recordings_another_board_may_take_the_place() -> None:
+    desk = Desk()
+    desk.run(2.0)
+    desk.link.pin()
+    first = desk.link.metadata()["uid"]
+    for port in (A, B):
+        desk.hub.unplug(port, at_ns(2.5), at_ns(3.0))
+    desk.run(2.7)
+    desk.hub.swap(A, B)
+    desk.run(5.0)
+    assert desk.link.state is LinkState.FOREIGN
+    desk.link.unpin()
+    desk.run(7.0)
+    assert desk.link.known
+    assert desk.link.metadata()["uid"] != first
+    assert len(desk.link.hello_bytes) == 1
+
+
+def test_a_board_that_is_not_the_one_that_the_rig_names() -> None:
+    desk = Desk(facts=BoardFacts(uid="0badc0de"))
+    with pytest.raises(DeviceError, match=r"another board: it says .* instead of '0badc0de'"):
+        desk.link.identify()
+    desk.run(3.0)
+    assert desk.link.state is LinkState.FOREIGN
+    assert desk.samples["A"] == []
+
+
+def test_a_silent_port_is_opened_anew_and_then_somebody_is_called() -> None:
+    desk = Desk(faults=BoardFaults(reset_at_s=(3.0,), reset_silence_s=50.0))
+    desk.run(6.0)
+    assert (desk.link.state, desk.link.counts.reopened) == (LinkState.SILENT, 0)
+    desk.run(50.0)  # 5, 10, 20 s after the one before
+    assert (desk.link.state, desk.link.counts.reopened) == (LinkState.DEGRADED, 3)
+    assert sum("look at it" in text for text in desk.said) == 1
+    assert desk.link.counts.hung_up == 0
+    desk.run(60.0)
+    assert desk.link.known
+    assert any("sends samples again, after 50." in text for text in desk.said)
+    desk.assert_other_is_whole()
+
+
+def test_bytes_that_are_no_samples() -> None:
+    desk = Desk(faults=BoardFaults(garbage=True))
+    desk.run(36.0)
+    assert desk.link.state is LinkState.DEGRADED
+    (told,) = (text for text in desk.said if "look at it" in text)
+    assert "sends no gcb1 samples but b'" in told
+    assert int(desk.link.values()["fault_crc"]) + int(desk.link.values()["fault_cobs"]) > 0
+    desk.assert_other_is_whole()
+
+
+class Deaf:
+    """A hub whose port A takes no bytes for a while."""
+
+    def __init__(self, hub: VirtualHub, from_s: float, until_s: float) -> None:
+        self._hub, self._from_ns, self._until_ns = hub, at_ns(from_s), at_ns(until_s)
+        self.refused = 0
+
+    def now_ns(self) -> int:
+        return self._hub.now_ns()
+
+    def write(self, port: str, data: bytes) -> WriteStamp:
+        if port == A and self._from_ns <= self.now_ns() < self._until_ns:
+            self.refused += 1
+            raise DeviceError("board:A cannot be written: it does not take bytes")
+        return self._hub.write(port, data)
+
+    def read(self, deadline_ns: int) -> Chunk | None:
+        return self._hub.read(deadline_ns)
+
+    def is_up(self, port: str) -> bool:
+        return self._hub.is_up(port)
+
+    def reopen(self, port: str) -> None:
+        self._hub.reopen(port)
+
+    def close(self) -> None:
+        self._hub.close()
+
+
+def test_a_port_that_takes_no_questions_is_asked_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gyrorig_daemon.links.board_link.DEAF_S", 4.0)
+    deaf: list[Deaf] = []
+
+    def wrap(hub: VirtualHub) -> Deaf:
+        deaf.append(Deaf(hub, 2.0, 8.0))
+        return deaf[0]
+
+    desk = Desk(wrap=wrap)
+    desk.run(8.0)
+    assert deaf[0].refused == 2
+    assert desk.link.known
+    assert desk.link.counts.missing == 0  # its samples go on
+    pings = desk.link.counts.pings
+    desk.run(12.0)
+    assert desk.link.counts.pings > pings
+
+
+@pytest.mark.parametrize("batch", [1, 8])
+def test_nothing_is_taken_before_a_board_has_said_who_it_is(batch: int) -> None:
+    desk = Desk(batch=batch, wrap=lambda hub: Deaf(hub, 0.0, 100.0))
+    desk.rig.boards["A"]._misc.clear()  # its own HELLO at power-up was lost
+    desk.run(3.0)
+    assert desk.samples["A"] == []
+    assert desk.link.counts.unidentified > 250
+    assert desk.link.state is LinkState.UNKNOWN
+    with pytest.raises(DeviceError, match="cannot be written"):
+        desk.link.identify()
+
+
+def test_what_a_board_says_of_its_own_losses_is_kept() -> None:
+    desk = Desk()
+    desk.run(3.0)
+    values = desk.link.values()
+    assert values["board_sensor_overruns"] == values["board_frames_dropped"] == "0"
+    assert values["board_supply_mv"] == "3300"
+    assert desk.link.slow is not None
+
+
+def test_losses_are_counted_as_they_were() -> None:
+    faults = BoardFaults(drop_frame_every=50, duplicate_frame_every=70)
+    desk = Desk(faults=faults)
+    desk.run(10.0)
+    sequences = np.array(desk.sequences())
+    steps = np.diff(sequences)
+    assert desk.link.counts.missing == int(np.sum(steps[steps > 1] - 1)) > 15
+    assert desk.link.counts.duplicated == int(np.sum(steps == 0)) > 10
+    assert desk.link.counts.reordered == 0
+
+
+def test_neighbours_that_changed_places_are_counted() -> None:
+    desk = Desk(faults=BoardFaults(swap_frames_every=40))
+    desk.run(10.0)
+    steps = np.diff(desk.sequences())
+    assert desk.link.counts.reordered == int(np.sum(steps < 0)) > 15
+    assert set(np.unique(steps)) == {-1, 1, 2}
+    assert desk.link.counts.restarts == 0
+
+
+class Late:
+    """A hub whose reading process stood still once."""
+
+    def __init__(self, hub: VirtualHub, at_s: float) -> None:
+        self._hub, self._at_ns = hub, at_ns(at_s)
+        self._left = 3
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._hub, name)
+
+    def read(self, deadline_ns: int) -> Chunk | None:
+        chunk = self._hub.read(deadline_ns)
+        if chunk is None or chunk.received_ns < self._at_ns or not self._left:
+            return chunk
+        self._left -= 1
+        return replace(chunk, late_ns=1_200_000_000)
+
+
+def test_stamps_that_are_late_are_told_once() -> None:
+    desk = Desk(wrap=lambda hub: Late(hub, 5.0))  # type: ignore[arg-type,return-value]
+    told: list[tuple[str, int, int]] = []
+    desk.pump.on_stall = lambda *stall: told.append(stall)
+    desk.run(5.5)
+    ((who, begin_ns, end_ns),) = told
+    assert who == "the acquisition process"
+    assert end_ns - begin_ns == 1_200_000_000
+    assert desk.pump.late_stalls == 1
+    assert sum(link.counts.late_chunks for link in desk.links) == 3
