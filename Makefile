@@ -40,8 +40,8 @@ bench: $(VENV)/.dev  ## the benchmarks: speed, efficiency, clock error
 	$(VENV)/bin/python -m pytest -m bench -s --timeout 1800 || missed="$$missed pytest"; \
 	if [ -n "$$missed" ]; then echo "make bench: a bar was missed in:$$missed" >&2; exit 1; fi
 
-hidden: $(VENV)/.dev  ## the long tier of hidden effects: hours; writes docs/discovery-scores.md
-	@$(VENV)/bin/python tests/hidden/long_tier.py --out $(HIDDEN)
+hidden: $(VENV)/.dev  ## the long tier of hidden effects: hours (less: LESS="--rounds 1 --a-round 2"); writes docs/discovery-scores.md
+	@$(VENV)/bin/python tests/hidden/long_tier.py --out $(HIDDEN) $(LESS)
 
 fuzz: $(VENV)/.dev  ## every parser, SECONDS=180 each, guided by coverage where atheris is; damaged frames by the million
 	@$(VENV)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[fuzz]" || \

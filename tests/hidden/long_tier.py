@@ -3,7 +3,7 @@
 Every step goes on where it was stopped: sessions that are there are not made again, explained
 ones not explained again. Hours on two cores; some GB in the folder.
 
-Run: python tests/hidden/long_tier.py --out FOLDER [--workers 2] [--rounds 50]
+Run: python tests/hidden/long_tier.py --out FOLDER [--workers 2] [--rounds 50] [--a-round N]
 """
 
 import argparse
@@ -20,11 +20,12 @@ SIDE_BY_SIDE = (
 )  # about as long to make
 
 
-def make(out: Path, rounds: int) -> list[str]:
+def make(out: Path, rounds: int, a_round: int | None) -> list[str]:
     """Make what is missing of the corpora; return their folders."""
     started = []
     for tiers in SIDE_BY_SIDE:
         order = [sys.executable, str(MAKER), "--out", str(out), "--rounds", str(rounds)]
+        order += ["--a-round", str(a_round)] if a_round else []
         started.append(subprocess.Popen([*order, "--tiers", *tiers]))
     codes = [one.wait() for one in started]
     if any(codes):
@@ -38,8 +39,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=50, help="fewer make a smaller corpus")
+    parser.add_argument("--a-round", type=int, help="at most so many sessions of a part a round")
     told = parser.parse_args()
-    corpora = make(told.out, told.rounds)
+    corpora = make(told.out, told.rounds, told.a_round)
     lines = str(told.out / "results.jsonl")
     steps = (
         ["explain_cases.py", *corpora, "--out", lines, "--workers", str(told.workers)],
