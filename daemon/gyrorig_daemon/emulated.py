@@ -18,7 +18,12 @@ from gyrorig_daemon.emulation import Emulation
 from gyrorig_daemon.emulator.causes import RANDOM, draw_hidden, parse_hide
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.sealed import Seal
-from gyrorig_daemon.emulator.settings import BoardSettings, PtuSettings, RigSettings
+from gyrorig_daemon.emulator.settings import (
+    BoardSettings,
+    BusSettings,
+    PtuSettings,
+    RigSettings,
+)
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import MachineError, UsageError
 
@@ -28,7 +33,10 @@ STOP_PATIENCE_S = 10.0
 
 
 def rig_settings(
-    config: RigConfig, seed: int | None = None, more: Emulation | None = None
+    config: RigConfig,
+    seed: int | None = None,
+    more: Emulation | None = None,
+    is_instant: bool = False,
 ) -> RigSettings:
     """Return the settings of the emulated rig: only the ports that read `emulated`.
 
@@ -36,6 +44,7 @@ def rig_settings(
         config: the rig.
         seed: instead of the configuration's own.
         more: what is to be hidden, and the like.
+        is_instant: the host's frames on a bus take no time, as through `serve`.
 
     Raises:
         UsageError: there is no such cause to hide.
@@ -57,14 +66,20 @@ def rig_settings(
             bandwidth_hz=told.bandwidth_hz or _BANDWIDTH_HZ[told.odr_hz],
             full_scale_dps=float(told.gyro_full_scale_dps),
             baud=board.baud,
+            bus=board.bus,
+            node=board.node or 0,
         )
         for board in config.boards
-        if board.port == EMULATED
+        if config.is_emulated_board(board)
+    )
+    buses = tuple(
+        BusSettings(bus.id, bus.bitrate, is_instant) for bus in config.buses if bus.port == EMULATED
     )
     return RigSettings(
         seed=told.seed if seed is None else seed,
         ptu=ptu if config.ptu.port == EMULATED else None,
         boards=boards,
+        buses=buses,
         hide=tuple(parse_hide(text) for text in more.hide),
         noise_free=more.noise_free,
         session_s=more.session_s,

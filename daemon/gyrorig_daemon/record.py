@@ -190,7 +190,7 @@ def emulate(
         raise UsageError("no port of this rig is emulated", "write `emulated` as a port")
     check_hidden(config, told)
     begin_ns = raw_ns()
-    rig = EmulatedRig(rig_settings(config, more=told), begin_ns)
+    rig = EmulatedRig(rig_settings(config, more=told, is_instant=True), begin_ns)
     truth = TruthFile(told, rig)
     serve(rig, lambda ports: announce(ports, truth.seal), ended.is_set, links)
     truth.open(begin_ns, raw_ns())

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from gyrorig_daemon.emulator.board import EmulatedBoard
+from gyrorig_daemon.emulator.board import EmulatedBoard, EmulatedCanBoard
+from gyrorig_daemon.emulator.can_bus import EmulatedCanBus
 from gyrorig_daemon.emulator.causes import hang
 from gyrorig_daemon.emulator.device import EmulatedDevice
 from gyrorig_daemon.emulator.physics.axis import ARCSEC_RAD, AxisTruth, StepperAxis
@@ -33,6 +34,11 @@ _RUN_STREAM = 0x52494731
 def board_port(name: str) -> str:
     """Return the name of a board's port in a hub."""
     return f"board:{name}"
+
+
+def bus_port(name: str) -> str:
+    """Return the name of a bus's port in a hub."""
+    return f"bus:{name}"
 
 
 class EmulatedRig:
@@ -80,7 +86,7 @@ class EmulatedRig:
             counter = DeviceClock(self.truth.controller_clock, origin_ns, counter_rng)
             self.ptu = EmulatedPtu(unit, self.stage, counter, origin_ns, ptu_rng)
         self.boards = {
-            board.name: EmulatedBoard(
+            board.name: (EmulatedCanBoard if board.bus else EmulatedBoard)(
                 board,
                 self.board_truth(board.name),
                 self.stage,
@@ -90,13 +96,32 @@ class EmulatedRig:
             )
             for board, rng in zip(settings.boards, board_rngs, strict=True)
         }
+        self.buses = {
+            bus.name: EmulatedCanBus(
+                bus,
+                [
+                    board
+                    for board in self.boards.values()
+                    if isinstance(board, EmulatedCanBoard) and board.settings.bus == bus.name
+                ],
+                origin_ns,
+            )
+            for bus in settings.buses
+        }
         self.latency = HostLatency(self.truth.latency, origin_ns, latency_rng)
 
     @property
     def devices(self) -> dict[str, EmulatedDevice]:
         """Every device by the name of its port."""
         named: dict[str, EmulatedDevice] = {} if self.ptu is None else {PTU_PORT: self.ptu}
-        named.update({board_port(name): board for name, board in self.boards.items()})
+        named.update(
+            {
+                board_port(name): board
+                for name, board in self.boards.items()
+                if not board.settings.bus
+            }
+        )
+        named.update({bus_port(name): bus for name, bus in self.buses.items()})
         return named
 
     def truth_document(

@@ -100,7 +100,7 @@ class BoardFaults:
 
 @dataclass(frozen=True, slots=True)
 class BoardSettings:
-    """A GY-80 on a serial port."""
+    """A GY-80 on a serial port or a CAN bus."""
 
     name: str = "GY80-1"
     odr_hz: float = 100.0  # nominal
@@ -115,6 +115,17 @@ class BoardSettings:
     text_temperature: bool = True
     slow_hz: float = 5.0
     faults: BoardFaults = BoardFaults()
+    bus: str = ""  # the CAN bus that it is on, instead of a serial port
+    node: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class BusSettings:
+    """A CAN bus."""
+
+    name: str
+    bitrate: int = 1_000_000
+    is_instant: bool = False  # the host's frames take no time: see `can_bus`
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +144,7 @@ class RigSettings:
     seed: int = 1
     ptu: PtuSettings | None = PtuSettings()
     boards: tuple[BoardSettings, ...] = (BoardSettings(),)
+    buses: tuple[BusSettings, ...] = ()
     hide: tuple[HideOrder, ...] = ()
     noise_free: bool = False  # the sensors neither scatter nor wander; words stay rounded
     session_s: tuple[float, float] = (0.0, 60.0)  # since power-up: events come in its middle
