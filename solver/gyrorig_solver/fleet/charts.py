@@ -1,0 +1,229 @@
+"""Drift: what moves from night to night, first for rigs, lots and sites, then for boards.
+
+What to use when: `Nights` for the history of one parameter, `chart` for what has moved at
+its end. A rig that drifts shows in all its boards at once: so groups are asked first, and
+what a group is found to have moved is taken off its boards before they are asked.
+
+Each board has a baseline, the mean of its first nights. The chart is an exponentially
+weighted mean of what comes after (EWMA; Roberts 1959) with lambda = 0.2, and its variance
+is computed, not assumed: of the calibrations, of the ordinary scatter from night to night,
+and of the baseline, which every night after it shares. So the first night after a baseline
+and the hundredth have the same chance of a false alarm.
+
+Boards are judged together by false-discovery rate (Benjamini and Hochberg 1995) over all
+boards and parameters of a night: at a million boards the usual three sigma would raise
+32 000 false alarms a night (reference: reliability.md section 5).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from gyrorig_solver.arrays import BoolArray, FloatArray
+
+LAMBDA = 0.2  # reference: reliability.md section 5, drift charts
+BASELINE_NIGHTS = 10
+LEAST_BASELINE = 3
+GROUP_ALPHA = 1e-4  # a night, over all groups and parameters of one kind of group
+DISCOVERY_RATE = 0.01
+TEMPERATURE_SPAN_C = 10.0  # less says nothing of a slope (reference: peers.md, section 1)
+
+IntArray = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nights:
+    """The history of one parameter: nights by boards, NaN where a board was not measured."""
+
+    parameter: str
+    value: FloatArray  # (nights, boards)
+    variance: FloatArray  # (nights, boards), of the calibrations
+    temperature_c: FloatArray | None = None  # (nights, boards)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chart:
+    """Where the boards of one parameter stand after the last night."""
+
+    parameter: str
+    scatter: float  # ordinary, from night to night, beside the calibrations' own
+    slope_per_c: float | None  # taken off; None where temperatures say nothing of it
+    moved: FloatArray  # (boards,): the EWMA, in the parameter's unit
+    variance: FloatArray  # (boards,), inf where there is no chart yet
+    history: FloatArray  # (nights, boards): the EWMA of every night, NaN within baselines
+
+    @property
+    def z(self) -> FloatArray:
+        """How far each board has moved, in standard deviations; 0 without a chart."""
+        score: FloatArray = np.where(
+            np.isfinite(self.variance), self.moved / np.sqrt(self.variance), 0.0
+        )
+        return score
+
+
+@dataclass(frozen=True, slots=True)
+class GroupMove:
+    """A rig, lot or site whose boards have moved together."""
+
+    parameter: str
+    group: str
+    boards: int
+    moved: float  # in the parameter's unit
+    z: float
+    p_value: float
+
+
+def chart(nights: Nights) -> Chart:
+    """Return the chart of one parameter.
+
+    Boards with fewer than `LEAST_BASELINE` nights before the last have none.
+    """
+    value, slope = _without_temperature(nights)
+    measured = np.isfinite(value)
+    count = np.cumsum(measured, axis=0)
+    base_length = np.clip(count[-1] - 1, 0, BASELINE_NIGHTS)
+    in_base = measured & (count <= base_length)
+    scatter2 = _scatter2(value, nights.variance, in_base)
+    noise = np.where(measured, nights.variance + scatter2, np.inf)
+    weight = np.where(in_base, 1.0 / noise, 0.0)
+    total = weight.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        base = (weight * np.where(measured, value, 0.0)).sum(axis=0) / total
+        base_variance = 1.0 / total
+    charted = base_length >= LEAST_BASELINE
+    base_variance[~charted] = 0.0  # has no chart, and inf times 0 no value
+    moved = np.zeros(value.shape[1])
+    own = np.zeros(value.shape[1])  # variance of the nights after the baseline
+    share = np.zeros(value.shape[1])  # how much of the baseline's error is in it
+    history = np.full(value.shape, np.nan)
+    for night in range(len(value)):
+        takes = measured[night] & ~in_base[night] & charted
+        step = np.where(takes, LAMBDA, 0.0)
+        left = np.where(takes, value[night] - base, 0.0)
+        moved += step * (left - moved)
+        own = (1.0 - step) ** 2 * own + np.where(takes, LAMBDA**2 * noise[night], 0.0)
+        share += step * (1.0 - share)
+        history[night] = np.where(takes, moved, np.nan)
+    variance = np.where(charted & (share > 0.0), own + share**2 * base_variance, np.inf)
+    return Chart(nights.parameter, float(np.sqrt(scatter2)), slope, moved, variance, history)
+
+
+def moved_groups(
+    charts: Sequence[Chart], group: IntArray, names: Sequence[str], alpha: float = GROUP_ALPHA
+) -> list[GroupMove]:
+    """Return the groups whose boards have moved together, the clearest first.
+
+    A group's move is the weighted mean of its boards' charts; a single odd board must not
+    be taken for its rig, so a group whose median has not moved with its mean is left out.
+
+    Args:
+        charts: one a parameter, of the same boards.
+        group: which group each board belongs to now, shape (boards,); -1 for none.
+        names: of the groups.
+        alpha: chance of a false alarm in a night, over all groups and parameters.
+    """
+    tests = max(len(charts) * len(names), 1)
+    found: list[GroupMove] = []
+    for one in charts:
+        for index, name in enumerate(names):
+            here = (group == index) & np.isfinite(one.variance)
+            boards = int(here.sum())
+            if boards < 2:
+                continue
+            weight = 1.0 / one.variance[here]
+            moved = float(np.average(one.moved[here], weights=weight))
+            z = moved * float(np.sqrt(weight.sum()))
+            p = float(2.0 * special.ndtr(-abs(z)))
+            middle = float(np.median(one.z[here])) * np.sign(moved)
+            # the median of n standard normals has a deviation of 1.2533 / sqrt(n)
+            if p < alpha / tests and middle > 1.2533 * abs(z) / np.sqrt(boards) / 4.0:
+                found.append(GroupMove(one.parameter, name, boards, moved, z, p))
+    return sorted(found, key=lambda one: -abs(one.z))
+
+
+def without_groups(
+    one: Chart, moves: Sequence[GroupMove], group: IntArray, names: Sequence[str]
+) -> Chart:
+    """Return a chart with what groups have moved taken off their boards."""
+    moved, variance = one.moved.copy(), one.variance.copy()
+    for move in moves:
+        if move.parameter == one.parameter:
+            here = group == names.index(move.group)
+            moved[here] -= move.moved
+            variance[here] += (move.moved / move.z) ** 2
+    return Chart(one.parameter, one.scatter, one.slope_per_c, moved, variance, one.history)
+
+
+def discoveries(p_value: FloatArray, rate: float = DISCOVERY_RATE) -> BoolArray:
+    """Return which of many tests to believe, so that of those believed `rate` are false.
+
+    Args:
+        p_value: any shape; NaN where nothing was tested.
+        rate: of false ones among them, in the mean (Benjamini and Hochberg 1995).
+    """
+    tested = p_value[np.isfinite(p_value)]
+    ordered = np.sort(tested)
+    limits = rate * np.arange(1, len(ordered) + 1) / max(len(ordered), 1)
+    below = np.flatnonzero(ordered <= limits)
+    limit = ordered[below[-1]] if len(below) else -1.0
+    believed: BoolArray = np.isfinite(p_value) & (p_value <= limit)
+    return believed
+
+
+def board_p_values(charts: Sequence[Chart]) -> FloatArray:
+    """Return the two-sided tail of each board and parameter, shape (boards, parameters)."""
+    columns = [
+        np.where(np.isfinite(one.variance), 2.0 * special.ndtr(-np.abs(one.z)), np.nan)
+        for one in charts
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _without_temperature(nights: Nights) -> tuple[FloatArray, float | None]:
+    """Take off what the boards' common slope with temperature explains.
+
+    The slope is that within boards (each has its own level), and only where the boards'
+    own temperatures span enough: a slope from less is noise times a lever.
+    """
+    value, temperature = nights.value, nights.temperature_c
+    if temperature is None:
+        return value, None
+    both = np.isfinite(value) & np.isfinite(temperature)
+    if not both.any():
+        return value, None
+    held = np.where(both, temperature, np.nan)
+    counts = both.sum(axis=0)
+    middle = np.where(both, temperature, 0.0).sum(axis=0) / np.maximum(counts, 1)
+    off = np.where(both, held - middle, 0.0)
+    span = off.max(axis=0) - off.min(axis=0)
+    if np.quantile(span[counts > 1], 0.5) < TEMPERATURE_SPAN_C if (counts > 1).any() else True:
+        return value, None
+    weight = np.where(both, 1.0 / nights.variance, 0.0)
+    slope = float((weight * off * np.where(both, value, 0.0)).sum() / (weight * off * off).sum())
+    return value - slope * off, slope
+
+
+def _scatter2(value: FloatArray, variance: FloatArray, in_base: BoolArray) -> float:
+    """Return the ordinary variance from night to night beside the calibrations' own.
+
+    From differences of neighbouring nights of a board, half of whose square is one night's
+    variance: a drift hardly enters it. By the median of the squares (0.4549 is chi-squared's
+    with one degree), so that boards that step do not count.
+    """
+    squares: list[FloatArray] = []
+    boards = value.shape[1]
+    before = np.full(boards, np.nan)
+    told_before = np.zeros(boards)
+    for night in range(len(value)):
+        here = in_base[night]
+        pair = here & np.isfinite(before)
+        step = value[night, pair] - before[pair]
+        told = variance[night, pair] + told_before[pair]
+        squares.append(0.5 * (step * step / 0.4549 - told))
+        before = np.where(here, value[night], before)
+        told_before = np.where(here, variance[night], told_before)
+    found = np.concatenate(squares)
+    return max(float(np.median(found)), 0.0) if len(found) else 0.0

@@ -1,0 +1,115 @@
+"""Drift charts: their false alarms by simulation, and what they find, how soon."""
+
+import numpy as np
+import pytest
+from scipy.stats import false_discovery_control, norm
+
+from gyrorig_solver.fleet.charts import (
+    LAMBDA,
+    Nights,
+    board_p_values,
+    chart,
+    discoveries,
+    moved_groups,
+    without_groups,
+)
+
+NIGHTS, BOARDS, RIGS = 30, 400, 8
+
+
+def quiet(rng: np.random.Generator, missing: float = 0.2) -> Nights:
+    """Boards that scatter by 1 from night to night, beside calibrations good to 0.5 to 1.5."""
+    variance = (rng.uniform(0.5, 1.5, BOARDS) ** 2)[None] * np.ones((NIGHTS, 1))
+    value = rng.normal(0.0, 10.0, BOARDS) + rng.normal(size=(NIGHTS, BOARDS)) * np.sqrt(
+        variance + 1.0
+    )
+    value[rng.random(value.shape) < missing] = np.nan
+    return Nights("scale_x", value, np.where(np.isfinite(value), variance, np.nan))
+
+
+RIG = np.arange(BOARDS) % RIGS
+NAMES = [f"rig-{n}" for n in range(RIGS)]
+
+
+def test_what_does_not_move_has_standard_normal_scores() -> None:
+    rng = np.random.default_rng(1)
+    charts = [chart(quiet(rng)) for _ in range(20)]
+    z = np.concatenate([one.z for one in charts])
+    assert np.std(z) == pytest.approx(1.0, abs=0.03)
+    assert np.mean(np.abs(z) > 3.0) == pytest.approx(0.0027, abs=0.0015)
+    assert charts[0].scatter == pytest.approx(1.0, abs=0.1)
+    assert sum(int(discoveries(board_p_values([one])).sum()) for one in charts) <= 1
+    assert not any(moved_groups([one], RIG, NAMES) for one in charts)
+
+
+def test_a_drifting_rig_is_told_before_any_of_its_boards() -> None:
+    rng = np.random.default_rng(2)
+    nights = quiet(rng)
+    nights.value[15:, RIG == 3] += 0.5 * np.arange(1, 16)[:, None] / 5.0
+    one = chart(nights)
+    (move, *_) = moved_groups([one], RIG, NAMES)
+    assert (move.group, move.z > 8.0) == ("rig-3", True)
+    rest = without_groups(one, [move], RIG, NAMES)
+    assert not discoveries(board_p_values([rest])).any()
+
+
+def test_a_drifting_board_is_found_and_its_rig_is_not_blamed() -> None:
+    rng = np.random.default_rng(3)
+    nights = quiet(rng)
+    nights.value[12:, 77] += 12.0
+    one = chart(nights)
+    assert not moved_groups([one], RIG, NAMES)
+    assert list(np.flatnonzero(discoveries(board_p_values([one]))[:, 0])) == [77]
+
+
+def test_a_slope_with_temperature_is_no_drift() -> None:
+    rng = np.random.default_rng(4)
+    nights = quiet(rng)
+    temperature = (
+        20.0
+        + 10.0 * np.sin(np.arange(NIGHTS) / 5.0)[:, None]
+        + rng.normal(0.0, 1.0, (NIGHTS, BOARDS))
+    )
+    nights.value[:] += 0.7 * temperature
+    raw, told = chart(nights), chart(Nights("b", nights.value, nights.variance, temperature))
+    assert told.slope_per_c == pytest.approx(0.7, abs=0.02)
+    assert discoveries(board_p_values([raw])).sum() > 20
+    assert discoveries(board_p_values([told])).sum() == 0
+
+
+def test_a_small_span_of_temperature_gives_no_slope() -> None:
+    nights = quiet(np.random.default_rng(5))
+    steady = np.full(nights.value.shape, 21.0) + np.arange(NIGHTS)[:, None] * 0.1
+    assert chart(Nights("b", nights.value, nights.variance, steady)).slope_per_c is None
+
+
+def test_a_board_without_a_baseline_has_no_chart() -> None:
+    value = np.full((NIGHTS, 3), np.nan)
+    value[-1] = 1.0
+    value[:5, 1] = 1.0
+    value[:2, 2] = 1.0
+    one = chart(Nights("b", value, np.where(np.isfinite(value), 0.1, np.nan)))
+    assert list(np.isfinite(one.variance)) == [False, True, False]
+
+
+def test_the_chart_is_the_plain_ewma_where_nothing_is_missing() -> None:
+    """With equal variances the score is Roberts' (1959), the baseline's error added."""
+    rng = np.random.default_rng(6)
+    value = rng.normal(size=(40, 5))
+    one = chart(Nights("b", value, np.full(value.shape, 1.0)))
+    base, ewma = value[:10].mean(axis=0), np.zeros(5)
+    for night in value[10:]:
+        ewma = (1.0 - LAMBDA) * ewma + LAMBDA * (night - base)
+    np.testing.assert_allclose(one.moved, ewma)
+    noise = 1.0 + one.scatter**2
+    left = 1.0 - (1.0 - LAMBDA) ** 60
+    expected = noise * (LAMBDA / (2.0 - LAMBDA) * left + (1.0 - 0.8**30) ** 2 / 10.0)
+    np.testing.assert_allclose(one.variance, expected)
+
+
+def test_discoveries_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        p = 2.0 * norm.sf(np.abs(rng.normal(size=300) + 4.0 * (rng.random(300) < 0.05)))
+        np.testing.assert_array_equal(discoveries(p), false_discovery_control(p) <= 0.01)
+    assert not discoveries(np.array([np.nan])).any()

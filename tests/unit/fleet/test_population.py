@@ -1,0 +1,120 @@
+"""Means, spreads and odd boards, beside a likelihood that somebody else maximises."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from gyrorig_solver.fleet.population import between, common_constant, mahalanobis, population
+
+RNG = np.random.default_rng(20261121)
+
+
+def fleet(n: int, spread: float, *, mean: float = 1.0, rng=RNG) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+    std = rng.uniform(0.5e-3, 2e-3, n)
+    return mean + rng.normal(0.0, spread, n) + rng.normal(0.0, std), std
+
+
+def restricted(tau2: float, y: np.ndarray, v: np.ndarray) -> float:
+    """Minus twice the restricted log-likelihood, as in Patterson and Thompson (1971)."""
+    w = 1.0 / (tau2 + v)
+    mean = (w * y).sum() / w.sum()
+    return float(-np.log(w).sum() + np.log(w.sum()) + (w * (y - mean) ** 2).sum())
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.3e-3, 2e-3, 20e-3])
+def test_the_spread_maximises_the_restricted_likelihood(spread: float) -> None:
+    y, s = fleet(40, spread)
+    found = population("scale_x", y, s)
+    best = minimize_scalar(
+        restricted, args=(y, s * s), bounds=(0.0, 1e-3), method="bounded", options={"xatol": 1e-13}
+    )
+    assert restricted(found.spread**2, y, s * s) <= best.fun + 1e-6
+
+
+def test_means_and_spreads_cover_what_they_say() -> None:
+    """400 fleets: 95 % intervals of the mean, and the spread's own deviation."""
+    inside, off = 0, []
+    for _ in range(400):
+        y, s = fleet(60, 2e-3)
+        found = population("scale_x", y, s)
+        inside += abs(found.mean - 1.0) < 1.96 * found.mean_std
+        off.append((found.spread - 2e-3) / found.spread_std)
+    assert 0.92 <= inside / 400 <= 0.98
+    assert abs(np.mean(off)) < 0.25
+    assert 0.85 < np.std(off) < 1.15
+
+
+def test_shrunk_values_are_nearer_to_the_truth_and_say_how_near() -> None:
+    rng = np.random.default_rng(5)
+    raw, shrunk, z = [], [], []
+    for _ in range(200):
+        truth = rng.normal(0.0, 1.0, 50)
+        s = rng.uniform(0.5, 3.0, 50)
+        y = truth + rng.normal(0.0, s)
+        found = population("bias_x", y, s)
+        raw.append(np.mean((y - truth) ** 2))
+        shrunk.append(np.mean((found.shrunk - truth) ** 2))
+        z.append((found.shrunk - truth) / found.shrunk_std)
+    assert np.mean(shrunk) < 0.4 * np.mean(raw)
+    assert 0.95 < np.std(z) < 1.1
+
+
+def test_one_odd_board_is_named_and_does_not_widen_the_spread() -> None:
+    y, s = fleet(50, 2e-3)
+    alone = population("scale_x", y, s)
+    y[7] += 0.1
+    found = population("scale_x", y, s)
+    assert list(np.flatnonzero(found.odd)) == [7]
+    assert found.spread < 1.2 * alone.spread
+
+
+def test_boards_that_say_little_are_named_as_the_priors() -> None:
+    y, s = fleet(30, 1e-3)
+    s[3], y[3] = 0.1, 1.2
+    found = population("scale_x", y, s)
+    assert found.prior_dominated[3]
+    assert abs(found.shrunk[3] - 1.0) < 2e-3
+
+
+def test_a_bad_lot_is_found_and_equal_lots_are_not() -> None:
+    lots = ["a"] * 20 + ["b"] * 20 + ["c"] * 20
+    p_values = []
+    for _ in range(200):
+        y, s = fleet(60, 2e-3)
+        found = between(population("scale_x", y, s), y, s, lots)
+        assert found is not None
+        p_values.append(found.p_value)
+    assert 0.01 < np.mean(np.array(p_values) < 0.05) < 0.1
+    y, s = fleet(60, 2e-3)
+    y[20:40] += 5e-3
+    bad = between(population("scale_x", y, s), y, s, lots)
+    assert bad is not None
+    assert (bad.most, bad.p_value < 1e-6) == ("b", True)
+    assert bad.most_by == pytest.approx(5e-3 * 2 / 3, rel=0.4)
+
+
+def test_one_group_is_no_question() -> None:
+    y, s = fleet(20, 2e-3)
+    assert between(population("scale_x", y, s), y, s, ["a"] * 20) is None
+
+
+def test_the_same_on_every_unit_is_told_from_different_per_unit() -> None:
+    # 16 for 900 pi / 180 = 15.71: the constant of peers.md section 5, item 7
+    y, s = fleet(100, 2e-3, mean=16.0 / (900.0 * np.pi / 180.0))
+    assert common_constant(population("scale_x", y, s), 1.0).is_common
+    y, s = fleet(100, 20e-3)
+    assert not common_constant(population("scale_x", y, s), 1.0).is_common
+
+
+def test_odd_over_all_parameters_is_a_chi_squared() -> None:
+    mixing = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.0, 0.5, 0.87]])
+    z = RNG.normal(size=(4000, 3)) @ mixing.T
+    p = mahalanobis(z)
+    assert 0.03 < np.mean(p < 0.05) < 0.07
+    z[0] = [3.0, -3.0, 0.0]  # each alone is nothing; together, against their correlation
+    assert mahalanobis(z)[0] < 1e-6
+
+
+def test_too_few_boards_are_refused() -> None:
+    with pytest.raises(ValueError, match="too few"):
+        population("scale_x", np.ones(3), np.ones(3))
