@@ -72,6 +72,7 @@ class PtuPort(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     port: PortPath
     baud: Baud = 9600
     dialect: Literal["auto", "d46", "e46"] = "auto"
+    serial: Annotated[str, msgspec.Meta(min_length=1, max_length=64)] | None = None  # no other
     pan_sign: Sign = 1
     tilt_sign: Sign = 1
     limits: CommandLimits = CommandLimits()

@@ -105,8 +105,8 @@ def read_facts(
     model = serial = ""
     counter_hz: int | None = None
     if offers(dialect).short_identity:
-        model = _sure(client, QUERY_MODEL, _as_text)
-        serial = _sure(client, QUERY_SERIAL, _as_text)
+        model = read_text(client, QUERY_MODEL)
+        serial = read_text(client, QUERY_SERIAL)
     if offers(dialect).motion_with_counter:
         counter_hz = read_integer(client, QUERY_COUNTER_HZ)
     pan, tilt = (_axis_facts(client, axis, signs[axis]) for axis in (Axis.PAN, Axis.TILT))
@@ -129,6 +129,15 @@ def read_integer(client: PtuClient, command: PtuCommand) -> int:
         DeviceError: it does not answer, not with an integer, or never says the same twice.
     """
     return _sure(client, command, require_integer)
+
+
+def read_text(client: PtuClient, command: PtuCommand) -> str:
+    """Return a text that the unit has said twice, "" where it answers another thing.
+
+    Raises:
+        DeviceError: it does not answer, or never says the same twice.
+    """
+    return _sure(client, command, _as_text)
 
 
 def read_resolution_arcsec(client: PtuClient, axis: Axis) -> float:

@@ -15,6 +15,7 @@ from gyrorig_daemon.motion.facts import (
     read_facts,
     read_integer,
     read_resolution_arcsec,
+    read_text,
 )
 from gyrorig_daemon.motion.ptu_client import DRAIN_S, PtuClient
 from gyrorig_protocol.errors import DeviceError, UsageError
@@ -40,6 +41,7 @@ from gyrorig_protocol.ptu.commands import (
     INDEPENDENT_SPEED,
     QUERY_LIMITS,
     QUERY_POWER,
+    QUERY_SERIAL,
     QUERY_VERSION,
     RESET,
     TERSE,
@@ -94,13 +96,15 @@ def open_unit(
         homing: whether the operator agrees to a sweep of both axes over their whole range.
 
     Raises:
-        DeviceError: it refuses what it must do.
+        DeviceError: it refuses what it must do, or is another unit than the rig names.
         UsageError: it needs homing and may not, or cannot do the settings.
     """
     for command in (ECHO_OFF, TERSE, INDEPENDENT_SPEED, IMMEDIATE):
         require_done(command, client.ask(command))
     dialect = _dialect(client, config, version)
     client.min_interval_s = offers(dialect).min_command_interval_s
+    if config.serial is not None:
+        _check_serial(client, config.serial, dialect)
     _home(client, homing)
     client.expects_banner = False
     _apply(client, settings)
@@ -151,6 +155,25 @@ def _dialect(client: PtuClient, config: PtuPort, version: Version) -> Dialect:
             f"the unit on {client.where} is of an unknown dialect", "set ptu.dialect to d46 or e46"
         )
     return found
+
+
+def _check_serial(client: PtuClient, wanted: str, dialect: Dialect) -> None:
+    """Make sure that it is the very unit that the rig names: another one has other limits.
+
+    Raises:
+        DeviceError: it is another one.
+        UsageError: its dialect has no word for its serial number.
+    """
+    if not offers(dialect).short_identity:
+        raise UsageError(
+            f"the unit on {client.where} cannot say its serial number", "leave out ptu.serial"
+        )
+    found = read_text(client, QUERY_SERIAL)
+    if found != wanted:
+        raise DeviceError(
+            f"the pan-tilt unit on {client.where} is {found!r} instead of {wanted!r}",
+            "check the ports, or give its serial number in ptu.serial; it was not moved",
+        )
 
 
 def _home(client: PtuClient, homing: Homing) -> None:

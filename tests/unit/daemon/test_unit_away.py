@@ -1,0 +1,173 @@
+"""The unit's port goes away in motion and comes back: halted first, known, and only then moved."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from gyrorig_daemon.config import RigConfig, parse_rig
+from gyrorig_daemon.emulated import rig_settings
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.virtual_hub import VirtualHub
+from gyrorig_daemon.links.capture_clock import CaptureClock
+from gyrorig_daemon.links.pump import StopFlag
+from gyrorig_daemon.motion import (
+    Executor,
+    Homing,
+    PhaseSink,
+    Poller,
+    Position,
+    Unit,
+    halt_and_confirm,
+    identify_unit,
+    open_unit,
+    plan_program,
+)
+from gyrorig_daemon.rig import Rig
+from gyrorig_protocol.errors import DeviceError, UsageError
+from gyrorig_protocol.program import UnitSettings, parse_program
+from gyrorig_protocol.ptu import Axis, Quantity, assign
+
+ORIGIN_NS = 5_000_000_000
+RIG = """
+rig: test
+ptu: {port: emulated, baud: 115200}
+boards: [{id: B-1, port: emulated, baud: 460800}]
+emulator: {command_time_ms: 5.0}
+"""
+FAR = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n"  # 15 s
+MOVE = assign(Axis.PAN, Quantity.POSITION, 0)
+
+
+def at_ns(seconds: float) -> int:
+    return ORIGIN_NS + round(seconds * 1e9)
+
+
+class Bench:
+    """An emulated rig that is known and about to move."""
+
+    def __init__(self, text: str = RIG) -> None:
+        self.config: RigConfig = parse_rig(text, "rig.yaml")
+        self.emulated = EmulatedRig(rig_settings(self.config, 3), ORIGIN_NS)
+        self.hub = VirtualHub(self.emulated)
+        capture = CaptureClock(1_790_000_000_000_000_000, ORIGIN_NS)
+        self.rig = Rig(self.hub, self.config, capture, stop=StopFlag(), seed=1)
+        self.client, self.pump = self.rig.client, self.rig.pump
+        self.positions: list[Position] = []
+
+    def open(self) -> Unit:
+        version = identify_unit(self.client)
+        for board in self.rig.boards:
+            board.identify()
+        return open_unit(self.client, self.config.ptu, UnitSettings(), version, Homing.NEVER)
+
+    def moving(self, unit: Unit) -> Callable[[], None]:
+        """Return what carries out a long move."""
+        poller = Poller(unit, None, self.positions.append)
+        start = poller.where()
+        steps = plan_program(
+            parse_program(FAR, "far.yaml"), unit.facts, self.config.ptu.limits, start
+        )
+        phases = PhaseSink(lambda *_: None, lambda *_: None)
+        executor = Executor(self.pump, unit, poller, phases)
+        return lambda: executor.run(steps, lambda _: None)
+
+    def turns(self) -> bool:
+        """Ask the truth: the stage turns in the next tenth of a second."""
+        now_s = (self.hub.now_ns() - ORIGIN_NS) * 1e-9
+        return bool(np.any(self.emulated.stage.body_rates_rad_s(now_s, 0.01, 10)))
+
+    def now_s(self) -> float:
+        return (self.hub.now_ns() - ORIGIN_NS) * 1e-9
+
+
+def test_a_unit_that_was_pulled_in_motion_is_halted_when_it_is_back() -> None:
+    bench = Bench()
+    unit = bench.open()
+    gone_s = bench.now_s() + 2.0
+    bench.hub.unplug("ptu", at_ns(gone_s), at_ns(gone_s + 3.0))
+    with pytest.raises(DeviceError, match="hung up"):
+        bench.moving(unit)()
+    assert bench.turns()  # it goes on with its last order, and nobody can say anything
+    with pytest.raises(DeviceError, match="hung up"):
+        bench.client.halt()
+    bench.pump.run_until(at_ns(gone_s + 2.9))
+    assert (bench.client.gone, bench.turns()) == (True, True)
+    bench.pump.run_until(at_ns(gone_s + 3.6))
+    assert (bench.client.gone, bench.turns()) == (False, False)
+    assert not bench.client.identified
+    with pytest.raises(DeviceError, match="where it stands is not known"):
+        bench.client.order(MOVE)
+    assert not bench.turns()
+    assert identify_unit(bench.client).controller
+    again = bench.open()
+    assert again.facts == unit.facts
+    assert Poller(again, None, bench.positions.append).where()[Axis.PAN] > 300
+    bench.client.order(MOVE)
+    bench.pump.run_until(bench.pump.now_ns() + 500_000_000)
+    assert bench.turns()
+    assert bench.client.counts.hung_up == 1
+    (board,) = bench.rig.boards
+    assert (board.counts.missing, board.counts.hung_up) == (0, 0)
+
+
+@pytest.mark.parametrize("away_s", [0.001, 0.02, 0.3])
+def test_a_short_interruption_ends_the_motion_too(away_s: float) -> None:
+    bench = Bench()
+    unit = bench.open()
+    gone_s = bench.now_s() + 2.0
+    bench.hub.unplug("ptu", at_ns(gone_s), at_ns(gone_s + away_s))
+    with pytest.raises(DeviceError, match=r"hung up|where it stands is not known"):
+        bench.moving(unit)()
+    bench.pump.run_until(at_ns(gone_s + away_s + 0.5))
+    assert not bench.turns()
+    known = len(bench.positions)
+    halt_and_confirm(bench.pump, unit, Poller(unit, None, bench.positions.append))
+    assert all(position.synchrony_lost for position in bench.positions[known:])
+
+
+def test_another_device_on_the_units_port_is_never_moved() -> None:
+    bench = Bench()
+    unit = bench.open()
+    gone_s = bench.now_s() + 2.0
+    for port in ("ptu", "board:B-1"):
+        bench.hub.unplug(port, at_ns(gone_s), at_ns(gone_s + 1.0))
+    with pytest.raises(DeviceError, match="hung up"):
+        bench.moving(unit)()
+    bench.pump.run_until(at_ns(gone_s + 0.5))
+    bench.hub.swap("ptu", "board:B-1")
+    bench.pump.run_until(at_ns(gone_s + 1.5))
+    with pytest.raises(DeviceError, match="is no pan-tilt unit"):
+        identify_unit(bench.client)
+    with pytest.raises(DeviceError, match="where it stands is not known"):
+        bench.client.order(MOVE)
+
+
+def test_a_unit_that_is_not_there_at_first_is_no_unit_yet() -> None:
+    bench = Bench()
+    bench.hub.unplug("ptu", ORIGIN_NS, at_ns(3.0))
+    bench.pump.run_until(at_ns(1.0))
+    assert bench.client.gone
+    with pytest.raises(DeviceError, match="hung up"):
+        identify_unit(bench.client)
+    bench.pump.run_until(at_ns(3.5))
+    assert bench.open().facts.serial == "E46-0001"
+
+
+def named(serial: str, dialect: str = "e46") -> str:
+    text = RIG.replace("baud: 115200}", f"baud: 115200, serial: {serial}}}", 1)
+    return text.replace("emulator: {", f"emulator: {{dialect: {dialect}, ")
+
+
+def test_the_unit_that_the_rig_names() -> None:
+    assert Bench(named("E46-0001")).open().facts.serial == "E46-0001"
+
+
+def test_a_unit_that_the_rig_does_not_name_is_not_moved() -> None:
+    with pytest.raises(DeviceError, match=r"is 'E46-0001' instead of 'E46-0002'.*not moved"):
+        Bench(named("E46-0002")).open()
+
+
+def test_a_dialect_without_serial_numbers_cannot_be_named() -> None:
+    with pytest.raises(UsageError, match=r"leave out ptu\.serial"):
+        Bench(named("x", "d46")).open()
