@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray, IntArray
-from gyrorig_solver.chance import chi2_tail, normal_tail
+from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.free_shapes import Family, families
+from gyrorig_solver.discover.growth import by_speed, grown
 from gyrorig_solver.discover.result import Signature
 from gyrorig_solver.discover.scores import VANISHED, Seen
 from gyrorig_solver.discover.wandering import risen
@@ -24,7 +25,6 @@ from gyrorig_solver.model.terms.sample_jitter import SampleJitter
 
 DETAILS = (3.0, 8.0, np.inf)  # half waves that are looked at together, coarse to fine
 SINGLE = 4  # tests of the scatter
-SPEED_WAVES = 3  # of the scatter in motion
 WORTH_A_LOOK = 0.05  # by calmed levels
 SIZES = np.exp(np.linspace(-4.0, 16.0, 61))  # of a free function, squared, in deviations
 
@@ -149,40 +149,12 @@ def scatter(projection: Projection, tests: int) -> list[Signature]:
         ("moving", "on whether and how fast the stage moves, in its scatter", moving),
         ("acceleration_scatter", "on the acceleration, in its scatter", jitter),
     ):
-        one = _grown(shapes[:, some], excess[some])
-        if one is not None:
-            p_value = min(1.0, one[2] * tests)
-            found.append(Signature(name, words, one[0], one[1], p_value))
+        one = grown(shapes[:, some], excess[some])
+        if one.degrees_of_freedom:
+            p_value = min(1.0, one.p_value * tests)
+            found.append(Signature(name, words, one.statistic, one.degrees_of_freedom, p_value))
     found.append(_line(projection, left, tests))
     return found
-
-
-def _grown(shapes: FloatArray, excess: FloatArray) -> tuple[float, int, float] | None:
-    """Return statistic, degrees of freedom and chance of a scatter that grows by shapes.
-
-    A sum of many squares is normal: the excess has the variance 2. What a model lacks adds
-    scatter; it takes none away: the first shape alone, and all together as far as they add.
-
-    Args:
-        shapes: (k, n), the first all that the others are parts of.
-        excess: squares less 1, (n,).
-    """
-    weights = shapes - shapes.mean(axis=1, keepdims=True)
-    first = float(np.sqrt(2.0 * np.sum(weights[0] ** 2)))
-    if first <= 0.0:
-        return None
-    z = float(weights[0] @ excess) / first
-    alone = max(z, 0.0) ** 2, 1, normal_tail(z)
-    if len(shapes) == 1 or z <= 0.0:
-        return alone
-    strength, along = np.linalg.eigh(2.0 * weights @ weights.T)
-    keep = strength > 1e-7 * strength[-1]
-    score = along[:, keep].T @ (weights @ excess)
-    statistic, degrees = float(np.sum(score**2 / strength[keep])), int(keep.sum())
-    # z > 0 is half of all: counted once more would be too much.
-    together = statistic, degrees, chi2_tail(statistic, degrees)
-    best = min(alone, together, key=lambda one: one[2])
-    return best[0], best[1], 2.0 * best[2]
 
 
 def _shapes(projection: Projection) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -192,18 +164,15 @@ def _shapes(projection: Projection) -> tuple[FloatArray, FloatArray, FloatArray]
         (float(np.linalg.norm(m.rate, axis=1).max()) for s in projection.stretches
          for m in s.models if len(m.rate)), default=0.0
     )  # fmt: skip
-    wave = np.arange(SPEED_WAVES + 1)[:, None]
     for s in projection.stretches:
         for scene, model in zip(s.scenes, s.models, strict=True):
             n = model.used.size
             speed = np.linalg.norm(model.rate, axis=1)
-            share = speed / max(fastest, 1e-3)
-            runs = np.where(speed > 1e-3, np.cos(np.pi * wave * share), 0.0)
             own = (
                 SampleJitter().variance(scene, np.ones(1)).T
                 / np.mean(s.noise.variance(n), axis=0)[:, None]
             )
-            moving.append(np.tile(runs, (1, 3)))
+            moving.append(np.tile(by_speed(speed, fastest), (1, 3)))
             jitter.append(own.reshape(1, -1))
             use.append(np.tile(model.used.astype(np.float64), (3, 1)).ravel())
     used = np.concatenate(use)

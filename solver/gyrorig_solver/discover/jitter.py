@@ -28,6 +28,7 @@ from scipy.fft import dct
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.chance import chi2_tail, normal_limit
+from gyrorig_solver.discover.growth import Growth, by_speed, grown
 from gyrorig_solver.estimate.noise import NoiseModel
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.sample_jitter import SampleJitter
@@ -35,7 +36,6 @@ from gyrorig_solver.model.terms.sample_jitter import SampleJitter
 BLOCK = 16  # samples; an acceleration lasts some tens
 STILL = 1e-3  # of the largest slope squared: slower changes count as none
 FEWEST = 16  # blocks without acceleration that the noise's level is judged by
-MOVING_RAD_S = 1e-3
 CLEARLY = 3.0  # nats that another shape must be behind by: a belief of 95 %
 DISAGREE = 1e-3  # chance below which slow and fast coefficients contradict each other
 ALIKE = 2.0  # and the factor of s^2 that they must differ by, too
@@ -55,7 +55,7 @@ class Jitter:
     rivals: tuple[tuple[str, float], ...]  # other shapes of scatter, nats beside jitter's
     agree: bool  # slow and fast coefficients say the same
     detectable_s: float  # deviation that shows 4 times in 5, of as many tests as were given
-    moving_z: float  # by how many deviations the scatter grows in motion beside it
+    beside: Growth  # whether the scatter grows with motion, and how fast, beside it
 
     @property
     def named(self) -> bool:
@@ -110,7 +110,8 @@ def find_jitter(projection: Projection, tests: int, alpha: float, power: float) 
     blocks = _blocks(projection)
     if blocks is None:
         return None
-    values, slopes, rises, weights = blocks
+    values, slopes, speeds, weights = blocks
+    rises = speeds[0]
     covariance = slopes[:, None] * weights[None, :, :, None] * weights[None, :, None, :]
     strength, along = np.linalg.eigh(covariance)
     turned = np.einsum("bjik,bji->bjk", along, values.transpose(0, 2, 1))
@@ -140,7 +141,7 @@ def find_jitter(projection: Projection, tests: int, alpha: float, power: float) 
         rivals=tuple(others),
         agree=_agree(jitter, size, strength.shape),
         detectable_s=float(np.sqrt(needed / np.sqrt(information))),
-        moving_z=_moving(jitter, size, np.broadcast_to(rises[:, None, None], turned.shape)),
+        beside=_beside(jitter, size, speeds, turned.shape),
     )
 
 
@@ -149,12 +150,18 @@ def _std(size: float, information: float) -> float:
     return float(0.5 / np.sqrt(size * information)) if size > 0.0 else float("inf")
 
 
-def _moving(jitter: _Scatter, size: float, moving: FloatArray) -> float:
-    """Return by how many deviations the scatter in motion is above that at rest."""
-    weight = moving.ravel() - moving.mean()
+def _beside(jitter: _Scatter, size: float, speeds: FloatArray, shape: tuple[int, ...]) -> Growth:
+    """Return whether the scatter, less the jitter's, grows with motion and how fast it is.
+
+    Args:
+        jitter: the coefficients.
+        size: of the jitter, squared.
+        speeds: shapes of a variance in each block, (k, b).
+        shape: of the coefficients, (b, BLOCK, 3).
+    """
     excess = jitter.value / (1.0 + size * jitter.shape) - 1.0
-    norm = float(np.sqrt(2.0 * np.sum(weight**2)))
-    return float(weight @ excess) / norm if norm > 0.0 else 0.0
+    every = [np.broadcast_to(one[:, None, None], shape).ravel() for one in speeds]
+    return grown(np.stack(every), excess, either_way=True)
 
 
 def _agree(jitter: _Scatter, size: float, shape: tuple[int, ...]) -> bool:
@@ -185,13 +192,15 @@ def _weights(noise: NoiseModel) -> FloatArray:
 def _blocks(
     projection: Projection,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-    """Return blocks' coefficients, slopes, motion, and the coefficients' weights.
+    """Return blocks' coefficients, slopes, shapes of motion, and weights.
 
     Returns:
-        (b, 3, BLOCK) in units of the noise, (b, 3, 3), (b,), (BLOCK, 3); None without blocks.
+        (b, 3, BLOCK) in units of the noise, (b, 3, 3), (k, b), (BLOCK, 3); None without blocks.
     """
     left = projection.left(projection.residual)
     values, slopes, moving, weights, start = [], [], [], [], 0
+    rates = [model.rate for s in projection.stretches for model in s.models]
+    fastest = max(float(np.linalg.norm(rate, axis=1).max(initial=0.0)) for rate in rates)
     for s in projection.stretches:
         weights.append(_weights(s.noise))
         for scene, model in zip(s.scenes, s.models, strict=True):
@@ -205,8 +214,8 @@ def _blocks(
             shape = SampleJitter().shape(scene)[inside].reshape(whole, BLOCK, 3)[used]
             values.append(dct(cut, axis=-1, norm="ortho"))
             slopes.append(np.einsum("bti,btk->bik", shape, shape) / BLOCK)
-            speed = np.linalg.norm(model.rate[inside], axis=1) > MOVING_RAD_S
-            moving.append(speed.reshape(whole, BLOCK).mean(axis=1)[used])
+            speed = by_speed(np.linalg.norm(model.rate[inside], axis=1), fastest)
+            moving.append(speed.reshape(-1, whole, BLOCK).mean(axis=2)[:, used])
     value, slope = np.concatenate(values), np.concatenate(slopes)
     strength = np.einsum("bii->b", slope)
     if not strength.size or strength.max() <= 0.0:
@@ -219,4 +228,4 @@ def _blocks(
     slope = np.where(still[:, None, None], 0.0, slope)
     # Recordings of one board are sampled alike; their levels are nearly the same.
     weight = np.mean(weights, axis=0) / level
-    return value / level[None, :, None], slope, np.concatenate(moving), weight
+    return value / level[None, :, None], slope, np.concatenate(moving, axis=1), weight

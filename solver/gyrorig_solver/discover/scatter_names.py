@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.chance import normal_tail
+from gyrorig_solver.discover.growth import NONE, Growth
 from gyrorig_solver.discover.jitter import find_jitter
+from gyrorig_solver.discover.name_tests import LEVEL, LITTLE
 from gyrorig_solver.discover.result import Limit, NamedCause, Signature, Value
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.noise import ordinary_levels
@@ -31,7 +32,7 @@ class LookedAt:
 
     named: NamedCause | None
     absent: Limit | None
-    moving_p: float  # chance of as much more scatter in motion beside it
+    beside: Growth  # whether the scatter grows with motion, and how fast, beside it
 
     def of(self, left: Sequence[Signature]) -> list[Signature]:
         """Return the nameless tests without those that the jitter, where named, accounts for."""
@@ -39,7 +40,12 @@ class LookedAt:
             return list(left)
         rest = [one for one in left if one.covariate not in SHOWS_IN]
         moving = [
-            replace(one, p_value=min(1.0, self.moving_p * len(left)))
+            replace(
+                one,
+                statistic=self.beside.statistic,
+                degrees_of_freedom=self.beside.degrees_of_freedom,
+                p_value=min(1.0, self.beside.p_value * len(left)),
+            )
             for one in left
             if one.covariate == "moving"
         ]
@@ -56,14 +62,17 @@ def look_for_jitter(projection: Projection, tests: int, alpha: float) -> LookedA
     """
     found = find_jitter(projection, tests, alpha, POWER)
     if found is None:
-        return LookedAt(None, None, 1.0)
+        return LookedAt(None, None, NONE)
     term = SampleJitter()
     own = term.parameters[0]
     p_value = min(1.0, found.p_value * tests)
-    if p_value >= alpha or not found.named:
+    # What jitter does not explain of its own scatter, a free function of the speed may.
+    more = found.beside.statistic - found.beside.degrees_of_freedom
+    odd = found.beside.p_value < LEVEL and more > LITTLE * found.statistic
+    if p_value >= alpha or odd or not found.named:
         size = found.detectable_s
         absent = Limit(term.cause, None, size, own.unit, own.typical, "time_offset", 0.0)
-        return LookedAt(None, absent if p_value >= alpha else None, 1.0)
+        return LookedAt(None, absent if p_value >= alpha else None, NONE)
     values = np.array([found.deviation_s])
     named = NamedCause(
         term=term,
@@ -79,7 +88,7 @@ def look_for_jitter(projection: Projection, tests: int, alpha: float) -> LookedA
         changes=(),  # it moves no mean: what it spoils are the weights
         gain=None,
     )
-    return LookedAt(named, None, normal_tail(found.moving_z))
+    return LookedAt(named, None, found.beside)
 
 
 def wandering(projection: Projection) -> str:
