@@ -50,7 +50,7 @@ class EmulatedCanBus:
         """Take packed frames of the host; what its queue does not hold is lost."""
         for frame in unpack_frames(data, at_ns):
             if self.settings.is_instant:
-                self._tell(frame, at_ns)
+                self._tell(frame, frame.stamp_ns)
             elif len(self._queues[_HOST]) < _QUEUE_FRAMES:
                 self._queues[_HOST].append((at_ns, frame))
 

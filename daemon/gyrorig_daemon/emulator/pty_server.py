@@ -1,5 +1,7 @@
 """The emulated rig in real time: each device on a pty that any program may open.
 
+A CAN bus is a multicast group on the loopback interface instead, see `multicast_end`.
+
 Bytes go out when they are due by CLOCK_MONOTONIC_RAW; what a client writes reaches the
 device as it comes. Nobody on the other side means that bytes are lost, as on a real line:
 a device does not wait for a listener, and a new client finds no old bytes.
@@ -14,6 +16,7 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
+from gyrorig_daemon.emulator.multicast_end import MulticastEnd
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_protocol.errors import MachineError
 
@@ -88,14 +91,16 @@ class PtyServer:
             MachineError: no pty can be opened, or a link cannot be made.
         """
         self._devices = rig.devices
-        self._ptys: dict[str, _Pty] = {}
+        self._ptys: dict[str, _Pty | MulticastEnd] = {}
         self._links: list[tuple[Path, str]] = []
         try:
             for port in self._devices:
-                self._ptys[port] = _Pty()
+                self._ptys[port] = MulticastEnd() if port.startswith("bus:") else _Pty()
         except OSError as fault:
             self.close()
-            raise MachineError("a pty cannot be opened", f"{fault.strerror}") from fault
+            raise MachineError(
+                "a pty or a multicast group cannot be opened", f"{fault.strerror}"
+            ) from fault
         try:
             if links is not None:
                 self._make_links(links)
@@ -155,6 +160,8 @@ class PtyServer:
     def _make_links(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for port, pty in self._ptys.items():
+            if isinstance(pty, MulticastEnd):
+                continue  # no file
             link = folder / port.replace(":", "-")
             if link.is_symlink():
                 link.unlink()

@@ -5,7 +5,7 @@ wants its identifier; error frames and counts of lost frames are the bus's own. 
 times a second, at random moments so as not to beat against anything, the host sends SYNC.
 Its own echo is the host's time of the edge, not the write call; every board's LATCH that
 follows says what its clock was then, and all boards are told the same bracket: after the
-write began and the frame was sent, before the echo. Where an interface gives no echo, the
+write began, before the echo. Where an interface gives no echo, the
 LATCH itself is the latest that the edge can have been.
 
 A controller that leaves the bus (bus-off) is brought back by the system (`restart-ms` of
@@ -26,16 +26,17 @@ from gyrorig_protocol.can import (
     BusReport,
     CanFrame,
     FrameFlag,
+    FrameType,
     bus_reports,
     pack_frames,
     sync_frame,
     unpack_frames,
 )
+from gyrorig_protocol.can.board import NODE_BITS
 from gyrorig_protocol.errors import DeviceError
 
 EDGES_HELD = 16
 IDENTIFIERS_HELD = 1024  # whose frames they are, looked up once
-SYNC_BITS = 55  # a standard frame of one byte without stuffing: it takes at least so long
 REFUSED_PAUSE_NS = 2_000_000_000  # a full queue is not filled further
 QUIET_NS = 60_000_000_000  # the same complaint is written down again after a minute
 _NO_DATA = int(FrameFlag.REMOTE | FrameFlag.ERROR | FrameFlag.LOST | FrameFlag.FOREIGN)
@@ -67,7 +68,6 @@ class CanBusLink:
         self._owners: dict[int, CanBoardLink | None] = {}
         self._edges: dict[int, list[int]] = {}  # low bits -> count, earliest, echo or 0
         self._edge_count = 0
-        self._sync_ns = SYNC_BITS * 1_000_000_000 // config.bitrate
         self._is_off = False
         self._complained: dict[str, int] = {}
         self.counts: Counter[str] = Counter()
@@ -93,7 +93,7 @@ class CanBusLink:
         self.counts["sync_sent"] += 1
         if len(self._edges) >= EDGES_HELD:
             self._drop_edge(next(iter(self._edges)))
-        self._edges[count & 0xFF] = [count, stamp.before_ns + self._sync_ns, 0]
+        self._edges[count & 0xFF] = [count, stamp.before_ns, 0]
         self._publish()
 
     def _take(self, chunk: Chunk) -> None:
@@ -132,6 +132,8 @@ class CanBusLink:
 
     def _take_other(self, frame: CanFrame) -> None:
         """Take what is no board's: our own edge's echo, or somebody else's traffic."""
+        if frame.identifier >> NODE_BITS == FrameType.REQUEST and not frame.flags:
+            return  # the echo of our own question
         if frame.identifier != SYNC_IDENTIFIER or frame.flags or len(frame.data) != 1:
             self.counts["other_frames"] += 1
             return

@@ -77,7 +77,8 @@ class CanLine(ABC):
 
     def __init__(self, receiver: socket.socket) -> None:
         self._receiver = receiver
-        self._dropped: int | None = None  # the kernel's count when it was last seen
+        self._dropped = 0  # the kernel's count when it was last seen
+        self.deaf_to: tuple[str, int] | None = None  # a sender whose frames are passed over
         receiver.setblocking(False)
         try:
             receiver.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, BUFFER_BYTES)
@@ -98,7 +99,7 @@ class CanLine(ABC):
         wall_to_raw_ns = raw_ns - time.clock_gettime_ns(time.CLOCK_REALTIME)
         while len(records) < FRAMES_PER_READ:
             try:
-                data, ancillary, _, _ = self._receiver.recvmsg(4096, _ANCILLARY_BYTES)
+                data, ancillary, _, sender = self._receiver.recvmsg(4096, _ANCILLARY_BYTES)
             except BlockingIOError:
                 if not records:
                     raise
@@ -107,6 +108,8 @@ class CanLine(ABC):
                 if not records:
                     raise
                 break  # the next read says it again
+            if self.deaf_to is not None and sender == self.deaf_to:
+                continue
             stamp_ns = 0
             for _, kind, value in ancillary:
                 if kind == _SO_TIMESTAMPNS:
@@ -144,7 +147,7 @@ class CanLine(ABC):
         self._receiver.close()
 
     def _count_drops(self, count: int, records: list[bytes]) -> None:
-        before, self._dropped = self._dropped or 0, count
+        before, self._dropped = self._dropped, count
         lost = (count - before) & 0xFFFF_FFFF
         if lost:
             records.append(RECORD.pack(lost, int(FrameFlag.LOST), 0, b"", 0))
