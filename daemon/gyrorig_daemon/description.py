@@ -49,7 +49,7 @@ def describe_session(
     """
     config = order.config
     begun = datetime.fromtimestamp(capture.anchor_utc_ns * 1e-9, UTC)
-    name = f"{begun:%Y%m%dT%H%M%SZ}_{config.rig}_{order.session}.mcap"
+    stem = f"{begun:%Y%m%dT%H%M%SZ}_{config.rig}_{order.session}"
     metadata: dict[str, dict[str, str]] = {
         "gyrorig": {
             "format": "1",
@@ -69,7 +69,19 @@ def describe_session(
     if site := _site(config.site):
         metadata["gyrorig.site"] = site
     files = _files(order, boards, capture.utc_ns(now_ns))
-    return RecordingPlan(order.out_dir / name, metadata, files)
+    return RecordingPlan(_free_name(order.out_dir, stem), metadata, files)
+
+
+def _free_name(folder: Path, stem: str) -> Path:
+    """Return a name that no recording in `folder` has: a wall clock may be set back."""
+    there = {path.name for path in folder.glob(f"{stem}*")}
+    number = 1
+    while True:
+        tail = "" if number == 1 else f"-{number}"
+        own = (f"{stem}{tail}.", f"{stem}{tail}_")
+        if not any(name.startswith(own) for name in there):
+            return folder / f"{stem}{tail}.mcap"
+        number += 1
 
 
 def _site(site: Site) -> dict[str, str]:

@@ -1,0 +1,193 @@
+"""A daemon in service on an emulated rig, under simulated time and a wall clock of its own."""
+
+import heapq
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrorig_daemon.config import parse_rig
+from gyrorig_daemon.emulated import rig_settings
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.settings import BoardFaults, PtuFaults, RigSettings
+from gyrorig_daemon.emulator.virtual_hub import VirtualHub
+from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
+from gyrorig_daemon.rig import Rig
+from gyrorig_daemon.service.counts import ServiceCounts
+from gyrorig_daemon.service.daemon import Daemon, Ending
+from gyrorig_daemon.service.jobs import JobQueue, put
+from gyrorig_daemon.service.notify import Notifier
+from gyrorig_daemon.service.orders import Orders
+from gyrorig_daemon.service.parts import Clocks, Parts
+from gyrorig_daemon.service.schedule import Schedule
+from gyrorig_daemon.service.state import StateFolder
+
+ORIGIN_NS = 5_000_000_000
+UTC_S = 1_790_000_000.0
+
+RIG = """
+rig: test
+ptu: {port: emulated, baud: 115200, poll: {rate_hz: 10}}
+boards: [{id: B-1, port: emulated, baud: 460800}]
+emulator: {command_time_ms: 5.0}
+service: {board_patience_s: 5.0}
+"""
+
+SHORT = """
+name: short
+steps:
+  - rest: {seconds: 1.0, phase: static}
+  - move: {pan_deg: 20.0, speed_deg_s: 40.0}
+  - home: {}
+"""
+
+FAR = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n"
+
+
+class Spoken(Notifier):
+    """Remembers what systemd would be told."""
+
+    def __init__(self) -> None:
+        super().__init__(None, 10.0)
+        self.words: list[str] = []
+
+    def _say(self, text: str) -> None:
+        self.words.append(text)
+
+
+class Bench:
+    """One rig in service. `at` plans what happens; `serve` lets it."""
+
+    def __init__(
+        self,
+        folder: Path,
+        rig_text: str = RIG,
+        change: Callable[[RigSettings], RigSettings] | None = None,
+    ) -> None:
+        config = parse_rig(rig_text, "rig.yaml")
+        settings = rig_settings(config, 3)
+        self.rig = EmulatedRig(change(settings) if change else settings, ORIGIN_NS)
+        self.hub = VirtualHub(self.rig)
+        self.orders = Orders()
+        self.notifier = Spoken()
+        self.log: list[str] = []
+        self.statuses: list[dict[str, Any]] = []
+        self.stepped_s = 0.0  # how far the wall clock was set
+        self.refusal = ""  # why a new configuration cannot be used
+        self._plans: list[tuple[int, int, Callable[[], None]]] = []
+        self.due_ns = ORIGIN_NS
+        self.state = StateFolder(folder / "state").__enter__()
+        self.parts = Parts(
+            state=self.state,
+            queue=JobQueue(self.state.queue),
+            schedule=Schedule(config.schedule, self.state.schedule, self.now_s()),
+            orders=self.orders,
+            counts=ServiceCounts(),
+            notifier=self.notifier,
+            clocks=Clocks(
+                lambda: CaptureClock(int(self.utc_s() * 1e9), self.hub.now_ns()),
+                self.read_host,
+                self.now_s,
+                self.utc_s,
+            ),
+            host="host",
+            config_text=rig_text.encode(),
+            read_program=lambda name: SHORT.encode(),
+            reread=lambda: self.refusal,
+            publish=self.statuses.append,
+            hanging=list,
+            dropped_bytes=lambda: 0,
+            log=self.log.append,
+            threaded_writer=False,
+        )
+        capture = CaptureClock(int(self.utc_s() * 1e9), self.hub.now_ns())
+        self.opened = Rig(self.hub, config, capture, stop=self.orders.stop, seed=1)
+        self.daemon = Daemon(self.opened, self.parts)
+        self.opened.pump.add_timer(self)
+
+    def now_s(self) -> float:
+        return self.hub.now_ns() * 1e-9
+
+    def utc_s(self) -> float:
+        return UTC_S + (self.hub.now_ns() - ORIGIN_NS) * 1e-9 + self.stepped_s
+
+    def read_host(self) -> HostClocks:
+        now_ns = self.hub.now_ns()
+        return HostClocks(now_ns, now_ns, int(self.utc_s() * 1e9), 0.0, 0.0, 0)
+
+    def at(self, seconds: float, plan: Callable[[], Any]) -> None:
+        heapq.heappush(
+            self._plans, (ORIGIN_NS + int(seconds * 1e9), len(self._plans), lambda: plan() and None)
+        )
+
+    def fire(self, now_ns: int) -> None:
+        self.due_ns = now_ns + 50_000_000
+        while self._plans and self._plans[0][0] <= now_ns:
+            heapq.heappop(self._plans)[2]()
+
+    def serve(self, until_s: float) -> Ending:
+        self.at(until_s, lambda: self.orders.ask_to_end("SIGTERM"))
+        return self.daemon.run()
+
+    def put(self, program: str = SHORT, **more: Any) -> Path:
+        return put(self.state.queue, program.encode(), "program.yaml", **more)
+
+    def recordings(self) -> list[Path]:
+        return sorted(self.state.recordings.rglob("*.mcap"))
+
+    def results(self, folder: str) -> list[Path]:
+        return sorted((self.state.queue / folder).glob("*.result.json"))
+
+    def state_at(self, seconds: float) -> dict[str, Any]:
+        """What the status said last at a time."""
+        index = max(0, min(len(self.statuses) - 1, round(seconds) - 1))
+        found = [s for s in self.statuses if s["uptime_s"] <= seconds]
+        return found[-1] if found else self.statuses[index]
+
+    def is_still(self) -> bool:
+        now_s = (self.hub.now_ns() - ORIGIN_NS) * 1e-9
+        return not np.any(self.rig.stage.body_rates_rad_s(now_s, 0.01, 100))
+
+    def pan_deg(self) -> float:
+        now_s = (self.hub.now_ns() - ORIGIN_NS) * 1e-9
+        return float(np.degrees(self.rig.stage.pan.angles_rad(now_s, 0.1, 1)[0]))
+
+
+def ptu_with(**faults: Any) -> Callable[[RigSettings], RigSettings]:
+    def change(settings: RigSettings) -> RigSettings:
+        if settings.ptu is None:
+            raise AssertionError
+        return replace(settings, ptu=replace(settings.ptu, faults=PtuFaults(**faults)))
+
+    return change
+
+
+def board_with(**faults: Any) -> Callable[[RigSettings], RigSettings]:
+    def change(settings: RigSettings) -> RigSettings:
+        first, *others = settings.boards
+        return replace(settings, boards=(replace(first, faults=BoardFaults(**faults)), *others))
+
+    return change
+
+
+@pytest.fixture
+def make_bench(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
+    made: list[Bench] = []
+
+    def make(*arguments: Any, **more: Any) -> Bench:
+        made.append(Bench(tmp_path / str(len(made)), *arguments, **more))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.state.__exit__(None, None, None)
+
+
+@contextmanager
+def opened(folder: StateFolder) -> Iterator[StateFolder]:
+    with folder:
+        yield folder

@@ -1,0 +1,299 @@
+"""The daemon's loop under simulated time: what begins a session, what ends one, what holds."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from gyrorig_daemon.service.daemon import Ending
+from gyrorig_protocol.recording.messages import EventKind, SessionEvent
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+
+Make = Callable[..., Any]
+
+FAR = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n"
+LIMIT = b"!P"
+
+
+def events(recording: Recording) -> list[SessionEvent]:
+    return [m for m in recording.messages("/session/event") if isinstance(m, SessionEvent)]
+
+
+def say(bench: Any, data: bytes) -> Callable[[], None]:
+    """Have the unit say something that nobody asked for."""
+
+    def plan() -> None:
+        bench.hub._push(bench.hub.now_ns(), "ptu", data)
+
+    return plan
+
+
+def test_a_job_is_carried_out_and_put_aside(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.at(3.0, lambda: bench.put(session="first"))
+    assert bench.serve(15.0) is Ending.END
+    (path,) = bench.recordings()
+    recording = read_recording(path)
+    assert recording.complete
+    assert recording.metadata["gyrorig"]["session"] == "first"
+    assert len(recording.array("/board/B-1/imu_raw")) > 200
+    (result,) = bench.results("done")
+    told = json.loads(result.read_text())
+    assert (told["result"], told["session"], told["recording"]) == ("done", "first", str(path))
+    assert bench.state_at(2.0)["state"] == "ready"
+    assert bench.state_at(5.0)["state"] == "running"
+    assert bench.state_at(14.0)["state"] == "ready"
+    assert bench.parts.counts.sessions_done == 1
+    assert bench.is_still()
+
+
+def test_the_unit_is_halted_before_anything_else_and_before_readiness(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.rig.ptu.receive(b"PS200 PP3000 ", bench.hub.now_ns())  # somebody left it turning
+    ready_at: list[float] = []
+    said = bench.notifier._say
+
+    def note(text: str) -> None:
+        said(text)
+        if text == "READY=1":
+            ready_at.append(bench.pan_deg())
+
+    bench.notifier._say = note
+    bench.serve(20.0)
+    assert bench.rig.stage.pan.orders[1][0] == "halt"
+    assert ready_at == [pytest.approx(bench.pan_deg(), abs=1e-9)]  # it stood by then
+    assert bench.pan_deg() < 3.0
+
+
+def test_jobs_go_in_the_order_of_their_names(make_bench: Make) -> None:
+    bench = make_bench()
+    for name in ("one", "two", "three"):
+        bench.put(session=name)
+    bench.serve(40.0)
+    told = [json.loads(path.read_text())["session"] for path in bench.results("done")]
+    assert told == ["one", "two", "three"]
+    sessions = [read_recording(p).metadata["gyrorig"]["session"] for p in bench.recordings()]
+    assert sessions == ["one", "two", "three"]
+
+
+def test_a_stop_in_motion_halts_closes_and_ends(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.put(FAR)
+    assert bench.serve(6.0) is Ending.END
+    assert 2.0 < bench.pan_deg() < 60.0
+    assert bench.is_still()
+    assert bench.now_s() - 5.0 < 6.0 + 3.0  # of 30 that systemd allows
+    recording = read_recording(*bench.recordings())
+    assert recording.complete
+    (result,) = bench.results("failed")
+    assert "SIGTERM; the unit is halted" in json.loads(result.read_text())["reason"]
+    assert bench.parts.counts.sessions_stopped == 1
+
+
+def test_a_fault_of_the_motion_holds_everything_until_cleared(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.put(FAR, session="bad")
+    bench.put(session="waits", home=True)
+    bench.at(5.0, say(bench, LIMIT))
+    bench.at(30.0, bench.orders.clear.set)
+    bench.serve(90.0)
+    first, second = (read_recording(path) for path in bench.recordings())
+    told = events(first)
+    assert any(e.kind == EventKind.FAULT and "met its limit" in e.text for e in told)
+    begun_s = [int(e.host_time_ns) * 1e-9 for e in told]
+    rows = first.array("/board/B-1/imu_raw")["log_time"]
+    # the recording went on after the halt, until it was cleared
+    assert int(rows[-1]) * 1e-9 - begun_s[-1] > 8.0
+    assert first.complete
+    assert bench.state_at(10.0)["state"] == "fault"
+    assert bench.state_at(10.0)["queue"]["waiting"] == 1
+    (result,) = bench.results("failed")
+    assert json.loads(result.read_text())["session"] == "bad"
+    assert second.metadata["gyrorig"]["session"] == "waits"
+    assert bench.parts.counts.motion_faults == 1
+    assert "cleared: synchrony lost: the pan axis met its limit" in bench.log
+
+
+def test_after_lost_steps_nothing_moves_without_homing(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.put(FAR)
+    bench.at(5.0, say(bench, LIMIT))
+    bench.at(12.0, bench.orders.clear.set)
+    bench.at(13.0, lambda: bench.put(session="unsure"))
+    bench.at(20.0, lambda: bench.put(session="homed", home=True))
+    bench.at(21.0, lambda: bench.put(session="sure"))
+    bench.serve(120.0)
+    failed = [json.loads(path.read_text()) for path in bench.results("failed")]
+    assert [f["session"] for f in failed][1:] == ["unsure"]
+    assert "--home" in failed[1]["reason"]
+    done = [json.loads(path.read_text())["session"] for path in bench.results("done")]
+    assert done == ["homed", "sure"]
+
+
+def test_an_operators_halt_stops_the_session_and_holds(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.put(FAR)
+    bench.at(6.0, lambda: bench.orders.ask_to_halt("user 1000"))
+    bench.at(8.0, bench.put)
+    bench.at(20.0, bench.orders.clear.set)
+    bench.serve(40.0)
+    assert "an operator's halt (user 1000)" in bench.state_at(10.0)["reason"]
+    assert bench.state_at(10.0)["state"] == "fault"
+    assert len(bench.results("done")) == 1
+    assert len(bench.recordings()) == 2
+
+
+def test_an_operators_halt_between_sessions(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.at(4.0, lambda: bench.orders.ask_to_halt("user 0"))
+    bench.at(5.0, bench.put)
+    bench.serve(12.0)
+    assert bench.state_at(10.0)["state"] == "fault"
+    assert bench.recordings() == []
+
+
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        ("name: p\nsteps:\n  - move: {pan_deg: 900.0}\n", "limits are"),
+        ("name: p\nsteps:\n  - move: {pan_deg: 5.0, speed_deg_s: 900.0}\n", "limits are"),
+    ],
+)
+def test_a_program_that_does_not_fit_is_refused_before_it_moves(
+    make_bench: Make, program: str, words: str
+) -> None:
+    bench = make_bench()
+    bench.put(program)
+    bench.at(10.0, bench.put)
+    bench.serve(25.0)
+    (result,) = bench.results("failed")
+    assert words in json.loads(result.read_text())["reason"]
+    assert len(bench.results("done")) == 1  # no hold: a person has to mend the job only
+    assert len(bench.recordings()) == 1
+
+
+def test_a_board_that_is_missing_is_waited_for_and_then_left_out(make_bench: Make) -> None:
+    text = """
+rig: test
+ptu: {port: emulated, baud: 115200, poll: {rate_hz: 10}}
+boards:
+  - {id: B-1, port: emulated, baud: 460800}
+  - {id: B-2, port: emulated, baud: 460800}
+emulator: {command_time_ms: 5.0}
+service: {board_patience_s: 5.0}
+"""
+    bench = make_bench(text)
+    bench.hub.unplug("board:B-2", bench.hub.now_ns(), bench.hub.now_ns() + 14_000_000_000)
+    bench.put("name: p\nsteps:\n  - rest: {seconds: 20.0}\n  - move: {pan_deg: 5.0}\n", session="s")
+    bench.serve(60.0)
+    assert bench.state_at(4.0)["reason"] == "no word from board B-2"
+    assert bench.state_at(9.0)["state"] == "running"
+    recording = read_recording(*bench.recordings())
+    assert "gyrorig.board.B-2" in recording.metadata  # it came while the session ran
+    rows = recording.array("/board/B-2/imu_raw")
+    first = recording.array("/board/B-1/imu_raw")
+    assert 500 < len(rows) < len(first) - 500
+    assert any("takes part from here on" in e.text for e in events(recording))
+
+
+def test_a_unit_that_is_away_is_waited_for_and_halted_when_it_comes(make_bench: Make) -> None:
+    bench = make_bench()
+    begin_ns = bench.hub.now_ns()
+    bench.rig.ptu.receive(b"PS100 PP3000 ", begin_ns)
+    bench.hub.unplug("ptu", begin_ns, begin_ns + 10_000_000_000)
+    bench.put()
+    bench.serve(40.0)
+    assert bench.state_at(6.0)["state"] == "waiting"
+    assert bench.notifier.words.count("READY=1") == 1
+    halted_s = next(order[1] for order in bench.rig.stage.pan.orders if order[0] == "halt")
+    assert 9.9 < halted_s < 12.0
+    assert len(bench.results("done")) == 1
+
+
+def test_a_unit_unplugged_in_motion_ends_the_session_and_is_halted_on_its_return(
+    make_bench: Make,
+) -> None:
+    bench = make_bench()
+    bench.put(FAR, session="lost")
+    begin_ns = bench.hub.now_ns()
+    bench.hub.unplug("ptu", begin_ns + 6_000_000_000, begin_ns + 9_000_000_000)
+    bench.at(40.0, bench.orders.clear.set)
+    bench.at(41.0, lambda: bench.put(session="again"))
+    bench.serve(70.0)
+    assert bench.is_still()
+    assert bench.state_at(20.0)["state"] == "fault"
+    (result,) = bench.results("failed")
+    assert "hung up" in json.loads(result.read_text())["reason"]
+    orders = [order for order in bench.rig.stage.pan.orders if order[0] == "halt"]
+    assert any(9.0 <= order[1] < 12.0 for order in orders)
+    assert [json.loads(p.read_text())["session"] for p in bench.results("done")] == ["again"]
+
+
+def test_a_reload_reopens_when_idle_and_a_broken_one_changes_nothing(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.refusal = "rig.yaml is not a YAML document"
+    bench.at(3.0, bench.orders.reload.set)
+    bench.put(FAR)
+    bench.at(8.0, lambda: setattr(bench, "refusal", ""))
+    bench.at(9.0, bench.orders.reload.set)
+    assert bench.serve(60.0) is Ending.REOPEN
+    assert 5.0 + 15.0 < bench.now_s() < 5.0 + 35.0  # not before the session's end
+    assert bench.parts.counts.reloads == bench.parts.counts.reloads_refused == 1
+    assert len(bench.results("done")) == 1
+    assert [w.split("\n")[0] for w in bench.notifier.words if "RELOADING" in w or "READY" in w] == [
+        "READY=1",
+        "RELOADING=1",
+        "READY=1",
+        "RELOADING=1",
+        "READY=1",
+    ]
+
+
+def test_the_wall_clock_may_jump_both_ways_in_a_session(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.put("name: p\nsteps:\n  - rest: {seconds: 10.0}\n", session="jumps")
+    bench.at(5.0, lambda: setattr(bench, "stepped_s", 3.0e7))
+    bench.at(8.0, lambda: setattr(bench, "stepped_s", -7.0e8))
+    bench.at(14.5, lambda: bench.put(session="jumps"))
+    bench.serve(40.0)
+    first, second = sorted(
+        (read_recording(path) for path in bench.recordings()),
+        key=lambda r: int(r.metadata["gyrorig"]["anchor_monotonic_raw_ns"]),
+    )
+    rows = first.array("/board/B-1/imu_raw")["log_time"].astype("i8")
+    assert (rows[1:] >= rows[:-1]).all()
+    assert 9.0 < (rows[-1] - rows[0]) * 1e-9 < 14.0
+    steps = [e.text for e in events(first) if "wall clock" in e.text]
+    assert [text.split()[-2] for text in steps] == ["+30000000.000", "-730000000.000"]
+    assert bench.parts.counts.clock_steps == 2
+    real_s = first.array("/host/clock")["realtime"]["sec"].astype("i8")
+    assert real_s.max() - real_s.min() > 7e8  # the table has both clocks
+    anchor = int(second.metadata["gyrorig"]["anchor_utc_ns"]) * 1e-9
+    assert anchor < 1_790_000_000 - 6.9e8  # it went back in time, and lies beside the first
+    assert len(bench.results("done")) == 2
+
+
+def test_two_sessions_of_one_name_in_one_second_do_not_meet(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.at(3.0, lambda: bench.put(session="same"))
+    bench.at(8.0, lambda: setattr(bench, "stepped_s", bench.stepped_s - 5.0))
+    bench.at(8.0, lambda: bench.put(session="same"))
+    bench.serve(25.0)
+    assert len(bench.results("done")) == 2
+    assert len(bench.recordings()) == 2
+
+
+def test_a_schedule_is_kept(make_bench: Make) -> None:
+    text = (
+        "rig: test\nptu: {port: emulated, baud: 115200, poll: {rate_hz: 10}}\n"
+        "boards: [{id: B-1, port: emulated, baud: 460800}]\nemulator: {command_time_ms: 5.0}\n"
+        "schedule: [{name: often, program: short.yaml, every_h: 0.01}]\n"
+    )
+    bench = make_bench(text)
+    bench.serve(100.0)  # every 36 s: at once, at 36 and at 72
+    names = [read_recording(p).metadata["gyrorig"]["session"] for p in bench.recordings()]
+    assert len(names) == 3
+    assert all(name.startswith("often-") for name in names)
+    assert bench.state_at(20.0)["schedule"][0]["due_in_s"] == pytest.approx(19.0, abs=4.0)

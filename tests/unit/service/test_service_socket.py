@@ -1,0 +1,215 @@
+"""The local socket: who is told what, who is dropped, and what never happens to the loop."""
+
+import json
+import os
+import socket
+import struct
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gyrorig_daemon.service import server as server_module
+from gyrorig_daemon.service.client import RefusedRequestError, ask, listen
+from gyrorig_daemon.service.counts import ServiceCounts
+from gyrorig_daemon.service.server import Peer, StatusServer
+from gyrorig_protocol.errors import BusyError, MachineError
+
+
+class Served:
+    """A server on a path short enough for a socket, and what it handed on."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "s"
+        self.counts = ServiceCounts()
+        self.handled: list[str] = []
+        self.server = StatusServer(self.path, self._handle, self.counts)
+
+    def _handle(self, command: str, peer: Peer) -> str:
+        self.handled.append(command)
+        assert peer.pid == os.getpid()
+        return f"{command} heard"
+
+    def connect(self) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        connection.settimeout(5.0)
+        connection.connect(str(self.path))
+        return connection
+
+    def exchange(self, data: bytes) -> dict[str, Any]:
+        with self.connect() as connection:
+            connection.sendall(data)
+            found = json.loads(connection.makefile("rb").readline())
+            assert isinstance(found, dict)
+            return found
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    with tempfile.TemporaryDirectory() as folder:
+        made = Served(Path(folder))
+        with made.server:
+            made.server.publish({"state": "ready"})
+            yield made
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+
+
+def test_status_and_commands(served: Served) -> None:
+    assert ask(served.path, "status") == {"ok": True, "status": {"state": "ready"}}
+    assert ask(served.path, "halt")["said"] == "halt heard"
+    assert ask(served.path, "clear")["said"] == "clear heard"
+    assert served.handled == ["halt", "clear"]
+    assert served.path.stat().st_mode & 0o777 == 0o660
+
+
+def test_watching(served: Served) -> None:
+    answers = listen(served.path, "watch")
+    assert next(answers)["status"] == {"state": "ready"}
+    served.server.publish({"state": "running"})
+    assert next(answers)["status"] == {"state": "running"}
+    answers.close()  # type: ignore[attr-defined]
+
+
+def test_who_may_command(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module.Peer, "may_command", property(lambda self: self.uid == 12345))
+    for command in ("clear", "reload"):
+        with pytest.raises(RefusedRequestError, match="is for root"):
+            ask(served.path, command)
+    assert ask(served.path, "halt")["ok"]
+    assert ask(served.path, "status")["ok"]
+    assert served.handled == ["halt"]
+    assert served.counts.requests_refused == 2
+
+
+def test_the_peer_is_what_the_kernel_says() -> None:
+    assert Peer(1, 0).may_command
+    assert Peer(1, os.geteuid()).may_command
+    assert not Peer(1, os.geteuid() + 1000).may_command
+    assert struct.calcsize("3i") == 12
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\n",
+        b"{}\n",
+        b"[]\n",
+        b'{"command": "explode"}\n',
+        b'{"command": ["status"]}\n',
+        b'{"command": "status", "more": 1}\n',
+        b"\xff\xfe\n",
+        b"[" * 4000 + b"\n",
+        b"x" * 4097,
+        b"x" * 9000 + b"\n",
+    ],
+)
+def test_what_is_no_request(served: Served, data: bytes) -> None:
+    answer = served.exchange(data)
+    assert answer["ok"] is False
+    assert answer["error"]
+    assert served.handled == []
+    assert ask(served.path, "status")["ok"]  # it lives
+
+
+def test_a_reader_that_never_reads_is_dropped_and_nobody_else_waits(served: Served) -> None:
+    with served.connect() as slow:
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.sendall(b'{"command": "watch"}\n')
+        wait_for(lambda: served.counts.requests == 1)
+        large = {"boards": ["x" * 60_000]}
+        begun_s = time.monotonic()
+        longest_s = 0.0
+        for _ in range(40):
+            before_s = time.monotonic()
+            served.server.publish(large)  # what the pump's thread does
+            longest_s = max(longest_s, time.monotonic() - before_s)
+            if served.counts.clients_slow:
+                break
+            assert ask(served.path, "status")["ok"]
+        assert served.counts.clients_slow == 1
+        assert longest_s < 1.0
+        assert time.monotonic() - begun_s < 10.0
+
+
+def test_a_client_that_says_nothing_is_dropped(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server_module, "PATIENCE_S", 0.1)
+    with served.connect() as idle:
+        assert idle.recv(1) == b""
+    assert served.counts.clients_slow == 0  # it was not slow, only idle
+
+
+def test_one_byte_at_a_time_and_two_in_one(served: Served) -> None:
+    with served.connect() as connection:
+        lines = connection.makefile("rb")
+        for byte in b'{"command": "status"}\n':
+            connection.sendall(bytes([byte]))
+        assert json.loads(lines.readline())["ok"]
+        connection.sendall(b'{"command": "halt"}\n{"command": "clear"}\n')
+        assert [json.loads(lines.readline())["said"] for _ in range(2)] == [
+            "halt heard",
+            "clear heard",
+        ]
+
+
+def test_too_many_clients(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module, "MAX_CLIENTS", 3)
+    held = [served.connect() for _ in range(3)]
+    wait_for(lambda: served.counts.clients == 3)
+    with served.connect() as one_more:
+        assert one_more.recv(1) == b""
+    assert served.counts.clients_refused == 1
+    for connection in held:
+        connection.close()
+    wait_for(lambda: not served.server._clients)
+    assert ask(served.path, "status")["ok"]
+
+
+def test_a_socket_of_a_daemon_that_lives_and_of_one_that_died(served: Served) -> None:
+    with pytest.raises(BusyError, match="another daemon serves"):
+        StatusServer(served.path, lambda *_: "", ServiceCounts()).__enter__()
+    other = served.path.with_name("dead")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as died:
+        died.bind(str(other))
+    with StatusServer(other, lambda *_: "", ServiceCounts()):
+        pass
+    assert not other.exists()
+
+
+def test_nobody_there(tmp_path: Path) -> None:
+    with pytest.raises(MachineError, match="no daemon answers"):
+        ask(tmp_path / "none", "status")
+    with pytest.raises(MachineError, match="no socket can be made"):
+        StatusServer(tmp_path / ("x" * 120), lambda *_: "", ServiceCounts()).__enter__()
+
+
+def test_a_stranger_behind_the_socket() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "s"
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stranger:
+            stranger.bind(str(path))
+            stranger.listen(1)
+            answers = listen(path, "status")
+
+            def speak() -> None:
+                connection, _ = stranger.accept()
+                connection.recv(100)
+                connection.sendall(b"220 mail ready\n")
+                connection.close()
+
+            thread = threading.Thread(target=speak)
+            thread.start()
+            with pytest.raises(MachineError, match="no daemon of ours"):
+                next(answers)
+            thread.join()
