@@ -38,7 +38,7 @@ class Presence:
         self.state = LinkState.UNKNOWN if is_up else LinkState.ABSENT
         self.reopened = 0  # since its last sample
         self._heard_ns = now_ns
-        self._reopen_ns = now_ns + int(REOPEN_AFTER_S * 1e9)
+        self._opened_ns = now_ns
 
     @property
     def heard_ns(self) -> int:
@@ -51,8 +51,9 @@ class Presence:
 
     def come_back(self, now_ns: int) -> None:
         """The port is open again; who is there has to be said anew."""
-        self.state = LinkState.DEGRADED if self._is_hopeless() else LinkState.UNKNOWN
-        self._plan_reopening(now_ns)
+        is_hopeless = self.reopened >= DEGRADED_AFTER
+        self.state = LinkState.DEGRADED if is_hopeless else LinkState.UNKNOWN
+        self._opened_ns = now_ns
 
     def find_foreign(self) -> None:
         """Somebody else is there."""
@@ -62,7 +63,6 @@ class Presence:
         """A sample of the right board came."""
         self.state = LinkState.KNOWN
         self._heard_ns, self.reopened = now_ns, 0
-        self._plan_reopening(now_ns)
 
     def falls_silent(self, now_ns: int) -> bool:
         """Return whether the board has just fallen silent."""
@@ -72,22 +72,17 @@ class Presence:
         return True
 
     def wants_reopening(self, now_ns: int) -> bool:
-        """Return whether the port is to be opened anew, and plan the next time."""
-        waits = (LinkState.UNKNOWN, LinkState.SILENT, LinkState.DEGRADED)
-        if self.state not in waits or now_ns < self._reopen_ns:
+        """Return whether the port is to be opened anew; each time a longer pause begins."""
+        if self.state not in (LinkState.UNKNOWN, LinkState.SILENT, LinkState.DEGRADED):
+            return False
+        pause_s = min(REOPEN_AFTER_S * 2.0**self.reopened, REOPEN_AT_MOST_EVERY_S)
+        if now_ns < max(self._heard_ns, self._opened_ns) + pause_s * 1e9:
             return False
         self.reopened += 1
-        self._plan_reopening(now_ns)
+        self._opened_ns = now_ns
         return True
 
     @property
     def just_degraded(self) -> bool:
         """True after the reopening that makes it a person's affair."""
         return self.reopened == DEGRADED_AFTER
-
-    def _is_hopeless(self) -> bool:
-        return self.reopened >= DEGRADED_AFTER
-
-    def _plan_reopening(self, now_ns: int) -> None:
-        pause_s = min(REOPEN_AFTER_S * 2.0**self.reopened, REOPEN_AT_MOST_EVERY_S)
-        self._reopen_ns = now_ns + int(pause_s * 1e9)
