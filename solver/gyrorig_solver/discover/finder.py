@@ -38,6 +38,7 @@ from gyrorig_solver.discover.search import (
     testable,
     tests_of,
 )
+from gyrorig_solver.discover.walks import look_for_walk
 from gyrorig_solver.discover.wandering import beside, is_calm, wandering
 from gyrorig_solver.estimate.conclusion import TERMS
 from gyrorig_solver.estimate.extension import Extension
@@ -107,6 +108,14 @@ def conclude(
     tests = tests_of(testable(found.last))
     jitter = look_for_jitter(found.last, tests, ALPHA)
     every = _nameless(found.solution, found.last)
+    walk = look_for_walk(found.solution, tests, ALPHA, found.doubts)
+    if walk is not None:
+        # The levels hold it: what is odd beside them is another matter, and comes first.
+        beside_it = signatures(Projection.of(found.solution))
+        if any(one.p_value < GROUPS_ALPHA for one in beside_it):
+            walk = None
+        else:
+            every = beside_it
     shown = _nameless(base, first) if found.standings else every
     left = jitter.of(every)
     unexplained = _unexplained(found, left, fallen)
@@ -122,7 +131,7 @@ def conclude(
     for_whom = whose or {}
     causes = [replace(one, whose=for_whom.get(label(one.term))) for one in causes]
     ramps = look_for_ramps(found.solution, tests, ALPHA)
-    causes += [one.named for one in (jitter, ramps) if one.named is not None]
+    causes += [one for one in (jitter.named, ramps.named, walk) if one is not None]
     causes.sort(key=lambda one: (-one.harm_sigma, one.p_value))
     absent, blind = limits(found.last, found.sights, calibration, len(base.sessions))
     absent += () if jitter.absent is None else (jitter.absent,)
@@ -253,9 +262,7 @@ def _unexplained(
         return None
     # What is odd in the mean adds to the scatter too, and is the better lead.
     # Of several that pass for one another the likeliest is, not the least likely by chance.
-    odd = tuple(
-        sorted(some.values(), key=lambda one: (one.covariate in SCATTERED, -one.evidence))
-    )
+    odd = tuple(sorted(some.values(), key=lambda one: (one.covariate in SCATTERED, -one.evidence)))
     won = sum(2.0 * max(_won_here(s), 0.0) for s in found.standings)
     rest = max(one.statistic - one.degrees_of_freedom for one in odd)
     return Unexplained(odd[0], odd[1:], won / (won + rest) if won > 0.0 else 0.0)

@@ -18,7 +18,7 @@ from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.banks import all_rows
 from gyrorig_solver.discover.refit import Weighed, refit
 from gyrorig_solver.discover.scores import Sight, sights, where
-from gyrorig_solver.discover.wandering import beside, is_calm, log_likelihood
+from gyrorig_solver.discover.wandering import beside, is_calm, log_evidence, log_likelihood
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution, solve_again
 from gyrorig_solver.estimate.projection import Projection
@@ -67,6 +67,27 @@ class Standing:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Doubt:
+    """A cause that calmed levels alone make significant: the bias may wander instead."""
+
+    weighed: Weighed
+    looks: float
+    rise: float  # nats of the likelihood, levels found beside it against levels without it
+    evidence: float  # of it beside a calm bias, against a bias that wanders without it
+
+    @classmethod
+    def of(cls, best: "_Best", before: Solution, after: Solution) -> "Doubt":
+        """Weigh a cause against a bias that wanders; an event's looks are its freedom."""
+        one = best.weighed
+        freedom = one.won - one.evidence
+        if indices(one.extension.term, role="event"):
+            freedom += float(np.log(best.looks))
+        rise = log_likelihood(after) - log_likelihood(before)
+        evidence = log_evidence(after, calm=True) - log_evidence(before) - freedom
+        return cls(one, best.looks, rise, evidence)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Found:
     """Where a search ended."""
 
@@ -74,6 +95,7 @@ class Found:
     standings: tuple[Standing, ...]  # of each extension of the fit, in their order
     last: Projection
     sights: tuple[Sight, ...]  # of what is left
+    doubts: tuple[Doubt, ...] = ()  # where the bias was found to wander
 
 
 def testable(projection: Projection) -> list[Term]:
@@ -109,6 +131,7 @@ def search(base: Solution) -> Found:
     seen: Projection | None = None  # what `found` is of
     barred: set[str] = set()
     doubted: set[str] = set()
+    doubts: list[Doubt] = []
     fitted: dict[str, set[str]] = {}
     while True:
         taken = {label(one.term) for one in solution.extensions}
@@ -125,8 +148,10 @@ def search(base: Solution) -> Found:
             continue
         cause = label(best.weighed.extension.term)
         after = _timed_anew(_with(solution, best.weighed.extension))
-        if calm and not _likelier(solution, after, best, tests):
+        doubt = Doubt.of(best, solution, after)
+        if calm and not _likelier(solution, doubt, tests):
             doubted.add(cause)
+            doubts.append(doubt)
             if len(doubted) == MOST_DOUBTS:
                 calm, doubted = False, set()
                 projection = beside(solution, calm)
@@ -141,7 +166,7 @@ def search(base: Solution) -> Found:
     solution, standings = _reviewed(solution, terms, tests, fitted)
     same = not standings and (not calm or is_calm(solution))
     last = projection if same else beside(solution, calm=False)
-    return Found(solution, standings, last, tuple(found))
+    return Found(solution, standings, last, tuple(found), tuple(doubts))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +192,7 @@ def _next(
     return None
 
 
-def _likelier(before: Solution, after: Solution, best: _Best, tests: int) -> bool:
+def _likelier(before: Solution, doubt: Doubt, tests: int) -> bool:
     """Return whether a cause that was found with calmed levels is one with those found anew.
 
     It stays if the likelihood rises by as much when the levels are found beside it: a bias
@@ -175,8 +200,7 @@ def _likelier(before: Solution, after: Solution, best: _Best, tests: int) -> boo
     """
     if is_calm(before):
         return True
-    rise = log_likelihood(after) - log_likelihood(before)
-    return by_chance(replace(best.weighed, won=rise), best.looks, tests) < ALPHA
+    return by_chance(replace(doubt.weighed, won=doubt.rise), doubt.looks, tests) < ALPHA
 
 
 def by_chance(one: Weighed, looks: float, tests: int) -> float:

@@ -28,6 +28,7 @@ from gyrorig_solver.estimate.noise import (
     binned,
     fit_levels,
     ordinary_levels,
+    shapes,
 )
 from gyrorig_solver.estimate.projection import Projection
 
@@ -47,7 +48,8 @@ def beside(solution: Solution, calm: bool = True) -> Projection:
 def is_calm(solution: Solution) -> bool:
     """Return whether a fit's own noise levels are an ordinary part's."""
     return all(
-        np.allclose(calmed(one).levels, one.levels, rtol=SAME_LEVELS, atol=0.0) for one in solution.noises
+        np.allclose(calmed(one).levels, one.levels, rtol=SAME_LEVELS, atol=0.0)
+        for one in solution.noises
     )
 
 
@@ -61,6 +63,24 @@ def calmed(noise: NoiseModel) -> NoiseModel:
 def log_likelihood(solution: Solution) -> float:
     """Return Whittle's log likelihood of a fit's residual, the levels' priors in it."""
     return _whittle(zip(solution.spectra, solution.noises, strict=True))
+
+
+def log_evidence(solution: Solution, calm: bool = False) -> float:
+    """Return the log likelihood less Occam's factor of the levels (Laplace's approximation).
+
+    A level that has to be what it is has less of its prior than one that may be anything.
+    `calm`: the bias wanders no more than an ordinary part's.
+    """
+    noises = [calmed(one) if calm else one for one in solution.noises]
+    found = list(zip(solution.spectra, noises, strict=True))
+    total = _whittle(found)
+    for spectrum, noise in found:
+        shape = shapes(spectrum.frequency_hz, noise.sampling)[1:3]
+        share = noise.levels[:, 1:3, None] * shape / noise.density(spectrum.frequency_hz).T[:, None]
+        for axis in share:
+            told = 0.5 * (axis * spectrum.count) @ axis.T
+            total -= 0.5 * float(np.linalg.slogdet(np.eye(2) + SPREAD**2 * told)[1])
+    return total
 
 
 @dataclass(frozen=True, slots=True)
