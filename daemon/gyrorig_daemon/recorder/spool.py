@@ -254,6 +254,8 @@ class Spool:
         self._counts.disk_faults += 1
         if not self._settings.survive:
             raise fault
+        while len(self._tail) > writer.lost_messages:  # a sync has failed, not a write
+            self._tail.popleft()
         self._counts.written -= len(self._tail)  # they will be counted when they are again
         self._lose_file(fault.what)
         self._closed_bytes += writer.bytes_written

@@ -8,12 +8,14 @@ Source: the recording contract, format 1, section "Metadata records".
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 FORMAT = "1"
 _REQUIRED = ("session", "anchor_utc_ns", "anchor_monotonic_raw_ns")
 
 
+@cache  # asking takes longer than writing a small file
 def software() -> str:
     """`gyrorig <version>`, as the file's library and metadata name it."""
     try:

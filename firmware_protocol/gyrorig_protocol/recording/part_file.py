@@ -7,6 +7,7 @@ before it.
 
 import errno
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, cast
@@ -146,14 +147,16 @@ class PartFile:
 
     def salvage(self) -> str:
         """Cut back to the last whole record and let go of the file; say what is kept."""
+        kept = f"its first {self.safe.position} bytes are whole and kept"
         try:
             if not self.renamed:
                 self._file.cut(self.safe.position)
                 self._file.sync()
-            self._file.close()
         except OSError as error:
-            return f"its last bytes may be torn ({error.strerror})"
-        return f"its first {self.safe.position} bytes are whole and kept"
+            kept = f"its last bytes may be torn ({error.strerror})"
+        with suppress(OSError):  # whatever it says, the descriptor is gone then
+            self._file.close()
+        return kept
 
     def _attach(self, one: Attachment) -> None:
         self._mcap.add_attachment(

@@ -85,6 +85,7 @@ def test_cut_at_many_bytes(tmp_path: Path, scripted: Any) -> None:
 
 
 @pytest.mark.bench
+@pytest.mark.timeout(1800)
 def test_cut_at_every_byte(tmp_path: Path, scripted: Any) -> None:
     cuts = cut(tmp_path, scripted(4, flush_every=5), 1)
     sys.stdout.write(f"salvaged and read strictly: {cuts} cuts\n")
