@@ -7,6 +7,7 @@ derivatives are analytic. See `normal` for the algebra, `noise` for the density,
 `session` for one recording, `observability` for what is then allowed to be a number.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ import numpy as np
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.information import NAMES, Marginal, loosened, marginalise
-from gyrorig_solver.estimate.noise import NoiseModel, Spectrum, binned, fit_levels
+from gyrorig_solver.estimate.noise import NoiseModel, Sampling, Spectrum, binned, fit_levels
 from gyrorig_solver.estimate.observability import Decision, decide_in, prior_std
 from gyrorig_solver.estimate.session import SessionFit
 from gyrorig_solver.estimate.start import shared_gain
@@ -336,6 +337,14 @@ class _Work:
         before: list[FloatArray | None] = [noise.levels for noise in self._noises]
         before = before or [None] * len(self._sessions)
         self._noises = [
-            fit_levels(spectrum, session.sampling, levels)
+            fit_levels(spectrum, self._sampling(session), levels)
             for spectrum, session, levels in zip(self._spectra, self._sessions, before, strict=True)
         ]
+
+    def _sampling(self, session: SessionFit) -> Sampling:
+        """Return how a recording was sampled: the noise passes the sensor's true low-pass."""
+        sampling = session.sampling
+        share = math.prod(one.term.bandwidth_share(one.values) for one in self._extensions)
+        if sampling.bandwidth_hz is None or share == 1.0:
+            return sampling
+        return replace(sampling, bandwidth_hz=sampling.bandwidth_hz * share)

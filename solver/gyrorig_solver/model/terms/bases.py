@@ -71,6 +71,10 @@ class BaseTerm(ABC):
         """Return zero: the stage stands where it is told to."""
         return 0.0
 
+    def bandwidth_share(self, values: FloatArray) -> float:
+        """Return one: the noise passes the low-pass that is configured."""
+        return 1.0
+
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the derivative by the values, (k, blocks, 3), by central differences."""
         found = np.zeros((values.size, scene.blocks, 3))

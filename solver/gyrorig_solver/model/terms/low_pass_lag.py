@@ -56,6 +56,10 @@ class LowPassLag(CurvedTerm):
         cutoff = min(scene.low_pass.bandwidth_hz * float(np.exp(values[0])), highest)
         return replace(scene.low_pass, bandwidth_hz=cutoff)
 
+    def bandwidth_share(self, values: FloatArray) -> float:
+        """Return the true cut-off over the configured one: the sensor's noise passes it too."""
+        return float(np.exp(values[0]))
+
     def bank(self, scene: Scene) -> FloatArray:
         """Look from both sides; the effect is far from linear."""
         return scanned(self, log_cutoff=np.array([-0.7, -0.35, -0.1, 0.1, 0.35, 0.7]))

@@ -142,6 +142,10 @@ class Term(Protocol):
         """Return how far it leaves open where the stage stands at the told tilt's zero."""
         ...
 
+    def bandwidth_share(self, values: FloatArray) -> float:
+        """Return the low-pass that the noise passes over the configured one, of cut-offs."""
+        ...
+
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return its derivative by the values, (k, blocks, 3)."""
         ...
