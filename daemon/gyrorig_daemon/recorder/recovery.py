@@ -33,7 +33,7 @@ from gyrorig_protocol.recording.salvage import (
 )
 
 UNCLEAN = "unclean"  # the folder for originals, below that of the recordings
-_NOTE = ".json"
+NOTE = ".json"  # what was made of an original, beside it
 _HALF = ".recovering"  # of a file that is being made; never read, and deleted when found
 _DIGESTED_BYTES = 1 << 20
 
@@ -161,7 +161,7 @@ def _set_aside(part: Path, digest: str, final: Path | None, disk: Disk) -> Path:
     note = {"original": part.name, "original_sha256": digest}
     if final is not None:
         note |= {"recovered": final.name, "recovered_sha256": _digest(final)}
-    _write_note(aside.with_name(aside.name + _NOTE), note)
+    _write_note(aside.with_name(aside.name + NOTE), note)
     disk.rename(part, aside)
     disk.sync_directory(folder)
     disk.sync_directory(part.parent)
