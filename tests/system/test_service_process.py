@@ -1,0 +1,289 @@
+"""`gyrorigd run` as systemd runs it: a process, signals, a notify socket, emulated devices.
+
+The devices are served by the test, so that their own log tells what the unit was told.
+"""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
+from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.settings import PtuSettings, RigSettings
+from gyrorig_daemon.service.client import ask
+from gyrorig_daemon.service.jobs import put
+from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.recording.reader import read_recording
+
+GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
+FAR = b"name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 12.0}\n"
+SHORT = b"name: short\nsteps:\n  - move: {pan_deg: 5.0, speed_deg_s: 40.0}\n  - home: {}\n"
+
+
+def wait_for(condition: Callable[[], Any], patience_s: float = 40.0) -> None:
+    end_s = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < end_s, "it did not come true"
+        time.sleep(0.02)
+
+
+class Devices:
+    """An emulated rig on ptys, served in a thread."""
+
+    def __init__(self) -> None:
+        unit = PtuSettings(baud=115200, command_time_ms=2.0)
+        self.rig = EmulatedRig(RigSettings(seed=1, ptu=unit), raw_now_ns())
+        self.server = PtyServer(self.rig)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self.server.run, args=(self._ended.is_set,))
+        self._thread.start()
+
+    def turning(self) -> bool:
+        return self.rig.stage.pan.moving((raw_now_ns() - self.rig.origin_ns) * 1e-9)
+
+    def halts(self) -> int:
+        return [order[0] for order in self.rig.stage.pan.orders].count("halt")
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        self.server.close()
+
+
+class Service:
+    """One `gyrorigd run`, and what systemd would hear and ask."""
+
+    def __init__(self, folder: Path, devices: Devices, name: str = "") -> None:
+        self.folder = folder
+        self.config = folder / "rig.yaml"
+        self.state = folder / f"state{name}"
+        self.socket = folder / f"sock{name}"
+        self.sane = (
+            "rig: system\n"
+            f"ptu: {{port: {devices.server.paths['ptu']}, baud: 115200}}\n"
+            f"boards: [{{id: B-1, port: {devices.server.paths['board:GY80-1']}, baud: 460800}}]\n"
+            "service: {reserve_mb: 10, board_patience_s: 0.0}\n"
+        )
+        self.config.write_text(self.sane)
+        self.said: list[str] = []
+        self._notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._notify.bind(str(folder / f"notify{name}"))
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
+        self.process: subprocess.Popen[str] | None = None
+
+    def start(self) -> subprocess.Popen[str]:
+        environment = os.environ | {
+            "NOTIFY_SOCKET": str(self._notify.getsockname()),
+            "WATCHDOG_USEC": "10000000",
+        }
+        command: list[str | Path] = [*GYRORIGD, "run", "--config", self.config]
+        command += ["--state", self.state, "--socket", self.socket]
+        self.process = subprocess.Popen(
+            command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+        return self.process
+
+    def start_ready(self) -> subprocess.Popen[str]:
+        before = self.said.count("READY=1")
+        process = self.start()
+        wait_for(lambda: self.said.count("READY=1") > before)
+        return process
+
+    def status(self) -> dict[str, Any]:
+        try:
+            found = ask(self.socket, "status")["status"]
+        except GyrorigError:
+            return {"state": "silent"}
+        assert isinstance(found, dict)
+        return found
+
+    def enqueue(self, program: bytes, **more: Any) -> None:
+        put(self.state / "queue", program, "program.yaml", **more)
+
+    def results(self, folder: str) -> list[dict[str, Any]]:
+        paths = sorted((self.state / "queue" / folder).glob("*.result.json"))
+        return [json.loads(path.read_text()) for path in paths]
+
+    def recordings(self) -> list[Path]:
+        return sorted((self.state / "recordings").glob("*.mcap"))
+
+    def children(self) -> list[int]:
+        assert self.process is not None
+        path = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        return [int(pid) for pid in path.read_text().split()]
+
+    def end(self, number: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
+        assert self.process is not None
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        _, told = self.process.communicate(timeout=40)
+        return self.process.returncode, told
+
+    def close(self) -> None:
+        if self.process is not None and self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.communicate()
+        self._notify.close()
+
+    def _listen(self) -> None:
+        while True:
+            try:
+                self.said.append(self._notify.recv(4096).decode())
+            except OSError:
+                return
+
+
+@pytest.fixture
+def devices() -> Iterator[Devices]:
+    made = Devices()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def service(devices: Devices) -> Iterator[Service]:
+    folder = Path(tempfile.mkdtemp(prefix="gyrorig"))  # a socket's path must be short
+    made = Service(folder, devices)
+    yield made
+    made.close()
+    shutil.rmtree(folder)
+
+
+def test_a_life_ended_by_sigterm_in_motion(service: Service, devices: Devices) -> None:
+    process = service.start_ready()
+    service.enqueue(FAR)
+    wait_for(devices.turning)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as never_reads:
+        never_reads.connect(str(service.socket))
+        never_reads.sendall(b'{"command": "watch"}\n' * 3)
+        halts, begun_s = devices.halts(), time.monotonic()
+        code, told = service.end()
+    assert code == 0, told
+    assert time.monotonic() - begun_s < 25.0
+    assert devices.halts() > halts
+    assert not devices.turning()
+    (path,) = service.recordings()
+    assert read_recording(path).complete
+    (result,) = service.results("failed")
+    assert "SIGTERM; the unit is halted" in result["reason"]
+    assert service.said[-1] == "STOPPING=1"
+    assert service.said.count("WATCHDOG=1") >= 2
+    assert not service.socket.exists()
+    assert process.poll() == 0
+    assert (service.state / "metrics" / "gyrorig.prom").read_text().startswith("# HELP gyrorig_")
+
+
+def test_killed_with_everything_it_halts_first_when_it_is_started_again(
+    service: Service, devices: Devices
+) -> None:
+    process = service.start_ready()
+    service.enqueue(FAR)
+    wait_for(devices.turning)
+    both = [process.pid, *service.children()]
+    for number in (signal.SIGSTOP, signal.SIGKILL):  # neither may see the other's end
+        for pid in both:
+            os.kill(pid, number)
+    process.communicate()
+    assert devices.turning()
+    halts, begun_s = devices.halts(), time.monotonic()
+    service.start()
+    wait_for(lambda: not devices.turning())
+    assert time.monotonic() - begun_s < 12.0  # of 12.5 s that it would have turned
+    assert devices.halts() > halts
+    wait_for(lambda: service.said.count("READY=1") == 2)
+    wait_for(lambda: service.status()["state"] == "ready")
+    (result,) = service.results("failed")  # not begun again: it may be what it died of
+    assert result["reason"] == "the daemon ended while it ran"
+    assert service.end()[0] == 0
+
+
+def test_crash_after_crash_it_comes_back_by_itself(service: Service, devices: Devices) -> None:
+    for _ in range(3):
+        process = service.start_ready()
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate()
+    service.start_ready()
+    service.enqueue(SHORT)
+    wait_for(lambda: service.results("done"))
+    assert service.end()[0] == 0
+
+
+def test_an_acquisition_process_that_hangs_is_replaced(service: Service, devices: Devices) -> None:
+    service.start_ready()
+    service.enqueue(FAR)
+    wait_for(devices.turning)
+    (child,) = service.children()
+    halts = devices.halts()
+    os.kill(child, signal.SIGSTOP)
+    wait_for(lambda: not devices.turning())
+    assert devices.halts() > halts
+    wait_for(lambda: service.status()["state"] == "ready")
+    assert service.status()["counts"]["acquisition_restarts"] == 1
+    assert service.children() != [child]
+    assert len(service.results("failed")) == 1
+    service.enqueue(SHORT)
+    wait_for(lambda: service.results("done"))
+    code, told = service.end()
+    assert code == 0
+    assert "the ports are opened anew" in told
+
+
+def test_a_second_daemon_ends_at_once(service: Service, devices: Devices) -> None:
+    service.start_ready()
+    twin: list[str | Path] = [*GYRORIGD, "run", "--config", service.config]
+    cases: list[tuple[list[str | Path], str]] = [
+        (["--state", service.state, "--socket", service.folder / "s2"], "another daemon uses"),
+        (["--state", service.folder / "x", "--socket", service.socket], "another daemon serves"),
+        (["--state", service.folder / "x", "--socket", service.folder / "s2"], "is busy"),
+    ]
+    for arguments, words in cases:
+        ended = subprocess.run([*twin, *arguments], capture_output=True, text=True, check=False)
+        assert (ended.returncode, words in ended.stderr) == (75, True), ended.stderr
+        assert ended.stderr.count("\n") == 1
+    service.enqueue(SHORT)
+    wait_for(lambda: service.results("done"))  # the first noticed nothing
+    assert service.end()[0] == 0
+
+
+def test_reloading(service: Service, devices: Devices) -> None:
+    process = service.start_ready()
+    service.config.write_text("rig: [")
+    process.send_signal(signal.SIGHUP)
+    wait_for(lambda: service.status()["counts"]["reloads_refused"] == 1)
+    service.enqueue(SHORT)
+    wait_for(lambda: service.results("done"))  # on the old one
+    check: list[str | Path] = [*GYRORIGD, "run", "--check", "--config", service.config]
+    assert subprocess.run(check, capture_output=True, check=False).returncode == 2
+    service.config.write_text(service.sane.replace("rig: system", "rig: renamed"))
+    assert subprocess.run(check, capture_output=True, check=False).returncode == 0
+    process.send_signal(signal.SIGHUP)
+    wait_for(lambda: service.status().get("rig") == "renamed")
+    service.enqueue(SHORT)
+    wait_for(lambda: len(service.results("done")) == 2)
+    assert [path.name.split("_")[1] for path in service.recordings()] == ["system", "renamed"]
+    code, told = service.end()
+    assert code == 0
+    assert "stays as it was: rig.yaml is not a YAML document" in told
+
+
+def test_a_configuration_that_a_person_has_to_mend_ends_it(
+    service: Service, devices: Devices
+) -> None:
+    service.config.write_text("rig: [")
+    process = service.start()
+    _, told = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert told.count("\n") == 1
