@@ -66,6 +66,7 @@ class SampleStream:
         self._speaks = config.format == "gcb1"
         self._hello: Hello | None = None
         self._last_sequence: int | None = None
+        self._last_first = 0  # of the frame that it ended
         self._last_batch: tuple[int, int] | None = None  # last sequence and its stamp
         self.counts = BoardCounts()
         self.seen = False  # a sample came, taken or not
@@ -89,14 +90,14 @@ class SampleStream:
                 samples = [frame]
             case Batch():
                 samples = frame.samples(self._period_ticks(frame))
-        self._count(samples)
         last = samples[-1]
         arrival_ns = event.received_ns
         mapped_ns = arrival_ns
         if last.device_time is not None:
             wire_ns = self.wire_ns(len(event.payload) + self._overhead())
             mapped_ns = self.clock.observe(last.device_time, arrival_ns, wire_ns, last.sequence)
-            self._note_restarts()
+            self._note_restarts()  # before it is counted: a restart is no loss of 40000 samples
+        self._count(samples)
         for sample in samples:
             taken_ns: int | None = mapped_ns
             if sample is not last and sample.device_time is not None:
@@ -135,14 +136,14 @@ class SampleStream:
         first = samples[0].sequence
         if self._last_sequence is not None:
             step = (first - self._last_sequence) % (1 << SEQUENCE_BITS)
-            if step == 0:
-                self.counts.duplicated += 1
+            if first == self._last_first:
+                self.counts.duplicated += len(samples)
             elif step >= 1 << (SEQUENCE_BITS - 1):
                 self.counts.reordered += 1
                 return  # the one that was counted as missing has come
             else:
                 self.counts.missing += step - 1
-        self._last_sequence = samples[-1].sequence
+        self._last_first, self._last_sequence = first, samples[-1].sequence
 
     def _new_clock(self) -> OnlineClock:
         facts, columns = self._config.facts, self._config.columns

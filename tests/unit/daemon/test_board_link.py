@@ -13,10 +13,11 @@ from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, RigSett
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.board_link import BoardLink
 from gyrorig_daemon.links.board_presence import LinkState
-from gyrorig_daemon.links.board_samples import BoardSinks
+from gyrorig_daemon.links.board_samples import BoardSinks, SampleStream
 from gyrorig_daemon.links.capture_clock import CaptureClock
 from gyrorig_daemon.links.hub import Chunk, PortHub, WriteStamp
 from gyrorig_daemon.links.pump import Pump
+from gyrorig_protocol.board import FrameEvent, Sample
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import ClockPing, ImuRaw
@@ -302,6 +303,30 @@ def test_what_a_board_says_of_its_own_losses_is_kept() -> None:
     assert desk.link.slow is not None
 
 
+def test_a_reset_far_into_the_count_is_no_loss_of_thousands() -> None:
+    told: list[str] = []
+    sinks = BoardSinks(lambda *_: None, lambda *_: None, told.append, told.append)
+    config = BoardPort(id="A", port="/dev/A")
+    stream = SampleStream(config, CaptureClock(UTC_NS, ORIGIN_NS), sinks)
+    for number in (*range(39_000, 40_000), *range(100)):
+        ticks = number * 10_000 % (1 << 32)
+        arrival_ns = ORIGIN_NS + 10_000_000 * (number if number >= 39_000 else number + 40_000)
+        frame = Sample(0, number, ticks, (0, 0, 0))
+        stream.take(frame, FrameEvent(frame, arrival_ns, 0, b""))
+    assert (stream.counts.missing, stream.counts.reordered) == (0, 0)
+    assert stream.counts.restarts == 1
+    assert told == ["board A has restarted its clock"]
+
+
+@pytest.mark.parametrize("batch", [1, 8])
+def test_frames_that_come_twice_are_counted(batch: int) -> None:
+    desk = Desk(faults=BoardFaults(duplicate_frame_every=7), batch=batch)
+    desk.run(5.0)
+    counts, sequences = desk.link.counts, np.array(desk.sequences())
+    assert counts.duplicated == len(sequences) - len(np.unique(sequences)) > 5
+    assert (counts.reordered, counts.missing) == (0, 0)
+
+
 def test_losses_are_counted_as_they_were() -> None:
     faults = BoardFaults(drop_frame_every=50, duplicate_frame_every=70)
     desk = Desk(faults=faults)
@@ -350,3 +375,36 @@ def test_stamps_that_are_late_are_told_once() -> None:
     assert end_ns - begin_ns == 1_200_000_000
     assert desk.pump.late_stalls == 1
     assert sum(link.counts.late_chunks for link in desk.links) == 3
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_whatever_befalls_a_board_no_sample_gets_a_wrong_time(seed: int) -> None:
+    """Pulled, reset, damaged and silent at random: late at worst, and the other board whole."""
+    rng = random.Random(seed)
+    pulls = [(at_s, rng.choice([0.002, 0.3, 2.0])) for at_s in np.arange(rng.uniform(0, 6), 28, 7)]
+    faults = BoardFaults(
+        reset_at_s=tuple(sorted(rng.uniform(1.0, 28.0) for _ in range(3))),
+        reset_silence_s=rng.choice([0.05, 0.5, 3.0]),
+        drop_frame_every=37,
+        flip_bit_every=61,
+        garbage_every=71,
+    )
+
+    def prepare(hub: VirtualHub) -> None:
+        for at_s, away_s in pulls:
+            hub.unplug(A, at_ns(at_s), at_ns(at_s + away_s))
+
+    desk = Desk(faults=faults, prepare=prepare)
+    desk.run(33.0)
+    assert desk.link.known
+    assert len(desk.samples["A"]) > 1500
+    clock = desk.rig.boards["A"].clock
+    late_us = [
+        (clock.ticks(taken_ns - UTC_NS + ORIGIN_NS) - message.device_time) % (1 << 32)
+        for message, taken_ns in desk.samples["A"]
+    ]
+    signed_us = np.array(late_us, dtype=np.int64)
+    signed_us[signed_us >= 1 << 31] -= 1 << 32
+    assert np.max(np.abs(signed_us)) < 20_000  # arrivals, before there is a map
+    assert np.median(np.abs(signed_us)) < 200
+    desk.assert_other_is_whole()
