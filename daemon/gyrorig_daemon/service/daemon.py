@@ -15,7 +15,7 @@ that is not known, boards that are missing. How it is held, `running` knows. Wha
     an operator's halt     halted, closed, and a hold
     SIGTERM, SIGINT        halted, closed, and the loop ends
 
-A hold does not outlive the process: whoever starts the daemon again has looked.
+A hold outlives the process (`memory`): a restart after a fault has not looked.
 """
 
 import time
@@ -27,7 +27,7 @@ from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.jobs import Job
 from gyrorig_daemon.service.parts import Parts
 from gyrorig_daemon.service.present import missing_boards
-from gyrorig_daemon.service.running import Glance, Hold, Runner, Scene
+from gyrorig_daemon.service.running import Glance, Runner, Scene
 from gyrorig_daemon.service.status import StatusTimer
 from gyrorig_daemon.service.unit_watch import UnitState, UnitWatch, first_halt
 from gyrorig_daemon.service.wall_clock import WallClockTimer
@@ -50,21 +50,20 @@ class Ending(Enum):
 class Daemon:
     """One opened rig in service."""
 
-    def __init__(self, rig: Rig, parts: Parts, hold: Hold | None = None) -> None:
+    def __init__(self, rig: Rig, parts: Parts) -> None:
         """Prepare; nothing is said to any device yet.
 
         Args:
             rig: just opened.
             parts: what outlives it.
-            hold: what an earlier rig of this process was left with.
         """
         self._rig = rig
         self._pump = rig.pump
         self._parts = parts
         self._missing_since_s: float | None = None
         self._reopen = False
-        self.scene = Scene(Glance("starting"), hold)
-        self.unit = UnitWatch(rig, parts.seed)
+        self.scene = Scene(Glance("starting"))
+        self.unit = UnitWatch(rig, parts.memory, parts.seed)
         self._runner = Runner(rig, parts, self.unit, self.scene)
         now_ns = self._pump.now_ns()
         self.wall = WallClockTimer(parts.clocks.read_host, now_ns, self._take_clock_step)
@@ -126,14 +125,15 @@ class Daemon:
             if job is not None:
                 self._runner.carry_out(job)
                 return
-        idle = "fault" if self.scene.hold else "waiting" if obstacle else "ready"
+        idle = "fault" if self._parts.memory.hold else "waiting" if obstacle else "ready"
         self.scene.glance = Glance(idle, obstacle)
         self._pump.run_until(self._pump.now_ns() + IDLE_NS)
 
     def _obstacle(self) -> str:
         """Return why no session may begin now, "" where one may."""
-        if self.scene.hold is not None:
-            return f"{self.scene.hold.reason}; look at the rig, then: gyrorigd clear"
+        hold = self._parts.memory.hold
+        if hold is not None:
+            return f"{hold.reason}; look at the rig, then: gyrorigd clear"
         if self.unit.state is not UnitState.STANDS:
             return f"the unit: {self.unit.why or self.unit.state.value}"
         missing = missing_boards(self._rig)
@@ -179,9 +179,10 @@ class Daemon:
         if not self._parts.orders.clear.is_set():
             return
         self._parts.orders.clear.clear()
-        if self.scene.hold is not None:
-            self._parts.log(f"cleared: {self.scene.hold.reason}")
-            self.scene.hold = None
+        memory = self._parts.memory
+        if memory.hold is not None:
+            self._parts.log(f"cleared: {memory.hold.reason}")
+            memory.hold = None
 
     def _take_operators_halt(self, why: str) -> None:
         """Halt between sessions, where nothing should move anyhow."""

@@ -12,6 +12,7 @@ from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.jobs import JobQueue
 from gyrorig_daemon.service.keeping import Account
+from gyrorig_daemon.service.memory import Memory
 from gyrorig_daemon.service.notify import Notifier
 from gyrorig_daemon.service.orders import Orders
 from gyrorig_daemon.service.schedule import Schedule
@@ -35,6 +36,7 @@ class Parts:
     state: StateFolder
     queue: JobQueue
     schedule: Schedule
+    memory: Memory
     orders: Orders
     counts: ServiceCounts
     notifier: Notifier

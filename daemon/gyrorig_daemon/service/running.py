@@ -16,6 +16,7 @@ from gyrorig_daemon.recorder import Recorder
 from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.jobs import Job
 from gyrorig_daemon.service.keeping import recorder_settings
+from gyrorig_daemon.service.memory import Hold
 from gyrorig_daemon.service.parts import Parts
 from gyrorig_daemon.service.present import present_boards
 from gyrorig_daemon.service.unit_watch import UnitWatch
@@ -25,14 +26,6 @@ from gyrorig_protocol.errors import DeviceError, GyrorigError
 LEAST_AFTERMATH_S = 5.0
 CLOSE_PATIENCE_S = 12.0  # with 10 s to halt within the 30 s that systemd allows
 UNSURE = "the unit may have lost steps: clear the rig and hand the job in with --home"
-
-
-@dataclass(frozen=True, slots=True)
-class Hold:
-    """Why nothing moves until somebody has looked."""
-
-    reason: str
-    since_utc_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +42,6 @@ class Scene:
     """What goes on, for whoever wants to tell of it."""
 
     glance: Glance
-    hold: Hold | None = None
     session: Session | None = None
     last: dict[str, Any] | None = None  # what became of the last session
 
@@ -82,9 +74,9 @@ class Runner:
         """
         begun_s = self._parts.clocks.utc_s()
         home = job.home or (
-            not self._unit.steps_are_sure and self._rig.config.ptu.home_without_asking
+            not self._parts.memory.steps_are_sure and self._rig.config.ptu.home_without_asking
         )
-        if not self._unit.steps_are_sure and not home:
+        if not self._parts.memory.steps_are_sure and not home:
             self._put_aside(job, Outcome("failed", UNSURE, None), begun_s)
             return
         session = self._begin(job, home)
@@ -104,9 +96,9 @@ class Runner:
 
     def set_hold(self, why: str) -> None:
         """Let nothing move until somebody has looked."""
-        if self._scene.hold is None:
+        if self._parts.memory.hold is None:
             self._parts.orders.clear.clear()  # an earlier one is not meant for this
-            self._scene.hold = Hold(why, self._parts.clocks.utc_s())
+            self._parts.memory.hold = Hold(why, self._parts.clocks.utc_s())
 
     def _begin(self, job: Job, home: bool) -> Session:
         rig, parts = self._rig, self._parts

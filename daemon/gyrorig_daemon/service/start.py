@@ -25,11 +25,11 @@ from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.daemon import Daemon, Ending
 from gyrorig_daemon.service.jobs import JobQueue
+from gyrorig_daemon.service.memory import Memory
 from gyrorig_daemon.service.metrics import MetricsWriter
 from gyrorig_daemon.service.notify import Notifier
 from gyrorig_daemon.service.orders import Orders
 from gyrorig_daemon.service.parts import Clocks, Parts
-from gyrorig_daemon.service.running import Hold
 from gyrorig_daemon.service.schedule import Schedule
 from gyrorig_daemon.service.server import Peer, StatusServer
 from gyrorig_daemon.service.state import StateFolder
@@ -118,6 +118,7 @@ class Service:
                 state=state,
                 queue=JobQueue(state.queue),
                 schedule=Schedule(self._sound.config.schedule, state.schedule, time.monotonic()),
+                memory=Memory(state.memory, time.time()),
                 orders=self._orders,
                 counts=self._counts,
                 notifier=self._notifier,
@@ -136,16 +137,13 @@ class Service:
             self._notifier.stopping()
 
     def _serve(self, parts: Parts) -> None:
-        hold: Hold | None = None
         was_open = False
         while not self._orders.end.is_set():
-            daemon: Daemon | None = None
             self._notifier.alive()
             try:
                 with self._rig() as rig:
                     was_open = True
-                    daemon = Daemon(rig, parts, hold)
-                    ending = daemon.run()
+                    ending = Daemon(rig, parts).run()
             except PortsGoneError as fault:
                 self._counts.acquisition_restarts += 1
                 self._again(str(fault))
@@ -155,7 +153,6 @@ class Service:
                     raise
                 self._again(str(fault))
                 ending = Ending.REOPEN
-            hold = hold if daemon is None else daemon.scene.hold
             if ending is Ending.END:
                 return
             self._use_next(parts)

@@ -5,6 +5,7 @@
     queue/             jobs: a file dropped here is carried out (see `jobs`)
     metrics/           gyrorig.prom, for a Prometheus node exporter
     schedule.json      when each entry of the schedule was last begun
+    rig.json           a hold on all motion, and doubt about the unit's steps
 
 What to use when: `StateFolder` first of all; whoever does not get the lock ends.
 """
@@ -27,6 +28,7 @@ class StateFolder:
         self.root = root
         self.recordings, self.queue, self.metrics = (root / name for name in FOLDERS)
         self.schedule = root / "schedule.json"
+        self.memory = root / "rig.json"
         self._lock: int | None = None
 
     def __enter__(self) -> "StateFolder":

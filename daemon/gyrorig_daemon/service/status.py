@@ -96,7 +96,7 @@ class StatusTimer:
             "state": unit.state.name.lower(),
             "text": unit.why or unit.state.value,
             "port": client.where,
-            "steps_are_sure": unit.steps_are_sure,
+            "steps_are_sure": self._parts.memory.steps_are_sure,
             "counts": {name: getattr(counts, name) for name in (*names, "limit_flags")},
             "reply_wait_max_ms": round(counts.reply_wait_max_ns * 1e-6, 3),
         }

@@ -12,6 +12,7 @@ from gyrorig_daemon.config import PTU_PORT
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion import PtuClient, identify_unit
 from gyrorig_daemon.rig import Rig
+from gyrorig_daemon.service.memory import Memory
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import Axis, Quantity, query
 from gyrorig_protocol.ptu.commands import HALT
@@ -44,14 +45,14 @@ def first_halt(rig: Rig) -> None:
 class UnitWatch:
     """Knows whether the unit is there, and halts it whenever it comes."""
 
-    def __init__(self, rig: Rig, seed: int) -> None:
+    def __init__(self, rig: Rig, memory: Memory, seed: int) -> None:
+        self._memory = memory
         self._pump: Pump = rig.pump
         self._client: PtuClient = rig.client
         self._rng = random.Random(seed)  # noqa: S311 - moments, not secrets
         self.state = UnitState.ABSENT
         self.why = ""
         self.lost = 0
-        self.steps_are_sure = True  # False: it restarted, or met a limit, since it was homed
         self._silent = 0
         self._due_ns = rig.pump.now_ns()
 
@@ -86,7 +87,7 @@ class UnitWatch:
     def session_ended(self, homed: bool) -> None:
         """Take from a session what it learnt of the unit."""
         if homed:
-            self.steps_are_sure = True
+            self._memory.steps_are_sure = True
         self._see_losses()
         self._silent = 0
         self._due_ns = self._pump.now_ns()
@@ -114,5 +115,5 @@ class UnitWatch:
 
     def _see_losses(self) -> None:
         if self._client.lost_synchrony is not None:
-            self.steps_are_sure = False
+            self._memory.steps_are_sure = False
             self._client.lost_synchrony = None

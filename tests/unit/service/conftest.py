@@ -20,6 +20,7 @@ from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.daemon import Daemon, Ending
 from gyrorig_daemon.service.jobs import JobQueue, put
+from gyrorig_daemon.service.memory import Memory
 from gyrorig_daemon.service.notify import Notifier
 from gyrorig_daemon.service.orders import Orders
 from gyrorig_daemon.service.parts import Clocks, Parts
@@ -85,6 +86,7 @@ class Bench:
             state=self.state,
             queue=JobQueue(self.state.queue),
             schedule=Schedule(config.schedule, self.state.schedule, self.now_s()),
+            memory=Memory(self.state.memory, self.utc_s()),
             orders=self.orders,
             counts=ServiceCounts(),
             notifier=self.notifier,

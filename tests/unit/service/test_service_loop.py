@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from gyrorig_daemon.service.daemon import Ending
+from gyrorig_daemon.service.memory import Memory
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
@@ -152,6 +153,9 @@ def test_an_operators_halt_between_sessions(make_bench: Make) -> None:
     bench.serve(12.0)
     assert bench.state_at(10.0)["state"] == "fault"
     assert bench.recordings() == []
+    again = Memory(bench.state.memory, bench.utc_s())  # a restart has not looked
+    assert again.hold == bench.parts.memory.hold
+    assert again.hold is not None
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 from gyrorig_daemon.links.capture_clock import HostClocks
 from gyrorig_daemon.service.files import write_whole
 from gyrorig_daemon.service.keeping import Account
+from gyrorig_daemon.service.memory import Hold, Memory
 from gyrorig_daemon.service.metrics import MetricsWriter, exposition
 from gyrorig_daemon.service.notify import Notifier
 from gyrorig_daemon.service.orders import Orders
@@ -114,6 +115,27 @@ def test_files_are_whole(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["f"]
     with pytest.raises(OSError, match="No such file"):
         write_whole(tmp_path / "none" / "f", b"")
+
+
+def test_a_hold_and_a_doubt_are_remembered(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    memory = Memory(path, 1.0)
+    assert (memory.hold, memory.steps_are_sure) == (None, True)
+    assert not path.exists()
+    memory.hold = Hold("it met its limit", 5.0)
+    memory.steps_are_sure = False
+    again = Memory(path, 9.0)
+    assert (again.hold, again.steps_are_sure) == (Hold("it met its limit", 5.0), False)
+    again.hold, again.steps_are_sure = None, True
+    assert Memory(path, 9.0).hold is None
+    for broken in (b"", b"{}", b"[", b'{"hold": 3, "steps_are_sure": true}', b"[" * 9999):
+        path.write_bytes(broken)
+        held = Memory(path, 9.0)
+        assert held.hold is not None, broken
+        assert not held.steps_are_sure
+    lost = Memory(tmp_path / "none" / "rig.json", 1.0)
+    lost.hold = Hold("x", 1.0)
+    assert (lost.hold, lost.failures) == (Hold("x", 1.0), 1)
 
 
 def test_steps_of_the_wall_clock_are_told_from_slews() -> None:
