@@ -93,11 +93,9 @@ class PartOpener:
         settings: RecorderSettings,
         disk: Disk,
         make_room: Callable[[], object] | None,
-        *,
-        aside: bool,
     ) -> None:
         self._first, self._settings = plan.path, settings
-        self._disk, self._make_room, self._aside = disk, make_room, aside
+        self._disk, self._make_room = disk, make_room
         self.facts = Facts(plan.metadata, plan.attachments)
 
     def open(self, number: int, previous: str, room_bytes: int) -> OpenedPart:
@@ -119,7 +117,7 @@ class PartOpener:
             )
         version, metadata, attachments = self.facts.of_part(number, previous)
         path = part_path(self._first, number)
-        writer = RecordingWriter(path, metadata, attachments, disk=self._disk, aside=self._aside)
+        writer = RecordingWriter(path, metadata, attachments, disk=self._disk, aside=True)
         return OpenedPart(writer, number, version)
 
     def free_bytes(self, wanted_bytes: int) -> int:

@@ -17,7 +17,12 @@ from pathlib import Path
 
 from gyrorig_daemon.recorder.counts import RecorderCounts
 from gyrorig_daemon.recorder.disk_worker import DiskWorker
-from gyrorig_daemon.recorder.settings import ONE_SHOT, RecorderSettings, RecordingPlan
+from gyrorig_daemon.recorder.settings import (
+    ONE_SHOT,
+    SIMULATED,
+    RecorderSettings,
+    RecordingPlan,
+)
 from gyrorig_daemon.recorder.spool import Spool
 from gyrorig_protocol.errors import GyrorigError, MachineError
 from gyrorig_protocol.recording.disk_file import DISK, Disk
@@ -62,7 +67,7 @@ class Recorder:
     def __init__(
         self,
         threaded: bool,
-        settings: RecorderSettings = ONE_SHOT,
+        settings: RecorderSettings | None = None,
         make_room: Callable[[], object] | None = None,
         disk: Disk = DISK,
     ) -> None:
@@ -70,12 +75,13 @@ class Recorder:
 
         Args:
             threaded: whether time is real; else nothing waits.
-            settings: how the recording is cut, and what happens when the disk fails.
+            settings: how the recording is cut, and what happens when the disk fails; left
+                out, as for one shot.
             make_room: called in the disk's thread when less than the reserve is free.
             disk: where the files go.
         """
         self._threaded = threaded
-        self._settings = settings
+        self._settings = settings or (ONE_SHOT if threaded else SIMULATED)
         self._make_room = make_room
         self._disk = disk
         self._held: list[_Entry] = []

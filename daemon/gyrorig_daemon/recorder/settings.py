@@ -1,7 +1,8 @@
 """What a recording begins with, and how it is kept.
 
 What to use when: `ONE_SHOT` for a person at a desk, who wants one file and to be told at
-once when the disk fails; `SERVICE` for a rig that nobody watches.
+once when the disk fails; `SIMULATED` for the same under simulated time; `SERVICE` for a
+rig that nobody watches.
 """
 
 from collections.abc import Mapping, Sequence
@@ -41,6 +42,8 @@ class RecorderSettings:
 
 
 ONE_SHOT = RecorderSettings()
+# Ten seconds pass in a moment there, and no power cut is simulated.
+SIMULATED = RecorderSettings(sync_s=10.0)
 # An hour or 512 MiB a part, a floor of 1 GB (reference: recording-facts.md section 6).
 SERVICE = RecorderSettings(
     part_s=3600.0, part_bytes=512 * MIB, reserve_bytes=1024 * MIB, survive=True

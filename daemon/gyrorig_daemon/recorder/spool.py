@@ -64,7 +64,7 @@ class Spool:
     ) -> None:
         self._plan, self._settings, self._counts = plan, settings, counts
         self._worker = worker
-        self._opener = PartOpener(plan, settings, disk, make_room, aside=worker.threaded)
+        self._opener = PartOpener(plan, settings, disk, make_room)
         self._phases = Phases()
         self._writer: RecordingWriter | None = None
         self._written_facts = 0
@@ -210,7 +210,7 @@ class Spool:
 
     def abandon(self) -> None:
         """Let go of the file after an error that the recording does not survive."""
-        if self._writer is not None and self._worker.threaded:
+        if self._writer is not None:
             self._worker.submit(self._writer.salvage)
 
     def _write(self, writer: RecordingWriter, record: Record) -> None:
@@ -259,8 +259,7 @@ class Spool:
         self._counts.written -= len(self._tail)  # they will be counted when they are again
         self._lose_file(fault.what)
         self._closed_bytes += writer.bytes_written
-        if self._worker.threaded:
-            self._worker.submit(writer.salvage)
+        self._worker.submit(writer.salvage)
 
     def _lose_file(self, why: str) -> None:
         self._ring.give_back(self._tail)
@@ -395,8 +394,7 @@ class Spool:
 
     def _start_what_is_due(self, writer: RecordingWriter) -> None:
         settings, now_ns = self._settings, self._now_ns
-        threaded = self._worker.threaded
-        if threaded and self._syncing is None and self._is_over(self._synced_ns, settings.sync_s):
+        if self._syncing is None and self._is_over(self._synced_ns, settings.sync_s):
             self._synced_ns = now_ns
             self._syncing = self._worker.submit(writer.sync), writer
         if settings.reserve_bytes and self._looking is None and now_ns - self._looked_ns >= ROOM_NS:
@@ -413,7 +411,7 @@ class Spool:
             and len(self._closing) < CLOSING_LIMIT
         ):
             self._begin_part(settings.reserve_bytes)
-        if not threaded:
+        if not self._worker.threaded:
             self._look_at_jobs()
 
     def _try_again(self, at_once: bool = False) -> None:
