@@ -13,12 +13,12 @@ SECONDS ?= 180
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench hidden fuzz clean
+.PHONY: help demo test check bench hidden fuzz install-service clean
 
 help:  ## this text
 	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
 	@echo
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 15
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
 	@echo
 	@echo "Then: $(VENV)/bin/gyrorig --help"
 
@@ -49,6 +49,9 @@ fuzz: $(VENV)/.dev  ## every parser, SECONDS=180 each, guided by coverage where 
 	@mkdir -p $(FUZZ)
 	@nice -n 10 $(VENV)/bin/python tests/fuzz/inject.py --out $(FUZZ)/inject.json
 	@$(VENV)/bin/python tests/fuzz/fuzz.py --seconds $(SECONDS) --out $(FUZZ)
+
+install-service:  ## as root: the daemon under /opt, its units, rules and user; as often as wanted (ARGS="--root DIR")
+	@$(PYTHON) systemd/install.py $(ARGS)
 
 clean:  ## remove the virtual environment, caches and the demo's output
 	rm -rf $(VENV) $(OUT) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

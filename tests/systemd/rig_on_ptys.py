@@ -37,6 +37,11 @@ class RigOnPtys:
         return path
 
     @property
+    def ports(self) -> list[str]:
+        """The ptys' paths."""
+        return list(self._server.paths.values())
+
+    @property
     def turns(self) -> bool:
         """True while an axis moves."""
         now_s = (raw_now_ns() - self.rig.origin_ns) * 1e-9

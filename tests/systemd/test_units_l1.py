@@ -158,6 +158,9 @@ def test_a_night_that_was_slept_through_is_made_up_for(manager: Manager) -> None
     more = manager.units / "gyrorig-nightly.timer.d"
     more.mkdir()
     (more / "at-once.conf").write_text("[Timer]\nRandomizedDelaySec=0\n")
+    nothing = manager.units / "gyrorig-nightly.service.d"
+    nothing.mkdir()
+    (nothing / "quick.conf").write_text("[Service]\nExecStart=\nExecStart=/bin/true\n")
     assert manager.say("systemctl --user daemon-reload") == ""
     assert manager.say("systemctl --user start gyrorig-nightly.timer") == ""
     manager.until(

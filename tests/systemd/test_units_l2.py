@@ -1,0 +1,183 @@
+"""The units in a container with a system manager (level 2): user, sandbox, halts, nightly run.
+
+systemd-nspawn boots an overlay of this computer's own root; nothing of it is written to. The
+driver inside (`l2_driver`) does everything once; the tests judge what it has found.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = Path(pytest.__file__).resolve().parents[1]
+SYSTEM_PYTHON = Path("/usr/bin/python3")
+TIMEOUT_S = 100
+
+_OVERLAY = """
+set -e
+mount -t tmpfs tmpfs {work}
+mkdir {work}/up {work}/wk {work}/m
+mount -t overlay overlay -o lowerdir=/,upperdir={work}/up,workdir={work}/wk {work}/m
+rm -f {work}/m/etc/machine-id
+rm -rf {work}/m/opt/gyrorig {work}/m/etc/gyrorig {work}/m/var/lib/gyrorig
+cp -a {made}/. {work}/m/
+timeout {limit} systemd-nspawn -D {work}/m --register=no --keep-unit -M gyrorig-l2 \
+  --private-network -b --console=pipe --bind={out}:/out --bind-ro={repo}:/repo \
+  systemd.unit=multi-user.target </dev/null >{out}/boot.log 2>&1 || true
+for name in payload supervisor init.scope; do
+  find /sys/fs/cgroup -depth -type d -path "*/$name*" -exec rmdir {{}} + 2>/dev/null || true
+done
+"""
+_DRIVER = """
+[Unit]
+Description=The test's driver
+After=multi-user.target
+[Service]
+Type=simple
+Environment=OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=1
+ExecStart=/opt/gyrorig/bin/python /repo/tests/systemd/l2_driver.py
+StandardOutput=append:/out/driver.log
+StandardError=append:/out/driver.log
+"""
+
+
+def why_not() -> str:
+    """Why there can be no such container here, "" where there can."""
+    if os.geteuid() != 0:
+        return "systemd-nspawn needs root"
+    if shutil.which("systemd-nspawn") is None:
+        return "no systemd-nspawn here: it comes with the package systemd-container"
+    if not SYSTEM_PYTHON.exists():
+        return f"no {SYSTEM_PYTHON} here, which a service's user can start"
+    told = subprocess.run(
+        [SYSTEM_PYTHON, "-c", "import sys; print(*sys.version_info[:2])"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if told.stdout.split() != [str(number) for number in sys.version_info[:2]]:
+        return f"{SYSTEM_PYTHON} is not of the version that these packages are for"
+    return ""
+
+
+def programs(made: Path) -> None:
+    """/opt/gyrorig, its interpreter the system's, its packages those of this test."""
+    prefix = made / "opt" / "gyrorig"
+    packages = prefix / "lib" / f"python3.{sys.version_info[1]}" / "site-packages"
+    (prefix / "bin").mkdir(parents=True)
+    packages.mkdir(parents=True)
+    (prefix / "bin" / "python").symlink_to(SYSTEM_PYTHON)
+    (prefix / "pyvenv.cfg").write_text("home = /usr/bin\ninclude-system-site-packages = false\n")
+    paths = [Path("/repo") / name for name in ("daemon", "solver", "firmware_protocol")]
+    paths.append(
+        Path("/repo") / PACKAGES.relative_to(ROOT) if PACKAGES.is_relative_to(ROOT) else PACKAGES
+    )
+    (packages / "gyrorig.pth").write_text("".join(f"{path}\n" for path in paths))
+    for name, module in (("gyrorigd", "gyrorig_daemon"), ("gyrorig", "gyrorig_solver")):
+        script = prefix / "bin" / name
+        script.write_text(f"#!/opt/gyrorig/bin/python\nfrom {module}.cli import main\n\nmain()\n")
+        script.chmod(0o755)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    if why := why_not():
+        pytest.skip(why)
+    folder = tmp_path_factory.mktemp("l2")
+    made, out, work = folder / "made", folder / "out", folder / "work"
+    out.mkdir()
+    out.chmod(0o777)
+    work.mkdir()
+    programs(made)
+    units = made / "etc" / "systemd" / "system"
+    (units / "multi-user.target.wants").mkdir(parents=True)
+    (units / "driver.service").write_text(_DRIVER)
+    (units / "multi-user.target.wants" / "driver.service").symlink_to("../driver.service")
+    script = _OVERLAY.format(work=work, made=made, out=out, repo=ROOT, limit=TIMEOUT_S)
+    ended = subprocess.run(
+        ["unshare", "--mount", "--propagation", "private", "bash", "-c", script],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    results = out / "results.json"
+    if not results.exists():
+        boot = (out / "boot.log").read_text(errors="replace") if (out / "boot.log").exists() else ""
+        if "not permitted" in ended.stderr + boot:
+            pytest.skip(f"no container here: {(ended.stderr + boot).strip()[-300:]}")
+        pytest.fail(f"the container said nothing: {ended.stderr[-500:]}\n{boot[-1500:]}")
+    loaded: dict[str, Any] = json.loads(results.read_text())
+    return loaded
+
+
+def test_nothing_went_wrong_inside(found: dict[str, Any]) -> None:
+    assert "fault" not in found, found["fault"]
+
+
+def test_installed_on_a_running_system(found: dict[str, Any]) -> None:
+    said = found["install"]["said"]
+    assert "wrote /etc/systemd/system/gyrorigd.service" in said
+    assert "gyrorigd doctor" in said
+    assert "wrote" not in found["install"]["again"]
+
+
+def test_ready_as_its_own_user(found: dict[str, Any]) -> None:
+    ready = found["ready"]
+    assert (ready["said"], ready["active"], ready["user"]) == ("", "active", "gyrorig")
+    assert ready["halted"]
+    assert ready["socket"] == "srw-rw---- gyrorig gyrorig"
+    assert ready["socket_folder"] == "drwxr-x--- gyrorig gyrorig"
+    assert "rig l1" in ready["status"]
+    assert "rig l1" not in ready["stranger"]  # who is not in its group
+
+
+def test_the_sandbox(found: dict[str, Any]) -> None:
+    inside = dict(found["ready"]["inside"])
+    assert inside.pop("uid") == found["ready"]["uid"] != 0
+    assert inside == {
+        "capabilities": "0000000000000000",
+        "no_new_privileges": "1",
+        "seccomp": "2",
+        "write_etc": "EROFS",
+        "write_usr": "EROFS",
+        "write_state": "",
+        "homes": 0,
+        "root_home": "EACCES",
+        "internet": "EAFNOSUPPORT",
+        "netlink": "EAFNOSUPPORT",
+        "unix": "",
+        "write_and_run": "EPERM",
+        "set_clock": "EPERM",
+        "affinity": "EPERM",
+        "set_uid": "EPERM",
+        "namespace": "EPERM",
+        "numbers": "",
+    }
+
+
+def test_killed_and_hung_in_motion(found: dict[str, Any]) -> None:
+    for how in ("killed", "hung"):
+        assert found[how]["stands_s"] < 12.0  # of 15 s that it would have turned
+    assert not found["killed"]["turns"]
+    assert "ended by signal" in found["hung"]["log"]
+    assert "ended by watchdog" in found["hung"]["log"]
+
+
+def test_a_crash_loop_does_not_end_it(found: dict[str, Any]) -> None:
+    assert found["crash_loop"] == {"restarts": 4, "limit": "0"}
+
+
+def test_stopped_in_motion(found: dict[str, Any]) -> None:
+    stopped = found["stopped"]
+    assert (stopped["result"], stopped["turns"]) == ("success", False)
+    assert stopped["took_s"] < 30.0
+    assert stopped["mode"] == "drwxr-x--- gyrorig"
+    assert stopped["recordings"]
+
+
+def test_the_nightly_run(found: dict[str, Any]) -> None:
+    assert found["night"]["result"] == "success", found["night"]
+    assert found["night"]["status"] in (0, 5)
+    assert "gyrorig-nightly.timer" in found["night"]["next"]
