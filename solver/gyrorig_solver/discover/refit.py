@@ -31,6 +31,7 @@ NOTHING = 1e-4  # nats that a step promises: a hundredth of a deviation, not wor
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 LEVELS, PER_LEVEL = 4, 4  # an event is looked for this many times, each so much finer
 NEAR_S = 2e-3  # an event known better than this lies on one smooth hill of the likelihood
+ABOUT_S = (0.02, 0.07, 0.25)  # an edge of a move, its ramp, a rest
 LOOKS_PER_SIDE = 20  # times to either side of one that is known worse
 SURE = 4.0  # deviations
 AT_BOUND = 1e-6  # of the range
@@ -62,7 +63,11 @@ class _State:
 
 
 def refit(
-    projection: Projection, term: Term, place: str | None, starts: Sequence[FloatArray]
+    projection: Projection,
+    term: Term,
+    place: str | None,
+    starts: Sequence[FloatArray],
+    about: bool = False,
 ) -> Weighed | None:
     """Fit a cause from each of some rows of its bank; return the best, None if all fail.
 
@@ -71,6 +76,7 @@ def refit(
         term: the cause.
         place: its sizes at this place alone; None: all.
         starts: values (k,) each; sizes that are not fitted are taken as zero.
+        about: look for the event by its exact effect too, which is not smooth in its time.
     """
     sizes = np.array(indices(term, place, "size"), dtype=np.int64)
     shapes = np.array(indices(term, place, "shape"), dtype=np.int64)
@@ -86,6 +92,8 @@ def refit(
         state = _descend(projection, term, values, np.concatenate([sizes, shapes]))
         freed = state
         if events:
+            if about:
+                state = _about(projection, term, state, np.concatenate([sizes, shapes]), events[0])
             wide = np.concatenate([sizes, shapes, np.array(events, dtype=np.int64)])
             freed = _descend(projection, term, state.values, wide)
             state = _state(projection, term, freed.values, np.concatenate([sizes, shapes]))
@@ -139,6 +147,25 @@ def _timed(
                 trial[sizes] = seen.values
                 best = _inside(projection, term, trial)
         step_s /= PER_LEVEL
+    return best
+
+
+def _about(projection: Projection, term: Term, state: _State, free: IntArray, event: int) -> _State:
+    """Return the state with its event where the exact effect fits best, near and less near.
+
+    To first order a large step in the middle of a move is as good as one before it.
+    """
+    best = state
+    for _ in range(LEVELS):
+        now = best
+        for shift_s in (sign * away for away in ABOUT_S for sign in (-1.0, 1.0)):
+            trial = now.values.copy()
+            trial[event] += shift_s
+            there = _descend(projection, term, _inside(projection, term, trial), free)
+            if there.cost < best.cost - ENOUGH:
+                best = there
+        if best is now:
+            break
     return best
 
 

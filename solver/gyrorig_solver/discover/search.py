@@ -281,19 +281,19 @@ def _with(solution: Solution, one: Extension) -> Solution:
 
 
 def _timed_anew(solution: Solution) -> Solution:
-    """Return the fit with each event where it is now best, beside the last cause added.
+    """Return the fit with each event where it is now best.
 
-    An event is found when other causes are still to come; what its time is off by then,
-    later ones would have to fill.
+    An event is found when other causes are still to come, and beside a base model that what
+    it did has bent; what its time is off by then, later ones would have to fill.
     """
     causes = list(solution.extensions)
     moved = False
-    for k, one in enumerate(causes[:-1]):
+    for k, one in enumerate(causes):
         if not one.free.size or not indices(one.term, role="event"):
             continue
         others = [other for j, other in enumerate(solution.extensions) if j != k]
         beside_it = Projection.of(solution, extensions=others, back=[one])
-        again = refit(beside_it, one.term, _place_of(one), [one.values])
+        again = refit(beside_it, one.term, _place_of(one), [one.values], about=True)
         if again is not None and not again.impossible:
             causes[k] = replace(one, values=again.extension.values)
             moved = True
@@ -389,7 +389,7 @@ def standing_of(solution: Solution, k: int, terms: Sequence[Term], tests: int) -
     weighed = _contenders(beside, found, found, taken, tests)
     own = [(w, looks) for w, looks in weighed if label(w.extension.term) == label(one.term)]
     place = _place_of(one)
-    again = refit(beside, one.term, place, [one.values])
+    again = refit(beside, one.term, place, [one.values], about=True)
     if again is not None and (not own or again.evidence > own[0][0].evidence):
         own = [(again, own[0][1] if own else 1.0)]
     rest = [w for w, _ in weighed if label(w.extension.term) != label(one.term)]
