@@ -80,7 +80,8 @@ class BoardLink:
         self._is_confirmed = not self._speaks  # it said who it is since the port was opened
         self._pinned_uid: str | None = config.facts.uid if self._speaks else None
         self._boot: int | None = None
-        self._restarts_at_boot = 0
+        self._epochs_at_boot = 0
+        self._was_away = False
         self._last_asked_ns = now_ns
         self._deaf_until_ns = 0
         self._is_reopening = False
@@ -263,7 +264,7 @@ class BoardLink:
         if self.hello is not None and hello.uid != self.hello.uid:
             self.hello_bytes.clear()
             self._boot = None
-            self._samples.restart()
+            self._samples.map_anew()
         if payload not in self.hello_bytes and len(self.hello_bytes) < 16:
             self.hello_bytes.append(payload)
         known = self.hello
@@ -287,12 +288,14 @@ class BoardLink:
 
     def _check_boot(self, boot: int) -> None:
         """Begin a new epoch where the board has started anew, unless its clock told already."""
-        restarts = self._samples.clock.restarts
-        if self._boot is not None and boot != self._boot and restarts == self._restarts_at_boot:
-            self._samples.restart()
-            self._pings.clear()
-            restarts += 1  # counted with the next stamp
-        self._boot, self._restarts_at_boot = boot, restarts
+        samples = self._samples
+        if self._boot is not None and boot != self._boot:
+            if self._was_away:
+                samples.note_start()
+            elif samples.epochs == self._epochs_at_boot:
+                samples.restart()
+                self._pings.clear()
+        self._boot, self._epochs_at_boot, self._was_away = boot, samples.epochs, False
 
     def _take_ping(self, reply: TimeReply, event: FrameEvent) -> None:
         sent = self._pings.pop(reply.nonce, None)
@@ -348,9 +351,9 @@ class BoardLink:
         """The port is open again: nothing that was known of the board holds any more."""
         self._presence.come_back(now_ns)
         self._parser.reset()
-        self._samples.restart()
+        self._samples.map_anew()
         self._pings.clear()
-        self._boot = None
+        self._was_away = True
         self._is_confirmed = not self._speaks
         self._deaf_until_ns = 0
         self._last_asked_ns = now_ns - int(HELLO_EVERY_S * 1e9) - 1  # at once

@@ -8,6 +8,7 @@ time between that sample and the last.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 
 from gyrorig_daemon.clocks import OnlineClock
 from gyrorig_daemon.config import BoardPort
@@ -35,6 +36,13 @@ class BoardSinks:
     fault: Callable[[str], None]
 
 
+class _Epoch(Enum):
+    """Why the map of a clock is begun anew."""
+
+    STARTED = "the board said that it has started"
+    MAPPED = "the board was away"
+
+
 @dataclass(slots=True)
 class BoardCounts:
     """What came, and what was lost, by cause."""
@@ -44,6 +52,7 @@ class BoardCounts:
     duplicated: int = 0
     reordered: int = 0
     restarts: int = 0
+    remapped: int = 0  # its clock, after its port was gone
     pings: int = 0
     silences: int = 0
     unmapped: int = 0  # samples whose publish_time is their arrival
@@ -66,6 +75,8 @@ class SampleStream:
         self._speaks = config.format == "gcb1"
         self._hello: Hello | None = None
         self._last_sequence: int | None = None
+        self._due: _Epoch | None = None  # begins with the next stamp
+        self._epochs_seen = 0
         self._last_first = 0  # of the frame that it ended
         self._last_batch: tuple[int, int] | None = None  # last sequence and its stamp
         self.counts = BoardCounts()
@@ -77,11 +88,25 @@ class SampleStream:
         is_first, self._hello = self._hello is None, hello
         if is_first:
             self.clock = self._new_clock()
+            self._due, self._epochs_seen = None, 0
 
     def restart(self) -> None:
         """The board says that it has started anew: nothing before holds for what follows."""
-        self.clock.restart()
-        self._last_sequence = self._last_batch = None
+        self._begin_epoch(_Epoch.STARTED)
+
+    def map_anew(self) -> None:
+        """The board was away: its clock is mapped anew, whether it has started anew or not."""
+        self._begin_epoch(_Epoch.MAPPED)
+
+    def note_start(self) -> None:
+        """The board has started anew while it was away: its epoch has begun already."""
+        self.counts.restarts += 1
+        self._sinks.fault(f"board {self._board_id} has started anew while it was away")
+
+    @property
+    def epochs(self) -> int:
+        """How often the map of the clock was begun anew, the one that is due with it."""
+        return self.clock.restarts + (self._due is not None)
 
     def take(self, frame: Sample | Batch, event: FrameEvent) -> None:
         """Count, date and hand on what a frame holds."""
@@ -96,7 +121,7 @@ class SampleStream:
         if last.device_time is not None:
             wire_ns = self.wire_ns(len(event.payload) + self._overhead())
             mapped_ns = self.clock.observe(last.device_time, arrival_ns, wire_ns, last.sequence)
-            self._note_restarts()  # before it is counted: a restart is no loss of 40000 samples
+            self._note_epoch()  # before it is counted: a restart is no loss of 40000 samples
         self._count(samples)
         for sample in samples:
             taken_ns: int | None = mapped_ns
@@ -183,10 +208,20 @@ class SampleStream:
             return 0
         return byte_count * BITS_PER_BYTE * 1_000_000_000 // self._config.baud
 
-    def _note_restarts(self) -> None:
-        restarts = self.clock.restarts
-        if restarts > self.counts.restarts:
-            self.counts.restarts = restarts
-            self._last_sequence = None
-            self._last_batch = None
+    def _begin_epoch(self, epoch: "_Epoch") -> None:
+        self.clock.restart()
+        self._last_sequence = self._last_batch = None
+        if self.counts.samples:
+            self._due = epoch
+
+    def _note_epoch(self) -> None:
+        """Count a new epoch of the clock, by whether anybody had announced it."""
+        if self.clock.restarts <= self._epochs_seen:
+            return
+        self._epochs_seen, due, self._due = self.clock.restarts, self._due, None
+        self._last_sequence = self._last_batch = None
+        if due is _Epoch.MAPPED:
+            self.counts.remapped += 1
+        else:
+            self.counts.restarts += 1
             self._sinks.fault(f"board {self._board_id} has restarted its clock")

@@ -115,7 +115,9 @@ def test_a_board_that_is_pulled_and_plugged_again(batch: int) -> None:
     desk.run(9.0)
     link = desk.link
     assert link.known
-    assert (link.counts.hung_up, link.counts.restarts, link.counts.missing) == (1, 1, 0)
+    counts = link.counts
+    assert (counts.hung_up, counts.remapped, counts.restarts, counts.missing) == (1, 1, 0, 0)
+    assert not any("restarted" in text for text in desk.said)
     sequences = desk.sequences()
     gap = int(np.argmax(np.diff(sequences)))
     assert sum(step != 1 for step in np.diff(sequences)) == 1
@@ -153,7 +155,8 @@ def test_a_reset_while_it_is_unplugged_and_two_in_a_row() -> None:
     desk = Desk(faults=BoardFaults(reset_at_s=(4.0, 7.0, 7.3), reset_silence_s=0.1))
     desk.hub.unplug(A, at_ns(3.0), at_ns(5.0))
     desk.run(9.0)
-    assert desk.link.counts.restarts == 3  # back after the gap, and twice
+    assert (desk.link.counts.restarts, desk.link.counts.remapped) == (3, 1)
+    assert sum("has started anew while it was away" in text for text in desk.said) == 1
     assert desk.link.known
     assert np.all(np.diff(desk.taken_s()) > 0.0)
     assert desk.link.hello is not None
