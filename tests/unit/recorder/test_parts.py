@@ -1,0 +1,142 @@
+"""A recording in parts: each stands alone, none is missing anything."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
+from gyrorig_protocol.recording.messages import EventKind, ImuRaw, SessionEvent
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.writer import Attachment
+
+BOARD = {"uid": "u", "sensor": "L3G4200D", "link": "serial", "gyro_scale_rad_s": "0.000153"}
+METADATA = {
+    "gyrorig": {
+        "session": "s",
+        "rig": "r",
+        "anchor_utc_ns": "0",
+        "anchor_monotonic_raw_ns": "0",
+    },
+    "gyrorig.board.B-1": BOARD,
+}
+TOPIC = "/board/B-1/imu_raw"
+EVENTS = "/session/event"
+SECOND = 1_000_000_000
+
+
+def put(recorder: Recorder, k: int) -> None:
+    at_ns = k * SECOND // 10
+    recorder.put(TOPIC, ImuRaw(at_ns, k, k, 0, 0, (k, k, k)), at_ns)
+    recorder.tick(at_ns)
+
+
+def say(recorder: Recorder, k: int, kind: EventKind, phase: str, text: str = "") -> None:
+    at_ns = k * SECOND // 10
+    recorder.put(EVENTS, SessionEvent(at_ns, int(kind), phase, text), at_ns)
+
+
+def opened(folder: Path, settings: RecorderSettings) -> Recorder:
+    recorder = Recorder(False, settings)
+    files = (Attachment("rig.yaml", "application/yaml", b"a: 1"),)
+    recorder.open(RecordingPlan(folder / "a.mcap", METADATA, files))
+    return recorder
+
+
+def test_parts_follow_each_other_without_a_gap(tmp_path: Path, contract_judge: Path) -> None:
+    recorder = opened(tmp_path, RecorderSettings(part_s=10.0))
+    say(recorder, 0, EventKind.PHASE_BEGIN, "program", "p")
+    say(recorder, 0, EventKind.PHASE_BEGIN, "static", "long")
+    for k in range(450):
+        put(recorder, k)
+        if k == 250:
+            say(recorder, k, EventKind.PHASE_END, "static")
+            say(recorder, k, EventKind.PHASE_BEGIN, "turn", '{"axis": [0, 0, 1]}')
+    last = recorder.close()
+    parts = sorted(tmp_path.iterdir())
+    assert [path.name for path in parts] == [
+        "a.mcap",
+        *(f"a_p{number:03d}.mcap" for number in range(1, 5)),
+    ]
+    assert last == parts[-1]
+    assert recorder.paths == tuple(parts)
+    assert recorder.counts.rotations == 4
+    assert recorder.counts.parts_opened == recorder.counts.parts_closed == 5
+    found, numbers = [], []
+    for number, path in enumerate(parts):
+        recording = read_recording(path)
+        own = recording.metadata["gyrorig"]
+        assert own["part"] == str(number)
+        assert own["previous"] == ("" if number == 0 else parts[number - 1].name)
+        assert recording.attachments[0].data == b"a: 1"
+        found += recording.array(TOPIC)["sequence"].tolist()
+        numbers += recording.array(TOPIC)["message_sequence"].tolist()
+    assert found == numbers == list(range(450))
+    command = [sys.executable, str(contract_judge), *map(str, parts)]
+    judged = subprocess.run(command, capture_output=True, check=False)
+    assert judged.returncode == 0, judged.stdout
+
+
+def test_a_part_says_which_phases_it_begins_in(tmp_path: Path) -> None:
+    recorder = opened(tmp_path, RecorderSettings(part_s=10.0))
+    say(recorder, 0, EventKind.PHASE_BEGIN, "program", "p")
+    say(recorder, 0, EventKind.PHASE_BEGIN, "static", "long")
+    for k in range(350):
+        put(recorder, k)
+        if k == 150:
+            say(recorder, k, EventKind.PHASE_END, "static")
+            say(recorder, k, EventKind.PHASE_BEGIN, "turn", "{}")
+    recorder.close()
+    told = []
+    numbers = []
+    for path in recorder.paths:
+        recording = read_recording(path)
+        stamped = recording.topics[EVENTS].stamped
+        events = [one.message for one in stamped]
+        told.append([(e.kind, e.phase) for e in events if isinstance(e, SessionEvent)])
+        numbers.append([m.message_sequence for m in stamped])
+    begin, end = int(EventKind.PHASE_BEGIN), int(EventKind.PHASE_END)
+    assert told == [
+        [(begin, "program"), (begin, "static")],
+        [(begin, "program"), (begin, "static"), (end, "static"), (begin, "turn")],
+        [(begin, "program")],  # half a turn by a known angle is none
+        [(begin, "program")],
+    ]
+    assert numbers == [[0, 1], [0, 1, 2, 3], [3], [3]]  # no gap in any of them
+
+
+def test_parts_by_size(tmp_path: Path) -> None:
+    recorder = opened(tmp_path, RecorderSettings(part_bytes=6_000))
+    for k in range(3_000):
+        put(recorder, k)
+    recorder.close()
+    sizes = [path.stat().st_size for path in recorder.paths]
+    assert len(sizes) > 5
+    assert max(sizes) < 12_000  # a chunk and the summary more
+
+
+def test_facts_that_come_late_are_in_this_part_and_all_others(tmp_path: Path) -> None:
+    recorder = opened(tmp_path, RecorderSettings(part_s=10.0))
+    late = {"gyrorig.board.B-2": {**BOARD, "uid": "late"}}
+    for k in range(250):
+        put(recorder, k)
+        if k == 50:
+            recorder.add_facts(late, (Attachment("hello.B-2.0.json", "application/json", b"{}"),))
+    recorder.close()
+    for path in recorder.paths:
+        recording = read_recording(path)
+        assert recording.complete, recording.losses
+        assert recording.metadata["gyrorig.board.B-2"]["uid"] == "late"
+        assert recording.metadata["gyrorig.board.B-1"]["uid"] == "u"
+        names = [attachment.name for attachment in recording.attachments]
+        assert names == ["rig.yaml", "hello.B-2.0.json"]
+
+
+def test_a_name_that_is_taken_is_stepped_over(tmp_path: Path) -> None:
+    (tmp_path / "a_p001.mcap").write_bytes(b"precious")
+    recorder = opened(tmp_path, RecorderSettings(part_s=10.0))
+    for k in range(150):
+        put(recorder, k)
+    recorder.close()
+    assert [path.name for path in recorder.paths] == ["a.mcap", "a_p002.mcap"]
+    assert (tmp_path / "a_p001.mcap").read_bytes() == b"precious"
+    assert read_recording(recorder.paths[1]).metadata["gyrorig"]["previous"] == "a.mcap"
