@@ -34,7 +34,7 @@ FOLDERS = {
     "sysusers.d": Path("/etc/sysusers.d"),
     "tmpfiles.d": Path("/etc/tmpfiles.d"),
 }
-NETWORK = Path("/etc/systemd/network")
+CAN_FOLDERS = {"network": Path("/etc/systemd/network"), "sysctl.d": Path("/etc/sysctl.d")}
 SOURCES = ("pyproject.toml", "constraints.txt", "README.md", "LICENSE")
 PACKAGES = ("daemon", "solver", "firmware_protocol")
 COMMANDS = ("gyrorigd", "gyrorig")
@@ -174,7 +174,8 @@ def fill(fresh: Path, wheels: Path | None) -> None:
             shutil.copytree(CHECKOUT / name, source / name, ignore=passed_over)
         run(
             fresh / "bin" / "python", "-m", "pip", "install", "--disable-pip-version-check",
-            "--no-cache-dir", *offline, "-c", CHECKOUT / "constraints.txt", f"{source}[solver,fleet]",
+            "--no-cache-dir", *offline, "-c", CHECKOUT / "constraints.txt",
+            f"{source}[solver,fleet]",
         )  # fmt: skip
 
 
@@ -216,9 +217,7 @@ def sources_digest(python: Path) -> str:
 
 def files(can_bus: bool) -> Iterator[tuple[Path, bytes]]:
     """Return every file and where it goes."""
-    folders = dict(FOLDERS)
-    if can_bus:
-        folders["network"] = NETWORK
+    folders = FOLDERS | (CAN_FOLDERS if can_bus else {})
     for folder, target in folders.items():
         for path in sorted((FILES / folder).iterdir()):
             yield target / path.name, path.read_bytes()
@@ -299,6 +298,16 @@ def tell_udev(place: Place) -> None:
     place.say("udev: names, latency timers and ModemManager's exceptions are in force")
 
 
+def bring_up_can(place: Place) -> None:
+    """Let systemd-networkd set can0 up, and give its reader room."""
+    offline = [] if place.is_this_computer else [f"--root={place.root}"]
+    run("systemctl", *offline, "enable", "systemd-networkd.service")
+    if place.is_this_computer and Path("/run/systemd/system").is_dir():
+        run("systemctl", "restart", "systemd-networkd.service")
+        run("sysctl", "--quiet", "--load", CAN_FOLDERS["sysctl.d"] / "80-gyrorig.conf")
+    place.say("systemd-networkd sets can0 up; other networks are left alone", changed=False)
+
+
 def remove(place: Place) -> None:
     """Take away what was installed; recordings, calibrations and the configuration stay."""
     place.read_notes()
@@ -348,6 +357,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         make_users(place)
         place.write_notes()
         tell_udev(place)
+        if options.can:
+            bring_up_can(place)
         enable(place, has_to_be_edited)
     except (CannotInstallError, OSError) as fault:
         print(f"install-service: {fault}", file=sys.stderr)

@@ -98,7 +98,11 @@ def test_a_file_of_an_older_version_is_replaced(root: Path) -> None:
 
 
 def test_a_can_bus_only_when_asked_for(root: Path) -> None:
+    networkd = root / "lib/systemd/system/systemd-networkd.service"
+    networkd.parent.mkdir(parents=True)
+    networkd.write_text("[Service]\nExecStart=/bin/true\n[Install]\nWantedBy=multi-user.target\n")
     install(root, "--only-files", "--can")
+    assert (root / "etc/sysctl.d/80-gyrorig.conf").is_file()
     assert (root / "etc/systemd/network/80-gyrorig-can0.network").is_file()
 
 

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
+from gyrorig_daemon.config import EMULATED, PTU_PORT, BoardPort, RigConfig
 from gyrorig_daemon.doctor.board import examine_board
+from gyrorig_daemon.doctor.bus import examine_bus
 from gyrorig_daemon.doctor.disk import examine_disk
 from gyrorig_daemon.doctor.finding import Finding, note
 from gyrorig_daemon.doctor.machine import examine_machine
@@ -52,6 +53,11 @@ def examine(order: Order, tell: Tell) -> list[Finding]:
     for name, subject, path in _ports(order.config):
         rate_hz = _examine_device(order, name, subject, path, add)
         samples_hz += rate_hz
+    for bus in order.config.buses:
+        add(examine_bus(bus, order.system))
+        samples_hz += sum(
+            _nominal_hz(order.config, board) for board in order.config.bus_boards(bus)
+        )
     polls_hz = order.config.ptu.poll.rate_hz or 1.0 / offers(Dialect.E46).min_command_interval_s
     add(examine_tonight(disk, samples_hz, polls_hz, len(order.config.boards)))
     return found
@@ -59,7 +65,7 @@ def examine(order: Order, tell: Tell) -> list[Finding]:
 
 def _ports(config: RigConfig) -> list[tuple[str, str, str]]:
     """Return the hub's name, the subject and the path of each serial port."""
-    boards = [(board.hub_port, f"board {board.id}", board.port) for board in config.boards]
+    boards = [(board.hub_port, f"board {board.id}", board.port) for board in config.serial_boards]
     return [(PTU_PORT, UNIT, config.ptu.port), *boards]
 
 
@@ -69,24 +75,26 @@ def _examine_device(
     """Examine one port and, where it is free, what is on it; return its samples a second."""
     if path == EMULATED:
         add([note(subject, "emulated", "it is emulated: there is no port to look at")])
-        return _nominal_hz(order.config, name)
+        return _nominal_of(order.config, name)
     findings, state = examine_port(subject, path, order.system)
     add(findings)
     if not (order.opens_ports and state.can_open):
-        return _nominal_hz(order.config, name)
+        return _nominal_of(order.config, name)
     if name == PTU_PORT:
         add(examine_unit(order.config.ptu))
         return 0.0
-    board = next(board for board in order.config.boards if board.hub_port == name)
+    board = next(board for board in order.config.serial_boards if board.hub_port == name)
     findings, rate_hz = examine_board(board)
     add(findings)
     return rate_hz
 
 
-def _nominal_hz(config: RigConfig, name: str) -> float:
+def _nominal_of(config: RigConfig, name: str) -> float:
+    """Return what is to be expected of the boards on one of the hub's ports."""
+    return sum(_nominal_hz(config, board) for board in config.boards if board.hub_port == name)
+
+
+def _nominal_hz(config: RigConfig, board: BoardPort) -> float:
     """Return what the configuration says of a board that was not listened to."""
-    for board in config.boards:
-        if board.hub_port == name:
-            emulated_hz = float(config.emulator.odr_hz) if board.port == EMULATED else 0.0
-            return board.facts.odr_hz or emulated_hz
-    return 0.0
+    emulated_hz = float(config.emulator.odr_hz) if config.is_emulated_board(board) else 0.0
+    return board.facts.odr_hz or emulated_hz
