@@ -22,6 +22,7 @@ from gyrorig_daemon.doctor.command import doctor_command
 from gyrorig_daemon.emulation import Emulation, rough_session_s
 from gyrorig_daemon.halt_command import halt_command
 from gyrorig_daemon.links.pump import StopFlag
+from gyrorig_daemon.recorder.recover_command import recover_command
 from gyrorig_daemon.service.commands import COMMANDS as SERVICE_COMMANDS
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
@@ -72,6 +73,7 @@ def cli() -> None:
 
 cli.add_command(halt_command)
 cli.add_command(doctor_command)
+cli.add_command(recover_command)
 for _command in SERVICE_COMMANDS:
     cli.add_command(_command)
 

@@ -29,6 +29,7 @@ from gyrorig_protocol.recording.reader import read_recording
 
 GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
 FAR = b"name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 12.0}\n"
+REST_FAR = FAR.replace(b"steps:\n", b"steps:\n  - rest: {seconds: 2.5}\n")
 SHORT = b"name: short\nsteps:\n  - move: {pan_deg: 5.0, speed_deg_s: 40.0}\n  - home: {}\n"
 
 
@@ -190,7 +191,7 @@ def test_killed_with_everything_it_halts_first_when_it_is_started_again(
     service: Service, devices: Devices
 ) -> None:
     process = service.start_ready()
-    service.enqueue(FAR)
+    service.enqueue(REST_FAR)
     wait_for(devices.turning)
     both = [process.pid, *service.children()]
     for number in (signal.SIGSTOP, signal.SIGKILL):  # neither may see the other's end
@@ -207,6 +208,10 @@ def test_killed_with_everything_it_halts_first_when_it_is_started_again(
     wait_for(lambda: service.status()["state"] == "ready")
     (result,) = service.results("failed")  # not begun again: it may be what it died of
     assert result["reason"] == "the daemon ended while it ran"
+    wait_for(lambda: service.status()["kept"]["recovered"] == 1)
+    (path,) = service.recordings()
+    assert len(read_recording(path).array("/board/B-1/imu_raw")) > 10
+    assert len(list((service.state / "recordings" / "unclean").glob("*.part"))) == 1
     assert service.end()[0] == 0
 
 

@@ -44,6 +44,8 @@ class ServiceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     # Recordings beyond these are deleted, the oldest first; left out, none ever is.
     keep_days: Annotated[float, msgspec.Meta(gt=0.0, le=36_600.0)] | None = None
     keep_mb: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    # The oldest are deleted when less than the reserve is free; else recording waits for room.
+    delete_when_full: bool = False
     # What a calibration in one of these folders cites is kept; beside the state folder's own.
     stores: Annotated[tuple[str, ...], msgspec.Meta(max_length=20)] = ()
 

@@ -1,7 +1,7 @@
-"""What becomes of recordings: how they are cut, and when the writer is to be doubted.
+"""How recordings are cut and kept, as the rig's document says; what recorders counted.
 
-What to use when: `recorder_settings` turns the rig's document into a recorder's; `Writer`
-makes the recorders of a process and remembers what the closed ones counted.
+What to use when: `recorder_settings` for a session's recorder, `retention_rules` for what may
+be deleted; `Account` adds up what the recorders of a process counted.
 """
 
 from collections import Counter
@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from gyrorig_daemon.config.service import ServiceSettings
 from gyrorig_daemon.recorder import SERVICE, RecorderSettings
+from gyrorig_daemon.recorder.retention import RetentionRules
 
 MB = 1_000_000
 HIGH_WATER = "high_water"  # counters whose name holds this are the largest so far, not a sum
@@ -22,6 +23,15 @@ def recorder_settings(told: ServiceSettings) -> RecorderSettings:
         part_s=told.part_s,
         part_bytes=told.part_mb * MB,
         reserve_bytes=told.reserve_mb * MB,
+    )
+
+
+def retention_rules(told: ServiceSettings) -> RetentionRules:
+    """Return which recordings may be deleted."""
+    return RetentionRules(
+        max_days=told.keep_days,
+        max_bytes=None if told.keep_mb is None else told.keep_mb * MB,
+        room_bytes=recorder_settings(told).resume_bytes or None if told.delete_when_full else None,
     )
 
 

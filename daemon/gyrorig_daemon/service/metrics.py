@@ -16,6 +16,7 @@ from gyrorig_daemon.service.keeping import is_sum
 
 FILE_NAME = "gyrorig.prom"
 STATES = ("starting", "waiting", "ready", "running", "fault", "stopping")
+KEPT_NOW = ("kept_for_calibrations",)
 MODE = 0o644  # the node exporter is another user
 _ESCAPES = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 
@@ -108,6 +109,10 @@ def _metrics(status: dict[str, Any]) -> Iterator[Metric]:
         yield "unit_line_total", "counter", "exchanges with the unit, and faults", labels, count
     for name, count in status["counts"].items():
         yield f"{name}_total", "counter", "see docs/service.md", {}, count
+    for name, count in status["kept"].items():
+        kind = "gauge" if name in KEPT_NOW else "counter"
+        full = f"recordings_{name}" if name in KEPT_NOW else f"recordings_{name}_total"
+        yield full, kind, "see docs/service.md", {}, count
     yield "queue_waiting", "gauge", "jobs that wait", {}, status["queue"]["waiting"]
     yield (
         "jobs_refused_total",

@@ -11,6 +11,7 @@ from typing import Any
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.jobs import JobQueue
+from gyrorig_daemon.service.keeper import Keeper
 from gyrorig_daemon.service.keeping import Account
 from gyrorig_daemon.service.memory import Memory
 from gyrorig_daemon.service.notify import Notifier
@@ -49,7 +50,7 @@ class Parts:
     hanging: Callable[[], list[str]]  # loops outside the pump that make no progress
     dropped_bytes: Callable[[], int]
     log: Callable[[str], None]
-    make_room: Callable[[], object] | None = None  # deletes what retention allows
+    keeper: Keeper
     account: Account = field(default_factory=Account)
     threaded_writer: bool = True
     seed: int = 0

@@ -87,6 +87,7 @@ class Runner:
             for board in self._rig.boards:
                 board.unpin()
             self._parts.account.close(session.recorder.counts.values())
+            self._parts.keeper.recorder = None
             self._scene.session = None
             self._pump.heed_stop()
             self._unit.session_ended(homed=home and outcome.result == "done")
@@ -133,7 +134,9 @@ class Runner:
 
     def _new_recorder(self) -> Recorder:
         settings = recorder_settings(self._rig.config.service)
-        return Recorder(self._parts.threaded_writer, settings, self._parts.make_room)
+        keeper = self._parts.keeper
+        keeper.recorder = Recorder(self._parts.threaded_writer, settings, keeper.make_room)
+        return keeper.recorder
 
     def _hold_session(self, session: Session) -> Outcome:
         moved = False

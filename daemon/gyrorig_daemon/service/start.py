@@ -25,6 +25,7 @@ from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.daemon import Daemon, Ending
 from gyrorig_daemon.service.jobs import JobQueue
+from gyrorig_daemon.service.keeper import Keeper
 from gyrorig_daemon.service.memory import Memory
 from gyrorig_daemon.service.metrics import MetricsWriter
 from gyrorig_daemon.service.notify import Notifier
@@ -33,6 +34,7 @@ from gyrorig_daemon.service.parts import Clocks, Parts
 from gyrorig_daemon.service.schedule import Schedule
 from gyrorig_daemon.service.server import Peer, StatusServer
 from gyrorig_daemon.service.state import StateFolder
+from gyrorig_daemon.service.wall_clock import NTP_UNSYNCHRONISED
 from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.program import parse_program
 
@@ -109,6 +111,9 @@ class Service:
             server = stack.enter_context(StatusServer(call.socket, self._handle, self._counts))
             metrics = MetricsWriter(state.metrics)
             stack.callback(metrics.close)
+            keeper = Keeper(state, lambda: self._sound.config.service, self._clock_is_sound, log)
+            stack.callback(keeper.close)
+            keeper.begin()
 
             def publish(status: dict[str, Any]) -> None:
                 server.publish(status)
@@ -131,6 +136,7 @@ class Service:
                 hanging=lambda: self._hanging(server),
                 dropped_bytes=self._all_dropped_bytes,
                 log=log,
+                keeper=keeper,
                 seed=time.monotonic_ns(),
             )
             self._serve(parts)
@@ -204,6 +210,9 @@ class Service:
                 hanging.append("acquisition")
             self._hub.ping()
         return hanging
+
+    def _clock_is_sound(self) -> bool:
+        return not read_host_clocks().ntp_status & NTP_UNSYNCHRONISED
 
     def _reread(self) -> str:
         try:

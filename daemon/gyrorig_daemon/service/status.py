@@ -5,6 +5,7 @@ losses in it are by cause and only grow; docs/service.md says what each means.
 """
 
 import os
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
@@ -81,10 +82,9 @@ class StatusTimer:
                     None if wall.last is None else wall.last.estimated_error_s
                 ),
             },
+            "kept": asdict(parts.keeper.counts),
             "acquisition_dropped_bytes": parts.dropped_bytes(),
-            "counts": {
-                name: getattr(parts.counts, name) for name in parts.counts.__dataclass_fields__
-            }
+            "counts": asdict(parts.counts)
             | {"unit_lost": parts.counts.unit_lost + self._unit_watch.lost},
         }
 

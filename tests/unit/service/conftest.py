@@ -20,6 +20,7 @@ from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.daemon import Daemon, Ending
 from gyrorig_daemon.service.jobs import JobQueue, put
+from gyrorig_daemon.service.keeper import Keeper
 from gyrorig_daemon.service.memory import Memory
 from gyrorig_daemon.service.notify import Notifier
 from gyrorig_daemon.service.orders import Orders
@@ -104,6 +105,7 @@ class Bench:
             hanging=list,
             dropped_bytes=lambda: 0,
             log=self.log.append,
+            keeper=Keeper(self.state, lambda: config.service, lambda: True, self.log.append),
             threaded_writer=False,
         )
         capture = CaptureClock(int(self.utc_s() * 1e9), self.hub.now_ns())
