@@ -223,16 +223,16 @@ class Session:
         return [f"recorded so far: {self.recorder.path}"]
 
     def complain_of_lost_boards(self, path: Path) -> None:
-        """Say which boards went away meanwhile.
+        """Say which boards were not there any more at the end.
 
         Raises:
-            DeviceError: any did.
+            DeviceError: any were not.
         """
-        lost = [str(board.board_id) for board in self.boards if board.gone]
+        lost = [f"{b.board_id} ({b.state.value})" for b in self.boards if not b.known]
         if lost:
             raise DeviceError(
-                f"the program ended, but without board {', '.join(lost)}: hung up",
-                f"check the cable; the recording is kept: {path}",
+                f"the program ended, but without board {', '.join(lost)}",
+                f"check its cable and its power; the recording is kept: {path}",
             )
 
     def take_exchange(self, exchange: Exchange) -> None:
