@@ -8,8 +8,10 @@ Theory of operation. There is a file, or there is none because the disk did not 
     with a file    -- due by time or size --> the disk's thread opens the next part;
                                               then this one is flushed and handed over
                                               to be closed: there is always one open
-                   -- an error of the disk --> without: what is in no whole chunk goes
-                                              to memory, the file is cut back and left
+                   -- the disk is full --> without: what is in no whole chunk goes to
+                                              memory, the file is cut back and left
+                   -- another error --> the same with all that is not synced: a disk that
+                                              turns read-only loses that
                    -- less free than the reserve --> without: the file is closed cleanly
     without a file -- every few seconds --> the disk's thread tries to open the next part
                    -- it is open --> with: memory is written first, then what comes
@@ -22,7 +24,6 @@ disk, except a write into the system's own buffers.
 import errno
 import math
 import struct
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -32,6 +33,7 @@ from gyrorig_daemon.recorder.disk_worker import DiskWorker, Job
 from gyrorig_daemon.recorder.parts import OpenedPart, PartOpener, Phases, part_path
 from gyrorig_daemon.recorder.ring import RamRing, Record
 from gyrorig_daemon.recorder.settings import RecorderSettings, RecordingPlan
+from gyrorig_daemon.recorder.unsynced import Unsynced
 from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
 from gyrorig_protocol.recording.disk_file import Disk
 from gyrorig_protocol.recording.messages import (
@@ -69,14 +71,15 @@ class Spool:
         self._writer: RecordingWriter | None = None
         self._written_facts = 0
         self._ring = RamRing(settings.ring_bytes, settings.ring_s)
-        self._tail: deque[Record] = deque()  # in the writer, but in no whole chunk yet
+        self._unsynced = Unsynced()
+        self._sync_count = self._sync_bytes = 0  # messages and bytes of the file on the disk
         self._next: dict[str, int] = {}  # number of the next message of each topic
         self._latest_ns = 0
         self._now_ns = self._begun_ns = self._synced_ns = self._looked_ns = 0
         self._retry_ns = 0
         self._restate = False
         self._opening: Job[OpenedPart] | None = None
-        self._syncing: tuple[Job[None], RecordingWriter] | None = None
+        self._syncing: tuple[Job[None], RecordingWriter, int, int] | None = None
         self._looking: Job[int] | None = None
         self._closing: list[Job[Path]] = []
         self._closed_bytes = 0
@@ -152,8 +155,6 @@ class Spool:
         writer = self._writer
         if writer is not None:
             self._guarded(writer, lambda: writer.tick(now_ns))
-            if not writer.waiting_messages:
-                self._tail.clear()
         if self._writer is None:
             self._try_again()
         else:
@@ -179,7 +180,6 @@ class Spool:
         for _ in range(CLOSE_ATTEMPTS):
             writer = self._write_the_rest()
             if writer is not None and self._guarded(writer, writer.flush):
-                self._tail.clear()
                 break
         else:
             self._counts.dropped_at_close += len(self._ring)
@@ -217,12 +217,11 @@ class Spool:
         if self._restate:
             self._restate = False
             self._restate_phases(writer, record.log_ns)
-        tail = self._tail
-        tail.append(record)
+        self._unsynced.add(record)
         try:
             writer.write_encoded(*record)
         except ValueError as fault:
-            tail.pop()
+            self._unsynced.withdraw()
             self._refuse(record.topic, fault)
         except MachineError as fault:
             self._counts.written += 1
@@ -231,8 +230,6 @@ class Spool:
             self._counts.written += 1
             if record.topic == SESSION_EVENT_TOPIC:
                 self._phases.follow(record)
-            if not writer.waiting_messages:
-                tail.clear()
 
     def _refuse(self, topic: str, fault: Exception) -> None:
         """One message that is none, or comes too late on its topic, must not end a recording."""
@@ -250,20 +247,27 @@ class Spool:
         return True
 
     def _break_off(self, writer: RecordingWriter, fault: MachineError) -> None:
-        """Go on in memory, with what is in no whole chunk of the file."""
+        """Go on in memory, with what the file has not taken, or would lose with the disk."""
         self._counts.disk_faults += 1
         if not self._settings.survive:
             raise fault
-        while len(self._tail) > writer.lost_messages:  # a sync has failed, not a write
-            self._tail.popleft()
-        self._counts.written -= len(self._tail)  # they will be counted when they are again
-        self._lose_file(fault.what)
+        unsynced = self._unsynced
+        if _is_full(fault):  # what was written before is safe
+            kept, position = unsynced.count - writer.lost_messages, writer.bytes_written
+        else:
+            kept, position = self._sync_count, self._sync_bytes
+        again = unsynced.behind(kept)
+        self._counts.written -= len(again)  # they will be counted when they are again
+        self._ring.give_back(again)
         self._closed_bytes += writer.bytes_written
-        self._worker.submit(writer.salvage)
+        if kept or len(self.paths) == 1:
+            self._worker.submit(lambda: writer.salvage(position))
+        else:  # no message is in it
+            self.paths.pop()
+            self._worker.submit(writer.discard)
+        self._lose_file(fault.what)
 
     def _lose_file(self, why: str) -> None:
-        self._ring.give_back(self._tail)
-        self._tail.clear()
         self._writer = None
         self.degraded = why
         self._retry_ns = self._now_ns + RETRY_NS
@@ -339,6 +343,8 @@ class Spool:
         self._writer, self._number, self._written_facts = part.writer, part.number, part.facts
         self.paths.append(part_path(self._plan.path, part.number))
         self._begun_ns = self._synced_ns = self._now_ns
+        self._unsynced, self._sync_count = Unsynced(), 0
+        self._sync_bytes = part.writer.bytes_written
         self._counts.parts_opened += 1
         self._restate = part.number > 0
         self.degraded = ""
@@ -351,7 +357,6 @@ class Spool:
         """Have a file closed in which nothing is left to be written."""
         if not self._guarded(old, old.flush):
             return  # what it did not take is in memory, and goes to the next file
-        self._tail.clear()
         self._closed_bytes += old.bytes_written
         self._closing.append(self._worker.submit(old.close))
 
@@ -366,12 +371,17 @@ class Spool:
     def _look_at_sync(self) -> None:
         if self._syncing is None or not self._syncing[0].done:
             return
-        (job, writer), self._syncing = self._syncing, None
+        (job, writer, count, size), self._syncing = self._syncing, None
         took_ms = math.ceil(job.took_ns / _MS_NS)
         self._counts.syncs += 1
         self._counts.sync_last_ms = took_ms
         self._counts.sync_max_ms = max(self._counts.sync_max_ms, took_ms)
-        if job.error is not None and writer is self._writer:
+        if writer is not self._writer:
+            return
+        if job.error is None:
+            self._unsynced.synced(count)
+            self._sync_count, self._sync_bytes = count, size
+        else:
             error = job.error if isinstance(job.error, OSError) else OSError(errno.EIO, "sync")
             self._guarded(writer, lambda: writer.fail(error))
 
@@ -396,7 +406,9 @@ class Spool:
         settings, now_ns = self._settings, self._now_ns
         if self._syncing is None and self._is_over(self._synced_ns, settings.sync_s):
             self._synced_ns = now_ns
-            self._syncing = self._worker.submit(writer.sync), writer
+            whole = self._unsynced.count - writer.waiting_messages
+            job = self._worker.submit(writer.sync)
+            self._syncing = job, writer, whole, writer.bytes_written
         if settings.reserve_bytes and self._looking is None and now_ns - self._looked_ns >= ROOM_NS:
             self._looked_ns = now_ns
             wanted = settings.reserve_bytes
@@ -437,3 +449,8 @@ class Spool:
         counts.disk_busy_max_ms = max(counts.disk_busy_max_ms, counts.disk_busy_ms)
         now_bytes = 0 if self._writer is None else self._writer.bytes_written
         counts.bytes_written = self._closed_bytes + now_bytes
+
+
+def _is_full(fault: MachineError) -> bool:
+    cause = fault.__cause__
+    return isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT)

@@ -145,12 +145,13 @@ class PartFile:
         self._file.close()
         self._disk.sync_directory(self._final.parent)
 
-    def salvage(self) -> str:
-        """Cut back to the last whole record and let go of the file; say what is kept."""
-        kept = f"its first {self.safe.position} bytes are whole and kept"
+    def salvage(self, length: int | None = None) -> str:
+        """Cut back to the last whole record, or further, and let go; say what is kept."""
+        position = self.safe.position if length is None else min(length, self.safe.position)
+        kept = f"its first {position} bytes are whole and kept"
         try:
             if not self.renamed:
-                self._file.cut(self.safe.position)
+                self._file.cut(position)
                 self._file.sync()
         except OSError as error:
             kept = f"its last bytes may be torn ({error.strerror})"

@@ -296,9 +296,19 @@ class RecordingWriter:
         """
         self._stop_for_good(error)
 
-    def salvage(self) -> str:
-        """Let go of the file after an error, where that was left `aside`; say what is kept."""
-        return self._file.salvage()
+    def salvage(self, length: int | None = None) -> str:
+        """Let go of the file after an error, where that was left `aside`; say what is kept.
+
+        Args:
+            length: keep no more than this, where the rest is not on the disk for certain.
+        """
+        return self._file.salvage(length)
+
+    def discard(self) -> None:
+        """Let go of the file after an error, and delete it: nothing is in it."""
+        self._file.salvage()
+        with suppress(OSError):
+            self._disk.unlink(self._part)
 
     def add_facts(
         self,
