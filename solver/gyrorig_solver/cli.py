@@ -31,6 +31,7 @@ _COMMANDS = {
     "explain": ("explain", "What the model of the rig gets wrong, and why."),
     "batch": ("batch", "Every new recording of a spool, into a fleet's store."),
     "store": ("store", "What a fleet's store holds, and whether it is whole."),
+    "fleet": ("fleet", "What the boards of a store are like, and what drifts."),
     "plan": ("plan", "The motion program that tells most in a given time."),
 }
 # a package that is not there, and the extra that brings it

@@ -15,7 +15,7 @@ boards and parameters of a night: at a million boards the usual three sigma woul
 32 000 false alarms a night (reference: reliability.md section 5).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,9 @@ BASELINE_NIGHTS = 10
 LEAST_BASELINE = 3
 GROUP_ALPHA = 1e-4  # a night, over all groups and parameters of one kind of group
 DISCOVERY_RATE = 0.01
-TEMPERATURE_SPAN_C = 10.0  # less says nothing of a slope (reference: peers.md, section 1)
+# Less than this says nothing of a slope. A board's own cubic needs 10 degrees (reference:
+# peers.md section 1); a line common to many boards needs no more than that it can be seen.
+TEMPERATURE_SPAN_C = 2.0
 
 IntArray = npt.NDArray[np.intp]
 
@@ -66,14 +68,24 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class GroupMove:
-    """A rig, lot or site whose boards have moved together."""
+    """A rig, lot or site, or the whole fleet, whose boards have moved together."""
 
     parameter: str
+    kind: str
     group: str
     boards: int
     moved: float  # in the parameter's unit
     z: float
     p_value: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grouping:
+    """One way to put boards together: the rigs, say."""
+
+    kind: str
+    names: Sequence[str]
+    of: IntArray  # (boards,): which group each belongs to now, -1 for none
 
 
 def chart(nights: Nights) -> Chart:
@@ -112,49 +124,73 @@ def chart(nights: Nights) -> Chart:
 
 
 def moved_groups(
-    charts: Sequence[Chart], group: IntArray, names: Sequence[str], alpha: float = GROUP_ALPHA
-) -> list[GroupMove]:
-    """Return the groups whose boards have moved together, the clearest first.
+    one: Chart, groupings: Sequence[Grouping], tests: int, alpha: float = GROUP_ALPHA
+) -> tuple[list[GroupMove], Chart]:
+    """Return which groups' boards have moved together, and the chart without their moves.
 
-    A group's move is the weighted mean of its boards' charts; a single odd board must not
-    be taken for its rig, so a group whose median has not moved with its mean is left out.
+    A group's move is the weighted mean of its boards' charts, and the square of its score
+    is what that one number explains. So the group that explains most is taken first and its
+    move taken off its boards, until no group explains enough: one drifting rig of eight
+    moves the fleet's mean too, but explains more alone, and a whole site explains more than
+    any of its rigs. A single odd board must not be taken for its rig: a group whose middle
+    board has not moved with it is passed over.
 
     Args:
-        charts: one a parameter, of the same boards.
-        group: which group each board belongs to now, shape (boards,); -1 for none.
-        names: of the groups.
-        alpha: chance of a false alarm in a night, over all groups and parameters.
+        one: the chart of one parameter.
+        groupings: the smaller groups first: of two that explain the same, the first counts.
+        tests: how many groups and parameters are asked on this night.
+        alpha: chance of a false alarm in a night, over all of them.
     """
-    tests = max(len(charts) * len(names), 1)
-    found: list[GroupMove] = []
-    for one in charts:
-        for index, name in enumerate(names):
-            here = (group == index) & np.isfinite(one.variance)
-            boards = int(here.sum())
-            if boards < 2:
-                continue
-            weight = 1.0 / one.variance[here]
-            moved = float(np.average(one.moved[here], weights=weight))
-            z = moved * float(np.sqrt(weight.sum()))
-            p = float(2.0 * special.ndtr(-abs(z)))
-            middle = float(np.median(one.z[here])) * np.sign(moved)
-            # the median of n standard normals has a deviation of 1.2533 / sqrt(n)
-            if p < alpha / tests and middle > 1.2533 * abs(z) / np.sqrt(boards) / 4.0:
-                found.append(GroupMove(one.parameter, name, boards, moved, z, p))
-    return sorted(found, key=lambda one: -abs(one.z))
-
-
-def without_groups(
-    one: Chart, moves: Sequence[GroupMove], group: IntArray, names: Sequence[str]
-) -> Chart:
-    """Return a chart with what groups have moved taken off their boards."""
     moved, variance = one.moved.copy(), one.variance.copy()
-    for move in moves:
-        if move.parameter == one.parameter:
-            here = group == names.index(move.group)
-            moved[here] -= move.moved
-            variance[here] += (move.moved / move.z) ** 2
-    return Chart(one.parameter, one.scatter, one.slope_per_c, moved, variance, one.history)
+    found: list[GroupMove] = []
+    taken: set[tuple[str, str]] = set()
+    limit = float(-special.ndtri(0.5 * alpha / max(tests, 1)))
+    while True:
+        best: GroupMove | None = None
+        members: BoolArray | None = None
+        for grouping in groupings:
+            for move, here in _moves(one.parameter, grouping, moved, variance, limit):
+                better = best is None or abs(move.z) > abs(best.z) * (1.0 + 1e-9)
+                if better and (move.kind, move.group) not in taken:
+                    best, members = move, here
+        if best is None or members is None:
+            left = Chart(one.parameter, one.scatter, one.slope_per_c, moved, variance, one.history)
+            return found, left
+        found.append(best)
+        taken.add((best.kind, best.group))
+        moved[members] -= best.moved
+
+
+def _moves(
+    parameter: str, grouping: Grouping, moved: FloatArray, variance: FloatArray, limit: float
+) -> Iterator[tuple[GroupMove, BoolArray]]:
+    """Yield the groups that have moved by more than the limit, with their boards."""
+    charted = np.isfinite(variance) & (grouping.of >= 0)
+    weight = np.where(charted, 1.0 / variance, 0.0)
+    group = np.where(charted, grouping.of, 0)
+    count = len(grouping.names)
+    boards = np.bincount(group, charted, count)
+    total = np.bincount(group, weight, count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.bincount(group, weight * np.where(charted, moved, 0.0), count) / total
+        z = mean * np.sqrt(total)
+    for index in np.flatnonzero((boards >= 2) & (np.abs(np.nan_to_num(z)) > limit)):
+        here: BoolArray = charted & (grouping.of == index)
+        middle = float(np.median(moved[here] / np.sqrt(variance[here]))) * np.sign(z[index])
+        # the mean of n boards' scores is z / sqrt(n); their middle must be near it
+        if middle > abs(z[index]) / np.sqrt(boards[index]) / 3.0:
+            score = float(z[index])
+            p = float(2.0 * special.ndtr(-abs(score)))
+            move = GroupMove(
+                parameter,
+                grouping.kind,
+                grouping.names[int(index)],
+                int(boards[index]),
+                float(mean[index]),
+                score,
+                p,
+            )
+            yield move, here
 
 
 def discoveries(p_value: FloatArray, rate: float = DISCOVERY_RATE) -> BoolArray:
@@ -194,16 +230,22 @@ def _without_temperature(nights: Nights) -> tuple[FloatArray, float | None]:
     both = np.isfinite(value) & np.isfinite(temperature)
     if not both.any():
         return value, None
-    held = np.where(both, temperature, np.nan)
-    counts = both.sum(axis=0)
-    middle = np.where(both, temperature, 0.0).sum(axis=0) / np.maximum(counts, 1)
-    off = np.where(both, held - middle, 0.0)
-    span = off.max(axis=0) - off.min(axis=0)
-    if np.quantile(span[counts > 1], 0.5) < TEMPERATURE_SPAN_C if (counts > 1).any() else True:
-        return value, None
     weight = np.where(both, 1.0 / nights.variance, 0.0)
-    slope = float((weight * off * np.where(both, value, 0.0)).sum() / (weight * off * off).sum())
+    off, left = (_about_own_mean(one, weight) for one in (temperature, value))
+    span = off.max(axis=0) - off.min(axis=0)
+    several = both.sum(axis=0) > 1
+    if not several.any() or np.median(span[several]) < TEMPERATURE_SPAN_C:
+        return value, None
+    slope = float((weight * off * left).sum() / (weight * off * off).sum())
     return value - slope * off, slope
+
+
+def _about_own_mean(table: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return each board's values about its own weighted mean, 0 where they do not count."""
+    counted = np.where(weight > 0.0, table, 0.0)
+    mean = (weight * counted).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
+    about: FloatArray = np.where(weight > 0.0, counted - mean, 0.0)
+    return about
 
 
 def _scatter2(value: FloatArray, variance: FloatArray, in_base: BoolArray) -> float:

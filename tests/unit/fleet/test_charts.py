@@ -6,12 +6,13 @@ from scipy.stats import false_discovery_control, norm
 
 from gyrorig_solver.fleet.charts import (
     LAMBDA,
+    Chart,
+    Grouping,
     Nights,
     board_p_values,
     chart,
     discoveries,
     moved_groups,
-    without_groups,
 )
 
 NIGHTS, BOARDS, RIGS = 30, 400, 8
@@ -27,8 +28,14 @@ def quiet(rng: np.random.Generator, missing: float = 0.2) -> Nights:
     return Nights("scale_x", value, np.where(np.isfinite(value), variance, np.nan))
 
 
-RIG = np.arange(BOARDS) % RIGS
-NAMES = [f"rig-{n}" for n in range(RIGS)]
+RIG = Grouping("rig", [f"rig-{n}" for n in range(RIGS)], np.arange(BOARDS) % RIGS)
+SITE = Grouping("site", ["north", "south"], np.arange(BOARDS) % RIGS // 4)
+ALL = Grouping("fleet", ["all"], np.zeros(BOARDS, dtype=np.intp))
+GROUPS = [RIG, SITE, ALL]
+
+
+def moves(one: Chart) -> list[tuple[str, str]]:
+    return [(move.kind, move.group) for move in moved_groups(one, GROUPS, 11)[0]]
 
 
 def test_what_does_not_move_has_standard_normal_scores() -> None:
@@ -39,26 +46,37 @@ def test_what_does_not_move_has_standard_normal_scores() -> None:
     assert np.mean(np.abs(z) > 3.0) == pytest.approx(0.0027, abs=0.0015)
     assert charts[0].scatter == pytest.approx(1.0, abs=0.1)
     assert sum(int(discoveries(board_p_values([one])).sum()) for one in charts) <= 1
-    assert not any(moved_groups([one], RIG, NAMES) for one in charts)
+    assert not any(moves(one) for one in charts)
 
 
-def test_a_drifting_rig_is_told_before_any_of_its_boards() -> None:
+@pytest.mark.parametrize(
+    ("here", "expected"),
+    [
+        (RIG.of == 3, ("rig", "rig-3")),
+        (SITE.of == 1, ("site", "south")),
+        (RIG.of >= 0, ("fleet", "all")),
+    ],
+)
+def test_what_drifts_together_is_told_once_and_of_the_right_size(
+    here: np.ndarray, expected: tuple[str, str]
+) -> None:
     rng = np.random.default_rng(2)
     nights = quiet(rng)
-    nights.value[15:, RIG == 3] += 0.5 * np.arange(1, 16)[:, None] / 5.0
+    nights.value[15:, here] += 0.1 * np.arange(1, 16)[:, None]
     one = chart(nights)
-    (move, *_) = moved_groups([one], RIG, NAMES)
-    assert (move.group, move.z > 8.0) == ("rig-3", True)
-    rest = without_groups(one, [move], RIG, NAMES)
+    assert moves(one) == [expected]
+    (move,), rest = moved_groups(one, GROUPS, 11)
+    assert move.z > 5.0
+    assert move.boards == here.sum()
     assert not discoveries(board_p_values([rest])).any()
 
 
 def test_a_drifting_board_is_found_and_its_rig_is_not_blamed() -> None:
     rng = np.random.default_rng(3)
     nights = quiet(rng)
-    nights.value[12:, 77] += 12.0
+    nights.value[12:, 77] += 60.0
     one = chart(nights)
-    assert not moved_groups([one], RIG, NAMES)
+    assert moves(one) == []
     assert list(np.flatnonzero(discoveries(board_p_values([one]))[:, 0])) == [77]
 
 
@@ -79,7 +97,7 @@ def test_a_slope_with_temperature_is_no_drift() -> None:
 
 def test_a_small_span_of_temperature_gives_no_slope() -> None:
     nights = quiet(np.random.default_rng(5))
-    steady = np.full(nights.value.shape, 21.0) + np.arange(NIGHTS)[:, None] * 0.1
+    steady = np.full(nights.value.shape, 21.0) + np.arange(NIGHTS)[:, None] * 0.05
     assert chart(Nights("b", nights.value, nights.variance, steady)).slope_per_c is None
 
 

@@ -1,0 +1,99 @@
+"""`gyrorig fleet`: what the boards of a store are like, what has moved, and a page of it."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_solver.commands.terminal import Terminal, json_option
+from gyrorig_solver.fleet.overview import PARAMETERS, Overview, overview, read_origins
+from gyrorig_solver.fleet.page import write_page
+from gyrorig_solver.fleet.shelf import opened
+from gyrorig_solver.fleet.worries import Worry, worries
+
+_SHOWN = 15
+
+
+@click.command("fleet")
+@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
+@click.option(
+    "--boards",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="A table (CSV) with the columns board, lot, site: no recording knows lots and sites.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="The page's folder. Without it: STORE/fleet.",
+)
+@json_option
+@click.pass_obj
+def fleet_command(terminal: Terminal, store: Path, boards: Path | None, out: Path | None) -> int:
+    r"""Say what to look at first in a fleet, and write its page.
+
+    Lots, rigs and sites are asked before boards: what all boards of one rig show at once is
+    the rig's. Every value here comes from the calibrations as they are; shrunk values are
+    shown beside them and never come back.
+
+    \b
+    Example:
+      gyrorig fleet calibrations --boards boards.csv
+    """
+    opened(store)
+    terminal.progress("reading the index")
+    found = overview(store, None if boards is None else read_origins(boards))
+    terminal.progress("writing the page")
+    page = write_page(store, out or store / "fleet", found)
+    told = worries(found)
+    terminal.say(_said(found, told))
+    terminal.say(f"the page: {page}")
+    terminal.emit(_plain(found, told, page))
+    return 0
+
+
+def _said(found: Overview, told: list[Worry]) -> str:
+    boards = found.boards
+    trust = ", ".join(
+        f"{boards.trust.count(name)} {name}" for name in ("good", "limited", "refused")
+    )
+    lines = [f"{len(boards.board)} boards ({trust}), {sum(boards.versions)} versions"]
+    if not told:
+        lines.append("nothing stands out")
+    for one in told[:_SHOWN]:
+        lines.append(f"- {one.what}")
+        lines += [f"    {text}" for text in (one.why, one.do) if text]
+    if len(told) > _SHOWN:
+        lines.append(f"and {len(told) - _SHOWN} more, on the page")
+    return "\n".join(lines)
+
+
+def _plain(found: Overview, told: list[Worry], page: Path) -> dict[str, Any]:
+    return {
+        "boards": len(found.boards.board),
+        "versions": sum(found.boards.versions),
+        "nights": found.nights,
+        "worries": [
+            {"kind": one.kind, "what": one.what, "why": one.why, "do": one.do} for one in told
+        ],
+        "populations": [
+            {
+                "sensor": sensor,
+                "parameter": name,
+                "boards": one.boards,
+                "mean": one.mean,
+                "mean_std": one.mean_std,
+                "spread": one.spread,
+                "prior_dominated": int(one.prior_dominated.sum()),
+            }
+            for (sensor, name), one in found.populations.items()
+        ],
+        "drifting": [
+            {
+                "board": found.boards.board[at],
+                "parameters": [n for n, yes in zip(PARAMETERS, row, strict=True) if yes],
+            }
+            for at, row in enumerate(found.drifting)
+            if row.any()
+        ],
+        "page": str(page),
+    }

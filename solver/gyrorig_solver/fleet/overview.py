@@ -1,0 +1,329 @@
+"""A fleet as its index tells it: kinds of boards, groups that differ, what has moved.
+
+What to use when: `overview` for everything that the fleet's page and `gyrorig fleet` say.
+It reads the index alone; no calibration is opened. Where a board was made and where a rig
+stands no recording says: that comes from a table of the fleet's owner (`Origins`).
+"""
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.fleet.charts import (
+    Chart,
+    Grouping,
+    GroupMove,
+    Nights,
+    board_p_values,
+    chart,
+    discoveries,
+    moved_groups,
+)
+from gyrorig_solver.fleet.index import Index
+from gyrorig_solver.fleet.population import (
+    LEAST_BOARDS,
+    Between,
+    CommonConstant,
+    Population,
+    between,
+    common_constant,
+    mahalanobis,
+    population,
+)
+from gyrorig_solver.fleet.rows import parameter_columns
+
+Kind = Literal["rig", "lot", "site"]
+KINDS: tuple[Kind, ...] = ("rig", "lot", "site")
+PARAMETERS = tuple(name for name in parameter_columns() if not name.endswith("_std"))
+# What a perfect board on a perfect rig has; a bias and a lag are nobody's constant.
+NOMINAL = {
+    name: 1.0 if name.startswith("scale") else 0.0
+    for name in PARAMETERS
+    if name.startswith(("scale", "nonorthogonality", "misalignment"))
+}
+BETWEEN_ALPHA = (
+    1e-3  # one false alarm in a thousand nights, over all parameters, sensors and kinds of groups
+)
+ODD_RATE = 0.01  # of the boards called odd, false ones
+MAX_TABLE_BYTES = 200_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Origins:
+    """Which lot a board is of and where it is, by the fleet's owner."""
+
+    lot: dict[str, str] = field(default_factory=dict)
+    site: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Newest:
+    """The newest calibration of every board, as columns of one length."""
+
+    board: list[str]
+    sensor: list[str]
+    rig: list[str]
+    lot: list[str]
+    site: list[str]
+    trust: list[str]
+    findings: list[str]
+    file: list[str]
+    version: list[int]
+    versions: list[int]
+    start_s: FloatArray
+    chi2: FloatArray
+    temperature_c: FloatArray
+    value: dict[str, FloatArray]
+    std: dict[str, FloatArray]
+
+    def group(self, kind: str) -> list[str]:
+        """Return the boards' rigs, lots or sites, "" where unknown; or one for the fleet."""
+        if kind == "fleet":
+            return ["all"] * len(self.board)
+        return {"rig": self.rig, "lot": self.lot, "site": self.site}[kind]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overview:
+    """What there is to say of a fleet."""
+
+    boards: Newest
+    populations: dict[tuple[str, str], Population]  # (sensor, parameter)
+    constants: list[tuple[str, CommonConstant]]  # of a sensor, those that are common
+    differing: list[tuple[str, Kind, Between]]  # (sensor, kind of group, what differs)
+    moved: list[GroupMove]
+    drifting: npt.NDArray[np.bool_]  # (boards, parameters)
+    drift_z: FloatArray  # (boards, parameters)
+    odd: npt.NDArray[np.bool_]  # (boards,)
+    odd_p: FloatArray  # (boards,)
+    prior_dominated: npt.NDArray[np.bool_]  # (boards, parameters)
+    shrunk: FloatArray  # (boards, parameters), NaN where there is none
+    shrunk_std: FloatArray
+    wrong: list[tuple[str, int]]  # statuses of work without a calibration
+    nights: int
+
+
+def read_origins(path: Path) -> Origins:
+    """Return the lots and sites of boards from a table with the columns board, lot, site.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is no such table.
+    """
+    try:
+        if path.stat().st_size > MAX_TABLE_BYTES:
+            raise InputError(f"{path} is larger than a table of boards", "name another")
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as fault:
+        raise UsageError(f"{path} cannot be read, {fault.strerror}", "name a table") from fault
+    except UnicodeDecodeError as fault:
+        raise InputError(f"{path} is no text in UTF-8", "save it so") from fault
+    rows = csv.DictReader(text.splitlines())
+    if rows.fieldnames is None or "board" not in rows.fieldnames:
+        raise InputError(f"{path} has no column board", "begin it with the line: board,lot,site")
+    found = Origins()
+    for row in rows:
+        board = BoardId(row["board"] or "")
+        found.lot[board] = (row.get("lot") or "")[:64]
+        found.site[board] = (row.get("site") or "")[:64]
+    return found
+
+
+def overview(store: Path, origins: Origins | None = None) -> Overview:
+    """Return what there is to say of a fleet.
+
+    Raises:
+        InputError: the index is damaged.
+    """
+    index = Index(store)
+    boards = _newest(index, origins or Origins())
+    populations, constants, differing = _kinds(boards)
+    charts, nights = _charts(index, boards)
+    groupings = [_grouping(kind, boards.group(kind)) for kind in ("rig", "lot", "site", "fleet")]
+    tests = len(charts) * sum(len(one.names) for one in groupings)
+    told = [moved_groups(one, groupings, tests) for one in charts]
+    moved = [move for moves, _ in told for move in moves]
+    charts = [left for _, left in told]
+    count = len(boards.board)
+    p = board_p_values(charts) if charts else np.full((count, len(PARAMETERS)), np.nan)
+    z = np.stack([one.z for one in charts], axis=1) if charts else np.zeros_like(p)
+    odd_p = _odd(boards, populations)
+    return Overview(
+        boards=boards,
+        populations=populations,
+        constants=constants,
+        differing=sorted(differing, key=lambda one: one[2].p_value),
+        moved=sorted(moved, key=lambda one: -abs(one.z)),
+        drifting=discoveries(p),
+        drift_z=z,
+        odd=discoveries(odd_p, ODD_RATE),
+        odd_p=odd_p,
+        prior_dominated=_of_boards(boards, populations, "prior_dominated", fill=0.0) > 0.5,
+        shrunk=_of_boards(boards, populations, "shrunk"),
+        shrunk_std=_of_boards(boards, populations, "shrunk_std"),
+        wrong=[
+            (str(status), int(n))
+            for status, n in index.ask(
+                "SELECT status, count(*) FROM rows WHERE status <> 'ok' GROUP BY 1 ORDER BY 1"
+            )
+        ],
+        nights=nights,
+    )
+
+
+def _newest(index: Index, origins: Origins) -> Newest:
+    columns = ", ".join(f"{name}, {name}_std" for name in PARAMETERS)
+    sql = (
+        "SELECT board, sensor, rig, trust, findings, file, version, "  # noqa: S608 - ours
+        "count(*) OVER (PARTITION BY board), epoch(start), reduced_chi2, temperature_degc, "
+        f"{columns} FROM rows WHERE status = 'ok' "
+        "QUALIFY row_number() OVER (PARTITION BY board ORDER BY version DESC) = 1 ORDER BY board"
+    )
+    rows = index.ask(sql)
+    turned: list[list[Any]] = [list(one) for one in zip(*rows, strict=True)]
+    if not turned:
+        turned = [[] for _ in range(11 + 2 * len(PARAMETERS))]
+    board = [str(one) for one in turned[0]]
+    numbers = [
+        np.array([np.nan if v is None else v for v in one], dtype=float) for one in turned[8:]
+    ]
+    return Newest(
+        board=board,
+        sensor=[str(one or "") for one in turned[1]],
+        rig=[str(one or "") for one in turned[2]],
+        lot=[origins.lot.get(one, "") for one in board],
+        site=[origins.site.get(one, "") for one in board],
+        trust=[str(one or "") for one in turned[3]],
+        findings=[str(one or "") for one in turned[4]],
+        file=[str(one or "") for one in turned[5]],
+        version=[int(one) for one in turned[6]],
+        versions=[int(one) for one in turned[7]],
+        start_s=numbers[0],
+        chi2=numbers[1],
+        temperature_c=numbers[2],
+        value=dict(zip(PARAMETERS, numbers[3::2], strict=True)),
+        std=dict(zip(PARAMETERS, numbers[4::2], strict=True)),
+    )
+
+
+def _kinds(
+    boards: Newest,
+) -> tuple[
+    dict[tuple[str, str], Population],
+    list[tuple[str, CommonConstant]],
+    list[tuple[str, Kind, Between]],
+]:
+    """Ask each kind of sensor what its boards are like, and whether groups of them differ."""
+    populations: dict[tuple[str, str], Population] = {}
+    constants: list[tuple[str, CommonConstant]] = []
+    asked: list[tuple[str, Kind, Between]] = []
+    sensors = np.array(boards.sensor)
+    for sensor in sorted(set(boards.sensor)):
+        for name in PARAMETERS:
+            here = _known(boards, name) & (sensors == sensor)
+            if here.sum() < LEAST_BOARDS:
+                continue
+            value, std = boards.value[name][here], boards.std[name][here]
+            found = populations[sensor, name] = population(name, value, std)
+            if name in NOMINAL and (common := common_constant(found, NOMINAL[name])).is_common:
+                constants.append((sensor, common))
+            asked += [(sensor, kind, told) for kind, told in _differences(boards, found, here)]
+    limit = BETWEEN_ALPHA / max(len(asked), 1)
+    return populations, constants, [one for one in asked if one[2].p_value < limit]
+
+
+def _differences(
+    boards: Newest, found: Population, here: npt.NDArray[np.bool_]
+) -> Iterator[tuple[Kind, Between]]:
+    """Yield how groups differ in one parameter, the kind that tells most first.
+
+    Lots and rigs may go together; what the first has told is taken off before the next is
+    asked, or the bad lot's rigs would be called bad as well.
+    """
+    value, std = boards.value[found.parameter][here].copy(), boards.std[found.parameter][here]
+    groups = {
+        kind: [g for g, yes in zip(boards.group(kind), here, strict=True) if yes] for kind in KINDS
+    }
+    while groups:
+        told = {kind: between(found, value, std, group) for kind, group in groups.items()}
+        known = {kind: one for kind, one in told.items() if one is not None}
+        if not known:
+            return
+        kind = min(known, key=lambda kind: known[kind].p_value)
+        yield kind, known[kind]
+        at = np.array([name == known[kind].most for name in groups.pop(kind)])
+        value[at] -= known[kind].most_by
+
+
+def _charts(index: Index, boards: Newest) -> tuple[list[Chart], int]:
+    """Return the drift chart of every parameter over the nights of the index."""
+    number = {name: at for at, name in enumerate(boards.board)}
+    columns = ", ".join(f"{name}, {name}_std" for name in PARAMETERS)
+    sql = (
+        f"SELECT board, date_diff('day', DATE '1970-01-01', start::DATE), temperature_degc, "  # noqa: S608
+        f"{columns} FROM rows WHERE status = 'ok' AND start IS NOT NULL "
+        "QUALIFY row_number() OVER (PARTITION BY board, start::DATE ORDER BY version DESC) = 1"
+    )
+    rows = index.ask(sql)
+    if not rows:
+        return [], 0
+    table = np.array([[np.nan if v is None else v for v in row[1:]] for row in rows], dtype=float)
+    board = np.array([number[row[0]] for row in rows])
+    days, night = np.unique(table[:, 0], return_inverse=True)
+    shape = (len(days), len(boards.board))
+    temperature = np.full(shape, np.nan)
+    temperature[night, board] = table[:, 1]
+    charts: list[Chart] = []
+    for at, name in enumerate(PARAMETERS):
+        value, variance = np.full(shape, np.nan), np.full(shape, np.nan)
+        value[night, board] = table[:, 2 + 2 * at]
+        variance[night, board] = table[:, 3 + 2 * at] ** 2
+        value[~(variance > 0.0)] = np.nan
+        charts.append(chart(Nights(name, value, variance, temperature)))
+    return charts, len(days)
+
+
+def _odd(boards: Newest, populations: dict[tuple[str, str], Population]) -> FloatArray:
+    """Return how likely chance makes a board so unlike the others of its kind."""
+    z = _of_boards(boards, populations, "z")
+    odd = np.full(len(boards.board), np.nan)
+    sensors = np.array(boards.sensor)
+    for sensor in {sensor for sensor, _ in populations}:
+        here = (sensors == sensor) & np.isfinite(z).any(axis=1)
+        odd[here] = mahalanobis(z[here])
+    return odd
+
+
+def _of_boards(
+    boards: Newest,
+    populations: dict[tuple[str, str], Population],
+    what: str,
+    fill: float = np.nan,
+) -> FloatArray:
+    """Return an array of the populations as boards by parameters."""
+    table = np.full((len(boards.board), len(PARAMETERS)), fill)
+    sensors = np.array(boards.sensor)
+    for (sensor, name), found in populations.items():
+        here = _known(boards, name) & (sensors == sensor)
+        table[here, PARAMETERS.index(name)] = getattr(found, what)
+    return table
+
+
+def _known(boards: Newest, name: str) -> npt.NDArray[np.bool_]:
+    known: npt.NDArray[np.bool_] = np.isfinite(boards.value[name]) & (boards.std[name] > 0.0)
+    return known
+
+
+def _grouping(kind: str, names: Sequence[str]) -> Grouping:
+    groups = sorted({name for name in names if name})
+    number = {name: at for at, name in enumerate(groups)}
+    of = np.array([number.get(name, -1) for name in names], dtype=np.intp)
+    return Grouping(kind, groups, of)

@@ -1,0 +1,204 @@
+"""The fleet's page: files that a browser opens from a disk or a server alike.
+
+    STORE/fleet/index.html  app.js  style.css  data.js  history/00.js ... ff.js
+
+What to use when: `write_page` after `overview`. A page from a disk may not fetch files, so
+data are scripts that call one function; the histories of boards are in 256 of them, loaded
+when a board is opened. Links go to the calibrations and reports beside it in the store.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from gyrorig_protocol.errors import MachineError
+from gyrorig_solver.fleet.index import Index
+from gyrorig_solver.fleet.overview import KINDS, PARAMETERS, Overview
+from gyrorig_solver.fleet.worries import Worry, unit_of, worries
+
+_COPIED = ("index.html", "app.js", "style.css")
+_SHARDS = 256
+HISTORY_POINTS = 60  # the latest of each board
+_DIGITS = 7
+_BINS = 41
+
+
+def write_page(store: Path, folder: Path, found: Overview) -> Path:
+    """Write the fleet's page and return its `index.html`.
+
+    Args:
+        store: whose index the histories come from.
+        folder: where to; made if it is not there. Usually `STORE/fleet`.
+        found: what to show.
+
+    Raises:
+        MachineError: the folder cannot be written.
+        InputError: the index is damaged.
+    """
+    try:
+        (folder / "history").mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise MachineError(
+            f"cannot make {folder}, {fault.strerror}", "choose another with --out"
+        ) from fault
+    here = files("gyrorig_solver.fleet") / "web"
+    for name in _COPIED:
+        _write(folder / name, (here / name).read_bytes())
+    up = _way_up(store, folder)
+    _write(folder / "data.js", _call("FLEET", _data(found, up)))
+    _write_histories(Index(store), folder / "history")
+    return folder / "index.html"
+
+
+def shard_of(board: str) -> str:
+    """Return the two digits that name the file with a board's history."""
+    return hashlib.sha256(board.encode()).hexdigest()[:2]
+
+
+def _data(found: Overview, up: str) -> dict[str, Any]:
+    boards = found.boards
+    return {
+        "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        "software": version("gyrorig"),
+        "up": up,
+        "nights": found.nights,
+        "versions": sum(boards.versions),
+        "wrong": found.wrong,
+        "parameters": list(PARAMETERS),
+        "units": [_spaced(unit_of(name)) for name in PARAMETERS],
+        "worries": [_worry(one) for one in worries(found)],
+        "kinds": _kinds(found),
+        "boards": {
+            "id": boards.board,
+            "shard": [shard_of(one) for one in boards.board],
+            "sensor": _coded(boards.sensor),
+            "trust": _coded(boards.trust),
+            "findings": _coded(boards.findings),
+            **{kind: _coded(boards.group(kind)) for kind in KINDS},
+            "version": boards.version,
+            "start": _numbers(boards.start_s, 10),
+            "chi2": _numbers(boards.chi2, 4),
+            "temperature": _numbers(boards.temperature_c, 4),
+            "file": [one.removesuffix(".yaml") for one in boards.file],
+            "drift": [
+                [round(float(z[at]), 1), int(at)] if yes.any() else None
+                for z, yes in zip(found.drift_z, found.drifting, strict=True)
+                for at in [_largest(z, yes)]
+            ],
+            "odd": [bool(one) for one in found.odd],
+            "value": {name: _numbers(boards.value[name]) for name in PARAMETERS},
+            "std": {name: _numbers(boards.std[name], 3) for name in PARAMETERS},
+            "shrunk": {name: _numbers(found.shrunk[:, at]) for at, name in enumerate(PARAMETERS)},
+        },
+    }
+
+
+def _kinds(found: Overview) -> list[dict[str, Any]]:
+    """Return what boards of each sensor are like, with the histogram of each parameter."""
+    kinds: list[dict[str, Any]] = []
+    for (sensor, name), one in found.populations.items():
+        here = [s == sensor for s in found.boards.sensor]
+        values = [
+            float(v)
+            for v, yes in zip(found.boards.value[name], here, strict=True)
+            if yes and math.isfinite(v)
+        ]
+        kinds.append(
+            {
+                "sensor": sensor,
+                "parameter": name,
+                "unit": _spaced(unit_of(name)),
+                "boards": one.boards,
+                "mean": one.mean,
+                "mean_std": one.mean_std,
+                "spread": one.spread,
+                "odd": int(one.odd.sum()),
+                "prior": int(one.prior_dominated.sum()),
+                "bins": _histogram(values, one.mean, one.spread),
+            }
+        )
+    return kinds
+
+
+def _histogram(values: Sequence[float], mean: float, spread: float) -> dict[str, Any]:
+    """Return counts over the middle of a distribution; the two ends hold what is further out."""
+    half = 5.0 * spread or max((abs(v - mean) for v in values), default=1.0) or 1.0
+    counts = [0] * _BINS
+    for value in values:
+        at = int((value - mean + half) / (2.0 * half) * _BINS)
+        counts[min(max(at, 0), _BINS - 1)] += 1
+    return {"low": mean - half, "high": mean + half, "counts": counts}
+
+
+def _spaced(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def _worry(one: Worry) -> dict[str, Any]:
+    return {"what": one.what, "why": one.why, "do": one.do, "kind": one.kind, "find": one.find}
+
+
+def _write_histories(index: Index, folder: Path) -> None:
+    columns = ", ".join(PARAMETERS)
+    sql = (
+        f"SELECT board, version, epoch(start), temperature_degc, {columns} FROM rows "  # noqa: S608
+        "WHERE status = 'ok' QUALIFY row_number() OVER (PARTITION BY board ORDER BY version DESC) "
+        f"<= {HISTORY_POINTS} ORDER BY board, version"
+    )
+    shards: dict[str, dict[str, list[Any]]] = {f"{n:02x}": {} for n in range(_SHARDS)}
+    for board, number, *numbers in index.ask(sql):
+        points = shards[shard_of(board)].setdefault(board, [])
+        points.append([number, *_numbers(numbers)])
+    for name, boards in shards.items():
+        _write(folder / f"{name}.js", _call("HISTORY", boards, name))
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write a file whole, so that nobody opens half of it. Not synced: it can be made anew."""
+    temporary = path.with_name(f".{path.name}.new")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as fault:
+        raise MachineError(
+            f"cannot write {path}, {fault.strerror}", "make room, or choose another with --out"
+        ) from fault
+
+
+def _call(function: str, value: Any, *names: str) -> bytes:
+    """Return a script that hands a value to the page. Nothing in it can end the script."""
+    arguments = ", ".join(json.dumps(one, separators=(",", ":")) for one in (*names, value))
+    return f"{function}({arguments});\n".replace("</", "<\\/").encode()
+
+
+def _coded(texts: Sequence[str]) -> dict[str, Any]:
+    """Return texts that repeat as numbers of a list of them."""
+    names = sorted(set(texts))
+    number = {name: at for at, name in enumerate(names)}
+    return {"names": names, "of": [number[text] for text in texts]}
+
+
+def _numbers(values: Iterable[float | None], digits: int = _DIGITS) -> list[float | None]:
+    return [
+        None if one is None or not math.isfinite(one) else float(f"{one:.{digits}g}")
+        for one in values
+    ]
+
+
+def _largest(z: Any, among: Any) -> int:
+    return max(range(len(z)), key=lambda at: abs(z[at]) if among[at] else -1.0)
+
+
+def _way_up(store: Path, folder: Path) -> str:
+    """Return the way from the page to the store, as a link has it."""
+    try:
+        inside = folder.resolve().relative_to(store.resolve())
+    except ValueError:
+        return store.resolve().as_uri() + "/"
+    return "../" * len(inside.parts)

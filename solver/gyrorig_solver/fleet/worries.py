@@ -1,0 +1,194 @@
+"""What to look at first: a fleet's findings as sentences, the widest reaching first.
+
+What to use when: `worries` for the page and for `gyrorig fleet`. A constant that is wrong on
+every unit reaches further than a rig, a rig further than a lot's parts, a lot than a board.
+"""
+
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from gyrorig_solver.fleet.overview import PARAMETERS, Overview
+
+BOARDS_NAMED = 20  # the page lists all of them
+
+
+@dataclass(frozen=True, slots=True)
+class Worry:
+    """One thing to look at."""
+
+    kind: str  # constant | rig | lot | site | drift | odd | work | trust
+    what: str
+    why: str
+    do: str
+    find: str = ""  # what to put into the page's search to see the boards
+
+
+def worries(found: Overview) -> list[Worry]:
+    """Return what to look at, the widest reaching first."""
+    return [
+        *_constants(found),
+        *_moved(found),
+        *_differing(found),
+        *_work(found),
+        *_drifting(found),
+        *_odd(found),
+        *_refused(found),
+    ]
+
+
+def _constants(found: Overview) -> list[Worry]:
+    told: list[Worry] = []
+    for sensor, one in found.constants:
+        told.append(
+            Worry(
+                "constant",
+                f"{_words(one.parameter)} is off by {_sized(one.parameter, one.offset)} "
+                f"on every {sensor}",
+                f"{one.z:+.0f} standard deviations of the fleet's mean, and {one.share:.0%} of it "
+                "is the same on all units: parts do not do that",
+                _constant_remedy(one.parameter),
+                f"sensor:{sensor}",
+            )
+        )
+    return told
+
+
+def _constant_remedy(parameter: str) -> str:
+    if parameter.startswith("scale"):
+        return (
+            "compare the rate of one count in the sensor's profile with its data sheet, the "
+            "counts' truncation, and the host's clock with another one"
+        )
+    if parameter.startswith("misalignment"):
+        return "the fixture turns every board so: measure it, or take it as the new zero"
+    return "look at the order of axes in the profile, and at the fixture"
+
+
+def _moved(found: Overview) -> list[Worry]:
+    told: list[Worry] = []
+    for one in found.moved:
+        whole = one.kind == "fleet"
+        who = "the whole fleet" if whole else _named(one.kind, one.group)
+        do = (
+            "look for what all have in common: the solver's version, a profile, the host's clock"
+            if whole
+            else f"look at {who}: levels, screws, gears, clock; `gyrorig explain` of its last "
+            "recordings names causes"
+        )
+        told.append(
+            Worry(
+                one.kind,
+                f"{who} has moved {_words(one.parameter)} by {_sized(one.parameter, one.moved)}",
+                f"its {one.boards} boards together, {one.z:+.1f} standard deviations: what moves "
+                "on all boards at once is not the boards",
+                do,
+                "" if whole else f"{one.kind}:{one.group}",
+            )
+        )
+    return told
+
+
+def _differing(found: Overview) -> list[Worry]:
+    return [
+        Worry(
+            kind,
+            f"{_named(kind, one.most)} differs in {_words(one.parameter)} of {sensor} "
+            f"by {_sized(one.parameter, one.most_by)}",
+            f"{one.most_z:+.1f} standard deviations from the {one.groups} {kind}s' mean, beyond "
+            "what boards differ by",
+            "a lot: ask its maker; a rig or site: let one board be measured on two of them",
+            f"{kind}:{one.most}",
+        )
+        for sensor, kind, one in found.differing
+    ]
+
+
+def _work(found: Overview) -> list[Worry]:
+    remedies = {
+        "quarantined": "each killed its worker twice: send us one of them",
+        "failed": "`gyrorig store ls --wrong` shows reasons and traces",
+        "rejected": "`gyrorig store ls --wrong` says why; `gyrorig check` looks at one",
+    }
+    return [
+        Worry("work", f"{count} recordings {status}", "they gave no calibration", remedies[status])
+        for status, count in found.wrong
+    ]
+
+
+def _drifting(found: Overview) -> list[Worry]:
+    boards = np.flatnonzero(found.drifting.any(axis=1))
+    order = sorted(boards, key=lambda at: -float(np.abs(found.drift_z[at]).max()))
+    told: list[Worry] = []
+    for at in islice(order, BOARDS_NAMED):
+        which = int(np.argmax(np.where(found.drifting[at], np.abs(found.drift_z[at]), -1.0)))
+        board = found.boards.board[at]
+        told.append(
+            Worry(
+                "drift",
+                f"board {board} drifts in {_words(PARAMETERS[which])}",
+                f"{found.drift_z[at, which]:+.1f} standard deviations from its first nights, its "
+                "rig's and site's moves taken off",
+                "measure it again; if it goes on, its earlier calibrations are of another board",
+                f"board:{board}",
+            )
+        )
+    return _with_more(told, len(order), "drift", "boards drift", "is:drifting")
+
+
+def _odd(found: Overview) -> list[Worry]:
+    order = sorted(np.flatnonzero(found.odd), key=lambda at: float(found.odd_p[at]))
+    told = [
+        Worry(
+            "odd",
+            f"board {found.boards.board[at]} is unlike all others of its kind",
+            f"by chance in one of {1.0 / max(float(found.odd_p[at]), 1e-300):.2g} boards",
+            "a damaged part, another part under that name, or set otherwise: open it",
+            f"board:{found.boards.board[at]}",
+        )
+        for at in islice(order, BOARDS_NAMED)
+    ]
+    return _with_more(told, len(order), "odd", "boards are odd", "is:odd")
+
+
+def _refused(found: Overview) -> list[Worry]:
+    refused = found.boards.trust.count("refused")
+    if not refused:
+        return []
+    return [
+        Worry(
+            "trust",
+            f"{refused} boards' newest calibrations are refused",
+            "their reasons and remedies stand in each document",
+            "open them",
+            "trust:refused",
+        )
+    ]
+
+
+def _with_more(told: list[Worry], count: int, kind: str, words: str, find: str) -> list[Worry]:
+    if count > len(told):
+        told.append(Worry(kind, f"{count} {words}, {count - len(told)} more", "", "", find))
+    return told
+
+
+def unit_of(parameter: str) -> str:
+    """Return the unit of a parameter's column, "" for a plain number."""
+    family = parameter.split("_", maxsplit=1)[0]
+    return {"bias": "rad/s", "misalignment": "rad", "time": "s"}.get(family, "")
+
+
+def _sized(parameter: str, size: float) -> str:
+    unit = unit_of(parameter)
+    return f"{size:+.4g}{' ' if unit else ''}{unit}"
+
+
+def _named(kind: str, group: str) -> str:
+    """Return a group's name with its kind, once."""
+    return group if group.startswith(kind) else f"{kind} {group}"
+
+
+def _words(parameter: str) -> str:
+    name, _, entry = parameter.rpartition("_")
+    return f"{name} {entry}" if name and name != "time" else parameter.replace("_", " ")

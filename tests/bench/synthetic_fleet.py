@@ -1,0 +1,128 @@
+"""Index rows of a fleet that never was: boards of lots on rigs, night after night.
+
+What to use when: for tests and figures of fleet statistics and of the index's own speed,
+where a million calibrations are needed and their documents are not. Values are drawn as
+calibrations are: a board's truth, a night's scatter, a calibration's own error.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import duckdb
+import numpy as np
+
+from gyrorig_solver.calibration.store import make_sharded
+from gyrorig_solver.fleet.overview import PARAMETERS
+from gyrorig_solver.fleet.rows import sql_columns
+
+# What boards of a consumer part differ by, and what 75 s on a rig leave open.
+SPREAD = {"bias": 5e-3, "scale": 1e-2, "nonorthogonality": 4e-3, "misalignment": 8e-3, "time": 1e-3}
+ERROR = {"bias": 1e-4, "scale": 2e-4, "nonorthogonality": 3e-4, "misalignment": 3e-4, "time": 2e-4}
+SCATTER = {
+    "bias": 4e-4,
+    "scale": 2e-4,
+    "nonorthogonality": 2e-4,
+    "misalignment": 3e-4,
+    "time": 1e-4,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FleetPlan:
+    """What is hidden in a fleet; sizes in the parameter's unit."""
+
+    boards: int = 200
+    nights: int = 30
+    rigs: int = 8
+    lots: int = 4
+    seed: int = 1
+    measured: float = 0.8  # share of the boards on a night
+    rig_drift: tuple[int, str, int, float] | None = None  # rig, parameter, first night, a night
+    bad_lot: tuple[int, str, float] | None = None
+    constant: tuple[str, float] | None = None  # on every unit
+    board_drift: tuple[int, str, int, float] | None = None
+    odd_board: tuple[int, str, float] | None = None
+    temperature_per_c: dict[str, float] = field(default_factory=dict)
+
+
+def column_of(
+    plan: FleetPlan, name: str, rng: np.random.Generator, temperature_c: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return one parameter's values and standard deviations, (nights, boards)."""
+    family = name.split("_", maxsplit=1)[0]
+    night = np.arange(plan.nights)[:, None]
+    board = np.arange(plan.boards)
+    truth = rng.normal(1.0 if family == "scale" else 0.0, SPREAD[family], plan.boards)
+    std = ERROR[family] * rng.uniform(0.7, 1.5, (plan.nights, plan.boards))
+    value = truth + rng.normal(0.0, SCATTER[family], std.shape) + rng.normal(0.0, std)
+    value += plan.temperature_per_c.get(name, 0.0) * (temperature_c - 25.0)
+    if plan.constant is not None and plan.constant[0] == name:
+        value += plan.constant[1]
+    if plan.bad_lot is not None and plan.bad_lot[1] == name:
+        value += plan.bad_lot[2] * (board % plan.lots == plan.bad_lot[0])
+    if plan.odd_board is not None and plan.odd_board[1] == name:
+        value += plan.odd_board[2] * (board == plan.odd_board[0])
+    for drift, here in ((plan.rig_drift, board % plan.rigs), (plan.board_drift, board)):
+        if drift is not None and drift[1] == name:
+            value += np.maximum(night - drift[2] + 1, 0) * drift[3] * (here == drift[0])
+    return value, std
+
+
+def write_fleet(store: Path, plan: FleetPlan) -> Path:
+    """Write a store's index and a table of its boards' lots and sites; return the table."""
+    make_sharded(store)
+    (store / "index").mkdir(exist_ok=True)
+    rng = np.random.default_rng(plan.seed)
+    shape = (plan.nights, plan.boards)
+    kept = rng.random(shape) < plan.measured
+    season = 4.0 * np.sin(np.arange(plan.nights) / 4.0)[:, None]
+    temperature = 25.0 + season + rng.normal(0.0, 0.5, shape)
+    night, board = np.nonzero(kept)
+    version = (np.cumsum(kept, axis=0))[kept]
+    columns: dict[str, np.ndarray] = {
+        "n_board": board,
+        "n_night": night,
+        "n_version": version,
+        "temperature": temperature[kept],
+    }
+    for name in PARAMETERS:
+        value, std = column_of(plan, name, rng, temperature)
+        columns[name], columns[f"{name}_std"] = value[kept], std[kept]
+    made = {
+        "key": "'synthetic-' || n_board || '-' || n_version",
+        "status": "'ok'",
+        "created": "TIMESTAMP '2026-01-01 03:00:00' + to_days(n_night::INTEGER)",
+        "batch": "'synthetic'",
+        "inputs": "[md5(n_board || '/' || n_version)]",
+        "names": "['n' || n_board || '-' || n_version || '.mcap']",
+        "rig": f"'rig-' || (n_board % {plan.rigs})",
+        "board": "'B' || lpad(n_board::VARCHAR, 6, '0')",
+        "uid": "'U' || n_board",
+        "sensor": "'L3G4200D'",
+        "start": "TIMESTAMP '2026-01-01 02:00:00' + to_days(n_night::INTEGER)",
+        "duration_s": "75.0",
+        "temperature_degc": "temperature",
+        "version": "n_version",
+        "file": "'calib/00/00/B' || lpad(n_board::VARCHAR, 6, '0') || '/v' || "
+        "lpad(n_version::VARCHAR, 4, '0') || '.yaml'",
+        "file_sha256": "sha256(n_board || '/' || n_version)",
+        "trust": "CASE WHEN n_board % 50 = 7 THEN 'limited' ELSE 'good' END",
+        "reduced_chi2": "1.0",
+    }
+    fields = ", ".join(
+        f"({made.get(name, name if name in columns else 'NULL')})::{kind} AS {name}"
+        for name, kind in sql_columns().items()
+    )
+    with duckdb.connect() as database:
+        database.register("drawn", columns)
+        path = store / "index" / "synthetic-0000.parquet"
+        database.execute(
+            f"COPY (SELECT {fields} FROM drawn) TO '{path}' (FORMAT parquet, COMPRESSION zstd)"  # noqa: S608 - ours
+        )
+    table = store.parent / f"{store.name}-boards.csv"
+    lines = [
+        f"B{n:06d},lot-{n % plan.lots},{'north' if n % plan.rigs < plan.rigs // 2 else 'south'}"
+        for n in range(plan.boards)
+    ]
+    table.write_text("\n".join(["board,lot,site", *lines]) + "\n", encoding="utf-8")
+    return table
