@@ -12,6 +12,7 @@ class ServiceCounts:
     sessions_stopped: int = 0
     motion_faults: int = 0
     unit_lost: int = 0
+    unit_reopened: int = 0
     reloads: int = 0
     reloads_refused: int = 0
     acquisition_restarts: int = 0

@@ -63,7 +63,7 @@ class Daemon:
         self._missing_since_s: float | None = None
         self._reopen = False
         self.scene = Scene(Glance("starting"))
-        self.unit = UnitWatch(rig, parts.memory, parts.seed)
+        self.unit = UnitWatch(rig, parts.memory, parts.counts, parts.seed)
         self._runner = Runner(rig, parts, self.unit, self.scene)
         now_ns = self._pump.now_ns()
         self.wall = WallClockTimer(parts.clocks.read_host, now_ns, self._take_clock_step)

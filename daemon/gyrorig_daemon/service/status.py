@@ -84,8 +84,7 @@ class StatusTimer:
             },
             "kept": asdict(parts.keeper.counts),
             "acquisition_dropped_bytes": parts.dropped_bytes(),
-            "counts": asdict(parts.counts)
-            | {"unit_lost": parts.counts.unit_lost + self._unit_watch.lost},
+            "counts": asdict(parts.counts),
         }
 
     def _unit(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from gyrorig_daemon.config import PTU_PORT
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion import PtuClient, identify_unit
 from gyrorig_daemon.rig import Rig
+from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.memory import Memory
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import Axis, Quantity, query
@@ -20,6 +21,7 @@ from gyrorig_protocol.ptu.commands import HALT
 RETRY_S = 2.0  # reference: reliability.md section 3 row 1
 LOOK_EVERY_S = 2.0
 SILENT_LOOKS = 2
+REOPEN_AFTER = 3  # greetings in vain: a driver may be wedged (reference: as above, row 6)
 
 
 class UnitState(Enum):
@@ -45,15 +47,16 @@ def first_halt(rig: Rig) -> None:
 class UnitWatch:
     """Knows whether the unit is there, and halts it whenever it comes."""
 
-    def __init__(self, rig: Rig, memory: Memory, seed: int) -> None:
+    def __init__(self, rig: Rig, memory: Memory, counts: ServiceCounts, seed: int) -> None:
         self._memory = memory
+        self._counts = counts
         self._pump: Pump = rig.pump
         self._client: PtuClient = rig.client
         self._rng = random.Random(seed)  # noqa: S311 - moments, not secrets
         self.state = UnitState.ABSENT
         self.why = ""
-        self.lost = 0
         self._silent = 0
+        self._in_vain = 0
         self._due_ns = rig.pump.now_ns()
 
     def look(self) -> UnitState:
@@ -75,7 +78,7 @@ class UnitWatch:
 
     def lose(self, state: UnitState, why: str) -> None:
         """Note that nothing is known of the unit any more."""
-        self.lost += self.state is UnitState.STANDS
+        self._counts.unit_lost += self.state is UnitState.STANDS
         self.state, self.why = state, why
         self._due_ns = self._pump.now_ns()
 
@@ -109,9 +112,14 @@ class UnitWatch:
         except DeviceError as fault:
             self.state = UnitState.SILENT if self._pump.is_up(PTU_PORT) else UnitState.ABSENT
             self.why = fault.what
+            self._in_vain += 1
+            if self._in_vain % REOPEN_AFTER == 0 and self.state is UnitState.SILENT:
+                self._counts.unit_reopened += 1
+                self._pump.reopen(PTU_PORT)
             return
         self._see_losses()
-        self.state, self.why, self._silent = UnitState.STANDS, "", 0
+        self.state, self.why = UnitState.STANDS, ""
+        self._silent = self._in_vain = 0
 
     def _see_losses(self) -> None:
         if self._client.lost_synchrony is not None:

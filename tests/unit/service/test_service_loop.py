@@ -235,6 +235,18 @@ def test_a_unit_unplugged_in_motion_ends_the_session_and_is_halted_on_its_return
     assert [json.loads(p.read_text())["session"] for p in bench.results("done")] == ["again"]
 
 
+def test_a_silent_unit_is_asked_for_ever_and_its_port_opened_anew(make_bench: Make) -> None:
+    bench = make_bench()
+    hear = bench.rig.ptu.receive
+    bench.at(5.0, lambda: setattr(bench.rig.ptu, "receive", lambda data, at_ns: None))
+    bench.at(60.0, lambda: setattr(bench.rig.ptu, "receive", hear))
+    bench.serve(80.0)
+    assert bench.state_at(40.0)["unit"]["state"] == "silent"
+    assert bench.state_at(50.0)["counts"]["unit_reopened"] >= 2
+    assert bench.state_at(79.0)["unit"]["state"] == "stands"
+    assert bench.state_at(79.0)["counts"]["unit_lost"] == 1
+
+
 def test_a_reload_reopens_when_idle_and_a_broken_one_changes_nothing(make_bench: Make) -> None:
     bench = make_bench()
     bench.refusal = "rig.yaml is not a YAML document"
