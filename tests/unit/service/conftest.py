@@ -80,6 +80,7 @@ class Bench:
         self.statuses: list[dict[str, Any]] = []
         self.stepped_s = 0.0  # how far the wall clock was set
         self.refusal = ""  # why a new configuration cannot be used
+        self._enough: Callable[[], bool] | None = None
         self._plans: list[tuple[int, int, Callable[[], None]]] = []
         self.due_ns = ORIGIN_NS
         self.state = StateFolder(folder / "state").__enter__()
@@ -130,10 +131,14 @@ class Bench:
 
     def fire(self, now_ns: int) -> None:
         self.due_ns = now_ns + 50_000_000
+        if self._enough is not None and self._enough():
+            self.orders.ask_to_end("enough")
         while self._plans and self._plans[0][0] <= now_ns:
             heapq.heappop(self._plans)[2]()
 
-    def serve(self, until_s: float) -> Ending:
+    def serve(self, until_s: float, enough: Callable[[], bool] | None = None) -> Ending:
+        """Let time pass until then, or until `enough`."""
+        self._enough = enough
         self.at(until_s, lambda: self.orders.ask_to_end("SIGTERM"))
         return self.daemon.run()
 
@@ -142,6 +147,10 @@ class Bench:
 
     def recordings(self) -> list[Path]:
         return sorted(self.state.recordings.rglob("*.mcap"))
+
+    def ended(self, folder: str, count: int) -> Callable[[], bool]:
+        """Whether so many jobs are put aside."""
+        return lambda: len(self.results(folder)) >= count
 
     def results(self, folder: str) -> list[Path]:
         return sorted((self.state.queue / folder).glob("*.result.json"))

@@ -72,7 +72,7 @@ def test_jobs_go_in_the_order_of_their_names(make_bench: Make) -> None:
     bench = make_bench()
     for name in ("one", "two", "three"):
         bench.put(session=name)
-    bench.serve(40.0)
+    bench.serve(40.0, bench.ended("done", 3))
     told = [json.loads(path.read_text())["session"] for path in bench.results("done")]
     assert told == ["one", "two", "three"]
     sessions = [read_recording(p).metadata["gyrorig"]["session"] for p in bench.recordings()]
@@ -98,8 +98,8 @@ def test_a_fault_of_the_motion_holds_everything_until_cleared(make_bench: Make) 
     bench.put(FAR, session="bad")
     bench.put(session="waits", home=True)
     bench.at(5.0, say(bench, LIMIT))
-    bench.at(30.0, bench.orders.clear.set)
-    bench.serve(90.0)
+    bench.at(20.0, bench.orders.clear.set)
+    bench.serve(90.0, bench.ended("done", 1))
     first, second = (read_recording(path) for path in bench.recordings())
     told = events(first)
     assert any(e.kind == EventKind.FAULT and "met its limit" in e.text for e in told)
@@ -125,7 +125,7 @@ def test_after_lost_steps_nothing_moves_without_homing(make_bench: Make) -> None
     bench.at(13.0, lambda: bench.put(session="unsure"))
     bench.at(20.0, lambda: bench.put(session="homed", home=True))
     bench.at(21.0, lambda: bench.put(session="sure"))
-    bench.serve(120.0)
+    bench.serve(120.0, bench.ended("done", 2))
     failed = [json.loads(path.read_text()) for path in bench.results("failed")]
     assert [f["session"] for f in failed][1:] == ["unsure"]
     assert "--home" in failed[1]["reason"]
@@ -138,8 +138,8 @@ def test_an_operators_halt_stops_the_session_and_holds(make_bench: Make) -> None
     bench.put(FAR)
     bench.at(6.0, lambda: bench.orders.ask_to_halt("user 1000"))
     bench.at(8.0, bench.put)
-    bench.at(20.0, bench.orders.clear.set)
-    bench.serve(40.0)
+    bench.at(14.0, bench.orders.clear.set)
+    bench.serve(40.0, bench.ended("done", 1))
     assert "an operator's halt (user 1000)" in bench.state_at(10.0)["reason"]
     assert bench.state_at(10.0)["state"] == "fault"
     assert len(bench.results("done")) == 1
@@ -170,8 +170,8 @@ def test_a_program_that_does_not_fit_is_refused_before_it_moves(
 ) -> None:
     bench = make_bench()
     bench.put(program)
-    bench.at(10.0, bench.put)
-    bench.serve(25.0)
+    bench.at(5.0, bench.put)
+    bench.serve(25.0, bench.ended("done", 1))
     (result,) = bench.results("failed")
     assert words in json.loads(result.read_text())["reason"]
     assert len(bench.results("done")) == 1  # no hold: a person has to mend the job only
@@ -208,7 +208,7 @@ def test_a_unit_that_is_away_is_waited_for_and_halted_when_it_comes(make_bench: 
     bench.rig.ptu.receive(b"PS100 PP3000 ", begin_ns)
     bench.hub.unplug("ptu", begin_ns, begin_ns + 10_000_000_000)
     bench.put()
-    bench.serve(40.0)
+    bench.serve(40.0, bench.ended("done", 1))
     assert bench.state_at(6.0)["state"] == "waiting"
     assert bench.notifier.words.count("READY=1") == 1
     halted_s = next(order[1] for order in bench.rig.stage.pan.orders if order[0] == "halt")
@@ -223,11 +223,11 @@ def test_a_unit_unplugged_in_motion_ends_the_session_and_is_halted_on_its_return
     bench.put(FAR, session="lost")
     begin_ns = bench.hub.now_ns()
     bench.hub.unplug("ptu", begin_ns + 6_000_000_000, begin_ns + 9_000_000_000)
-    bench.at(40.0, bench.orders.clear.set)
-    bench.at(41.0, lambda: bench.put(session="again"))
-    bench.serve(70.0)
+    bench.at(16.0, bench.orders.clear.set)
+    bench.at(17.0, lambda: bench.put(session="again"))
+    bench.serve(70.0, bench.ended("done", 1))
     assert bench.is_still()
-    assert bench.state_at(20.0)["state"] == "fault"
+    assert bench.state_at(14.0)["state"] == "fault"
     (result,) = bench.results("failed")
     assert "hung up" in json.loads(result.read_text())["reason"]
     orders = [order for order in bench.rig.stage.pan.orders if order[0] == "halt"]
@@ -239,12 +239,12 @@ def test_a_silent_unit_is_asked_for_ever_and_its_port_opened_anew(make_bench: Ma
     bench = make_bench()
     hear = bench.rig.ptu.receive
     bench.at(5.0, lambda: setattr(bench.rig.ptu, "receive", lambda data, at_ns: None))
-    bench.at(60.0, lambda: setattr(bench.rig.ptu, "receive", hear))
-    bench.serve(80.0)
-    assert bench.state_at(40.0)["unit"]["state"] == "silent"
-    assert bench.state_at(50.0)["counts"]["unit_reopened"] >= 2
-    assert bench.state_at(79.0)["unit"]["state"] == "stands"
-    assert bench.state_at(79.0)["counts"]["unit_lost"] == 1
+    bench.at(30.0, lambda: setattr(bench.rig.ptu, "receive", hear))
+    bench.serve(45.0)
+    assert bench.state_at(25.0)["unit"]["state"] == "silent"
+    assert bench.state_at(29.0)["counts"]["unit_reopened"] >= 1
+    assert bench.state_at(44.0)["unit"]["state"] == "stands"
+    assert bench.state_at(44.0)["counts"]["unit_lost"] == 1
 
 
 def test_a_reload_reopens_when_idle_and_a_broken_one_changes_nothing(make_bench: Make) -> None:
@@ -273,7 +273,7 @@ def test_the_wall_clock_may_jump_both_ways_in_a_session(make_bench: Make) -> Non
     bench.at(5.0, lambda: setattr(bench, "stepped_s", 3.0e7))
     bench.at(8.0, lambda: setattr(bench, "stepped_s", -7.0e8))
     bench.at(14.5, lambda: bench.put(session="jumps"))
-    bench.serve(40.0)
+    bench.serve(40.0, bench.ended("done", 2))
     first, second = sorted(
         (read_recording(path) for path in bench.recordings()),
         key=lambda r: int(r.metadata["gyrorig"]["anchor_monotonic_raw_ns"]),
@@ -296,7 +296,7 @@ def test_two_sessions_of_one_name_in_one_second_do_not_meet(make_bench: Make) ->
     bench.at(3.0, lambda: bench.put(session="same"))
     bench.at(8.0, lambda: setattr(bench, "stepped_s", bench.stepped_s - 5.0))
     bench.at(8.0, lambda: bench.put(session="same"))
-    bench.serve(25.0)
+    bench.serve(25.0, bench.ended("done", 2))
     assert len(bench.results("done")) == 2
     assert len(bench.recordings()) == 2
 
@@ -308,7 +308,7 @@ def test_a_schedule_is_kept(make_bench: Make) -> None:
         "schedule: [{name: often, program: short.yaml, every_h: 0.01}]\n"
     )
     bench = make_bench(text)
-    bench.serve(100.0)  # every 36 s: at once, at 36 and at 72
+    bench.serve(80.0, lambda: len(bench.recordings()) == 3)  # at once, at 36 s and at 72 s
     names = [read_recording(p).metadata["gyrorig"]["session"] for p in bench.recordings()]
     assert len(names) == 3
     assert all(name.startswith("often-") for name in names)
