@@ -6,11 +6,17 @@ from then on.
 
 from pathlib import Path
 
-from tests.fuzz import document_targets, file_targets, link_targets
+from tests.fuzz import (
+    can_targets,
+    document_targets,
+    file_targets,
+    link_targets,
+    service_targets,
+)
 
 TARGETS = {
     target.name: target
-    for module in (link_targets, document_targets, file_targets)
+    for module in (link_targets, can_targets, document_targets, file_targets, service_targets)
     for target in module.TARGETS
 }
 FOUND = Path(__file__).with_name("found")

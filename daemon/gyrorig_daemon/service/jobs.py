@@ -117,7 +117,10 @@ def read_job(text: bytes, name: str, path: Path | None = None) -> Job:
     """
     document = parse_yaml(text, name)
     if isinstance(document, dict) and str(document.get("schema", "")) != SCHEMA:
-        told = JobDocument(program=text.decode("utf-8"))
+        try:  # YAML may be UTF-16 too, and would be read
+            told = JobDocument(program=text.decode("utf-8"))
+        except UnicodeDecodeError as fault:
+            raise UsageError(f"{name} is no UTF-8 text", "write it as UTF-8") from fault
     else:
         told = read_as(document, JobDocument, name)
     check_session(told.session)

@@ -1,0 +1,119 @@
+"""A CAN bus: our boards' frames, any IMU's signals, and DBC files."""
+
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.fuzz.target import Target, one_line, promise
+
+from gyrorig_protocol.board import FaultCause
+from gyrorig_protocol.can import (
+    BoardFrameParser,
+    CanFrame,
+    SignalMap,
+    SignalParser,
+    accel_frame,
+    bind,
+    bus_reports,
+    gyro_frame,
+    hello_frames,
+    latch_frame,
+    parse_dbc,
+    status_frame,
+    unpack_frames,
+)
+from gyrorig_protocol.can.board import NODE_BITS
+from gyrorig_protocol.can.board_parser import MAX_WAITING
+from gyrorig_protocol.can.frame import RECORD
+from gyrorig_protocol.errors import UsageError
+
+NODE = 1
+FRAME_BYTES = 10  # of an input: kind, length, eight bytes of data
+DBC = Path(__file__).resolve().parents[2] / "config" / "can" / "gyrorig-boards.dbc"
+
+
+def _frames(data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Cut an input into a kind, a step of time in 0.1 ms, and up to eight bytes."""
+    for at in range(0, len(data) - FRAME_BYTES + 1, FRAME_BYTES):
+        kind, size = data[at], data[at + 1]
+        yield kind, size >> 4, data[at + 2 : at + 2 + min(size & 15, 8)]
+
+
+def can_board(data: bytes) -> None:
+    """Events are counted, what waits is bounded, and times only go on."""
+    parser, now_ns, events = BoardFrameParser(NODE), 1, 0
+    for kind, step, content in _frames(data):
+        now_ns += step * 100_000
+        frame = CanFrame((kind % 10) << NODE_BITS | NODE, content, kind >> 6, now_ns)
+        events += len(parser.feed(frame))
+        bus_reports(frame)
+    promise(parser.waiting <= MAX_WAITING, "more waits than the limit")
+    promise(sum(parser.faults.values()) <= events, "a fault that is no event")
+    parser.reset()
+    promise(parser.waiting == 0, "something waits after a reset")
+
+
+def can_records(data: bytes) -> None:
+    """Whatever the acquisition process hands on is cut into frames."""
+    frames = unpack_frames(data, 1)
+    promise(len(frames) == len(data) // RECORD.size, "a record is no frame")
+    promise(all(len(frame.data) <= 8 for frame in frames), "a frame of more than 8 bytes")
+
+
+@functools.cache
+def _maps() -> tuple[SignalMap, ...]:
+    return (
+        SignalMap(preset="j1939", source_address=128),
+        SignalMap(preset="mm5.10"),
+        SignalMap(preset="racelogic"),
+    )
+
+
+def can_signals(data: bytes) -> None:
+    """Signals of any frame are counts within their width, or faults."""
+    for chosen in _maps():
+        bound = bind(chosen, "x")
+        parser, keys = SignalParser(bound), sorted(bound.lengths)
+        for kind, _, content in _frames(data):
+            key = keys[kind % len(keys)]
+            frame = CanFrame(key & 0x1FFF_FFFF, content, key >> 31, 1)
+            for event in parser.feed(frame):
+                promise(not isinstance(getattr(event, "cause", None), str), "a cause of no kind")
+        promise(set(parser.faults) == set(FaultCause), "a fault of no kind")
+
+
+def dbc(data: bytes) -> None:
+    """A DBC file is refused in one line, or each of its signals can be read."""
+    try:
+        messages = parse_dbc(data.decode("utf-8", errors="replace"), "x")
+    except UsageError as fault:
+        one_line(fault)
+        return
+    for message in messages.values():
+        for signal in message.signals.values():
+            signal.physical(bytes(range(64)))
+
+
+def _seeds() -> list[bytes]:
+    frames = [
+        status_frame(NODE, 1000, 3, 7),
+        gyro_frame(NODE, (1, -2, 3), 1000),
+        accel_frame(NODE, (4, 5, 6), 1000),
+        latch_frame(NODE, 9, 7, 123456),
+        *hello_frames(NODE, b'{"proto":1,"fw":"1","board":"b","uid":"u","boot":1,"sensors":[]}'),
+    ]
+    packed = [_pack(frame) for frame in frames]
+    return [b"".join(packed), *packed]
+
+
+def _pack(frame: CanFrame) -> bytes:
+    kind, size = frame.identifier >> NODE_BITS, 0x50 | len(frame.data)
+    return bytes([kind, size]) + frame.data.ljust(8, b"\0")
+
+
+TARGETS = (
+    Target("can_board", can_board, _seeds, 1000),
+    Target("can_records", can_records, lambda: [bytes(range(24)) * 2], 480),
+    Target("can_signals", can_signals, _seeds, 1000),
+    Target("dbc", dbc, lambda: [DBC.read_bytes()[:4000]], 4096),
+)
