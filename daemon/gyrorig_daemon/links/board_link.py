@@ -178,10 +178,12 @@ class BoardLink:
         self.due_ns = now_ns + int(self._rng.uniform(0.25, 1.75) * PING_MEAN_S * 1e9)
         if self.gone:
             return
-        if self._presence.falls_silent(now_ns):
+        # what waits to be handed out is no silence: judged by how far that has come
+        seen_ns = min(now_ns, self._pump.served_ns)
+        if self._presence.falls_silent(seen_ns):
             self.counts.silences += 1
             self._sinks.fault(f"{self._where()} has sent no sample for {SILENCE_S:g} s")
-        if self._presence.wants_reopening(now_ns):
+        if self._presence.wants_reopening(seen_ns):
             self._reopen()
             return
         if not self._speaks or now_ns < self._deaf_until_ns:

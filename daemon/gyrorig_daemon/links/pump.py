@@ -54,6 +54,7 @@ class Pump:
         self._timers: list[Timer] = []
         self._heeds_stop = True
         self._turn_ns: int | None = None
+        self.served_ns = hub.now_ns()  # all that had come by then was handed out
         self._late_until_ns = 0
         self.stalls = 0  # of this process: commands came late, stamps did not
         self.late_stalls = 0  # of the acquisition process: the stamps after them are late
@@ -119,7 +120,9 @@ class Pump:
                     timer.fire(now_ns)
                 until_ns = min(until_ns, timer.due_ns)
             chunk = self._hub.read(until_ns)
-            if chunk is not None:
+            if chunk is None:
+                self.served_ns = self._hub.now_ns()
+            else:
                 self._deliver(chunk)
 
     def _catch_up(self, deadline_ns: int, done: Callable[[], bool] | None) -> bool:
@@ -136,6 +139,7 @@ class Pump:
         return False
 
     def _deliver(self, chunk: Chunk) -> None:
+        self.served_ns = chunk.received_ns
         if chunk.late_ns and chunk.received_ns - chunk.late_ns > self._late_until_ns:
             self._late_until_ns = chunk.received_ns
             self.late_stalls += 1

@@ -350,6 +350,32 @@ def test_neighbours_that_changed_places_are_counted() -> None:
     assert desk.link.counts.restarts == 0
 
 
+class Lagging:
+    """A hub that hands out what came seconds ago, as to a daemon that has no time."""
+
+    def __init__(self, hub: VirtualHub, lag_s: float) -> None:
+        self._hub, self._lag_ns = hub, round(lag_s * 1e9)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._hub, name)
+
+    def now_ns(self) -> int:
+        return self._hub.now_ns() + self._lag_ns
+
+    def read(self, deadline_ns: int) -> Chunk | None:
+        while (chunk := self._hub.read(deadline_ns)) is None:  # something always waits
+            deadline_ns += 1_000_000
+        return chunk
+
+
+def test_what_waits_to_be_handed_out_is_no_silence() -> None:
+    desk = Desk(wrap=lambda hub: Lagging(hub, 30.0))  # type: ignore[arg-type,return-value]
+    desk.pump.run_until(at_ns(40.0))
+    assert desk.link.known
+    assert (desk.link.counts.silences, desk.link.counts.reopened) == (0, 0)
+    desk.assert_other_is_whole()
+
+
 class Late:
     """A hub whose reading process stood still once."""
 
