@@ -113,6 +113,8 @@ def _metrics(status: dict[str, Any]) -> Iterator[Metric]:
         kind = "gauge" if name in KEPT_NOW else "counter"
         full = f"recordings_{name}" if name in KEPT_NOW else f"recordings_{name}_total"
         yield full, kind, "see docs/service.md", {}, count
+    for who, count in status["stalls"].items():
+        yield "stalls_total", "counter", "a process stood still", {"process": who}, count
     yield "queue_waiting", "gauge", "jobs that wait", {}, status["queue"]["waiting"]
     yield (
         "jobs_refused_total",
@@ -163,6 +165,10 @@ def _board_metrics(boards: list[dict[str, Any]]) -> Iterator[Metric]:
         )
     for board in boards:
         yield "board_rate_hz", "gauge", "samples a second", {"board": board["id"]}, board["rate_hz"]
+    for board in boards:
+        for name, value in board["own"].items():
+            labels = {"board": board["id"], "name": name}
+            yield "board_own", "gauge", "what the board says of itself", labels, value
     for board in boards:
         for cause, count in (*board["counts"].items(), *board["faults"].items()):
             labels = {"board": board["id"], "cause": cause}

@@ -19,6 +19,18 @@ from gyrorig_protocol.recording.writer import software
 
 SCHEMA = "gyrorig/status/1"
 PERIOD_NS = 1_000_000_000
+UNIT_COUNTS = (
+    "exchanges",
+    "polls",
+    "timeouts",
+    "garbled",
+    "stale",
+    "frame_errors",
+    "refused",
+    "limit_flags",
+    "hung_up",
+)
+OWN = "board_"  # what a board counts itself, in its link's values
 MAX_NEXT = 20  # entries of the queue that are named
 
 
@@ -58,6 +70,7 @@ class StatusTimer:
     def document(self, now_ns: int) -> dict[str, Any]:
         """Return the status as of now."""
         parts, glance, wall = self._parts, self._scene.glance, self._wall
+        pump = self._rig.pump
         return {
             "schema": SCHEMA,
             "software": software(),
@@ -83,6 +96,7 @@ class StatusTimer:
                 ),
             },
             "kept": asdict(parts.keeper.counts),
+            "stalls": {"daemon": pump.stalls, "acquisition": pump.late_stalls},
             "acquisition_dropped_bytes": parts.dropped_bytes(),
             "counts": asdict(parts.counts),
         }
@@ -90,13 +104,13 @@ class StatusTimer:
     def _unit(self) -> dict[str, Any]:
         client, unit = self._rig.client, self._unit_watch
         counts = client.counts
-        names = ("exchanges", "polls", "timeouts", "garbled", "stale", "frame_errors", "refused")
+        counted = {key: getattr(counts, key) for key in UNIT_COUNTS}
         return {
             "state": unit.state.name.lower(),
             "text": unit.why or unit.state.value,
             "port": client.where,
             "steps_are_sure": self._parts.memory.steps_are_sure,
-            "counts": {name: getattr(counts, name) for name in (*names, "limit_flags")},
+            "counts": counted,
             "reply_wait_max_ms": round(counts.reply_wait_max_ns * 1e-6, 3),
         }
 
@@ -115,6 +129,11 @@ class StatusTimer:
             "rate_hz": rate_hz,
             "counts": {key: getattr(counts, key) for key in counts.__dataclass_fields__},
             "faults": board.faults(),
+            "own": {
+                key.removeprefix(OWN): int(value)
+                for key, value in board.values().items()
+                if key.startswith(OWN)
+            },
             "clock": {
                 "mapped": clock.mapped,
                 "skew_ppm": _number(clock.skew_ppm),
