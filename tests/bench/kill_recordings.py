@@ -1,0 +1,209 @@
+"""Kill real recordings with SIGKILL at random moments, recover each, and say what was lost.
+
+    .venv/bin/python tests/bench/kill_recordings.py --kills 200
+
+Each kill hits a fresh `gyrorigd record` on emulated devices behind ptys, at a moment
+between its start and a little behind its end. Then `gyrorigd recover` makes a recording of
+what is left; mcap's own reader and ours go through it. Exit code 1 if anything before the
+last second is missing, doubled or damaged.
+"""
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import times_ns
+from gyrorig_protocol.recording.salvage import read_strictly
+
+GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
+LIMIT_S = 1.0  # reference: "kill -9 or power cut at any moment", at most this is lost
+RIG = """
+rig: kill
+ptu: {{port: {ptu}, baud: 115200}}
+boards: [{{id: B-1, port: {board}, baud: 460800}}]
+emulator: {{command_time_ms: 5.0, odr_hz: 400}}
+"""
+PROGRAM = """
+name: kill
+steps:
+  - rest: {seconds: 0.6, phase: static}
+  - move: {pan_deg: 20.0, tilt_deg: 10.0, speed_deg_s: 40.0}
+  - move: {pan_deg: -20.0, tilt_deg: -5.0, speed_deg_s: 40.0}
+  - home: {}
+  - rest: {seconds: 0.6, phase: static}
+"""
+BUSY = 75
+
+
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """What one kill came to."""
+
+    outcome: str
+    loss_s: float | None  # from the last recovered sample to the kill
+    samples: int
+    fault: str = ""
+
+
+class Rig:
+    """Emulated devices on ptys, and one recording after another on them."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        self._folder = folder
+        folder.mkdir()
+        emulated = folder / "emulated.yaml"
+        emulated.write_text(RIG.format(ptu="emulated", board="emulated"))
+        self._process = subprocess.Popen(
+            [*GYRORIGD, "emulate", "--config", emulated, "--json", "--until-eof"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        if self._process.stdout is None:
+            raise AssertionError
+        ports = json.loads(self._process.stdout.readline())["ports"]
+        self._rig, self._program = folder / "rig.yaml", folder / "program.yaml"
+        self._rig.write_text(RIG.format(ptu=ports["ptu"], board=ports["board:B-1"]))
+        self._program.write_text(PROGRAM)
+        self._chance = random.Random(seed)
+
+    def close(self) -> None:
+        """End the emulator."""
+        self._process.communicate(timeout=30)
+
+    def kill_one(self, number: int) -> Kill:
+        """Begin a recording, kill it, recover it."""
+        out = self._folder / f"out{number}"
+        daemon = self._begin(out)
+        # From the moment at which there is a file to behind the end of the program.
+        opened_ns = time.time_ns()
+        with suppress(subprocess.TimeoutExpired):
+            daemon.wait(self._chance.uniform(0.0, 5.0))
+        killed_ns = time.time_ns()
+        with suppress(ProcessLookupError):
+            os.kill(daemon.pid, signal.SIGKILL)
+        daemon.wait()
+        if daemon.returncode == 0:
+            return self._look(out, opened_ns, None)
+        return self._look(out, opened_ns, killed_ns)
+
+    def _begin(self, out: Path) -> subprocess.Popen[bytes]:
+        files = ("--config", str(self._rig), "--program", str(self._program), "--out", str(out))
+        while True:
+            daemon = subprocess.Popen([*GYRORIGD, "record", *files], stderr=subprocess.DEVNULL)
+            deadline = time.monotonic() + 60.0
+            while not self._files(out) and time.monotonic() < deadline:
+                code = daemon.poll()
+                if code is not None:
+                    break
+                time.sleep(0.01)
+            else:
+                return daemon
+            if code == 0:
+                return daemon
+            if code != BUSY:
+                raise SystemExit(f"gyrorigd record ended with {code} before there was a file")
+            time.sleep(0.1)  # the last one's acquisition process still halts the unit
+
+    @staticmethod
+    def _files(out: Path) -> list[Path]:
+        return [*out.glob("*.mcap"), *out.glob("*.part")] if out.is_dir() else []
+
+    def _look(self, out: Path, opened_ns: int, killed_ns: int | None) -> Kill:
+        """Recover what is left, and compare it with what should be."""
+        reports = recover_folder(out)
+        told = [report.outcome for report in reports]
+        finished = sorted(out.glob("*.mcap"))
+        outcome = told[0].value if told else "closed"
+        if Outcome.FAILED in told or (killed_ns is None and told):
+            return Kill(outcome, None, 0, reports[0].text)
+        if not finished:
+            lost_ns = 0 if killed_ns is None else killed_ns - opened_ns
+            return Kill("no whole chunk yet", lost_ns * 1e-9, 0)
+        (path,) = finished
+        read_strictly(path)
+        recording = read_recording(path)
+        if not recording.complete:
+            return Kill(outcome, None, 0, f"losses: {recording.losses}")
+        samples = recording.array("/board/B-1/imu_raw")
+        sequence = samples["sequence"].astype(np.uint16)
+        steps = set((sequence[1:] - sequence[:-1]).tolist())
+        if steps - {1}:
+            return Kill(outcome, None, len(samples), f"gaps: {steps}")
+        last_ns = int(times_ns(samples["host_time"][-1:])[0])
+        loss_s = None if killed_ns is None or not told else max(killed_ns - last_ns, 0) * 1e-9
+        return Kill(outcome, loss_s, len(samples))
+
+
+def main() -> int:
+    """Kill, and print the figures."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--kills", type=int, default=200)
+    arguments.add_argument("--jobs", type=int, default=2)
+    arguments.add_argument("--seed", type=int, default=1)
+    wanted = arguments.parse_args()
+    kills: list[Kill] = []
+    numbers = iter(range(wanted.kills))
+    lock = threading.Lock()
+
+    def work(folder: Path, seed: int) -> None:
+        rig = Rig(folder, seed)
+        try:
+            while True:
+                with lock:
+                    number = next(numbers, None)
+                if number is None:
+                    return
+                kill = rig.kill_one(number)
+                with lock:
+                    kills.append(kill)
+                    sys.stderr.write(f"{len(kills)} {kill}\n")
+        finally:
+            rig.close()
+
+    with tempfile.TemporaryDirectory(prefix="kill-") as folder:
+        threads = [
+            threading.Thread(target=work, args=(Path(folder, str(job)), wanted.seed * 1000 + job))
+            for job in range(wanted.jobs)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    return report(kills)
+
+
+def report(kills: list[Kill]) -> int:
+    """Print what the kills came to; 1 if anything is wrong."""
+    outcomes = Counter(kill.outcome for kill in kills)
+    losses = sorted(kill.loss_s for kill in kills if kill.loss_s is not None)
+    faults = [kill.fault for kill in kills if kill.fault]
+    lines = [f"{len(kills)} kills: " + ", ".join(f"{n} {what}" for what, n in outcomes.items())]
+    if losses:
+        middle = losses[len(losses) // 2]
+        lines.append(
+            f"lost at the end: median {middle:.2f} s, largest {losses[-1]:.2f} s "
+            f"({sum(loss > LIMIT_S for loss in losses)} above {LIMIT_S:.0f} s)"
+        )
+    samples = sum(kill.samples for kill in kills)
+    lines.append(f"samples recovered: {samples}; gaps, damage or refusals: {len(faults)}")
+    sys.stdout.write("\n".join([*lines, *faults]) + "\n")
+    return 1 if faults or len(kills) == 0 else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
