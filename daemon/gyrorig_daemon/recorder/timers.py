@@ -1,7 +1,8 @@
 """What a session records once a second: the host's clocks, and how everything does."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 
 from gyrorig_daemon.clocks import ClockReport, OnlineClock
 from gyrorig_daemon.links.board_link import BoardLink
@@ -17,6 +18,18 @@ from gyrorig_protocol.recording.standard_messages import (
 
 PERIOD_NS = 1_000_000_000
 TICK_NS = 200_000_000
+_PTU_COUNTERS = (
+    "exchanges",
+    "polls",
+    "timeouts",
+    "garbled",
+    "stale",
+    "frame_errors",
+    "refused",
+    "limit_flags",
+    "hung_up",
+)
+_CLOCK_COUNTERS = ("windows", "late_windows", "early_windows", "steps", "restarts")
 
 
 class HostClockTimer:
@@ -67,7 +80,10 @@ class WriterTimer:
 
 
 class DiagnosticsTimer:
-    """`/diagnostics`, once a second: losses by cause, clocks, queues."""
+    """`/diagnostics`, once a second: losses by cause, clocks, queues.
+
+    A rig outlives its sessions and so do its counters; what is recorded are the session's.
+    """
 
     def __init__(
         self,
@@ -80,99 +96,103 @@ class DiagnosticsTimer:
         boards: Sequence[BoardLink],
         dropped_bytes: Callable[[], int],
     ) -> None:
+        """Begin at the session's start: what was counted before is not the session's."""
         self._recorder = recorder
         self._capture = capture
         self._client = client
         self._controller_clock = controller_clock
         self._boards = boards
         self._dropped_bytes = dropped_bytes
+        self._before: dict[str, dict[str, int]] = {}
         self.due_ns = start_ns
+        self._statuses()  # remembers where each counter stands
 
     def fire(self, now_ns: int) -> None:
         """Look at everything and record it."""
         self.due_ns = now_ns + PERIOD_NS
         stamp_ns = self._capture.utc_ns(now_ns)
-        status = [self._recorder_status(), self._ptu_status()]
+        statuses = tuple(self._statuses())
+        self._recorder.put(DIAGNOSTICS_TOPIC, Diagnostics(stamp_ns, statuses), stamp_ns)
+
+    def _statuses(self) -> list[DiagnosticStatus]:
+        found = [self._recorder_status(), self._ptu_status()]
         controller = self._controller_clock()
         if controller is not None:
-            status.append(_clock_status("clock/ptu", controller.report()))
+            found.append(self._clock_status("clock/ptu", controller.report()))
         for board in self._boards:
-            status.append(_board_status(board))
-            status.append(_clock_status(f"clock/{board.board_id}", board.clock_report()))
-        self._recorder.put(DIAGNOSTICS_TOPIC, Diagnostics(stamp_ns, tuple(status)), stamp_ns)
+            found.append(self._board_status(board))
+            found.append(self._clock_status(f"clock/{board.board_id}", board.clock_report()))
+        return found
+
+    def _since(self, name: str, counts: Mapping[str, int]) -> dict[str, int]:
+        """Return counters as they grew since they were first looked at."""
+        before = self._before.setdefault(name, dict(counts))
+        since = {key: count - before.get(key, 0) for key, count in counts.items()}
+        # A clock that is mapped anew counts anew.
+        return {key: counts[key] if grown < 0 else grown for key, grown in since.items()}
 
     def _recorder_status(self) -> DiagnosticStatus:
-        lost = self._recorder.dropped + self._dropped_bytes()
-        return DiagnosticStatus(
-            DiagnosticLevel.ERROR if lost else DiagnosticLevel.OK,
-            "recorder",
-            "data were lost between the ports and the file" if lost else "nothing lost",
-            values={
-                "queue_high_water": str(self._recorder.high_water),
-                "messages_dropped": str(self._recorder.dropped),
-                "messages_written": str(self._recorder.written),
-                "acquisition_bytes_dropped": str(self._dropped_bytes()),
-            },
-        )
+        recorder = self._recorder
+        dropped = self._since("recorder", {"bytes": self._dropped_bytes()})["bytes"]
+        level, text = DiagnosticLevel.OK, "nothing lost"
+        if recorder.dropped + dropped:
+            level, text = DiagnosticLevel.ERROR, "data were lost between the ports and the file"
+        if recorder.degraded:
+            level, text = DiagnosticLevel.ERROR, recorder.degraded
+        values = {
+            "messages_dropped": recorder.dropped,
+            "messages_written": recorder.written,
+            "acquisition_bytes_dropped": dropped,
+        } | recorder.counts.values()
+        return DiagnosticStatus(level, "recorder", text, values=_as_text(values))
 
     def _ptu_status(self) -> DiagnosticStatus:
         counts = self._client.counts
+        values = self._since("ptu", {name: getattr(counts, name) for name in _PTU_COUNTERS})
         lost = self._client.lost_synchrony
         level, text = DiagnosticLevel.OK, "answers"
-        if counts.timeouts + counts.garbled + counts.frame_errors:
+        if values["timeouts"] + values["garbled"] + values["frame_errors"] + values["hung_up"]:
             level, text = DiagnosticLevel.WARN, "some answers were lost or garbled"
         if lost is not None:
             level, text = DiagnosticLevel.ERROR, f"synchrony lost: {lost}"
+        told = _as_text(values) | {"reply_wait_max_ms": f"{counts.reply_wait_max_ns * 1e-6:.3f}"}
+        return DiagnosticStatus(level, "ptu", text, self._client.where, told)
+
+    def _board_status(self, board: BoardLink) -> DiagnosticStatus:
+        name, faults = f"board/{board.board_id}", board.faults()
+        links = {field.name: getattr(board.counts, field.name) for field in fields(board.counts)}
+        links |= {f"fault_{cause}": count for cause, count in faults.items()}
+        counts = self._since(name, links)
+        damaged = sum(counts[f"fault_{cause}"] for cause in faults)
+        level, text = DiagnosticLevel.OK, board.state.value
+        if counts["missing"] or counts["restarts"] or counts["hung_up"] or damaged:
+            level, text = DiagnosticLevel.WARN, "samples were lost or frames damaged"
+        if not board.known:
+            level, text = DiagnosticLevel.ERROR, board.state.value
+        values = board.values() | _as_text(counts)
+        return DiagnosticStatus(level, name, text, str(board.board_id), values)
+
+    def _clock_status(self, name: str, report: ClockReport) -> DiagnosticStatus:
+        counts = self._since(name, {key: getattr(report, key) for key in _CLOCK_COUNTERS})
+        level, text = DiagnosticLevel.OK, "mapped"
+        if not report.mapped:
+            level, text = DiagnosticLevel.WARN, "no map yet: publish_time is the arrival"
+        elif counts["early_windows"] or counts["steps"] or counts["restarts"]:
+            level, text = DiagnosticLevel.WARN, "mapped, after faults of the clock"
         values = {
-            name: str(getattr(counts, name))
-            for name in (
-                "exchanges",
-                "polls",
-                "timeouts",
-                "garbled",
-                "stale",
-                "frame_errors",
-                "refused",
-                "limit_flags",
-                "hung_up",
-            )
-        }
-        values["reply_wait_max_ms"] = f"{counts.reply_wait_max_ns * 1e-6:.3f}"
-        return DiagnosticStatus(level, "ptu", text, self._client.where, values)
+            "offset_s": _number(report.offset_s),
+            "skew_ppm": f"{report.skew_ppm:.6f}",
+            "sigma_s": _number(report.sigma_s),
+        } | _as_text(counts)
+        if report.two_way_low_s is not None and report.two_way_high_s is not None:
+            values["two_way_low_s"] = _number(report.two_way_low_s)
+            values["two_way_high_s"] = _number(report.two_way_high_s)
+            values["correction_s"] = _number(report.correction_s)
+        return DiagnosticStatus(level, name, text, values=values)
 
 
-def _board_status(board: BoardLink) -> DiagnosticStatus:
-    counts, faults = board.counts, board.faults()
-    level, text = DiagnosticLevel.OK, board.state.value
-    if counts.missing or counts.restarts or counts.hung_up or sum(faults.values()):
-        level, text = DiagnosticLevel.WARN, "samples were lost or frames damaged"
-    if not board.known:
-        level, text = DiagnosticLevel.ERROR, board.state.value
-    values = board.values()
-    return DiagnosticStatus(level, f"board/{board.board_id}", text, str(board.board_id), values)
-
-
-def _clock_status(name: str, report: ClockReport) -> DiagnosticStatus:
-    level, text = DiagnosticLevel.OK, "mapped"
-    if not report.mapped:
-        level, text = DiagnosticLevel.WARN, "no map yet: publish_time is the arrival"
-    elif report.early_windows or report.steps or report.restarts:
-        level, text = DiagnosticLevel.WARN, "mapped, after faults of the clock"
-    values = {
-        "offset_s": _number(report.offset_s),
-        "skew_ppm": f"{report.skew_ppm:.6f}",
-        "sigma_s": _number(report.sigma_s),
-        "windows": str(report.windows),
-        "late_windows": str(report.late_windows),
-        "early_windows": str(report.early_windows),
-        "steps": str(report.steps),
-        "restarts": str(report.restarts),
-    }
-    if report.two_way_low_s is not None and report.two_way_high_s is not None:
-        values["two_way_low_s"] = _number(report.two_way_low_s)
-        values["two_way_high_s"] = _number(report.two_way_high_s)
-        values["correction_s"] = _number(report.correction_s)
-    return DiagnosticStatus(level, name, text, values=values)
+def _as_text(values: Mapping[str, int]) -> dict[str, str]:
+    return {name: str(value) for name, value in values.items()}
 
 
 def _number(value: float) -> str:

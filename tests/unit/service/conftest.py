@@ -2,7 +2,6 @@
 
 import heapq
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import pytest
 from gyrorig_daemon.config import parse_rig
 from gyrorig_daemon.emulated import rig_settings
 from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardFaults, PtuFaults, RigSettings
+from gyrorig_daemon.emulator.settings import BoardFaults, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.rig import Rig
@@ -46,8 +45,6 @@ steps:
   - move: {pan_deg: 20.0, speed_deg_s: 40.0}
   - home: {}
 """
-
-FAR = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n"
 
 
 class Spoken(Notifier):
@@ -170,21 +167,17 @@ class Bench:
         return float(np.degrees(self.rig.stage.pan.angles_rad(now_s, 0.1, 1)[0]))
 
 
-def ptu_with(**faults: Any) -> Callable[[RigSettings], RigSettings]:
-    def change(settings: RigSettings) -> RigSettings:
-        if settings.ptu is None:
-            raise AssertionError
-        return replace(settings, ptu=replace(settings.ptu, faults=PtuFaults(**faults)))
-
-    return change
-
-
 def board_with(**faults: Any) -> Callable[[RigSettings], RigSettings]:
     def change(settings: RigSettings) -> RigSettings:
         first, *others = settings.boards
         return replace(settings, boards=(replace(first, faults=BoardFaults(**faults)), *others))
 
     return change
+
+
+@pytest.fixture
+def faulty_board() -> Callable[..., Callable[[RigSettings], RigSettings]]:
+    return board_with
 
 
 @pytest.fixture
@@ -198,9 +191,3 @@ def make_bench(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
     yield make
     for bench in made:
         bench.state.__exit__(None, None, None)
-
-
-@contextmanager
-def opened(folder: StateFolder) -> Iterator[StateFolder]:
-    with folder:
-        yield folder

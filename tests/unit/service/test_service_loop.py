@@ -11,6 +11,7 @@ from gyrorig_daemon.service.memory import Memory
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_protocol.recording.standard_messages import Diagnostics
 
 Make = Callable[..., Any]
 
@@ -77,6 +78,18 @@ def test_jobs_go_in_the_order_of_their_names(make_bench: Make) -> None:
     assert told == ["one", "two", "three"]
     sessions = [read_recording(p).metadata["gyrorig"]["session"] for p in bench.recordings()]
     assert sessions == ["one", "two", "three"]
+
+
+def test_a_recording_tells_of_its_own_losses_only(make_bench: Make, faulty_board: Any) -> None:
+    bench = make_bench(change=faulty_board(drop_frame_every=20))
+    bench.at(8.0, bench.put)
+    bench.serve(30.0, bench.ended("done", 1))
+    recording = read_recording(*bench.recordings())
+    *_, last = (m for m in recording.messages("/diagnostics") if isinstance(m, Diagnostics))
+    values = {status.name: status.values for status in last.status}["board/B-1"]
+    told = bench.statuses[-1]["boards"][0]["counts"]
+    assert 5 <= int(values["missing"]) <= told["missing"] - 25
+    assert int(values["samples"]) < told["samples"] - 400
 
 
 def test_a_stop_in_motion_halts_closes_and_ends(make_bench: Make) -> None:
