@@ -6,7 +6,8 @@ between chunks; what others want of it is in `Parts.orders`.
 
 Theory of operation. Between sessions the unit stands, and is asked whether it is there
 (`unit_watch`). A session begins when nothing stands against it (`_obstacle`): a hold, a unit
-that is not known, boards that are missing. How it is held, `running` knows. What ends one:
+that is not known, a disk without room, boards that are missing. How it is held, `running`
+knows. What ends one:
 
     the program's end      closed, put aside as done
     refused before it      a person has to mend the job: put aside as failed
@@ -136,6 +137,9 @@ class Daemon:
             return f"{hold.reason}; look at the rig, then: gyrorigd clear"
         if self.unit.state is not UnitState.STANDS:
             return f"the unit: {self.unit.why or self.unit.state.value}"
+        lack = self._parts.keeper.lack()
+        if lack:
+            return lack
         missing = missing_boards(self._rig)
         if not missing:
             self._missing_since_s = None

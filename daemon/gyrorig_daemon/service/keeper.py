@@ -7,6 +7,7 @@ when a recorder needs it. Nothing here is waited for by anything that records.
 """
 
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -63,6 +64,7 @@ class Keeper:
         self._log = log
         self._lock = threading.Lock()
         self._ended = threading.Event()
+        self._wanted = threading.Event()
         self._child: subprocess.Popen[bytes] | None = None
         self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
         self.counts = KeeperCounts()
@@ -75,11 +77,24 @@ class Keeper:
     def close(self) -> None:
         """Do no more; a recovery that is under way is given up, and begun anew next time."""
         self._ended.set()
+        self._wanted.set()
         child = self._child
         if child is not None:
             child.kill()
         if self._thread.ident is not None:
             self._thread.join(ENDING_S)
+
+    def lack(self) -> str:
+        """Return why no recording can begin now, "" where one can; have room made if it may."""
+        settings = self._settings()
+        needed, free = recorder_settings(settings).resume_bytes, self._state.free_bytes()
+        if not os.access(self._state.recordings, os.W_OK):
+            return f"{self._state.recordings} cannot be written to"
+        if free is None or free >= needed:
+            return ""
+        if settings.delete_when_full:
+            self._wanted.set()
+        return f"{free / 1e9:.2f} GB are free for recordings, less than {needed / 1e9:.2f}"
 
     def make_room(self) -> None:
         """Delete what may go, because less than the reserve is free."""
@@ -89,7 +104,8 @@ class Keeper:
         self._recover()
         while not self._ended.is_set():
             self._tidy()
-            self._ended.wait(EVERY_S)
+            self._wanted.wait(EVERY_S)
+            self._wanted.clear()
 
     def _recover(self) -> None:
         if not any(self._state.recordings.glob("*.mcap.part")):

@@ -215,6 +215,18 @@ service: {board_patience_s: 5.0}
     assert any("takes part from here on" in e.text for e in events(recording))
 
 
+def test_a_disk_without_room_is_waited_for(make_bench: Make) -> None:
+    bench = make_bench()
+    free_bytes = bench.state.free_bytes
+    bench.state.free_bytes = lambda: 5_000_000
+    bench.put()
+    bench.at(6.0, lambda: setattr(bench.state, "free_bytes", free_bytes))
+    bench.serve(20.0, bench.ended("done", 1))
+    assert bench.state_at(5.0)["state"] == "waiting"
+    assert "0.01 GB are free" in bench.state_at(5.0)["reason"]
+    assert bench.results("failed") == []
+
+
 def test_a_unit_that_is_away_is_waited_for_and_halted_when_it_comes(make_bench: Make) -> None:
     bench = make_bench()
     begin_ns = bench.hub.now_ns()
