@@ -57,7 +57,7 @@ def host_board(c_build: Build) -> Path:
     return c_build("host_board.c", "-D_POSIX_C_SOURCE=200809L")
 
 
-AVR_MEMORY = ["-DGYB_QUEUE_BYTES=256", "-DGYB_BATCH_BYTES=131"]  # the defaults of an AVR
+AVR_MEMORY = ["-DGYB_QUEUE_BYTES=192", "-DGYB_BATCH_BYTES=107"]  # the defaults of an AVR
 
 
 @pytest.fixture(scope="session", params=[[], AVR_MEMORY], ids=["large", "small"])

@@ -1,7 +1,7 @@
 """The GY-80 sketch, compiled for this machine, with models of its chips behind it.
 
-Not for an AVR: there is no cross-compiler here. What is compiled is the sketch's every
-line but the few under `__AVR__`.
+What is compiled is the sketch's every line but the few under `__AVR__`; those are built by
+`test_firmware_avr`.
 """
 
 import subprocess

@@ -32,14 +32,14 @@ extern "C" {
  * into the 2 KiB of an ATmega328P beside Wire and Serial. */
 #ifndef GYB_QUEUE_BYTES
 #ifdef __AVR__
-#define GYB_QUEUE_BYTES 256
+#define GYB_QUEUE_BYTES 192
 #else
 #define GYB_QUEUE_BYTES 4096
 #endif
 #endif
 #ifndef GYB_BATCH_BYTES /* of a batch's payload: 248 at most, which is 39 gyro samples */
 #ifdef __AVR__
-#define GYB_BATCH_BYTES 131
+#define GYB_BATCH_BYTES 107
 #else
 #define GYB_BATCH_BYTES 248
 #endif
