@@ -26,6 +26,7 @@ from gyrorig_solver.model.terms.sample_jitter import SampleJitter
 DETAILS = (3.0, 8.0, np.inf)  # half waves that are looked at together, coarse to fine
 SINGLE = 4  # tests of the scatter
 WORTH_A_LOOK = 0.05  # by calmed levels
+NOTHING = Seen(0.0, 0, np.zeros(0))
 SIZES = np.exp(np.linspace(-4.0, 16.0, 61))  # of a free function, squared, in deviations
 
 
@@ -80,7 +81,7 @@ def _signature(
     )
 
 
-def judge(looked: Looked, detail: FloatArray) -> Judged | None:
+def judge(looked: Looked, detail: FloatArray, beside: int = 0) -> Judged | None:
     """Return what signals say, the detail chosen that shows most; None where nothing is left.
 
     Each set of signals up to some detail gives a chi-squared statistic where there is nothing
@@ -91,18 +92,25 @@ def judge(looked: Looked, detail: FloatArray) -> Judged | None:
     Args:
         looked: what the projection says of them.
         detail: of each signal, half waves.
+        beside: so many more signals come first, which the fit may follow as well: what they
+            explain is taken off, and so are their degrees of freedom.
     """
-    best: Judged | None = None
+    first = np.arange(beside)
+    least = Seen.of(looked.part(first)) if beside else NOTHING
     sets = {int((detail <= most).sum()): np.flatnonzero(detail <= most) for most in DETAILS}
-    for at in sets.values():
-        if not at.size:
+    best: Judged | None = None
+    for some in sets.values():
+        if not some.size:
             continue
+        at = np.concatenate([first, beside + some])
         seen = Seen.of(looked.part(at))
-        if seen.degrees_of_freedom:
-            chance = chi2_tail(max(seen.statistic, 0.0), seen.degrees_of_freedom)
+        statistic = max(seen.statistic - least.statistic, 0.0)
+        degrees = seen.degrees_of_freedom - least.degrees_of_freedom
+        if degrees > 0:
+            chance = min(1.0, len(sets) * chi2_tail(statistic, degrees))
             if best is None or chance < best.p_value:
-                best = Judged(seen, at, chance)
-    return None if best is None else replace(best, p_value=min(1.0, len(sets) * best.p_value))
+                best = Judged(Seen(statistic, degrees, seen.values), at, chance)
+    return best
 
 
 def evidence(looked: Looked, detail: FloatArray) -> float:

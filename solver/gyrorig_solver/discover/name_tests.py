@@ -16,6 +16,9 @@ free. Where the name is right, and the model else, the statistic of a set of d s
 the fit cannot follow is chi-squared with d degrees of freedom; the choice among sets is paid
 for by Bonferroni, so that a right name is dropped in at most `LEVEL` of all sessions.
 
+A form of an angle must not be decisively less likely than a free function of that angle
+either: see `_likelier`.
+
 A right name of a large effect leaves something as well, as every form is a little short
 of the truth. What is less than `LITTLE` of what the cause explains is no reason.
 
@@ -28,12 +31,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.chance import chi2_tail
+from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.discover.free_shapes import Family, families, swells
-from gyrorig_solver.discover.groups import DETAILS
+from gyrorig_solver.discover.groups import evidence, judge
 from gyrorig_solver.discover.result import Signature
-from gyrorig_solver.discover.scores import Seen
-from gyrorig_solver.discover.search import Found
+from gyrorig_solver.discover.search import Found, Standing
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution, solve_again
 from gyrorig_solver.estimate.projection import Projection
@@ -44,6 +46,7 @@ LEVEL = 0.005  # share of right names that may be dropped: a quarter of what nam
 # Share of a cause's own statistic: twice what its form may leave of its effect without any
 # noise (discovery notes, section 0, item 7: 0.2 %).
 LITTLE = 0.004
+DECISIVE = 4.6  # nats, odds of a hundred: Jeffreys, Theory of Probability, appendix B
 
 _EDGES = ("pan_transient", "tilt_transient", "move_gain", "move_delay")
 _ANGLES = ("pan_angle", "tilt_angle")
@@ -104,7 +107,7 @@ def kept(base: Solution, found: Found) -> tuple[Found, tuple[Signature, ...]]:
     """
     free = [one for one in found.solution.extensions if one.free.size]
     against = [
-        what_is_against(found, one, 2.0 * standing.best.won)
+        what_is_against(found, one, standing)
         for one, standing in zip(free, found.standings, strict=True)
     ]
     if not any(against):
@@ -123,15 +126,15 @@ def kept(base: Solution, found: Found) -> tuple[Found, tuple[Signature, ...]]:
     return replace(found, solution=solution, standings=standings, last=last), signatures
 
 
-def what_is_against(found: Found, one: Extension, explains: float) -> Against | None:
+def what_is_against(found: Found, one: Extension, standing: Standing) -> Against | None:
     """Return why a name does not hold, None where it does.
 
     Args:
         found: where the search ended.
         one: a cause of its fit.
-        explains: its statistic, twice the nats that it won.
+        standing: its own.
     """
-    projection = found.last
+    projection, explains = found.last, 2.0 * standing.best.won
     if one.term.cause == "lost_steps" and _is_no_step(found.solution, one):
         words = "on a jump of less than one step"
         return Against("pan_transient", words, explains, 1, 0.0)
@@ -141,11 +144,37 @@ def what_is_against(found: Found, one: Extension, explains: float) -> Against | 
     every += [(f, True) for f in swells(one, scenes)]
     heard = [held_against(projection, one, family, itself) for family, itself in every]
     worst = min((h for h in heard if h is not None), key=lambda h: h.p_value, default=None)
-    if worst is None:
+    if worst is not None:
+        worst = replace(worst, p_value=min(1.0, worst.p_value * len(every)))
+        beyond = worst.statistic - worst.degrees_of_freedom
+        if worst.p_value < LEVEL and beyond > LITTLE * explains:
+            return worst
+    return _likelier(found.solution, one, standing.best.evidence)
+
+
+def _likelier(solution: Solution, one: Extension, nats: float) -> Against | None:
+    """Return the free function of an angle that is far likelier than a form of it, None if none.
+
+    A form with a few unknowns can be bent so that it leaves little of another function of the
+    angle, at sizes that cancel over the range that was seen. Its evidence pays for that.
+
+    Args:
+        solution: the fit that the cause is in.
+        one: the cause as fitted.
+        nats: its evidence.
+    """
+    own = [name for name in OWN.get(one.term.cause, ()) if name in _ANGLES]
+    if not own:
         return None
-    worst = replace(worst, p_value=min(1.0, worst.p_value * len(every)))
-    beyond = worst.statistic - worst.degrees_of_freedom
-    return worst if worst.p_value < LEVEL and beyond > LITTLE * explains else None
+    others = [other for other in solution.extensions if other is not one]
+    without = Projection.of(solution, extensions=others, back=[one])
+    for family in families(without.scenes):
+        if family.covariate in own:
+            ahead = evidence(without.look(family.white(without)), family.detail) - nats
+            if ahead > DECISIVE:
+                chance = float(np.exp(-ahead))
+                return Against(family.covariate, family.words, 2.0 * ahead, 1, chance)
+    return None
 
 
 def held_against(
@@ -162,27 +191,19 @@ def held_against(
     held = [k for k in (*indices(one.term, role="shape"), *indices(one.term, role="event"))
             if k not in one.free]  # fmt: skip
 
-    def shaped(scene: Scene) -> np.ndarray:
+    def shaped(scene: Scene) -> FloatArray:
         return one.term.columns(scene, one.values)[held]
 
     white = family.white(projection, one.term if itself else None)
     if held:
         white = np.concatenate([projection.signals(shaped, term=one.term), white])
-    looked, many = projection.look(white), len(held)
-    before = Seen.of(looked.part(np.arange(many))) if many else None
-    least, degrees = (before.statistic, before.degrees_of_freedom) if before else (0.0, 0)
-    sets = {int((family.detail <= most).sum()): family.detail <= most for most in DETAILS}
-    best: Against | None = None
-    for some in sets.values():
-        if not some.any():
-            continue
-        seen = Seen.of(looked.part(np.concatenate([np.arange(many), many + np.flatnonzero(some)])))
-        statistic, more = seen.statistic - least, seen.degrees_of_freedom - degrees
-        if more > 0:
-            chance = min(1.0, len(sets) * chi2_tail(max(statistic, 0.0), more))
-            if best is None or chance < best.p_value:
-                best = Against(family.covariate, family.words, statistic, more, chance)
-    return best
+    judged = judge(projection.look(white), family.detail, beside=len(held))
+    if judged is None:
+        return None
+    seen = judged.seen
+    return Against(
+        family.covariate, family.words, seen.statistic, seen.degrees_of_freedom, judged.p_value
+    )
 
 
 def _is_no_step(solution: Solution, one: Extension) -> bool:
