@@ -31,6 +31,10 @@ FAREWELL_S = 0.5
 WAITED_FOR = ("missing", "denied")  # udev gives a node its rights a moment after the node
 HEARTBEAT_MS = 100  # the longest wait: what takes much longer is this process standing still
 STALL_NS = 150_000_000  # beyond the stamps' usual lateness by far, and above the heartbeat
+# Chunks wait so long for others before they are handed over: they are stamped already, and
+# each handing over costs the daemon a wake-up. What somebody waits for goes at once.
+GATHER_NS = 4_000_000
+GATHER_BYTES = 1 << 16
 _HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 
 
@@ -45,6 +49,9 @@ class Acquisition:
         self._orders = bytearray()
         self._reports = bytearray()
         self._dropped_bytes = 0
+        self._is_urgent = False
+        self._is_full = False  # the pipe
+        self._gathered_ns = 0  # since when reports wait
         self._late_ns = 0  # by which the stamps of this turn may be late
         self._poll = select.poll()
         self._poll.register(orders_fd, select.POLLIN)
@@ -59,7 +66,8 @@ class Acquisition:
                 self._say_gone(port, port.refusal)
         turn_ns = raw_ns()
         while True:
-            self._flush()
+            if self._is_due():
+                self._flush()
             ready = self._poll.poll(self._timeout_ms())
             before_ns, turn_ns = turn_ns, raw_ns()
             self._late_ns = _lateness_ns(turn_ns - before_ns)
@@ -72,6 +80,14 @@ class Acquisition:
                     return
             self._expire_writes()
             self._try_again()
+
+    def _is_due(self) -> bool:
+        """Return whether reports wait that have waited enough."""
+        if not self._reports:
+            return False
+        if self._is_urgent or len(self._reports) >= GATHER_BYTES:
+            return True
+        return raw_ns() - self._gathered_ns >= GATHER_NS
 
     def _serve(self, port: SupervisedPort, events: int) -> None:
         if events & (select.POLLIN | _HUNG_UP):
@@ -185,6 +201,8 @@ class Acquisition:
     def _timeout_ms(self) -> int:
         waiting = [port.writes[0].deadline_ns for port in self._ports if port.writes]
         waiting += [port.retry_ns for port in self._ports if port.line is None]
+        if self._reports and not self._is_full:
+            waiting.append(self._gathered_ns + GATHER_NS)
         if not waiting:
             return HEARTBEAT_MS
         return max(0, min((min(waiting) - raw_ns()) // 1_000_000 + 1, HEARTBEAT_MS))
@@ -197,6 +215,9 @@ class Acquisition:
             lost = wire.REPORT.pack(wire.LOST, index, 0, raw_ns(), self._dropped_bytes)
             self._reports += lost
             self._dropped_bytes = 0
+        if not self._reports:
+            self._gathered_ns = raw_ns()
+        self._is_urgent = self._is_urgent or kind != wire.CHUNK or self._ports[index].is_awaited
         self._reports += wire.REPORT.pack(kind, index, len(data), first_ns, second_ns) + data
 
     def _flush(self) -> None:
@@ -206,10 +227,12 @@ class Acquisition:
                 sent = os.write(self._reports_fd, self._reports[:PIPE_BYTES])
                 del self._reports[:sent]
         except BlockingIOError:
+            self._is_full = True
             self._poll.register(self._reports_fd, select.POLLOUT)
             return
         except OSError:
             self._reports.clear()  # nobody reads; the orders' pipe will tell the same
+        self._is_urgent = self._is_full = False
         with contextlib.suppress(KeyError):
             self._poll.unregister(self._reports_fd)
 

@@ -360,6 +360,7 @@ class BoardLink:
         self._deaf_until_ns = 0
         self._last_asked_ns = now_ns - int(HELLO_EVERY_S * 1e9) - 1  # at once
         self.due_ns = now_ns
+        self._pump.hurry()
 
     def _is_settled(self) -> bool:
         return self.gone or self.known or self.state is LinkState.FOREIGN

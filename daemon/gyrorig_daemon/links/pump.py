@@ -15,6 +15,8 @@ SLICE_NS = 50_000_000  # how long a request to stop may go unnoticed
 STALL_NS = 700_000_000  # a turn of the loop takes so long only if the process stood still:
 # the longest that it waits by itself is for a stuck port, half a second
 
+NEVER_NS = 1 << 62
+
 Sink = Callable[[Chunk], None]
 StallSink = Callable[[str, int, int], None]  # who stood still, from when, until when
 
@@ -53,6 +55,7 @@ class Pump:
         self._sinks: dict[str, Sink] = {}
         self._timers: list[Timer] = []
         self._heeds_stop = True
+        self._next_due_ns = 0  # of all timers
         self._turn_ns: int | None = None
         self.served_ns = hub.now_ns()  # all that had come by then was handed out
         self._late_until_ns = 0
@@ -67,6 +70,7 @@ class Pump:
     def add_timer(self, timer: Timer) -> None:
         """Fire `timer` whenever it is due."""
         self._timers.append(timer)
+        self.hurry()
 
     def remove_timer(self, timer: Timer) -> None:
         """Fire `timer` no more; one that was never added is no fault."""
@@ -114,16 +118,24 @@ class Pump:
             self._watch_turn(now_ns)
             if now_ns >= deadline_ns:
                 return self._catch_up(deadline_ns, done)
-            until_ns = min(deadline_ns, now_ns + SLICE_NS)
-            for timer in self._timers:
-                if timer.due_ns <= now_ns:
-                    timer.fire(now_ns)
-                until_ns = min(until_ns, timer.due_ns)
+            if now_ns >= self._next_due_ns:
+                self._fire(now_ns)
+            until_ns = min(deadline_ns, now_ns + SLICE_NS, self._next_due_ns)
             chunk = self._hub.read(until_ns)
             if chunk is None:
                 self.served_ns = self._hub.now_ns()
             else:
                 self._deliver(chunk)
+
+    def hurry(self) -> None:
+        """Look at the timers at once: one of them is due sooner than it had said."""
+        self._next_due_ns = 0
+
+    def _fire(self, now_ns: int) -> None:
+        for timer in self._timers:
+            if timer.due_ns <= now_ns:
+                timer.fire(now_ns)
+        self._next_due_ns = min((timer.due_ns for timer in self._timers), default=NEVER_NS)
 
     def _catch_up(self, deadline_ns: int, done: Callable[[], bool] | None) -> bool:
         """Take what was there at the deadline: this process may have slept past it.

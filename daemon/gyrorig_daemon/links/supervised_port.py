@@ -46,6 +46,11 @@ class SupervisedPort:
         """What to say when the daemon is gone."""
         return self.settings.farewell.encode("ascii")
 
+    @property
+    def is_awaited(self) -> bool:
+        """True where somebody waits for each answer: on the unit's port."""
+        return bool(self.settings.farewell)
+
     def open(self) -> None:
         """Open the line.
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from gyrorig_daemon.links.acquire import GATHER_NS
 from gyrorig_daemon.links.hub import Chunk, PortChange, PortsGoneError
 from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.raw_clock import raw_ns
@@ -306,3 +307,33 @@ def test_an_acquisition_that_hangs_is_ended_and_the_unit_halted(
         for again in (lambda: hub.write("a", b"V "), lambda: hub.read(raw_ns())):
             with pytest.raises(PortsGoneError):
                 again()
+
+
+def test_chunks_are_gathered_with_a_stamp_each_and_answers_are_not_kept_waiting(
+    line: Line, cable: Cable
+) -> None:
+    unit = cable.plug()
+    ports = {
+        "board": PortSettings(line.path, 9600),
+        "unit": PortSettings(str(cable.link), 9600, " H "),
+    }
+    with AcquisitionHub(ports) as hub:
+        stamps = []
+        for number in range(20):
+            os.write(line.fd, b"%02d" % number)
+            time.sleep(0.0005)
+        got = b""
+        while len(got) < 40:
+            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            assert chunk is not None
+            got += chunk.data
+            stamps.append(chunk.received_ns)
+        assert got == b"".join(b"%02d" % number for number in range(20))
+        assert stamps == sorted(set(stamps))
+        waits_ns = []
+        for _ in range(20):
+            os.write(unit.fd, b"*\r\n")
+            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            assert chunk is not None
+            waits_ns.append(raw_ns() - chunk.received_ns)
+        assert min(waits_ns) < GATHER_NS // 2
