@@ -148,16 +148,29 @@ def _not_testable(findings: Findings, raw: Sequence[RawEvidence]) -> list[NotTes
     ]
 
 
+def _goes_with(one: RawFinding, ranges: Sequence[RawFinding]) -> bool:
+    """Return whether tops are cut off because the range is a smaller one than configured.
+
+    A sensor of half the range ends at half the rate: that is no second cause, and its remedy
+    is none either before the range is read back.
+    """
+    return one.cause == "saturation" and any(other.size > 0.0 for other in ranges)
+
+
 def _causes(
     findings: Findings, raw: Sequence[RawEvidence], figures: Mapping[str, str]
 ) -> list[Cause]:
     """Return what is named: axes and ranges first, then by harm, then the stream's faults."""
     named = {one.cause for one in findings.causes}
     seen: dict[tuple[str, tuple[str, ...]], tuple[RawFinding, list[str]]] = {}
+    ranges = [
+        one for evidence in raw for look in evidence.looks for one in look.findings
+        if one.cause == "wrong_full_scale"
+    ]  # fmt: skip
     for evidence in raw:
         for look in evidence.looks:
             for one in look.findings:
-                if one.cause in named:
+                if one.cause in named or _goes_with(one, ranges):
                     continue  # the search has named it, with a size
                 _, names = seen.setdefault((one.cause, one.where), (one, []))
                 names.append(evidence.recording)
