@@ -215,6 +215,16 @@ def test_killed_with_everything_it_halts_first_when_it_is_started_again(
     assert service.end()[0] == 0
 
 
+def test_a_log_that_goes_away_is_no_reason_to_end(service: Service, devices: Devices) -> None:
+    process = service.start_ready()
+    assert process.stderr is not None
+    process.stderr.close()  # as when the journal restarts
+    service.enqueue(SHORT)
+    wait_for(lambda: service.results("done"))
+    process.terminate()
+    assert process.wait(40) == 0
+
+
 def test_crash_after_crash_it_comes_back_by_itself(service: Service, devices: Devices) -> None:
     for _ in range(3):
         process = service.start_ready()

@@ -18,7 +18,6 @@ class Orders:
     end: threading.Event = field(default_factory=threading.Event)  # of the process
     reload: threading.Event = field(default_factory=threading.Event)
     clear: threading.Event = field(default_factory=threading.Event)
-    halt: threading.Event = field(default_factory=threading.Event)
 
     def ask_to_end(self, why: str) -> None:
         """Halt, close and end: SIGTERM, SIGINT."""
@@ -27,11 +26,12 @@ class Orders:
 
     def ask_to_halt(self, who: str) -> None:
         """Halt and go on recording; an operator has to clear then."""
-        self.halt.set()
         self.stop.request(f"an operator's halt ({who})")
 
     def heard(self) -> bool:
         """Forget a stop that was acted upon; return whether the process has to end."""
-        if not self.end.is_set():
-            self.stop.reason = None
-        return self.end.is_set()
+        self.stop.reason = None
+        if self.end.is_set():  # after the line above: a signal may come between any two
+            self.stop.request("the end of the process")
+            return True
+        return False

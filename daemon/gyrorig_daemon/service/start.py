@@ -5,6 +5,7 @@ ends at once; the ports; the halt, before anything else is said; readiness; then
 (`daemon`). When the acquisition process ends, the ports are opened anew, for ever.
 """
 
+import contextlib
 import socket
 import sys
 import time
@@ -75,8 +76,9 @@ def read_config(path: Path) -> Sound:
 
 
 def log(text: str) -> None:
-    """Say a line to the journal."""
-    print(" ".join(text.split()), file=sys.stderr, flush=True)  # noqa: T201 - the journal's way
+    """Say a line to the journal, if there is one: its restart must not be our end."""
+    with contextlib.suppress(OSError, ValueError):
+        print(" ".join(text.split()), file=sys.stderr, flush=True)  # noqa: T201 - the journal's way
 
 
 class Service:
