@@ -34,6 +34,7 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.discover.free_shapes import Family, families, swells
 from gyrorig_solver.discover.groups import evidence, judge
+from gyrorig_solver.discover.refit import Weighed
 from gyrorig_solver.discover.result import Signature
 from gyrorig_solver.discover.search import Found, Standing
 from gyrorig_solver.estimate.extension import Extension
@@ -149,10 +150,10 @@ def what_is_against(found: Found, one: Extension, standing: Standing) -> Against
         beyond = worst.statistic - worst.degrees_of_freedom
         if worst.p_value < LEVEL and beyond > LITTLE * explains:
             return worst
-    return _likelier(found.solution, one, standing.best.evidence)
+    return _likelier(found.solution, one, standing.best)
 
 
-def _likelier(solution: Solution, one: Extension, nats: float) -> Against | None:
+def _likelier(solution: Solution, one: Extension, best: Weighed) -> Against | None:
     """Return the free function of an angle that is far likelier than a form of it, None if none.
 
     A form with a few unknowns can be bent so that it leaves little of another function of the
@@ -161,7 +162,7 @@ def _likelier(solution: Solution, one: Extension, nats: float) -> Against | None
     Args:
         solution: the fit that the cause is in.
         one: the cause as fitted.
-        nats: its evidence.
+        best: the same as it was weighed.
     """
     own = [name for name in OWN.get(one.term.cause, ()) if name in _ANGLES]
     if not own:
@@ -170,8 +171,8 @@ def _likelier(solution: Solution, one: Extension, nats: float) -> Against | None
     without = Projection.of(solution, extensions=others, back=[one])
     for family in families(without.scenes):
         if family.covariate in own:
-            ahead = evidence(without.look(family.white(without)), family.detail) - nats
-            if ahead > DECISIVE:
+            ahead = evidence(without.look(family.white(without)), family.detail) - best.evidence
+            if ahead > max(DECISIVE, LITTLE * best.won):
                 chance = float(np.exp(-ahead))
                 return Against(family.covariate, family.words, 2.0 * ahead, 1, chance)
     return None
