@@ -337,3 +337,19 @@ def test_chunks_are_gathered_with_a_stamp_each_and_answers_are_not_kept_waiting(
             assert chunk is not None
             waits_ns.append(raw_ns() - chunk.received_ns)
         assert min(waits_ns) < GATHER_NS // 2
+
+
+def test_opening_anew_again_and_again_leaves_nothing_behind(line: Line, cable: Cable) -> None:
+    ports = {"a": PortSettings(line.path, 9600), "b": PortSettings(str(cable.link), 9600)}
+    with AcquisitionHub(ports, waits=True, retry_s=0.02) as hub:
+        held = Path(f"/proc/{hub._child.pid}/fd")
+        before: int | None = None
+        for _ in range(30):
+            hub.reopen("a")
+            next_change(hub, PortChange.BACK)
+            cable.plug()
+            assert next_change(hub, PortChange.BACK).port == "b"
+            cable.pull()
+            assert next_change(hub, PortChange.GONE).port == "b"
+            before = before or len(list(held.iterdir()))
+        assert len(list(held.iterdir())) == before

@@ -12,7 +12,7 @@ from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.board_link import BoardLink
-from gyrorig_daemon.links.board_presence import LinkState
+from gyrorig_daemon.links.board_presence import LinkState, Presence
 from gyrorig_daemon.links.board_samples import BoardSinks, SampleStream
 from gyrorig_daemon.links.capture_clock import CaptureClock
 from gyrorig_daemon.links.hub import Chunk, PortHub, WriteStamp
@@ -137,7 +137,7 @@ def test_a_board_that_is_pulled_and_plugged_again(batch: int) -> None:
 
 
 @pytest.mark.parametrize("silence_s", [0.0, 0.05, 0.5])
-@pytest.mark.parametrize("at_s", [3.0, 3.07, 3.13, 3.4])
+@pytest.mark.parametrize("at_s", [3.0, 3.13])
 def test_a_reset_is_one_new_epoch(at_s: float, silence_s: float) -> None:
     desk = Desk(faults=BoardFaults(reset_at_s=(at_s,), reset_silence_s=silence_s))
     desk.run(5.5)
@@ -214,28 +214,50 @@ def test_a_board_that_is_not_the_one_that_the_rig_names() -> None:
     assert desk.samples["A"] == []
 
 
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fifth of all patience: ports are opened anew after 1, 2, 4 s."""
+    monkeypatch.setattr("gyrorig_daemon.links.board_presence.REOPEN_AFTER_S", 1.0)
+    monkeypatch.setattr("gyrorig_daemon.links.board_presence.SILENCE_S", 0.4)
+
+
+@pytest.mark.usefixtures("impatient")
 def test_a_silent_port_is_opened_anew_and_then_somebody_is_called() -> None:
-    desk = Desk(faults=BoardFaults(reset_at_s=(3.0,), reset_silence_s=50.0))
-    desk.run(6.0)
+    desk = Desk(faults=BoardFaults(reset_at_s=(1.0,), reset_silence_s=10.0))
+    desk.run(1.9)
     assert (desk.link.state, desk.link.counts.reopened) == (LinkState.SILENT, 0)
-    desk.run(50.0)  # 5, 10, 20 s after the one before
+    desk.run(10.5)
     assert (desk.link.state, desk.link.counts.reopened) == (LinkState.DEGRADED, 3)
     assert sum("look at it" in text for text in desk.said) == 1
     assert desk.link.counts.hung_up == 0
-    desk.run(60.0)
+    desk.run(13.0)
     assert desk.link.known
-    assert any("sends samples again, after 50." in text for text in desk.said)
+    assert any("sends samples again, after 10." in text for text in desk.said)
     desk.assert_other_is_whole()
 
 
+@pytest.mark.usefixtures("impatient")
 def test_bytes_that_are_no_samples() -> None:
     desk = Desk(faults=BoardFaults(garbage=True))
-    desk.run(36.0)
+    desk.run(8.5)
     assert desk.link.state is LinkState.DEGRADED
     (told,) = (text for text in desk.said if "look at it" in text)
     assert "sends no gcb1 samples but b'" in told
     assert int(desk.link.values()["fault_crc"]) + int(desk.link.values()["fault_cobs"]) > 0
     desk.assert_other_is_whole()
+
+
+def test_patience_doubles_up_to_a_minute() -> None:
+    presence, now_s, opened_s = Presence(True, 0), 0, []
+    presence.hear(0)
+    while now_s < 400:
+        now_s += 1
+        presence.falls_silent(now_s * 1_000_000_000)
+        if presence.wants_reopening(now_s * 1_000_000_000):
+            opened_s.append(now_s)
+            presence.come_back(now_s * 1_000_000_000)
+    assert opened_s[:6] == [5, 15, 35, 75, 135, 195]
+    assert presence.state is LinkState.DEGRADED
 
 
 class Deaf:
@@ -410,10 +432,10 @@ def test_stamps_that_are_late_are_told_once() -> None:
 def test_whatever_befalls_a_board_no_sample_gets_a_wrong_time(seed: int) -> None:
     """Pulled, reset, damaged and silent at random: late at worst, and the other board whole."""
     rng = random.Random(seed)
-    pulls = [(at_s, rng.choice([0.002, 0.3, 2.0])) for at_s in np.arange(rng.uniform(0, 6), 28, 7)]
+    pulls = [(at_s, rng.choice([0.002, 0.3, 2.0])) for at_s in np.arange(rng.uniform(0, 5), 17, 5)]
     faults = BoardFaults(
-        reset_at_s=tuple(sorted(rng.uniform(1.0, 28.0) for _ in range(3))),
-        reset_silence_s=rng.choice([0.05, 0.5, 3.0]),
+        reset_at_s=tuple(sorted(rng.uniform(1.0, 17.0) for _ in range(3))),
+        reset_silence_s=rng.choice([0.05, 0.5, 2.0]),
         drop_frame_every=37,
         flip_bit_every=61,
         garbage_every=71,
@@ -424,9 +446,9 @@ def test_whatever_befalls_a_board_no_sample_gets_a_wrong_time(seed: int) -> None
             hub.unplug(A, at_ns(at_s), at_ns(at_s + away_s))
 
     desk = Desk(faults=faults, prepare=prepare)
-    desk.run(33.0)
+    desk.run(21.0)
     assert desk.link.known
-    assert len(desk.samples["A"]) > 1500
+    assert len(desk.samples["A"]) > 700
     clock = desk.rig.boards["A"].clock
     late_us = [
         (clock.ticks(taken_ns - UTC_NS + ORIGIN_NS) - message.device_time) % (1 << 32)
