@@ -115,8 +115,8 @@ class _Salvage:
         self._source, self._data, self._found = source, data, found
         self._known = read_channels(found.attachments)
         self._known.fill_from(found.declared)
-        self._losses = list(found.losses)
-        self._messages: Counter[str] = Counter()
+        self.losses = list(found.losses)
+        self.messages: Counter[str] = Counter()
         self._schemas: dict[int, Schema] = {}  # declared in what has been copied
 
     def write(self, file: DiskFile, metadata: Metadata, about: Mapping[str, str]) -> Salvaged:
@@ -132,9 +132,9 @@ class _Salvage:
             self._declare(out, ready, declared)
             out.add_chunk(ready)
             chunks += 1
-        lost_bytes = sum(loss.bytes for loss in self._losses)
+        lost_bytes = sum(loss.bytes for loss in self.losses)
         recovered = dict(about) | {
-            "messages": str(sum(self._messages.values())),
+            "messages": str(sum(self.messages.values())),
             "original_bytes": str(len(self._data)),
             "lost_bytes": str(lost_bytes),
             "software": software(),
@@ -143,7 +143,7 @@ class _Salvage:
         copy = metadata_copy({**metadata, RECOVERED: recovered})
         out.add_attachment(Attachment(METADATA_COPY, MEDIA_TYPE, copy))
         out.finish()
-        return Salvaged(dict(self._messages), chunks, lost_bytes, tuple(self._losses))
+        return Salvaged(dict(self.messages), chunks, lost_bytes, tuple(self.losses))
 
     def sound_chunks(self) -> Iterator[tuple[ReadyChunk, Declared]]:
         """Every chunk that can be used, in order, and what it declares; states what cannot."""
@@ -172,7 +172,7 @@ class _Salvage:
             if unknown := {number for number in used if not self._is_known(number)}:
                 ready, declared = self._without(chunk, ready, unpacked, unknown), Declared()
             for number, entries in ready.index.items():
-                self._messages[self._known.channels[number].topic] += len(entries)
+                self.messages[self._known.channels[number].topic] += len(entries)
             if ready.index:
                 yield ready, declared
 
@@ -185,7 +185,7 @@ class _Salvage:
         for number, entries in ready.index.items():
             if number in unknown:
                 text = f"{len(entries)} messages of channel {number}, which nothing declares"
-                self._losses.append(Loss(LossCause.DAMAGED, chunk.offset, 0, len(entries), text))
+                self.losses.append(Loss(LossCause.DAMAGED, chunk.offset, 0, len(entries), text))
                 continue
             moved = entries.copy()
             for place, at in enumerate(int(offset) for offset in entries[:, 1]):
@@ -202,7 +202,7 @@ class _Salvage:
 
     def _lose(self, chunk: ChunkRecord, fault: ChunkError) -> None:
         text = f"the chunk at byte {chunk.offset} cannot be used: {fault}"
-        self._losses.append(
+        self.losses.append(
             Loss(fault.cause, chunk.offset, chunk.size, chunk.indexed_messages, text)
         )
 
@@ -237,13 +237,26 @@ def _channel_record(number: int, channel: Channel, schema_id: int) -> ChannelRec
 
 
 def is_finished(path: Path) -> bool:
-    """Whether a file has a summary, and mcap's own reader finds nothing wrong with it.
+    """Whether a file has a summary, and neither our reader nor mcap's finds anything wrong.
+
+    Both, because mcap's looks only at what the summary points to: behind a power cut the
+    end may be on the disk and pages in the middle not.
 
     Raises:
         MachineError: this computer cannot read it.
     """
     try:
-        if not read_summary(map_file(path)).sound:
+        data = map_file(path)
+        summary = read_summary(data)
+        if not summary.sound:
+            return False
+        found = walk(data, summary)
+        worker = _Salvage(path, data, found)
+        for _ in worker.sound_chunks():
+            pass
+        if worker.losses or sum(worker.messages.values()) != summary.messages:
+            return False
+        if read_metadata(found.attachments) != dict(found.metadata):
             return False
         read_strictly(path)
     except InputError:
