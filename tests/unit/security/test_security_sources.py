@@ -1,0 +1,110 @@
+"""What no line of the product may do: run what it reads, unpickle, listen to a network.
+
+By the syntax tree of every product module, so that a new one is looked at too. What is let
+through is named here with its reason.
+"""
+
+import ast
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+PRODUCT = sorted(
+    path
+    for package in (
+        "daemon/gyrorig_daemon",
+        "solver/gyrorig_solver",
+        "firmware_protocol",
+        "systemd",
+    )
+    for path in (ROOT / package).rglob("*.py")
+)
+UNPICKLING = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "joblib"}
+RUNNING = {"eval", "exec", "compile", "__import__"}
+NETWORK_FAMILIES = {"AF_INET", "AF_INET6", "create_server", "create_connection"}
+# python-can's UDP multicast kind of a bus, for where there is no CAN: only when configured
+NETWORK_ALLOWED = {"can_line.py", "multicast_end.py"}
+
+
+@functools.cache
+def trees() -> list[tuple[Path, ast.AST]]:
+    return [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in PRODUCT]
+
+
+def calls(tree: ast.AST) -> Iterator[tuple[str, ast.Call]]:
+    """Every call with its dotted name."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            yield ast.unparse(node.func), node
+
+
+def where(path: Path, node: ast.expr | ast.stmt) -> str:
+    return f"{path.relative_to(ROOT)}:{node.lineno}"
+
+
+def test_there_is_something_to_look_at() -> None:
+    assert len(PRODUCT) > 150
+
+
+def test_nothing_is_unpickled() -> None:
+    found = []
+    for path, tree in trees():
+        for node in ast.walk(tree):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            if any(name.split(".")[0] in UNPICKLING for name in names):
+                found.append(str(path.relative_to(ROOT)))
+        for name, call in calls(tree):
+            if name.endswith(("np.load", "numpy.load")):
+                allowed = {word.arg: ast.unparse(word.value) for word in call.keywords}
+                if allowed.get("allow_pickle") != "False":
+                    found.append(where(path, call))
+    assert found == []
+
+
+def test_nothing_that_is_read_is_run() -> None:
+    found = []
+    for path, tree in trees():
+        for name, call in calls(tree):
+            shell = [word for word in call.keywords if word.arg == "shell"]
+            if name in RUNNING or name in ("os.system", "os.popen") or shell:
+                found.append(f"{where(path, call)} {name}")
+    assert found == []
+
+
+def test_yaml_is_loaded_in_one_place_only() -> None:
+    found = {
+        path.name
+        for path, tree in trees()
+        for name, _ in calls(tree)
+        if name in ("yaml.load", "yaml.load_all", "yaml.full_load", "yaml.unsafe_load")
+        or name.endswith("YAML")
+    }
+    assert found == set()  # documents.py drives the safe loader event by event
+    loaders = [path.name for path in PRODUCT if "SafeLoader" in path.read_text(encoding="utf-8")]
+    assert loaders == ["documents.py"]
+
+
+def test_nobody_listens_to_a_network() -> None:
+    found = [
+        where(path, node)
+        for path, tree in trees()
+        if path.name not in NETWORK_ALLOWED
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and node.attr in NETWORK_FAMILIES
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize("unit", ["gyrorigd.service", "gyrorig-nightly.service"])
+def test_the_service_may_not_use_one(unit: str) -> None:
+    text = (ROOT / "systemd" / "system" / unit).read_text()
+    (families,) = [line for line in text.splitlines() if line.startswith("RestrictAddressFam")]
+    assert set(families.split("=")[1].split()) <= {"AF_UNIX", "AF_CAN"}
+    assert "IPAddressDeny=any" in text
