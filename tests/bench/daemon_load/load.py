@@ -68,9 +68,9 @@ class Load:
         """The buses as a rig's document names them."""
         return [f"udp_multicast:{GROUP}:{port}@127.0.0.1" for port in self.bus_ports]
 
-    def start(self, seconds: float) -> None:
-        """Let the boards send for so long at most."""
-        buses = [f"{GROUP}:{port}:{NODES}" for port in self.bus_ports]
+    def start(self, seconds: float, interface: str = "127.0.0.1") -> None:
+        """Let the boards send for so long at most; python-can hears only 0.0.0.0's choice."""
+        buses = [f"{GROUP}:{port}:{NODES}:{interface}" for port in self.bus_ports]
         fds = [str(master) for master in self._masters]
         self._process = subprocess.Popen(
             [

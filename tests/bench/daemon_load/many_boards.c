@@ -3,7 +3,7 @@
  * in us, so that the recording alone tells how late its arrival stamp was; how late this program
  * itself was with sending it says at the end.
  *
- *   many_boards RATE_HZ SECONDS SERIAL_FD... -- GROUP:PORT:NODES ...
+ *   many_boards RATE_HZ SECONDS SERIAL_FD... -- GROUP:PORT:NODES:INTERFACE_ADDRESS ...
  *
  * Rates differ by up to 5 % from board to board, as those of real parts do. A program that was held
  * up for more than a second has lost the samples in between, as a sensor's FIFO would. At the end each
@@ -219,7 +219,7 @@ static void hear(int number) {
     }
 }
 
-static void open_bus(const char *group, int port) {
+static void open_bus(const char *group, int port, const char *interface) {
     bus *it = &buses[bus_count++];
     struct sockaddr_in own;
     socklen_t length = sizeof own;
@@ -234,7 +234,7 @@ static void open_bus(const char *group, int port) {
     setsockopt(it->receiver, SOL_SOCKET, SO_REUSEADDR, &one, sizeof one);
     setsockopt(it->receiver, SOL_SOCKET, SO_REUSEPORT, &one, sizeof one);
     join.imr_multiaddr = it->to.sin_addr;
-    join.imr_interface.s_addr = inet_addr("127.0.0.1");
+    join.imr_interface.s_addr = inet_addr(interface);
     setsockopt(it->sender, IPPROTO_IP, IP_MULTICAST_IF, &join.imr_interface, sizeof join.imr_interface);
     if (bind(it->receiver, (struct sockaddr *)&it->to, sizeof it->to) < 0 ||
         setsockopt(it->receiver, IPPROTO_IP, IP_ADD_MEMBERSHIP, &join, sizeof join) < 0) {
@@ -363,12 +363,12 @@ int main(int count, char **arguments) {
             fcntl(it->fd, F_SETFL, O_NONBLOCK);
             begin_serial(it, board_count++);
         } else {
-            char group[64];
+            char group[64], interface[64];
             int port, nodes, node;
-            if (sscanf(arguments[at], "%63[0-9.]:%d:%d", group, &port, &nodes) != 3) {
+            if (sscanf(arguments[at], "%63[0-9.]:%d:%d:%63[0-9.]", group, &port, &nodes, interface) != 4) {
                 return 2;
             }
-            open_bus(group, port);
+            open_bus(group, port, interface);
             for (node = 1; node <= nodes && board_count < MOST; node++) {
                 board *it = &boards[board_count++];
                 it->bus = bus_count - 1;

@@ -42,7 +42,7 @@ def main() -> None:
         for number, port in enumerate(buses):
             bus = can.Bus(interface="udp_multicast", channel=GROUP, port=port)
             logger = can.Logger(out / f"can{number}.blf")
-            notifiers.append((can.Notifier(bus, [logger]), logger, bus))
+            notifiers.append((can.Notifier(bus, [logger]), bus))
         for thread in threads:
             thread.start()
         print("ready", flush=True)  # noqa: T201
@@ -50,9 +50,8 @@ def main() -> None:
         over.set()
         for thread in threads:
             thread.join()
-        for notifier, logger, bus in notifiers:
-            notifier.stop()
-            logger.stop()
+        for notifier, bus in notifiers:
+            notifier.stop()  # and the logger with it
             bus.shutdown()
         writer.finish()  # type: ignore[no-untyped-call]
 
