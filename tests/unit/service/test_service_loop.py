@@ -1,13 +1,16 @@
 """The daemon's loop under simulated time: what begins a session, what ends one, what holds."""
 
+import gc
 import json
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
+from gyrorig_daemon.recorder import Recorder
 from gyrorig_daemon.service.daemon import Ending
 from gyrorig_daemon.service.memory import Memory
+from gyrorig_daemon.session import Session
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
@@ -73,11 +76,15 @@ def test_jobs_go_in_the_order_of_their_names(make_bench: Make) -> None:
     bench = make_bench()
     for name in ("one", "two", "three"):
         bench.put(session=name)
+    timers = list(bench.opened.pump._timers)
     bench.serve(40.0, bench.ended("done", 3))
     told = [json.loads(path.read_text())["session"] for path in bench.results("done")]
     assert told == ["one", "two", "three"]
     sessions = [read_recording(p).metadata["gyrorig"]["session"] for p in bench.recordings()]
     assert sessions == ["one", "two", "three"]
+    assert list(bench.opened.pump._timers) == timers  # nothing is left of them
+    gc.collect()
+    assert not [thing for thing in gc.get_objects() if isinstance(thing, Session | Recorder)]
 
 
 def test_a_recording_tells_of_its_own_losses_only(make_bench: Make, faulty_board: Any) -> None:
