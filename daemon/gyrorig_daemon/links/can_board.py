@@ -6,6 +6,7 @@ because the bus's edges tell every board's at once.
 """
 
 import random
+from collections.abc import Mapping
 
 import msgspec
 
@@ -52,7 +53,7 @@ class CanBoardLink(BoardLink):
             config = _told(config, bound)
             place = f"bus {config.bus}"
         super().__init__(pump, msgspec.structs.replace(config, port=place), clock, sinks, rng)
-        self.bus_values: dict[str, str] = {}  # the bus's own counters, kept by the bus
+        self.bus_counts: Mapping[str, int] = {}  # the bus's own, by cause
 
     def wants(self, key: int) -> bool:
         """Return whether frames of this key are this board's."""
@@ -111,7 +112,8 @@ class CanBoardLink(BoardLink):
 
     def values(self) -> dict[str, str]:
         """Return every counter, the bus's too, by name."""
-        return super().values() | self.bus_values
+        of_bus = {f"bus_{name}": str(count) for name, count in self.bus_counts.items()}
+        return super().values() | of_bus
 
     def _take_hello(self, hello: Hello, payload: bytes) -> None:
         super()._take_hello(hello, payload)

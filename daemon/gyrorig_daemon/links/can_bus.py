@@ -71,6 +71,8 @@ class CanBusLink:
         self._is_off = False
         self._complained: dict[str, int] = {}
         self.counts: Counter[str] = Counter()
+        for board in boards:
+            board.bus_counts = self.counts
         self.due_ns = pump.now_ns()
         pump.attach(config.hub_port, self._take)
         pump.add_timer(self)
@@ -94,7 +96,6 @@ class CanBusLink:
         if len(self._edges) >= EDGES_HELD:
             self._drop_edge(next(iter(self._edges)))
         self._edges[count & 0xFF] = [count, stamp.before_ns, 0]
-        self._publish()
 
     def _take(self, chunk: Chunk) -> None:
         if chunk.change is PortChange.GONE:
@@ -154,7 +155,6 @@ class CanBusLink:
         elif frame.flags & FrameFlag.ERROR:
             for report in bus_reports(frame):
                 self._take_bus_report(report, frame.stamp_ns)
-        self._publish()
 
     def _take_bus_report(self, report: BusReport, now_ns: int) -> None:
         self.counts[report.name.lower()] += 1
@@ -186,8 +186,3 @@ class CanBusLink:
         if last_ns is None or now_ns - last_ns > QUIET_NS:
             self._complained[what] = now_ns
             self._sinks.fault(f"bus {self._config.id}: {text}")
-
-    def _publish(self) -> None:
-        values = {f"bus_{name}": str(count) for name, count in self.counts.items()}
-        for board in self._boards:
-            board.bus_values = values
