@@ -354,6 +354,7 @@ class BoardLink:
         self._presence.come_back(now_ns)
         self._parser.reset()
         self._samples.map_anew()
+        self._samples.seen = False
         self._pings.clear()
         self._was_away = True
         self._is_confirmed = not self._speaks

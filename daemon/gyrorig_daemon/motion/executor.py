@@ -5,16 +5,17 @@ the count is at its target and the unit is still. It must come there: a count th
 elsewhere, or takes too long, ends the program with the unit halted.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from gyrorig_daemon.links.pump import Pump
+from gyrorig_daemon.motion.path_watch import PathWatch
 from gyrorig_daemon.motion.plan import PlannedMove, PlannedRest, PlannedStep
 from gyrorig_daemon.motion.poller import Poller
 from gyrorig_daemon.motion.ptu_client import Position
 from gyrorig_daemon.motion.unit import Unit
 from gyrorig_protocol.errors import DeviceError
-from gyrorig_protocol.ptu import Quantity, assign
+from gyrorig_protocol.ptu import Axis, Quantity, assign
 from gyrorig_protocol.ptu.commands import HALT, IMMEDIATE, SLAVED
 
 PATIENCE_FACTOR = 1.5
@@ -40,12 +41,15 @@ class Executor:
         self._client = unit.client
         self._poller = poller
         self._phases = phases
+        self._watch = PathWatch(unit.client)
+        self._at: dict[Axis, int] = {}  # where orders have brought each axis, once it was there
 
     def run(self, steps: Sequence[PlannedStep], progress: Callable[[int], None]) -> None:
         """Carry out the steps in order; `progress` is told how many are done.
 
         Raises:
-            DeviceError: the unit refused, did not arrive, or lost synchrony.
+            DeviceError: the unit refused, did not arrive, is where it cannot be, or lost
+                synchrony.
             StopRequestedError: the process was asked to stop. The unit may be moving.
         """
         self._phases.begin("program", "")
@@ -64,6 +68,8 @@ class Executor:
 
     def _move(self, step: PlannedMove) -> None:
         client = self._client
+        targets = {part.axis: part.target_steps for part in step.axes}
+        self._watch.expect(self._at, targets)
         for part in step.axes:
             client.order(assign(part.axis, Quantity.SPEED, part.speed_steps_s))
         together = len(step.axes) > 1
@@ -73,19 +79,20 @@ class Executor:
             client.order(assign(part.axis, Quantity.POSITION, part.target_steps))
         if together:
             client.order(IMMEDIATE)
-        self._arrive(step)
+        self._arrive(step, targets)
+        self._at |= targets
+        self._watch.expect(self._at, {})
 
-    def _arrive(self, step: PlannedMove) -> None:
+    def _arrive(self, step: PlannedMove, targets: Mapping[Axis, int]) -> None:
         longest_s = max(part.duration_s for part in step.axes)
         begun_ns = self._pump.now_ns()
         deadline_ns = begun_ns + int((PATIENCE_FACTOR * longest_s + PATIENCE_S) * 1e9)
-        targets = {part.axis: part.target_steps for part in step.axes}
         last: tuple[int, int] | None = None
         changed_ns = begun_ns
         while True:
             position = self._poller.poll()
             now_ns = self._pump.now_ns()
-            if position is not None:
+            if position is not None and self._watch.look(position):
                 here = (position.pan_steps, position.tilt_steps)
                 if here != last:
                     last, changed_ns = here, now_ns
@@ -103,7 +110,9 @@ class Executor:
     def _poll_for(self, seconds: float) -> None:
         end_ns = self._pump.now_ns() + int(seconds * 1e9)
         while self._pump.now_ns() < end_ns:
-            self._poller.poll()
+            position = self._poller.poll()
+            if position is not None:
+                self._watch.look(position)
 
 
 def halt_and_confirm(pump: Pump, unit: Unit, poller: Poller) -> None:

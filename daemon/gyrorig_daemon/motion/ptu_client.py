@@ -73,6 +73,7 @@ class Counts:
     refused: int = 0
     limit_flags: int = 0
     hung_up: int = 0
+    implausible: int = 0  # positions that no order can have brought about
     exchanges: int = 0
     polls: int = 0
     reply_wait_max_ns: int = field(default=0)

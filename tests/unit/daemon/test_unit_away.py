@@ -1,6 +1,8 @@
 """The unit's port goes away in motion and comes back: halted first, known, and only then moved."""
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from gyrorig_daemon.emulated import rig_settings
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.capture_clock import CaptureClock
+from gyrorig_daemon.links.hub import Chunk
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.motion import (
     Executor,
@@ -171,3 +174,55 @@ def test_a_unit_that_the_rig_does_not_name_is_not_moved() -> None:
 def test_a_dialect_without_serial_numbers_cannot_be_named() -> None:
     with pytest.raises(UsageError, match=r"leave out ptu\.serial"):
         Bench(named("x", "d46")).open()
+
+
+TWO = """
+name: two
+steps:
+  - move: {pan_deg: 10.0, tilt_deg: 5.0, speed_deg_s: 40.0}
+  - rest: {seconds: 1.0}
+  - move: {pan_deg: 20.0, speed_deg_s: 40.0}
+  - rest: {seconds: 1.0}
+"""
+
+
+def run_two(bench: Bench, answer: Callable[[Chunk, int], Chunk]) -> None:
+    """Carry the program out while each of the unit's answers goes through `answer`."""
+    unit = bench.open()
+    read, count = bench.hub.read, 0
+
+    def changed(deadline_ns: int) -> Chunk | None:
+        nonlocal count
+        chunk = read(deadline_ns)
+        if chunk is None or chunk.port != "ptu":
+            return chunk
+        count += 1
+        return answer(chunk, count)
+
+    poller = Poller(unit, None, bench.positions.append)
+    steps = plan_program(
+        parse_program(TWO, "two.yaml"), unit.facts, bench.config.ptu.limits, poller.where()
+    )
+    bench.hub.read = changed  # type: ignore[method-assign]
+    phases = PhaseSink(lambda *_: None, lambda *_: None)
+    Executor(bench.pump, unit, poller, phases).run(steps, lambda _: None)
+
+
+def shifted(chunk: Chunk) -> Chunk:
+    """Return an answer to BT in which pan is 1000 steps elsewhere."""
+    data = re.sub(rb"P\((-?\d+),", lambda m: b"P(%d," % (int(m[1]) + 1000), chunk.data)
+    return replace(chunk, data=data)
+
+
+def test_one_answer_that_cannot_be_is_lived_with() -> None:
+    bench = Bench()
+    run_two(bench, lambda chunk, count: shifted(chunk) if count % 40 == 0 else chunk)
+    assert bench.client.counts.implausible > 2
+
+
+@pytest.mark.parametrize("from_count", [90, 130])
+def test_a_unit_that_is_where_no_order_brought_it_ends_the_program(from_count: int) -> None:
+    bench = Bench()
+    with pytest.raises(DeviceError, match=r"answers pan \d+ steps, and its orders allow"):
+        run_two(bench, lambda chunk, count: shifted(chunk) if count > from_count else chunk)
+    assert bench.client.counts.implausible == 3
