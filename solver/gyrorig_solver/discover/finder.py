@@ -14,7 +14,7 @@ from gyrorig_solver.discover.changes import Board, own_part
 from gyrorig_solver.discover.gain import held_out
 from gyrorig_solver.discover.groups import signatures
 from gyrorig_solver.discover.limits import limits
-from gyrorig_solver.discover.name_tests import kept
+from gyrorig_solver.discover.name_tests import fillers, kept, without
 from gyrorig_solver.discover.ramps import RAMPS, look_for_ramps
 from gyrorig_solver.discover.result import (
     Explained,
@@ -120,9 +120,12 @@ def conclude(
     left = jitter.of(every)
     unexplained = _unexplained(found, left, fallen)
     if unexplained is not None and found.standings and unexplained.named_share < FILLS:
-        found = Found(base, (), first, found.sights)
-        jitter = look_for_jitter(first, tests, ALPHA)
-        unexplained = _unexplained(found, jitter.of(shown), fallen) or unexplained
+        gone = fillers(found, (unexplained.best, *unexplained.others), FILLS)
+        if any(gone):
+            found = without(base, found, gone)
+            jitter = look_for_jitter(found.last, tests, ALPHA)
+            left = jitter.of(_nameless(found.solution, found.last) if found.standings else shown)
+            unexplained = _unexplained(found, left, fallen) or unexplained
     calibration = Board.of(found.solution)
     fitted = _fitted(found)
     worth = held_out(found.last, [k for k, _ in fitted])
@@ -135,7 +138,8 @@ def conclude(
     causes.sort(key=lambda one: (-one.harm_sigma, one.p_value))
     absent, blind = limits(found.last, found.sights, calibration, len(base.sessions))
     absent += () if jitter.absent is None else (jitter.absent,)
-    absent = (*(one for one in absent if one.cause != RAMPS), *ramps.absent)
+    said = {RAMPS} if ramps.named is None else {RAMPS, ramps.named.cause}
+    absent = (*(one for one in absent if one.cause not in said), *ramps.absent)
     verdict: Verdict = "explained" if causes else "adequate"
     findings = Findings(
         verdict="unexplained" if unexplained is not None else verdict,

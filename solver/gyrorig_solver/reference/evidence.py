@@ -127,6 +127,16 @@ class Evidence:
         limit = 5.0 * np.sqrt(STEP_VARIANCE + (self.speed * scatter_s) ** 2) + 1.0
         return bool(np.mean(np.abs(self.residual) < limit) > 0.9) and scatter_s < 0.05
 
+    def log_likelihood(self, scatter_s: float, spacing_s: FloatArray) -> float:
+        """Return the log likelihood of the polls, those of one step sharing their vote."""
+        total = 0.0
+        for part in self.parts:
+            weight = part.weight(scatter_s, spacing_s)
+            variance = STEP_VARIANCE + (part.speed * scatter_s) ** 2
+            square = part.rows[:, -1] ** 2 + variance * np.log(variance)
+            total -= 0.5 * float(np.sum(weight * square))
+        return total
+
     def spacing_s(self) -> FloatArray:
         """Return the usual time between the polls of each move, 0 where it was hardly polled."""
         gaps, moves = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]

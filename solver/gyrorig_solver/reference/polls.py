@@ -22,7 +22,7 @@ polls on the way show it, and how far rests lie off their counts in general is c
 the likelihood of all polls (see `rests`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -45,6 +45,7 @@ from gyrorig_solver.reference.track import Track, lay_tracks
 
 LOG_SPEED_STD = 1e-2
 LOG_ACCELERATION_STD = 1e-2
+AS_TOLD = 1e-6  # of a logarithm: none at all
 COUNT_STD_STEPS = 0.5  # of the count's lag and of its offset, prior
 LATE_SHARE_STD = 0.3  # of phi, prior, about one half
 SEEN_START_STD_S = 1.0  # of a start that counts show: no more than a brace
@@ -93,6 +94,7 @@ class StartTimes:
     late_share: float  # phi
     rest_variance: float  # of a counted rest about its count, steps^2
     explained: bool  # False: the counts do not follow the moves that were told
+    polls: Polls | None = None  # what it was fitted to
 
     @cached_property
     def moves(self) -> tuple[Move, ...]:
@@ -130,22 +132,70 @@ def fit_starts(motion: Motion, polls: Polls) -> StartTimes:
     Gauss-Newton in counts; each poll weighs by the count's quantum and the instant's
     scatter at the speed of that moment, the scatter being estimated from the residuals.
     """
-    fit = _Fit(MoveTable.of(motion), polls)
+    fit = _settled(_Fit(MoveTable.of(motion), polls))
+    return replace(fit.result(), polls=polls)
+
+
+def base_speed_instead(
+    motion: Motion, starts: StartTimes, axis: int, added_steps_s: FloatArray
+) -> FloatArray:
+    """Return by how many nats higher base speeds are likelier than ramps of their own, (k,).
+
+    Args:
+        motion: as it was told.
+        starts: found for it.
+        axis: whose ramps are taken as told, and its base speed as higher.
+        added_steps_s: by how much higher, (k,).
+    """
+    if starts.polls is None:
+        return np.zeros(added_steps_s.size)
+    own = _settled(_Fit(MoveTable.of(motion), starts.polls, None, starts.rest_variance))
+    found = np.empty(added_steps_s.size)
+    for k, added in enumerate(added_steps_s):
+        moves = tuple(
+            replace(one, base_speed_steps_s=one.base_speed_steps_s + float(added))
+            if one.axis == axis
+            else one
+            for one in motion.moves
+        )
+        table = MoveTable.of(replace(motion, moves=moves))
+        other = _settled(_Fit(table, starts.polls, axis, starts.rest_variance))
+        found[k] = other.log_likelihood() - own.log_likelihood()
+    return found
+
+
+def _settled(fit: "_Fit") -> "_Fit":
     for turn in range(ROUNDS):
         fit.round(turn >= LATEST_JUDGING)
         if fit.settled:
             break
-    return fit.result()
+    return fit
 
 
 class _Fit:
     """The fit under way."""
 
-    def __init__(self, table: MoveTable, polls: Polls) -> None:
+    def __init__(
+        self,
+        table: MoveTable,
+        polls: Polls,
+        as_told: int | None = None,
+        rest_variance: float | None = None,
+    ) -> None:
+        """Begin at the first guess.
+
+        Args:
+            table: of the moves.
+            polls: of both axes.
+            as_told: the axis whose ramps are held at what was told.
+            rest_variance: of rests about their counts; None: the likeliest.
+        """
         self._table, self._layout = table, _Layout.of(table)
         self._counts, least_s = _counts(polls)
         self._delays = _Delays(table, first_guess(table, self._counts))
         self._weight = _prior(self._layout, self._delays.seen)
+        if as_told is not None:
+            self._weight[self._layout.ramps.start + as_told] = AS_TOLD**-2
         self._centre = np.zeros(self._layout.size)
         self._centre[self._layout.starts] = self._delays.guess_s
         self._centre[-1] = 0.5
@@ -157,6 +207,8 @@ class _Fit:
         self._common_s = (least_s + polls.constant_width_s) / float(np.sqrt(12.0))
         self._spacing_s: FloatArray | None = None
         self._rest_variance, self._judged, self._moved_s = STEP_VARIANCE, 0, np.inf
+        if rest_variance is not None:
+            self._rest_variance, self._judged = rest_variance, JUDGINGS
 
     @property
     def settled(self) -> bool:
@@ -194,10 +246,21 @@ class _Fit:
             explained=self._explained,
         )
 
+    def log_likelihood(self) -> float:
+        """Return the log likelihood of polls and rests where the last round ended."""
+        if self._spacing_s is None:
+            return 0.0
+        polls = self._evidence().log_likelihood(self._scatter_s, self._spacing_s)
+        rests = self._at[self._layout.rests]
+        return polls - 0.5 * float(np.sum(rests**2)) / self._rest_variance
+
+    def _evidence(self) -> Evidence:
+        found, how = self._layout.unknowns(self._at), CountUnknowns(*self._at[-COUNT_UNKNOWNS:])
+        return Evidence.of(self._table, self._counts, found, how)
+
     def _look(self) -> Chain:
         """Return the polls' equations at the unknowns of now; they are many, and let go."""
-        found, how = self._layout.unknowns(self._at), CountUnknowns(*self._at[-COUNT_UNKNOWNS:])
-        evidence = Evidence.of(self._table, self._counts, found, how)
+        evidence = self._evidence()
         if self._spacing_s is None:
             self._spacing_s = evidence.spacing_s()
         self._scatter_s = evidence.scatter_s(self._scatter_s)
