@@ -22,11 +22,12 @@ either: see `_likelier`.
 A right name of a large effect leaves something as well, as every form is a little short
 of the truth. What is less than `LITTLE` of what the cause explains is no reason.
 
-What to use when: `kept` after a search.
+What to use when: `kept` after a search; `fillers` and `without` where something is left.
 
 Source: score test, Rao, Linear Statistical Inference, 6e; smooth tests of fit, Neyman 1937.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,18 +114,50 @@ def kept(base: Solution, found: Found) -> tuple[Found, tuple[Signature, ...]]:
     ]
     if not any(against):
         return found, ()
-    stay = [k for k, one in enumerate(against) if one is None]
-    gone = [one for one, doubt in zip(free, against, strict=True) if doubt is not None]
-    left = [one for one in found.solution.extensions if all(one is not other for other in gone)]
-    solution = solve_again(found.solution, left) if stay else base
-    standings = tuple(found.standings[k] for k in stay)
-    last = Projection.of(solution)
     doubts = sorted((one for one in against if one is not None), key=lambda one: one.p_value)
     signatures = tuple(
         Signature(d.covariate, d.words, d.statistic, d.degrees_of_freedom, d.p_value)
         for d in doubts
     )
-    return replace(found, solution=solution, standings=standings, last=last), signatures
+    return without(base, found, [one is not None for one in against]), signatures
+
+
+def fillers(found: Found, odd: Sequence[Signature], share: float) -> list[bool]:
+    """Return which names may only fill a part of what has no name, of each standing.
+
+    Where a covariate that a cause hangs on is odd beside it by as much, the cause may be the
+    part of something larger that its form allows. A cause of another kind is none of that.
+
+    Args:
+        found: where the search ended.
+        odd: what is odd beside its fit.
+        share: of both that a cause must explain.
+    """
+    doubtful = []
+    for one in found.standings:
+        own = OWN.get(one.best.extension.term.cause)
+        rest = [s.statistic - s.degrees_of_freedom for s in odd if own is None or
+                s.covariate in own]  # fmt: skip
+        nats = one.best.won if one.here is None else one.here
+        won = 2.0 * max(nats, 0.0)
+        doubtful.append(won < share * (won + max(rest, default=0.0)))
+    return doubtful
+
+
+def without(base: Solution, found: Found, gone: Sequence[bool]) -> Found:
+    """Return a search's end without some of its names, all else fitted anew.
+
+    Args:
+        base: the fit of the base model.
+        found: where the search ended.
+        gone: which of its standings.
+    """
+    free = [one for one in found.solution.extensions if one.free.size]
+    lost = [one for one, is_gone in zip(free, gone, strict=True) if is_gone]
+    left = [one for one in found.solution.extensions if all(one is not other for other in lost)]
+    solution = base if all(gone) else solve_again(found.solution, left)
+    standings = tuple(s for s, is_gone in zip(found.standings, gone, strict=True) if not is_gone)
+    return replace(found, solution=solution, standings=standings, last=Projection.of(solution))
 
 
 def what_is_against(found: Found, one: Extension, standing: Standing) -> Against | None:
