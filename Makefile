@@ -13,7 +13,7 @@ SECONDS ?= 180
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench hidden fuzz install-service clean
+.PHONY: help demo test check bench hidden fuzz test-qemu install-service clean
 
 help:  ## this text
 	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
@@ -49,6 +49,9 @@ fuzz: $(VENV)/.dev  ## every parser, SECONDS=180 each, guided by coverage where 
 	@mkdir -p $(FUZZ)
 	@nice -n 10 $(VENV)/bin/python tests/fuzz/inject.py --out $(FUZZ)/inject.json
 	@$(VENV)/bin/python tests/fuzz/fuzz.py --seconds $(SECONDS) --out $(FUZZ)
+
+test-qemu: $(VENV)/.dev  ## as root: the service on a machine of its own in qemu, its USB pulled, its power cut; minutes
+	@$(VENV)/bin/python tests/qemu/run.py
 
 install-service:  ## as root: the daemon under /opt, its units, rules and user; as often as wanted (ARGS="--root DIR")
 	@$(PYTHON) systemd/install.py $(ARGS)

@@ -1,0 +1,220 @@
+"""Inside the machine: what udev did, how the service lives, and when to do what to it.
+
+Says one line at a time on the second serial port: `RESULT name value`, `WANT what`, and
+`NOW seconds` five times a second once a recording runs.
+"""
+
+import json
+import os
+import random
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from gyrorig_protocol.board import Hello, Sensor
+from gyrorig_protocol.can import (
+    CanFrame,
+    gyro_frame,
+    hello_frames,
+    latch_frame,
+    status_frame,
+    sync_frame,
+)
+
+PORT = Path("/dev/gyrorig/RIG0001-if00")
+SERVICE = "gyrorigd.service"
+FRAME = struct.Struct("=IB3x8s")
+NODE = 1
+RIG = f"""rig: l3
+ptu: {{port: {PORT}, baud: 115200}}
+buses: [{{id: can0, port: "socketcan:vcan0"}}]
+boards: [{{id: C-1, bus: can0, node: {NODE}}}]
+service: {{reserve_mb: 16}}
+"""
+LONG = "name: long\nsteps:\n  - move: {pan_deg: 120.0, speed_deg_s: 2.0}\n"
+REST = "name: rest\nsteps:\n  - rest: {seconds: 600.0}\n"
+INSIDE = """
+import json, os
+def can(path):
+    try:
+        os.close(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
+    except OSError as fault:
+        return fault.strerror
+    return "opened"
+with open(os.environ["STATE_DIRECTORY"] + "/inside.json", "w") as file:
+    json.dump({name: can("/dev/" + name) for name in ("ttyUSB0", "ttyS0", "vda")}, file)
+"""
+
+words = Path("/dev/ttyS1").open("w", buffering=1)  # noqa: SIM115 - for as long as it runs
+
+
+def say(*what: object) -> None:
+    """Say one line to the host."""
+    words.write(" ".join(str(word) for word in what) + "\n")
+    words.flush()
+
+
+def run(*command: str) -> str:
+    """Run a program; return what it says."""
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    return (ended.stdout + ended.stderr).strip()
+
+
+def until(holds: Callable[[], bool], limit_s: float, what: str) -> None:
+    """Wait for a condition."""
+    end_s = time.monotonic() + limit_s
+    while not holds():
+        if time.monotonic() > end_s:
+            raise TimeoutError(f"waited {limit_s} s for {what}: {run('journalctl', '-n', '20')}")
+        time.sleep(0.1)
+
+
+def status() -> dict[str, Any]:
+    """Return the daemon's status, nothing where it gives none."""
+    try:
+        told: dict[str, Any] = json.loads(run("/usr/local/bin/gyrorigd", "status", "--json"))
+    except ValueError:
+        return {}
+    return told if "state" in told else {}
+
+
+def board() -> None:
+    """Be a board of ours on vcan0, for ever: 100 samples a second."""
+    bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    bus.bind(("vcan0",))
+    bus.setblocking(False)
+    gyro = Sensor(who=211, full_scale=250.0, per_count=0.00875, rate_hz=100.0)
+    hello = Hello(1, "1.0", "l3", "L3-BOARD", 1, (gyro,))
+    begun, number = time.monotonic(), 0
+
+    def send(frame: CanFrame) -> None:
+        try:
+            bus.send(FRAME.pack(frame.identifier, len(frame.data), frame.data))
+        except OSError:
+            return
+
+    while True:
+        clock = int((time.monotonic() - begun) * 1e6)
+        try:
+            identifier, _, data = FRAME.unpack(bus.recv(16))
+            if identifier == sync_frame(0).identifier:
+                send(latch_frame(NODE, data[0], 1, clock))
+        except BlockingIOError:
+            pass
+        if number % 100 == 0:
+            for frame in hello_frames(NODE, hello.payload()[1:]):
+                send(frame)
+        due = begun + number * 0.01
+        if time.monotonic() >= due:
+            ticks = (number * 10_000) & 0xFFFFFFFF
+            if number % 10 == 0:
+                send(status_frame(NODE, ticks, number & 0xFFFF, 1))
+            send(gyro_frame(NODE, (random.randint(-9, 9), number % 100, 3), ticks))
+            number += 1
+        time.sleep(0.001)
+
+
+def udev() -> None:
+    """What the rules did to the adapter."""
+    until(PORT.exists, 60.0, str(PORT))
+    say("RESULT", "link", os.path.realpath(PORT))
+    say("RESULT", "by_id", len(list(Path("/dev/serial/by-id").glob("*RIG0001*"))))
+    name = Path(os.path.realpath(PORT)).name
+    timer = Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text().strip()
+    say("RESULT", "latency_timer", timer)
+    told = run("udevadm", "info", "--query=property", f"--name={PORT}")
+    say("RESULT", "modem_manager", "ID_MM_DEVICE_IGNORE=1" in told)
+    say("RESULT", "owner", run("stat", "-c", "%G", os.path.realpath(PORT)))
+
+
+def begin(program: str) -> None:
+    """Hand a session in and wait until it runs."""
+    path = Path("/tmp/program.yaml")  # noqa: S108
+    path.write_text(program)
+    run("/usr/local/bin/gyrorigd", "enqueue", "--program", str(path))
+    until(lambda: status().get("state") == "running", 120.0, "a session")
+
+
+def serve() -> None:
+    """The service on a real driver and a real bus, under cgroups that are enforced."""
+    Path("/etc/gyrorig/rig.yaml").write_text(RIG)
+    more = Path(f"/etc/systemd/system/{SERVICE}.d")
+    more.mkdir(exist_ok=True)
+    Path("/opt/l3/inside.py").write_text(INSIDE)
+    (more / "l3.conf").write_text(
+        "[Service]\nWatchdogSec=60\nTimeoutStartSec=300\n"
+        "ExecStartPost=/opt/gyrorig/bin/python /opt/l3/inside.py\n"
+    )
+    run("systemctl", "daemon-reload")
+    say("RESULT", "start", run("systemctl", "restart", SERVICE) or "ready")
+    inside = json.loads(Path("/var/lib/gyrorig/inside.json").read_text())
+    for name, found in inside.items():
+        say("RESULT", f"open_{name}", found)
+    until(lambda: any(b["state"].startswith("sends") for b in status().get("boards", [])), 120.0,
+          "the board on vcan0")  # fmt: skip
+    say("RESULT", "board", status()["boards"][0]["state"])
+
+
+def pulled() -> None:
+    """The adapter is pulled in motion and plugged in again."""
+    begin(LONG)
+    say("WANT", "unplug")
+    until(lambda: not PORT.exists(), 60.0, "the adapter to go")
+    until(lambda: status().get("unit", {}).get("state") not in ("stands", "moves", "busy"), 60.0,
+          "the unit to be missed")  # fmt: skip
+    say("RESULT", "missed", status()["unit"]["text"])
+    say("WANT", "plug")
+    until(PORT.exists, 60.0, "the adapter to come back")
+    until(lambda: status().get("unit", {}).get("state") == "stands", 90.0, "the unit to stand")
+    say("RESULT", "back", status()["unit"]["text"])
+    say("RESULT", "held", status()["state"])
+    run("/usr/local/bin/gyrorigd", "clear")
+    until(lambda: status().get("state") == "ready", 60.0, "the rig to be ready")
+
+
+def clock_jumps() -> None:
+    """The wall clock jumps by five years while a session runs."""
+    begin(REST)
+    before = status()["boards"][0]["counts"]["samples"]
+    run("date", "--set=+5 years")
+    time.sleep(5.0)
+    now = status()
+    say("RESULT", "after_the_jump", now["state"])
+    say("RESULT", "samples_meanwhile", now["boards"][0]["counts"]["samples"] - before)
+    say("RESULT", "clock_steps", now["counts"].get("clock_steps"))
+
+
+def main() -> None:
+    """Do everything; the power is cut at the end."""
+    try:
+        say("RESULT", "up_s", Path("/proc/uptime").read_text().split()[0])
+        say("RESULT", "cgroup2", Path("/sys/fs/cgroup/cgroup.controllers").exists())
+        udev()
+        run("modprobe", "vcan")
+        run("ip", "link", "add", "dev", "vcan0", "type", "vcan")
+        run("ip", "link", "set", "vcan0", "up")
+        threading.Thread(target=board, daemon=True).start()
+        serve()
+        pulled()
+        clock_jumps()
+        for count in range(60):
+            say("NOW", repr(time.clock_gettime(time.CLOCK_MONOTONIC_RAW)))
+            if count == 50:
+                say("WANT", "cut")
+            time.sleep(0.2)
+    except BaseException:
+        for line in traceback.format_exc().splitlines():
+            say("FAULT", line)
+        say("FAULT", run("/usr/local/bin/gyrorigd", "status", "--once"))
+    sys.exit(0)
+
+
+if __name__ == "__main__":
+    main()

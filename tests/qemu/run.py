@@ -1,0 +1,143 @@
+"""Level 3: the service on a machine of its own. `make test-qemu`; minutes, root, a network once.
+
+The unit is emulated on the host, behind the machine's USB adapter, so that its log shows
+what the daemon said to it. At the end the power is cut, and what is left on the disk is
+read on the host.
+"""
+
+# ruff: noqa: T201 - a program that prints what it finds
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.qemu.image import disk
+from tests.qemu.machine import Machine, missing_tools
+from tests.systemd.rig_on_ptys import RigOnPtys
+
+from gyrorig_daemon.recorder.recovery import recover_folder
+from gyrorig_protocol.recording.reader import read_recording
+
+BOOT_S = 240.0
+STEP_S = 300.0
+LIMIT_S = 10.0  # of a power cut: what was not synced
+EXPECTED = {
+    "cgroup2": "True",
+    "by_id": "1",
+    "latency_timer": "1",
+    "modem_manager": "True",
+    "owner": "dialout",
+    "start": "ready",
+    "open_ttyUSB0": "opened",
+    "open_ttyS0": "Operation not permitted",
+    "open_vda": "Operation not permitted",
+    "held": "fault",
+    "after_the_jump": "running",
+}
+
+
+def main() -> int:
+    """Run it; returns 1 where something was not as it should be, 0 too where it cannot be."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--images", type=Path, default=Path("qemu"), help="kept between runs")
+    options = parser.parse_args()
+    if missing := missing_tools():
+        print(
+            f"make test-qemu: not here: {', '.join(missing)}: "
+            "apt install qemu-system-x86 mmdebstrap"
+        )
+        return 0
+    began_s = time.monotonic()
+    image = disk(options.images)
+    print(f"image: {time.monotonic() - began_s:.0f} s", flush=True)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        copy = folder / "disk.ext4"
+        subprocess.run(["cp", "--sparse=always", str(image.disk), str(copy)], check=True)
+        with (
+            RigOnPtys() as rig,
+            Machine(replace(image, disk=copy), rig.ports[0], folder) as machine,
+        ):
+            try:
+                found = watch(machine, rig)
+            except (TimeoutError, RuntimeError) as fault:
+                print(f"FAILED {fault}")
+                print("\n".join(machine.words()[-40:]))
+                shutil.copy(machine.console, options.images / "console.txt")
+                return 1
+        wrong = judge(found)
+        wrong += after_the_cut(copy, folder / "mount", float(found["cut_at"]))
+    print(f"{time.monotonic() - began_s:.0f} s in all; {wrong} not as expected")
+    return int(wrong > 0)
+
+
+def watch(machine: Machine, rig: RigOnPtys) -> dict[str, str]:
+    """Do to the machine what it asks for; return what it found."""
+    began_s = time.monotonic()
+    machine.wait_for("RESULT up_s", BOOT_S)
+    print(f"booted: {time.monotonic() - began_s:.0f} s", flush=True)
+    machine.wait_for("WANT unplug", STEP_S)
+    found = {"moved": str(rig.turns)}
+    machine.unplug()
+    machine.wait_for("WANT plug", STEP_S)
+    halts = rig.halts
+    found["turns_while_away"] = str(rig.turns)
+    machine.plug()
+    machine.wait_for("RESULT back", STEP_S)
+    found |= {"halted_on_return": str(rig.halts > halts), "stands": str(not rig.turns)}
+    machine.wait_for("WANT cut", STEP_S)
+    machine.cut()
+    for line in machine.words():
+        kind, _, rest = line.partition(" ")
+        if kind == "RESULT":
+            name, _, value = rest.partition(" ")
+            found[name] = value
+        elif kind == "NOW":
+            found["cut_at"] = rest
+        elif kind == "FAULT":
+            raise RuntimeError(rest)
+    return found
+
+
+def judge(found: dict[str, str]) -> int:
+    """Print what was found; return how much of it should not be so."""
+    wanted = EXPECTED | {"moved": "True", "halted_on_return": "True", "stands": "True"}
+    wrong = 0
+    for name, value in found.items():
+        bad = name in wanted and wanted[name] != value
+        wrong += bad
+        print(f"{'WRONG' if bad else 'ok':6}{name}: {value}")
+    wrong += len(missing := set(wanted) - set(found))
+    print(f"not told: {', '.join(sorted(missing)) or 'nothing'}")
+    return wrong
+
+
+def after_the_cut(image: Path, at: Path, cut_s: float) -> int:
+    """Read what is on the disk after the power cut; return 1 where too much is missing."""
+    at.mkdir()
+    subprocess.run(["mount", "-o", "loop", str(image), str(at)], check=True)
+    try:
+        kept = at.parent / "kept"
+        shutil.copytree(at / "var/lib/gyrorig/recordings", kept)
+    finally:
+        subprocess.run(["umount", str(at)], check=True)
+    for report in recover_folder(kept):
+        print(f"      recovered {report}")
+    newest = max(kept.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
+    recording = read_recording(newest)
+    anchor_s = int(recording.metadata["gyrorig"]["anchor_monotonic_raw_ns"]) * 1e-9
+    anchor_utc_s = int(recording.metadata["gyrorig"]["anchor_utc_ns"]) * 1e-9
+    last_s = recording.end_ns * 1e-9 - anchor_utc_s + anchor_s
+    lost_s = cut_s - last_s
+    print(f"{'ok' if lost_s < LIMIT_S else 'WRONG':6}lost by the power cut: {lost_s:.2f} s")
+    return int(lost_s >= LIMIT_S)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
