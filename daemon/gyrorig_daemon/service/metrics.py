@@ -170,6 +170,10 @@ def _board_metrics(boards: list[dict[str, Any]]) -> Iterator[Metric]:
             labels = {"board": board["id"], "name": name}
             yield "board_own", "gauge", "what the board says of itself", labels, value
     for board in boards:
+        for cause, count in board["bus"].items():
+            labels = {"board": board["id"], "cause": cause}
+            yield "board_bus_total", "counter", "what happened on its CAN bus", labels, count
+    for board in boards:
         for cause, count in (*board["counts"].items(), *board["faults"].items()):
             labels = {"board": board["id"], "cause": cause}
             yield "board_line_total", "counter", "what came and what was lost", labels, count

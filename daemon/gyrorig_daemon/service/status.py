@@ -30,7 +30,6 @@ UNIT_COUNTS = (
     "limit_flags",
     "hung_up",
 )
-OWN = "board_"  # what a board counts itself, in its link's values
 MAX_NEXT = 20  # entries of the queue that are named
 
 
@@ -129,11 +128,8 @@ class StatusTimer:
             "rate_hz": rate_hz,
             "counts": {key: getattr(counts, key) for key in counts.__dataclass_fields__},
             "faults": board.faults(),
-            "own": {
-                key.removeprefix(OWN): int(value)
-                for key, value in board.values().items()
-                if key.startswith(OWN)
-            },
+            "own": _numbers(board, "board_"),
+            "bus": _numbers(board, "bus_"),
             "clock": {
                 "mapped": clock.mapped,
                 "skew_ppm": _number(clock.skew_ppm),
@@ -168,6 +164,15 @@ class StatusTimer:
             {"name": entry.name, "due_in_s": round(schedule.next_s(entry, now_s, utc_s))}
             for entry in schedule.entries
         ]
+
+
+def _numbers(board: BoardLink, prefix: str) -> dict[str, int]:
+    """Return what a board counts itself, or its bus, out of its link's values."""
+    return {
+        key.removeprefix(prefix): int(value)
+        for key, value in board.values().items()
+        if key.startswith(prefix)
+    }
 
 
 def _utc(utc_s: float) -> str:

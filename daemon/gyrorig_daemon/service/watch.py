@@ -4,6 +4,7 @@ from typing import Any
 
 _BAR = 24
 OWN_LOSSES = ("sensor_overruns", "frames_dropped", "bus_errors")
+BUS_LOSSES = ("lost_in_kernel", "rx_overflow", "bus_off")
 LOST_MESSAGES = (
     "dropped_queue_full",
     "dropped_too_early",
@@ -53,6 +54,8 @@ def losses(status: dict[str, Any]) -> dict[str, int]:
             found[f"{name} frames: {cause.replace('_', ' ')}"] = count
         for cause in OWN_LOSSES:
             found[f"{name} by its own word: {cause.replace('_', ' ')}"] = board["own"].get(cause, 0)
+        for cause in BUS_LOSSES:
+            found[f"{name}'s bus: {cause.replace('_', ' ')}"] = board["bus"].get(cause, 0)
     for cause in ("timeouts", "garbled", "frame_errors"):
         found[f"unit's answers: {cause.replace('_', ' ')}"] = status["unit"]["counts"][cause]
     found["bytes dropped by a slow daemon"] = status["acquisition_dropped_bytes"]
