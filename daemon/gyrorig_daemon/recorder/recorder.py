@@ -11,9 +11,9 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import NamedTuple
 
 from gyrorig_daemon.recorder.counts import RecorderCounts
 from gyrorig_daemon.recorder.disk_worker import DiskWorker
@@ -45,8 +45,7 @@ class RecorderState(Enum):
     CLOSED = "closed"
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
+class _Entry(NamedTuple):
     topic: str
     message: Message
     log_ns: int

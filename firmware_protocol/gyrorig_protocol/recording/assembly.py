@@ -1,8 +1,8 @@
-"""Put an MCAP file together from chunks that exist already, with a summary of its own.
+"""Put an MCAP file together from chunks: the records around them, indexes, the summary.
 
-What to use when: under `salvage`. The packed content of each chunk is copied as it is;
-everything that can be derived from it (times, indexes, statistics) is made anew, because
-none of that carries a checksum in the file that it comes from.
+What to use when: under `part_file`, whose chunks are new, and under `salvage`, whose chunks
+are copied packed as they are; what can be derived from a chunk (times, indexes, statistics)
+is made here, because in a file it carries no checksum.
 
 Source: the MCAP format specification, sections "Records" and "Summary Section".
 """
@@ -62,7 +62,7 @@ class Assembly:
         OSError: from every method, as the disk reports it.
     """
 
-    def __init__(self, file: DiskFile, library: str) -> None:
+    def __init__(self, file: DiskFile) -> None:
         self._file = file
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -72,7 +72,10 @@ class Assembly:
         self._counts: dict[int, int] = {}
         self._first_ns: int | None = None
         self._last_ns = 0
-        file.write(MAGIC)
+
+    def start(self, library: str) -> None:
+        """Write the beginning."""
+        self._file.write(MAGIC)
         self._put(Header("ros2", library))
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
@@ -96,6 +99,11 @@ class Assembly:
         """Take note of a channel that a chunk declares."""
         self._schemas.setdefault(schema.id, schema)
         self._channels.setdefault(channel.id, channel)
+
+    @staticmethod
+    def declaration(schema: Schema, channel: Channel) -> bytes:
+        """The records that declare a channel, for a chunk that is being filled."""
+        return _bytes_of(schema) + _bytes_of(channel)
 
     def declare_schema(self, schema: Schema) -> None:
         """Write a schema that no chunk declares any more."""
@@ -124,14 +132,18 @@ class Assembly:
             uncompressed_crc=chunk.crc,
             uncompressed_size=chunk.unpacked_size,
         )
-        length = self._put(record)
+        written = bytearray(_bytes_of(record))
+        length = len(written)
         offsets: dict[int, int] = {}
         for channel, entries in chunk.index.items():
-            offsets[channel] = self._file.tell()
-            content = entries.astype("<u8").tobytes()
-            head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(content), channel, len(content))
-            self._file.write(head + content)
+            offsets[channel] = start + len(written)
+            content = entries.astype("<u8", copy=False).tobytes()
+            written += _INDEX_HEAD.pack(
+                Opcode.MESSAGE_INDEX, 6 + len(content), channel, len(content)
+            )
+            written += content
             self._counts[channel] = self._counts.get(channel, 0) + len(entries)
+        self._file.write(bytes(written))
         self._chunks.append(
             ChunkIndex(
                 chunk_length=length,
@@ -139,7 +151,7 @@ class Assembly:
                 compression=chunk.compression,
                 compressed_size=len(chunk.packed),
                 message_end_time=last_ns,
-                message_index_length=self._file.tell() - start - length,
+                message_index_length=len(written) - length,
                 message_index_offsets=offsets,
                 message_start_time=first_ns,
                 uncompressed_size=chunk.unpacked_size,
@@ -191,8 +203,13 @@ class Assembly:
         )
 
     def _put(self, record: McapRecord) -> int:
-        builder = RecordBuilder()
-        record.write(builder)
-        data: bytes = builder.end()  # type: ignore[no-untyped-call]
+        data = _bytes_of(record)
         self._file.write(data)
         return len(data)
+
+
+def _bytes_of(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data

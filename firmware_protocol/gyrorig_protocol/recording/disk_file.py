@@ -14,7 +14,7 @@ from pathlib import Path
 
 
 class DiskFile:
-    """The part of a binary stream that `mcap.writer.Writer` needs, on a bare descriptor.
+    """A new file on a bare descriptor.
 
     `sync` may be called by another thread meanwhile.
 
@@ -42,9 +42,6 @@ class DiskFile:
     def tell(self) -> int:
         """Bytes written so far."""
         return self._position
-
-    def flush(self) -> None:
-        """Nothing is buffered here."""
 
     def sync(self) -> None:
         """Wait until the bytes are on the disk."""

@@ -6,14 +6,18 @@ before it.
 """
 
 import errno
+import struct
+import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, cast
 
-from mcap.writer import CompressionType, Writer
+import numpy as np
+import zstandard
+from mcap.records import Channel, Schema
 
+from gyrorig_protocol.recording.assembly import Assembly, ReadyChunk
 from gyrorig_protocol.recording.copies import (
     CHANNELS_COPY,
     MEDIA_TYPE,
@@ -27,6 +31,10 @@ from gyrorig_protocol.recording.schemas import SCHEMAS
 
 # A chunk of 1 MiB stalls the writing thread by about 14 ms, one of 16 MiB by 160 ms.
 CHUNK_BYTES = 1 << 20
+_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, two times
+_MESSAGE_OPCODE = 0x05
+_MESSAGE_FIELDS_BYTES = 22
+_QOS = {"offered_qos_profiles": ""}
 
 Records = Mapping[str, Mapping[str, str]]
 
@@ -60,35 +68,36 @@ class PartFile:
 
     def __init__(self, final: Path, part: Path, disk: Disk) -> None:
         self._final, self._part, self._disk = final, part, disk
-        self._schemas: dict[str, int] = {}
+        self._schemas: dict[str, Schema] = {}
+        self._chunk = bytearray()  # in progress
+        self._index: dict[int, list[int]] = {}  # of it: log times and places, by channel
+        self._zip = zstandard.ZstdCompressor()
         self._uncopied: dict[int, tuple[str, str]] = {}  # channels since the last copy
         self._metadata: dict[str, dict[str, str]] = {}
         self.channels: dict[str, OpenChannel] = {}
         self.safe = Safe()
         self.renamed = False
         self._file = disk.create(part)
-        self._mcap = Writer(
-            cast(IO[bytes], self._file),
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-        )
+        self._out = Assembly(self._file)
 
     def begin(self, records: Records, attachments: Iterable[Attachment]) -> None:
         """Write what stands in front of the first message, and make it last."""
-        self._mcap.start(profile="ros2", library=software())
+        self._out.start(software())
         self.add_facts(records, attachments)
         self._file.sync()
         self._disk.sync_directory(self._part.parent)
 
     def add_facts(self, records: Records, attachments: Iterable[Attachment]) -> None:
         """Write metadata and attachments, with a checksummed copy of all metadata so far."""
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._write_chunk()
         for name, record in records.items():
             self._metadata[name] = dict(record)
-            self._mcap.add_metadata(name, dict(record))
+            self._out.add_metadata(name, record)
         for one in attachments:
-            self._attach(one)
-        self._attach(Attachment(METADATA_COPY, MEDIA_TYPE, metadata_copy(self._metadata)))
+            self._out.add_attachment(one)
+        self._out.add_attachment(
+            Attachment(METADATA_COPY, MEDIA_TYPE, metadata_copy(self._metadata))
+        )
         self._mark_safe()
 
     def channel(self, topic: str, type_name: str) -> OpenChannel:
@@ -101,31 +110,50 @@ class PartFile:
         if known is None:
             if not topic.startswith("/"):
                 raise ValueError(f"a topic begins with a slash: {topic!r}")
-            if type_name not in self._schemas:
+            schema = self._schemas.get(type_name)
+            if schema is None:
                 text = SCHEMAS[type_name].encode()
-                self._schemas[type_name] = self._mcap.register_schema(type_name, "ros2msg", text)
-            number = self._mcap.register_channel(
-                topic, "cdr", self._schemas[type_name], {"offered_qos_profiles": ""}
-            )
+                schema = Schema(len(self._schemas) + 1, text, "ros2msg", type_name)
+                self._schemas[type_name] = schema
+            number = len(self.channels) + 1
+            channel = Channel(number, topic, "cdr", _QOS, schema.id)
+            self._chunk += self._out.declaration(schema, channel)
+            self._out.know(schema, channel)
             known = self.channels[topic] = OpenChannel(number, type_name)
             self._uncopied[number] = (topic, type_name)
         return known
 
     def append(self, channel: OpenChannel, time_ns: int, publish_ns: int, payload: bytes) -> None:
-        """Add one message to the chunk in progress; now and then that writes the chunk."""
-        self.safe.waiting += 1
-        self._mcap.add_message(channel.number, time_ns, payload, publish_ns, channel.sequence)
-        channel.sequence = (channel.sequence + 1) & 0xFFFFFFFF
+        """Add one message to the chunk in progress; now and then that writes the chunk.
+
+        Raises:
+            ValueError: a time or the sequence number does not fit; nothing was added.
+        """
+        chunk, sequence, number = self._chunk, channel.sequence, channel.number
+        length = _MESSAGE_FIELDS_BYTES + len(payload)
+        try:
+            head = _MESSAGE.pack(_MESSAGE_OPCODE, length, number, sequence, time_ns, publish_ns)
+        except struct.error as error:
+            raise ValueError(f"a message at {time_ns} ns cannot be written: {error}") from error
+        entries = self._index.get(number)
+        if entries is None:
+            entries = self._index[number] = []
+        entries.append(time_ns)
+        entries.append(len(chunk))
+        chunk += head
+        chunk += payload
+        channel.sequence = (sequence + 1) & 0xFFFFFFFF
         channel.last_log_time_ns = time_ns
-        if self._file.tell() != self.safe.position:  # mcap has just written out a chunk
-            self._mark_safe()
+        self.safe.waiting += 1
+        if len(chunk) >= CHUNK_BYTES:
+            self._write_chunk()
 
     def flush(self) -> None:
         """Write out the chunk in progress."""
-        self._mcap.flush()  # type: ignore[no-untyped-call]
-        self._mark_safe()
+        self._write_chunk()
         if self._uncopied:
-            self._attach(Attachment(CHANNELS_COPY, MEDIA_TYPE, channels_copy(self._uncopied)))
+            copy = channels_copy(self._uncopied)
+            self._out.add_attachment(Attachment(CHANNELS_COPY, MEDIA_TYPE, copy))
             self._uncopied.clear()
             self._mark_safe()
 
@@ -135,7 +163,8 @@ class PartFile:
 
     def finish(self) -> None:
         """Write the summary, sync, and give the file its final name."""
-        self._mcap.finish()  # type: ignore[no-untyped-call]
+        self._write_chunk()
+        self._out.finish()
         self._file.sync()
         if self._disk.exists(self._final):
             raise FileExistsError(errno.EEXIST, "a file of the final name has appeared")
@@ -159,10 +188,19 @@ class PartFile:
             self._file.close()
         return kept
 
-    def _attach(self, one: Attachment) -> None:
-        self._mcap.add_attachment(
-            one.log_time_ns, one.log_time_ns, one.name, one.media_type, one.data
-        )
+    def _write_chunk(self) -> None:
+        """Write out the chunk in progress, if a message is in it."""
+        if not self._index:
+            return
+        content = self._chunk
+        index = {
+            number: np.array(entries, np.uint64).reshape(-1, 2)
+            for number, entries in self._index.items()
+        }
+        packed, crc = self._zip.compress(content), zlib.crc32(content)
+        self._out.add_chunk(ReadyChunk("zstd", packed, len(content), crc, index))
+        self._chunk, self._index = bytearray(), {}
+        self._mark_safe()
 
     def _mark_safe(self) -> None:
         self.safe.position = self._file.tell()

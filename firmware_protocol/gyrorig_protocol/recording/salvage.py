@@ -121,7 +121,8 @@ class _Salvage:
 
     def write(self, file: DiskFile, metadata: Metadata, about: Mapping[str, str]) -> Salvaged:
         """Write the new file."""
-        out = Assembly(file, software())
+        out = Assembly(file)
+        out.start(software())
         chunks = 0
         for name, record in metadata.items():
             out.add_metadata(name, record)

@@ -4,8 +4,8 @@ What to use when: one `RecordingWriter` per file, used by one thread. `write` fo
 messages as they come, `write_imu_array` for importers that hold whole arrays, `tick`
 from the loop of the same thread, `close` at the end.
 
-Theory of operation: `mcap` collects messages into a chunk; a chunk is only safe once
-it is written out whole. `tick` closes the chunk every second (a killed process loses
+Theory of operation: messages are collected into a chunk; a chunk is only safe once it is
+written out whole. `tick` closes the chunk every second (a killed process loses
 at most that) and syncs every ten (a power cut loses at most that). After an error of
 the disk the file is cut back to the last whole chunk and never written again, because
 a torn record in the middle would hide everything behind it from most readers.

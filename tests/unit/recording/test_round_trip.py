@@ -27,6 +27,7 @@ from gyrorig_protocol.recording.messages import (
 )
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_protocol.recording.salvage import read_strictly
 from gyrorig_protocol.recording.schemas import IMU_RAW, SCHEMAS
 from gyrorig_protocol.recording.writer import RecordingWriter
 
@@ -113,6 +114,15 @@ def test_any_order_of_messages_and_flushes(
     for topic in wanted:
         stamped = recording.stamped(topic)
         assert [s.publish_time_ns for s in stamped] == [s.log_time_ns - 5 for s in stamped]
+    if wanted:  # and so does mcap's own reader, by the chunks and by the message indexes
+        assert read_strictly(path) == {topic: len(them) for topic, them in wanted.items()}
+        with path.open("rb") as file:
+            indexed = list(make_reader(file, validate_crcs=True).iter_messages())
+        times = [message.log_time for _, _, message in indexed]
+        assert times == sorted(times)
+        for topic, them in wanted.items():
+            found = [message.data for _, channel, message in indexed if channel.topic == topic]
+            assert found == [one.encode() for one in them]
 
 
 def test_arrays_write_what_messages_write(tmp_path: Path, contract_metadata: Any) -> None:
