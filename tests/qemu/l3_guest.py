@@ -157,7 +157,7 @@ def serve() -> None:
     inside = json.loads(Path("/var/lib/gyrorig/inside.json").read_text())
     for name, found in inside.items():
         say("RESULT", f"open_{name}", found)
-    until(lambda: any(b["state"].startswith("sends") for b in status().get("boards", [])), 120.0,
+    until(lambda: any(b["state"] == "known" for b in status().get("boards", [])), 120.0,
           "the board on vcan0")  # fmt: skip
     say("RESULT", "board", status()["boards"][0]["state"])
 

@@ -143,6 +143,18 @@ def test_a_unit_that_is_not_as_configured(
     assert found["board B-1 emulated"]["level"] == "note"
 
 
+def test_devices_that_are_not_the_rig_s_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with served(E46, BOARD):
+        config = rig_yaml(tmp_path, PATHS["ptu"], PATHS["board:B-1"], more=", serial: E46-0002")
+        config.write_text(config.read_text().replace("460800}", "460800, facts: {uid: other}}"))
+        code, found = doctor(config, capsys)
+    assert code == 1
+    assert "E46-0001" in found["unit wrong_unit"]["what"]
+    assert "other" in found["board B-1 wrong_board"]["what"]
+
+
 def test_a_unit_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def answer(sent: bytes, speed: int) -> bytes:
         if speed != termios.B9600:

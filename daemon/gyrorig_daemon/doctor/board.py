@@ -193,6 +193,10 @@ def _identity(subject: str, config: BoardPort, heard: Heard) -> list[Finding]:
     if hello.protocol != PROTOCOL:
         what = f"it speaks version {hello.protocol} of the protocol, this program {PROTOCOL}"
         found.append(fault(subject, "protocol", what, "load matching firmware"))
+    if config.facts.uid and hello.uid and hello.uid != config.facts.uid:
+        what = f"its uid is {hello.uid}, and the rig's board has {config.facts.uid}"
+        remedy = "check which board is on this port, or change its facts"
+        found.append(fault(subject, "wrong_board", what, remedy))
     if not hello.uid and not config.facts.uid:
         what = "it has no unique number: its calibration would go to whatever is on this port"
         found.append(fault(subject, "no_uid", what, "give boards: facts: uid, and label the board"))

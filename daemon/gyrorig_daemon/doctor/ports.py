@@ -71,6 +71,7 @@ def _name(subject: str, path: str, system: System) -> list[Finding]:
     ]
     remedy = f"name it {better[0]}" if better else "name it by /dev/serial/by-id"
     why = f"{path} is another device when the cables are plugged in another order"
+    remedy += "; ptu.serial and facts: uid keep another device from being taken for it"
     return [warning(subject, "unstable_name", why, remedy)]
 
 

@@ -60,9 +60,9 @@ def _examine(line: HaltLine, config: PtuPort, bauds: Sequence[int]) -> list[Find
     version, baud = found
     spoken = _dialect(line, version)
     line.interval_s = offers(spoken or Dialect.D46).min_command_interval_s
-    findings = [_identity(line, version, spoken, baud)]
-    findings += [*_as_configured(config, baud, spoken), *_bounds(line), *_power(line)]
-    return findings
+    identity, serial = _identity(line, version, spoken, baud)
+    findings = [identity, *_as_configured(config, baud, spoken, serial)]
+    return [*findings, *_bounds(line), *_power(line)]
 
 
 def _find(line: HaltLine, bauds: Sequence[int]) -> tuple[Version, int] | None:
@@ -118,7 +118,10 @@ def _dialect(line: HaltLine, version: Version) -> Dialect | None:
     return dialect_from_version(version.text)
 
 
-def _identity(line: HaltLine, version: Version, spoken: Dialect | None, baud: int) -> Finding:
+def _identity(
+    line: HaltLine, version: Version, spoken: Dialect | None, baud: int
+) -> tuple[Finding, str]:
+    """Return who it is, and its serial number, "" where it has none."""
     model = serial = ""
     if spoken is not None and offers(spoken).short_identity:
         words = [_ask(line, command) for command in (QUERY_MODEL, QUERY_SERIAL)]
@@ -126,11 +129,18 @@ def _identity(line: HaltLine, version: Version, spoken: Dialect | None, baud: in
     who = model or version.controller or "a pan-tilt unit"
     who += f", serial {serial}" if serial else ""
     says = "an unknown dialect" if spoken is None else f"the dialect {spoken.value}"
-    return ok(SUBJECT, "identity", f"{who}, firmware {version.number}, {says}, at {baud} baud")
+    what = f"{who}, firmware {version.number}, {says}, at {baud} baud"
+    return ok(SUBJECT, "identity", what), serial
 
 
-def _as_configured(config: PtuPort, baud: int, spoken: Dialect | None) -> list[Finding]:
+def _as_configured(
+    config: PtuPort, baud: int, spoken: Dialect | None, serial: str
+) -> list[Finding]:
     findings = []
+    if config.serial is not None and serial != config.serial:
+        what = f"its serial number is {serial or 'not told'}, and the rig's is {config.serial}"
+        remedy = "check which unit is on this port, or change ptu.serial"
+        findings.append(fault(SUBJECT, "wrong_unit", what, remedy))
     if baud != config.baud:
         what = f"it answers at {baud} baud, and the configuration says {config.baud}"
         findings.append(fault(SUBJECT, "wrong_baud", what, f"set ptu.baud to {baud}"))
