@@ -83,7 +83,7 @@ def look_for_walk(
     rise = float(risen.sum())
     if rise < sum(one.rise for one in flicker):
         return None
-    if _jumps(solution, risen > SHOWN_NATS):
+    if _leaping(solution, risen > SHOWN_NATS):
         return None
     p_value = min(1.0, chi2_tail(2.0 * rise, float(np.sum(risen > 0.0))) * tests)
     if p_value >= alpha:
@@ -136,28 +136,36 @@ def _along(spectrum: Spectrum, noise: NoiseModel, calm: NoiseModel, axis: int, w
     return _Axis(log_levels, nats - float(nats[ordinary].max(initial=float(nats[0]))))
 
 
-def _jumps(solution: Solution, axes: BoolArray) -> bool:
-    """Return whether a bias goes by leaps: what a random walk adds is normally distributed.
+def leaps(signal: FloatArray, rate_hz: float) -> bool:
+    """Return whether a signal goes by leaps: what a random walk adds is normally distributed.
 
     Judged by the kurtosis of the differences of means, whose deviation is sqrt(24/n) for
     normal ones (Kendall and Stuart, The Advanced Theory of Statistics, volume 1).
+
+    Args:
+        signal: shape (n, k).
+        rate_hz: of it.
     """
-    for session in solution.sessions:
-        rate_hz = session.sampling.rate_hz
-        for residual, used in zip(session.residuals(solution.gain), session.used, strict=True):
-            left = np.where(used[:, None], residual, 0.0)[:, axes]
-            for mean_s in JUMPS_S:
-                block = max(1, round(mean_s * rate_hz))
-                whole = len(left) // block
-                if whole <= FEWEST:
-                    continue
-                mean = left[: whole * block].reshape(whole, block, -1).mean(axis=1)
-                step = np.diff(mean, axis=0)
-                unit = (step - step.mean(axis=0)) / np.maximum(step.std(axis=0), 1e-30)
-                kurtosis = np.mean(unit**4, axis=0) - 3.0
-                if np.any(kurtosis > JUMPS_SIGMA * np.sqrt(24.0 / len(step))):
-                    return True
+    for mean_s in JUMPS_S:
+        block = max(1, round(mean_s * rate_hz))
+        whole = len(signal) // block
+        if whole <= FEWEST:
+            continue
+        mean = signal[: whole * block].reshape(whole, block, -1).mean(axis=1)
+        step = np.diff(mean, axis=0)
+        unit = (step - step.mean(axis=0)) / np.maximum(step.std(axis=0), 1e-30)
+        kurtosis = np.mean(unit**4, axis=0) - 3.0
+        if np.any(kurtosis > JUMPS_SIGMA * np.sqrt(24.0 / len(step))):
+            return True
     return False
+
+
+def _leaping(solution: Solution, axes: BoolArray) -> bool:
+    return any(
+        leaps(np.where(used[:, None], residual, 0.0)[:, axes], session.sampling.rate_hz)
+        for session in solution.sessions
+        for residual, used in zip(session.residuals(solution.gain), session.used, strict=True)
+    )
 
 
 def _levels(walk: Sequence[_Axis]) -> tuple[FloatArray, FloatArray]:

@@ -1,21 +1,38 @@
-"""A bias that wanders gets no name; what made it seem to wander does."""
+"""A bias that wanders is named as such, and what only made it seem to wander as what it is."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from gyrorig_solver.discover.finder import explain
+from gyrorig_solver.discover.walks import leaps, look_for_walk
 from gyrorig_solver.discover.wandering import CALM, calmed, is_calm, wandering
 from gyrorig_solver.estimate.noise import ordinary_levels
 from gyrorig_solver.solve import unit_solution
 
 
-def test_a_bias_that_wanders_much_is_odd_and_has_no_name(hidden: Callable[..., Any]) -> None:
+def test_a_bias_that_wanders_much_is_named(hidden: Callable[..., Any]) -> None:
     session = hidden("bias_random_walk:0.001")
     findings = explain([session.recording], session.board).findings
-    assert findings.verdict == "unexplained"
-    assert findings.unexplained is not None
-    assert findings.unexplained.best.covariate in ("bias_time", "wandering")
-    assert not findings.causes
+    (cause,) = findings.causes
+    assert cause.candidates == ("bias_random_walk",)
+    assert findings.unexplained is None
+    for value in cause.values:
+        assert value.unit == "rad/s/sqrt(s)"
+        assert 0.0 < value.std < value.value
+
+
+def test_leaps_are_no_random_walk() -> None:
+    """Between two values, here for 8 s on average; a walk of the same size does not leap."""
+    rng = np.random.default_rng(3)
+    rate_hz, n = 100.0, 13_000
+    noise = 4e-3 * rng.standard_normal((n, 1))
+    sides = np.cumsum(rng.random(n) < 1.0 / (8.0 * rate_hz)) % 2
+    assert leaps(noise + 4e-3 * sides[:, None], rate_hz)
+    walk = 4e-5 * np.cumsum(rng.standard_normal((n, 1)), axis=0)
+    assert not leaps(noise + walk, rate_hz)
 
 
 def test_an_ordinary_part_is_calm(hidden: Callable[..., Any]) -> None:
@@ -23,6 +40,15 @@ def test_an_ordinary_part_is_calm(hidden: Callable[..., Any]) -> None:
     solution = unit_solution([session.recording], session.board)
     assert is_calm(solution)
     assert wandering(solution).signature.p_value == 1.0
+    assert look_for_walk(solution, tests=80, alpha=0.0075) is None
+
+
+def test_levels_are_calm_by_ratio_however_small(hidden: Callable[..., Any]) -> None:
+    session = hidden(seed=7)
+    solution = unit_solution([session.recording], session.board)
+    (noise,) = solution.noises
+    levels = noise.levels * np.array([1.0, 1.0, 300.0, 1.0])  # of 1e-10: less than any atol
+    assert not is_calm(replace(solution, noises=(replace(noise, levels=levels),)))
 
 
 def test_a_hidden_step_raises_the_levels_and_is_found(hidden: Callable[..., Any]) -> None:
