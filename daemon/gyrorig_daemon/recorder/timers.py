@@ -18,17 +18,7 @@ from gyrorig_protocol.recording.standard_messages import (
 
 PERIOD_NS = 1_000_000_000
 TICK_NS = 200_000_000
-_PTU_COUNTERS = (
-    "exchanges",
-    "polls",
-    "timeouts",
-    "garbled",
-    "stale",
-    "frame_errors",
-    "refused",
-    "limit_flags",
-    "hung_up",
-)
+_NOT_A_COUNTER = "reply_wait_max_ns"
 _CLOCK_COUNTERS = ("windows", "late_windows", "early_windows", "steps", "restarts")
 
 
@@ -148,7 +138,8 @@ class DiagnosticsTimer:
 
     def _ptu_status(self) -> DiagnosticStatus:
         counts = self._client.counts
-        values = self._since("ptu", {name: getattr(counts, name) for name in _PTU_COUNTERS})
+        names = [field.name for field in fields(counts) if field.name != _NOT_A_COUNTER]
+        values = self._since("ptu", {name: getattr(counts, name) for name in names})
         lost = self._client.lost_synchrony
         level, text = DiagnosticLevel.OK, "answers"
         if values["timeouts"] + values["garbled"] + values["frame_errors"] + values["hung_up"]:

@@ -19,17 +19,6 @@ from gyrorig_protocol.recording.writer import software
 
 SCHEMA = "gyrorig/status/1"
 PERIOD_NS = 1_000_000_000
-UNIT_COUNTS = (
-    "exchanges",
-    "polls",
-    "timeouts",
-    "garbled",
-    "stale",
-    "frame_errors",
-    "refused",
-    "limit_flags",
-    "hung_up",
-)
 MAX_NEXT = 20  # entries of the queue that are named
 
 
@@ -103,14 +92,15 @@ class StatusTimer:
     def _unit(self) -> dict[str, Any]:
         client, unit = self._rig.client, self._unit_watch
         counts = client.counts
-        counted = {key: getattr(counts, key) for key in UNIT_COUNTS}
+        counted = asdict(counts)
+        reply_wait_max_ns = counted.pop("reply_wait_max_ns")
         return {
             "state": unit.state.name.lower(),
             "text": unit.why or unit.state.value,
             "port": client.where,
             "steps_are_sure": self._parts.memory.steps_are_sure,
             "counts": counted,
-            "reply_wait_max_ms": round(counts.reply_wait_max_ns * 1e-6, 3),
+            "reply_wait_max_ms": round(reply_wait_max_ns * 1e-6, 3),
         }
 
     def _board(self, board: BoardLink, now_ns: int) -> dict[str, Any]:

@@ -66,6 +66,8 @@ class UnitWatch:
                 self.lose(UnitState.ABSENT, "its port hung up")
             if not self._pump.is_up(PTU_PORT):
                 return self.state
+        if self.state is UnitState.STANDS and not self._client.identified:
+            self.lose(UnitState.SILENT, "its port went away for a moment")
         if self._pump.now_ns() < self._due_ns:
             return self.state
         if self.state is UnitState.STANDS:

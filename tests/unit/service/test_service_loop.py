@@ -267,6 +267,17 @@ def test_a_unit_unplugged_in_motion_ends_the_session_and_is_halted_on_its_return
     assert [json.loads(p.read_text())["session"] for p in bench.results("done")] == ["again"]
 
 
+def test_a_unit_that_was_away_for_a_moment_is_asked_who_it_is(make_bench: Make) -> None:
+    bench = make_bench()
+    begin_ns = bench.hub.now_ns()
+    bench.hub.unplug("ptu", begin_ns + 5_000_000_000, begin_ns + 5_020_000_000)
+    bench.serve(12.0)
+    assert bench.parts.counts.unit_lost == 1
+    halts_s = [order[1] for order in bench.rig.stage.pan.orders if order[0] == "halt"]
+    assert any(5.0 < halt_s < 9.0 for halt_s in halts_s)
+    assert bench.state_at(11.0)["unit"]["state"] == "stands"
+
+
 def test_a_silent_unit_is_asked_for_ever_and_its_port_opened_anew(make_bench: Make) -> None:
     bench = make_bench()
     hear = bench.rig.ptu.receive
