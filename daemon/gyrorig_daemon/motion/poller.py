@@ -12,7 +12,8 @@ from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import Axis, Motion, PtuCommand, Quantity, offers, query, read
 from gyrorig_protocol.ptu.commands import QUERY_MOTION_AND_COUNTER
 
-SILENT_POLLS = 5  # so many in a row without an answer mean that the unit is gone
+SILENT_POLLS = 5  # so many in a row without an answer mean that the unit is gone,
+SILENT_S = 4.0  # or so long, with two at least
 
 
 class Poller:
@@ -38,6 +39,7 @@ class Poller:
         self._before: dict[Axis, int] = {}
         self._still: bool | None = None
         self._silent = 0
+        self._answered_ns = 0
 
     def where(self) -> dict[Axis, int]:
         """Ask for both axes and return their steps.
@@ -61,9 +63,9 @@ class Poller:
         """
         command = self._command()
         exchange = self._client.exchange(command, is_poll=True)
-        position = self._read(command, exchange)
+        position = self._read(command, exchange) if exchange.command == command else None
         if position is not None:
-            self._silent = 0
+            self._silent, self._answered_ns = 0, exchange.reply_ns
             self._on_position(position)
         else:
             self._silent += 1
@@ -74,7 +76,7 @@ class Poller:
                 f"synchrony lost: {self._client.lost_synchrony}",
                 "clear the rig, then start again with --home",
             )
-        if self._silent >= SILENT_POLLS:
+        if self._is_silent(exchange.reply_ns):
             raise self._client.silence(command)
         return position
 
@@ -124,6 +126,12 @@ class Poller:
             latest_ns=latest_ns,
             synchrony_lost=self._client.lost_synchrony is not None or not self._client.identified,
         )
+
+    def _is_silent(self, now_ns: int) -> bool:
+        if self._silent >= SILENT_POLLS:
+            return True
+        lasts_s = (now_ns - self._answered_ns) * 1e-9 if self._answered_ns else 0.0
+        return self._silent >= 2 and lasts_s > SILENT_S
 
     def _see(self, axis: Axis, steps: int) -> None:
         if axis in self._steps:

@@ -21,15 +21,23 @@ from gyrorig_protocol.ptu import (
     PtuCommand,
     PtuReplyParser,
     Reply,
+    Version,
+    read,
     require_done,
 )
-from gyrorig_protocol.ptu.commands import HALT
+from gyrorig_protocol.ptu.commands import HALT, QUERY_VERSION
+from gyrorig_protocol.ptu.values import ValueFault
 
 DRAIN_S = 0.5  # reference: ptu-e46.md section 9
 ATTEMPTS = 3
+HALT_ATTEMPTS = 4
+MORE_PATIENCE_S = 1.0  # with each further attempt: the unit, or this host, may be slow
+FENCE_S = 2.0  # for a late answer and the version's
 RAW_LIMIT_BYTES = 4096  # what one exchange keeps of what was received
 SETTLE_POLLS = 3  # equal answers in a row that count as stillness
 BITS_PER_BYTE = 10  # 8N1 with start and stop bit
+
+Accepts = Callable[[Reply], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +120,8 @@ class PtuClient:
         self._raw = bytearray()
         self._reply: Reply | None = None
         self._in_flight: PtuCommand | None = None
+        self._accepts: Accepts | None = None  # only such an answer; all others are stale
+        self._is_out_of_step = False  # an answer is owed that may come yet
         self._garbled = False
         self._limit_hit = False
         self._last_request_ns: int | None = None
@@ -130,21 +140,36 @@ class PtuClient:
         """Send one command and wait for its answer.
 
         Returns:
-            The exchange; its reply is None when nothing came in time. The line is in
-            step again then.
+            The exchange; its reply is None when nothing came in time. Where an answer was
+            owed before and the line did not get in step, it is the vain exchange with
+            which that was tried, and the command was not sent (but HALT is, at once).
 
         Raises:
             DeviceError: the port hung up or does not take bytes.
         """
         self._check_port()
+        accepts = None
+        if command == QUERY_VERSION:
+            accepts = _is_version if self._is_out_of_step else None
+        elif self._is_out_of_step:
+            if command == HALT:
+                self._pump.write(self._port, b" " + HALT.encode())  # whatever is in step or not
+            fence = self._send(QUERY_VERSION, FENCE_S, False, _is_version)
+            if fence.reply is None:
+                return fence
+        wait_s = max(self._timeout_s, command.patience_s) if timeout_s is None else timeout_s
+        return self._send(command, wait_s, is_poll, accepts)
+
+    def _send(
+        self, command: PtuCommand, wait_s: float, is_poll: bool, accepts: Accepts | None
+    ) -> Exchange:
         self._wait_for_rate()
         self._parser.expect(command.text)
         self._reply, self._garbled, self._limit_hit = None, False, False
         self._raw.clear()
-        self._in_flight = command
+        self._in_flight, self._accepts = command, accepts
         stamp = self._pump.write(self._port, command.encode())
         self._last_request_ns = stamp.before_ns
-        wait_s = max(self._timeout_s, command.patience_s) if timeout_s is None else timeout_s
         self._pump.run_until(stamp.after_ns + int(wait_s * 1e9), self._is_over)
         self._in_flight = None
         done = self._finish(command, stamp.before_ns, stamp.after_ns)
@@ -152,6 +177,7 @@ class PtuClient:
         self.counts.polls += is_poll
         if not is_poll or done.reply is None or not done.reply.ok or done.limit_hit:
             self._on_exchange(done)
+        self._is_out_of_step = done.reply is None or not _fits(command, done.reply)
         if done.reply is None and not self.gone:
             self._resynchronise()
         self._check_port()
@@ -160,13 +186,25 @@ class PtuClient:
     def ask(self, command: PtuCommand, timeout_s: float | None = None) -> Reply:
         """Send a command that may be repeated until it is answered.
 
+        An answer that does not fit the command is another's, or damaged: it is asked again.
+
         Raises:
             DeviceError: no answer to three attempts.
         """
-        for _ in range(ATTEMPTS):
-            reply = self.exchange(command, timeout_s).reply
-            if reply is not None:
-                return reply
+        return self._insist(command, ATTEMPTS, timeout_s)
+
+    def _insist(self, command: PtuCommand, attempts: int, timeout_s: float | None) -> Reply:
+        odd: Reply | None = None
+        least_s = max(self._timeout_s, command.patience_s) if timeout_s is None else timeout_s
+        for attempt in range(attempts):
+            done = self.exchange(command, least_s + attempt * MORE_PATIENCE_S)
+            if done.reply is None or done.command != command:
+                continue
+            if _fits(command, done.reply):
+                return done.reply
+            odd = done.reply
+        if odd is not None:
+            return odd
         raise self.silence(command)
 
     def order(self, command: PtuCommand) -> None:
@@ -196,9 +234,10 @@ class PtuClient:
             self._pump.run_until(
                 self._pump.now_ns() + patience_ns, lambda: self.counts.stale > known or self.gone
             )
+            self._is_out_of_step = self.counts.stale == known
             self.drain()
         self._last_request_ns = None
-        self.order(HALT)
+        require_done(HALT, self._insist(HALT, HALT_ATTEMPTS, None))
 
     def drain(self, seconds: float = DRAIN_S) -> None:
         """Take and forget what the unit still sends."""
@@ -238,7 +277,7 @@ class PtuClient:
         for event in self._parser.feed(chunk.data, chunk.received_ns):
             match event:
                 case Reply():
-                    if self._in_flight is not None and self._reply is None:
+                    if self._is_awaited(event):
                         self._reply = event
                     else:
                         self.counts.stale += 1
@@ -251,7 +290,7 @@ class PtuClient:
                         self.lost_synchrony = "the unit has restarted"
                 case FrameError():
                     self.counts.frame_errors += 1
-                    self._garbled = self._in_flight is not None
+                    self._garbled = self._in_flight is not None and self._accepts is None
 
     def _lose(self) -> None:
         """The unit goes on with its last order, and nobody sees it any more."""
@@ -265,10 +304,16 @@ class PtuClient:
         No device is moved by it, and a unit that was left turning stops sooner.
         """
         self.gone = self.identified = False
+        self._is_out_of_step = True
         self._parser.reset()
         self.expects_banner = True  # it may have been switched off, too
         with contextlib.suppress(DeviceError):
             self._pump.write(self._port, b"   " + HALT.encode())
+
+    def _is_awaited(self, reply: Reply) -> bool:
+        if self._in_flight is None or self._reply is not None:
+            return False
+        return self._accepts is None or self._accepts(reply)
 
     def _take_limit(self, axis: Axis) -> None:
         self.counts.limit_flags += 1
@@ -296,7 +341,12 @@ class PtuClient:
         )  # fmt: skip
 
     def _resynchronise(self) -> None:
-        """Get back in step: a bare delimiter, then forget what was still under way."""
+        """Begin to get back in step: a bare delimiter, then forget what was under way.
+
+        An answer may come later yet. A unit answers in order, so all owed ones have come
+        when it says its version, which fits no other question: that is asked before the
+        next command.
+        """
         self._pump.write(self._port, b" ")
         self.drain(0.1)
 
@@ -309,3 +359,12 @@ class PtuClient:
             raise DeviceError(
                 f"{self.where} (pan-tilt unit) hung up", "check the cable and its power"
             )
+
+
+def _is_version(reply: Reply) -> bool:
+    return isinstance(read(QUERY_VERSION, reply), Version)
+
+
+def _fits(command: PtuCommand, reply: Reply) -> bool:
+    """Return whether an answer is one to this command, a refusal included."""
+    return not isinstance(read(command, reply), ValueFault)

@@ -35,6 +35,8 @@ class ScriptedHub:
         self._now_ns = 0
         self._due: list[Chunk] = []
         self.heard: list[str] = []
+        self.delays_s: dict[str, list[float]] = {}  # of the next answers to a command
+        self.slow_s = 0.0  # of every answer
 
     def now_ns(self) -> int:
         return self._now_ns
@@ -47,7 +49,11 @@ class ScriptedHub:
             answer = self._answers(command)
             if answer is not None:
                 change = None if answer else PortChange.GONE
-                self._due.append(Chunk(port, self._now_ns + 5 * MS, answer, change))
+                delays_s = self.delays_s.get(command, [])
+                delay_s = delays_s.pop(0) if delays_s else self.slow_s
+                due_ns = self._now_ns + 5 * MS + round(delay_s * 1e9)
+                last_ns = self._due[-1].received_ns if self._due else 0  # one after the other
+                self._due.append(Chunk(port, max(due_ns, last_ns), answer, change))
         return WriteStamp(before_ns, self._now_ns)
 
     def read(self, deadline_ns: int) -> Chunk | None:
@@ -218,8 +224,8 @@ def test_a_lost_answer_costs_one_timeout_and_is_asked_again() -> None:
     reply = client.ask(query(Axis.PAN, Quantity.POSITION))
     assert reply.text == "5"
     assert client.counts.timeouts == 1
-    assert [exchange.reply is None for exchange in seen] == [True, False]
-    assert hub.heard == ["PP", "PP"]
+    assert [exchange.reply is None for exchange in seen] == [True, False, False]
+    assert hub.heard == ["PP", "V", "PP"]
 
 
 def test_three_silences_are_an_error() -> None:
@@ -229,8 +235,8 @@ def test_three_silences_are_an_error() -> None:
 
 
 def test_garbage_is_counted_and_asked_again() -> None:
-    answers = iter([b"\xff\xfe!!\r\n", b"* 7\r\n"])
-    client, _, _ = client_for(lambda _: next(answers))
+    answers, unit = iter([b"\xff\xfe!!\r\n", b"* 7\r\n"]), ScriptedUnit()
+    client, _, _ = client_for(lambda c: next(answers) if c == "PP" else unit(c))
     assert client.ask(query(Axis.PAN, Quantity.POSITION)).text == "7"
     assert client.counts.garbled == 1
 
@@ -276,3 +282,67 @@ def test_a_hang_up_is_named() -> None:
     client, _, _ = client_for(lambda _: b"")
     with pytest.raises(DeviceError, match=r"/dev/unit .*hung up"):
         client.ask(QUERY_VERSION)
+
+
+PAN = query(Axis.PAN, Quantity.POSITION)
+
+
+def test_a_late_answer_is_not_taken_for_the_next_command() -> None:
+    unit = ScriptedUnit()
+    client, hub, _ = client_for(unit)
+    unit.values["PP"] = 5
+    hub.delays_s["PP"] = [1.2]
+    assert client.exchange(PAN).reply is None
+    unit.values["PP"] = 7
+    later = client.exchange(PAN)
+    assert later.reply is not None
+    assert later.reply.text == "7"
+    assert client.counts.stale == 1
+
+
+@pytest.mark.parametrize("late_s", [1.05, 1.2, 2.5])
+def test_a_halt_is_not_given_up_because_of_a_late_answer(late_s: float) -> None:
+    unit = ScriptedUnit()
+    client, hub, _ = client_for(unit)
+    identify_unit(client)
+    hub.delays_s["PP"] = [late_s]
+    begin_ns = hub.now_ns()
+    assert client.exchange(PAN).reply is None
+    asked = len(hub.heard)
+    client.halt()
+    assert hub.heard[asked] == "H"  # before anything is waited for
+    assert hub.now_ns() - begin_ns < 8_000 * MS
+
+
+@pytest.mark.parametrize("slow_s", [0.5, 1.2, 1.9])
+def test_a_unit_that_is_always_slow_is_halted_and_asked(slow_s: float) -> None:
+    client, hub, _ = client_for(ScriptedUnit())
+    identify_unit(client)
+    hub.slow_s = slow_s
+    client.halt()
+    assert client.ask(PAN).text == "0"
+
+
+def test_an_answer_that_does_not_fit_is_asked_for_again() -> None:
+    unit = ScriptedUnit()
+    odd = iter([b"* P(0,0) S(0,0) 1501459901\r\n"])
+    client, hub, _ = client_for(lambda c: next(odd, None) or unit(c) if c == "H" else unit(c))
+    client.halt()
+    assert hub.heard == ["H", "H", "V", "H"]
+
+
+def test_a_silence_in_motion_is_noticed_in_seconds() -> None:
+    unit = ScriptedUnit()
+    client, hub, _ = client_for(unit)
+    poller = Poller(made_ready(client, UnitSettings()), None, lambda _: None)
+    poller.where()
+    begin_ns = hub.now_ns()
+    hub._answers = lambda _: None
+
+    def poll_for_ever() -> None:
+        while True:
+            poller.poll()
+
+    with pytest.raises(DeviceError, match="does not answer"):
+        poll_for_ever()
+    assert hub.now_ns() - begin_ns < 6_000 * MS
