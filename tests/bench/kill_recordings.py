@@ -3,28 +3,30 @@
     .venv/bin/python tests/bench/kill_recordings.py --kills 200
 
 Each kill hits a fresh `gyrorigd record` on emulated devices behind ptys, at a moment
-between its start and a little behind its end. Then `gyrorigd recover` makes a recording of
-what is left; mcap's own reader and ours go through it. Exit code 1 if anything before the
-last second is missing, doubled or damaged.
+between the creation of its file and a little behind its end. The processes are forked
+from one that has everything imported, which takes most of a start's time. Then the
+recovery makes a recording of what is left; mcap's own reader and ours go through it. Exit
+code 1 if anything before the end is missing, doubled or damaged.
 """
 
 import argparse
 import json
+import multiprocessing
 import os
 import random
 import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from gyrorig_daemon import cli
+from gyrorig_daemon import commands as _imported_once  # noqa: F401
 from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import times_ns
@@ -60,6 +62,39 @@ class Kill:
     fault: str = ""
 
 
+class Forked:
+    """A `gyrorigd` that begins without importing anything."""
+
+    def __init__(self, arguments: list[str]) -> None:
+        self.code: int | None = None
+        self._pid = os.fork()
+        if self._pid == 0:
+            os.setsid()
+            quiet = os.open(os.devnull, os.O_RDWR)
+            for handle in (0, 1, 2):
+                os.dup2(quiet, handle)
+            os._exit(cli.run(arguments))
+
+    def wait(self, patience_s: float) -> bool:
+        """Whether it has ended by then."""
+        deadline = time.monotonic() + patience_s
+        while self.code is None:
+            pid, status = os.waitpid(self._pid, os.WNOHANG)
+            if pid:
+                self.code = os.waitstatus_to_exitcode(status)
+            elif time.monotonic() > deadline:
+                return False
+            else:
+                time.sleep(0.002)
+        return True
+
+    def kill(self) -> None:
+        """End it as the system does that is out of memory."""
+        if self.code is None:
+            os.kill(self._pid, signal.SIGKILL)
+            self.wait(60.0)
+
+
 class Rig:
     """Emulated devices on ptys, and one recording after another on them."""
 
@@ -91,32 +126,25 @@ class Rig:
         daemon = self._begin(out)
         # From the moment at which there is a file to behind the end of the program.
         opened_ns = time.time_ns()
-        with suppress(subprocess.TimeoutExpired):
-            daemon.wait(self._chance.uniform(0.0, 5.0))
+        daemon.wait(self._chance.uniform(0.0, 5.0))
         killed_ns = time.time_ns()
-        with suppress(ProcessLookupError):
-            os.kill(daemon.pid, signal.SIGKILL)
-        daemon.wait()
-        if daemon.returncode == 0:
-            return self._look(out, opened_ns, None)
-        return self._look(out, opened_ns, killed_ns)
+        daemon.kill()
+        return self._look(out, opened_ns, None if daemon.code == 0 else killed_ns)
 
-    def _begin(self, out: Path) -> subprocess.Popen[bytes]:
-        files = ("--config", str(self._rig), "--program", str(self._program), "--out", str(out))
+    def _begin(self, out: Path) -> "Forked":
+        files = ["--config", str(self._rig), "--program", str(self._program), "--out", str(out)]
         while True:
-            daemon = subprocess.Popen([*GYRORIGD, "record", *files], stderr=subprocess.DEVNULL)
+            daemon = Forked(["record", *files])
             deadline = time.monotonic() + 60.0
             while not self._files(out) and time.monotonic() < deadline:
-                code = daemon.poll()
-                if code is not None:
+                if daemon.wait(0.01):
                     break
-                time.sleep(0.01)
             else:
                 return daemon
-            if code == 0:
+            if daemon.code == 0:
                 return daemon
-            if code != BUSY:
-                raise SystemExit(f"gyrorigd record ended with {code} before there was a file")
+            if daemon.code != BUSY:
+                raise SystemExit(f"gyrorigd ended with {daemon.code} before there was a file")
             time.sleep(0.1)  # the last one's acquisition process still halts the unit
 
     @staticmethod
@@ -156,35 +184,28 @@ def main() -> int:
     arguments.add_argument("--jobs", type=int, default=2)
     arguments.add_argument("--seed", type=int, default=1)
     wanted = arguments.parse_args()
-    kills: list[Kill] = []
-    numbers = iter(range(wanted.kills))
-    lock = threading.Lock()
-
-    def work(folder: Path, seed: int) -> None:
-        rig = Rig(folder, seed)
-        try:
-            while True:
-                with lock:
-                    number = next(numbers, None)
-                if number is None:
-                    return
-                kill = rig.kill_one(number)
-                with lock:
-                    kills.append(kill)
-                    sys.stderr.write(f"{len(kills)} {kill}\n")
-        finally:
-            rig.close()
-
+    share = [len(range(job, wanted.kills, wanted.jobs)) for job in range(wanted.jobs)]
     with tempfile.TemporaryDirectory(prefix="kill-") as folder:
-        threads = [
-            threading.Thread(target=work, args=(Path(folder, str(job)), wanted.seed * 1000 + job))
-            for job in range(wanted.jobs)
+        jobs = [
+            (Path(folder, str(job)), wanted.seed * 1000 + job, count)
+            for job, count in enumerate(share)
         ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with multiprocessing.Pool(wanted.jobs) as pool:
+            kills = [kill for some in pool.starmap(work, jobs, chunksize=1) for kill in some]
     return report(kills)
+
+
+def work(folder: Path, seed: int, count: int) -> list[Kill]:
+    """Kill so many, on a rig of their own."""
+    rig = Rig(folder, seed)
+    kills = []
+    try:
+        for number in range(count):
+            kills.append(rig.kill_one(number))
+            sys.stderr.write(f"{len(kills)} {kills[-1]}\n")
+    finally:
+        rig.close()
+    return kills
 
 
 def report(kills: list[Kill]) -> int:
