@@ -48,7 +48,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a session: done, failed or stopped."""
+    """What became of a session: done, failed, stopped, or waits: nothing of it was done."""
 
     result: str
     reason: str
@@ -150,6 +150,8 @@ class Runner:
             told = self._end_early(session, str(stop))
             if not self._parts.orders.heard():
                 self.set_hold(str(stop))
+            elif session.recorder.path is None:
+                return Outcome("waits", str(stop), None)
             return Outcome("stopped", "; ".join([str(stop), *told]), session.recorder.path)
         except PortsGoneError as fault:
             session.give_up(fault.what, can_halt=False)
@@ -160,6 +162,8 @@ class Runner:
                 told = self._live_with(session, fault, session.planned_s - spent_s)
             else:
                 told = self._end_early(session, fault.what)
+                if self._rig.client.gone and session.recorder.path is None:
+                    return Outcome("waits", fault.what, None)
             return Outcome("failed", "; ".join([str(fault), *told]), session.recorder.path)
         except GyrorigError as fault:
             told = self._end_early(session, fault.what)
@@ -200,8 +204,12 @@ class Runner:
         return told
 
     def _put_aside(self, job: Job, outcome: Outcome, begun_s: float) -> None:
+        if outcome.result == "waits" and job.path is not None:
+            self._parts.queue.give_back(job)
+            self._parts.log(f"session {job.session} did not begin and waits: {outcome.reason}")
+            return
         counts = self._parts.counts
-        name = f"sessions_{outcome.result}"
+        name = f"sessions_{outcome.result}" if outcome.result != "waits" else "sessions_stopped"
         setattr(counts, name, getattr(counts, name) + 1)
         document = {
             "session": job.session,

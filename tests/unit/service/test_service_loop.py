@@ -113,6 +113,18 @@ def test_a_stop_in_motion_halts_closes_and_ends(make_bench: Make) -> None:
     assert bench.parts.counts.sessions_stopped == 1
 
 
+def test_a_job_of_which_nothing_was_done_waits_again(make_bench: Make) -> None:
+    bench = make_bench()
+    begin_ns = bench.hub.now_ns()
+    bench.at(5.0, bench.put)  # and just then, before it is known again, the unit goes away
+    bench.hub.unplug("ptu", begin_ns + 5_600_000_000, begin_ns + 9_000_000_000)
+    bench.serve(30.0, bench.ended("done", 1))
+    assert any("did not begin and waits" in line for line in bench.log)
+    assert len(bench.results("done")) == 1
+    assert bench.results("failed") == []
+    assert len(bench.recordings()) == 1
+
+
 def test_a_fault_of_the_motion_holds_everything_until_cleared(make_bench: Make) -> None:
     bench = make_bench()
     bench.put(FAR, session="bad")
