@@ -14,6 +14,7 @@ from dataclasses import fields
 from gyrorig_daemon.clocks import ClockReport
 from gyrorig_daemon.config import BoardPort
 from gyrorig_daemon.links.board_facts import board_metadata, make_parser
+from gyrorig_daemon.links.board_pings import PingBook
 from gyrorig_daemon.links.board_presence import SILENCE_S, LinkState, Presence
 from gyrorig_daemon.links.board_samples import (
     FRAME_OVERHEAD_BYTES,
@@ -33,16 +34,13 @@ from gyrorig_protocol.board import (
     Sample,
     Slow,
     TimeReply,
-    TimeRequest,
 )
 from gyrorig_protocol.errors import DeviceError
-from gyrorig_protocol.recording.messages import ClockPing
 
 PING_MEAN_S = 0.2
 HELLO_PATIENCE_S = 5.0
 HELLO_EVERY_S = 1.0
 DEAF_S = 60.0  # a port that took no bytes is left alone so long: each try holds up all others
-PINGS_HELD = 32
 FIRST_BYTES = 64
 _SLOW_COUNTERS = ("sensor_overruns", "frames_dropped", "bus_errors", "saturations")
 
@@ -86,8 +84,7 @@ class BoardLink:
         self._deaf_until_ns = 0
         self._is_reopening = False
         self._foreign_uid = ""
-        self._pings: dict[int, tuple[int, int]] = {}
-        self._next_nonce = rng.getrandbits(32)
+        self._pings = PingBook(clock, rng.getrandbits(32))
         self._first_bytes = b""
         self.due_ns = now_ns
         pump.attach(config.hub_port, self._take)
@@ -204,13 +201,9 @@ class BoardLink:
         self._pump.write(self._config.hub_port, HelloRequest().encode())
 
     def _ping(self, now_ns: int) -> None:
-        nonce = self._next_nonce
-        self._next_nonce = (nonce + 1) & 0xFFFF_FFFF
-        frame = TimeRequest(nonce, self._capture.utc_ns(now_ns)).encode()
+        frame = self._pings.question(now_ns)
         stamp = self._pump.write(self._config.hub_port, frame)
-        if len(self._pings) >= PINGS_HELD:
-            del self._pings[next(iter(self._pings))]
-        self._pings[nonce] = (stamp.before_ns, stamp.before_ns + self._samples.wire_ns(len(frame)))
+        self._pings.sent(stamp, self._samples.wire_ns(len(frame)))
 
     def _take(self, chunk: Chunk) -> None:
         if chunk.change is PortChange.GONE:
@@ -300,26 +293,16 @@ class BoardLink:
         self._boot, self._epochs_at_boot, self._was_away = boot, samples.epochs, False
 
     def _take_ping(self, reply: TimeReply, event: FrameEvent) -> None:
-        sent = self._pings.pop(reply.nonce, None)
-        if sent is None:
+        wire_ns = self._samples.wire_ns(len(event.payload) + FRAME_OVERHEAD_BYTES)
+        answered = self._pings.answer(reply, event.received_ns)
+        if answered is None:
             return
-        before_ns, there_ns = sent
+        there_ns, message = answered
         self.counts.pings += 1
-        back_ns = event.received_ns - self._samples.wire_ns(
-            len(event.payload) + FRAME_OVERHEAD_BYTES
+        self._samples.clock.two_way(
+            there_ns, reply.device_receive, reply.device_send, event.received_ns - wire_ns
         )
-        self._samples.clock.two_way(there_ns, reply.device_receive, reply.device_send, back_ns)
-        self._sinks.ping(
-            self.board_id,
-            ClockPing(
-                host_send_ns=self._capture.utc_ns(before_ns),
-                host_receive_ns=self._capture.utc_ns(event.received_ns),
-                device_receive=reply.device_receive,
-                device_send=reply.device_send,
-                nonce=reply.nonce,
-                status=0,
-            ),
-        )
+        self._sinks.ping(self.board_id, message)
 
     def _reopen(self) -> None:
         self.counts.reopened += 1

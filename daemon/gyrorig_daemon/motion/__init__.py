@@ -6,11 +6,12 @@ halts a unit, `open_unit` makes it ready and reads its facts before anything mov
 `halt_and_confirm` is the way out.
 """
 
+from gyrorig_daemon.motion.exchange import Exchange, Position
 from gyrorig_daemon.motion.executor import Executor, PhaseSink, halt_and_confirm
 from gyrorig_daemon.motion.facts import UnitFacts
 from gyrorig_daemon.motion.plan import PlannedStep, plan_duration_s, plan_program
 from gyrorig_daemon.motion.poller import Poller
-from gyrorig_daemon.motion.ptu_client import Exchange, Position, PtuClient
+from gyrorig_daemon.motion.ptu_client import PtuClient
 from gyrorig_daemon.motion.unit import Homing, Unit, identify_unit, open_unit
 
 __all__ = [

@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from gyrorig_daemon.links.pump import Pump
+from gyrorig_daemon.motion.exchange import Position
 from gyrorig_daemon.motion.path_watch import PathWatch
 from gyrorig_daemon.motion.plan import PlannedMove, PlannedRest, PlannedStep
 from gyrorig_daemon.motion.poller import Poller
-from gyrorig_daemon.motion.ptu_client import Position
 from gyrorig_daemon.motion.unit import Unit
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import Axis, Quantity, assign

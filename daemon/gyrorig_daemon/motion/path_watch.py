@@ -7,7 +7,8 @@ jumped, or somebody else answers in its place (reference: reliability.md section
 
 from collections.abc import Mapping
 
-from gyrorig_daemon.motion.ptu_client import Position, PtuClient
+from gyrorig_daemon.motion.exchange import Position
+from gyrorig_daemon.motion.ptu_client import PtuClient
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import Axis
 

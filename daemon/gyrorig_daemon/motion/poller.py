@@ -6,7 +6,8 @@ first byte of the answer. Which moment in between, the recorder decides.
 
 from collections.abc import Callable, Mapping
 
-from gyrorig_daemon.motion.ptu_client import Exchange, Position, PtuClient
+from gyrorig_daemon.motion.exchange import Exchange, Position
+from gyrorig_daemon.motion.ptu_client import PtuClient
 from gyrorig_daemon.motion.unit import Unit
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import Axis, Motion, PtuCommand, Quantity, offers, query, read

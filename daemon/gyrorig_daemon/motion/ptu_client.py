@@ -3,14 +3,20 @@
 What to use when: `ask` for a question or an order that must succeed; `exchange` where
 a silence is to be lived with; `halt` on every way out. There is no flow control on the
 wire: the next command waits for the answer to the last, and for the vendor's rate.
+
+Theory of operation. An answer does not say which command it answers, and one that comes
+after its patience has ended would be taken for the next command's. So after a silence or an
+answer that does not fit, the line is out of step: before the next command the unit is
+asked for its version. It answers in order, and that answer fits no other question, so
+what comes before it is stale. HALT alone is written first, in step or not.
 """
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from gyrorig_daemon.links.hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import Pump
+from gyrorig_daemon.motion.exchange import Counts, Exchange
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import (
     Axis,
@@ -38,53 +44,6 @@ SETTLE_POLLS = 3  # equal answers in a row that count as stillness
 BITS_PER_BYTE = 10  # 8N1 with start and stop bit
 
 Accepts = Callable[[Reply], bool]
-
-
-@dataclass(frozen=True, slots=True)
-class Exchange:
-    """One command and what came back, with stamps on the raw monotonic clock."""
-
-    command: PtuCommand
-    request_ns: int  # just before the first byte is written
-    sent_ns: int  # the last byte handed over
-    first_byte_ns: int  # equal to reply_ns where nothing came
-    reply_ns: int
-    reply: Reply | None  # None: no answer in time, or garbage
-    raw: bytes  # everything received meanwhile
-    limit_hit: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Position:
-    """What one poll answered; an axis that was not asked keeps its last answer."""
-
-    exchange: Exchange
-    pan_steps: int
-    tilt_steps: int
-    has_pan: bool
-    has_tilt: bool
-    still: bool | None  # what BT says of the speeds; None where the answer has none
-    counter: int | None
-    earliest_ns: int  # the answer was taken after this
-    latest_ns: int  # and before this
-    synchrony_lost: bool
-
-
-@dataclass(slots=True)
-class Counts:
-    """What went wrong on the unit's line, by cause."""
-
-    timeouts: int = 0
-    garbled: int = 0
-    stale: int = 0
-    frame_errors: int = 0
-    refused: int = 0
-    limit_flags: int = 0
-    hung_up: int = 0
-    implausible: int = 0  # positions that no order can have brought about
-    exchanges: int = 0
-    polls: int = 0
-    reply_wait_max_ns: int = field(default=0)
 
 
 class PtuClient:
@@ -341,12 +300,7 @@ class PtuClient:
         )  # fmt: skip
 
     def _resynchronise(self) -> None:
-        """Begin to get back in step: a bare delimiter, then forget what was under way.
-
-        An answer may come later yet. A unit answers in order, so all owed ones have come
-        when it says its version, which fits no other question: that is asked before the
-        next command.
-        """
+        """Begin to get back in step: a bare delimiter, then forget what was under way."""
         self._pump.write(self._port, b" ")
         self.drain(0.1)
 
