@@ -7,13 +7,14 @@ PYTHON ?= python3
 VENV   := .venv
 OUT    ?= demo
 HIDDEN ?= hidden
+KILLS  ?= 200
 SEED   ?=
 FUZZ   ?= fuzz
 SECONDS ?= 180
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench hidden fuzz test-qemu install-service clean
+.PHONY: help demo test check bench hidden fuzz kill test-qemu install-service clean
 
 help:  ## this text
 	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
@@ -49,6 +50,9 @@ fuzz: $(VENV)/.dev  ## every parser, SECONDS=180 each, guided by coverage where 
 	@mkdir -p $(FUZZ)
 	@nice -n 10 $(VENV)/bin/python tests/fuzz/inject.py --out $(FUZZ)/inject.json
 	@$(VENV)/bin/python tests/fuzz/fuzz.py --seconds $(SECONDS) --out $(FUZZ)
+
+kill: $(VENV)/.dev  ## SIGKILL to KILLS=200 real recordings at random moments: what each loses
+	@$(VENV)/bin/python tests/bench/kill_recordings.py --kills $(KILLS)
 
 test-qemu: $(VENV)/.dev  ## as root: the service on a machine of its own in qemu, its USB pulled, its power cut; minutes
 	@$(VENV)/bin/python tests/qemu/run.py
