@@ -145,25 +145,32 @@ class Service:
             self._notifier.stopping()
 
     def _serve(self, parts: Parts) -> None:
+        before: Sound | None = None  # what was in force, until the new one's ports are open
         was_open = False
         while not self._orders.end.is_set():
             self._notifier.alive()
             try:
                 with self._rig() as rig:
-                    was_open = True
-                    ending = Daemon(rig, parts).run()
+                    was_open, before = True, None
+                    if Daemon(rig, parts).run() is Ending.END:
+                        return
             except PortsGoneError as fault:
                 self._counts.acquisition_restarts += 1
                 self._again(str(fault))
-                ending = Ending.REOPEN
             except GyrorigError as fault:
-                if not was_open:
+                if before is not None:
+                    log(f"{fault}; the old configuration is used again")
+                    self._counts.reloads_refused += 1
+                    self._put_in_force(before, parts)
+                    before = None
+                elif was_open:
+                    self._again(str(fault))
+                else:
                     raise
-                self._again(str(fault))
-                ending = Ending.REOPEN
-            if ending is Ending.END:
-                return
-            self._use_next(parts)
+            if self._next is not None:
+                before = self._sound
+                self._put_in_force(self._next, parts)
+                self._next = None
 
     def _again(self, why: str) -> None:
         """Say why the rig has to be opened anew, and wait a while."""
@@ -223,15 +230,10 @@ class Service:
             return str(fault)
         return ""
 
-    def _use_next(self, parts: Parts) -> None:
-        """Put a new configuration in force where there is one."""
-        if self._next is None:
-            return
-        self._sound, self._next = self._next, None
-        parts.config_text = self._sound.text
-        parts.schedule = Schedule(
-            self._sound.config.schedule, parts.state.schedule, time.monotonic()
-        )
+    def _put_in_force(self, sound: Sound, parts: Parts) -> None:
+        self._sound = sound
+        parts.config_text = sound.text
+        parts.schedule = Schedule(sound.config.schedule, parts.state.schedule, time.monotonic())
 
     def _handle(self, command: str, peer: Peer) -> str:
         """Take a command from the socket's thread; the pump's thread acts on it."""
