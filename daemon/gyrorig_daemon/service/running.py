@@ -91,7 +91,7 @@ class Runner:
             self._scene.session = None
             self._pump.heed_stop()
             self._unit.session_ended(homed=home and outcome.result == "done")
-            self._put_aside(job, outcome, begun_s)
+            self._put_aside(job, outcome, begun_s, session.recorder)
         if self._parts.orders.end.is_set():
             raise StopRequestedError("the process has to end")
 
@@ -203,7 +203,9 @@ class Runner:
         session.keep()
         return told
 
-    def _put_aside(self, job: Job, outcome: Outcome, begun_s: float) -> None:
+    def _put_aside(
+        self, job: Job, outcome: Outcome, begun_s: float, recorder: Recorder | None = None
+    ) -> None:
         if outcome.result == "waits" and job.path is not None:
             self._parts.queue.give_back(job)
             self._parts.log(f"session {job.session} did not begin and waits: {outcome.reason}")
@@ -216,6 +218,8 @@ class Runner:
             "program": job.program.name,
             "reason": outcome.reason,
             "recording": None if outcome.recording is None else str(outcome.recording),
+            "parts": [] if recorder is None else [path.name for path in recorder.paths],
+            "messages_lost": 0 if recorder is None else recorder.dropped,
             "begun_utc_s": round(begun_s, 3),
             "ended_utc_s": round(self._parts.clocks.utc_s(), 3),
         }

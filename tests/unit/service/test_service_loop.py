@@ -47,6 +47,7 @@ def test_a_job_is_carried_out_and_put_aside(make_bench: Make) -> None:
     (result,) = bench.results("done")
     told = json.loads(result.read_text())
     assert (told["result"], told["session"], told["recording"]) == ("done", "first", str(path))
+    assert (told["parts"], told["messages_lost"]) == ([path.name], 0)
     assert bench.state_at(2.0)["state"] == "ready"
     assert bench.state_at(5.0)["state"] == "running"
     assert bench.state_at(14.0)["state"] == "ready"
