@@ -81,7 +81,12 @@ class OnlineClock:
         self._unwrap.restart()
 
     def observe(
-        self, raw: int, arrival_ns: int, wire_ns: int = 0, sequence: int | None = None
+        self,
+        raw: int,
+        arrival_ns: int,
+        wire_ns: int = 0,
+        sequence: int | None = None,
+        is_floor: bool = True,
     ) -> int:
         """Take one stamp and return its time on the raw monotonic clock, in ns.
 
@@ -93,6 +98,8 @@ class OnlineClock:
             arrival_ns: when the frame's last byte was in the host's hands.
             wire_ns: how long the frame was on the wire: a known part of the latency.
             sequence: the device's sample counter as sent.
+            is_floor: its latency has a floor. False on a bus, where frames wait for each
+                other in slow beats: there `edge` gives the floor.
         """
         stamp = self._unwrap.feed(raw, arrival_ns, sequence)
         left_ns = arrival_ns - wire_ns
@@ -105,7 +112,8 @@ class OnlineClock:
             self._low_s, self._high_s, self._correction_s = -math.inf, math.inf, 0.0
         self._last_ticks = max(stamp.ticks, self._origin_ticks)
         device_s = self._device_s(stamp.ticks)
-        self._floor.observe(device_s, (left_ns - self._origin_ns) * 1e-9 - device_s)
+        if is_floor:
+            self._floor.observe(device_s, (left_ns - self._origin_ns) * 1e-9 - device_s)
         mapped_ns = self._to_ns(device_s)
         return arrival_ns if mapped_ns is None else min(mapped_ns, arrival_ns)
 
@@ -149,6 +157,20 @@ class OnlineClock:
                 (received_ns - self._origin_ns) * 1e-9,
             )
         )
+
+    def edge(self, raw: int, sent_ns: int, echo_ns: int) -> None:
+        """Take the clock at an edge that the host gave and heard itself: a floor and a bracket.
+
+        Args:
+            raw: ticks at the edge.
+            sent_ns: when the edge can first have been.
+            echo_ns: when the host heard it.
+        """
+        if self._restarts < 0:
+            return  # nothing says yet which wrap it is of
+        device_s = self._device_s(self._nearest(raw))
+        self._floor.observe(device_s, (echo_ns - self._origin_ns) * 1e-9 - device_s)
+        self.two_way(sent_ns, raw, raw, echo_ns)
 
     def one_way(self, device_send: int, received_ns: int) -> None:
         """Take a stamp of a sending: the truth is not later than what it was received at.

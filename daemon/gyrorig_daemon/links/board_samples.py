@@ -73,6 +73,7 @@ class SampleStream:
         self._sinks = sinks
         self._board_id = config.board_id
         self._speaks = config.format == "gcb1"
+        self._has_edges = self._speaks and bool(config.bus)
         self._hello: Hello | None = None
         self._last_sequence: int | None = None
         self._due: _Epoch | None = None  # begins with the next stamp
@@ -120,7 +121,9 @@ class SampleStream:
         mapped_ns = arrival_ns
         if last.device_time is not None:
             wire_ns = self.wire_ns(len(event.payload) + self._overhead())
-            mapped_ns = self.clock.observe(last.device_time, arrival_ns, wire_ns, last.sequence)
+            mapped_ns = self.clock.observe(
+                last.device_time, arrival_ns, wire_ns, last.sequence, not self._has_edges
+            )
             self._note_epoch()  # before it is counted: a restart is no loss of 40000 samples
         self._count(samples)
         for sample in samples:

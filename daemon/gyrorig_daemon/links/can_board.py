@@ -84,7 +84,7 @@ class CanBoardLink(BoardLink):
         if not self.known or (boot is not None and boot & 0xFF != latch.boot):
             return
         self.counts.pings += 1
-        self._samples.clock.two_way(sent_ns, latch.clock, latch.clock, echo_ns)
+        self._samples.clock.edge(latch.clock, sent_ns, echo_ns)
         self._sinks.ping(
             self.board_id,
             ClockPing(

@@ -57,7 +57,7 @@ def open_line(settings: PortSettings) -> "CanLine":
             return SocketCanLine(rest)
         group, _, port_and_interface = rest.rpartition(":")
         port, _, interface = port_and_interface.partition("@")
-        if kind == "udp_multicast" and port.isdecimal():
+        if kind == "udp_multicast" and port.isdecimal() and 0 < int(port) < 1 << 16:
             return MulticastLine(group, int(port), interface)
     except OSError as fault:
         raise RefusedError(_reason(fault), os.strerror(fault.errno or 0)) from fault

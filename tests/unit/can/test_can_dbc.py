@@ -49,7 +49,7 @@ def test_the_shipped_file_is_what_the_package_says_and_cantools_reads_it() -> No
 i16 = st.integers(-(2**15), 2**15 - 1)
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(
     counts=st.tuples(i16, i16, i16),
     time=st.integers(0, 2**48 - 1),
@@ -106,6 +106,7 @@ def dbc_signals(draw: st.DrawFn) -> tuple[str, bool]:
     return text, is_float
 
 
+@settings(deadline=None)
 @given(made=dbc_signals(), data=st.binary(min_size=8, max_size=8))
 def test_signals_are_read_as_cantools_reads_them(made: tuple[str, bool], data: bytes) -> None:
     text, _ = made
@@ -152,7 +153,7 @@ def test_what_is_wrong_with_a_file_is_said(text: str, what: str) -> None:
         parse_dbc(text, "imu.dbc")
 
 
-@settings(max_examples=200)
+@settings(max_examples=200, deadline=None)
 @given(
     text=st.text(st.sampled_from(list('BO_SG VALTYPE0123456789|@+-(),.[]":; \nmM')), max_size=300)
 )

@@ -3,7 +3,7 @@
 import struct
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gyrorig_protocol.board.events import FaultCause
@@ -32,6 +32,7 @@ FRAMES = st.builds(
 )
 
 
+@settings(deadline=None)
 @given(frames=st.lists(FRAMES, max_size=20), cut=st.integers(0, RECORD.size - 1))
 def test_records_carry_frames_and_a_cut_one_is_left_out(frames: list[CanFrame], cut: int) -> None:
     packed = pack_frames(frames)
@@ -52,6 +53,7 @@ def test_what_is_no_frame_cannot_be_packed(frame: CanFrame) -> None:
         pack_frames([frame])
 
 
+@settings(deadline=None)
 @given(text=st.binary(min_size=1, max_size=446))
 def test_a_hello_survives_its_segments(text: bytes) -> None:
     collector = SegmentCollector()
@@ -60,6 +62,7 @@ def test_a_hello_survives_its_segments(text: bytes) -> None:
     assert results[-1] == text
 
 
+@settings(deadline=None)
 @given(text=st.binary(min_size=20, max_size=200), lost=st.integers(0, 2))
 def test_a_lost_segment_is_a_fault_and_the_next_hello_whole(text: bytes, lost: int) -> None:
     collector = SegmentCollector()
@@ -77,6 +80,7 @@ def test_a_changed_segment_does_not_pass_its_check() -> None:
     assert results[-1] is FaultCause.CRC
 
 
+@settings(deadline=None)
 @given(pieces=st.lists(st.binary(max_size=8), max_size=300))
 def test_segments_never_raise_and_hold_little(pieces: list[bytes]) -> None:
     collector = SegmentCollector()
@@ -85,6 +89,7 @@ def test_segments_never_raise_and_hold_little(pieces: list[bytes]) -> None:
         assert len(collector._parts) <= 64
 
 
+@settings(deadline=None)
 @given(
     frames=st.lists(
         st.builds(
@@ -104,6 +109,7 @@ def test_no_frames_make_the_board_parser_raise(frames: list[CanFrame]) -> None:
         assert parser.waiting <= 256
 
 
+@settings(deadline=None)
 @given(identifier=st.integers(0, 2**29 - 1), data=st.binary(max_size=8))
 def test_every_error_frame_reports_something(identifier: int, data: bytes) -> None:
     assert bus_reports(CanFrame(identifier, data, int(FrameFlag.ERROR)))

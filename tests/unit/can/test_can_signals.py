@@ -5,7 +5,7 @@ import struct
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gyrorig_protocol.board.events import BoardEvent, FaultCause, FrameEvent
@@ -126,6 +126,7 @@ def test_short_frames_are_counted() -> None:
     assert parser.faults[FaultCause.LENGTH] == 1
 
 
+@settings(deadline=None)
 @given(
     frames=st.lists(
         st.builds(
