@@ -6,7 +6,7 @@ counter going back further than late frames do, by a stamp from the future, or b
 sequence that does not fit the time that passed (reference: timesync.md section 5).
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 LATE_STEPS = 4  # frames may arrive in another order, but never this far back
 FUTURE_S = 0.05  # a stamp cannot be ahead of its arrival; skew and stalls allowed for
@@ -15,8 +15,7 @@ STALL_S = 10.0  # beyond this a lag is doubted if the sequence does not fit it
 SEQUENCE_SLACK = 0.2  # fraction by which a step of the sequence may differ from time's
 
 
-@dataclass(frozen=True, slots=True)
-class Unwrapped:
+class Unwrapped(NamedTuple):
     """One stamp without wraps; `restarted` when a new count begins with it."""
 
     ticks: int
@@ -30,8 +29,8 @@ class Unwrapper:
         self._tick_hz = tick_hz
         self._modulus = 1 << counter_bits
         self._sequence_modulus = 1 << sequence_bits
+        self._second_ticks = min(tick_hz, (1 << counter_bits) / 4)  # beyond it, look closer
         self._last_ticks = 0  # unwrapped
-        self._last_raw = 0
         self._last_ns: int | None = None
         self._last_sequence: int | None = None
         self._period_ticks = 0.0
@@ -57,24 +56,43 @@ class Unwrapper:
         """
         if self._last_ns is None:
             return self._begin(raw, arrival_ns, sequence)
+        step = self._sequence_step(sequence)
+        if step == 1 and self._period_ticks:  # the next sample, in time: nearly always
+            taken = (raw - self._last_ticks) % self._modulus
+            ahead_ticks = taken - (arrival_ns - self._last_ns) * 1e-9 * self._tick_hz
+            if taken and -self._second_ticks < ahead_ticks < self._second_ticks:
+                return self._go_on(self._last_ticks + taken, arrival_ns, sequence, taken)
+        return self._judge(raw, arrival_ns, sequence, step)
+
+    def _judge(self, raw: int, arrival_ns: int, sequence: int | None, step: int) -> Unwrapped:
+        """Unwrap a stamp that need not be the next one's."""
+        if self._last_ns is None:
+            raise AssertionError  # `feed` has looked
         elapsed_s = (arrival_ns - self._last_ns) * 1e-9
         expected = self._last_ticks + round(elapsed_s * self._tick_hz)
         ticks = raw + round((expected - raw) / self._modulus) * self._modulus
         if self._is_restart(ticks, expected, elapsed_s, sequence):
             return self._begin(raw, arrival_ns, sequence)
-        step = self._sequence_step(sequence)
-        if step == 1 and ticks > self._last_ticks:
-            taken = ticks - self._last_ticks
+        if ticks <= self._last_ticks:
+            return Unwrapped(ticks, False)
+        return self._go_on(
+            ticks, arrival_ns, sequence, ticks - self._last_ticks if step == 1 else 0
+        )
+
+    def _go_on(
+        self, ticks: int, arrival_ns: int, sequence: int | None, period_ticks: int
+    ) -> Unwrapped:
+        """Take a later stamp; `period_ticks` is 0 where it is not the next one's."""
+        if period_ticks:
             gain = 0.05 if self._period_ticks else 1.0
-            self._period_ticks += gain * (taken - self._period_ticks)
-        if ticks > self._last_ticks:
-            self._last_ticks, self._last_ns, self._last_sequence = ticks, arrival_ns, sequence
-        return Unwrapped(ticks, restarted=False)
+            self._period_ticks += gain * (period_ticks - self._period_ticks)
+        self._last_ticks, self._last_ns, self._last_sequence = ticks, arrival_ns, sequence
+        return Unwrapped(ticks, False)
 
     def _begin(self, raw: int, arrival_ns: int, sequence: int | None) -> Unwrapped:
         self._last_ticks, self._last_ns, self._last_sequence = raw, arrival_ns, sequence
         self._period_ticks = 0.0
-        return Unwrapped(raw, restarted=True)
+        return Unwrapped(raw, True)
 
     def _is_restart(
         self, ticks: int, expected: int, elapsed_s: float, sequence: int | None
