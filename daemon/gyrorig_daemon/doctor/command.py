@@ -13,6 +13,7 @@ import click
 from gyrorig_daemon.config import load_rig
 from gyrorig_daemon.doctor.examine import Order, examine
 from gyrorig_daemon.doctor.finding import EXIT_CODES, Finding, Level, worst
+from gyrorig_daemon.service import wire
 
 _WORDS = {Level.OK: "ok", Level.NOTE: "note", Level.WARNING: "warning", Level.FAULT: "FAULT"}
 _COLOURS = {Level.OK: "green", Level.NOTE: "cyan", Level.WARNING: "yellow", Level.FAULT: "red"}
@@ -35,11 +36,22 @@ STATE_FOLDER = Path("/var/lib/gyrorig/recordings")  # systemd/tmpfiles.d
 @click.option(
     "--no-open", is_flag=True, help="Open no port: only what can be seen without touching."
 )
+@click.option(
+    "--socket",
+    "socket_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path(wire.DEFAULT_SOCKET),
+    show_default=True,
+    help="Where a running daemon is asked.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def doctor_command(config_path: Path, out: Path | None, no_open: bool, as_json: bool) -> int:
+def doctor_command(
+    config_path: Path, out: Path | None, no_open: bool, socket_path: Path, as_json: bool
+) -> int:
     """Examine the computer, its disk and clocks, every port and every device of a rig.
 
-    Nothing moves and nothing is set; ports in use are left alone. Each finding that needs
+    Nothing moves and nothing is set; ports in use are left alone, and a running daemon is
+    asked instead. Each finding that needs
     something done says what. Exit codes: 0 nothing to do; 4 it works, and some night will
     not; 1 something does not work; 2 the configuration is no rig.
 
@@ -47,9 +59,8 @@ def doctor_command(config_path: Path, out: Path | None, no_open: bool, as_json: 
     """
     config = load_rig(config_path)
     folder = out or (STATE_FOLDER if STATE_FOLDER.is_dir() else Path("recordings"))
-    found = examine(
-        Order(config, folder, opens_ports=not no_open), (lambda _: None) if as_json else _print
-    )
+    order = Order(config, folder, opens_ports=not no_open, socket=socket_path)
+    found = examine(order, (lambda _: None) if as_json else _print)
     level = worst(found)
     if as_json:
         document = {

@@ -11,16 +11,18 @@ from pathlib import Path
 from gyrorig_daemon.config import EMULATED, PTU_PORT, BoardPort, RigConfig
 from gyrorig_daemon.doctor.board import examine_board
 from gyrorig_daemon.doctor.bus import examine_bus
-from gyrorig_daemon.doctor.disk import examine_disk
+from gyrorig_daemon.doctor.disk import Disk, examine_disk
 from gyrorig_daemon.doctor.finding import Finding, note
 from gyrorig_daemon.doctor.machine import examine_machine
 from gyrorig_daemon.doctor.ports import examine_port
+from gyrorig_daemon.doctor.running import Running, examine_daemon
 from gyrorig_daemon.doctor.system import System
 from gyrorig_daemon.doctor.timekeeping import examine_time
-from gyrorig_daemon.doctor.tonight import examine_tonight
+from gyrorig_daemon.doctor.tonight import Night, examine_room, examine_schedule
 from gyrorig_daemon.doctor.unit import SUBJECT as UNIT
 from gyrorig_daemon.doctor.unit import examine_unit
 from gyrorig_daemon.links.capture_clock import read_host_clocks
+from gyrorig_daemon.service import wire
 from gyrorig_protocol.ptu import Dialect, offers
 
 Tell = Callable[[Finding], None]
@@ -33,6 +35,7 @@ class Order:
     config: RigConfig
     folder: Path  # where recordings go
     opens_ports: bool = True  # False: only what can be seen without touching a device
+    socket: Path = Path(wire.DEFAULT_SOCKET)  # of a daemon that may be at work
     system: System = field(default_factory=System)
 
 
@@ -49,18 +52,37 @@ def examine(order: Order, tell: Tell) -> list[Finding]:
     add(examine_time(order.system, read_host_clocks()))
     of_disk, disk = examine_disk(order.folder, order.system)
     add(of_disk)
-    samples_hz = 0.0
-    for name, subject, path in _ports(order.config):
-        rate_hz = _examine_device(order, name, subject, path, add)
-        samples_hz += rate_hz
+    of_daemon, running = examine_daemon(order.socket)
+    add(of_daemon)
+    samples_hz = sum(
+        _examine_device(order, name, subject, path, add)
+        for name, subject, path in _ports(order.config)
+    )
     for bus in order.config.buses:
         add(examine_bus(bus, order.system))
-        samples_hz += sum(
-            _nominal_hz(order.config, board) for board in order.config.bus_boards(bus)
-        )
-    polls_hz = order.config.ptu.poll.rate_hz or 1.0 / offers(Dialect.E46).min_command_interval_s
-    add(examine_tonight(disk, samples_hz, polls_hz, len(order.config.boards)))
+        samples_hz += sum(_nominal_hz(order.config, one) for one in order.config.bus_boards(bus))
+    add(_tonight(order.config, disk, samples_hz, running, found))
     return found
+
+
+def _tonight(
+    config: RigConfig,
+    disk: Disk | None,
+    samples_hz: float,
+    running: Running | None,
+    found: list[Finding],
+) -> list[Finding]:
+    """Return what follows from all that was found."""
+    polls_hz = config.ptu.poll.rate_hz or 1.0 / offers(Dialect.E46).min_command_interval_s
+    heard_hz = max(samples_hz, 0.0 if running is None else running.samples_hz)
+    night = Night(heard_hz, polls_hz, len(config.boards))
+    unsure = running is not None and not running.steps_are_sure
+    needs_homing = unsure or any(finding.code == "not_homed" for finding in found)
+    is_held = running is not None and running.is_held
+    return [
+        *examine_room(disk, night, config.service),
+        *examine_schedule(config.schedule, needs_homing, config.ptu.home_without_asking, is_held),
+    ]
 
 
 def _ports(config: RigConfig) -> list[tuple[str, str, str]]:

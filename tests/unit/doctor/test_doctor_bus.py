@@ -93,6 +93,6 @@ def test_a_rig_with_a_bus(system: System, tmp_path: Path) -> None:
     )
     found = examine(Order(load_rig(path), tmp_path, system=system), lambda _: None)
     assert "bus can0" in {finding.subject for finding in found}
-    (tonight,) = (finding for finding in found if finding.subject == "tonight")
+    tonight = next(finding for finding in found if finding.subject == "tonight")
     # 100 positions and 2 x 100 samples a second, 64 bytes each
     assert "69.1 MB an hour" in tonight.what

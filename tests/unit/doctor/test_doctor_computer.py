@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from gyrorig_daemon.config.service import ScheduleEntry, ServiceSettings
 from gyrorig_daemon.doctor import disk, ports
 from gyrorig_daemon.doctor.disk import Disk, examine_disk
 from gyrorig_daemon.doctor.finding import EXIT_CODES, Finding, Level, worst
@@ -16,7 +17,7 @@ from gyrorig_daemon.doctor.machine import examine_machine
 from gyrorig_daemon.doctor.ports import examine_port
 from gyrorig_daemon.doctor.system import System
 from gyrorig_daemon.doctor.timekeeping import STA_UNSYNC, examine_time
-from gyrorig_daemon.doctor.tonight import examine_tonight
+from gyrorig_daemon.doctor.tonight import Night, examine_room, examine_schedule
 from gyrorig_daemon.links.capture_clock import HostClocks
 from gyrorig_daemon.links.holder import Holder
 
@@ -185,18 +186,40 @@ def test_a_disk_that_takes_nothing(
     assert "No space left" in finding.what
 
 
-def test_tonight() -> None:
+def test_room_for_tonight() -> None:
     folder = Path("/var/lib/gyrorig")
-    # 16 boards at 800 Hz and 100 positions a second, 64 bytes each: 2.97 GB an hour
-    (finding,) = examine_tonight(Disk(folder, 20 * 10**9, 5e6), 12800.0, 100.0, 16)
+    sixteen = Night(12800.0, 100.0, 16)  # boards at 800 Hz, 64 bytes each: 2.97 GB an hour
+    (finding,) = examine_room(Disk(folder, 20 * 10**9, 5e6), sixteen, ServiceSettings())
     assert (finding.code, finding.level) == ("fills_up", Level.WARNING)
-    assert "full in 6.5 h" in finding.what
-    (finding,) = examine_tonight(Disk(folder, 200 * 10**9, 5e6), 100.0, 100.0, 1)
+    assert "full in 6.4 h" in finding.what
+    may_delete = ServiceSettings(delete_when_full=True)
+    (finding,) = examine_room(Disk(folder, 20 * 10**9, 5e6), sixteen, may_delete)
+    assert (finding.code, finding.level) == ("deletes", Level.NOTE)
+    one = Night(100.0, 100.0, 1)
+    (finding,) = examine_room(Disk(folder, 200 * 10**9, 5e6), one, ServiceSettings())
     assert (finding.code, finding.level) == ("fits", Level.OK)
-    found = examine_tonight(Disk(folder, 10**8, 1e5), 12800.0, 100.0, 16)
+    found = examine_room(Disk(folder, 10**8, 1e5), sixteen, ServiceSettings())
     assert codes(found) == ["full", "disk_too_slow"]
-    assert codes(examine_tonight(Disk(folder, 10**9, 1e6), 0.0, 100.0, 1)) == ["no_rate"]
-    assert examine_tonight(None, 100.0, 100.0, 1) == []
+    silent = Night(0.0, 100.0, 1)
+    assert codes(examine_room(Disk(folder, 10**9, 1e6), silent, ServiceSettings())) == ["no_rate"]
+    assert examine_room(None, one, ServiceSettings()) == []
+
+
+def test_what_stands_against_the_schedule() -> None:
+    plain = ScheduleEntry(name="nightly", program="p.yaml", at_utc="02:00")
+    homing = ScheduleEntry(name="weekly", program="p.yaml", every_h=168.0, home=True)
+
+    def code(*entries: ScheduleEntry, **facts: bool) -> str:
+        told = {"needs_homing": False, "homes_itself": False, "is_held": False} | facts
+        (finding,) = examine_schedule(entries, **told)
+        return finding.code
+
+    assert code() == "no_schedule"
+    assert code(plain, homing) == "schedule"
+    assert code(plain, needs_homing=True) == "will_be_refused"
+    assert code(homing, needs_homing=True) == "schedule"
+    assert code(plain, needs_homing=True, homes_itself=True) == "schedule"
+    assert code(plain, is_held=True) == "held"
 
 
 @pytest.fixture
