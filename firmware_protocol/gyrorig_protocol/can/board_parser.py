@@ -44,8 +44,6 @@ from gyrorig_protocol.can.segments import SegmentCollector
 
 MAX_WAITING = 256  # a wrap of 262 ms at 800 Hz is 210
 _GAP_NS = 131_000_000  # half a wrap: beyond it the next stamp could be one wrap off
-_OLDEST_NS = 200_000_000  # of a waiting sample: two STATUS periods
-_NEWER_TICKS = SAMPLE_WRAP_TICKS // 8  # a sample that overtook the STATUS it waits for
 _TIME_MASK = 0xFFFF_FFFF
 _NUMBER_MASK = 0xFFFF
 _DATA_READY = int(SampleFlag.STAMPED_AT_DATA_READY)
@@ -247,24 +245,31 @@ class BoardFrameParser:
         self._number = (number - steps) & _NUMBER_MASK
 
     def _date_waiting(self, now_ns: int) -> list[CanBoardEvent]:
-        """Return the samples that waited, dated and numbered back from a STATUS."""
-        events: list[CanBoardEvent] = []
-        waiting, self._waiting = self._waiting, deque()
+        """Return the samples that waited, dated and numbered back from a STATUS.
+
+        Each is within half a wrap of the one behind it, or too old to be dated at all.
+        """
         time, number = self._time or 0, self._number
-        for later, held in zip(range(len(waiting) - 1, -1, -1), waiting, strict=True):
-            if now_ns - held.received_ns > _OLDEST_NS:
-                events += self._fault(FaultCause.CONTENT, CanFrame(0, held.data, 0, now_ns))
-                continue
+        found: list[CanBoardEvent] = []
+        heard_ns = now_ns
+        while self._waiting:
+            held = self._waiting.pop()
+            if heard_ns - held.received_ns > _GAP_NS:
+                self._waiting.append(held)
+                break
+            heard_ns = held.received_ns
             back = (time - held.time16 * SAMPLE_UNIT_TICKS) % SAMPLE_WRAP_TICKS
-            if back > SAMPLE_WRAP_TICKS - _NEWER_TICKS:
-                back -= SAMPLE_WRAP_TICKS
-            steps = later if self._period is None else round(back / self._period)
-            stamp, count = (time - back) & _TIME_MASK, (number - steps) & _NUMBER_MASK
-            if back < 0:
-                self._time, self._number = stamp, count
-            sample = self._sample(stamp, count, held.gyro, held.accel)
-            events.append(FrameEvent(sample, held.received_ns, 0, held.data))
-        return events
+            if back > SAMPLE_WRAP_TICKS // 2:
+                back -= SAMPLE_WRAP_TICKS  # it overtook what is behind it
+            steps = (back >= SAMPLE_UNIT_TICKS) - (back <= -SAMPLE_UNIT_TICKS)
+            if self._period is not None:
+                steps = round(back / self._period)
+            time, number = (time - back) & _TIME_MASK, (number - steps) & _NUMBER_MASK
+            if back < 0 and not found:
+                self._time, self._number = time, number
+            sample = self._sample(time, number, held.gyro, held.accel)
+            found.append(FrameEvent(sample, held.received_ns, 0, held.data))
+        return [*self._drop_waiting(), *reversed(found)]
 
     def _drop_waiting(self) -> list[CanBoardEvent]:
         waiting, self._waiting = self._waiting, deque()
