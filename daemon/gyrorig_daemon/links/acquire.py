@@ -28,7 +28,8 @@ from gyrorig_daemon.links.supervised_port import SupervisedPort, Write
 PIPE_BYTES = 1 << 20
 MAX_HELD_BYTES = 32 << 20  # about ten minutes of 16 boards at 800 Hz
 FAREWELL_S = 0.5
-WAITED_FOR = ("missing", "denied")  # udev gives a node its rights a moment after the node
+# udev gives a node its rights a moment after the node; a broken adapter may be exchanged
+WAITED_FOR = ("missing", "denied", "broken")
 HEARTBEAT_MS = 100  # the longest wait: what takes much longer is this process standing still
 STALL_NS = 150_000_000  # beyond the stamps' usual lateness by far, and above the heartbeat
 # Chunks wait so long for others before they are handed over: they are stamped already, and

@@ -43,13 +43,14 @@ class AcquisitionHub:
 
         Args:
             ports: settings by the names that chunks and writes use.
-            waits: begin without the ports that are not there (or not permitted) yet; each
-                of them is GONE until it can be opened.
+            waits: begin without the ports that are not there, not permitted yet, or broken;
+                each of them is GONE until it can be opened.
             retry_s: how long on average until a port that is gone is tried again.
 
         Raises:
             UsageError: there is no such port; the text names those there are.
             BusyError: another program holds a port.
+            DeviceError: an adapter is there and does not answer its driver.
             MachineError: no permission, or the process did not start.
         """
         self._names = list(ports)
@@ -276,6 +277,10 @@ def refusal(port: str, path: str, reason: str, text: str) -> GyrorigError:
     if reason == "denied":
         return MachineError(
             f"{path} ({port}) may not be opened: {text}", "add this user to the group dialout"
+        )
+    if reason == "broken":
+        return DeviceError(
+            f"{path} ({port}) does not answer its driver: {text}", "plug the adapter in again"
         )
     there = candidates()
     hint = f"ports here: {', '.join(there)}" if there else "this machine shows no serial port"

@@ -29,10 +29,16 @@ _PTY_MAJORS = range(136, 144)  # Unix98 pseudo-terminals (kernel's devices.txt)
 _BOTHER = 0o010000
 _CBAUD = 0o010017
 _TERMIOS2 = struct.Struct("=4I20sII")
+# what USB drivers say of an adapter that hangs, or is just being pulled
+_BROKEN = (errno.EIO, errno.EPIPE, errno.EPROTO, errno.ESHUTDOWN, errno.ETIMEDOUT)
 
 
 class RefusedError(Exception):
-    """A port could not be opened; `reason` is missing, busy, denied or foreign."""
+    """A port could not be opened; `reason` is missing, busy, denied, broken or foreign.
+
+    Broken is a device that is there and does not answer its driver; it may recover, or be
+    plugged in again. Foreign is what will never be the port that is meant.
+    """
 
     def __init__(self, reason: str, text: str) -> None:
         super().__init__(text)
@@ -60,7 +66,9 @@ def open_port(path: str, baud: int) -> int:
         raise RefusedError("busy", "another program holds it") from fault
     except (OSError, termios.error) as fault:
         os.close(fd)
-        raise RefusedError("foreign", f"it cannot be set up: {fault}") from fault
+        number = fault.args[0] if fault.args else 0  # termios.error has no errno
+        reason = "broken" if number in _BROKEN else "foreign"
+        raise RefusedError(reason, f"it cannot be set up: {fault}") from fault
     except RefusedError:
         os.close(fd)
         raise
@@ -147,4 +155,6 @@ def _reason(fault: OSError) -> str:
         return "busy"
     if fault.errno in (errno.EACCES, errno.EPERM):
         return "denied"
+    if fault.errno in _BROKEN:
+        return "broken"
     return "missing" if fault.errno in (errno.ENOENT, errno.ENXIO, errno.ENODEV) else "foreign"

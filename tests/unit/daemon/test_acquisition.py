@@ -1,5 +1,6 @@
 """The acquisition process on ptys: bytes, stamps, exclusion, hang-ups, and its last act."""
 
+import errno
 import fcntl
 import os
 import pty
@@ -15,8 +16,9 @@ import pytest
 
 from gyrorig_daemon.links.acquire import GATHER_NS
 from gyrorig_daemon.links.hub import Chunk, PortChange, PortsGoneError
-from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings, refusal
 from gyrorig_daemon.links.raw_clock import raw_ns
+from gyrorig_daemon.links.serial_port import RefusedError, open_port
 from gyrorig_daemon.links.wire import CHUNK, REPORT, ReportParser
 from gyrorig_protocol.errors import BusyError, DeviceError, MachineError, UsageError
 
@@ -353,3 +355,40 @@ def test_opening_anew_again_and_again_leaves_nothing_behind(line: Line, cable: C
             assert next_change(hub, PortChange.GONE).port == "b"
             before = before or len(list(held.iterdir()))
         assert len(list(held.iterdir())) == before
+
+
+@pytest.mark.parametrize(
+    ("number", "reason"),
+    [
+        (errno.EIO, "broken"),
+        (errno.EPROTO, "broken"),
+        (errno.ENODEV, "missing"),
+        (errno.EACCES, "denied"),
+        (errno.EBUSY, "busy"),
+        (errno.EISDIR, "foreign"),
+    ],
+)
+def test_why_a_port_cannot_be_opened(
+    monkeypatch: pytest.MonkeyPatch, number: int, reason: str
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("os.open", refuse)
+    with pytest.raises(RefusedError, match=os.strerror(number)) as caught:
+        open_port("/dev/ttyUSB9", 9600)
+    assert caught.value.reason == reason
+
+
+def test_an_adapter_that_breaks_while_it_is_set_up(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise termios.error(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr("termios.tcsetattr", refuse)
+    with pytest.raises(RefusedError, match="set up") as caught:
+        open_port(line.path, 9600)
+    assert caught.value.reason == "broken"
+    error = refusal("board:A", line.path, caught.value.reason, str(caught.value))
+    assert isinstance(error, DeviceError)
