@@ -17,6 +17,7 @@ from pathlib import Path
 from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.recording.reader import read_head
 
+SET_ASIDE = "unclean"  # where the daemon keeps what it has recovered a recording from
 READERS = 4  # digests are computed outside of Python's lock
 
 
@@ -130,6 +131,8 @@ def _digest(path: Path) -> str:
 
 
 def _below(folder: Path) -> Iterator[Path]:
-    for root, _, names in os.walk(folder):
+    for root, folders, names in os.walk(folder):
+        if SET_ASIDE in folders:
+            folders.remove(SET_ASIDE)
         for name in names:
             yield Path(root) / name

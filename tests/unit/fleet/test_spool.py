@@ -57,6 +57,8 @@ def test_a_shorter_copy_is_refused_and_not_joined(tmp_path: Path) -> None:
 def test_unfinished_recordings_are_left_alone_and_counted(tmp_path: Path) -> None:
     (tmp_path / "a.mcap.part").write_bytes(b"x")
     (tmp_path / "notes.txt").write_bytes(b"x")
+    (tmp_path / "unclean").mkdir()  # the daemon's originals of what it recovered
+    (tmp_path / "unclean" / "b.mcap.part").write_bytes(b"x")
     found = look(tmp_path)
     assert (found.recordings, found.unfinished) == ((), 1)
 
