@@ -28,12 +28,12 @@ from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.reader import read_recording
 
 GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
-FAR = b"name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 12.0}\n"
+FAR = b"name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 4.0}\n"
 REST_FAR = FAR.replace(b"steps:\n", b"steps:\n  - rest: {seconds: 2.5}\n")
 SHORT = b"name: short\nsteps:\n  - move: {pan_deg: 5.0, speed_deg_s: 40.0}\n  - home: {}\n"
 
 
-def wait_for(condition: Callable[[], Any], patience_s: float = 40.0) -> None:
+def wait_for(condition: Callable[[], Any], patience_s: float = 90.0) -> None:
     end_s = time.monotonic() + patience_s
     while not condition():
         assert time.monotonic() < end_s, "it did not come true"
@@ -130,7 +130,7 @@ class Service:
         assert self.process is not None
         if self.process.poll() is None:
             self.process.send_signal(number)
-        _, told = self.process.communicate(timeout=40)
+        _, told = self.process.communicate(timeout=60)
         return self.process.returncode, told
 
     def close(self) -> None:
@@ -180,7 +180,7 @@ def test_a_life_ended_by_sigterm_in_motion(service: Service, devices: Devices) -
     assert read_recording(path).complete
     (result,) = service.results("failed")
     assert "SIGTERM; the unit is halted" in result["reason"]
-    assert service.said[-1] == "STOPPING=1"
+    wait_for(lambda: service.said[-1] == "STOPPING=1")
     assert service.said.count("WATCHDOG=1") >= 2
     assert not service.socket.exists()
     assert process.poll() == 0
@@ -202,7 +202,7 @@ def test_killed_with_everything_it_halts_first_when_it_is_started_again(
     halts, begun_s = devices.halts(), time.monotonic()
     service.start()
     wait_for(lambda: not devices.turning())
-    assert time.monotonic() - begun_s < 12.0  # of 12.5 s that it would have turned
+    assert time.monotonic() - begun_s < 35.0  # of 37.5 s that it would have turned
     assert devices.halts() > halts
     wait_for(lambda: service.said.count("READY=1") == 2)
     wait_for(lambda: service.status()["state"] == "ready")
@@ -228,7 +228,7 @@ def test_crash_after_crash_it_comes_back_and_a_lost_log_does_not_end_it(
     service.enqueue(SHORT)
     wait_for(lambda: service.results("done"))
     process.terminate()
-    assert process.wait(40) == 0
+    assert process.wait(60) == 0
 
 
 def test_an_acquisition_process_that_hangs_is_replaced(service: Service, devices: Devices) -> None:
@@ -243,7 +243,9 @@ def test_an_acquisition_process_that_hangs_is_replaced(service: Service, devices
     wait_for(lambda: service.status()["state"] == "ready")
     assert service.status()["counts"]["acquisition_restarts"] == 1
     assert service.children() != [child]
-    assert len(service.results("failed")) == 1
+    (result,) = service.results("failed")
+    assert "the acquisition process did not answer" in result["reason"]
+    assert read_recording(Path(result["recording"])).complete
     service.enqueue(SHORT)
     wait_for(lambda: service.results("done"))
     code, told = service.end()

@@ -83,6 +83,9 @@ class Runner:
         outcome = Outcome("failed", "the daemon ended while it ran", None)
         try:
             outcome = self._hold_session(session)
+        except PortsGoneError as fault:
+            outcome = Outcome("failed", str(fault), session.recorder.path)
+            raise
         finally:
             for board in self._rig.boards:
                 board.unpin()
