@@ -21,7 +21,7 @@ SERVICE = "gyrorigd.service"
 # Seconds instead of tens of them: what is tested is the order of things.
 QUICK = """
 [Service]
-WatchdogSec=2
+WatchdogSec=3
 TimeoutAbortSec=0.3
 RestartSec=0.3
 StandardError=append:{log}
