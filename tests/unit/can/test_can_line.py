@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gyrorig_daemon.links import can_line
 from gyrorig_daemon.links.can_line import (
     MulticastLine,
     SocketCanLine,
@@ -196,3 +197,30 @@ def test_an_interface_of_the_kernel() -> None:
     finally:
         line.close()
     assert (frame.identifier, frame.data) == (0x123, b"ab")
+
+
+def test_stamps_never_go_back_however_the_clocks_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = MulticastLine(GROUP, free_port(), LOOPBACK)
+    exact = can_line._read_clocks
+    count = 0
+
+    def scattered() -> tuple[int, int]:
+        nonlocal count
+        count += 1
+        raw, offset = exact()
+        # among them a wall clock that was set by an hour, both ways
+        return raw, offset + (-400_000, 300_000, 3_600_000_000_000, 0, -3_600_000_000_000)[
+            count % 5
+        ]
+
+    monkeypatch.setattr(can_line, "_read_clocks", scattered)
+    try:
+        stamps = []
+        for _ in range(50):
+            line.write(pack_frames([CanFrame(1, b"")]))
+            (frame,) = read_frames(line, 1)
+            stamps.append(frame.stamp_ns)
+            assert 0 < frame.stamp_ns < raw_ns() + 2_000_000
+    finally:
+        line.close()
+    assert stamps == sorted(stamps)
