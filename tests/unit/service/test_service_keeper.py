@@ -32,7 +32,7 @@ def recordings(folder: Path, count: int) -> list[Path]:
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + 30.0
+    end_s = time.monotonic() + 90.0
     while not condition():
         assert time.monotonic() < end_s
         time.sleep(0.02)

