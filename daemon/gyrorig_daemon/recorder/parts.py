@@ -7,12 +7,13 @@ a part begins in the middle of.
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from gyrorig_daemon.recorder.ring import Record
 from gyrorig_daemon.recorder.settings import RecorderSettings, RecordingPlan
-from gyrorig_protocol.errors import InputError, MachineError
+from gyrorig_protocol.errors import GyrorigError, InputError, MachineError
 from gyrorig_protocol.recording.disk_file import Disk
 from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
 from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
@@ -128,7 +129,8 @@ class PartOpener:
         """
         free = self._free_bytes()
         if free < wanted_bytes and self._make_room is not None:
-            self._make_room()
+            with suppress(GyrorigError, OSError):  # then there is no more room than there is
+                self._make_room()
             free = self._free_bytes()
         return free
 

@@ -23,7 +23,7 @@ from enum import Enum
 from pathlib import Path
 
 from gyrorig_protocol.errors import GyrorigError, InputError, MachineError
-from gyrorig_protocol.recording.disk_file import DISK, Disk, is_being_written
+from gyrorig_protocol.recording.disk_file import DISK, Disk, abandoned, held
 from gyrorig_protocol.recording.salvage import (
     RECOVERED,
     is_finished,
@@ -77,18 +77,22 @@ def recover_folder(folder: Path, reserve_bytes: int = 0, disk: Disk = DISK) -> l
     try:
         if not folder.is_dir():
             return []
-        for half in folder.glob(f"*{_HALF}"):
-            if not is_being_written(half):
-                disk.unlink(half)
-        parts = sorted(part for part in folder.glob("*.mcap.part") if not is_being_written(part))
+        for half in abandoned(folder, f"*{_HALF}"):
+            disk.unlink(half)
+        parts = abandoned(folder, "*.mcap.part")
     except OSError as fault:
         raise MachineError(f"cannot look at {folder}: {fault.strerror}") from fault
-    return [_recover_one(part, reserve_bytes, disk) for part in parts]
+    found = (_recover_one(part, reserve_bytes, disk) for part in parts)
+    return [recovery for recovery in found if recovery is not None]
 
 
-def _recover_one(part: Path, reserve_bytes: int, disk: Disk) -> Recovery:
+def _recover_one(part: Path, reserve_bytes: int, disk: Disk) -> Recovery | None:
+    """Recover one file; None where another process does so at this moment."""
     try:
-        return _recover(part, reserve_bytes, disk)
+        with held(part) as free:
+            return _recover(part, reserve_bytes, disk) if free else None
+    except FileNotFoundError:  # another process has just done it
+        return None
     except GyrorigError as fault:
         return Recovery(part, Outcome.FAILED, None, 0, 0, f"{part.name}: {fault.what}")
     except OSError as fault:

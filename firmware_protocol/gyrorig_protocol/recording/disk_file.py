@@ -9,7 +9,8 @@ file is being written: the system drops it with the process, however that ends.
 
 import fcntl
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -25,10 +26,14 @@ class DiskFile:
 
     def __init__(self, path: Path) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        self._handle = os.open(path, flags, 0o644)
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:  # whoever lists what is abandoned never sees the file without its lock
+            _lock(folder, fcntl.LOCK_SH)
+            self._handle = os.open(path, flags, 0o644)
+            _lock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        finally:
+            os.close(folder)
         self._position = 0
-        with suppress(OSError):  # some network file systems have no locks
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def write(self, data: bytes) -> int:
         """Write all of `data`; a full disk first writes short, then raises."""
@@ -102,11 +107,44 @@ def is_being_written(path: Path) -> bool:
     Raises:
         OSError: the file cannot be opened.
     """
-    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    with held(path) as free:
+        return not free
+
+
+def abandoned(folder: Path, pattern: str) -> list[Path]:
+    """The files that match and that no living process writes, sorted by name.
+
+    Raises:
+        OSError: the folder cannot be looked at.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
+        _lock(handle, fcntl.LOCK_EX)  # nobody is between creating a file and its lock
+        return sorted(path for path in folder.glob(pattern) if not is_being_written(path))
     finally:
         os.close(handle)
-    return False
+
+
+@contextmanager
+def held(path: Path) -> Iterator[bool]:
+    """Hold a file's lock as long as the block lasts; yields False where another has it.
+
+    Raises:
+        OSError: the file cannot be opened.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        yield _lock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int, kind: int) -> bool:
+    """Take a lock; False where another has it. Some network file systems have no locks."""
+    try:
+        fcntl.flock(handle, kind)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True

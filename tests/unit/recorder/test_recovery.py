@@ -1,0 +1,117 @@
+"""Recovery beside a living recorder, beside another recovery, and of odd leftovers."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
+from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
+from gyrorig_protocol.recording.disk_file import Disk, held
+from gyrorig_protocol.recording.messages import ImuRaw
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.writer import RecordingWriter
+
+METADATA = {"gyrorig": {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}}
+TOPIC = "/board/B-1/imu_raw"
+
+
+def leave_unfinished(folder: Path, name: str = "a.mcap", count: int = 500) -> Path:
+    """A file as a killed process leaves it."""
+    writer = RecordingWriter(folder / name, METADATA)
+    for k in range(count):
+        writer.write(TOPIC, ImuRaw(k, k, k, 0, 0, (k, k, k)))
+        if k % 100 == 99:
+            writer.flush()
+    writer.salvage()  # lets go of the lock, as the system does of a killed process's
+    return writer.path
+
+
+def count(path: Path) -> int:
+    return len(read_recording(path).array(TOPIC))
+
+
+def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+    recorder = Recorder(False, RecorderSettings())
+    recorder.open(RecordingPlan(tmp_path / "live.mcap", METADATA, ()))
+    leave_unfinished(tmp_path)
+    assert [report.outcome for report in recover_folder(tmp_path)] == [Outcome.RECOVERED]
+    for k in range(10):
+        recorder.put(TOPIC, ImuRaw(k, k, k, 0, 0, (0, 0, 0)), k)
+    assert count(recorder.close()) == 10
+    assert sorted(path.name for path in tmp_path.glob("*.mcap")) == ["a.mcap", "live.mcap"]
+
+
+def test_what_another_process_recovers_is_left_to_it(tmp_path: Path) -> None:
+    part = leave_unfinished(tmp_path)
+    with held(part) as free:
+        assert free
+        assert recover_folder(tmp_path) == []
+    assert len(recover_folder(tmp_path)) == 1
+
+
+RECOVER = """
+import sys
+from pathlib import Path
+from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
+print(sum(one.outcome is Outcome.RECOVERED for one in recover_folder(Path(sys.argv[1]))))
+"""
+
+
+def test_recoveries_at_once(tmp_path: Path) -> None:
+    for number in range(12):
+        leave_unfinished(tmp_path, f"r{number}.mcap", 300)
+    command = [sys.executable, "-c", RECOVER, str(tmp_path)]
+    running = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    done = [int(process.communicate(timeout=100)[0]) for process in running]
+    assert [process.returncode for process in running] == [0, 0, 0]
+    recover_folder(tmp_path)
+    assert sum(done) <= 12
+    assert sorted(count(path) for path in tmp_path.glob("*.mcap")) == [300] * 12
+    assert len(list(tmp_path.glob("unclean/*.part"))) == 12
+    assert not list(tmp_path.glob("*.recovering"))
+
+
+def test_what_holds_nothing_is_set_aside(tmp_path: Path) -> None:
+    (tmp_path / "empty.mcap.part").touch()
+    (tmp_path / "noise.mcap.part").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    (tmp_path / "half.mcap.recovering").write_bytes(b"half")
+    reports = recover_folder(tmp_path)
+    assert [report.outcome for report in reports] == [Outcome.EMPTY, Outcome.EMPTY]
+    names = sorted(path.name for path in (tmp_path / "unclean").iterdir())
+    assert [name for name in names if name.endswith(".part")] == [
+        "empty.mcap.part",
+        "noise.mcap.part",
+    ]
+    assert [path.name for path in tmp_path.iterdir()] == ["unclean"]
+
+
+def test_a_recording_of_that_name_is_not_replaced(tmp_path: Path) -> None:
+    part = leave_unfinished(tmp_path)
+    (tmp_path / "a.mcap").write_bytes(b"precious")
+    (report,) = recover_folder(tmp_path)
+    assert report.recording == tmp_path / "a_recovered.mcap"
+    assert count(report.recording) == 500
+    assert (tmp_path / "a.mcap").read_bytes() == b"precious"
+    assert not part.exists()
+
+
+class Full(Disk):
+    def free_bytes(self, folder: Path) -> int:
+        return 1000
+
+
+def test_without_room_it_waits(tmp_path: Path) -> None:
+    part = leave_unfinished(tmp_path)
+    (report,) = recover_folder(tmp_path, disk=Full())
+    assert report.outcome is Outcome.FAILED
+    assert "room" in report.text
+    assert part.exists()
+    assert recover_folder(tmp_path)[0].outcome is Outcome.RECOVERED
+
+
+@pytest.mark.parametrize("name", ["nowhere", "file"])
+def test_no_folder_is_no_fault(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").touch()
+    assert recover_folder(tmp_path / name) == []
