@@ -202,8 +202,9 @@ class Runner:
             )
         except StopRequestedError:
             self._parts.orders.heard()  # halted already
-        self._pump.ignore_stop()
-        session.keep()
+        finally:
+            self._pump.ignore_stop()
+            session.keep()
         return told
 
     def _put_aside(

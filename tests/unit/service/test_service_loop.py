@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from gyrorig_daemon.links.hub import PortsGoneError
 from gyrorig_daemon.recorder import Recorder
 from gyrorig_daemon.service.daemon import Ending
 from gyrorig_daemon.service.memory import Memory
@@ -148,6 +149,26 @@ def test_a_fault_of_the_motion_holds_everything_until_cleared(make_bench: Make) 
     assert second.metadata["gyrorig"]["session"] == "waits"
     assert bench.parts.counts.motion_faults == 1
     assert "cleared: synchrony lost: the pan axis met its limit" in bench.log
+
+
+def test_ports_that_are_lost_after_a_fault_leave_a_closed_recording(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.put(FAR)
+    bench.at(5.0, say(bench, LIMIT))
+    read = bench.hub.read
+
+    def lose(deadline_ns: int) -> object:
+        if bench.now_s() > 5.0 + 9.0:
+            raise PortsGoneError("the acquisition process ended", "start again")
+        return read(deadline_ns)
+
+    bench.hub.read = lose
+    with pytest.raises(PortsGoneError):
+        bench.serve(60.0)
+    assert read_recording(*bench.recordings()).complete
+    (result,) = bench.results("failed")
+    assert "the acquisition process ended" in json.loads(result.read_text())["reason"]
+    assert bench.parts.memory.hold is not None
 
 
 def test_after_lost_steps_nothing_moves_without_homing(make_bench: Make) -> None:
