@@ -24,12 +24,13 @@ _ESCAPES = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 class MetricsWriter:
     """Writes the last status that it was given, when it gets to it."""
 
-    def __init__(self, folder: Path, every: int = 5) -> None:
+    def __init__(self, folder: Path, every: int = 15) -> None:
         """Begin to write.
 
         Args:
             folder: where the file goes.
-            every: each how many-th status is written; a second apart, scraped each 15 or so.
+            every: each how many-th status is written. They come a second apart, meters are read each
+                15 s or so, and a memory card wears.
         """
         self.path = folder / FILE_NAME
         self.failures = 0
