@@ -29,8 +29,8 @@ class MetricsWriter:
 
         Args:
             folder: where the file goes.
-            every: each how many-th status is written. They come a second apart, meters are read each
-                15 s or so, and a memory card wears.
+            every: each how many-th status is written. They come a second apart, meters are
+                read each 15 s or so, and a memory card wears.
         """
         self.path = folder / FILE_NAME
         self.failures = 0
