@@ -41,6 +41,9 @@ _CAN_RAW_LOOPBACK = 3
 _CAN_RAW_RECV_OWN_MSGS = 4
 _SOL_CAN_RAW = 101
 _CAN_ERR_MASK = 0x1FFF_FFFF
+# Flags of an enum cost a microsecond each.
+_EXTENDED, _REMOTE, _ERROR = int(FrameFlag.EXTENDED), int(FrameFlag.REMOTE), int(FrameFlag.ERROR)
+_FOREIGN = int(FrameFlag.FOREIGN)
 _TIMESPEC = struct.Struct("=qq")
 _COUNT = struct.Struct("=I")
 _CAN_FRAME = struct.Struct("=IB3x8s")  # struct can_frame
@@ -209,17 +212,17 @@ class SocketCanLine(CanLine):
 def socketcan_record(data: bytes, stamp_ns: int) -> bytes:
     """Return the record of a `struct can_frame` as the kernel gave it."""
     if len(data) != _CAN_FRAME.size:
-        return RECORD.pack(0, int(FrameFlag.FOREIGN), 0, b"", stamp_ns)
+        return RECORD.pack(0, _FOREIGN, 0, b"", stamp_ns)
     word, length, content = _CAN_FRAME.unpack(data)
     if word & _ERR_FLAG:
-        return RECORD.pack(word & _CAN_ERR_MASK, int(FrameFlag.ERROR), 8, content, stamp_ns)
+        return RECORD.pack(word & _CAN_ERR_MASK, _ERROR, 8, content, stamp_ns)
     flags = 0
     if word & _EFF_FLAG:
-        flags, identifier = int(FrameFlag.EXTENDED), word & 0x1FFF_FFFF
+        flags, identifier = _EXTENDED, word & 0x1FFF_FFFF
     else:
         identifier = word & 0x7FF
     if word & _RTR_FLAG:
-        flags |= int(FrameFlag.REMOTE)
+        flags |= _REMOTE
     return RECORD.pack(identifier, flags, min(length, 8), content, stamp_ns)
 
 
@@ -248,9 +251,9 @@ def multicast_record(data: bytes, stamp_ns: int) -> bytes:
     try:
         message = _DECODE(data)
         flags = (
-            message.is_extended_id * FrameFlag.EXTENDED
-            | message.is_remote_frame * FrameFlag.REMOTE
-            | message.is_error_frame * FrameFlag.ERROR
+            message.is_extended_id * _EXTENDED
+            | message.is_remote_frame * _REMOTE
+            | message.is_error_frame * _ERROR
         )
         if len(message.data) <= 8 and not message.is_fd:
             return RECORD.pack(
@@ -258,7 +261,7 @@ def multicast_record(data: bytes, stamp_ns: int) -> bytes:
             )
     except (msgspec.MsgspecError, ValueError, struct.error):
         pass  # anybody may send there
-    return RECORD.pack(0, int(FrameFlag.FOREIGN), 0, b"", stamp_ns)
+    return RECORD.pack(0, _FOREIGN, 0, b"", stamp_ns)
 
 
 def multicast_datagram(identifier: int, flags: int, data: bytes) -> bytes:

@@ -125,7 +125,7 @@ class BoardFrameParser:
     def feed(self, frame: CanFrame) -> list[CanBoardEvent]:
         """Return the events that a frame of this board's node completes."""
         feeder = self._feeders.get(frame.identifier >> NODE_BITS)
-        if feeder is None or not frame.is_data or frame.flags:
+        if feeder is None or frame.flags:
             return self._fault(FaultCause.UNKNOWN_TYPE, frame)
         return feeder(frame)
 

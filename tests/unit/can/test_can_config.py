@@ -8,6 +8,7 @@ from gyrorig_daemon.config import load_rig, parse_rig
 from gyrorig_daemon.record import port_settings
 from gyrorig_protocol.errors import UsageError
 
+ROOT = Path(__file__).resolve().parents[3]
 GOOD = """
 rig: desk
 ptu: {port: /dev/ptu, baud: 115200}
@@ -28,6 +29,11 @@ DBC = """\
 BO_ 100 Rates: 8 IMU
  SG_ X : 0|16@1- (0.0625,0) [0|0] "°/s" A
 """
+
+
+def test_the_shipped_rig_is_taken() -> None:
+    rig = load_rig(ROOT / "config" / "rig-can.yaml")
+    assert [board.bus for board in rig.boards] == ["can0"] * 3
 
 
 def test_ports_and_settings_of_a_rig_with_buses() -> None:
