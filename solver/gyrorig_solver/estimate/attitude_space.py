@@ -25,10 +25,11 @@ from gyrorig_solver.estimate.attitude import Settled
 from gyrorig_solver.estimate.attitude_rounds import level_by_bins
 from gyrorig_solver.estimate.chain import columns_of, effect_of
 from gyrorig_solver.estimate.extension import Extension
+from gyrorig_solver.estimate.followed import Prior
 from gyrorig_solver.estimate.likelihood import GAINS, PER_SESSION
 from gyrorig_solver.estimate.noise import NoiseModel, Periodogram, Sampling, binned, fit_levels
 from gyrorig_solver.estimate.observability import PRIOR_STD
-from gyrorig_solver.estimate.projection import Prior, Projection, Signal
+from gyrorig_solver.estimate.projection import Projection, Signal
 from gyrorig_solver.estimate.stretch import Stretch
 from gyrorig_solver.model.terms.scene import Scene, Setting
 

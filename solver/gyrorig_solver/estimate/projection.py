@@ -12,20 +12,20 @@ Inference, 6e.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from scipy.fft import dct, idct
-from scipy.sparse import block_diag, csc_array, csr_array
+from scipy.sparse import csc_array, csr_array
 
 from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.arrow import factor
-from gyrorig_solver.estimate.chain import Chain, columns_of, lost_without
+from gyrorig_solver.estimate.chain import Chain, lost_without
 from gyrorig_solver.estimate.extension import Extension
-from gyrorig_solver.estimate.likelihood import GAINS, PER_SESSION, Solution
+from gyrorig_solver.estimate.followed import Prior, base_of
+from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.noise import NoiseModel
-from gyrorig_solver.estimate.observability import PRIOR_STD
 from gyrorig_solver.estimate.products import product, sparse_product
 from gyrorig_solver.estimate.stretch import Stretch
 from gyrorig_solver.estimate.whitening import PartModel
@@ -80,7 +80,7 @@ class Projection:
         extensions: Sequence[Extension],
         base: FloatArray,
         local: csr_array,
-        prior: "Prior",
+        prior: Prior,
         at_work: Sequence[Extension] = (),
     ) -> None:
         """Take what `of` has put together; causes `at_work` are in what the residual is of."""
@@ -137,7 +137,7 @@ class Projection:
                 models, scenes, fine, residuals = zip(*parts, strict=True)
                 used = tuple(m.used for m in models)
                 stretches.append(Stretch(number, used, scenes, fine, models, residuals, noise))
-        base, local, prior = _base(solution, stretches, follow)
+        base, local, prior = base_of(solution, stretches, follow)
         return cls(stretches, follow, base, local, prior, stay)
 
     def without(self, gone: Sequence[int]) -> "Lacking":
@@ -328,146 +328,3 @@ class Apart:
     shared: FloatArray  # (g, all), by its shared ones
     motion_known: FloatArray  # (m + g, m + g), information
     motion_away: FloatArray  # (m + g,), where that has them, minus where they are
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prior:
-    """What is known of everything a fit moves: local unknowns, and the others."""
-
-    local: csc_array
-    cross: FloatArray
-    shared: FloatArray
-    pull_local: FloatArray
-    pull_shared: FloatArray
-    first: int  # where the causes begin among the shared ones
-    board: int  # and where they end: the first so many are the board's, G, b, tau, causes
-    away: FloatArray = field(default_factory=lambda: np.zeros(0))  # of a motion's unknowns:
-    # where knowledge has them, minus where they are
-
-
-def _base(
-    solution: Solution, stretches: Sequence[Stretch], extensions: Sequence[Extension]
-) -> tuple[FloatArray, csr_array, Prior]:
-    """Return all derivatives of a fit, whitened, and what is known of its unknowns.
-
-    In the order G, each recording's (b, tau), the causes, each reference's shared unknowns.
-    """
-    many = len(solution.sessions)
-    causes = sum(one.free.size for one in extensions)
-    board = GAINS + PER_SESSION * many + causes
-    known = [session.reference.information for session in solution.sessions]
-    shared_at = board + np.cumsum([0, *(k.size[1] for k in known)])
-    local_at = np.cumsum([0, *(k.size[0] for k in known)])
-    length = [3 * sum(u.size for u in s.used) for s in stretches]
-    starts = np.cumsum([0, *length])
-    base = np.zeros((int(shared_at[-1]), int(starts[-1])))
-    rows, columns, values = [], [], []
-    for s, start, size in zip(stretches, starts[:-1], length, strict=True):
-        own = GAINS + PER_SESSION * s.session
-        acting = s.models[0].columns.shared.shape[0]
-        after = GAINS + PER_SESSION * many
-        at = [
-            *range(GAINS),
-            *range(own, own + PER_SESSION),
-            *range(after, after + causes),
-            *range(int(shared_at[s.session]), int(shared_at[s.session]) + acting),
-        ]
-        parts = [
-            _columns(model, scene, solution.gain, extensions)
-            for model, scene in zip(s.models, s.exact, strict=True)
-        ]
-        base[at, start : start + size] = s.whitened(parts)
-        for found in _locals(s, solution.gain, int(start)):
-            rows.append(found[0] + local_at[s.session])
-            columns.append(found[1])
-            values.append(found[2])
-    shape = (int(local_at[-1]), int(starts[-1]))
-    triple = (
-        np.concatenate(values or [np.zeros(0)]),
-        (
-            np.concatenate(rows or [np.zeros(0, np.int64)]),
-            np.concatenate(columns or [np.zeros(0, np.int64)]),
-        ),
-    )
-    local = csr_array(triple, shape=shape)
-    return base, local, _known(solution, extensions, board, shared_at, local_at)
-
-
-def _known(
-    solution: Solution,
-    extensions: Sequence[Extension],
-    board: int,
-    shared_at: IntArray,
-    local_at: IntArray,
-) -> Prior:
-    size = int(shared_at[-1])
-    shared, cross = np.zeros((size, size)), np.zeros((int(local_at[-1]), size))
-    pull_local, pull_shared = np.zeros(int(local_at[-1])), np.zeros(size)
-    # What no motion fixes has its prior, or a cause in that direction would look seen.
-    each = [PRIOR_STD["bias"]] * 3 + [PRIOR_STD["time_offset"]]
-    std = [PRIOR_STD["gain"]] * GAINS + each * len(solution.sessions)
-    std += [float(v) for one in extensions for v in one.prior_std]
-    shared[np.arange(board), np.arange(board)] = np.array(std) ** -2.0
-    first = GAINS + PER_SESSION * len(solution.sessions)
-    for one in extensions:
-        at = slice(first, first + one.free.size)
-        if one.told is not None:
-            shared[at, at] += one.told.information
-            pull_shared[at] += one.told.pull(one.values[one.free])
-        first = at.stop
-    near = []
-    pulls = [(one.reference.pull, one.reference.information.size[0]) for one in solution.sessions]
-    away = np.concatenate([*(p[:m] for p, m in pulls), *(p[m:] for p, m in pulls)])
-    for k, session in enumerate(solution.sessions):
-        known = session.reference.information
-        pull = known.times(session.reference.pull)
-        here = slice(int(shared_at[k]), int(shared_at[k + 1]))
-        there = slice(int(local_at[k]), int(local_at[k + 1]))
-        near.append(known.local)
-        cross[there, here], shared[here, here] = known.cross, known.shared
-        pull_local[there] = pull[: known.size[0]]
-        pull_shared[here] = pull[known.size[0] :]
-    some = [one for one in near if one.shape[0]]
-    local = csc_array(block_diag(some, format="csc")) if some else csc_array((0, 0))
-    first = GAINS + PER_SESSION * len(solution.sessions)
-    return Prior(local, cross, shared, pull_local, pull_shared, first, board, away)
-
-
-def _columns(
-    model: PartModel, scene: Scene, gain: FloatArray, extensions: Sequence[Extension]
-) -> FloatArray:
-    """Return a part's derivatives by all but local unknowns, sensor frame, (q, n, 3)."""
-    n = model.used.size
-    own = np.zeros((GAINS + PER_SESSION, n, 3))
-    for axis in range(3):
-        own[3 * axis : 3 * axis + 3, :, axis] = model.rate.T
-        own[GAINS + axis, :, axis] = 1.0
-        if model.bent is not None:
-            own[3 * axis : 3 * axis + 3, :, axis] += model.bent[axis]
-    own[12] = -(gain @ model.columns.slope).T
-    shared = np.einsum("ij,gjn->gni", gain, model.columns.shared)
-    return np.concatenate([own, columns_of(extensions, scene), shared])
-
-
-def _locals(
-    s: Stretch, gain: FloatArray, start: int
-) -> list[tuple[IntArray, IntArray, FloatArray]]:
-    """Return rows, columns and values of a series' local derivatives, whitened."""
-    found = []
-    for model in s.models:
-        lanes, n = model.columns.lanes, model.used.size
-        if lanes.count:
-            deviation = np.sqrt(s.noise.variance(n))
-            felt = idct(
-                np.tensordot(gain, model.lane_spectra(), axes=1) / deviation.T[:, None, :],
-                axis=-1,
-                norm="ortho",
-            )
-            for k in range(lanes.count):
-                a, b = int(lanes.first[k]), int(lanes.stop[k])
-                value = felt[:, lanes.lane[k], a:b] * lanes.scale[k]
-                place = start + np.arange(3)[:, None] * n + np.arange(a, b)
-                row = np.full(value.size, lanes.unknown[k], dtype=np.int64)
-                found.append((row, place.ravel(), value.ravel()))
-        start += 3 * n
-    return found
