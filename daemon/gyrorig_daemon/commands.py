@@ -180,7 +180,7 @@ def _record(options: dict[str, Any]) -> dict[str, Any]:
     config_path, program_path = options["config_path"], options["program_path"]
     config_text, program_text = read_document(config_path), read_document(program_path)
     order = SessionOrder(
-        config=parse_rig(config_text, config_path.name),
+        config=parse_rig(config_text, config_path.name, config_path.parent),
         config_text=config_text,
         program=parse_program(program_text, program_path.name),
         program_text=program_text,

@@ -96,6 +96,10 @@ def _files(
         Attachment("rig.yaml", "application/yaml", order.config_text, now_utc_ns),
         Attachment("program.yaml", "application/yaml", order.program_text, now_utc_ns),
     ]
+    for config in order.config.boards:
+        if config.signals is not None and config.signals.dbc is not None:
+            text = config.signals.dbc.encode()
+            files.append(Attachment(f"signals.{config.id}.dbc", "text/plain", text, now_utc_ns))
     for board in boards:
         files += hello_files(board, now_utc_ns)
     return tuple(files)

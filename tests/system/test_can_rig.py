@@ -44,7 +44,17 @@ boards:
     format: signals
     signals: {{preset: j1939, source_address: 128}}
     facts: {{uid: J1939-128, odr_hz: 100.0}}
+  - id: D-1
+    bus: lab
+    format: signals
+    signals: {{dbc: imu.dbc, gyro: [Rates.X, null, null], counter: Rates.Count}}
+    facts: {{uid: by-hand, sensor: one axis}}
 emulator: {{odr_hz: 100}}
+"""
+DBC = """\
+BO_ 801 Rates: 8 IMU
+ SG_ X : 0|16@1- (0.0625,0) [0|0] "deg/s" A
+ SG_ Count : 48|8@1+ (1,0) [0|0] "" A
 """
 PROGRAM = """
 name: short
@@ -90,7 +100,7 @@ def test_a_board_on_a_bus_is_calibrated(tmp_path: Path) -> None:
 
 
 class Sender(threading.Thread):
-    """A J1939 IMU of 100 Hz, by python-can itself."""
+    """A J1939 IMU of 100 Hz, and one of a single axis, by python-can itself."""
 
     def __init__(self) -> None:
         super().__init__(daemon=True)
@@ -105,12 +115,15 @@ class Sender(threading.Thread):
             accel = struct.pack("<4H", 32000, 32000, 32981, 0xFFFF)
             bus.send(can.Message(arbitration_id=0x08F02D80, data=accel, is_extended_id=True))
             bus.send(can.Message(arbitration_id=0x0CF02A80, data=rates, is_extended_id=True))
+            one = struct.pack("<h4xBx", -count % 1000, count & 0xFF)
+            bus.send(can.Message(arbitration_id=801, data=one, is_extended_id=False))
         bus.shutdown()
 
 
-def test_two_buses_in_real_time_one_of_them_with_a_j1939_imu(
+def test_two_buses_in_real_time_one_of_them_with_other_peoples_imus(
     tmp_path: Path, contract_judge: Path
 ) -> None:
+    (tmp_path / "imu.dbc").write_text(DBC)
     program = tmp_path / "short.yaml"
     program.write_text(PROGRAM)
     sender = Sender()
@@ -134,6 +147,14 @@ def test_two_buses_in_real_time_one_of_them_with_a_j1939_imu(
     metadata = recording.metadata["gyrorig.board.J-1"]
     assert metadata["sensor"] == "J1939 angular rate sensor"
     assert float(metadata["gyro_scale_rad_s"]) == pytest.approx(np.pi / 180 / 128)
+    single = recording.imu(BoardId("D-1"))
+    assert len(single) > 60
+    assert set(single["gyro"][:, 1:].ravel().tolist()) == {0}  # axes that it does not have
+    numbers = single["sequence"].astype(np.int64)
+    assert (np.diff(numbers) > 0).all()
+    # a recording stands alone: what its codes mean is in it
+    (attached,) = (a for a in recording.attachments if a.name == "signals.D-1.dbc")
+    assert attached.data.decode().strip() == DBC.strip()
     judged = subprocess.run(
         [sys.executable, str(contract_judge), str(path)],
         capture_output=True,

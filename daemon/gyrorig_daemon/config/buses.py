@@ -112,8 +112,10 @@ def _check_board(board: "BoardPort", name: str) -> None:
         return
     if board.signals is None:
         raise UsageError(f"{name}: board {board.id} has no signals", "give preset, or dbc and gyro")
-    if not board.facts.uid:
-        raise UsageError(f"{name}: board {board.id} cannot say what it is", "give facts: uid")
+    if not board.facts.uid or not (board.facts.sensor or board.signals.preset):
+        raise UsageError(
+            f"{name}: board {board.id} cannot say what it is", "give facts: uid and sensor"
+        )
     if board.signals.dbc_file is None:
         bind(board.signals, board.id)
 

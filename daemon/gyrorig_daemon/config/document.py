@@ -174,13 +174,21 @@ class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.ports()[board.hub_port] == EMULATED
 
 
-def parse_rig(text: str | bytes, name: str) -> RigConfig:
+def parse_rig(text: str | bytes, name: str, folder: Path | None = None) -> RigConfig:
     """Return the rig that a YAML document describes.
+
+    Args:
+        text: the document.
+        name: what to call it in an error.
+        folder: where DBC files that it names are; without it they are left unread.
 
     Raises:
         UsageError: the document is not a rig; the text says where and why.
     """
     rig = read_as(parse_yaml(text, name), RigConfig, name)
+    if folder is not None:
+        boards = tuple(_with_dbc(board, folder) for board in rig.boards)
+        rig = msgspec.structs.replace(rig, boards=boards)
     try:
         BoardId(rig.rig)
         names = [BoardId(board.id) for board in rig.boards]
@@ -207,13 +215,7 @@ def load_rig(path: Path) -> RigConfig:
     Raises:
         UsageError: the file, or a DBC file, cannot be read or is not one.
     """
-    rig = parse_rig(read_document(path), path.name)
-    if all(board.signals is None or board.signals.dbc_file is None for board in rig.boards):
-        return rig
-    boards = tuple(_with_dbc(board, path.parent) for board in rig.boards)
-    rig = msgspec.structs.replace(rig, boards=boards)
-    check_buses(rig, path.name)
-    return rig
+    return parse_rig(read_document(path), path.name, path.parent)
 
 
 def _with_dbc(board: BoardPort, folder: Path) -> BoardPort:

@@ -69,7 +69,7 @@ def read_config(path: Path) -> Sound:
         UsageError: it cannot be used.
     """
     text = read_document(path)
-    config = parse_rig(text, path.name)
+    config = parse_rig(text, path.name, path.parent)
     for entry in config.schedule:
         parse_program(read_document(path.parent / entry.program), entry.program)
     return Sound(config, text)

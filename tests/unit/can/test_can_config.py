@@ -95,6 +95,9 @@ def test_an_emulated_bus_must_carry_its_boards() -> None:
 def test_a_dbc_file_lies_beside_the_document(tmp_path: Path, encoding: str) -> None:
     signals = "{dbc: imu.dbc, gyro: [Rates.X, null, null]}"
     text = GOOD.replace("{preset: j1939, source_address: 128}", signals)
+    with pytest.raises(UsageError, match="uid and sensor"):
+        parse_rig(text, "rig.yaml")
+    text = text.replace("{uid: MTLT-7}", "{uid: MTLT-7, sensor: MTLT}")
     (tmp_path / "rig.yaml").write_text(text)
     with pytest.raises(UsageError, match=r"imu\.dbc"):
         load_rig(tmp_path / "rig.yaml")
