@@ -21,19 +21,18 @@ what never reached it, shows as a gap in the file that follows. Nothing here wai
 disk, except a write into the system's own buffers.
 """
 
-import errno
-import math
 import struct
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from gyrorig_daemon.recorder.counts import RecorderCounts
 from gyrorig_daemon.recorder.disk_worker import DiskWorker, Job
+from gyrorig_daemon.recorder.durability import Durability
 from gyrorig_daemon.recorder.parts import OpenedPart, PartOpener, Phases, part_path
 from gyrorig_daemon.recorder.ring import RamRing, Record
 from gyrorig_daemon.recorder.settings import RecorderSettings, RecordingPlan
-from gyrorig_daemon.recorder.unsynced import Unsynced
 from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
 from gyrorig_protocol.recording.disk_file import Disk
 from gyrorig_protocol.recording.messages import (
@@ -69,17 +68,15 @@ class Spool:
         self._opener = PartOpener(plan, settings, disk, make_room)
         self._phases = Phases()
         self._writer: RecordingWriter | None = None
+        self._durable: Durability  # of the writer's file, or of the last one
         self._written_facts = 0
         self._ring = RamRing(settings.ring_bytes, settings.ring_s)
-        self._unsynced = Unsynced()
-        self._sync_count = self._sync_bytes = 0  # messages and bytes of the file on the disk
         self._next: dict[str, int] = {}  # number of the next message of each topic
         self._latest_ns = 0
         self._now_ns = self._begun_ns = self._synced_ns = self._looked_ns = 0
         self._retry_ns = 0
         self._restate = False
         self._opening: Job[OpenedPart] | None = None
-        self._syncing: tuple[Job[None], RecordingWriter, int, int] | None = None
         self._looking: Job[int] | None = None
         self._closing: list[Job[Path]] = []
         self._closed_bytes = 0
@@ -177,9 +174,10 @@ class Spool:
         Raises:
             MachineError: the disk refused; what was written is kept and readable.
         """
+        self._drop_next()
         for _ in range(CLOSE_ATTEMPTS):
             writer = self._write_the_rest()
-            if writer is not None and self._guarded(writer, writer.flush):
+            if writer is not None and self._hand_over(writer):
                 break
         else:
             self._counts.dropped_at_close += len(self._ring)
@@ -187,15 +185,22 @@ class Spool:
                 f"{self.degraded}; {len(self._ring)} messages in memory are lost",
                 f"what was written before is kept: {self.paths[-1].name}",
             )
-        last = self._worker.submit(writer.close)
-        self._closing.append(last)
+        self._writer = None
         for job in self._closing:
             job.wait()
+        last = self._closing[-1] if self._closing else None
         self._look_at_closing()
         self._count()
-        self._closed_bytes += writer.bytes_written
-        self._writer = None
-        return last.result()
+        return self.paths[-1] if last is None else last.result()
+
+    def _drop_next(self) -> None:
+        """Let go of a part that is being opened to follow this one: nothing will be in it."""
+        opening = self._opening
+        if opening is not None and self._writer is not None:
+            opening.wait()
+            self._opening = None
+            if opening.error is None:
+                self._worker.submit(opening.result().writer.discard)
 
     def _write_the_rest(self) -> RecordingWriter | None:
         """Wait for a file, and empty the memory into it; None where there is none."""
@@ -216,12 +221,15 @@ class Spool:
     def _write(self, writer: RecordingWriter, record: Record) -> None:
         if self._restate:
             self._restate = False
-            self._restate_phases(writer, record.log_ns)
-        self._unsynced.add(record)
+            if not self._restate_phases(writer, record.log_ns):
+                self._ring.give_back(deque([record]))
+                return
+        durable = self._durable
+        durable.add(record)
         try:
             writer.write_encoded(*record)
         except ValueError as fault:
-            self._unsynced.withdraw()
+            durable.withdraw()
             self._refuse(record.topic, fault)
         except MachineError as fault:
             self._counts.written += 1
@@ -251,21 +259,22 @@ class Spool:
         self._counts.disk_faults += 1
         if not self._settings.survive:
             raise fault
-        unsynced = self._unsynced
-        if _is_full(fault):  # what was written before is safe
-            kept, position = unsynced.count - writer.lost_messages, writer.bytes_written
-        else:
-            kept, position = self._sync_count, self._sync_bytes
-        again = unsynced.behind(kept)
+        again, something_is_left = self._durable.give_up(fault)
         self._counts.written -= len(again)  # they will be counted when they are again
         self._ring.give_back(again)
         self._closed_bytes += writer.bytes_written
-        if kept or len(self.paths) == 1:
-            self._worker.submit(lambda: writer.salvage(position))
-        else:  # no message is in it
+        if not something_is_left:
+            self._let_go_of_empty(writer)
+        self._lose_file(fault.what)
+
+    def _let_go_of_empty(self, writer: RecordingWriter) -> None:
+        """Delete a file without a message, if it is not the only one of the session."""
+        if len(self.paths) > 1:
             self.paths.pop()
             self._worker.submit(writer.discard)
-        self._lose_file(fault.what)
+        else:
+            beginning = self._durable.synced_bytes
+            self._worker.submit(lambda: writer.salvage(beginning))
 
     def _lose_file(self, why: str) -> None:
         self._writer = None
@@ -277,11 +286,10 @@ class Spool:
         event = SessionEvent(self._latest_ns, int(kind), "", text)
         self.take(SESSION_EVENT_TOPIC, event, self._latest_ns, self._latest_ns)
 
-    def _restate_phases(self, writer: RecordingWriter, at_ns: int) -> None:
+    def _restate_phases(self, writer: RecordingWriter, at_ns: int) -> bool:
         """Say in a new part which phases it begins in the middle of."""
-        for record in self._phases.restated(at_ns):
-            if not self._guarded(writer, partial(writer.write_encoded, *record)):
-                return
+        steps = [partial(writer.write_encoded, *one) for one in self._phases.restated(at_ns)]
+        return all(self._guarded(writer, step) for step in steps)
 
     def _write_new_facts(self) -> None:
         writer = self._writer
@@ -311,7 +319,9 @@ class Spool:
                 self._adopt(opening.result())
             else:
                 self._could_not_open(opening.error)
-        self._look_at_sync()
+        writer = self._writer
+        if writer is not None and (error := self._durable.look()):
+            self._guarded(writer, lambda: writer.fail(error))
         looking = self._looking
         if looking is not None and looking.done:
             self._looking = None
@@ -343,8 +353,7 @@ class Spool:
         self._writer, self._number, self._written_facts = part.writer, part.number, part.facts
         self.paths.append(part_path(self._plan.path, part.number))
         self._begun_ns = self._synced_ns = self._now_ns
-        self._unsynced, self._sync_count = Unsynced(), 0
-        self._sync_bytes = part.writer.bytes_written
+        self._durable = Durability(part.writer, self._worker, self._counts)
         self._counts.parts_opened += 1
         self._restate = part.number > 0
         self.degraded = ""
@@ -353,12 +362,16 @@ class Spool:
             self._tell(EventKind.NOTE, f"recording goes on in {self.paths[-1].name}")
         self._write_new_facts()
 
-    def _hand_over(self, old: RecordingWriter) -> None:
-        """Have a file closed in which nothing is left to be written."""
+    def _hand_over(self, old: RecordingWriter) -> bool:
+        """Have a file closed in which nothing is left to be written; False if it failed."""
+        if self._durable.is_empty and len(self.paths) > 1:
+            self._let_go_of_empty(old)
+            return True
         if not self._guarded(old, old.flush):
-            return  # what it did not take is in memory, and goes to the next file
+            return False  # what it did not take is in memory, and goes to the next file
         self._closed_bytes += old.bytes_written
         self._closing.append(self._worker.submit(old.close))
+        return True
 
     def _look_at_closing(self) -> None:
         for job in [job for job in self._closing if job.done]:
@@ -367,23 +380,6 @@ class Spool:
                 self._counts.parts_closed += 1
             else:
                 self._counts.close_failures += 1
-
-    def _look_at_sync(self) -> None:
-        if self._syncing is None or not self._syncing[0].done:
-            return
-        (job, writer, count, size), self._syncing = self._syncing, None
-        took_ms = math.ceil(job.took_ns / _MS_NS)
-        self._counts.syncs += 1
-        self._counts.sync_last_ms = took_ms
-        self._counts.sync_max_ms = max(self._counts.sync_max_ms, took_ms)
-        if writer is not self._writer:
-            return
-        if job.error is None:
-            self._unsynced.synced(count)
-            self._sync_count, self._sync_bytes = count, size
-        else:
-            error = job.error if isinstance(job.error, OSError) else OSError(errno.EIO, "sync")
-            self._guarded(writer, lambda: writer.fail(error))
 
     def _stop_for_room(self) -> None:
         """Close the file while there is room for its end."""
@@ -404,11 +400,9 @@ class Spool:
 
     def _start_what_is_due(self, writer: RecordingWriter) -> None:
         settings, now_ns = self._settings, self._now_ns
-        if self._syncing is None and self._is_over(self._synced_ns, settings.sync_s):
+        if not self._durable.is_syncing and self._is_over(self._synced_ns, settings.sync_s):
             self._synced_ns = now_ns
-            whole = self._unsynced.count - writer.waiting_messages
-            job = self._worker.submit(writer.sync)
-            self._syncing = job, writer, whole, writer.bytes_written
+            self._durable.sync()
         if settings.reserve_bytes and self._looking is None and now_ns - self._looked_ns >= ROOM_NS:
             self._looked_ns = now_ns
             wanted = settings.reserve_bytes
@@ -449,8 +443,3 @@ class Spool:
         counts.disk_busy_max_ms = max(counts.disk_busy_max_ms, counts.disk_busy_ms)
         now_bytes = 0 if self._writer is None else self._writer.bytes_written
         counts.bytes_written = self._closed_bytes + now_bytes
-
-
-def _is_full(fault: MachineError) -> bool:
-    cause = fault.__cause__
-    return isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT)

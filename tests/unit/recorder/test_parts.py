@@ -140,3 +140,17 @@ def test_a_name_that_is_taken_is_stepped_over(tmp_path: Path) -> None:
     assert [path.name for path in recorder.paths] == ["a.mcap", "a_p002.mcap"]
     assert (tmp_path / "a_p001.mcap").read_bytes() == b"precious"
     assert read_recording(recorder.paths[1]).metadata["gyrorig"]["previous"] == "a.mcap"
+
+
+def test_no_part_is_empty(tmp_path: Path) -> None:
+    """A session that ends just behind a cut leaves no file without a message."""
+    recorder = opened(tmp_path, RecorderSettings(part_s=10.0))
+    for k in range(100):
+        put(recorder, k)
+    for late in range(100, 140):  # time goes on, and nothing comes
+        recorder.tick(late * SECOND // 10)
+    assert recorder.counts.parts_opened == 2
+    last = recorder.close()
+    assert last == tmp_path / "a.mcap"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+    assert recorder.paths == (last,)
