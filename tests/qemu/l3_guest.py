@@ -36,7 +36,7 @@ RIG = f"""rig: l3
 ptu: {{port: {PORT}, baud: 115200}}
 buses: [{{id: can0, port: "socketcan:vcan0"}}]
 boards: [{{id: C-1, bus: can0, node: {NODE}}}]
-service: {{reserve_mb: 16}}
+service: {{reserve_mb: 16, aftermath_s: 5.0}}
 """
 LONG = "name: long\nsteps:\n  - move: {pan_deg: 120.0, speed_deg_s: 2.0}\n"
 REST = "name: rest\nsteps:\n  - rest: {seconds: 600.0}\n"
@@ -123,7 +123,7 @@ def board() -> None:
 
 def udev() -> None:
     """What the rules did to the adapter."""
-    until(PORT.exists, 60.0, str(PORT))
+    until(PORT.exists, 300.0, str(PORT))
     say("RESULT", "link", os.path.realpath(PORT))
     say("RESULT", "by_id", len(list(Path("/dev/serial/by-id").glob("*RIG0001*"))))
     name = Path(os.path.realpath(PORT)).name
@@ -139,7 +139,7 @@ def begin(program: str) -> None:
     path = Path("/tmp/program.yaml")  # noqa: S108
     path.write_text(program)
     run("/usr/local/bin/gyrorigd", "enqueue", "--program", str(path))
-    until(lambda: status().get("state") == "running", 120.0, "a session")
+    until(lambda: status().get("state") == "running", 300.0, "a session")
 
 
 def serve() -> None:
@@ -157,7 +157,7 @@ def serve() -> None:
     inside = json.loads(Path("/var/lib/gyrorig/inside.json").read_text())
     for name, found in inside.items():
         say("RESULT", f"open_{name}", found)
-    until(lambda: any(b["state"] == "known" for b in status().get("boards", [])), 120.0,
+    until(lambda: any(b["state"] == "known" for b in status().get("boards", [])), 300.0,
           "the board on vcan0")  # fmt: skip
     say("RESULT", "board", status()["boards"][0]["state"])
 
@@ -166,17 +166,17 @@ def pulled() -> None:
     """The adapter is pulled in motion and plugged in again."""
     begin(LONG)
     say("WANT", "unplug")
-    until(lambda: not PORT.exists(), 60.0, "the adapter to go")
-    until(lambda: status().get("unit", {}).get("state") not in ("stands", "moves", "busy"), 60.0,
+    until(lambda: not PORT.exists(), 300.0, "the adapter to go")
+    until(lambda: status().get("unit", {}).get("state") not in ("stands", "moves", "busy"), 300.0,
           "the unit to be missed")  # fmt: skip
     say("RESULT", "missed", status()["unit"]["text"])
     say("WANT", "plug")
-    until(PORT.exists, 60.0, "the adapter to come back")
-    until(lambda: status().get("unit", {}).get("state") == "stands", 90.0, "the unit to stand")
+    until(PORT.exists, 300.0, "the adapter to come back")
+    until(lambda: status().get("unit", {}).get("state") == "stands", 300.0, "the unit to stand")
     say("RESULT", "back", status()["unit"]["text"])
     say("RESULT", "held", status()["state"])
     run("/usr/local/bin/gyrorigd", "clear")
-    until(lambda: status().get("state") == "ready", 60.0, "the rig to be ready")
+    until(lambda: status().get("state") == "ready", 300.0, "the rig to be ready")
 
 
 def clock_jumps() -> None:
