@@ -14,7 +14,8 @@ What to use when: `document` reads whole rigs; here is what concerns buses alone
         facts: {uid: MTLT-by-hand, odr_hz: 100.0}
 
 A bus's port is `socketcan:NAME`, `udp_multicast:GROUP:PORT` (python-can's format, for where
-there is no CAN; `@ADDRESS` behind it names the interface), or `emulated`.
+there is no CAN; `@ADDRESS` behind it names the interface), `python-can:INTERFACE:CHANNEL` for
+what else python-can knows, or `emulated`.
 """
 
 import re
@@ -34,6 +35,7 @@ Node = Annotated[int, msgspec.Meta(ge=1, le=MAX_NODE)]
 _PORT = re.compile(
     r"emulated|socketcan:[A-Za-z0-9_.-]{1,15}"
     r"|udp_multicast:(\d{1,3}\.){3}\d{1,3}:\d{1,5}(@(\d{1,3}\.){3}\d{1,3})?"
+    r"|python-can:[a-z0-9_]{1,20}:[!-~]{1,50}"
 )
 # of a sample with its time and its number, with bit stuffing half the worst case
 _FRAME_BITS = 123
@@ -75,7 +77,8 @@ def check_buses(rig: "RigConfig", name: str) -> None:
         if not _PORT.fullmatch(bus.port):
             raise UsageError(
                 f"{name}: bus {bus.id} has the port {bus.port!r}",
-                "write socketcan:NAME, udp_multicast:GROUP:PORT or emulated",
+                "write socketcan:NAME, udp_multicast:GROUP:PORT, python-can:INTERFACE:CHANNEL "
+                "or emulated",
             )
     taken: dict[tuple[str, int], str] = {}
     for board in rig.boards:

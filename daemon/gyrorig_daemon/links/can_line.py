@@ -3,6 +3,7 @@
     socketcan:can0                      a CAN interface of this machine
     udp_multicast:239.74.163.2:43113    python-can's interface of that name, where there is no CAN
     udp_multicast:239.74.163.2:43113@127.0.0.1    the same on one interface only
+    python-can:slcan:/dev/ttyACM0       whatever else python-can knows, see `can_library`
 
 Our own reader, not python-can's: that sets no receive buffer and reads no drop counter,
 so that a daemon that pauses for 0.2 s loses frames unseen (measured; reference: boards.md
@@ -22,7 +23,7 @@ from abc import ABC, abstractmethod
 
 import msgspec
 
-from gyrorig_daemon.links.port_kinds import PortSettings
+from gyrorig_daemon.links.port_kinds import Line, PortSettings
 from gyrorig_daemon.links.serial_port import RefusedError
 from gyrorig_protocol.can.frame import RECORD, FrameFlag
 
@@ -51,7 +52,7 @@ _EFF_FLAG, _RTR_FLAG, _ERR_FLAG = 1 << 31, 1 << 30, 1 << 29
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_COUNT.size)
 
 
-def open_line(settings: PortSettings) -> "CanLine":
+def open_line(settings: PortSettings) -> Line:
     """Open the bus that a port's path names.
 
     Raises:
@@ -65,6 +66,12 @@ def open_line(settings: PortSettings) -> "CanLine":
         port, _, interface = port_and_interface.partition("@")
         if kind == "udp_multicast" and port.isdecimal() and 0 < int(port) < 1 << 16:
             return MulticastLine(group, int(port), interface)
+        if kind == "python-can" and ":" in rest:
+            # Imported only where it is wanted: it takes 0.2 s and a few MB.
+            from gyrorig_daemon.links.can_library import LibraryLine  # noqa: PLC0415
+
+            adapter, _, channel = rest.partition(":")
+            return LibraryLine(adapter, channel, settings.baud)
     except OSError as fault:
         raise RefusedError(_reason(fault), os.strerror(fault.errno or 0)) from fault
     raise RefusedError("foreign", "it is no CAN bus")
