@@ -15,16 +15,18 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.hidden.scoring.answers import HELD, cases, sealed
+from tests.hidden.scoring.answers import HELD, cases, opened, sealed
+from tests.hidden.scoring.bound import bound_of
 from tests.hidden.scoring.oracle import gap_of
 from tests.hidden.scoring.stated import explained, line_of
-from tests.hidden.scoring.variants import VARIANTS
+from tests.hidden.scoring.variants import REAL, VARIANTS
 
 Row = dict[str, Any]
 
@@ -47,8 +49,13 @@ def held_path(out: Path) -> Path:
     return out.with_suffix(".held.jsonl")
 
 
+def bounds_path(out: Path) -> Path:
+    """Return where the lines of how near rivals come go."""
+    return out.with_suffix(".bounds.jsonl")
+
+
 def said_of(case: Path, variant: str, out: Path) -> Row:
-    """Explain one case and write its line; then, if there is one, its second recording's."""
+    """Explain one case and write its line; then what needs the truth, where there is such."""
     seed, seal = int(case.name), sealed(case)
     look = VARIANTS[variant]
     try:
@@ -63,6 +70,10 @@ def said_of(case: Path, variant: str, out: Path) -> Row:
         gap = gap_of(case, stated.explained, seal)
         if gap is not None:
             _write(held_path(out), {"seed": seed, **gap})
+    if variant == REAL:
+        bound = bound_of(case, opened(case, seal))
+        if bound is not None:
+            _write(bounds_path(out), asdict(bound))
     return line
 
 
@@ -106,7 +117,7 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=None, help="stop after so many cases")
     told = parser.parse_args()
     told.out.parent.mkdir(parents=True, exist_ok=True)
-    for path in (told.out, held_path(told.out)):
+    for path in (told.out, held_path(told.out), bounds_path(told.out)):
         end_cut_line(path)
     done = results_of(told.out)
     every = [case for corpus in told.corpus for case in cases(corpus)]

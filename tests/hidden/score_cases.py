@@ -13,9 +13,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.hidden.explain_cases import held_path, results_of
+from tests.hidden.explain_cases import bounds_path, held_path, results_of
 from tests.hidden.scoring.answers import cases, opened
-from tests.hidden.scoring.bound import bound_of
 from tests.hidden.scoring.figures import Gap, figures, missed
 from tests.hidden.scoring.goals import GOALS
 from tests.hidden.scoring.kept import Kept, write_kept
@@ -35,22 +34,22 @@ def judged(corpora: Sequence[Path], results: Sequence[Path]) -> Kept:
     """
     lines = {seed: line for path in results for seed, line in results_of(path).items()}
     outcomes: list[Outcome] = []
-    bounds: list[Bound] = []
     for corpus in corpora:
         for case in cases(corpus):
             line = lines.get(int(case.name))
-            if line is None:
-                continue
-            answer = opened(case, line["seal"])
-            outcomes.append(outcome_of(answer, line))
-            bound = bound_of(case, answer) if outcomes[-1].kind == "one" else None
-            if bound is not None:
-                bounds.append(bound)
+            if line is not None:
+                outcomes.append(outcome_of(opened(case, line["seal"]), line))
     there = {one.seed for one in outcomes}
     gaps = [
         Gap(seed, row["nats"], row["short"], row["values"])
         for path in results
         for seed, row in results_of(held_path(path)).items()
+        if seed in there
+    ]
+    bounds = [
+        Bound(**row)
+        for path in results
+        for seed, row in results_of(bounds_path(path)).items()
         if seed in there
     ]
     return Kept(

@@ -55,7 +55,7 @@ def bound_of(case: Path, answer: Answer) -> Bound | None:
         name, won = _best(projection, sights(projection, others, tests), own[0].won, tests)
     left = min(max(1.0 - won / own[0].won, 0.0), 1.0)
     return Bound(
-        answer.seed, hidden.cause, hidden.times, answer.soak_k > 0.0, name, left,
+        answer.seed, hidden.cause, hidden.times, answer.soak_k != 0.0, name, left,
         left * hidden.noncentrality,
     )  # fmt: skip
 

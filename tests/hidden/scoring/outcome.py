@@ -122,7 +122,7 @@ def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
         seed=answer.seed,
         kind=answer.kind,
         program=answer.program,
-        soak=answer.soak_k > 0.0,
+        soak=answer.soak_k != 0.0,  # warmed first or cooled
         fates=fates,
         sets=tuple(said),
         rest=rest,
