@@ -1,8 +1,8 @@
 """What each part of a recording has to say again, so that it stands alone.
 
 What to use when: under `spool`. `PartOpener` opens them, in the disk's thread;
-`part_path` names them; `Facts` are their metadata and attachments, `Phases` which phases
-a part begins in the middle of.
+`Closing` has them closed there; `part_path` names them; `Facts` are their metadata and
+attachments, `Phases` which phases a part begins in the middle of.
 """
 
 import threading
@@ -11,6 +11,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from gyrorig_daemon.recorder.counts import RecorderCounts
+from gyrorig_daemon.recorder.disk_worker import DiskWorker, Job
 from gyrorig_daemon.recorder.ring import Record
 from gyrorig_daemon.recorder.settings import RecorderSettings, RecordingPlan
 from gyrorig_protocol.errors import GyrorigError, InputError, MachineError
@@ -140,6 +142,46 @@ class PartOpener:
             return self._disk.free_bytes(folder)
         except OSError as fault:
             raise MachineError(f"cannot look at {folder}: {fault.strerror}") from fault
+
+
+class Closing:
+    """Files in which nothing is left to be written, on their way to their final names."""
+
+    LIMIT = 4  # that wait; with more the disk hardly works at all
+
+    def __init__(self, worker: DiskWorker, counts: RecorderCounts) -> None:
+        self._worker, self._counts = worker, counts
+        self._jobs: list[Job[Path]] = []
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no more should be handed over."""
+        return len(self._jobs) >= self.LIMIT
+
+    def add(self, writer: RecordingWriter) -> None:
+        """Have a file closed in the disk's thread."""
+        self._jobs.append(self._worker.submit(writer.close))
+
+    def look(self) -> None:
+        """Count those that are closed."""
+        for job in [job for job in self._jobs if job.done]:
+            self._jobs.remove(job)
+            if job.error is None:
+                self._counts.parts_closed += 1
+            else:
+                self._counts.close_failures += 1
+
+    def finish(self) -> Path | None:
+        """Wait for all; the name of the last one, None where none was left.
+
+        Raises:
+            MachineError: the last one could not be closed.
+        """
+        jobs = list(self._jobs)
+        for job in jobs:
+            job.wait()
+        self.look()
+        return jobs[-1].result() if jobs else None
 
 
 class Phases:

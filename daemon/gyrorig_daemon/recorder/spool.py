@@ -21,7 +21,6 @@ what never reached it, shows as a gap in the file that follows. Nothing here wai
 disk, except a write into the system's own buffers.
 """
 
-import struct
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -30,7 +29,14 @@ from pathlib import Path
 from gyrorig_daemon.recorder.counts import RecorderCounts
 from gyrorig_daemon.recorder.disk_worker import DiskWorker, Job
 from gyrorig_daemon.recorder.durability import Durability
-from gyrorig_daemon.recorder.parts import OpenedPart, PartOpener, Phases, part_path
+from gyrorig_daemon.recorder.numbers import Numbers
+from gyrorig_daemon.recorder.parts import (
+    Closing,
+    OpenedPart,
+    PartOpener,
+    Phases,
+    part_path,
+)
 from gyrorig_daemon.recorder.ring import RamRing, Record
 from gyrorig_daemon.recorder.settings import RecorderSettings, RecordingPlan
 from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
@@ -47,7 +53,6 @@ RETRY_NS = 5_000_000_000  # between attempts to open a part where the last one f
 ROOM_NS = 1_000_000_000  # between looks at the free space
 TURN_RECORDS = 2_000  # taken out of memory in one turn: 20 ms of work
 CLOSE_ATTEMPTS = 2
-CLOSING_LIMIT = 4  # files that wait to be closed; with more the disk hardly works at all
 _MS_NS = 1_000_000
 
 
@@ -71,14 +76,13 @@ class Spool:
         self._durable: Durability  # of the writer's file, or of the last one
         self._written_facts = 0
         self._ring = RamRing(settings.ring_bytes, settings.ring_s)
-        self._next: dict[str, int] = {}  # number of the next message of each topic
-        self._latest_ns = 0
+        self._numbers = Numbers()
         self._now_ns = self._begun_ns = self._synced_ns = self._looked_ns = 0
         self._retry_ns = 0
         self._restate = False
         self._opening: Job[OpenedPart] | None = None
         self._looking: Job[int] | None = None
-        self._closing: list[Job[Path]] = []
+        self._closing = Closing(worker, counts)
         self._closed_bytes = 0
         self._number = 0
         self.paths: list[Path] = []  # final names
@@ -120,17 +124,11 @@ class Spool:
         Raises:
             MachineError: the disk refused, and the recording is not to survive that.
         """
-        number = self._next.get(topic)
-        # Before the first message of a topic there is nothing that a gap could follow.
-        number = 0 if number is None else number + skipped
-        self._next[topic] = number + 1
-        self._latest_ns = max(self._latest_ns, log_ns)
         try:
-            payload = message.encode()
-        except (ValueError, OverflowError, struct.error) as fault:
+            record = self._numbers.record(topic, message, log_ns, publish_ns, skipped)
+        except ValueError as fault:
             self._refuse(topic, fault)
             return
-        record = Record(topic, message.TYPE, payload, log_ns, publish_ns, number & 0xFFFF_FFFF)
         if self._writer is None or len(self._ring):
             self._ring.append(record)
         else:
@@ -186,12 +184,8 @@ class Spool:
                 f"what was written before is kept: {self.paths[-1].name}",
             )
         self._writer = None
-        for job in self._closing:
-            job.wait()
-        last = self._closing[-1] if self._closing else None
-        self._look_at_closing()
         self._count()
-        return self.paths[-1] if last is None else last.result()
+        return self._closing.finish() or self.paths[-1]
 
     def _drop_next(self) -> None:
         """Let go of a part that is being opened to follow this one: nothing will be in it."""
@@ -283,8 +277,8 @@ class Spool:
         self._tell(EventKind.FAULT, f"recording goes on in memory: {why}")
 
     def _tell(self, kind: EventKind, text: str) -> None:
-        event = SessionEvent(self._latest_ns, int(kind), "", text)
-        self.take(SESSION_EVENT_TOPIC, event, self._latest_ns, self._latest_ns)
+        now_ns = self._numbers.latest_ns
+        self.take(SESSION_EVENT_TOPIC, SessionEvent(now_ns, int(kind), "", text), now_ns, now_ns)
 
     def _restate_phases(self, writer: RecordingWriter, at_ns: int) -> bool:
         """Say in a new part which phases it begins in the middle of."""
@@ -329,7 +323,7 @@ class Spool:
                 self._counts.free_bytes = looking.result()
                 if looking.result() < self._settings.reserve_bytes:
                     self._stop_for_room()
-        self._look_at_closing()
+        self._closing.look()
 
     def _could_not_open(self, error: Exception) -> None:
         if isinstance(error, UsageError):  # a file of that name: take the next number
@@ -370,16 +364,8 @@ class Spool:
         if not self._guarded(old, old.flush):
             return False  # what it did not take is in memory, and goes to the next file
         self._closed_bytes += old.bytes_written
-        self._closing.append(self._worker.submit(old.close))
+        self._closing.add(old)
         return True
-
-    def _look_at_closing(self) -> None:
-        for job in [job for job in self._closing if job.done]:
-            self._closing.remove(job)
-            if job.error is None:
-                self._counts.parts_closed += 1
-            else:
-                self._counts.close_failures += 1
 
     def _stop_for_room(self) -> None:
         """Close the file while there is room for its end."""
@@ -410,12 +396,7 @@ class Spool:
         due = settings.part_s is not None and self._is_over(self._begun_ns, settings.part_s)
         if settings.part_bytes is not None:
             due = due or writer.bytes_written >= settings.part_bytes
-        if (
-            due
-            and self._opening is None
-            and now_ns >= self._retry_ns
-            and len(self._closing) < CLOSING_LIMIT
-        ):
+        if due and self._opening is None and now_ns >= self._retry_ns and not self._closing.is_full:
             self._begin_part(settings.reserve_bytes)
         if not self._worker.threaded:
             self._look_at_jobs()

@@ -155,11 +155,11 @@ def test_memory_is_bounded_and_what_it_forgets_is_a_gap(
     tmp_path: Path, failing_disk: Any, sequences_in: Sequences
 ) -> None:
     disk = failing_disk()
-    settings = RecorderSettings(survive=True, ring_bytes=150_000, ring_s=1e9)
+    settings = RecorderSettings(survive=True, ring_bytes=100_000, ring_s=1e9)
     session = Session(tmp_path, settings, disk)
     session.run(10)
     disk.decide = lambda _: errno.ENOSPC
-    session.run(1500)
+    session.run(1000)
     counts = session.recorder.counts
     assert counts.memory_high_water_bytes < 450_000  # a block more than told
     assert counts.dropped_from_memory > 0
