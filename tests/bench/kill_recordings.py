@@ -133,6 +133,7 @@ class Rig:
 
     def _begin(self, out: Path) -> "Forked":
         files = ["--config", str(self._rig), "--program", str(self._program), "--out", str(out)]
+        refused = 0
         while True:
             daemon = Forked(["record", *files])
             deadline = time.monotonic() + 60.0
@@ -143,9 +144,11 @@ class Rig:
                 return daemon
             if daemon.code == 0:
                 return daemon
-            if daemon.code != BUSY:
+            # The last one's acquisition process may still halt the unit.
+            refused += daemon.code != BUSY
+            if refused > 5:
                 raise SystemExit(f"gyrorigd ended with {daemon.code} before there was a file")
-            time.sleep(0.1)  # the last one's acquisition process still halts the unit
+            time.sleep(0.2)
 
     @staticmethod
     def _files(out: Path) -> list[Path]:
