@@ -123,6 +123,10 @@ class Sender(threading.Thread):
 def test_two_buses_in_real_time_one_of_them_with_other_peoples_imus(
     tmp_path: Path, contract_judge: Path
 ) -> None:
+    try:
+        can.Bus(interface="udp_multicast", channel=GROUP, port=PORT).shutdown()
+    except can.CanError as fault:
+        pytest.skip(f"python-can needs a network interface with multicast: {fault}")
     (tmp_path / "imu.dbc").write_text(DBC)
     program = tmp_path / "short.yaml"
     program.write_text(PROGRAM)

@@ -80,12 +80,12 @@ def test_one_frame_at_a_time_and_the_lowest_identifier_first() -> None:
 
 def test_nothing_is_lost_and_maps_agree_within_the_edges_bracket() -> None:
     rig = Rig()
-    rig.run(30.0)
+    rig.run(22.0)
     off_us = []
     for board, name in zip(rig.boards, NAMES, strict=True):
         counts = board.counts
         assert (counts.missing, counts.duplicated, counts.reordered, counts.restarts) == (0,) * 4
-        assert len(rig.samples[name]) > 29 * 200
+        assert len(rig.samples[name]) > 21 * 200
         clock = rig.emulated.boards[name].clock
         rows = rig.samples[name][-400:]
         stamps = np.array([message.device_time for message, _ in rows])
@@ -99,12 +99,12 @@ def test_nothing_is_lost_and_maps_agree_within_the_edges_bracket() -> None:
 
 def test_boards_agree_on_an_edge_to_a_few_microseconds() -> None:
     rig = Rig(seed=3)
-    rig.run(20.0)
+    rig.run(11.0)
     pings = [{ping.nonce: ping for ping in rig.pings[name]} for name in NAMES]
     common = set.intersection(*(set(found) for found in pings))
-    assert len(common) > 70
+    assert len(common) > 40
     apart_us = []
-    for nonce in sorted(common)[:40]:
+    for nonce in sorted(common)[:30]:
         one, *others = (found[nonce] for found in pings)
         assert all(other.host_receive_ns == one.host_receive_ns for other in others)
         clocks = [rig.emulated.boards[name].clock for name in NAMES]

@@ -68,8 +68,11 @@ def test_frames_come_back_as_the_echo_with_the_kernels_stamp() -> None:
 
 def test_python_can_understands_us_and_we_python_can() -> None:
     port = free_port()
+    try:
+        line = MulticastLine(GROUP, port)
+    except OSError as fault:
+        pytest.skip(f"python-can needs a network interface with multicast: {fault}")
     bus = can.Bus(interface="udp_multicast", channel=GROUP, port=port)
-    line = MulticastLine(GROUP, port)
     try:
         bus.send(can.Message(arbitration_id=0x291, data=b"abc", is_extended_id=False))
         bus.send(can.Message(arbitration_id=0x1F0F0F0F, data=bytes(8), is_extended_id=True))
