@@ -4,6 +4,7 @@ import os
 import shutil
 import sys
 from collections import Counter
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,11 @@ import click
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.commands.terminal import IN_PART, Terminal, json_option, version_text
 from gyrorig_solver.fleet.batch import Shard, Summary, run_batch
-from gyrorig_solver.fleet.lanes import local_lanes
+from gyrorig_solver.fleet.lanes import Lane, local_lanes
 from gyrorig_solver.fleet.task import Settings
 
 _REASONS_SHOWN = 10
+_FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 _RETRIED = ("rejected", "failed", "quarantined")
 
 
@@ -37,6 +39,15 @@ _RETRIED = ("rejected", "failed", "quarantined")
     type=click.IntRange(1, 512),
     help="Processes on this machine. Without it: one a core.",
 )
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Workers of a dask.distributed scheduler: tls://HOST:PORT, or tcp://127.0.0.1:PORT. "
+    "They need the same file system.",
+)
+@click.option("--tls-ca", type=_FILE, help="The authority that signed the scheduler's.")
+@click.option("--tls-cert", type=_FILE, help="One's own certificate.")
+@click.option("--tls-key", type=_FILE, help="The key of it.")
 @click.option("--shard", metavar="K/N", help="Only the K-th of N parts of the work, K from 1.")
 @click.option(
     "--extend",
@@ -72,6 +83,10 @@ def batch_command(
     spool: Path,
     store: Path,
     workers: int | None,
+    scheduler: str | None,
+    tls_ca: Path | None,
+    tls_cert: Path | None,
+    tls_key: Path | None,
     shard: str | None,
     extend: str,
     retry: tuple[str, ...],
@@ -96,24 +111,45 @@ def batch_command(
         deadline_s=deadline,
         memory_bytes=memory << 20,
     )
-    lanes = local_lanes(workers or os.cpu_count() or 1, settings.memory_bytes)
-    bar = _Bar()
-    try:
+    bar, part = _Bar(), _shard(shard)
+    with ExitStack() as stack:
+        if scheduler is None:
+            lanes = local_lanes(workers or os.cpu_count() or 1, settings.memory_bytes)
+        else:
+            lanes = stack.enter_context(_remote(scheduler, workers, tls_ca, tls_cert, tls_key))
+            # The workers' own folders are not this one's.
+            spool, store = spool.resolve(), store.resolve()
+        stack.callback(bar.end)
         summary = run_batch(
-            spool,
-            store,
-            settings,
-            lanes,
-            shard=_shard(shard),
-            retry=retry,
-            progress=bar.show,
+            spool, store, settings, lanes, shard=part, retry=retry, progress=bar.show
         )
-    finally:
-        bar.end()
     terminal.say(_told(summary, store))
     code = IN_PART if summary.in_part else 0
     terminal.emit(_plain(summary, code))
     return code
+
+
+def _remote(
+    address: str,
+    workers: int | None,
+    authority: Path | None,
+    certificate: Path | None,
+    key: Path | None,
+) -> AbstractContextManager[list[Lane]]:
+    """Return the lanes of a scheduler; dask is imported only here.
+
+    Raises:
+        UsageError: the words do not go together.
+    """
+    from gyrorig_solver.fleet.scheduler import Certificates, dask_lanes  # noqa: PLC0415
+
+    if workers is not None:
+        raise UsageError("--workers are of this machine", "a scheduler has its own: leave it out")
+    if authority and certificate and key:
+        return dask_lanes(address, Certificates(authority, certificate, key))
+    if authority or certificate or key:
+        raise UsageError("--tls-ca, --tls-cert and --tls-key go together", "give all three")
+    return dask_lanes(address)
 
 
 class _Bar:
@@ -173,8 +209,8 @@ def _told(summary: Summary, store: Path) -> str:
             lines.append(f"  {status:<12} {summary.ended[status]:>7} sessions   {boards}")
     if summary.put_off:
         lines.append(f"  {'put off':<12} {summary.put_off:>7} sessions   {summary.put_off_why}")
-    if summary.gave_up:
-        lines.append("  the store takes nothing: given up; the next batch goes on from here")
+    if summary.not_begun:
+        lines.append(f"  {'not begun':<12} {summary.not_begun:>7} sessions   given up; start again")
     reasons = Counter(f"{row.status}: {row.reason}" for row in summary.wrong)
     for reason, count in reasons.most_common(_REASONS_SHOWN):
         lines.append(f"  {count:>5} x {reason}")
@@ -207,6 +243,7 @@ def _plain(summary: Summary, code: int) -> dict[str, Any]:
         "ended": dict(summary.ended),
         "boards": dict(summary.boards),
         "put_off": summary.put_off,
+        "not_begun": summary.not_begun,
         "wrong": [
             {"names": row.names, "board": row.board, "status": row.status, "reason": row.reason}
             for row in summary.wrong

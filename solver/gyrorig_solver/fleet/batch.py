@@ -67,6 +67,11 @@ class Summary:
         return sum(self.ended.values())
 
     @property
+    def not_begun(self) -> int:
+        """How many sessions nothing was done about: the batch was given up."""
+        return self.to_do - self.finished - self.put_off
+
+    @property
     def elapsed_s(self) -> float:
         """Since the batch began."""
         return time.monotonic() - self.begun_s
@@ -79,8 +84,7 @@ class Summary:
     @property
     def left_s(self) -> float | None:
         """How long it will take yet; None before the first session."""
-        left = self.to_do - self.finished - self.put_off
-        return left / self.sessions_a_second if self.finished else None
+        return self.not_begun / self.sessions_a_second if self.finished else None
 
     @property
     def in_part(self) -> bool:

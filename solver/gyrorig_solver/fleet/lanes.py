@@ -10,7 +10,6 @@ section 5). So each local lane is a pool of one worker: a death is told to the w
 the lane held, and the lane begins anew.
 """
 
-import contextlib
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
@@ -21,7 +20,16 @@ from gyrorig_protocol.errors import MachineError
 from gyrorig_solver.fleet.task import Order, Outcome, carry_out, limit_memory, row_of
 
 DEATHS_ALLOWED = 1  # the second one is enough: such work is quarantined
+LOOK_S = 2.0  # how long it may go unnoticed that a lane is gone
 PRELOADED = ["gyrorig_solver.fleet.task", "gyrorig_solver.calibration.solving"]
+
+
+def _never() -> bool:
+    return False
+
+
+def _shut_down(executor: Executor) -> None:
+    executor.shutdown(wait=False, cancel_futures=True)
 
 
 @dataclass(slots=True)
@@ -35,7 +43,10 @@ class Lane:
     make: Callable[[], Executor]
     holds: int = 1
     deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    tries: int = DEATHS_ALLOWED + 1  # how often work is given to it; 1 where it tries by itself
     work: Callable[[Order], Outcome] = carry_out
+    forsake: Callable[[Executor], None] = _shut_down
+    is_gone: Callable[[], bool] = _never  # its futures will never come to an end
     executor: Executor | None = None
     held: dict["Future[Outcome]", Order] = field(default_factory=dict)
 
@@ -54,7 +65,7 @@ class Lane:
     def renew(self) -> None:
         """Let the executor go; the next piece of work makes another."""
         if self.executor is not None:
-            self.executor.shutdown(wait=False, cancel_futures=True)
+            self.forsake(self.executor)
         self.executor = None
 
 
@@ -98,7 +109,10 @@ def through(orders: Iterable[Order], lanes: list[Lane]) -> Iterator[Outcome | Pu
             futures = {future: lane for lane in lanes for future in lane.held}
             if not futures:
                 return
-            done, _ = wait(futures, return_when=FIRST_COMPLETED)
+            done, _ = wait(futures, timeout=LOOK_S, return_when=FIRST_COMPLETED)
+            if not done and (gone := [lane for lane in lanes if lane.is_gone()]):
+                yield from (_put_off(order) for lane in gone for order in lane.held.values())
+                return
             for future in done:
                 lane = futures[future]
                 order = lane.held.pop(future)
@@ -110,6 +124,10 @@ def through(orders: Iterable[Order], lanes: list[Lane]) -> Iterator[Outcome | Pu
     finally:
         for lane in lanes:
             lane.renew()
+
+
+def _put_off(order: Order) -> PutOff:
+    return PutOff(order, MachineError("the workers are gone", "start them, and the batch, again"))
 
 
 def _fill(lanes: list[Lane], again: list[Order], waiting: Iterator[Order]) -> None:
@@ -130,10 +148,12 @@ def _told(
     except MachineError as fault:
         return PutOff(order, fault)
     except lane.deaths as fault:
-        with contextlib.suppress(Exception):
+        if not lane.held:  # a shared executor goes on with the others' work
             lane.renew()
         deaths[order.key] = deaths.get(order.key, 0) + 1
-        if deaths[order.key] <= DEATHS_ALLOWED:
+        if deaths[order.key] < lane.tries:
             return None
-        reason = f"it killed its worker {deaths[order.key]} times ({type(fault).__name__})"
+        reason = f"it killed its worker again and again ({type(fault).__name__})"
         return Outcome(order.key, (row_of(order, "quarantined", reason=reason),))
+    except Exception:  # of the way to the worker: a scheduler that is going, say
+        return _put_off(order)

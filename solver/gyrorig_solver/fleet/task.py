@@ -11,6 +11,7 @@ import hashlib
 import json
 import resource
 import signal
+import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
@@ -238,19 +239,32 @@ def _refuse_twins(store: CalibrationStore, recording: Recording, board: BoardId)
 def _deadline(deadline_s: float) -> Iterator[None]:
     """Raise TooLongError in the block after that time; end the process a little later.
 
-    Python's handlers run between its own instructions: a loop inside a library is ended
-    by faulthandler's thread, which takes the process with it.
+    Python's handlers run between its own instructions, in the main thread alone: a loop
+    inside a library, and work in another thread, are ended by faulthandler's thread, which
+    takes the process with it.
     """
+    faulthandler.dump_traceback_later(HARD_FACTOR * deadline_s, exit=True)
+    try:
+        if threading.current_thread() is threading.main_thread():
+            with _alarm(deadline_s):
+                yield
+        else:
+            yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+@contextlib.contextmanager
+def _alarm(deadline_s: float) -> Iterator[None]:
+    """Raise TooLongError in the block after that time."""
 
     def too_long(_signal: int, _frame: object) -> None:
         raise TooLongError
 
     before = signal.signal(signal.SIGALRM, too_long)
     signal.setitimer(signal.ITIMER_REAL, deadline_s)
-    faulthandler.dump_traceback_later(HARD_FACTOR * deadline_s, exit=True)
     try:
         yield
     finally:
-        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)

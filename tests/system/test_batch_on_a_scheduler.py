@@ -1,0 +1,131 @@
+"""A batch on dask's workers: the same ends as on this machine's, and nothing lost with it."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.cli import run
+from gyrorig_solver.fleet.index import Index
+from gyrorig_solver.fleet.shelf import verify
+
+pytest.importorskip("distributed", reason="dask.distributed is not installed: pip install .[fleet]")
+
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.read()
+"""
+BATCH = [str(Path(sys.executable).with_name("gyrorig")), "batch", "--json"]
+
+
+@dataclass
+class Cluster:
+    process: "subprocess.Popen[str]"
+    address: str
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    script = tmp_path / "cluster.py"
+    script.write_text(CLUSTER, encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, str(script)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+        cwd=tmp_path,
+    )
+    assert process.stdout is not None
+    yield Cluster(process, process.stdout.readline().strip())
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+
+
+@pytest.fixture
+def spool(tmp_path: Path, contracts: Path) -> Path:
+    folder = tmp_path / "spool"
+    folder.mkdir()
+    shutil.copy(contracts / "sample.mcap", folder / "sample.mcap")
+    for number in range(4):
+        (folder / f"foreign{number}.mcap").write_bytes(b"%d" % number)
+    return folder
+
+
+@pytest.mark.timeout(300)  # dask tries to find a lost scheduler again for a while
+def test_a_batch_on_a_scheduler_and_on_one_that_dies(
+    cluster: Cluster, spool: Path, tmp_path: Path
+) -> None:
+    store = tmp_path / "store"
+    command = [*BATCH, "--spool", str(spool), "--store", str(store)]
+    done = subprocess.run(
+        [*command, "--scheduler", cluster.address], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 5, done.stderr
+    assert Counter(json.loads(done.stdout)["ended"]) == Counter(ok=1, rejected=4)
+    assert verify(store).faults == ()
+
+    for number in range(4, 60):
+        (spool / f"foreign{number}.mcap").write_bytes(b"%d" % number)
+    shutil.copy(spool / "sample.mcap", spool / "a-copy.mcap")  # the same bytes: no work
+    child = subprocess.Popen(
+        [*command, "--scheduler", cluster.address],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    journal = store / "journal"
+    while child.poll() is None and not any(p.stat().st_size for p in journal.glob("*.jsonl")):
+        pass  # until its first row is written
+    os.killpg(cluster.process.pid, signal.SIGKILL)
+    out, err = child.communicate(timeout=90)
+    assert child.returncode == 5, err
+    told = json.loads(out)
+    here = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert here.returncode in (0, 5), here.stderr
+    after = json.loads(here.stdout)
+    assert after["done_before"] + sum(after["ended"].values()) == 61
+    assert after["put_off"] == 0
+    assert told["put_off"] + told["not_begun"] + sum(told["ended"].values()) == 56
+    statuses = Counter(one for (one,) in Index(store).ask("SELECT status FROM rows"))
+    assert statuses == Counter(ok=1, rejected=60)
+    assert verify(store).faults == ()
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("tcp://192.0.2.1:8786", "is open"),
+        ("tcp://0.0.0.0:8786", "is open"),
+        ("tls://192.0.2.1:8786", "needs certificates"),
+        ("127.0.0.1:8786", "is no scheduler's address"),
+        ("tcp://127.0.0.1:99999999", "is no scheduler's address"),
+    ],
+)
+def test_what_others_could_reach_is_refused(address: str, words: str) -> None:
+    from gyrorig_solver.fleet.scheduler import dask_lanes  # noqa: PLC0415
+
+    with pytest.raises(UsageError, match=words), dask_lanes(address):
+        pass
+
+
+def test_words_that_do_not_go_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base = ["batch", "--spool", str(tmp_path), "--store", str(tmp_path / "s")]
+    assert run([*base, "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"]) == 2
+    assert "--workers are of this machine" in capsys.readouterr().err
