@@ -14,7 +14,7 @@ from typing import Any
 from gyrorig_daemon.config.buses import EMULATED, BusPort
 from gyrorig_daemon.doctor.finding import Finding, fault, note, ok, warning
 from gyrorig_daemon.doctor.system import System
-from gyrorig_daemon.links.can_line import BUFFER_BYTES
+from gyrorig_daemon.links.can_socket import BUFFER_BYTES
 
 ARPHRD_CAN = 280  # <linux/if_arp.h>
 NETWORK_FILE = "systemd/network/80-gyrorig-can0.network (sudo make install-service ARGS=--can)"

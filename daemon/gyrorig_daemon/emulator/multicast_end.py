@@ -6,7 +6,7 @@ program that speaks python-can, can be on the bus. Nothing leaves the machine.
 
 import socket
 
-from gyrorig_daemon.links.can_line import MulticastLine, multicast_datagram
+from gyrorig_daemon.links.can_multicast import MulticastLine, multicast_datagram
 from gyrorig_protocol.can.frame import unpack_frames
 
 GROUP = "239.74.163.2"  # python-can's own default

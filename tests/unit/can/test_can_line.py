@@ -11,14 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrorig_daemon.links import can_line
-from gyrorig_daemon.links.can_line import (
+from gyrorig_daemon.links import can_socket
+from gyrorig_daemon.links.can_line import SocketCanLine, open_line, socketcan_record
+from gyrorig_daemon.links.can_multicast import (
     MulticastLine,
-    SocketCanLine,
     multicast_datagram,
     multicast_record,
-    open_line,
-    socketcan_record,
 )
 from gyrorig_daemon.links.port_kinds import PortSettings
 from gyrorig_daemon.links.raw_clock import raw_ns
@@ -204,7 +202,7 @@ def test_an_interface_of_the_kernel() -> None:
 
 def test_stamps_never_go_back_however_the_clocks_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
     line = MulticastLine(GROUP, free_port(), LOOPBACK)
-    exact = can_line._read_clocks
+    exact = can_socket._read_clocks
     count = 0
 
     def scattered() -> tuple[int, int]:
@@ -216,7 +214,7 @@ def test_stamps_never_go_back_however_the_clocks_scatter(monkeypatch: pytest.Mon
             count % 5
         ]
 
-    monkeypatch.setattr(can_line, "_read_clocks", scattered)
+    monkeypatch.setattr(can_socket, "_read_clocks", scattered)
     try:
         stamps = []
         for _ in range(50):
