@@ -9,6 +9,7 @@ from tests.fuzz.target import Target, one_line, promise
 from gyrorig_protocol.board import FaultCause
 from gyrorig_protocol.can import (
     BoardFrameParser,
+    BoundMap,
     CanFrame,
     SignalMap,
     SignalParser,
@@ -61,18 +62,18 @@ def can_records(data: bytes) -> None:
 
 
 @functools.cache
-def _maps() -> tuple[SignalMap, ...]:
-    return (
+def _maps() -> tuple[BoundMap, ...]:
+    chosen = (
         SignalMap(preset="j1939", source_address=128),
         SignalMap(preset="mm5.10"),
         SignalMap(preset="racelogic"),
     )
+    return tuple(bind(one, "x") for one in chosen)
 
 
 def can_signals(data: bytes) -> None:
     """Signals of any frame are counts within their width, or faults."""
-    for chosen in _maps():
-        bound = bind(chosen, "x")
+    for bound in _maps():
         parser, keys = SignalParser(bound), sorted(bound.lengths)
         for kind, _, content in _frames(data):
             key = keys[kind % len(keys)]
