@@ -138,7 +138,8 @@ def conclude(
     causes.sort(key=lambda one: (-one.harm_sigma, one.p_value))
     absent, blind = limits(found.last, found.sights, calibration, len(base.sessions))
     absent += () if jitter.absent is None else (jitter.absent,)
-    absent = (*(one for one in absent if one.cause != RAMPS), *ramps.absent)
+    said = {RAMPS} if ramps.named is None else {RAMPS, ramps.named.cause}
+    absent = (*(one for one in absent if one.cause not in said), *ramps.absent)
     verdict: Verdict = "explained" if causes else "adequate"
     findings = Findings(
         verdict="unexplained" if unexplained is not None else verdict,
