@@ -4,7 +4,8 @@ Without noise a hidden cause is fitted by its own term, and by every rival of th
 at its best values. What the best rival leaves of the effect, in units of the true noise, is
 the non-centrality between the two stories; with noise the true one is ahead by N(l / 2, l)
 nats (`Bound.chance`). Causes without a shape in the mean (jitter, a wandering bias), those counted
-in the stream, and what is one line of the catalogue with its rival are left out of it.
+in the stream, and what is one line of the catalogue with its rival are left out of it; so is
+what the base model takes from the unit's answers, as it does a wrong acceleration.
 
 What to use when: `bound_of` for a case whose answer is open.
 """
@@ -28,6 +29,7 @@ from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.samples import load_samples
 
+LEAST = 0.3  # share of the true energy that has to be left beside the base model
 NEAR = 0.3  # share of an effect that a rival sees to first order, to be fitted exactly
 
 
@@ -49,7 +51,7 @@ def bound_of(case: Path, answer: Answer) -> Bound | None:
         terms = testable(projection)
         tests = tests_of(terms)
         own = best_fit(projection, sights(projection, [term], tests, all_rows(projection, term)))
-        if own is None or own[0].won <= 0.0:
+        if own is None or own[0].won < LEAST * 0.5 * hidden.noncentrality:
             return None
         others = [t for t in terms if not _one_line(t.cause, hidden.cause)]
         name, won = _best(projection, sights(projection, others, tests), own[0].won, tests)

@@ -31,7 +31,7 @@ KINDS = ("null", "one", "two", "many", "outside", "nearly", "unobservable")
 Outcomes = Sequence[Outcome]
 K = TypeVar("K")
 T = TypeVar("T")
-DOUBTFUL = 0.99  # chance below which a cause is listed with its rival
+DOUBTFUL = 0.9  # chance below which a cause is listed with its rival
 
 
 def cases(outcomes: Outcomes) -> str:
@@ -164,7 +164,8 @@ def inseparable(bounds_: Sequence[Bound]) -> str:
     """Causes that a rival of the catalogue comes near to, and how sure a name can be."""
     rows = []
     for cause, group in _grouped(bounds_, lambda one: one.cause):
-        if min(one.chance for one in group) >= DOUBTFUL:
+        at_two = [one.chance for one in group if one.times > 1.5]  # names need not hold below
+        if not at_two or min(at_two) >= DOUBTFUL:
             continue
         cells = []
         for rung, soak in ((2.0, False), (3.0, False), (2.0, True), (3.0, True)):
