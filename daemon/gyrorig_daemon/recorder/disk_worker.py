@@ -64,6 +64,7 @@ class DiskWorker:
         job = Job(work)
         if not self.threaded:
             job.run()
+            job.took_ns = 0  # no time passes there: a recording of one seed is the same bytes
             return job
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="disk", daemon=True)

@@ -3,6 +3,7 @@
 What to use when: `explain` from recordings, `explain_fit` from a fit of the base model.
 """
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -104,6 +105,8 @@ def conclude(
         whose: of causes by label, where several boards were searched together.
     """
     found, fallen = kept(base, found)
+    if any(unseen := _unseen(found)):
+        found = without(base, found, unseen)
     first = Projection.of(base) if found.standings else found.last
     tests = tests_of(testable(found.last))
     jitter = look_for_jitter(found.last, tests, ALPHA)
@@ -157,6 +160,19 @@ def conclude(
         seconds=time.monotonic() - begin,
     )
     return Explained(board, findings, base, found.solution)
+
+
+def _unseen(found: Found) -> list[bool]:
+    """Return which names have no size that the data show beside all else in the fit.
+
+    Such a name won before others came in beside it; what is left of it is anybody's.
+    """
+    unseen: list[bool] = []
+    for k, standing in _fitted(found):
+        one, std = found.solution.extensions[k], _std(found.solution, k, standing.best.event_std)
+        sizes = [j for j in one.free if j in indices(one.term, role="size")]
+        unseen.append(bool(sizes) and all(math.isinf(std[j]) for j in sizes))
+    return unseen
 
 
 def _fitted(found: Found) -> list[tuple[int, Standing]]:
