@@ -124,6 +124,17 @@ def paused(pid: int, seconds: float) -> Iterator[None]:
             thread.join()
 
 
+@contextmanager
+def ended_with_us(process: "subprocess.Popen[Any]") -> Iterator[None]:
+    """Let no process outlive this one: under SCHED_RR it would starve everything."""
+    try:
+        yield
+    finally:
+        if process.poll() is None:
+            process.terminate()  # it halts, and ends what it has started
+            process.wait()
+
+
 def first(options: argparse.Namespace) -> list[str]:
     """Return what to put before a command."""
     return ["chrt", "-r", "1"] if options.realtime else []
@@ -150,7 +161,7 @@ def record(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
             text=True,
         )
         watcher = Watcher(process.pid)
-        with paused(process.pid, options.pause):
+        with ended_with_us(process), paused(process.pid, options.pause):
             out, err = process.communicate()
         watcher.stop()
         taken = load.stop()
@@ -205,7 +216,7 @@ def plain(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
             stdout=subprocess.PIPE,
         )
         watcher = Watcher(process.pid)
-        with paused(process.pid, options.pause):
+        with ended_with_us(process), paused(process.pid, options.pause):
             process.communicate()
         watcher.stop()
         load.stop()
@@ -248,6 +259,7 @@ def main() -> int:
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="bench-daemon-", dir=options.folder) as folder:
         result = (plain if options.plain else record)(Path(folder), options)

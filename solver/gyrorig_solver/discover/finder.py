@@ -58,6 +58,7 @@ from gyrorig_solver.solve import unit_solution
 SCATTERED = ("moving", "acceleration_scatter", "line", "wandering")  # no shape of a mean
 GROUPS_ALPHA = 0.001  # as `search.ALPHA`, of what is odd without a name
 FILLS = 0.8  # share of what is odd that names must explain, or they would fill a gap
+SHARES_OF_GAIN = frozenset({"step_resolution"})
 SHOWN_SIGMA = 3.0  # a part this many deviations from zero is where a cause acts
 
 
@@ -163,15 +164,17 @@ def conclude(
 
 
 def _unseen(found: Found) -> list[bool]:
-    """Return which names have no size that the data show beside all else in the fit.
+    """Return which names of what the gain takes as well have no size that the data show.
 
-    Such a name won before others came in beside it; what is left of it is anybody's.
+    A share of the steps is a share of the gain: told apart by the answers alone. Such a
+    name won before others came in beside it; what is left of it is the gain's.
     """
     unseen: list[bool] = []
     for k, standing in _fitted(found):
         one, std = found.solution.extensions[k], _std(found.solution, k, standing.best.event_std)
         sizes = [j for j in one.free if j in indices(one.term, role="size")]
-        unseen.append(bool(sizes) and all(math.isinf(std[j]) for j in sizes))
+        shares = one.term.cause in SHARES_OF_GAIN and bool(sizes)
+        unseen.append(shares and all(math.isinf(std[j]) for j in sizes))
     return unseen
 
 
