@@ -15,6 +15,7 @@ What becomes of a `.part` that nobody writes any more:
 Nothing is appended to an unclean file, ever, and none is deleted here.
 """
 
+import contextlib
 import hashlib
 import json
 import os
@@ -78,7 +79,8 @@ def recover_folder(folder: Path, reserve_bytes: int = 0, disk: Disk = DISK) -> l
         if not folder.is_dir():
             return []
         for half in abandoned(folder, f"*{_HALF}"):
-            disk.unlink(half)
+            with contextlib.suppress(FileNotFoundError):  # another process was faster
+                disk.unlink(half)
         parts = abandoned(folder, "*.mcap.part")
     except OSError as fault:
         raise MachineError(f"cannot look at {folder}: {fault.strerror}") from fault

@@ -107,8 +107,11 @@ def is_being_written(path: Path) -> bool:
     Raises:
         OSError: the file cannot be opened.
     """
-    with held(path) as free:
-        return not free
+    try:
+        with held(path) as free:
+            return not free
+    except FileNotFoundError:  # another has just finished with it
+        return True
 
 
 def abandoned(folder: Path, pattern: str) -> list[Path]:
