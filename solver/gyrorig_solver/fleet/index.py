@@ -8,9 +8,8 @@ A file of the index has its journal's name. A fold that was cut off between the 
 the journal's end is therefore seen, and done once.
 """
 
-import contextlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ import msgspec
 
 from gyrorig_protocol.errors import InputError, MachineError
 from gyrorig_solver.fleet.journal import FOLDER as JOURNALS
-from gyrorig_solver.fleet.journal import SUFFIX, left_behind, whole_lines
+from gyrorig_solver.fleet.journal import SUFFIX, left_behind, told_of_disk, whole_lines
 from gyrorig_solver.fleet.rows import Row, flat, sql_columns
 
 FOLDER = "index"
@@ -97,7 +96,7 @@ class Index:
         """
         old = [*self._folder.glob("*.parquet"), *(self._store / JOURNALS).glob(f"*{SUFFIX}")]
         lines = self._store / JOURNALS / f".{name}{SUFFIX}"
-        with _told(lines), lines.open("wb") as file:
+        with told_of_disk(lines), lines.open("wb") as file:
             file.writelines(msgspec.json.encode(flat(row)) + b"\n" for row in rows)
         try:
             with self._known() as database:
@@ -148,7 +147,7 @@ class Index:
     def _write(self, text: bytes, journal: Path, final: Path) -> None:
         whole = journal.with_name(f".{journal.name}.{os.getpid()}")
         try:
-            with _told(whole):
+            with told_of_disk(whole):
                 whole.write_bytes(text)
             with _database() as database:
                 self._put(_lines(database, [whole], torn=False), final)
@@ -159,7 +158,7 @@ class Index:
         """Write a file of the index, whole and synced, or not at all."""
         temporary = final.with_name(f".{final.name}.{os.getpid()}")
         try:
-            with _told(final):
+            with told_of_disk(final):
                 self._folder.mkdir(exist_ok=True)
                 rows.order("board, created").write_parquet(str(temporary), compression="zstd")
                 _sync(temporary)
@@ -173,16 +172,6 @@ class Index:
             raise _damaged(self._store, fault) from fault
         finally:
             temporary.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as fault:
-        raise MachineError(
-            f"cannot write {path}, {fault.strerror}", "make room for the store"
-        ) from fault
 
 
 def _database() -> duckdb.DuckDBPyConnection:

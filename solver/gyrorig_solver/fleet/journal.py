@@ -38,7 +38,7 @@ class Journal:
         self._fd = -1
         self._path = Path()
         self.rows = 0
-        with _told(self._folder):
+        with told_of_disk(self._folder):
             self._folder.mkdir(parents=True, exist_ok=True)
         self._begin()
 
@@ -62,7 +62,7 @@ class Journal:
             MachineError: the disk refuses; nothing of them is in it.
         """
         text = b"".join(msgspec.json.encode(flat(row)) + b"\n" for row in rows)
-        with _told(self._path):
+        with told_of_disk(self._path):
             before = os.fstat(self._fd).st_size
             try:
                 _write_all(self._fd, text)
@@ -94,7 +94,7 @@ class Journal:
     def _begin(self) -> None:
         self._path = self._folder / f"{self._batch}-{self._part:04d}{SUFFIX}"
         self.rows = 0
-        with _told(self._path):
+        with told_of_disk(self._path):
             flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
             self._fd = os.open(self._path, flags, 0o644)
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -161,7 +161,8 @@ def _write_all(fd: int, data: bytes) -> None:
 
 
 @contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
+def told_of_disk(path: Path) -> Iterator[None]:
+    """Turn what the disk refuses in the block into a MachineError that names the file."""
     try:
         yield
     except OSError as fault:
