@@ -24,7 +24,11 @@ class Range(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SensorProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One gyroscope part: every figure from the data sheet named in `source`."""
+    """One gyroscope part: every figure from the data sheet named in `source`.
+
+    What the data sheet does not say is left out. Tolerances are of both signs; shares are
+    of the nominal value, or of full scale (`nonlinearity`).
+    """
 
     sensor: str
     source: str
@@ -34,7 +38,13 @@ class SensorProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     noise_density_dps_rthz: Positive | None = None
     zero_rate_dps: Positive | None = None
     zero_rate_per_kelvin_dps: Positive | None = None
+    bias_instability_dps_h: Positive | None = None
     scale_tolerance: Positive | None = None
+    scale_per_kelvin: Positive | None = None
+    scale_over_temperature: Positive | None = None  # over the part's whole range
+    nonlinearity: Positive | None = None
+    g_sensitivity_dps_g: Positive | None = None
+    odr_tolerance: Positive | None = None  # of the output rate beside its nominal one
     cross_axis: Positive | None = None
     temperature_scale_c: float | None = None
     temperature_offset_c: float | None = None

@@ -1,5 +1,7 @@
 """Sensor profiles: what is taken, and what is refused with its place."""
 
+from pathlib import Path
+
 import pytest
 
 from gyrorig_protocol.errors import UsageError
@@ -34,3 +36,29 @@ def test_a_profile() -> None:
 def test_what_is_no_profile(old: str, new: str, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         parse_profile(GOOD.replace(old, new), "l3g.yaml")
+
+
+BOARDS = Path(__file__).resolve().parents[3] / "config" / "boards"
+# the parts that fleets are made of, and what is inside the Nexus 5
+PARTS = {
+    "ADIS16470", "BMI088", "BMI270", "ICM-20948", "ICM-42688-P", "L3G4200D", "LSM6DSO", "LSM6DSOX",
+    "MPU-6050", "MPU-6500", "MPU-6515", "MPU-9250", "x-IMU3",
+}  # fmt: skip
+
+
+def test_every_part_has_a_profile() -> None:
+    assert {path.stem for path in BOARDS.glob("*.yaml")} == PARTS
+
+
+@pytest.mark.parametrize("name", sorted(PARTS))
+def test_a_shipped_profile(name: str) -> None:
+    profile = parse_profile((BOARDS / f"{name}.yaml").read_bytes(), name)
+    assert profile.sensor == name
+    assert len(profile.source) > 40  # names its data sheet
+    for entry in profile.ranges:  # 16 bits reach the range: a slip of 10 or of 1000 shows
+        reach_dps = 32768 * entry.sensitivity_mdps * 1e-3
+        if name not in ("ADIS16470", "x-IMU3"):  # which are not full scale / 32768
+            assert 0.99 < reach_dps / entry.full_scale_dps < 1.16
+    sizes = [entry.full_scale_dps for entry in profile.ranges]
+    assert sizes == sorted(set(sizes))
+    assert all(max(at.bandwidth_hz) < 2.0 * at.odr_hz for at in profile.low_pass)
