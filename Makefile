@@ -14,7 +14,7 @@ SECONDS ?= 180
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench hidden fuzz kill test-qemu install-service clean
+.PHONY: help demo test check docs test-docs test-packages bench hidden fuzz kill test-qemu install-service clean
 
 help:  ## this text
 	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
@@ -34,6 +34,9 @@ check: $(VENV)/.dev  ## style, types and import contracts
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+
+test-packages: $(VENV)/.dev  ## the wheel with each extra alone, in an environment of its own, on every Python from 3.11 on; minutes
+	@$(VENV)/bin/python tests/packages/install.py
 
 bench: $(VENV)/.dev  ## the benchmarks: speed, efficiency, clock error
 	@missed=; for script in tests/bench/bench_*.py; do \
@@ -78,5 +81,5 @@ $(VENV)/.solver: $(VENV)/.python pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
 	@echo "Installing gyrorig, what it needs and what its tests need"
-	@$(PIP) -e ".[solver,fleet,dev]"
+	@$(PIP) -e ".[solver,fleet,live,docs,dev]"
 	@touch $@ $(VENV)/.solver

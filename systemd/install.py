@@ -37,6 +37,7 @@ FOLDERS = {
 CAN_FOLDERS = {"network": Path("/etc/systemd/network"), "sysctl.d": Path("/etc/sysctl.d")}
 SOURCES = ("pyproject.toml", "constraints.txt", "README.md", "LICENSE")
 PACKAGES = ("daemon", "solver", "firmware_protocol")
+DATA = ("config", "share")  # what the wheel carries beside the packages
 COMMANDS = ("gyrorigd", "gyrorig")
 SERVICE, TIMER = "gyrorigd.service", "gyrorig-nightly.timer"
 
@@ -169,7 +170,7 @@ def fill(fresh: Path, wheels: Path | None) -> None:
         source = Path(copied)
         for name in SOURCES:
             shutil.copy(CHECKOUT / name, source / name)
-        for name in PACKAGES:
+        for name in (*PACKAGES, *DATA):
             passed_over = shutil.ignore_patterns("__pycache__", "*.mcap")
             shutil.copytree(CHECKOUT / name, source / name, ignore=passed_over)
         run(
@@ -210,6 +211,8 @@ def sources_digest(python: Path) -> str:
     paths = [CHECKOUT / name for name in SOURCES]
     for package in PACKAGES:
         paths += sorted((CHECKOUT / package).rglob("*.py"))
+    for folder in DATA:
+        paths += sorted(path for path in (CHECKOUT / folder).rglob("*") if path.is_file())
     for path in paths:
         told.update(str(path.relative_to(CHECKOUT)).encode() + path.read_bytes())
     return told.hexdigest()

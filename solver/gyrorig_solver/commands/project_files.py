@@ -1,20 +1,19 @@
-"""Where the files that ship with the project are: configurations, programs, maps."""
+"""The files that ship with the project, as commands ask for them."""
 
 from pathlib import Path
 
 from gyrorig_protocol.errors import UsageError
-
-_CHECKOUT = Path(__file__).resolve().parents[3]
+from gyrorig_solver.shipped import config_folders
 
 
 def project_file(*parts: str) -> Path:
-    """Return a file below `config/`, of the working directory or else of the checkout.
+    """Return a file below `config/`: the working directory's, the checkout's or the wheel's.
 
     Raises:
-        UsageError: there is no such file in either.
+        UsageError: there is no such file in any.
     """
-    for base in (Path.cwd(), _CHECKOUT):
-        path = base.joinpath("config", *parts)
+    for folder in config_folders():
+        path = folder.joinpath(*parts)
         if path.is_file():
             return path
     raise UsageError(f"no file config/{'/'.join(parts)}", "run this in the project's own folder")
@@ -22,9 +21,6 @@ def project_file(*parts: str) -> Path:
 
 def project_names(folder: str) -> list[str]:
     """Return the names, without `.yaml`, of the files in a folder below `config/`."""
-    found = {
-        path.stem
-        for base in (Path.cwd(), _CHECKOUT)
-        for path in (base / "config" / folder).glob("*.yaml")
-    }
-    return sorted(found)
+    return sorted(
+        {path.stem for base in config_folders() for path in (base / folder).glob("*.yaml")}
+    )

@@ -1,0 +1,82 @@
+"""Both programs' commands, as their own code has them: for the manual's pages and the site.
+
+What to use when: `PROGRAMS` to walk through, `described` for one command's words and options.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import click
+
+from gyrorig_daemon.commands import cli as gyrorigd
+from gyrorig_solver.cli import cli as gyrorig
+
+PROGRAMS: dict[str, click.Group] = {"gyrorig": gyrorig, "gyrorigd": gyrorigd}
+EXIT_CODES = (
+    (0, "done"),
+    (1, "failed: a fault of the program or of the machine"),
+    (2, "wrong usage or configuration"),
+    (3, "input refused: damaged, empty, or no recording"),
+    (4, "done, but something asked for cannot be told from this data"),
+    (5, "done in part: some inputs failed, the counts are printed"),
+    (75, "busy: a port or a store is in use, try again"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Described:
+    """One command: how it is called, what it does, examples, options with their help."""
+
+    name: str  # "gyrorig store verify"
+    usage: str
+    paragraphs: tuple[str, ...]
+    examples: tuple[str, ...]
+    options: tuple[tuple[str, str], ...]
+
+
+def described(program: str) -> Iterator[Described]:
+    """Yield a program's commands, groups of commands before what is in them."""
+    yield from _walk(program, PROGRAMS[program], None)
+
+
+def _walk(name: str, command: click.Command, parent: click.Context | None) -> Iterator[Described]:
+    # as narrow as a page, whatever terminal this runs in
+    context = click.Context(
+        command, info_name=name.rsplit(maxsplit=1)[-1], parent=parent, terminal_width=200
+    )
+    if parent is not None:
+        yield _described(name, command, context)
+    if isinstance(command, click.Group):
+        for inner in command.list_commands(context):
+            found = command.get_command(context, inner)
+            if found is not None and not found.hidden:
+                yield from _walk(f"{name} {inner}", found, context)
+
+
+def _described(name: str, command: click.Command, context: click.Context) -> Described:
+    paragraphs, examples = _help_of(command.help or "")
+    options = []
+    for parameter in command.get_params(context):
+        record = parameter.get_help_record(context)
+        if record is not None and record[1] and "--help" not in record[0]:
+            options.append((record[0], " ".join(record[1].split())))
+    usage = " ".join([name, *command.collect_usage_pieces(context)])
+    return Described(name, usage, paragraphs, examples, tuple(options))
+
+
+def _help_of(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Part a docstring into its paragraphs and the command lines of its examples."""
+    paragraphs: list[str] = []
+    examples: list[str] = []
+    for block in text.replace("\b\n", "").replace("\\b\n", "").split("\n\n"):
+        lines = [line.strip() for line in block.strip().splitlines()]
+        if lines and lines[0].startswith("Example"):
+            first = lines[0].partition(":")[2].strip()
+            for line in [first, *lines[1:]]:
+                if line.startswith(("gyrorig", "sudo")) or (line and not examples):
+                    examples.append(line)
+                elif line:  # a long line goes on
+                    examples[-1] += f" {line}"
+        elif lines:
+            paragraphs.append(" ".join(lines))
+    return tuple(paragraphs), tuple(example for example in examples if example)

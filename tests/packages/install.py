@@ -1,0 +1,141 @@
+# ruff: noqa: T201
+"""The wheel with each extra, in an environment of its own, run: `make test-packages`.
+
+Every Python of 3.11 and newer that is found is used (`python3.11` and so on, on the path or
+under $PYENV_ROOT). Needs a package index; minutes. One line for each, and a table at the end.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+MINORS = (11, 12, 13)
+SHORT = """schema: gyrorig/program/1
+name: short
+description: 2 s at rest
+steps:
+  - rest: {seconds: 2.0, phase: static}
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one Python with one extra."""
+
+    python: str
+    extra: str
+    said: str  # empty: all well
+    seconds: float
+    packages: int
+
+
+def pythons() -> Iterator[Path]:
+    """Yield each interpreter of a version that the project supports."""
+    versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    for minor in MINORS:
+        there = sorted(versions.glob(f"3.{minor}.*/bin/python"))
+        on_path = shutil.which(f"python3.{minor}")
+        if there:
+            yield there[-1]
+        elif (
+            on_path
+            and subprocess.run([on_path, "-c", "import ensurepip"], check=False).returncode == 0
+        ):
+            yield Path(on_path)
+
+
+def outcome(python: Path, extra: str, wheel: Path, folder: Path) -> Outcome:
+    """Install and run; never raises for what the wheel does wrong."""
+    begun = time.monotonic()
+    name = subprocess.run([python, "--version"], capture_output=True, text=True, check=True).stdout
+    said, count = "", 0
+    try:
+        subprocess.run([python, "-m", "venv", folder], check=True, capture_output=True)
+        pip: list[str | Path] = [
+            folder / "bin" / "python",
+            "-m",
+            "pip",
+            "--disable-pip-version-check",
+        ]
+        asked = f"{wheel}[{extra}]" if extra else str(wheel)
+        constraints = ["-c", str(ROOT / "constraints.txt")]
+        subprocess.run(
+            [*pip, "install", "-q", *constraints, asked], check=True, capture_output=True, text=True
+        )
+        listed = subprocess.run(
+            [*pip, "list", "--format", "json"], check=True, capture_output=True, text=True
+        )
+        count = len(json.loads(listed.stdout))
+        _use(folder, extra)
+    except subprocess.CalledProcessError as fault:
+        said = f"{' '.join(map(str, fault.cmd))[-80:]}: {str(fault.stderr).strip()[-300:]}"
+    return Outcome(name.strip(), extra or "(none)", said, time.monotonic() - begun, count)
+
+
+def _use(folder: Path, extra: str) -> None:
+    """Run what this extra is for, away from the checkout."""
+    (folder / "short.yaml").write_text(SHORT)
+    config = folder / "share" / "gyrorig" / "config"
+
+    def run(*line: str, code: int = 0) -> None:
+        program, *rest = line
+        done = subprocess.run(
+            [folder / "bin" / program, *rest],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != code:
+            raise subprocess.CalledProcessError(done.returncode, line, done.stdout, done.stderr)
+
+    run("gyrorig", "--version")
+    run(
+        "gyrorigd", "record", "--simulated-time", "--session", "short", "--config",
+        str(config / "rig.yaml"), "--program", "short.yaml", "--out", "recordings",
+    )  # fmt: skip
+    (recording,) = map(str, (folder / "recordings").glob("*.mcap"))
+    if extra in ("solver", "solver,fleet"):
+        run("gyrorig", "check", recording)
+        run("gyrorig", "solve", recording, code=4)  # at rest: only the bias and the noise
+    else:
+        run("gyrorig", "solve", recording, code=2)  # says which extra is missing
+    if extra == "solver,fleet":
+        run("gyrorig", "batch", "--spool", "recordings", "--store", "store")
+        run("gyrorig", "store", "verify", "store")
+
+
+def main() -> int:
+    """Try every Python with every extra."""
+    missed = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        subprocess.run(
+            [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder],
+            cwd=ROOT, check=True, capture_output=True,
+        )  # fmt: skip
+        (wheel,) = folder.glob("*.whl")
+        for python in pythons():
+            for extra in ("", "solver", "solver,fleet", "live"):
+                place = folder / "venv"
+                found = outcome(python, extra, wheel, place)
+                shutil.rmtree(place, ignore_errors=True)
+                missed += bool(found.said)
+                print(
+                    f"{found.python:14} {found.extra:13} {found.packages:3} packages "
+                    f"{found.seconds:5.1f} s  {found.said or 'works'}",
+                    flush=True,
+                )
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

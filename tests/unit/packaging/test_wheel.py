@@ -1,0 +1,179 @@
+"""What is built to be installed: the wheel, the source archive, and what each extra gives.
+
+An extra is tested by the absence of all others: the wheel is laid into an empty folder, and
+a process that may import nothing but the wheel and what that extra asks for runs it.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import zipfile
+from email.parser import HeaderParser
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[3]
+EXTRAS = ("", "solver", "fleet", "live")
+SHORT = """
+schema: gyrorig/program/1
+name: short
+description: 2 s at rest
+steps:
+  - rest: {seconds: 2.0, phase: static}
+"""
+# Refuses to import whatever is installed here and was not asked for.
+RUNNER = """
+import json, sys
+allowed, folder, program, *arguments = json.loads(sys.argv[1])
+allowed = set(allowed) | set(sys.stdlib_module_names)
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        if top not in allowed and not top.startswith("_sysconfigdata"):  # Python's own
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Absent())
+sys.path.insert(0, folder)
+sys.argv = [program, *arguments]
+module = {"gyrorig": "gyrorig_solver.cli", "gyrorigd": "gyrorig_daemon.cli"}[program]
+__import__(module)
+sys.modules[module].main()
+"""
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder with the wheel and the source archive."""
+    folder = tmp_path_factory.mktemp("dist")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-d", folder],
+        cwd=ROOT, check=True, capture_output=True,
+    )  # fmt: skip
+    return folder
+
+
+@pytest.fixture(scope="module")
+def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, laid out as `pip install --target` does it."""
+    folder = tmp_path_factory.mktemp("target")
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        for name in archive.namelist():
+            place = re.sub(r"^gyrorig-[^/]*\.data/data/", "", name)
+            path = folder / place
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(archive.read(name))
+    return folder
+
+
+def modules_of(extra: str) -> set[str]:
+    """Names that can be imported when gyrorig is installed with one extra, or with none."""
+    waiting = [("gyrorig", frozenset({extra} - {""}))]
+    done: set[tuple[str, frozenset[str]]] = set()
+    modules = {"gyrorig_protocol", "gyrorig_daemon", "gyrorig_solver"}
+    while waiting:
+        name, extras = waiting.pop()
+        if (name, extras) in done:
+            continue
+        done.add((name, extras))
+        package = distribution(name)
+        for text in package.requires or []:
+            asked = Requirement(text)
+            marker = asked.marker
+            if marker is None or any(marker.evaluate({"extra": e}) for e in (*extras, "")):
+                waiting.append((asked.name, frozenset(asked.extras)))
+        if canonicalize_name(name) != "gyrorig":
+            modules |= {path.parts[0].split(".")[0] for path in package.files or [] if path.parts}
+    return modules
+
+
+def run(installed: Path, extra: str, *line: str) -> subprocess.CompletedProcess[str]:
+    try:
+        allowed = sorted(modules_of(extra))
+    except PackageNotFoundError as missing:
+        pytest.skip(f"{missing} is not installed here: it comes with `make test`")
+    return subprocess.run(
+        [sys.executable, "-c", RUNNER, json.dumps([allowed, str(installed), *line])],
+        capture_output=True, text=True, check=False, cwd=installed.parent,
+        env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"},
+    )  # fmt: skip
+
+
+def test_the_wheel_holds_what_is_needed_without_a_checkout(installed: Path) -> None:
+    for name in (
+        "gyrorig_solver/cli.py",
+        "gyrorig_solver/report/page.html.j2",
+        "gyrorig_solver/fleet/web/index.html",
+        "gyrorig_protocol/py.typed",
+        "share/gyrorig/config/rig.yaml",
+        "share/gyrorig/config/boards/L3G4200D.yaml",
+        "share/gyrorig/config/imports/broad.yaml",
+        "share/man/man1/gyrorig.1",
+        "share/bash-completion/completions/gyrorigd",
+        "share/zsh/site-functions/_gyrorig",
+        "share/fish/vendor_completions.d/gyrorig.fish",
+    ):
+        assert (installed / name).is_file(), name
+    (meta,) = installed.glob("gyrorig-*.dist-info")
+    said = HeaderParser().parsestr((meta / "METADATA").read_text())
+    assert said["License-Expression"] == "MIT"
+    assert "LICENSE" in str(said["License-File"])
+    assert "gyrorigd = gyrorig_daemon.cli:main" in (meta / "entry_points.txt").read_text()
+
+
+def test_the_source_archive_builds_and_tests(built: Path) -> None:
+    (archive,) = built.glob("*.tar.gz")
+    with tarfile.open(archive) as held:
+        names = {name.partition("/")[2] for name in held.getnames()}
+    for name in ("pyproject.toml", "constraints.txt", "Makefile", "LICENSE", "CITATION.cff"):
+        assert name in names
+    assert "tests/unit/packaging/test_wheel.py" in names
+    assert not [name for name in names if name.endswith((".mcap", ".pyc"))]
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_each_extra_alone_says_its_version(installed: Path, extra: str) -> None:
+    done = run(installed, extra, "gyrorig", "--version")
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(r"gyrorig \d+\.\d+\.\d+\S*\n", done.stdout)
+
+
+def test_the_daemon_needs_no_extra(installed: Path, tmp_path: Path) -> None:
+    out = tmp_path / "recordings"
+    config = installed / "share" / "gyrorig" / "config"
+    program = tmp_path / "short.yaml"
+    program.write_text(SHORT)
+    done = run(
+        installed, "", "gyrorigd", "record", "--simulated-time", "--config",
+        str(config / "rig.yaml"), "--program", str(program), "--out", str(out), "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert Path(json.loads(done.stdout)["recording"]).stat().st_size > 10_000
+
+
+def test_what_an_extra_would_bring_is_named(installed: Path) -> None:
+    for extra, line, wanted in (
+        ("", ("solve", "x.mcap"), "pip install 'gyrorig[solver]'"),
+        ("solver", ("fleet", "store"), "pip install 'gyrorig[fleet]'"),
+    ):
+        done = run(installed, extra, "gyrorig", *line)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert wanted in done.stderr
+
+
+def test_the_solver_alone_imports_a_recording_with_the_wheels_own_map(
+    installed: Path, tmp_path: Path
+) -> None:
+    done = run(
+        installed, "solver", "gyrorig", "import", "nonesuch", "x.csv",
+        "--out", str(tmp_path / "x.mcap"),
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "broad" in done.stderr  # the maps that came with the wheel are listed
