@@ -191,6 +191,11 @@ class EmulatorProcess:
         self.paths: Mapping[str, str] = announced["ports"]
         self.seal: str | None = announced.get("seal")
 
+    def ending(self) -> str:
+        """Return how it has ended by itself, "" while it runs."""
+        code = self._process.poll()
+        return "" if code is None else f"the emulated rig has ended (status {code})"
+
     def close(self) -> None:
         """End it. Closing twice is no fault."""
         if self._process.stdin is not None:

@@ -29,7 +29,7 @@ from gyrorig_daemon.session import (
     no_progress,
     record_session,
 )
-from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.errors import DeviceError, MachineError, UsageError
 
 __all__ = ["Call", "emulate", "in_real_time", "in_simulated_time", "no_progress"]
 
@@ -76,6 +76,7 @@ def in_real_time(call: Call) -> Path:
                 "this rig is not emulated: it is as it is",
                 "leave out --hide, --noise-free and --soak",
             )
+    ending: Callable[[], str] = str  # how the emulated rig has ended, "" if it has not
     with ExitStack() as stack:
         if emulated:
             from gyrorig_daemon.emulated import EmulatorProcess, check_hidden  # noqa: PLC0415
@@ -84,6 +85,7 @@ def in_real_time(call: Call) -> Path:
             process = stack.enter_context(EmulatorProcess(call.config_path, told))
             if process.seal is not None:
                 call.sealed(process.seal)
+            ending = process.ending
             paths |= {port: process.paths[port] for port in emulated}
         hub = stack.enter_context(AcquisitionHub(port_settings(config, paths)))
         around = Surroundings(
@@ -97,7 +99,12 @@ def in_real_time(call: Call) -> Path:
             stop=call.stop,
             progress=call.progress,
         )
-        return record_session(hub, call.order, around)
+        try:
+            return record_session(hub, call.order, around)
+        except DeviceError as fault:
+            if why := ending():
+                raise MachineError(f"{why}: {fault.what}", "record again") from fault
+            raise
 
 
 def in_simulated_time(call: Call) -> Path:

@@ -253,6 +253,26 @@ def test_an_acquisition_process_that_hangs_is_replaced(service: Service, devices
     assert "the ports are opened anew" in told
 
 
+def test_an_emulated_rig_that_dies_is_started_again(service: Service) -> None:
+    service.config.write_text(
+        "rig: system\nptu: {port: emulated}\nboards: [{id: B-1, port: emulated}]\n"
+        "service: {reserve_mb: 10, board_patience_s: 0.0}\n"
+    )
+    service.start_ready()
+    wait_for(lambda: service.status()["state"] == "ready")
+    children = service.children()
+    (emulator,) = [
+        pid for pid in children if b"emulate" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    ]
+    os.kill(emulator, signal.SIGKILL)
+    wait_for(lambda: service.status().get("counts", {}).get("emulator_restarts") == 1)
+    wait_for(lambda: service.status()["state"] == "ready")
+    assert not set(service.children()) & set(children)
+    code, told = service.end()
+    assert code == 0
+    assert "the emulated rig has ended (status -9); it is started again" in told
+
+
 def test_a_second_daemon_ends_at_once(service: Service, devices: Devices) -> None:
     service.start_ready()
     twin: list[str | Path] = [*GYRORIGD, "run", "--config", service.config]

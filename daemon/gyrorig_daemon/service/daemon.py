@@ -118,6 +118,10 @@ class Daemon:
 
     def _turn(self) -> None:
         """Do one thing."""
+        if lost := self._parts.lost_rig():
+            self._parts.log(f"{lost}; it is started again")
+            self._reopen = True
+            return
         self._take_clear()
         self.unit.look()
         obstacle = self._obstacle()

@@ -51,6 +51,7 @@ class Parts:
     dropped_bytes: Callable[[], int]
     log: Callable[[str], None]
     keeper: Keeper
+    lost_rig: Callable[[], str] = lambda: ""  # why the rig has to be opened anew, if it has to
     account: Account = field(default_factory=Account)
     threaded_writer: bool = True
     seed: int = 0

@@ -21,7 +21,7 @@ from gyrorig_daemon.service.parts import Parts
 from gyrorig_daemon.service.present import present_boards
 from gyrorig_daemon.service.unit_watch import UnitWatch
 from gyrorig_daemon.session import Session, Surroundings
-from gyrorig_protocol.errors import DeviceError, GyrorigError
+from gyrorig_protocol.errors import DeviceError, GyrorigError, UsageError
 
 LEAST_AFTERMATH_S = 5.0
 CLOSE_PATIENCE_S = 12.0  # with 10 s to halt within the 30 s that systemd allows
@@ -77,12 +77,13 @@ class Runner:
             not self._parts.memory.steps_are_sure and self._rig.config.ptu.home_without_asking
         )
         if not self._parts.memory.steps_are_sure and not home:
-            self._put_aside(job, Outcome("failed", UNSURE, None), begun_s)
+            result = "waits" if job.path is None else "failed"
+            self._put_aside(job, Outcome(result, UNSURE, None), begun_s)
             return
         session = self._begin(job, home)
         outcome = Outcome("failed", "the daemon ended while it ran", None)
         try:
-            outcome = self._hold_session(session)
+            outcome = self._hold_session(session, is_scheduled=job.path is None)
         except PortsGoneError as fault:
             outcome = Outcome("failed", str(fault), session.recorder.path)
             raise
@@ -141,7 +142,7 @@ class Runner:
         keeper.recorder = Recorder(self._parts.threaded_writer, settings, keeper.make_room)
         return keeper.recorder
 
-    def _hold_session(self, session: Session) -> Outcome:
+    def _hold_session(self, session: Session, is_scheduled: bool) -> Outcome:
         moved = False
         begun_s = self._parts.clocks.monotonic_s()
         try:
@@ -160,22 +161,27 @@ class Runner:
             session.give_up(fault.what, can_halt=False)
             raise
         except DeviceError as fault:
-            if moved:
-                spent_s = self._parts.clocks.monotonic_s() - begun_s
-                told = self._live_with(session, fault, session.planned_s - spent_s)
-            else:
-                told = self._end_early(session, fault.what)
-                if self._rig.client.gone and session.recorder.path is None:
-                    return Outcome("waits", fault.what, None)
+            if not moved:
+                return self._refused(session, fault, is_scheduled)
+            spent_s = self._parts.clocks.monotonic_s() - begun_s
+            told = self._live_with(session, fault, session.planned_s - spent_s)
             return Outcome("failed", "; ".join([str(fault), *told]), session.recorder.path)
         except GyrorigError as fault:
-            told = self._end_early(session, fault.what)
-            return Outcome("failed", "; ".join([str(fault), *told]), session.recorder.path)
+            return self._refused(session, fault, is_scheduled)
         except BaseException as fault:
             session.give_up(f"{type(fault).__name__}: {fault}")
             raise
         lost = [str(board.board_id) for board in session.boards if not board.known]
         return Outcome("done", f"without board {', '.join(lost)} at the end" if lost else "", path)
+
+    def _refused(self, session: Session, fault: GyrorigError, is_scheduled: bool) -> Outcome:
+        """End a session that did not get to its motion; tell whether it is tried again."""
+        told = self._end_early(session, fault.what)
+        waits = is_scheduled and not isinstance(fault, UsageError)
+        waits = waits or (isinstance(fault, DeviceError) and self._rig.client.gone)
+        if waits and session.recorder.path is None:
+            return Outcome("waits", fault.what, None)
+        return Outcome("failed", "; ".join([str(fault), *told]), session.recorder.path)
 
     def _end_early(self, session: Session, why: str) -> list[str]:
         """Halt and close; return what to tell."""
@@ -210,12 +216,11 @@ class Runner:
     def _put_aside(
         self, job: Job, outcome: Outcome, begun_s: float, recorder: Recorder | None = None
     ) -> None:
-        if outcome.result == "waits" and job.path is not None:
-            self._parts.queue.give_back(job)
-            self._parts.log(f"session {job.session} did not begin and waits: {outcome.reason}")
+        if outcome.result == "waits":
+            self._let_wait(job, outcome.reason)
             return
         counts = self._parts.counts
-        name = f"sessions_{outcome.result}" if outcome.result != "waits" else "sessions_stopped"
+        name = f"sessions_{outcome.result}"
         setattr(counts, name, getattr(counts, name) + 1)
         document = {
             "session": job.session,
@@ -231,6 +236,17 @@ class Runner:
         self._scene.last = {"job": job.name, "result": outcome.result, **document}
         why = f": {outcome.reason}" if outcome.reason else ""
         self._parts.log(f"session {job.session} {outcome.result}{why}")
+
+    def _let_wait(self, job: Job, why: str) -> None:
+        """Have a session tried again of which nothing was done."""
+        parts, when = self._parts, ""
+        if job.path is None:
+            wait_s = parts.schedule.put_off(job.name, parts.clocks.monotonic_s())
+            when = "" if wait_s is None else f", for {wait_s:.0f} s at least"
+        else:
+            parts.queue.give_back(job)
+        parts.counts.sessions_put_off += 1
+        parts.log(f"session {job.session} did not begin and waits{when}: {why}")
 
     def _take_progress(self, done: int, total: int) -> None:
         if self._scene.glance.session is not None:

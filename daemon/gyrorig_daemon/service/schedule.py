@@ -1,6 +1,8 @@
 """When the sessions of the schedule are due, whatever the wall clock does.
 
-What to use when: `Schedule.due` from the daemon's loop; `begun` when a session begins.
+What to use when: `Schedule.due` from the daemon's loop; `begun` when a session begins,
+`put_off` when it could not begin after all: it is tried again after a while, a daily one as
+long as it is not too late for the day.
 
 Theory of operation. An entry that comes every so many hours is measured on the monotonic
 clock; what passed before this start is taken from the wall clock, and only where that makes
@@ -21,6 +23,8 @@ from gyrorig_daemon.service.files import write_whole
 
 LATE_S = 3_600.0  # a rig that is switched on later than this leaves the day's session out
 APART_S = 12 * 3_600.0
+FIRST_WAIT_S = 30.0  # until a session that could not begin is tried again, then twice as long
+LONGEST_WAIT_S = 600.0
 DAY_S = 86_400.0
 MAX_STATE_BYTES = 1_000_000
 
@@ -31,6 +35,10 @@ class _Begun:
 
     utc_s: float | None = None
     monotonic_s: float | None = None
+    before: tuple[float | None, float | None] = (None, None)  # the same, the time before
+    tries: int = 0  # in vain, in a row
+    not_before_s: float = 0.0  # monotonic
+    is_put_off: bool = False
 
 
 class Schedule:
@@ -52,19 +60,47 @@ class Schedule:
 
     def due(self, monotonic_s: float, utc_s: float) -> ScheduleEntry | None:
         """Return the entry that has waited longest, None where none is due."""
-        late = [(self._late_s(entry, monotonic_s, utc_s), entry) for entry in self.entries]
+        late = [
+            (self._late_s(entry, monotonic_s, utc_s), entry)
+            for entry in self.entries
+            if monotonic_s >= self._begun[entry.name].not_before_s
+        ]
         waiting = [pair for pair in late if pair[0] >= 0.0]
         return max(waiting, key=lambda pair: pair[0])[1] if waiting else None
 
     def next_s(self, entry: ScheduleEntry, monotonic_s: float, utc_s: float) -> float:
         """Return in how many seconds an entry is due, 0 where it is."""
         late_s = self._late_s(entry, monotonic_s, utc_s)
-        return max(0.0, -late_s)
+        return max(0.0, -late_s, self._begun[entry.name].not_before_s - monotonic_s)
 
     def begun(self, name: str, monotonic_s: float, utc_s: float) -> None:
         """Note that an entry's session begins now; the disk may refuse to remember it."""
         begun = self._begun[name]
+        if not begun.is_put_off:
+            begun.tries = 0
+        begun.is_put_off = False
+        begun.before = begun.utc_s, begun.monotonic_s
         begun.utc_s, begun.monotonic_s = utc_s, monotonic_s
+        self._keep()
+
+    def put_off(self, name: str, monotonic_s: float) -> float | None:
+        """Note that the session could not begin after all.
+
+        Returns:
+            After how many seconds it is tried again, None where there is no such entry any more.
+        """
+        begun = self._begun.get(name)
+        if begun is None:
+            return None
+        wait_s = min(FIRST_WAIT_S * 2.0 ** min(begun.tries, 10), LONGEST_WAIT_S)
+        begun.tries += 1
+        begun.is_put_off = True
+        begun.utc_s, begun.monotonic_s = begun.before
+        begun.not_before_s = monotonic_s + wait_s
+        self._keep()
+        return wait_s
+
+    def _keep(self) -> None:
         kept = {key: value.utc_s for key, value in self._begun.items() if value.utc_s is not None}
         with contextlib.suppress(OSError):
             write_whole(self._state, json.dumps(kept).encode())

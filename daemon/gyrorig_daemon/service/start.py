@@ -9,7 +9,7 @@ import contextlib
 import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -97,6 +97,7 @@ class Service:
         self._next: Sound | None = None
         self._hub: AcquisitionHub | None = None
         self._dropped_bytes = 0  # of hubs that are closed
+        self._emulator_ending: Callable[[], str] = str  # how the emulated rig ended, "" if not
         self._counts = ServiceCounts()
 
     def run(self) -> None:
@@ -137,6 +138,7 @@ class Service:
                 publish=publish,
                 hanging=lambda: self._hanging(server),
                 dropped_bytes=self._all_dropped_bytes,
+                lost_rig=self._lost_rig,
                 log=log,
                 keeper=keeper,
                 seed=time.monotonic_ns(),
@@ -190,6 +192,8 @@ class Service:
                 process = stack.enter_context(
                     EmulatorProcess(self._call.config_path, self._call.emulation)
                 )
+                self._emulator_ending = process.ending
+                stack.callback(self._forget_emulator)
                 paths |= {port: process.paths[port] for port in emulated}
             hub = stack.enter_context(AcquisitionHub(port_settings(config, paths), waits=True))
             self._hub = hub
@@ -202,6 +206,17 @@ class Service:
                 seed=time.monotonic_ns(),
                 paths=paths,
             )
+
+    def _forget_emulator(self) -> None:
+        self._emulator_ending = str
+
+    def _lost_rig(self) -> str:
+        """Return why the rig has to be opened anew; a while after it was, at the earliest."""
+        why = self._emulator_ending()
+        if why:
+            self._counts.emulator_restarts += 1
+            self._orders.end.wait(AGAIN_S)  # one that dies at once must not keep us busy
+        return why
 
     def _close_account(self) -> None:
         if self._hub is not None:

@@ -21,6 +21,11 @@ Make = Callable[..., Any]
 
 FAR = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n"
 LIMIT = b"!P"
+SCHEDULED = (
+    "rig: test\nptu: {port: emulated, baud: 115200, poll: {rate_hz: 10}}\n"
+    "boards: [{id: B-1, port: emulated, baud: 460800}]\nemulator: {command_time_ms: 5.0}\n"
+    "schedule: [{name: often, program: short.yaml, every_h: 0.01}]\n"
+)
 
 
 def events(recording: Recording) -> list[SessionEvent]:
@@ -378,13 +383,27 @@ def test_two_sessions_of_one_name_in_one_second_do_not_meet(make_bench: Make) ->
     assert len(bench.recordings()) == 2
 
 
+def test_a_scheduled_session_that_cannot_begin_is_tried_again(make_bench: Make) -> None:
+    bench = make_bench(SCHEDULED.replace("0.01", "1.0"))
+    bench.parts.memory.steps_are_sure = False
+    bench.at(20.0, lambda: setattr(bench.parts.memory, "steps_are_sure", True))
+    bench.serve(60.0, lambda: len(bench.recordings()) == 1)
+    assert bench.parts.counts.sessions_put_off == 1
+    assert bench.parts.counts.sessions_failed == 0
+    (waits,) = [line for line in bench.log if "did not begin and waits" in line]
+    assert "for 30 s at least" in waits
+    assert len(bench.recordings()) == 1
+
+
+def test_a_rig_that_is_lost_is_opened_anew(make_bench: Make) -> None:
+    bench = make_bench()
+    bench.at(4.0, lambda: setattr(bench.parts, "lost_rig", lambda: "the emulated rig has ended"))
+    assert bench.serve(60.0) is Ending.REOPEN
+    assert "the emulated rig has ended; it is started again" in bench.log
+
+
 def test_a_schedule_is_kept(make_bench: Make) -> None:
-    text = (
-        "rig: test\nptu: {port: emulated, baud: 115200, poll: {rate_hz: 10}}\n"
-        "boards: [{id: B-1, port: emulated, baud: 460800}]\nemulator: {command_time_ms: 5.0}\n"
-        "schedule: [{name: often, program: short.yaml, every_h: 0.01}]\n"
-    )
-    bench = make_bench(text)
+    bench = make_bench(SCHEDULED)
     bench.serve(80.0, lambda: len(bench.recordings()) == 3)  # at once, at 36 s and at 72 s
     names = [read_recording(p).metadata["gyrorig"]["session"] for p in bench.recordings()]
     assert len(names) == 3

@@ -56,6 +56,39 @@ def test_a_restart_does_not_repeat_the_days_session(tmp_path: Path) -> None:
     assert days.pass_time(DAY_S - 3600.0) == []
 
 
+def test_what_could_not_begin_is_tried_again(tmp_path: Path) -> None:
+    days = Days(tmp_path, NIGHTLY, HOURLY)
+    tried: list[tuple[str, float]] = []
+    for _ in range(int(2 * DAY_S / 10.0)):
+        days.now_s += 10.0
+        days.utc_s += 10.0
+        entry = days.schedule.due(days.now_s, days.utc_s)
+        if entry is not None:
+            at_s = days.utc_s - MIDNIGHT_S
+            days.schedule.begun(entry.name, days.now_s, days.utc_s)
+            tried.append((entry.name, at_s))
+            if entry is NIGHTLY and at_s < DAY_S:
+                wait_s = days.schedule.put_off(entry.name, days.now_s)
+                assert wait_s is not None
+                next_s = days.schedule.next_s(NIGHTLY, days.now_s, days.utc_s)
+                assert next_s == pytest.approx(wait_s)
+    hourly = [at_s for name, at_s in tried if name == "hourly"]
+    assert len(hourly) == 48  # one that cannot begin keeps no other from it
+    nightly = [at_s - AT_S for name, at_s in tried if name == "nightly"]
+    assert nightly[:5] == [0.0, 30.0, 90.0, 210.0, 450.0]
+    assert nightly[-2] <= 3600.0  # until it is too late for the day
+    assert nightly[-1] == DAY_S  # and the next day's is one of its own
+
+
+def test_what_could_not_begin_is_due_after_a_restart(tmp_path: Path) -> None:
+    days = Days(tmp_path, NIGHTLY)
+    assert days.pass_time(AT_S + 60.0) == [AT_S]
+    days.schedule.put_off("nightly", days.now_s)
+    days.restart()
+    assert days.pass_time(600.0) == [AT_S + 120.0]
+    assert days.schedule.put_off("of another configuration", days.now_s) is None
+
+
 def test_switched_on_a_little_late_and_too_late(tmp_path: Path) -> None:
     days = Days(tmp_path, NIGHTLY, utc_s=MIDNIGHT_S + AT_S + 1800.0)
     assert days.pass_time(600.0) == [AT_S + 1860.0]
