@@ -11,6 +11,7 @@ from gyrorig_solver.commands.terminal import Terminal, json_option
 from gyrorig_solver.importers import import_measurements, load_import_map
 
 _WITH_MAP = ("csv", "npz")
+_PHONE = "android"
 
 
 @click.command("import")
@@ -28,7 +29,13 @@ _WITH_MAP = ("csv", "npz")
     required=True,
     help="The recording to write; it must not exist.",
 )
-@click.option("--board", help="The board's name, in place of the map's.")
+@click.option("--board", help="The board's name, in place of the map's; a phone's is PHONE.")
+@click.option("--sensor", help="With FORMAT android: the gyroscope's part; a Nexus 5 has MPU-6515.")
+@click.option(
+    "--beside",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="With FORMAT android: the recording of the unit that turned the phone meanwhile.",
+)
 @json_option
 @click.pass_obj
 def import_command(
@@ -38,19 +45,35 @@ def import_command(
     map_path: Path | None,
     out: Path,
     board: str | None,
+    sensor: str | None,
+    beside: Path | None,
 ) -> int:
     r"""Turn measurements made elsewhere into a recording of format 1.
 
-    FORMAT is csv or npz, with a column map, or the name of a map in config/imports.
+    FORMAT is csv or npz, with a column map; android, a phone's log as the common loggers
+    write it, whose clock is found from the motion when it was logged on a unit; or the name
+    of a map in config/imports.
 
     \b
     Examples:
       gyrorig import csv drive.csv --map columns.yaml --out drive.mcap
       gyrorig import broad trial02.npz --board IMU-1 --out trial02.mcap
+      gyrorig import android Gyroscope.csv --board NEXUS5 --sensor MPU-6515 --out phone.mcap
     """
     terminal.progress(f"importing {source.name}")
-    mapping = load_import_map(_map_of(kind, map_path))
-    result = import_measurements(source, mapping, out, board)
+    if kind == _PHONE:
+        if map_path is not None:
+            raise UsageError("android knows the columns itself", "leave out --map, or say csv")
+        from gyrorig_solver.importers.phone import import_phone  # noqa: PLC0415 - loads scipy
+
+        result = import_phone(source, out, board or "PHONE", sensor or "android", beside)
+    else:
+        if sensor is not None or beside is not None:
+            raise UsageError(
+                "--sensor and --beside go with FORMAT android", "the map says the sensor"
+            )
+        mapping = load_import_map(_map_of(kind, map_path))
+        result = import_measurements(source, mapping, out, board)
     plain = {name: str(v) if isinstance(v, Path) else v for name, v in asdict(result).items()}
     terminal.say(f"{source.name}: {result.samples} samples of {result.board}")
     for note in result.notes:
@@ -74,6 +97,6 @@ def _map_of(kind: str, map_path: Path | None) -> Path:
         raise UsageError(f"{kind} has its own column map", "leave out --map, or say csv or npz")
     names = project_names("imports")
     if kind not in names:
-        known = ", ".join((*_WITH_MAP, *names))
+        known = ", ".join((*_WITH_MAP, _PHONE, *names))
         raise UsageError(f"no format {kind!r}", f"there are {known}")
     return project_file("imports", f"{kind}.yaml")

@@ -1,0 +1,197 @@
+"""Logs of phones: the loggers' shapes, stamps that are no time of day, a clock from the motion."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.importers.android import read_log
+from gyrorig_solver.importers.phone import import_phone
+from gyrorig_solver.importers.phone_clock import GRID_S, find_clock
+from gyrorig_solver.samples import load_samples
+
+ROOT = Path(__file__).parents[3]
+RATE = np.array([[0.1, -0.2, 0.3], [0.11, -0.21, 0.31], [0.12, -0.22, 0.32], [0.13, 0.0, -1.0]])
+STAMPS = 8_902_708_000_000 + np.array([0, 5_000_000, 10_100_000, 15_000_000])
+
+SENSOR_LOGGER = "time,seconds_elapsed,z,y,x\n" + "".join(
+    f"{1_665_000_000_000_000_000 + s},{s * 1e-9:.6f},{r[2]},{r[1]},{r[0]}\n"
+    for s, r in zip(STAMPS.tolist(), RATE.tolist(), strict=True)
+)
+PHYPHOX = (
+    '"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"\n'
+    + "".join(
+        f"{s * 1e-9:.6f},{r[0]},{r[1]},{r[2]}\n"
+        for s, r in zip(STAMPS.tolist(), RATE.tolist(), strict=True)
+    )
+)
+MARS = (
+    "Timestamp[nanosec], gx[rad/s], gy[rad/s], gz[rad/s], ax[m/s^2], ay[m/s^2], az[m/s^2], "
+    "Unix time[nanosec]\n"
+) + "".join(
+    f"{s}, {r[0]}, {r[1]}, {r[2]}, 0.1, 0.2, 9.8, {1_665_000_000_000_000_000 + s}\n"
+    for s, r in zip(STAMPS.tolist(), RATE.tolist(), strict=True)
+)
+GET_SENSOR_DATA = "% Logfile\n" + "".join(
+    f"GYRO;{s * 1e-9 - 8000:.3f};{s * 1e-9:.6f};{r[0]};{r[1]};{r[2]};3\n"
+    f"ACCE;{s * 1e-9 - 8000:.3f};{s * 1e-9 + 0.001:.6f};0.1;0.2;9.8;3\n"
+    for s, r in zip(STAMPS.tolist(), RATE.tolist(), strict=True)
+)
+GNSS_LOGGER = "# Raw,utcTimeMillis\nFix,GPS,1.0,2.0,3.0,4.0\n" + "".join(
+    f"UncalGyro,{1_665_000_000_000 + s // 1_000_000},{s},{r[0]},{r[1]},{r[2]},0.01,0.0,0.0\n"
+    for s, r in zip(STAMPS.tolist(), RATE.tolist(), strict=True)
+)
+SENSEI = "".join(
+    f"Gyroscope Sensor;1466433997168;{s};[{r[0]}, {r[1]}, {r[2]}]\n"
+    for s, r in zip(STAMPS.tolist(), RATE.tolist(), strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "corrected"),
+    [
+        ("GyroscopeUncalibrated.csv", SENSOR_LOGGER, False),
+        ("Gyroscope.csv", SENSOR_LOGGER, True),
+        ("raw.csv", PHYPHOX, True),
+        ("gyro_accel.csv", MARS, True),
+        ("logfile.txt", GET_SENSOR_DATA, True),
+        ("gnss_log.txt", GNSS_LOGGER, False),
+        ("sensei.csv", SENSEI, True),
+    ],
+)
+def test_the_loggers_are_known(tmp_path: Path, name: str, text: str, corrected: bool) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    log = read_log(path)
+    np.testing.assert_allclose(log.rate_rad_s, RATE, atol=1e-12)
+    np.testing.assert_allclose(np.diff(log.stamp_ns), np.diff(STAMPS), atol=1500)
+    assert abs(int(log.stamp_ns[0]) - STAMPS[0]) < 2_000  # never the Unix time beside it
+    assert any("UNCALIBRATED" in note for note in log.notes) is corrected
+    assert (log.accel_m_s2 is not None) is (name in ("gyro_accel.csv", "logfile.txt"))
+
+
+def test_uncalibrated_is_taken_where_both_are(tmp_path: Path) -> None:
+    path = tmp_path / "both.txt"
+    path.write_text(GET_SENSOR_DATA + GNSS_LOGGER.replace("0.3,", "0.4,"))
+    assert read_log(path).rate_rad_s[0, 2] == 0.4
+
+
+def test_stamps_that_run_back_or_repeat(tmp_path: Path) -> None:
+    lines = SENSEI.splitlines(keepends=True)
+    path = tmp_path / "batched.csv"
+    path.write_text("".join([lines[1], lines[0], lines[0], *lines[2:]]))
+    log = read_log(path)
+    np.testing.assert_allclose(log.rate_rad_s, RATE)
+    assert any("ran back" in note for note in log.notes)
+    assert any("1 samples with the stamp of another" in note for note in log.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("1,2,3\n4,5,6\n", "neither a header nor tags"),
+        ("time,pressure\n1,2\n", "no columns that say time"),
+        ("ACCE;1;2;3;4;5\n" * 3, "holds no gyroscope"),
+        ("timestamp,gx,gy,gz\n0,1,2,3\n300,1,2,3\n600,1,2,3\n", "in no unit"),
+        ("", "neither a header"),
+    ],
+)
+def test_what_is_no_log(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says):
+        read_log(path)
+
+
+def speeds(at_s: np.ndarray) -> np.ndarray:
+    """A motion that never repeats: bumps at places of their own."""
+    rng = np.random.default_rng(3)
+    middle = np.cumsum(rng.uniform(2.0, 4.0, 40))
+    height = rng.uniform(0.3, 1.5, 40)
+    return np.asarray(
+        (height * np.exp(-0.5 * ((at_s[:, None] - middle) / 0.4) ** 2)).sum(axis=1),
+        dtype=np.float64,
+    )
+
+
+def test_a_clock_from_the_motion() -> None:
+    unit = speeds(np.arange(0.0, 120.0, GRID_S))
+    rng = np.random.default_rng(5)
+    since_s = np.sort(np.arange(0.0, 90.0, 0.005) + rng.uniform(-5e-4, 5e-4, 18000))
+    since_s -= since_s[0]
+    capture_s = 17.1234 + (1.0 - 60e-6) * since_s
+    found = find_clock(since_s, speeds(capture_s) + rng.normal(0.0, 0.005, 18000), unit)
+    assert abs(found.offset_s - 17.1234) < 2e-3
+    assert abs(found.skew + 60e-6) < 2e-5
+    assert abs(found.capture_s(since_s) - capture_s).max() < 2e-3
+
+
+def test_motions_that_are_not_the_same_or_repeat() -> None:
+    unit = speeds(np.arange(0.0, 120.0, GRID_S))
+    since_s = np.arange(0.0, 90.0, 0.01)
+    with pytest.raises(InputError, match="not the unit's"):
+        find_clock(since_s, speeds(110.0 - 1.3 * since_s), unit)
+    again = np.abs(np.sin(np.arange(0.0, 120.0, GRID_S)))
+    with pytest.raises(InputError, match="fits in two places"):
+        find_clock(since_s, np.abs(np.sin(since_s)), again)
+
+
+@pytest.fixture(scope="module")
+def on_a_unit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str, object]]:
+    """A recording of a unit, the log of a phone on it, and what the emulator hid."""
+    folder = tmp_path_factory.mktemp("unit")
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
+            *("--config", str(ROOT / "config" / "rig.yaml")),
+            *("--program", str(ROOT / "config" / "programs" / "quick.yaml")),
+            *("--out", str(folder), "--truth", str(folder / "truth.yaml"), "--seed", "4"),
+        ],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    recording = Path(json.loads(done.stdout)["recording"])
+    samples = load_samples(read_recording(recording), "GY80-1")
+    stamp_ns = np.rint((samples.time_s * (1.0 + 4e-5) + 54321.7) * 1e9).astype(np.int64)
+    log = folder / "gnss_log.txt"
+    with log.open("w") as lines:
+        for stamp, rate in zip(stamp_ns.tolist(), samples.rate_rad_s.tolist(), strict=True):
+            lines.write(f"UncalGyro,1,{stamp},{rate[0]:.9f},{rate[1]:.9f},{rate[2]:.9f},0,0,0\n")
+    return recording, log, yaml.safe_load((folder / "truth.yaml").read_text())
+
+
+def test_a_phone_on_a_unit_becomes_one_more_board(
+    on_a_unit: tuple[Path, Path, dict[str, object]], tmp_path: Path
+) -> None:
+    unit, log, _ = on_a_unit
+    done = import_phone(log, tmp_path / "phone.mcap", "NEXUS5", "MPU-6515", unit)
+    both = read_recording(done.path)
+    assert both.complete
+    assert both.board_ids == (BoardId("GY80-1"), BoardId("NEXUS5"))
+    board, phone = (load_samples(both, name) for name in ("GY80-1", "NEXUS5"))
+    # the same samples by another clock: as far apart in time as the motion can tell
+    apart_s = np.interp(board.number, phone.number, phone.time_s) - board.time_s
+    assert np.abs(apart_s - np.median(apart_s)).max() < 2e-3
+    for topic, messages in read_recording(unit).topics.items():
+        assert len(both.topics[topic]) >= len(messages)
+    assert any("clock was found from the motion" in note for note in done.notes)
+    with pytest.raises(UsageError, match="has a board GY80-1 already"):
+        import_phone(log, tmp_path / "again.mcap", "GY80-1", "MPU-6515", unit)
+    assert not list(tmp_path.glob("again*"))
+
+
+def test_a_phone_by_itself_counts_from_zero(
+    on_a_unit: tuple[Path, Path, dict[str, object]], tmp_path: Path
+) -> None:
+    _, log, _ = on_a_unit
+    done = import_phone(log, tmp_path / "alone.mcap", "PHONE", "android")
+    alone = read_recording(done.path)
+    assert alone.start_ns == 0
+    assert alone.metadata["gyrorig.board.PHONE"]["link"] == "file"
+    assert load_samples(alone, "PHONE").number.size == done.samples
