@@ -28,8 +28,16 @@ from gyrorig_protocol.identity import BoardId
 
 STORE_FILE = "gyrorig-store.yaml"
 STORE_SCHEMA = "gyrorig/store/1"
-_VERSION = re.compile(r"v(\d{4,9})\.yaml")
-_MADE_AT_ONCE = {STORE_FILE, "journal", "claims", "index", "calib"}  # by another, a moment ago
+MARK = f'schema: "{STORE_SCHEMA}"\n'.encode()
+VERSION_FILE = re.compile(r"v(\d{4,9})\.yaml")
+_MADE_AT_ONCE = {
+    STORE_FILE,
+    "journal",
+    "claims",
+    "index",
+    "manifest",
+    "calib",
+}  # by another, a moment ago
 _MAX_TRIES = 100  # each lost race means that another solver wrote a version
 
 
@@ -40,9 +48,13 @@ class StoredVersion:
     number: int
     path: Path
 
+    def data(self) -> bytes:
+        """Return the file's bytes."""
+        return self.path.read_bytes()
+
     def digest(self) -> str:
         """Return `sha256:` and the digest of the file's bytes."""
-        return "sha256:" + hashlib.sha256(self.path.read_bytes()).hexdigest()
+        return "sha256:" + hashlib.sha256(self.data()).hexdigest()
 
 
 class CalibrationStore:
@@ -59,10 +71,7 @@ class CalibrationStore:
 
     def folder_of(self, board: BoardId) -> Path:
         """Return where the versions of `board` are, or will be."""
-        if not self.sharded:
-            return self.folder / board
-        digest = hashlib.sha256(board.encode()).hexdigest()
-        return self.folder / "calib" / digest[:2] / digest[2:4] / board
+        return self.folder / (sharded_name(board) if self.sharded else board)
 
     def versions(self, board: BoardId) -> list[StoredVersion]:
         """Return the versions of `board`, oldest first."""
@@ -72,7 +81,7 @@ class CalibrationStore:
         found = (
             StoredVersion(int(match[1]), path)
             for path in folder.iterdir()
-            if (match := _VERSION.fullmatch(path.name))
+            if (match := VERSION_FILE.fullmatch(path.name))
         )
         return sorted(found, key=lambda version: version.number)
 
@@ -98,13 +107,33 @@ class CalibrationStore:
             raise MachineError(f"may not write into {folder}", "choose another with --out")
         return folder
 
-    def add(self, board: BoardId, text_of: Callable[[int, str | None], str]) -> StoredVersion:
+    def name_of(self, stored: StoredVersion) -> str:
+        """Return where in the store a version is."""
+        return str(stored.path.relative_to(self.folder))
+
+    def beside(self, stored: StoredVersion, suffix: str, data: bytes) -> Path:
+        """Write a file beside a version, such as `v0001.report.html`; return its path.
+
+        Raises:
+            MachineError: it cannot be written.
+        """
+        path = stored.path.with_suffix(suffix)
+        write_whole(path, data, replace=True)
+        return path
+
+    def add(
+        self,
+        board: BoardId,
+        text_of: Callable[[int, str | None], str],
+        before: Callable[[], None] = lambda: None,
+    ) -> StoredVersion:
         """Write the next version of `board`.
 
         Args:
             board: whose version.
             text_of: makes the document, given the version's number and the digest of
                 the version before; called again when another solver took the number.
+            before: called before each try; what it raises ends this.
 
         Returns:
             The version as it is on disk, synced.
@@ -115,6 +144,7 @@ class CalibrationStore:
         """
         folder = self.prepare(board)
         for _ in range(_MAX_TRIES):
+            before()
             last = self.latest(board)
             number = last.number + 1 if last else 1
             text = text_of(number, last.digest() if last else None)
@@ -122,6 +152,12 @@ class CalibrationStore:
             if write_whole(final, text.encode(), replace=False):
                 return StoredVersion(number, final)
         raise BusyError(f"other solvers keep writing to {folder}", "try again")
+
+
+def sharded_name(board: BoardId) -> str:
+    """Return the folder of a board within a fleet's store."""
+    digest = hashlib.sha256(board.encode()).hexdigest()
+    return f"calib/{digest[:2]}/{digest[2:4]}/{board}"
 
 
 def make_sharded(folder: Path) -> CalibrationStore:
@@ -145,7 +181,7 @@ def make_sharded(folder: Path) -> CalibrationStore:
                 f"{folder} is no store of a fleet: it holds {sorted(others)[0]}",
                 "name an empty or a new folder with --store",
             )
-        write_whole(folder / STORE_FILE, f'schema: "{STORE_SCHEMA}"\n'.encode(), replace=False)
+        write_whole(folder / STORE_FILE, MARK, replace=False)
     return CalibrationStore(folder)
 
 
@@ -162,14 +198,23 @@ def _is_sharded(folder: Path) -> bool:
         return False
     except OSError as fault:
         raise MachineError(f"cannot read {mark}, {fault.strerror}", "mend its rights") from fault
-    found = parse_yaml(text, str(mark), InputError)
+    check_mark(text, str(mark))
+    return True
+
+
+def check_mark(text: bytes, named: str) -> None:
+    """Refuse a `gyrorig-store.yaml` of another schema.
+
+    Raises:
+        InputError: it is, or it cannot be read.
+    """
+    found = parse_yaml(text, named, InputError)
     schema = found.get("schema") if isinstance(found, dict) else None
     if schema != STORE_SCHEMA:
         raise InputError(
-            f"{mark} is of schema {str(schema)[:40]!r}, this program knows {STORE_SCHEMA!r}",
+            f"{named} is of schema {str(schema)[:40]!r}, this program knows {STORE_SCHEMA!r}",
             "use the program that wrote it, or a newer one",
         )
-    return True
 
 
 def write_whole(final: Path, data: bytes, *, replace: bool) -> bool:
