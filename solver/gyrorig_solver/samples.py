@@ -5,7 +5,7 @@ What to use when: `load_samples` for a board of a recording. Of the samples, use
 (or `gyro.values(rows)`) where hours must fit: see `GyroSamples`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -112,6 +112,13 @@ class GyroSamples:
     def bandwidth_hz(self) -> float | None:
         """The configured low-pass, None where the recording does not say."""
         return number(self.metadata, "bandwidth_hz")
+
+
+def mean_degc(samples: Sequence[GyroSamples]) -> float | None:
+    """Return the mean temperature of one board's recordings, None where none has any."""
+    there = [s.temperature_degc for s in samples]
+    known = [t[np.isfinite(t)] for t in there if t is not None]
+    return float(np.mean(np.concatenate(known))) if any(t.size for t in known) else None
 
 
 def number(metadata: Mapping[str, str], key: str) -> float | None:

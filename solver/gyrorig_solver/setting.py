@@ -12,6 +12,7 @@ from gyrorig_solver.model.terms.temperature import Temperature
 from gyrorig_solver.reference.motion import ReferenceMotion
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.samples import GyroSamples, number
+from gyrorig_solver.samples import mean_degc as mean_of
 
 
 def settings_of(
@@ -28,11 +29,7 @@ def settings_of(
     Raises:
         InputError: the metadata say what cannot be.
     """
-    there = [s.temperature_degc for _, s, _ in recordings]
-    known = [t[np.isfinite(t)] for t in there if t is not None]
-    mean = mean_degc
-    if mean is None and any(t.size for t in known):
-        mean = float(np.mean(np.concatenate(known)))
+    mean = mean_of([s for _, s, _ in recordings]) if mean_degc is None else mean_degc
     return [replace(_setting(*one, mean), number=k) for k, one in enumerate(recordings)]
 
 

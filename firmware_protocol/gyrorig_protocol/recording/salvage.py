@@ -87,10 +87,10 @@ def salvage(source: Path, target: Path, about: Mapping[str, str], disk: Disk = D
     metadata = read_metadata(found.attachments) or dict(found.metadata)
     if metadata.get("gyrorig", {}).get("format") != FORMAT:
         raise InputError(f"{source} holds no metadata of format {FORMAT}", "it cannot be used")
-    worker = _Salvage(source, data, found)
+    worker = Copying(source, data, found)
     if not any(True for _ in worker.sound_chunks()):
         raise InputError(f"{source} holds no whole message", "there is nothing to recover in it")
-    worker = _Salvage(source, data, found)
+    worker = Copying(source, data, found)
     try:
         file = disk.create(target)
         try:
@@ -108,8 +108,8 @@ def salvage(source: Path, target: Path, about: Mapping[str, str], disk: Disk = D
     return result
 
 
-class _Salvage:
-    """One way through an unfinished file."""
+class Copying:
+    """One way through a file, whose sound chunks go into another as they are."""
 
     def __init__(self, source: Path, data: memoryview, found: Walk) -> None:
         self._source, self._data, self._found = source, data, found
@@ -130,7 +130,7 @@ class _Salvage:
             if one.name != METADATA_COPY:
                 out.add_attachment(_again(one))
         for ready, declared in self.sound_chunks():
-            self._declare(out, ready, declared)
+            self.declare(out, ready, declared)
             out.add_chunk(ready)
             chunks += 1
         lost_bytes = sum(loss.bytes for loss in self.losses)
@@ -207,7 +207,7 @@ class _Salvage:
             Loss(fault.cause, chunk.offset, chunk.size, chunk.indexed_messages, text)
         )
 
-    def _declare(self, out: Assembly, ready: ReadyChunk, declared: Declared) -> None:
+    def declare(self, out: Assembly, ready: ReadyChunk, declared: Declared) -> None:
         """Make sure that every channel of a chunk, and its schema, stands at it or before it."""
         self._schemas |= declared.schemas
         for number, channel in declared.channels.items():
@@ -252,7 +252,7 @@ def is_finished(path: Path) -> bool:
         if not summary.sound:
             return False
         found = walk(data, summary)
-        worker = _Salvage(path, data, found)
+        worker = Copying(path, data, found)
         for _ in worker.sound_chunks():
             pass
         if worker.losses or sum(worker.messages.values()) != summary.messages:

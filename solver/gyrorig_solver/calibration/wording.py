@@ -96,7 +96,7 @@ def digits(std: float) -> int:
 def quantity(value: float, std: float | None) -> tuple[str, str]:
     """Return the texts of a value and its standard deviation, equally many decimals."""
     if std is None or not std > 0.0:
-        return f"{value:+.6g}", "unknown"
+        return f"{value:+.6g}", "0" if std == 0.0 else "unknown"  # 0: chosen, not measured
     places = digits(std)
     return f"{value:+.{places}f}", f"{std:.{places}f}"
 

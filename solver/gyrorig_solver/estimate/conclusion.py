@@ -22,11 +22,12 @@ from gyrorig_solver.estimate.result import (
 )
 from gyrorig_solver.model.gain import GAIN_NAMES
 from gyrorig_solver.model.terms.bound import label
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.samples import GyroSamples, mean_degc
 
 NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")
 TERMS = ("bias", "scale", "nonorthogonality", "misalignment")
 LIMITED_CHI2 = 1.25
+THERMAL = ("thermal_bias", "thermal_scale")  # they count from a temperature
 SKEW_WORTH_A_WORD_PPM = 500.0  # a crystal keeps 50; a sensor's own oscillator does not
 
 
@@ -105,7 +106,10 @@ def gyro_fit(evidence: Evidence, samples: Sequence[GyroSamples]) -> GyroFit:
         distrust=tuple(reasons),
         diagnostics=evidence.diagnostics,
         extra=dict(evidence.extra or {}),
-        causes=tuple(c for one in evidence.extensions for c in _causes(one, found)),
+        causes=(
+            *(c for one in evidence.extensions for c in _causes(one, found)),
+            *_references(evidence.extensions, samples),
+        ),
         recordings=evidence.recordings,
     )
 
@@ -136,6 +140,20 @@ def _causes(one: Extension, found: Concluded) -> Iterator[FittedCause]:
             std=np.array([found.std.get(name, np.nan) for name in names]),
             unit=parameter.unit,
         )
+
+
+def _references(
+    extensions: Sequence[Extension], samples: Sequence[GyroSamples]
+) -> Iterator[FittedCause]:
+    """Yield what the temperatures of thermal causes count from: who applies them needs it."""
+    thermal = dict.fromkeys(
+        label(one.term) for one in extensions if one.free.size and one.term.cause in THERMAL
+    )
+    mean = mean_degc(samples) if thermal else None
+    if mean is None:
+        return
+    for cause in thermal:
+        yield FittedCause(f"{cause}.reference", np.array([mean]), np.zeros(1), "degC")
 
 
 def _rates(samples: Sequence[GyroSamples]) -> tuple[float, float]:

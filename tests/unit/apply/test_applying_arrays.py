@@ -1,0 +1,193 @@
+"""Arrays in, arrays out: against the plain formula, and the model put forward again."""
+
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_solver import Calibration
+from gyrorig_solver.apply.affine import BLOCK, transformed
+from gyrorig_solver.calibration import document as documents
+
+Made = Callable[..., documents.Calibration]
+RNG = np.random.default_rng(20260401)
+MATRIX, OFFSET = RNG.normal(size=(3, 3)), RNG.normal(size=3)
+
+
+@pytest.mark.parametrize("kind", ["int16", "int32", "int64", "uint8", "float32", "float64"])
+@pytest.mark.parametrize("count", [0, 1, 3, 4, 5, BLOCK - 1, BLOCK, BLOCK + 7])
+def test_every_width_and_length_gives_the_plain_formula(kind: str, count: int) -> None:
+    readings = (100.0 * RNG.normal(size=(count, 3))).astype(kind)
+    wanted = readings.astype(np.float64) @ MATRIX.T + OFFSET
+    np.testing.assert_allclose(
+        transformed(readings, MATRIX, OFFSET), wanted, rtol=1e-13, atol=1e-11
+    )
+    single = np.empty((count, 3), dtype=np.float32)
+    transformed(readings, MATRIX, OFFSET, single)
+    np.testing.assert_allclose(single, wanted, rtol=1e-5, atol=1e-3)
+
+
+def test_rows_that_do_not_lie_together_are_no_trouble() -> None:
+    wide = RNG.normal(size=(100, 7))
+    wanted = wide[::2, 1:4] @ MATRIX.T + OFFSET
+    np.testing.assert_allclose(transformed(wide[::2, 1:4], MATRIX, OFFSET), wanted, rtol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.integers(0, 99), max_size=5), st.sampled_from([math.nan, math.inf, -math.inf]))
+def test_a_reading_that_is_missing_spoils_no_other(rows: list[int], hole: float) -> None:
+    readings = np.ones((100, 3))
+    readings[rows, 1] = hole
+    found = transformed(readings, MATRIX, OFFSET)
+    whole = np.isfinite(readings).all(axis=1)
+    assert np.isfinite(found[whole]).all()
+    assert not np.isfinite(found[~whole]).any()
+
+
+def test_an_output_that_would_not_do_is_refused() -> None:
+    readings = np.ones((8, 3))
+    for out in (np.empty((7, 3)), np.empty((8, 3), np.int32), np.empty((8, 6))[:, ::2]):
+        with pytest.raises(ValueError, match="out is"):
+            transformed(readings, MATRIX, OFFSET, out)
+
+
+def test_the_formula_of_the_conventions(document: Made) -> None:
+    found = Calibration(document())
+    gain = np.array(found.document.matrices.STM, dtype=np.float64)
+    bias = np.array(found.document.parameters["bias"].value, dtype=np.float64)
+    rate = RNG.normal(size=(50, 3))
+    reading = rate @ gain.T + bias
+    scale = found.nominal_scale_rad_s
+    assert scale is not None
+    np.testing.assert_allclose(found.rates(reading / scale), rate, atol=1e-12)
+    np.testing.assert_allclose(found.rates(reading, "rad/s"), rate, atol=1e-12)
+    np.testing.assert_allclose(found.rates(np.degrees(reading), "deg/s"), rate, atol=1e-12)
+    np.testing.assert_allclose(found.rates(reading[0], "rad/s"), rate[0], atol=1e-12)
+    np.testing.assert_array_equal(found.times([1.0, 2.0]), [0.9875, 1.9875])
+
+
+def test_the_sensors_axes_differ_by_the_rotation_alone(document: Made) -> None:
+    stage, sensor = Calibration(document()), Calibration(document(), "sensor")
+    turn = np.array(stage.document.matrices.M, dtype=np.float64)
+    reading = RNG.normal(size=(20, 3))
+    np.testing.assert_allclose(
+        sensor.rates(reading, "rad/s"), stage.rates(reading, "rad/s") @ turn.T, atol=1e-12
+    )
+
+
+def parameter(value: list[float] | list[list[float]], unit: str = "1") -> dict[str, object]:
+    return {"value": value, "std": [0.0] * len(value), "unit": unit}
+
+
+EVERY = {
+    "thermal_bias.slope": parameter([1e-3, -2e-3, 5e-4], "rad/s/K"),
+    "thermal_bias.square": parameter([1e-5, 2e-5, -1e-5], "rad/s/K^2"),
+    "thermal_bias.reference": parameter([25.0], "degC"),
+    "thermal_scale": parameter([1e-4, -2e-4, 3e-4], "1/K"),
+    "thermal_scale.reference": parameter([25.0], "degC"),
+    "scale_quadratic": parameter([1e-3, 2e-3, -1e-3], "s/rad"),
+    "scale_cubic": parameter([1e-4, -1e-4, 2e-4], "s^2/rad^2"),
+    "scale_asymmetry": parameter([2e-3, -1e-3, 1e-3], "1"),
+    "g_sensitivity": parameter(
+        [0.0, 1e-4, 2e-4, 0.0, -1e-4, 1e-4, 0.0, 3e-4, 1e-4], "rad/s/(m/s^2)"
+    ),
+    "backlash.gap": parameter([1e-3], "rad"),
+    "bias_step@2.step": parameter([1e-3, 0.0, 0.0], "rad/s"),
+}
+
+
+def test_every_cause_of_the_sensor_is_undone(document: Made) -> None:
+    """The model forward, written out here axis by axis, comes back to the rates it began with."""
+    found = Calibration(document(parameters=EVERY))
+    matrices = found.document.matrices
+    gain, turn = (np.array(m, dtype=np.float64) for m in (matrices.STM, matrices.M))
+    bias = np.array(found.document.parameters["bias"].value, dtype=np.float64)
+    rate = RNG.uniform(-4.0, 4.0, size=(300, 3))
+    degc = RNG.uniform(10.0, 50.0, size=300)
+    force = RNG.normal(size=(300, 3)) + np.array([0.0, 0.0, 9.8])  # in the stage's axes
+    values = {name: np.array(p["value"]) for name, p in EVERY.items()}
+    read = np.empty_like(rate)
+    for row, (omega, t, f) in enumerate(zip(rate, degc - 25.0, force, strict=True)):
+        u = gain @ omega
+        bent = u + values["thermal_scale"] * t * u + values["scale_quadratic"] * u**2
+        bent += values["scale_cubic"] * u**3 + values["scale_asymmetry"] * np.abs(u)
+        warm = values["thermal_bias.slope"] * t + values["thermal_bias.square"] * t**2
+        read[row] = bent + bias + warm + values["g_sensitivity"].reshape(3, 3) @ f
+    told = found.rates(read, "rad/s", temperature_degc=degc, specific_force_m_s2=force @ turn.T)
+    np.testing.assert_allclose(told, rate, atol=1e-11)
+    assert any("backlash" in words for words in found.not_applied)
+    assert any("bias_step@2" in words for words in found.not_applied)
+
+
+def test_what_a_calibration_asks_for_has_to_be_given(document: Made) -> None:
+    warm = {n: p for n, p in EVERY.items() if n.startswith("thermal_bias")}
+    found = Calibration(document(parameters=warm))
+    with pytest.raises(UsageError, match="depends on the temperature"):
+        found.rates(np.ones((4, 3)))
+    with pytest.raises(UsageError, match="2 temperatures for 4 readings"):
+        found.rates(np.ones((4, 3)), temperature_degc=[1.0, 2.0])
+    force = {"g_sensitivity": EVERY["g_sensitivity"]}
+    with pytest.raises(UsageError, match="specific force"):
+        Calibration(document(parameters=force)).rates(np.ones((4, 3)))
+
+
+def test_temperatures_that_count_from_nowhere_are_not_used(document: Made) -> None:
+    found = Calibration(document(parameters={"thermal_bias.slope": parameter([1.0, 1.0, 1.0])}))
+    assert found.correction.straight
+    assert "does not say what its temperatures count from" in " ".join(found.not_applied)
+
+
+def test_what_was_not_shown_is_not_applied(document: Made) -> None:
+    with pytest.raises(InputError, match=r"leaves open .*scale.*record a motion"):
+        Calibration(document("limited"))
+    bias = Calibration(document("limited"), bias_only=True)
+    np.testing.assert_allclose(
+        bias.rates([[0.0, 0.0, 0.0]], "rad/s"), [[-0.0078125, 0.015625, -0.03125]]
+    )
+
+
+def test_a_refused_calibration_is_refused_with_its_reason(document: Made) -> None:
+    trust = {"verdict": "refused", "reasons": ["the residual is too large: check the signs"]}
+    with pytest.raises(InputError, match=r"refused and not to be applied: .*check the signs"):
+        Calibration(document(trust=trust))
+
+
+@pytest.mark.parametrize("bad", [np.ones(4), np.ones((2, 2, 3)), np.array(["a", "b", "c"])])
+def test_readings_of_another_shape_are_refused(document: Made, bad: np.ndarray) -> None:
+    with pytest.raises(UsageError, match=r"shape \(n, 3\)"):
+        Calibration(document()).rates(bad)
+
+
+def test_counts_without_a_nominal_scale_are_refused(document: Made) -> None:
+    found = Calibration(document(config={"gyro_scale_rad_s": None}))
+    with pytest.raises(UsageError, match="what a count is worth"):
+        found.rates(np.ones((4, 3)))
+    with pytest.raises(UsageError, match="no unit 'rpm'"):
+        found.rates(np.ones((4, 3)), "rpm")  # type: ignore[arg-type] # as an untyped caller
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot read"):
+        Calibration.load(tmp_path / "nothing.yaml")
+    other = tmp_path / "other.yaml"
+    other.write_text("schema: something/else\n")
+    with pytest.raises(InputError, match="calibration"):
+        Calibration.load(other)
+
+
+def test_arrays_need_nothing_of_the_extra(golden: Path) -> None:
+    """Where scipy and jinja2 are missing, a calibration can still be applied."""
+    code = (
+        "import sys; sys.modules.update(dict.fromkeys(('scipy', 'jinja2')))\n"
+        "from gyrorig_solver import Calibration\n"
+        f"print(Calibration.load({str(golden)!r}).rates([0, 0, 0]).tolist())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert len(done.stdout.split(",")) == 3

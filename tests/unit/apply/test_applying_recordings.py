@@ -1,0 +1,265 @@
+"""Recordings: the topic as other readers see it, and the rest of the file as it was."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording import adding
+from gyrorig_protocol.recording.messages import EventKind, ImuStatus, SessionEvent
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.salvage import read_strictly
+from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
+from gyrorig_solver import Calibration, cli
+from gyrorig_solver.apply.recordings import apply_to_recording
+from gyrorig_solver.calibration import document as documents
+from gyrorig_solver.samples import load_samples
+
+Captured = pytest.CaptureFixture[str]
+Made = Callable[..., documents.Calibration]
+BOARD = BoardId("GY80-0007")
+START_NS = 1_790_000_000_000_000_000
+COUNT, RATE_HZ = 500, 100.0
+SCALE = 0.00015271630954950384  # the golden calibration's
+FORCE = 0.01
+
+
+@pytest.fixture
+def counts() -> np.ndarray:
+    return np.random.default_rng(3).integers(-3000, 3000, size=(COUNT, 3))
+
+
+@pytest.fixture
+def source(tmp_path: Path, counts: np.ndarray) -> Path:
+    """Write 5 s of a board: samples arrive in time but for 1 ms, two of them are not good."""
+    board = {
+        **{"uid": "u", "sensor": "L3G4200D", "link": "serial", "tick_hz": "1000000.0"},
+        **{"gyro_scale_rad_s": repr(SCALE), "accel_scale_m_s2": repr(FORCE)},
+        **{"counter_bits": "32", "bandwidth_hz": "25.0", "config_hash": "c0ffee"},
+    }
+    own = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0", "rig": "r"}
+    taken_ns = np.rint(np.arange(COUNT) * 1e9 / RATE_HZ).astype(np.int64)
+    status = np.full(COUNT, int(ImuStatus.ACCEL_VALID))
+    status[100] |= int(ImuStatus.SATURATED)
+    status[200] |= int(ImuStatus.REPEATED)
+    writer = RecordingWriter(
+        tmp_path / "in.mcap",
+        {"gyrorig": own, f"gyrorig.board.{BOARD}": board},
+        [Attachment("note.txt", "text/plain", b"hello")],
+    )
+    for first in range(0, COUNT, 50):
+        rows = slice(first, first + 50)
+        writer.write_imu_array(
+            BOARD,
+            host_time_ns=START_NS + taken_ns[rows] + 1_000_000,
+            publish_time_ns=None,
+            device_time=taken_ns[rows] // 1000,
+            sequence=np.arange(COUNT)[rows],
+            status=status[rows],
+            temperature=np.zeros(COUNT, dtype=int)[rows],
+            gyro=counts[rows],
+            accel=np.tile([0, 0, 981], (COUNT, 1))[rows],
+        )
+        now_ns = int(START_NS + taken_ns[rows][-1] + 1_000_000)
+        writer.write("/session/event", SessionEvent(now_ns, EventKind.NOTE, "program", f"{first}"))
+        writer.flush()
+    return writer.close()
+
+
+def messages(path: Path) -> list[tuple[int, int, Any]]:
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
+        return [
+            (m.message.log_time, m.message.publish_time, m.decoded_message)
+            for m in reader.iter_decoded_messages(topics=[f"/board/{BOARD}/imu"])
+        ]
+
+
+def xyz(vector: Any) -> list[float]:
+    return [vector.x, vector.y, vector.z]
+
+
+def test_an_independent_reader_finds_the_true_rates(
+    golden: Path, source: Path, tmp_path: Path, counts: np.ndarray
+) -> None:
+    out = tmp_path / "out.mcap"
+    done = apply_to_recording(Calibration.load(golden), source, out)
+    found = messages(out)
+    good = np.ones(COUNT, dtype=bool)
+    good[[100, 200]] = False
+    assert (done.messages, done.left_out, len(found)) == (498, 2, 498)
+    plain = json.loads(json.dumps(documents.to_plain(Calibration.load(golden).document)))
+    gain, bias = plain["matrices"]["STM"], plain["parameters"]["bias"]["value"]
+    wanted = np.linalg.solve(np.array(gain), (counts[good] * SCALE - bias).T).T
+    told = np.array([xyz(m.angular_velocity) for _, _, m in found])
+    np.testing.assert_allclose(told, wanted, atol=1e-12)
+    turn = np.array(plain["matrices"]["M"])
+    force = np.array([xyz(m.linear_acceleration) for _, _, m in found])
+    np.testing.assert_allclose(force, np.tile(turn.T @ [0.0, 0.0, 9.81], (498, 1)), atol=1e-12)
+    one = found[0][2]
+    assert one.header.frame_id == f"{BOARD}/stage"
+    assert one.orientation_covariance[0] == -1.0
+    assert one.linear_acceleration_covariance[0] == 0.0
+    covariance = np.array(one.angular_velocity_covariance).reshape(3, 3)
+    undone = np.array(gain) @ covariance @ np.array(gain).T
+    np.testing.assert_allclose(
+        undone, np.diag(np.array([0.0005, 0.0005, 0.00075]) ** 2 * 25.0), atol=1e-18
+    )
+
+
+def test_stamps_are_when_the_motion_was_so(golden: Path, source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    apply_to_recording(Calibration.load(golden), source, out)
+    samples = load_samples(read_recording(source), BOARD)
+    wanted = samples.origin_ns + (samples.time_s[samples.good] - 0.0125) * 1e9
+    found = messages(out)
+    stamp = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for _, _, m in found])
+    assert np.abs(stamp - wanted).max() < 300  # ns, of a double of 1.8e18
+    assert [p for _, p, _ in found] == stamp.tolist()
+    arrival = read_recording(source).imu(BOARD)["log_time"][samples.good]
+    assert [a for a, _, _ in found] == arrival.tolist()
+
+
+def test_the_recording_itself_is_in_the_copy_as_it_was(
+    golden: Path, source: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out.mcap"
+    apply_to_recording(Calibration.load(golden), source, out)
+    old, new = read_recording(source), read_recording(out)
+    assert new.complete
+    for topic in old.topics:
+        assert old.stamped(topic) == new.stamped(topic)
+    assert [(a.name, a.data) for a in new.attachments] == [
+        (a.name, a.data) for a in old.attachments
+    ]
+    about = new.metadata[f"gyrorig.applied.{BOARD}"]
+    assert about["version"] == "1"
+    assert about["calibration"].startswith("sha256:")
+    assert {n: r for n, r in new.metadata.items() if "applied" not in n} == old.metadata
+    counted = read_strictly(out)  # mcap's own reader, every checksum on
+    assert counted[f"/board/{BOARD}/imu"] == 498
+    with AnyReader([out], default_typestore=get_typestore(Stores.EMPTY)) as reader:
+        topics = {c.topic: c.msgcount for c in reader.connections}
+    assert topics[f"/board/{BOARD}/imu"] == 498
+
+
+def test_messages_stand_near_those_of_their_time(
+    golden: Path, source: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out.mcap"
+    apply_to_recording(Calibration.load(golden), source, out)
+    with out.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    starts = [one.message_start_time for one in summary.chunk_indexes]
+    assert starts == sorted(starts)
+    assert len(starts) == 20
+
+
+def test_batches_and_chunks_do_not_change_the_messages(
+    golden: Path, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = Calibration.load(golden)
+    apply_to_recording(found, source, tmp_path / "one.mcap")
+    monkeypatch.setattr(adding, "CHUNK_MESSAGES", 13)
+    monkeypatch.setattr("gyrorig_solver.apply.recordings.SAMPLES_AT_A_TIME", 37)
+    apply_to_recording(found, source, tmp_path / "two.mcap")
+    one, two = messages(tmp_path / "one.mcap"), messages(tmp_path / "two.mcap")
+    assert [(a, p) for a, p, _ in one] == [(a, p) for a, p, _ in two]
+    rates = [np.array([xyz(m.angular_velocity) for _, _, m in found]) for found in (one, two)]
+    np.testing.assert_allclose(rates[0], rates[1], rtol=1e-13)
+
+
+def test_an_unfinished_recording_will_do(golden: Path, source: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap.part"
+    cut.write_bytes(source.read_bytes()[:-9000])
+    done = apply_to_recording(Calibration.load(golden), cut, tmp_path / "out.mcap")
+    assert 0 < done.messages < 498
+    assert done.losses
+    assert read_recording(tmp_path / "out.mcap").complete
+
+
+def test_a_board_in_another_setting_is_refused(
+    document: Made, source: Path, tmp_path: Path
+) -> None:
+    other = Calibration(document(config={"bandwidth_hz": 110.0}))
+    with pytest.raises(InputError, match=r"bandwidth_hz 25.0, the calibration is for 110"):
+        apply_to_recording(other, source, tmp_path / "out.mcap")
+    with pytest.raises(InputError, match="--board"):
+        apply_to_recording(Calibration(document(board="B-9")), source, tmp_path / "out.mcap")
+    done = apply_to_recording(
+        Calibration(document(board="B-9")), source, tmp_path / "out.mcap", str(BOARD)
+    )
+    assert done.board == BOARD
+
+
+def test_what_was_made_is_not_made_twice(golden: Path, source: Path, tmp_path: Path) -> None:
+    found = Calibration.load(golden)
+    apply_to_recording(found, source, tmp_path / "out.mcap")
+    with pytest.raises(UsageError, match="never overwritten"):
+        apply_to_recording(found, source, tmp_path / "out.mcap")
+    with pytest.raises(InputError, match="already"):
+        apply_to_recording(found, tmp_path / "out.mcap", tmp_path / "more.mcap")
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_temperatures_are_taken_from_the_recording(document: Made, tmp_path: Path) -> None:
+    board = {"uid": "u", "sensor": "X", "link": "file", "gyro_scale_rad_s": repr(SCALE)}
+    board |= {"tick_hz": "1e6", "temperature_scale_c": "0.01", "temperature_offset_c": "25.0"}
+    own = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
+    writer = RecordingWriter(
+        tmp_path / "in.mcap", {"gyrorig": own, f"gyrorig.board.{BOARD}": board}
+    )
+    taken_ns = np.arange(100) * 10_000_000
+    warm = np.arange(100) * 10  # 0.1 K a sample
+    writer.write_imu_array(
+        BOARD,
+        host_time_ns=START_NS + taken_ns,
+        publish_time_ns=None,
+        device_time=taken_ns // 1000,
+        sequence=np.arange(100),
+        status=np.where(np.arange(100) % 2, 0, int(ImuStatus.TEMPERATURE_VALID)),
+        temperature=warm,
+        gyro=np.zeros((100, 3), dtype=int),
+    )
+    source = writer.close()
+    slope = {"value": [1e-3, 0.0, 0.0], "std": [0.0] * 3, "unit": "rad/s/K"}
+    reference = {"value": [30.0], "std": [0.0], "unit": "degC"}
+    found = Calibration(
+        document(parameters={"thermal_bias.slope": slope, "thermal_bias.reference": reference})
+    )
+    done = apply_to_recording(found, source, tmp_path / "out.mcap")
+    assert done.outside_warmth == int(np.sum(25 + (warm // 20) * 0.2 > 26.0))
+    told = np.array([xyz(m.angular_velocity) for _, _, m in messages(tmp_path / "out.mcap")])
+    degc = 25.0 + 0.1 * (np.arange(100) // 2 * 2)  # the last one that was there
+    bias = np.array([0.0078125, -0.015625, 0.03125])
+    read = -bias - np.outer(degc - 30.0, [1e-3, 0.0, 0.0])
+    np.testing.assert_allclose(told, read @ found.correction.inverse.T, atol=1e-12)
+    nothing = [m.linear_acceleration_covariance[0] for _, _, m in messages(tmp_path / "out.mcap")]
+    assert set(nothing) == {-1.0}
+
+
+def test_the_command_says_what_it_did(
+    golden: Path, source: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    out = tmp_path / "out.mcap"
+    assert cli.run(["apply", str(golden), str(source), "-o", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["topic"] == f"/board/{BOARD}/imu"
+    assert told["messages"] == 498
+    assert math.isclose(told["left_out"], 2)
+    args = ["apply", str(golden), str(source), "-o", str(tmp_path / "b.mcap"), "--columns", "a,b,c"]
+    assert cli.run(args) == 2
+    assert "leave out the options of a table" in capsys.readouterr().err
+    assert cli.run(["apply", str(golden), str(source), "-o", str(tmp_path / "b.bag")]) == 2
+    assert "end it in .mcap" in capsys.readouterr().err

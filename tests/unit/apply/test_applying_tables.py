@@ -1,0 +1,139 @@
+"""Tables: the text stays, the rates are right, and what is wrong is said in one line."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrorig_solver import Calibration, cli
+from gyrorig_solver.apply import tables
+from gyrorig_solver.apply.tables import TableColumns, apply_to_table
+from gyrorig_solver.calibration.document import Calibration as Document
+from gyrorig_solver.calibration.document import to_yaml
+
+Captured = pytest.CaptureFixture[str]
+GYRO = ("gx", "gy", "gz")
+RNG = np.random.default_rng(5)
+
+
+def table(path: Path, rows: int = 30, delimiter: str = ",", end: str = "\n") -> np.ndarray:
+    data = RNG.integers(-20000, 20000, size=(rows, 3))
+    lines = [delimiter.join(("t", "note", *GYRO))]
+    lines += [
+        delimiter.join((f"{k / 100:.2f}", '"a word"', *map(str, row)))
+        for k, row in enumerate(data.tolist())
+    ]
+    path.write_text(end.join(lines) + end, newline="")
+    return data
+
+
+@pytest.mark.parametrize(("delimiter", "end"), [(",", "\n"), (";", "\r\n"), ("\t", "\n")])
+def test_rates_stand_beside_the_text_as_it_was(
+    golden: Path, tmp_path: Path, delimiter: str, end: str
+) -> None:
+    counts = table(tmp_path / "in.csv", delimiter=delimiter, end=end)
+    found = Calibration.load(golden)
+    done = apply_to_table(
+        found, tmp_path / "in.csv", tmp_path / "out.csv", TableColumns(GYRO, time="t")
+    )
+    old = (tmp_path / "in.csv").read_text().splitlines()
+    new = (tmp_path / "out.csv").read_text().splitlines()
+    assert all(n.startswith(o + delimiter) for o, n in zip(old, new, strict=True))
+    cells = [line.split(delimiter) for line in new]
+    assert cells[0][-4:] == ["rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s", "time_of_motion_s"]
+    told = np.array([row[-4:] for row in cells[1:]], dtype=float)
+    np.testing.assert_allclose(told[:, :3], found.rates(counts), rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(told[:, 3], np.arange(30) / 100 - 0.0125, atol=1e-9)
+    assert done.rows == 30
+    assert done.without == 0
+    assert done.outside == int(np.sum(np.abs(found.rates(counts)).max(axis=1) > 1.25))
+
+
+def test_blocks_do_not_change_the_result(
+    golden: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table(tmp_path / "in.csv")
+    found = Calibration.load(golden)
+    apply_to_table(found, tmp_path / "in.csv", tmp_path / "one.csv", TableColumns(GYRO))
+    monkeypatch.setattr(tables, "ROWS_AT_A_TIME", 7)
+    apply_to_table(found, tmp_path / "in.csv", tmp_path / "two.csv", TableColumns(GYRO))
+    assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "two.csv").read_bytes()
+
+
+def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text("gx,gy,gz\n1,2,3\n4,,6\nnan,8,9\n10,11,12\n")
+    done = apply_to_table(
+        Calibration.load(golden), tmp_path / "in.csv", tmp_path / "out.csv", TableColumns(GYRO)
+    )
+    lines = (tmp_path / "out.csv").read_text().splitlines()
+    assert [line.endswith(",,,") for line in lines] == [False, False, True, True, False]
+    assert (done.rows, done.without) == (4, 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("gx,gy\n1,2\n", "no column 'gz'"),
+        ("gx,gy,gz\n", "a header and no rows"),
+        ("gx,gy,gz\n1,2\n", "row 1 has 2 columns"),
+        ("gx,gy,gz\n1,2,3\n1,x,3\n", "row 2 holds something else than numbers"),
+        ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "has a column rate_x_rad_s already"),
+        ("", "no column 'gx'"),
+    ],
+)
+def test_a_table_that_will_not_do_is_refused_and_nothing_is_left(
+    golden: Path, tmp_path: Path, text: str, said: str, capsys: Captured
+) -> None:
+    (tmp_path / "in.csv").write_text(text)
+    out = tmp_path / "out.csv"
+    code = cli.run(
+        ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz", "-o", str(out)]
+    )
+    assert code == 3
+    assert said in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in.csv", "v0001.yaml"]
+
+
+def test_the_command_in_words_and_as_an_object(
+    golden: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    table(tmp_path / "in.csv")
+    base = ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz"]
+    assert cli.run([*base, "-o", str(tmp_path / "a.csv")]) == 0
+    assert "30 rows" in capsys.readouterr().out
+    assert cli.run([*base, "-o", str(tmp_path / "b.csv"), "--json", "--frame", "sensor"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["rows"], told["frame"], told["board"]) == (30, "sensor", "GY80-0007")
+    assert cli.run([*base, "-o", str(tmp_path / "b.csv")]) == 2
+    assert "b.csv exists" in capsys.readouterr().err
+    assert cli.run([*base[:3], "-o", str(tmp_path / "c.csv")]) == 2
+    assert "--columns X,Y,Z" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written(golden: Path, tmp_path: Path, capsys: Captured) -> None:
+    table(tmp_path / "in.csv")
+    out = tmp_path / "none" / "out.csv"
+    base = ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz"]
+    assert cli.run([*base, "-o", str(out)]) == 1
+    assert "cannot write" in capsys.readouterr().err
+
+
+def test_a_temperature_column_is_asked_for_and_used(
+    tmp_path: Path, document: Callable[..., Document], capsys: Captured
+) -> None:
+    (tmp_path / "in.csv").write_text("gx,gy,gz,T\n0,0,0,25\n0,0,0,35\n")
+    slope = {"value": [1e-3, 0.0, 0.0], "std": [0.0] * 3, "unit": "rad/s/K"}
+    reference = {"value": [25.0], "std": [0.0], "unit": "degC"}
+    made = document(parameters={"thermal_bias.slope": slope, "thermal_bias.reference": reference})
+    warm = tmp_path / "warm.yaml"
+    warm.write_text(to_yaml(made))
+    base = ["apply", str(warm), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz"]
+    assert cli.run([*base, "-o", str(tmp_path / "a.csv")]) == 2
+    assert "--temperature" in capsys.readouterr().err
+    assert cli.run([*base, "--temperature", "T", "-o", str(tmp_path / "a.csv")]) == 0
+    rows = (tmp_path / "a.csv").read_text().splitlines()[1:]
+    first, second = (np.array(r.split(",")[-3:], dtype=float) for r in rows)
+    inverse = Calibration(made).correction.inverse
+    np.testing.assert_allclose(first - second, inverse @ [0.01, 0.0, 0.0], atol=1e-8)
