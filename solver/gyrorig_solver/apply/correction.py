@@ -235,6 +235,8 @@ def _thermal(calibration: Calibration, left: list[str]) -> tuple[FloatArray, Flo
     orders: list[FloatArray] = []
     for order in ORDERS:
         found = calibration.parameters.get(f"thermal_bias.{order}")
+        if order == ORDERS[0] and found is None:  # a cause with one size has its name alone
+            found = calibration.parameters.get("thermal_bias")
         if found is None:
             break
         orders.append(_filled(found))

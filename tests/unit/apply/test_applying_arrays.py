@@ -126,6 +126,15 @@ def test_every_cause_of_the_sensor_is_undone(document: Made) -> None:
     assert any("bias_step@2" in words for words in found.not_applied)
 
 
+def test_a_slope_alone_goes_by_its_causes_name(document: Made) -> None:
+    slope = {"thermal_bias": EVERY["thermal_bias.slope"]}
+    slope |= {n: EVERY[n] for n in ("thermal_bias.reference",)}
+    found = Calibration(document(parameters=slope))
+    cold, warm = (found.rates([0.0, 0.0, 0.0], temperature_degc=t) for t in (25.0, 35.0))
+    drift = found.correction.inverse @ [1e-2, -2e-2, 5e-3]
+    np.testing.assert_allclose(cold - warm, drift, atol=1e-12)
+
+
 def test_what_a_calibration_asks_for_has_to_be_given(document: Made) -> None:
     warm = {n: p for n, p in EVERY.items() if n.startswith("thermal_bias")}
     found = Calibration(document(parameters=warm))
