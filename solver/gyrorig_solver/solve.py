@@ -1,25 +1,27 @@
 """From a recording to a fit: choose the reference, solve, conclude.
 
-What to use when: `solve_recordings` is the whole way for one board. The estimators are in
+What to use when: `solve_recordings` is the whole way for one board, `solve_on_one_unit` for
+several that were on a unit at once. The estimators are in
 `estimate`, one for each kind of reference.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_solver.estimate.attitude import fit_attitude
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.gravity import fit_gravity
 from gyrorig_solver.estimate.likelihood import Solution
-from gyrorig_solver.estimate.motion import fit_joint, fit_motion, session_of, solution_of
+from gyrorig_solver.estimate.motion import concluded, fit_motion, session_of, solution_of
+from gyrorig_solver.estimate.on_one_unit import fit_on_one_unit
 from gyrorig_solver.estimate.result import GyroFit, StageLevel
 from gyrorig_solver.estimate.session import SessionFit
 from gyrorig_solver.estimate.turns import fit_turns
-from gyrorig_solver.extensions import choose_extensions
+from gyrorig_solver.extensions import Chosen, choose_extensions
 from gyrorig_solver.model.terms.level_rests import level_by_rests
 from gyrorig_solver.raw.repeats import without_repeats
 from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
@@ -46,6 +48,8 @@ REST_WORDS = {
     "time_offset": "nothing moved; use a moving reference",
 }
 MOST_FOR_LEVEL = 4_000_000  # samples: hours of accelerations are not worth their memory
+# Of recordings fitted for all their boards at once: 16 boards of 800 Hz need 1.5 GB for 100 MB.
+MOST_BYTES = 100_000_000
 STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901; only the accelerometer's scale rests on it
 
 
@@ -102,6 +106,42 @@ def _by_unit(
     named: Sequence[Extension],
 ) -> GyroFit:
     """Fit a board on a unit: recordings in motion and at rest, together."""
+    begun = _begun(loaded, extend, named)
+    return begun.concluded(begun.solution())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Begun:
+    """A board on a unit, with all that its fit needs and its result will say."""
+
+    found: list[tuple[Recording, GyroSamples, ReferenceMotion]]
+    chosen: Chosen
+    warnings: tuple[str, ...]
+
+    def solution(self) -> Solution:
+        """Fit it by itself."""
+        pairs = [(samples, reference) for _, samples, reference in self.found]
+        return solution_of(pairs, self.chosen.extensions, self.chosen.settings)
+
+    def concluded(
+        self,
+        solution: Solution,
+        warnings: Sequence[str] = (),
+        more: Mapping[str, float] | None = None,
+    ) -> GyroFit:
+        """Return what may be said of it."""
+        samples = [samples for _, samples, _ in self.found]
+        words = {**PTU_WORDS, **self.chosen.words}
+        said = (*self.warnings, *self.chosen.remarks, *warnings)
+        fit = concluded(solution, samples, words, said, more)
+        return replace(fit, level=level_of(*self.found[-1][1:]))
+
+
+def _begun(
+    loaded: list[tuple[Recording, GyroSamples]],
+    extend: Sequence[str] = (),
+    named: Sequence[Extension] = (),
+) -> _Begun:
     loaded = [(recording, without_repeats(samples)) for recording, samples in loaded]
     _check_alike(loaded)
     found: list[tuple[Recording, GyroSamples, ReferenceMotion]] = []
@@ -111,15 +151,57 @@ def _by_unit(
         found.append((recording, samples, reference))
         many = f"{recording.path.name}: " if len(loaded) > 1 else ""
         warnings += tuple(many + text for text in said)
-    chosen = choose_extensions(found, extend, named)
-    fit = fit_joint(
-        [(samples, reference) for _, samples, reference in found],
-        {**PTU_WORDS, **chosen.words},
-        (*warnings, *chosen.remarks),
-        chosen.extensions,
-        chosen.settings,
-    )
-    return replace(fit, level=level_of(*found[-1][1:]))
+    return _Begun(found, choose_extensions(found, extend, named), warnings)
+
+
+def solve_on_one_unit(
+    recordings: Sequence[Recording], boards: Sequence[str]
+) -> dict[str, GyroFit | GyrorigError]:
+    """Calibrate boards that were on one unit at once, together; see `estimate.on_one_unit`.
+
+    Each board is fitted by itself first: what cannot be fitted, or does not agree with the
+    others, is returned as it is alone.
+
+    Args:
+        recordings: in any order; each board is in each of them.
+        boards: by name.
+
+    Returns:
+        Each board's fit, or why there is none.
+    """
+    ordered = sorted(recordings, key=lambda recording: recording.start_ns)
+    begun: dict[str, _Begun] = {}
+    alone: dict[str, Solution] = {}
+    fits: dict[str, GyroFit | GyrorigError] = {}
+    for board in boards:
+        try:
+            begun[board] = _begun([(one, load_samples(one, board)) for one in ordered])
+            alone[board] = begun[board].solution()
+        except GyrorigError as fault:
+            fits[board] = fault
+    together = fit_on_one_unit(alone)
+    missing = tuple(f"{r.path.name}: {loss.text}" for r in ordered for loss in r.losses)
+    for board, own in alone.items():
+        solution = together.solutions.get(board, own)
+        more = {"boards_together": float(len(together.solutions))} if solution is not own else {}
+        warnings: tuple[str, ...] = ()
+        if board in together.left_out and together.solutions:
+            warnings = (f"solved without the boards beside it: {together.left_out[board]}",)
+        try:
+            fit = begun[board].concluded(solution, warnings, more)
+            fits[board] = replace(fit, warnings=(*missing, *fit.warnings))
+        except GyrorigError as fault:
+            fits[board] = fault
+    return fits
+
+
+def are_on_one_unit(recordings: Sequence[Recording], boards: Sequence[str]) -> bool:
+    """Return whether boards can be fitted together: on a unit at once, and not too much."""
+    if len(boards) < 2 or not all("/ptu/position" in one.topics for one in recordings):
+        return False
+    if not all(set(boards) <= set(one.board_ids) for one in recordings):
+        return False
+    return sum(one.path.stat().st_size for one in recordings) <= MOST_BYTES
 
 
 def unit_solution(recordings: Sequence[Recording], board: str) -> Solution:

@@ -160,6 +160,7 @@ class Quality(_Document, frozen=True, omit_defaults=True):
     rest_to_rest: SecondOpinion | None = None
     level: Level | None = None  # where the accelerometer was recorded at several tilts
     recordings: list[OwnOfRecording] | None = None  # where several were solved together
+    boards_together: int | None = None  # on one unit at once, its motion found by all of them
 
 
 class Trust(_Document, frozen=True):

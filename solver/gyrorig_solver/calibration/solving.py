@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.build import calibration_of
@@ -17,7 +17,7 @@ from gyrorig_solver.calibration.document import Calibration, Findings, to_yaml
 from gyrorig_solver.calibration.origin import provenance
 from gyrorig_solver.calibration.paper import paper_calibration_of, solve_as_printed
 from gyrorig_solver.calibration.profiles import find_profile
-from gyrorig_solver.calibration.store import CalibrationStore, write_whole
+from gyrorig_solver.calibration.store import CalibrationStore, StoredVersion
 from gyrorig_solver.calibration.trust import with_findings
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.findings.document import FindingsDocument
@@ -31,7 +31,7 @@ from gyrorig_solver.findings.explaining import (
 from gyrorig_solver.report.data import ReportData
 from gyrorig_solver.report.html import render
 from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import solve_recordings
+from gyrorig_solver.solve import are_on_one_unit, solve_on_one_unit, solve_recordings
 
 AUTO = "auto"
 FINDINGS_SUFFIX = ".findings.yaml"
@@ -44,6 +44,7 @@ class Solved:
     calibration: Calibration
     path: Path
     report: Path
+    stored: StoredVersion
     found: Explanation | None = None  # where causes were searched for
 
 
@@ -57,6 +58,8 @@ def solve_into(
     board: BoardId,
     method: str = "likelihood",
     extend: Sequence[str] = (),
+    fit: GyroFit | None = None,
+    before: Callable[[], None] = lambda: None,
 ) -> Solved:
     """Solve one board, and write its next version and its report.
 
@@ -67,6 +70,8 @@ def solve_into(
         method: `likelihood` or `paper`.
         extend: causes of the catalogue to fit too, `auto` for those that a search names;
             `likelihood` only.
+        fit: what `fits_together` has of this board; then nothing is solved anew.
+        before: called when the version is to be written; what it raises ends this.
 
     Raises:
         InputError: the recordings do not hold what the method needs.
@@ -79,7 +84,7 @@ def solve_into(
     if method == "paper":
         document, data_of = _by_paper(ordered, board)
     else:
-        document, data_of, found = _by_likelihood(ordered, board, extend)
+        document, data_of, found = _by_likelihood(ordered, board, extend, fit)
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     written: list[Calibration] = []
 
@@ -87,21 +92,34 @@ def solve_into(
         written.append(document(version, previous, created))
         return to_yaml(written[-1])
 
-    stored = store.add(board, text)
-    report = stored.path.with_suffix(".report.html")
-    write_whole(report, render(data_of(written[-1])).encode(), replace=True)
+    stored = store.add(board, text, before)
+    report = store.beside(stored, ".report.html", render(data_of(written[-1])).encode())
     if found is not None:
-        _write_findings(stored.path, found)
-    return Solved(written[-1], stored.path, report, found)
+        _write_findings(store, stored, found)
+    return Solved(written[-1], stored.path, report, stored, found)
 
 
-def _write_findings(calibration: Path, found: Explanation) -> None:
+def fits_together(
+    recordings: Sequence[Recording],
+    boards: Sequence[BoardId],
+    method: str = "likelihood",
+    extend: Sequence[str] = (),
+) -> dict[str, GyroFit | GyrorigError]:
+    """Return the fits of boards that were on one unit at once, or why a board has none.
+
+    Empty where boards are to be solved one by one: another reference, causes to be fitted,
+    the paper's method, or more data than one look should take.
+    """
+    if method != "likelihood" or extend or not are_on_one_unit(recordings, boards):
+        return {}
+    return solve_on_one_unit(recordings, boards)
+
+
+def _write_findings(store: CalibrationStore, stored: StoredVersion, found: Explanation) -> None:
     """Write what was found beside its version: v0001.findings.yaml and v0001.findings.html."""
     document, page = page_of_found(found)
-    write_whole(
-        calibration.with_suffix(FINDINGS_SUFFIX), findings_yaml(document).encode(), replace=True
-    )
-    write_whole(calibration.with_suffix(".findings.html"), page.encode(), replace=True)
+    store.beside(stored, FINDINGS_SUFFIX, findings_yaml(document).encode())
+    store.beside(stored, ".findings.html", page.encode())
 
 
 def document_of(
@@ -134,12 +152,15 @@ def likelihood_settings(extend: Sequence[str]) -> dict[str, Any]:
 
 
 def _by_likelihood(
-    recordings: Sequence[Recording], board: BoardId, extend: Sequence[str]
+    recordings: Sequence[Recording],
+    board: BoardId,
+    extend: Sequence[str],
+    ready: GyroFit | None = None,
 ) -> tuple[Document, Callable[[Calibration], ReportData], Explanation | None]:
     found = explain_board(recordings, board) if AUTO in extend else None
     asked = tuple(cause for cause in extend if cause != AUTO)
     named = () if found is None else found.findings.extensions
-    fit = solve_recordings(recordings, board, asked, named)
+    fit = ready or solve_recordings(recordings, board, asked, named)
     plain = document_of(fit, recordings, board, extend)
 
     def document(version: int, previous: str | None, created: str) -> Calibration:

@@ -38,7 +38,7 @@ _MADE_AT_ONCE = {
     "manifest",
     "calib",
 }  # by another, a moment ago
-_MAX_TRIES = 100  # each lost race means that another solver wrote a version
+MOST_TRIES = 100  # each lost race means that another solver wrote a version
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +47,11 @@ class StoredVersion:
 
     number: int
     path: Path
+    read: Callable[[Path], bytes] = Path.read_bytes
 
     def data(self) -> bytes:
         """Return the file's bytes."""
-        return self.path.read_bytes()
+        return self.read(self.path)
 
     def digest(self) -> str:
         """Return `sha256:` and the digest of the file's bytes."""
@@ -107,9 +108,30 @@ class CalibrationStore:
             raise MachineError(f"may not write into {folder}", "choose another with --out")
         return folder
 
+    def stored(self, name: str) -> StoredVersion:
+        """Return the version of that name in the store."""
+        path = self.folder / name
+        return StoredVersion(int(path.stem[1:]), path)
+
     def name_of(self, stored: StoredVersion) -> str:
         """Return where in the store a version is."""
         return str(stored.path.relative_to(self.folder))
+
+    def digests_beside(self, stored: StoredVersion) -> list[str]:
+        """Return `<sha256>  <name>` of each file beside a version, as sha256sum writes it.
+
+        Raises:
+            MachineError: one of them cannot be read.
+        """
+        start = f"{stored.path.stem}."
+        return [
+            f"{hashlib.sha256(stored.read(path)).hexdigest()}  {path.name}"
+            for path in sorted(self._neighbours(stored))
+            if path.name.startswith(start) and path != stored.path
+        ]
+
+    def _neighbours(self, stored: StoredVersion) -> list[Path]:
+        return list(stored.path.parent.iterdir())
 
     def beside(self, stored: StoredVersion, suffix: str, data: bytes) -> Path:
         """Write a file beside a version, such as `v0001.report.html`; return its path.
@@ -143,7 +165,7 @@ class CalibrationStore:
             BusyError: other solvers took a hundred numbers in a row.
         """
         folder = self.prepare(board)
-        for _ in range(_MAX_TRIES):
+        for _ in range(MOST_TRIES):
             before()
             last = self.latest(board)
             number = last.number + 1 if last else 1

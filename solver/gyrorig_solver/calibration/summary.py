@@ -30,6 +30,8 @@ def summary(calibration: Calibration) -> str:
         lines.append(
             f"  reduced chi2          {short(quality.reduced_chi2)}   (1: nothing but noise)"
         )
+    if quality.boards_together is not None:
+        lines.append(f"  solved together       {quality.boards_together} boards on this unit")
     lines += _recordings(calibration)
     for reason in calibration.trust.reasons:
         lines.append(f"  ! {reason}")

@@ -11,7 +11,7 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.document import to_plain
-from gyrorig_solver.calibration.solving import AUTO, Solved, solve_into
+from gyrorig_solver.calibration.solving import AUTO, Solved, fits_together, solve_into
 from gyrorig_solver.calibration.store import CalibrationStore
 from gyrorig_solver.calibration.summary import summary
 from gyrorig_solver.commands.boards import chosen_boards
@@ -21,6 +21,7 @@ from gyrorig_solver.commands.terminal import (
     Terminal,
     json_option,
 )
+from gyrorig_solver.estimate.result import GyroFit
 
 
 @click.command("solve")
@@ -61,8 +62,10 @@ def solve_command(
     r"""Turn recordings into a calibration and a report for each board in them.
 
     All recordings of one board are solved together and make one version: static and moving
-    ones, of different days, each with its own bias and time offset. Leaves with 4 when a
-    parameter could not be shown: the calibration says which, and why.
+    ones, of different days, each with its own bias and time offset. Boards that were on one
+    unit at once are solved together too: its motion is one. With --board, one is solved by
+    itself. Leaves with 4 when a parameter could not be shown: the calibration says which, and
+    why.
 
     \b
     Example:
@@ -82,16 +85,19 @@ def solve_command(
         except GyrorigError as fault:
             faults.append(fault)
             failed.append({"recording": str(path), "board": "", "error": str(fault)})
-    for name, together in _groups(read, board, apart=method == "paper"):
-        terminal.progress(f"solving {name} of {', '.join(r.path.name for r in together)}")
-        try:
-            solved.append(solve_into(CalibrationStore(out), together, name, method, causes))
-            terminal.say(_said(solved[-1]))
-        except GyrorigError as fault:
-            faults.append(fault)
-            failed.append(
-                {"recording": str(together[0].path), "board": str(name), "error": str(fault)}
-            )
+    for names, together in _groups(read, board, apart=method == "paper"):
+        said = names[0] if len(names) == 1 else f"{len(names)} boards"
+        terminal.progress(f"solving {said} of {', '.join(r.path.name for r in together)}")
+        ready = fits_together(together, names, method, causes)
+        for name in names:
+            try:
+                solved.append(_solved(out, together, name, method, causes, ready.get(name)))
+                terminal.say(_said(solved[-1]))
+            except GyrorigError as fault:
+                faults.append(fault)
+                failed.append(
+                    {"recording": str(together[0].path), "board": str(name), "error": str(fault)}
+                )
     if len(faults) == 1 and not solved:
         raise faults[0]
     for failure in failed:
@@ -127,18 +133,39 @@ def _lacks(solved: Solved, causes: Sequence[str]) -> bool:
 
 def _groups(
     recordings: Sequence[Recording], wanted: str | None, apart: bool
-) -> Iterator[tuple[BoardId, list[Recording]]]:
-    """Yield each board with the recordings that are solved together for it."""
+) -> Iterator[tuple[list[BoardId], list[Recording]]]:
+    """Yield boards with the recordings that are solved together for them.
+
+    Boards of the same recordings are yielded at once: on one unit they are solved together.
+    """
     pooled: dict[BoardId, list[Recording]] = {}
     for recording in recordings:
         for board in recording.board_ids:
             if wanted is not None and board != wanted:
                 continue
             if apart:
-                yield board, [recording]
+                yield [board], [recording]
             else:
                 pooled.setdefault(board, []).append(recording)
-    yield from pooled.items()
+    alike: dict[tuple[int, ...], list[BoardId]] = {}
+    for board, own in pooled.items():
+        alike.setdefault(tuple(id(one) for one in own), []).append(board)
+    for boards in alike.values():
+        yield boards, pooled[boards[0]]
+
+
+def _solved(
+    out: Path,
+    together: Sequence[Recording],
+    board: BoardId,
+    method: str,
+    causes: Sequence[str],
+    ready: GyroFit | GyrorigError | None,
+) -> Solved:
+    """Solve one board, or write what was solved with the boards beside it."""
+    if isinstance(ready, GyrorigError):
+        raise ready
+    return solve_into(CalibrationStore(out), together, board, method, causes, ready)
 
 
 def _said(solved: Solved) -> str:

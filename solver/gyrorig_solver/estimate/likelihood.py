@@ -17,6 +17,7 @@ from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.information import NAMES, Marginal, loosened, marginalise
 from gyrorig_solver.estimate.noise import NoiseModel, Sampling, Spectrum, binned, fit_levels
+from gyrorig_solver.estimate.normal import Normal
 from gyrorig_solver.estimate.observability import Decision, decide_in, prior_std
 from gyrorig_solver.estimate.session import SessionFit
 from gyrorig_solver.estimate.start import shared_gain
@@ -87,7 +88,7 @@ def solve_likelihood(
     Raises:
         InputError: no sample has a reference.
     """
-    work = _Work(sessions, extensions)
+    work = Work(sessions, extensions)
     work.begin()
     return _settled(work, ROUNDS)
 
@@ -99,12 +100,17 @@ def solve_again(before: Solution, extensions: Sequence[Extension]) -> Solution:
         before: is left as it is.
         extensions: all causes that are to take part, each begun near its own best.
     """
-    work = _Work([session.copy() for session in before.sessions], extensions)
+    return _settled(resumed(before, extensions), 2 * ROUNDS)
+
+
+def resumed(before: Solution, extensions: Sequence[Extension]) -> "Work":
+    """Return a fit under way from where another ended, which is left as it is."""
+    work = Work([session.copy() for session in before.sessions], extensions)
     work.resume(before.gain, before.noises)
-    return _settled(work, 2 * ROUNDS)
+    return work
 
 
-def _settled(work: "_Work", rounds: int) -> Solution:
+def _settled(work: "Work", rounds: int) -> Solution:
     """Take steps until they are small, at most so many."""
     converged = False
     before = np.inf
@@ -118,20 +124,21 @@ def _settled(work: "_Work", rounds: int) -> Solution:
     return work.solution(converged)
 
 
-class _Work:
-    """The fit under way."""
+class Work:
+    """The fit under way: `begin` or `resume`, then rounds, then `solution`."""
 
     def __init__(self, sessions: Sequence[SessionFit], extensions: Sequence[Extension]) -> None:
-        self._sessions, self._extensions = tuple(sessions), tuple(extensions)
+        self.sessions, self._extensions = tuple(sessions), tuple(extensions)
         self._gain = np.eye(3)
         self._noises: list[NoiseModel] = []
         self._spectra: list[Spectrum] = []
         self._sources: list[str] = []
+        self._marginal: Sequence[Marginal] = ()
         self._way, self._share = np.zeros(0), 1.0  # of the causes' last step
 
     def begin(self) -> None:
         """Find lags by correlation, then gain and biases by plain least squares."""
-        for session in self._sessions:
+        for session in self.sessions:
             session.find_lag()
         self._least_squares(first=True)
         self._least_squares(first=False)
@@ -148,19 +155,30 @@ class _Work:
         """Take one Gauss-Newton step; return its largest size in standard deviations."""
         found = self._marginals()
         information, score = self._joint(found)
-        decision = decide_in(information, self._units())
+        decision = decide_in(information, self.units())
         step = self._within(decision.inverse @ score, information, score)
         self._marginal = found
         sigma = np.sqrt(np.clip(np.diag(decision.covariance), 0.0, None))
         size = float(np.max(np.abs(step) / np.where(sigma > 0.0, sigma, np.inf)))
+        self.take(step, [m.nuisance(step[self.index(k)]) for k, m in enumerate(found)])
+        return size
+
+    def take(self, step: FloatArray, motions: Sequence[FloatArray]) -> None:
+        """Change all parameters, and the unknowns of each recording's reference."""
         self._gain = self._gain + step[:GAINS].reshape(3, 3)
         self._extensions = self._moved(step[step.size - self._causes :])
-        for k, (session, marginal) in enumerate(zip(self._sessions, found, strict=True)):
-            own = step[self._index(k)]
+        for k, (session, motion) in enumerate(zip(self.sessions, motions, strict=True)):
+            own = step[self.index(k)]
             session.bias_rad_s = session.bias_rad_s + own[9:12]
             session.lag_s += float(np.clip(own[12], -0.05, 0.05))
-            session.reference = session.reference.moved(marginal.nuisance(own))
-        return size
+            session.reference = session.reference.moved(motion)
+
+    def normals(self) -> list[Normal]:
+        """Return each recording's normal equations, the reference's own knowledge not in."""
+        return [
+            session.normal(self._gain, noise)
+            for session, noise in zip(self.sessions, self._noises, strict=True)
+        ]
 
     def look_again(self, size: float) -> None:
         """Predict anew after a step of that size."""
@@ -179,7 +197,7 @@ class _Work:
         if not self._causes:
             return step
         first = step.size - self._causes
-        units = self._units()
+        units = self.units()
         held = np.zeros(step.size, dtype=np.bool_)
         for _ in range(self._causes):
             before = np.concatenate([one.values[one.free] for one in self._extensions])
@@ -201,10 +219,18 @@ class _Work:
         self._way = way
         return self._share * step
 
-    def solution(self, converged: bool) -> Solution:
-        """Return the result, each recording's common shift put into its offset."""
+    def solution(self, converged: bool, told: FloatArray | None = None) -> Solution:
+        """Return the result, each recording's common shift put into its offset.
+
+        Args:
+            converged: whether the steps have become small.
+            told: information about all its parameters, where others took part in the fit.
+        """
         causes = [one.values[one.free] for one in self._extensions]
-        own = [self._of_one(k) for k in range(len(self._sessions))]
+        whole = self._joint(self._marginal)[0] if told is None else told
+        for k, session in enumerate(self.sessions):
+            whole = loosened(whole, int(self.index(k)[12]), session.common_std_s)
+        own = [self._of_one(whole, k) for k in range(len(self.sessions))]
         unit = np.concatenate([prior_std(NAMES), *(one.prior_std for one in self._extensions)])
         decisions = tuple(self._zero_open(decide_in(one, unit)) for one in own)
         # A board that lay still last tells its bias, but not how late its samples are.
@@ -212,26 +238,26 @@ class _Work:
         moved = max((k for k, one in enumerate(decisions) if one.shows(12)), default=last)
         joint = decisions[last]
         if moved != last:
-            joint = self._zero_open(decide_in(self._of_one(last, offset_of=moved), unit))
+            joint = self._zero_open(decide_in(self._of_one(whole, last, moved), unit))
         return Solution(
             names=(*NAMES, *(name for one in self._extensions for name in one.names)),
             unit=unit,
             estimate=np.concatenate(
                 [
                     self._gain.ravel(),
-                    self._sessions[last].bias_rad_s,
-                    [self._sessions[moved].time_offset_s],
+                    self.sessions[last].bias_rad_s,
+                    [self.sessions[moved].time_offset_s],
                     *causes,
                 ]
             ),
             decision=joint,
-            sessions=self._sessions,
+            sessions=self.sessions,
             extensions=self._extensions,
             own=decisions,
             noises=tuple(self._noises),
             spectra=tuple(self._spectra),
             sources=tuple(self._sources),
-            outliers=sum(session.outliers for session in self._sessions),
+            outliers=sum(session.outliers for session in self.sessions),
             converged=converged,
         )
 
@@ -253,19 +279,19 @@ class _Work:
         """How many values of causes are fitted."""
         return sum(one.free.size for one in self._extensions)
 
-    def _units(self) -> FloatArray:
+    def units(self) -> FloatArray:
         """Return the prior deviation of all parameters: G, each (b, tau), the causes' values."""
         own = prior_std(NAMES)
-        each = [own[GAINS:]] * len(self._sessions)
+        each = [own[GAINS:]] * len(self.sessions)
         return np.concatenate([own[:GAINS], *each, *(one.prior_std for one in self._extensions)])
 
-    def _index(self, k: int, offset_of: int | None = None) -> IntArray:
+    def index(self, k: int, offset_of: int | None = None) -> IntArray:
         """Return where the parameters of recording `k` are among all: G, b, tau, causes.
 
         `offset_of`: take the time offset of that recording.
         """
         first = GAINS + PER_SESSION * k
-        after = GAINS + PER_SESSION * len(self._sessions)
+        after = GAINS + PER_SESSION * len(self.sessions)
         offset = GAINS + PER_SESSION * (k if offset_of is None else offset_of) + 3
         own = (*range(GAINS), *range(first, first + 3), offset)
         return np.array([*own, *range(after, after + self._causes)], dtype=np.int64)
@@ -280,8 +306,8 @@ class _Work:
 
     def _marginals(self) -> list[Marginal]:
         return [
-            marginalise(session.normal(self._gain, noise), session.reference, OWN + self._causes)
-            for session, noise in zip(self._sessions, self._noises, strict=True)
+            marginalise(normal, session.reference, OWN + self._causes)
+            for session, normal in zip(self.sessions, self.normals(), strict=True)
         ]
 
     def _joint(self, found: Sequence[Marginal]) -> tuple[FloatArray, FloatArray]:
@@ -289,7 +315,7 @@ class _Work:
         size = GAINS + PER_SESSION * len(found) + self._causes
         information, score = np.zeros((size, size)), np.zeros(size)
         for k, marginal in enumerate(found):
-            index = self._index(k)
+            index = self.index(k)
             information[np.ix_(index, index)] += marginal.information
             score[index] += marginal.score
         first = GAINS + PER_SESSION * len(found)
@@ -301,44 +327,39 @@ class _Work:
             first += one.free.size
         return information, score
 
-    def _of_one(self, k: int, offset_of: int | None = None) -> FloatArray:
+    def _of_one(self, whole: FloatArray, k: int, offset_of: int | None = None) -> FloatArray:
         """Return the information of G and recording `k`'s own, the others' taken out."""
-        loose = [
-            replace(m, information=loosened(m.information, 12, session.common_std_s))
-            for m, session in zip(self._marginal, self._sessions, strict=True)
-        ]
-        information, _ = self._joint(loose)
-        keep = self._index(k, offset_of)
-        drop = np.setdiff1d(np.arange(information.shape[0]), keep)
+        keep = self.index(k, offset_of)
+        drop = np.setdiff1d(np.arange(whole.shape[0]), keep)
         if not drop.size:
-            return information
+            return whole
         # A hair of prior: a recording at rest does not know its offset.
-        unit = self._units()[drop]
-        inner = information[np.ix_(drop, drop)] + np.diag(1e-6 / unit**2)
-        across = information[np.ix_(keep, drop)]
-        left = information[np.ix_(keep, keep)] - across @ np.linalg.solve(inner, across.T)
+        unit = self.units()[drop]
+        inner = whole[np.ix_(drop, drop)] + np.diag(1e-6 / unit**2)
+        across = whole[np.ix_(keep, drop)]
+        left = whole[np.ix_(keep, keep)] - across @ np.linalg.solve(inner, across.T)
         return np.asarray(left, dtype=np.float64)
 
     def _least_squares(self, first: bool) -> None:
-        sums = [s.rough(s.used if first else s.ordinary(self._gain)) for s in self._sessions]
+        sums = [s.rough(s.used if first else s.ordinary(self._gain)) for s in self.sessions]
         self._gain = shared_gain(sums)
-        for session, rough in zip(self._sessions, sums, strict=True):
+        for session, rough in zip(self.sessions, sums, strict=True):
             session.bias_rad_s = rough.bias(self._gain)
 
     def _observe(self, judge: bool, fresh: bool) -> None:
-        for session in self._sessions:
+        for session in self.sessions:
             session.extensions = self._extensions
             session.observe(self._gain, judge, fresh)
 
     def _fit_noise(self) -> None:
-        found = [session.periodograms(self._gain) for session in self._sessions]
+        found = [session.periodograms(self._gain) for session in self.sessions]
         self._spectra = [binned(pieces) for pieces, _ in found]
         self._sources = [said for _, said in found]
         before: list[FloatArray | None] = [noise.levels for noise in self._noises]
-        before = before or [None] * len(self._sessions)
+        before = before or [None] * len(self.sessions)
         self._noises = [
             fit_levels(spectrum, self._sampling(session), levels)
-            for spectrum, session, levels in zip(self._spectra, self._sessions, before, strict=True)
+            for spectrum, session, levels in zip(self._spectra, self.sessions, before, strict=True)
         ]
 
     def _sampling(self, session: SessionFit) -> Sampling:

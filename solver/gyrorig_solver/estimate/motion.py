@@ -67,7 +67,25 @@ def fit_joint(
         InputError: no sample has a reference.
     """
     solution = solution_of(recordings, extensions, settings)
-    samples = [one for one, _ in recordings]
+    return concluded(solution, [one for one, _ in recordings], words, warnings)
+
+
+def concluded(
+    solution: Solution,
+    samples: Sequence[GyroSamples],
+    words: Mapping[str, str],
+    warnings: tuple[str, ...] = (),
+    more: Mapping[str, float] | None = None,
+) -> GyroFit:
+    """Return what may be said of one board, from where its fit ended.
+
+    Args:
+        solution: of the recordings that `samples` are of.
+        samples: in the order of time.
+        words: as for `fit_joint`.
+        warnings: what is already known to be odd, in words.
+        more: numbers that are to stand beside the result.
+    """
     chi2 = reduced_chi2(solution)
     before, after = _held_out(solution)
     second = _second_opinion(solution)
@@ -86,9 +104,9 @@ def fit_joint(
         outliers=solution.outliers,
         rms_before_rad_s=before,
         rms_after_rad_s=after,
-        reference="; ".join(dict.fromkeys(r.description for _, r in recordings)),
+        reference="; ".join(dict.fromkeys(s.reference.description for s in solution.sessions)),
         words=words,
-        terms=(*TERMS, "time_offset", *dict.fromkeys(one.term.cause for one in extensions)),
+        terms=(*TERMS, "time_offset", *dict.fromkeys(e.term.cause for e in solution.extensions)),
         warnings=warnings,
         distrust=_distrust(solution, chi2),
         diagnostics=_diagnostics(solution),
@@ -96,11 +114,11 @@ def fit_joint(
         noise=_levels(solution),
         rate_range_rad_s=_range(solution),
         clock_truth="the host's capture clock",
-        extra=_said(second),
+        extra={**_said(second), **(more or {})},
         names=solution.names,
         unit=solution.unit,
         extensions=solution.extensions,
-        recordings=_apart(solution) if len(recordings) > 1 else (),
+        recordings=_apart(solution) if len(samples) > 1 else (),
     )
     return gyro_fit(evidence, samples)
 
