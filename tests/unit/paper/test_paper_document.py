@@ -18,6 +18,7 @@ def document() -> str:
     return write.DOCUMENT.read_text(encoding="utf-8")
 
 
+@pytest.mark.pages
 def test_blocks_are_what_the_scripts_give(document: str) -> None:
     assert blocks.written(document, write.QUICK) == document
 
@@ -41,6 +42,7 @@ def test_a_changed_number_is_found(document: str) -> None:
     assert blocks.written(changed, {"table-1": write.QUICK["table-1"]}) != changed
 
 
+@pytest.mark.pages
 @pytest.mark.timeout(300)
 def test_end_to_end_blocks_are_what_the_rig_gives(document: str) -> None:
     """Records and solves: the words must agree, a number within 10 % or five of its last digit.

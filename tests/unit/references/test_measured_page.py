@@ -1,6 +1,6 @@
 """docs/measured-data.md holds what its commands give, and what they write keeps the contracts.
 
-Every command of the page is run once, in this process: two minutes.
+Every command of the page is run once, in this process: one to two minutes, in `make test-pages`.
 """
 
 import os
@@ -19,7 +19,8 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.solve import solve_recordings
 
 DECIMAL = re.compile(r"\d+\.\d+")
-pytestmark = pytest.mark.timeout(900)  # the first of them runs every command
+# The first of them runs every command.
+pytestmark = [pytest.mark.pages, pytest.mark.timeout(900)]
 CAN_SHOW_ALL, NOT_IDENTIFIABLE, REFUSED = 0, 4, 3
 
 
