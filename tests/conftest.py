@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Before numpy is loaded, as the commands do: two workers with two threads each wait for one another.
+# Before numpy is loaded, as the commands do: threads of two workers wait for one another.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
