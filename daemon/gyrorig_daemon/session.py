@@ -46,6 +46,7 @@ from gyrorig_daemon.recorder.timers import DiagnosticsTimer, HostClockTimer, Wri
 from gyrorig_daemon.rig import Rig
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.ptu import Axis
 from gyrorig_protocol.recording.messages import (
     SESSION_EVENT_TOPIC,
     ClockPing,
@@ -169,6 +170,8 @@ class Session:
         self._steps = plan_program(order.program, unit.facts, order.config.ptu.limits, start)
         self.recorder.open(self._describe(unit))
         self._start_timers()
+        for _ in Axis:  # a recording says where both stood before the first order
+            poller.poll()
 
     @property
     def planned_s(self) -> float:

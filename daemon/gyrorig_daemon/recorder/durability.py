@@ -27,7 +27,7 @@ class Durability:
         self._records: deque[Record] = deque(maxlen=LIMIT)
         self._given = 0  # of all messages given to the file
         self._synced = 0  # of those, on the disk
-        self.synced_bytes = writer.bytes_written  # at first the beginning, which is synced
+        self.synced_bytes = writer.bytes_written  # at first the beginning
         self._job: Job[None] | None = None
         self._job_covers = (0, 0)  # messages and bytes
 

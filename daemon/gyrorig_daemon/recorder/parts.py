@@ -2,7 +2,7 @@
 
 What to use when: under `spool`. `PartOpener` opens them, in the disk's thread;
 `Closing` has them closed there; `part_path` names them; `Facts` are their metadata and
-attachments, `Phases` which phases a part begins in the middle of.
+attachments. What a part begins in the middle of, `restating` knows.
 """
 
 import threading
@@ -13,17 +13,12 @@ from pathlib import Path
 
 from gyrorig_daemon.recorder.counts import RecorderCounts
 from gyrorig_daemon.recorder.disk_worker import DiskWorker, Job
-from gyrorig_daemon.recorder.ring import Record
 from gyrorig_daemon.recorder.settings import RecorderSettings, RecordingPlan
-from gyrorig_protocol.errors import GyrorigError, InputError, MachineError
+from gyrorig_protocol.errors import GyrorigError, MachineError
 from gyrorig_protocol.recording.disk_file import Disk
-from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
 from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
 
 Records = dict[str, dict[str, str]]
-
-# A turn by a known angle is known only as a whole: half of it in a part would be a lie.
-_WHOLE_ONLY = "turn"
 
 
 def part_path(first: Path, number: int) -> Path:
@@ -120,7 +115,12 @@ class PartOpener:
             )
         version, metadata, attachments = self.facts.of_part(number, previous)
         path = part_path(self._first, number)
-        writer = RecordingWriter(path, metadata, attachments, disk=self._disk, aside=True)
+        # The session waits for the first one, and a loaded disk may take seconds to sync it
+        # (measured); the others are opened ahead of need.
+        lasting = number > 0
+        writer = RecordingWriter(
+            path, metadata, attachments, disk=self._disk, aside=True, lasting=lasting
+        )
         return OpenedPart(writer, number, version)
 
     def free_bytes(self, wanted_bytes: int) -> int:
@@ -182,46 +182,3 @@ class Closing:
             job.wait()
         self.look()
         return jobs[-1].result() if jobs else None
-
-
-class Phases:
-    """Which phases have begun and not ended, as the events written so far say."""
-
-    def __init__(self) -> None:
-        self._open: list[SessionEvent] = []
-        self._next = 0  # number of the next event in the files
-
-    def follow(self, record: Record) -> None:
-        """Take in one event that was written."""
-        self._next = record.sequence + 1
-        try:
-            event = SessionEvent.decode(record.payload)
-        except InputError:
-            return  # written by this program; whatever it is, it opens no phase
-        if event.kind == EventKind.PHASE_BEGIN:
-            self._open.append(event)
-        elif event.kind == EventKind.PHASE_END:
-            for one in reversed(self._open):
-                if one.phase == event.phase:
-                    self._open.remove(one)
-                    break
-
-    def restated(self, at_ns: int) -> list[Record]:
-        """The open phases as beginning at `at_ns`, numbered so that no gap follows them."""
-        events = [
-            SessionEvent(at_ns, one.kind, one.phase, one.text)
-            for one in self._open
-            if one.phase != _WHOLE_ONLY
-        ]
-        first = self._next - len(events)
-        return [
-            Record(
-                SESSION_EVENT_TOPIC,
-                SessionEvent.TYPE,
-                event.encode(),
-                at_ns,
-                at_ns,
-                (first + place) & 0xFFFF_FFFF,
-            )
-            for place, event in enumerate(events)
-        ]

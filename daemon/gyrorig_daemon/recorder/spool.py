@@ -34,9 +34,9 @@ from gyrorig_daemon.recorder.parts import (
     Closing,
     OpenedPart,
     PartOpener,
-    Phases,
     part_path,
 )
+from gyrorig_daemon.recorder.restating import Restating
 from gyrorig_daemon.recorder.ring import RamRing, Record
 from gyrorig_daemon.recorder.settings import RecorderSettings, RecordingPlan
 from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
@@ -71,7 +71,7 @@ class Spool:
         self._plan, self._settings, self._counts = plan, settings, counts
         self._worker = worker
         self._opener = PartOpener(plan, settings, disk, make_room)
-        self._phases = Phases()
+        self._restating = Restating()
         self._writer: RecordingWriter | None = None
         self._durable: Durability  # of the writer's file, or of the last one
         self._written_facts = 0
@@ -99,7 +99,7 @@ class Spool:
         return 0 if self._writer is None else len(self._ring)
 
     def open(self) -> None:
-        """Create the first part.
+        """Create the first part; that it lasts is not waited for.
 
         Raises:
             UsageError: a file of that name exists.
@@ -108,6 +108,7 @@ class Spool:
         job = self._worker.submit(lambda: self._opener.open(0, "", self._settings.resume_bytes))
         job.wait()
         self._adopt(job.result())
+        self._durable.sync()
 
     def take(
         self, topic: str, message: Message, log_ns: int, publish_ns: int, skipped: int = 0
@@ -215,7 +216,7 @@ class Spool:
     def _write(self, writer: RecordingWriter, record: Record) -> None:
         if self._restate:
             self._restate = False
-            if not self._restate_phases(writer, record.log_ns):
+            if not self._restate_state(writer, record.log_ns):
                 self._ring.give_back(deque([record]))
                 return
         durable = self._durable
@@ -230,8 +231,7 @@ class Spool:
             self._break_off(writer, fault)
         else:
             self._counts.written += 1
-            if record.topic == SESSION_EVENT_TOPIC:
-                self._phases.follow(record)
+            self._restating.follow(record)
 
     def _refuse(self, topic: str, fault: Exception) -> None:
         """One message that is none, or comes too late on its topic, must not end a recording."""
@@ -256,6 +256,7 @@ class Spool:
         again, something_is_left = self._durable.give_up(fault)
         self._counts.written -= len(again)  # they will be counted when they are again
         self._ring.give_back(again)
+        self._restating.break_off()
         self._closed_bytes += writer.bytes_written
         if not something_is_left:
             self._let_go_of_empty(writer)
@@ -280,9 +281,10 @@ class Spool:
         now_ns = self._numbers.latest_ns
         self.take(SESSION_EVENT_TOPIC, SessionEvent(now_ns, int(kind), "", text), now_ns, now_ns)
 
-    def _restate_phases(self, writer: RecordingWriter, at_ns: int) -> bool:
-        """Say in a new part which phases it begins in the middle of."""
-        steps = [partial(writer.write_encoded, *one) for one in self._phases.restated(at_ns)]
+    def _restate_state(self, writer: RecordingWriter, at_ns: int) -> bool:
+        """Say in a new part which phases and moves it begins in the middle of."""
+        again = self._restating.records(at_ns, self._ring.dropped)
+        steps = [partial(writer.write_encoded, *one) for one in again]
         return all(self._guarded(writer, step) for step in steps)
 
     def _write_new_facts(self) -> None:

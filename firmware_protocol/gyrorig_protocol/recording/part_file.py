@@ -77,15 +77,14 @@ class PartFile:
         self.channels: dict[str, OpenChannel] = {}
         self.safe = Safe()
         self.renamed = False
+        self._name_lasts = False
         self._file = disk.create(part)
         self._out = Assembly(self._file)
 
     def begin(self, records: Records, attachments: Iterable[Attachment]) -> None:
-        """Write what stands in front of the first message, and make it last."""
+        """Write what stands in front of the first message; `sync` makes it last."""
         self._out.start(software())
         self.add_facts(records, attachments)
-        self._file.sync()
-        self._disk.sync_directory(self._part.parent)
 
     def add_facts(self, records: Records, attachments: Iterable[Attachment]) -> None:
         """Write metadata and attachments, with a checksummed copy of all metadata so far."""
@@ -158,8 +157,11 @@ class PartFile:
             self._mark_safe()
 
     def sync(self) -> None:
-        """Wait until what has been written is on the disk; any thread may."""
+        """Wait until what has been written is on the disk, and so is its name; any thread may."""
         self._file.sync()
+        if not self._name_lasts:
+            self._disk.sync_directory(self._part.parent)
+            self._name_lasts = True
 
     def finish(self) -> None:
         """Write the summary, sync, and give the file its final name."""

@@ -52,6 +52,7 @@ class RecordingWriter:
         disk: where it goes.
         aside: slow work is left to the owner, who calls `sync` as often as the contract
             asks and `salvage` after an error, from another thread if that suits.
+        lasting: wait until the beginning is on the disk; else the first `sync` does that.
 
     Raises:
         UsageError: the file, or its `.part`, exists.
@@ -67,6 +68,7 @@ class RecordingWriter:
         *,
         disk: Disk = DISK,
         aside: bool = False,
+        lasting: bool = True,
     ) -> None:
         if path.suffix != ".mcap":
             raise ValueError(f"a recording is named .mcap, not {path.name}")
@@ -81,7 +83,7 @@ class RecordingWriter:
         self._file = self._create()
         self._open = True
         try:
-            self._guard(lambda: self._file.begin(records, attachments))
+            self._guard(lambda: self._begin(records, attachments, lasting))
         except MachineError:
             with suppress(OSError):  # nothing is in it that the caller does not have
                 if aside:
@@ -356,6 +358,16 @@ class RecordingWriter:
         """Close, whatever ended the block: what was recorded is worth keeping."""
         if self._open:
             self.close()
+
+    def _begin(
+        self,
+        records: Mapping[str, Mapping[str, str]],
+        attachments: Sequence[Attachment],
+        lasting: bool,
+    ) -> None:
+        self._file.begin(records, attachments)
+        if lasting:
+            self._file.sync()
 
     def _create(self) -> PartFile:
         for path in (self._final, self._part):

@@ -1,5 +1,6 @@
 """A disk that takes its time, in real time: nobody waits for it."""
 
+import shutil
 import threading
 import time
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from gyrorig_daemon.recorder import spool as spool_module
 from gyrorig_daemon.recorder.recovery import recover_folder
 from gyrorig_protocol.recording.disk_file import Disk, DiskFile
 from gyrorig_protocol.recording.messages import ImuRaw
+from gyrorig_protocol.recording.reader import read_recording
 
 METADATA = {"gyrorig": {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}}
 TOPIC = "/board/B-1/imu_raw"
@@ -97,6 +99,37 @@ def test_a_sync_that_hangs_delays_nobody(tmp_path: Path, sequences_in: Sequences
     assert counts.sync_max_ms > 300
     feed.recorder.close()
     assert sequences_in(tmp_path) == list(range(feed.k))
+
+
+def samples_in(path: Path) -> int:
+    recording = read_recording(path)
+    return len(recording.array(TOPIC)) if TOPIC in recording.topics else 0
+
+
+class StuckFromTheStart(StuckDisk):
+    """Files are created at once, and the first sync hangs."""
+
+    def create(self, path: Path) -> DiskFile:
+        file = super().create(path)
+        self.flows.clear()
+        return file
+
+
+def test_a_kill_before_the_first_sync_is_through(tmp_path: Path, sequences_in: Sequences) -> None:
+    disk = StuckFromTheStart()
+    feed = Feed(tmp_path, RecorderSettings(), disk)  # was waited for: up to 4 s were lost so
+    feed.give(1_000)
+    part = tmp_path / "a.mcap.part"
+    wait_for(lambda: samples_in(part) == 1_000)
+    assert feed.recorder.counts.disk_busy_ms > 0  # the first sync hangs yet
+    killed = tmp_path / "killed"
+    killed.mkdir()
+    shutil.copy(part, killed)
+    disk.flows.set()
+    feed.recorder.close()
+    assert sequences_in(tmp_path) == list(range(1_000))
+    recover_folder(killed)
+    assert sequences_in(killed) == list(range(1_000))
 
 
 def test_the_next_part_is_open_before_the_last_is_closed(
