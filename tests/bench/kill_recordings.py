@@ -4,7 +4,9 @@
 
 Each kill hits a fresh `gyrorigd record` on emulated devices behind ptys, at a moment
 between the creation of its file and a little behind its end. The processes are forked
-from one that has everything imported, which takes most of a start's time. Then the
+from one that has everything imported, which takes most of a start's time. A witness looks
+at the daemon and the emulated rig meanwhile: of a loss above a second it is told whether
+they ran, waited for a processor or for the disk. Then the
 recovery makes a recording of what is left; mcap's own reader and ours go through it. Exit
 code 1 if anything before the end is missing, doubled or damaged.
 """
@@ -20,10 +22,14 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.bench.standing import Witness
 
 from gyrorig_daemon import cli
 from gyrorig_daemon import commands as _imported_once  # noqa: F401
@@ -33,6 +39,7 @@ from gyrorig_protocol.recording.recording import times_ns
 from gyrorig_protocol.recording.salvage import read_strictly
 
 GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
+TELL_S = 0.8  # of a loss so large it is told what the processes did meanwhile
 LIMIT_S = 1.0  # reference: "kill -9 or power cut at any moment", at most this is lost
 RIG = """
 rig: kill
@@ -61,6 +68,7 @@ class Kill:
     samples: int
     fault: str = ""
     missing: int = 0  # samples that never reached the daemon, by the board's counter
+    why: str = ""  # what the processes did in the time that is lost
 
 
 class Forked:
@@ -68,8 +76,8 @@ class Forked:
 
     def __init__(self, arguments: list[str]) -> None:
         self.code: int | None = None
-        self._pid = os.fork()
-        if self._pid == 0:
+        self.pid = os.fork()
+        if self.pid == 0:
             os.setsid()
             quiet = os.open(os.devnull, os.O_RDWR)
             for handle in (0, 1, 2):
@@ -80,7 +88,7 @@ class Forked:
         """Whether it has ended by then."""
         deadline = time.monotonic() + patience_s
         while self.code is None:
-            pid, status = os.waitpid(self._pid, os.WNOHANG)
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
                 self.code = os.waitstatus_to_exitcode(status)
             elif time.monotonic() > deadline:
@@ -92,7 +100,7 @@ class Forked:
     def kill(self) -> None:
         """End it as the system does that is out of memory."""
         if self.code is None:
-            os.kill(self._pid, signal.SIGKILL)
+            os.kill(self.pid, signal.SIGKILL)
             self.wait(60.0)
 
 
@@ -127,10 +135,15 @@ class Rig:
         daemon = self._begin(out)
         # From the moment at which there is a file to behind the end of the program.
         opened_ns = time.time_ns()
+        witness = Witness({"daemon": daemon.pid, "emulated rig": self._process.pid})
         daemon.wait(self._chance.uniform(0.0, 5.0))
-        killed_ns = time.time_ns()
+        killed_s, killed_ns = time.monotonic(), time.time_ns()
         daemon.kill()
-        return self._look(out, opened_ns, None if daemon.code == 0 else killed_ns)
+        witness.close()
+        kill = self._look(out, opened_ns, None if daemon.code == 0 else killed_ns)
+        if kill.loss_s is None or kill.loss_s < TELL_S:
+            return kill
+        return replace(kill, why=witness.told(killed_s - kill.loss_s))
 
     def _begin(self, out: Path) -> "Forked":
         files = ["--config", str(self._rig), "--program", str(self._program), "--out", str(out)]
@@ -226,6 +239,7 @@ def report(kills: list[Kill]) -> int:
             f"lost at the end: median {middle:.2f} s, largest {losses[-1]:.2f} s "
             f"({sum(loss > LIMIT_S for loss in losses)} above {LIMIT_S:.0f} s)"
         )
+    lines += [f"  {kill.loss_s:.2f} s, {kill.outcome}: {kill.why}" for kill in kills if kill.why]
     samples = sum(kill.samples for kill in kills)
     missing = sum(kill.missing for kill in kills)
     lines.append(
