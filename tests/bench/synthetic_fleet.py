@@ -10,21 +10,11 @@ from pathlib import Path
 
 import duckdb
 import numpy as np
+from tests.bench.fleet.parts import ERROR, SCATTER, SPREAD
 
 from gyrorig_solver.calibration.store import make_sharded
 from gyrorig_solver.fleet.overview import PARAMETERS
 from gyrorig_solver.fleet.rows import sql_columns
-
-# What boards of a consumer part differ by, and what 75 s on a rig leave open.
-SPREAD = {"bias": 5e-3, "scale": 1e-2, "nonorthogonality": 4e-3, "misalignment": 8e-3, "time": 1e-3}
-ERROR = {"bias": 1e-4, "scale": 2e-4, "nonorthogonality": 3e-4, "misalignment": 3e-4, "time": 2e-4}
-SCATTER = {
-    "bias": 4e-4,
-    "scale": 2e-4,
-    "nonorthogonality": 2e-4,
-    "misalignment": 3e-4,
-    "time": 1e-4,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +33,14 @@ class FleetPlan:
     board_drift: tuple[int, str, int, float] | None = None
     odd_board: tuple[int, str, float] | None = None
     temperature_per_c: dict[str, float] = field(default_factory=dict)
+
+
+def rooms_of(plan: FleetPlan, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return which boards are measured on which nights, and at which temperatures."""
+    shape = (plan.nights, plan.boards)
+    kept = rng.random(shape) < plan.measured
+    season = 4.0 * np.sin(np.arange(plan.nights) / 4.0)[:, None]
+    return kept, 25.0 + season + rng.normal(0.0, 0.5, shape)
 
 
 def column_of(
@@ -73,10 +71,7 @@ def write_fleet(store: Path, plan: FleetPlan) -> Path:
     make_sharded(store)
     (store / "index").mkdir(exist_ok=True)
     rng = np.random.default_rng(plan.seed)
-    shape = (plan.nights, plan.boards)
-    kept = rng.random(shape) < plan.measured
-    season = 4.0 * np.sin(np.arange(plan.nights) / 4.0)[:, None]
-    temperature = 25.0 + season + rng.normal(0.0, 0.5, shape)
+    kept, temperature = rooms_of(plan, rng)
     night, board = np.nonzero(kept)
     version = (np.cumsum(kept, axis=0))[kept]
     columns: dict[str, np.ndarray] = {

@@ -17,6 +17,7 @@ boards and parameters of a night: at a million boards the usual three sigma woul
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -87,6 +88,23 @@ class Grouping:
     names: Sequence[str]
     of: IntArray  # (boards,): which group each belongs to now, -1 for none
 
+    @classmethod
+    def by_name(cls, kind: str, names: Sequence[str]) -> Self:
+        """Return the groups of boards by the name of each board's, "" for none."""
+        groups = sorted({name for name in names if name})
+        number = {name: at for at, name in enumerate(groups)}
+        of = np.array([number.get(name, -1) for name in names], dtype=np.intp)
+        return cls(kind, groups, of)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moved:
+    """What the charts of all parameters show after the last night."""
+
+    groups: list[GroupMove]  # the surest first
+    drifting: BoolArray  # (boards, parameters), the groups' moves taken off
+    z: FloatArray  # (boards, parameters)
+
 
 def chart(nights: Nights) -> Chart:
     """Return the chart of one parameter.
@@ -121,6 +139,20 @@ def chart(nights: Nights) -> Chart:
         history[night] = np.where(takes, moved, np.nan)
     variance = np.where(charted & (share > 0.0), own + share**2 * base_variance, np.inf)
     return Chart(nights.parameter, float(np.sqrt(scatter2)), slope, moved, variance, history)
+
+
+def what_moved(charts: Sequence[Chart], groupings: Sequence[Grouping]) -> Moved:
+    """Ask groups, then boards, over all parameters.
+
+    Args:
+        charts: one a parameter, of the same boards.
+        groupings: the smaller groups first.
+    """
+    tests = len(charts) * sum(len(one.names) for one in groupings)
+    told = [moved_groups(one, groupings, tests) for one in charts]
+    left = [one for _, one in told]
+    moves = sorted((move for found, _ in told for move in found), key=lambda one: -abs(one.z))
+    return Moved(moves, discoveries(board_p_values(left)), np.stack([one.z for one in left], 1))
 
 
 def moved_groups(

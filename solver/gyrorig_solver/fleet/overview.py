@@ -6,7 +6,7 @@ stands no recording says: that comes from a table of the fleet's owner (`Origins
 """
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -21,11 +21,11 @@ from gyrorig_solver.fleet.charts import (
     Chart,
     Grouping,
     GroupMove,
+    Moved,
     Nights,
-    board_p_values,
     chart,
     discoveries,
-    moved_groups,
+    what_moved,
 )
 from gyrorig_solver.fleet.index import Index
 from gyrorig_solver.fleet.population import (
@@ -145,25 +145,22 @@ def overview(store: Path, origins: Origins | None = None) -> Overview:
     """
     index = Index(store)
     boards = _newest(index, origins or Origins())
-    populations, constants, differing = _kinds(boards)
+    populations, constants, differing = compared(boards)
     charts, nights = _charts(index, boards)
-    groupings = [_grouping(kind, boards.group(kind)) for kind in ("rig", "lot", "site", "fleet")]
-    tests = len(charts) * sum(len(one.names) for one in groupings)
-    told = [moved_groups(one, groupings, tests) for one in charts]
-    moved = [move for moves, _ in told for move in moves]
-    charts = [left for _, left in told]
-    count = len(boards.board)
-    p = board_p_values(charts) if charts else np.full((count, len(PARAMETERS)), np.nan)
-    z = np.stack([one.z for one in charts], axis=1) if charts else np.zeros_like(p)
+    groupings = [Grouping.by_name(k, boards.group(k)) for k in ("rig", "lot", "site", "fleet")]
+    shape = (len(boards.board), len(PARAMETERS))
+    moved = Moved([], np.zeros(shape, dtype=np.bool_), np.zeros(shape))
+    if charts:
+        moved = what_moved(charts, groupings)
     odd_p = _odd(boards, populations)
     return Overview(
         boards=boards,
         populations=populations,
         constants=constants,
         differing=sorted(differing, key=lambda one: one[2].p_value),
-        moved=sorted(moved, key=lambda one: -abs(one.z)),
-        drifting=discoveries(p),
-        drift_z=z,
+        moved=moved.groups,
+        drifting=moved.drifting,
+        drift_z=moved.z,
         odd=discoveries(odd_p, ODD_RATE),
         odd_p=odd_p,
         prior_dominated=_of_boards(boards, populations, "prior_dominated", fill=0.0) > 0.5,
@@ -214,7 +211,7 @@ def _newest(index: Index, origins: Origins) -> Newest:
     )
 
 
-def _kinds(
+def compared(
     boards: Newest,
 ) -> tuple[
     dict[tuple[str, str], Population],
@@ -320,10 +317,3 @@ def _of_boards(
 def _known(boards: Newest, name: str) -> npt.NDArray[np.bool_]:
     known: npt.NDArray[np.bool_] = np.isfinite(boards.value[name]) & (boards.std[name] > 0.0)
     return known
-
-
-def _grouping(kind: str, names: Sequence[str]) -> Grouping:
-    groups = sorted({name for name in names if name})
-    number = {name: at for at, name in enumerate(groups)}
-    of = np.array([number.get(name, -1) for name in names], dtype=np.intp)
-    return Grouping(kind, groups, of)
