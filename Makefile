@@ -14,7 +14,7 @@ SECONDS ?= 180
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check docs test-docs test-packages bench hidden fuzz kill test-qemu install-service clean
+.PHONY: help demo test check docs test-docs test-pages test-packages bench hidden fuzz kill test-qemu install-service clean
 
 help:  ## this text
 	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
@@ -27,13 +27,24 @@ demo: $(VENV)/.solver  ## the whole way on an emulated rig; writes demo/ (SEED=7
 	@$(VENV)/bin/gyrorig demo --out $(OUT) $(if $(SEED),--seed $(SEED))
 
 test: $(VENV)/.dev  ## every test
-	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile -m "not bench"
+	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile -m "not bench and not pages"
 
 check: $(VENV)/.dev  ## style, types and import contracts
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+
+docs: $(VENV)/.dev  ## the site, strictly: a broken link is an error; into site/
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict
+	@$(VENV)/bin/python -m docs.man
+	@echo "site/index.html"
+
+test-pages: $(VENV)/.dev  ## the pages of docs that are made from measured data and the paper, made anew
+	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist load -m pages
+
+test-docs: $(VENV)/.dev  ## every command that the documents print, run as a reader would
+	@$(VENV)/bin/python tests/docs/run.py
 
 test-packages: $(VENV)/.dev  ## the wheel with each extra alone, in an environment of its own, on every Python from 3.11 on; minutes
 	@$(VENV)/bin/python tests/packages/install.py

@@ -1,0 +1,342 @@
+"""The reference as the code has it: commands, documents, catalogue, sensors, Python.
+
+What to use when: `PAGES`, name of the page -> function that makes its Markdown.
+"""
+
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+from docs.commands import EXIT_CODES, PROGRAMS, described
+
+from gyrorig_daemon.emulator.causes import CAUSES
+from gyrorig_protocol.profile import SensorProfile, parse_profile
+from gyrorig_protocol.recording.schemas import SCHEMAS, SEPARATOR
+from gyrorig_solver.model.terms.catalogue import catalogue
+
+ROOT = Path(__file__).resolve().parents[1]
+# documents: title, module, the structure at the top of it
+DOCUMENTS = (
+    ("Calibration, `gyrorig/calibration/1`", "gyrorig_solver.calibration.document", "Calibration"),
+    ("Findings, `gyrorig/findings/1`", "gyrorig_solver.findings.document", "FindingsDocument"),
+    ("Motion program, `gyrorig/program/1`", "gyrorig_protocol.program.document", "MotionProgram"),
+    ("Sensor profile, `gyrorig/sensor/1`", "gyrorig_protocol.profile.document", "SensorProfile"),
+    ("Rig, `gyrorig/rig/1`", "gyrorig_daemon.config.document", "RigConfig"),
+    ("Import map, `gyrorig/import/1`", "gyrorig_solver.importers.mapping", "ImportMap"),
+)
+# What a program may rely on: module and names.
+PYTHON = (
+    ("gyrorig_solver.apply.calibration", ("Calibration",)),
+    ("gyrorig_protocol.recording.reader", ("read_recording", "read_head")),
+    ("gyrorig_protocol.recording.recording", ("Recording", "times_ns")),
+    ("gyrorig_protocol.recording.writer", ("RecordingWriter",)),
+    ("gyrorig_solver.samples", ("load_samples", "GyroSamples")),
+    ("gyrorig_solver.solve", ("solve_recordings",)),
+    ("gyrorig_solver.estimate.result", ("GyroFit", "Observability", "NoiseLevels")),
+    ("gyrorig_solver.calibration.document", ("parse_calibration", "to_yaml")),
+    ("gyrorig_solver.calibration.store", ("CalibrationStore",)),
+    ("gyrorig_solver.importers", ("import_measurements", "load_import_map")),
+    ("gyrorig_protocol.errors", ("GyrorigError", "UsageError", "InputError", "DeviceError")),
+)
+
+
+def commands() -> str:
+    """Both programs with all their commands."""
+    out = ["# Commands", "", "Made of the programs' own help.", "", "## Exit codes", ""]
+    out += ["| code | means |", "|---|---|", *(f"| {code} | {text} |" for code, text in EXIT_CODES)]
+    for program in PROGRAMS:
+        out += ["", f"## {program}", ""]
+        for command in described(program):
+            out += [f"### `{command.name}`", "", "```text", command.usage, "```", ""]
+            for paragraph in command.paragraphs:
+                out += [_text(paragraph), ""]
+            if command.options:
+                out += ["| option | |", "|---|---|"]
+                out += [f"| `{_cell(o)}` | {_cell(_text(t))} |" for o, t in command.options]
+                out.append("")
+            if command.examples:
+                out += ["```sh", *command.examples, "```", ""]
+    return "\n".join(out)
+
+
+def causes() -> str:
+    """The catalogue, with what an emulated rig can hide of it."""
+    out = [
+        "# Catalogue of causes",
+        "",
+        "What `gyrorig explain` can name, `gyrorig solve --extend` can fit, and an emulated rig "
+        "can hide with `--hide`. An id says the physical cause; none is ever renamed.",
+        "",
+        "| id | part | scope | shows as | hide |",
+        "|---|---|---|---|---|",
+    ]
+    known = catalogue()
+    for name, term in known.items():
+        hidden = CAUSES.get(name)
+        places = ", ".join(hidden.places) if hidden is not None and hidden.places else ""
+        hide = "no" if hidden is None else f"`{name}{'@' + hidden.places[0] if places else ''}`"
+        out.append(f"| [{name}](#{name}) | {term.part} | {term.scope} | {term.kind} | {hide} |")
+    for name, term in known.items():
+        out += ["", f"## {name}", "", f"Part: {term.part}. Scope: {term.scope}.", ""]
+        out += [f"Needs: {_text(term.excitation)}.", ""]
+        out.append(f"Unknown to a calibration: {_text(term.harm)}.")
+        if term.confused_with:
+            out += ["", f"Looks like, under some programs: {', '.join(term.confused_with)}."]
+        if term.parameters:
+            out += [
+                "",
+                "| parameter | parts | unit | typical | possible |",
+                "|---|---|---|---|---|",
+            ]
+            out += [
+                f"| {p.name} | {', '.join(p.parts) or '-'} | {p.unit} | {p.typical:.3g} | "
+                f"{p.lower:.3g} to {p.upper:.3g} |"
+                for p in term.parameters
+            ]
+        hidden = CAUSES.get(name)
+        if hidden is not None:
+            out += ["", f"Hidden by the emulator: {_text(hidden.size_is)}, "
+                    f"in {hidden.unit if hidden.unit != '1' else 'parts'}."]  # fmt: skip
+    return "\n".join([*out, ""])
+
+
+def sensors() -> str:
+    """The profiles in config/boards."""
+    profiles = [
+        parse_profile(path.read_bytes(), path.name)
+        for path in sorted(
+            (ROOT / "config" / "boards").glob("*.yaml"), key=lambda p: p.stem.lower()
+        )
+    ]
+    out = [
+        "# Sensors",
+        "",
+        "The profiles in `config/boards`: what a part's data sheet allows. A result outside of it "
+        "is said; a plan takes its noise from here. [Add one](../how-to/sensor-profile.md).",
+        "",
+        "| part | ranges, deg/s | deg/s/√Hz | zero rate, deg/s | per K | scale | cross-axis |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for one in profiles:
+        ranges = ", ".join(f"{r.full_scale_dps:g}" for r in one.ranges)
+        out.append(
+            f"| [{one.sensor}](#{_anchor(one.sensor)}) | {ranges} | "
+            f"{_or(one.noise_density_dps_rthz)} | ±{_or(one.zero_rate_dps)} | "
+            f"{_or(one.zero_rate_per_kelvin_dps)} | "
+            f"{_percent(one.scale_tolerance)} | {_percent(one.cross_axis)} |"
+        )
+    for one in profiles:
+        out += ["", f"## {one.sensor}", "", f"{_text(one.source)}.", ""]
+        out += ["| range, deg/s | mdps/count |", "|---|---|"]
+        out += [f"| {r.full_scale_dps:g} | {r.sensitivity_mdps:.6g} |" for r in one.ranges]
+        out += [""] + [f"- {text}" for text in _further(one)]
+    return "\n".join([*out, ""])
+
+
+def _further(one: SensorProfile) -> Iterator[str]:
+    for entry in one.low_pass:
+        widths = ", ".join(f"{hz:g}" for hz in entry.bandwidth_hz)
+        yield f"low-pass at {entry.odr_hz:g} Hz: {widths} Hz"
+    for value, text in (
+        (one.bias_instability_dps_h, "bias instability {:g} deg/h"),
+        (one.scale_per_kelvin, "scale {:g} per K"),
+        (one.scale_over_temperature, "scale {:g} over the part's temperatures"),
+        (one.nonlinearity, "non-linearity {:g} of full scale"),
+        (one.g_sensitivity_dps_g, "g-sensitivity {:g} deg/s per g"),
+        (one.odr_tolerance, "output rate within {:g} of its nominal one"),
+    ):
+        if value is not None:
+            yield text.format(value)
+
+
+def formats() -> str:
+    """Every document's fields and every message's definition."""
+    out = [
+        "# Documents and messages",
+        "",
+        "The shapes as the code checks them: a key that is not here is refused.",
+    ]
+    for title, module, top in DOCUMENTS:
+        kind = getattr(import_module(module), top, None)
+        if kind is None:
+            raise LookupError(f"{module} has no {top}")
+        out += ["", f"## {title}", "", _text(inspect.getdoc(kind) or "")]
+        done: set[Any] = set()
+        waiting = [kind]
+        while waiting:
+            one = waiting.pop(0)
+            if one in done:
+                continue
+            done.add(one)
+            if one is not kind:
+                out += ["", f"### {one.__name__} {{ #{top.lower()}-{one.__name__.lower()} }}", "",
+                        _text((inspect.getdoc(one) or "").split("\n\n")[0])]  # fmt: skip
+            out += ["", "| key | type | default |", "|---|---|---|"]
+            for field in msgspec.structs.fields(one):
+                out.append(
+                    f"| {field.encode_name} | {_cell(_kind(field.type))} | {_default(field)} |"
+                )
+                waiting += _structs(field.type)
+    out += ["", "## Messages of a recording", ""]
+    out.append("MCAP, profile `ros2`, encoding `cdr`; `gyrorig_msgs` beside ROS 2's own types.")
+    for name, text in SCHEMAS.items():
+        out += ["", f"### {name}", "", "```text", text.split(SEPARATOR)[0].rstrip(), "```"]
+    return "\n".join([*out, ""])
+
+
+def python() -> str:
+    """What a program may import."""
+    out = [
+        "# Python",
+        "",
+        "What a program may rely on; everything else may move. Arrays are NumPy's, float64 if "
+        "not said.",
+        "",
+    ]
+    for module_name, names in PYTHON:
+        module = import_module(module_name)
+        out += [f"## {module_name}", "", _doc(inspect.getdoc(module) or ""), ""]
+        for name in names:
+            found = getattr(module, name)
+            out += [f"### {name} {{ #{module_name.replace('.', '-')}-{name.lower()} }}", ""]
+            out += [
+                "```python",
+                _signature(name, found),
+                "```",
+                "",
+                _doc(inspect.getdoc(found) or ""),
+                "",
+            ]
+            if inspect.isclass(found):
+                for member, value in _members(found):
+                    out += ["```python", _signature(member, value), "```", "",
+                            _doc(inspect.getdoc(value) or ""), ""]  # fmt: skip
+    return "\n".join(out)
+
+
+def _members(kind: type) -> Iterator[tuple[str, Any]]:
+    for name, value in vars(kind).items():
+        if name.startswith("_"):
+            continue
+        if isinstance(value, classmethod | staticmethod):
+            yield name, value.__func__
+        elif isinstance(value, property) or inspect.isfunction(value):
+            yield name, value
+
+
+def _signature(name: str, found: Any) -> str:
+    if isinstance(found, property):
+        answer = inspect.signature(found.fget).return_annotation if found.fget else "Any"
+        return f"{name}: {_annotation(answer)}"
+    try:
+        text = str(inspect.signature(found))
+    except (TypeError, ValueError):
+        text = "(...)"
+    word = "class" if inspect.isclass(found) else "def"
+    return re.sub(
+        r"(pathlib|numpy|typing|collections\.abc|gyrorig_\w+(?:\.\w+)*)\.",
+        "",
+        f"{word} {name}{text}",
+    )
+
+
+def _annotation(found: Any) -> str:
+    return found if isinstance(found, str) else getattr(found, "__name__", str(found))
+
+
+def _doc(text: str) -> str:
+    """Turn a Google docstring's sections into Markdown."""
+    out: list[str] = []
+    section = False
+    for line in text.splitlines():
+        heading = re.fullmatch(r"(Args|Returns|Raises|Source|Yields):", line)
+        if heading:
+            section = True
+            out += ["", f"**{heading[1]}**", ""]
+        elif section and re.match(r"    \S", line):
+            item = re.match(r"    (\*{0,2}\w[\w, *]*): (.*)", line)
+            out.append(f"- `{item[1]}`: {_text(item[2])}" if item else f"- {_text(line.strip())}")
+        elif section and line.startswith("        "):
+            out[-1] += f" {_text(line.strip())}"
+        else:
+            section = section and not line.strip()
+            out.append(_text(line.strip()))
+    return "\n".join(out)
+
+
+def _text(text: str) -> str:
+    """Keep what Markdown or HTML would swallow."""
+    parts = text.split("`")
+    for k in range(0, len(parts), 2):
+        parts[k] = re.sub(r"([<>*_\[\]|])", r"\\\1", parts[k])
+    return "`".join(parts)
+
+
+def _cell(text: str) -> str:
+    return re.sub(r"(?<!\\)\|", r"\\|", text)
+
+
+def _kind(kind: Any) -> str:
+    text = kind.__name__ if inspect.isclass(kind) else str(kind)
+    text = re.sub(r", Meta\((.*?)\)\]", "]", re.sub(r"msgspec\.", "", text))
+    return _text(re.sub(r"(?:typing|gyrorig_\w+(?:\.\w+)*)\.|<class '|'>", "", text))
+
+
+def _default(field: Any) -> str:
+    if field.required:
+        return "required"
+    if field.default is msgspec.NODEFAULT:
+        return "made"
+    value = field.default
+    if isinstance(value, msgspec.Struct):
+        return "made"
+    return "" if value is None else f"`{_cell(repr(value))}`"
+
+
+def _structs(kind: Any) -> list[Any]:
+    if inspect.isclass(kind) and issubclass(kind, msgspec.Struct):
+        return [kind]
+    return [found for inner in getattr(kind, "__args__", ()) for found in _structs(inner)]
+
+
+def _anchor(text: str) -> str:
+    return re.sub(r"[^a-z0-9-]", "", text.lower())
+
+
+def _or(value: float | None) -> str:
+    return "" if value is None else f"{value:g}"
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"±{100 * value:g} %"
+
+
+def decisions() -> str:
+    """Every decision by its title."""
+    out = [
+        "# Decisions",
+        "",
+        "Each choice that somebody will ask about, with the option refused.",
+        "",
+    ]
+    for record in sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md")):
+        title = record.read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
+        out.append(f"- [{_text(title)}]({record.name})")
+    return "\n".join([*out, ""])
+
+
+PAGES: Mapping[str, Callable[[], str]] = MappingProxyType(
+    {
+        "reference/commands.md": commands,
+        "reference/catalogue.md": causes,
+        "reference/sensors.md": sensors,
+        "reference/formats.md": formats,
+        "reference/python.md": python,
+        "decisions/index.md": decisions,
+    }
+)
