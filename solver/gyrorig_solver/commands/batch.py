@@ -14,7 +14,11 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.commands.terminal import IN_PART, Terminal, json_option, version_text
 from gyrorig_solver.fleet.batch import Shard, Summary, run_batch
 from gyrorig_solver.fleet.lanes import Lane, local_lanes
+from gyrorig_solver.fleet.manifest import signer_of
 from gyrorig_solver.fleet.task import Settings
+from gyrorig_solver.places.choose import PlaceOption
+from gyrorig_solver.places.folder import Folder
+from gyrorig_solver.places.place import Place
 
 _REASONS_SHOWN = 10
 _FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
@@ -25,14 +29,14 @@ _RETRIED = ("rejected", "failed", "quarantined")
 @click.option(
     "--spool",
     required=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    help="The folder of recordings, looked at with all below it.",
+    type=PlaceOption(),
+    help="The folder, or s3://BUCKET/FOLDER, of recordings, looked at with all below it.",
 )
 @click.option(
     "--store",
     required=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    help="The fleet's store; made if it is not there.",
+    type=PlaceOption(),
+    help="The fleet's store, a folder or s3://BUCKET/FOLDER; made if it is not there.",
 )
 @click.option(
     "--workers",
@@ -63,6 +67,11 @@ _RETRIED = ("rejected", "failed", "quarantined")
     help="Do such work again that ended so before. May be given several times.",
 )
 @click.option(
+    "--sign",
+    type=_FILE,
+    help="A private Ed25519 key (PEM): signs the manifests of what is written.",
+)
+@click.option(
     "--deadline",
     type=click.FloatRange(min=1.0),
     default=300.0,
@@ -80,8 +89,8 @@ _RETRIED = ("rejected", "failed", "quarantined")
 @click.pass_obj
 def batch_command(
     terminal: Terminal,
-    spool: Path,
-    store: Path,
+    spool: Place,
+    store: Place,
     workers: int | None,
     scheduler: str | None,
     tls_ca: Path | None,
@@ -90,6 +99,7 @@ def batch_command(
     shard: str | None,
     extend: str,
     retry: tuple[str, ...],
+    sign: Path | None,
     deadline: float,
     memory: int,
 ) -> int:
@@ -112,18 +122,26 @@ def batch_command(
         memory_bytes=memory << 20,
     )
     bar, part = _Bar(), _shard(shard)
+    signer = None if sign is None else signer_of(sign)
     with ExitStack() as stack:
         if scheduler is None:
             lanes = local_lanes(workers or os.cpu_count() or 1, settings.memory_bytes)
         else:
             lanes = stack.enter_context(_remote(scheduler, workers, tls_ca, tls_cert, tls_key))
             # The workers' own folders are not this one's.
-            spool, store = spool.resolve(), store.resolve()
+            spool, store = _absolute(spool), _absolute(store)
         stack.callback(bar.end)
         summary = run_batch(
-            spool, store, settings, lanes, shard=part, retry=retry, progress=bar.show
+            spool,
+            store,
+            settings,
+            lanes,
+            shard=part,
+            retry=retry,
+            signer=signer,
+            progress=bar.show,
         )
-    terminal.say(_told(summary, store))
+    terminal.say(_told(summary, store.text))
     code = IN_PART if summary.in_part else 0
     terminal.emit(_plain(summary, code))
     return code
@@ -195,14 +213,16 @@ def _shard(text: str | None) -> Shard:
     return Shard(int(number), int(of))
 
 
-def _told(summary: Summary, store: Path) -> str:
+def _told(summary: Summary, store: str) -> str:
     lines = [
         f"{summary.sessions} sessions in {len(summary.spool.recordings)} recordings: "
         f"{summary.done_before} done before, {summary.finished} now"
         + (f", {summary.others} of other batches" if summary.others else ""),
     ]
     if summary.spool.unfinished:
-        lines.append(f"  {summary.spool.unfinished} recordings are still being written")
+        lines.append(
+            f"  {summary.spool.unfinished} recordings are still being written{_left(summary)}"
+        )
     for status in ("ok", *_RETRIED):
         if summary.ended[status]:
             boards = f"{summary.boards[status]} boards" if summary.boards[status] else ""
@@ -211,6 +231,8 @@ def _told(summary: Summary, store: Path) -> str:
         lines.append(f"  {'put off':<12} {summary.put_off:>7} sessions   {summary.put_off_why}")
     if summary.not_begun:
         lines.append(f"  {'not begun':<12} {summary.not_begun:>7} sessions   given up; start again")
+    if summary.unfolded_why:
+        lines.append(f"  the index is carried on by the next batch: {summary.unfolded_why}")
     reasons = Counter(f"{row.status}: {row.reason}" for row in summary.wrong)
     for reason, count in reasons.most_common(_REASONS_SHOWN):
         lines.append(f"  {count:>5} x {reason}")
@@ -223,6 +245,20 @@ def _told(summary: Summary, store: Path) -> str:
         f"the store: {store}"
     )
     return "\n".join(lines)
+
+
+def _left(summary: Summary) -> str:
+    """Return what to do about recordings that nobody writes any more."""
+    if not summary.spool.left:
+        return ""
+    return (
+        f", {summary.spool.left} of them not touched for a day: gyrorigd recover makes "
+        "recordings of them"
+    )
+
+
+def _absolute(place: Place) -> Place:
+    return Folder(place.path.resolve()) if isinstance(place, Folder) else place
 
 
 def _duration(seconds: float) -> str:
@@ -238,6 +274,7 @@ def _plain(summary: Summary, code: int) -> dict[str, Any]:
         "sessions": summary.sessions,
         "recordings": len(summary.spool.recordings),
         "unfinished": summary.spool.unfinished,
+        "left": summary.spool.left,
         "done_before": summary.done_before,
         "others": summary.others,
         "ended": dict(summary.ended),

@@ -12,6 +12,7 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration.document import Calibration, parse_calibration, to_plain
 from gyrorig_solver.calibration.summary import summary
 from gyrorig_solver.commands.terminal import Terminal, json_option
+from gyrorig_solver.fleet.manifest import public_key_of, signer_of
 from gyrorig_solver.fleet.rows import parameter_columns, parameters_of
 from gyrorig_solver.fleet.shelf import (
     Chosen,
@@ -22,12 +23,15 @@ from gyrorig_solver.fleet.shelf import (
     verify,
     versions_of,
 )
+from gyrorig_solver.places.choose import PlaceOption
+from gyrorig_solver.places.place import Place
 
 _DAMAGED = 3
 _FAULTS_SHOWN = 50
 _DATES = ["%Y-%m-%d", "%Y-%m-%dT%H:%M:%SZ"]
 
-_folder = click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+_folder = click.argument("folder", metavar="STORE", type=PlaceOption())
+_SIGN = click.Path(path_type=Path, dir_okay=False, exists=True)
 
 
 @click.group("store")
@@ -56,7 +60,7 @@ def store_command() -> None:
 @click.pass_obj
 def ls_command(
     terminal: Terminal,
-    folder: Path,
+    folder: Place,
     board: str | None,
     sensor: str | None,
     rig: str | None,
@@ -89,7 +93,7 @@ def ls_command(
 @click.option("--version", type=click.IntRange(1), help="Without it: the newest.")
 @json_option
 @click.pass_obj
-def show_command(terminal: Terminal, folder: Path, board: str, version: int | None) -> int:
+def show_command(terminal: Terminal, folder: Place, board: str, version: int | None) -> int:
     """Show one calibration, and where it came from."""
     path, made = _version(folder, BoardId(board), version)
     terminal.say(summary(made))
@@ -108,7 +112,7 @@ def show_command(terminal: Terminal, folder: Path, board: str, version: int | No
 @json_option
 @click.pass_obj
 def diff_command(
-    terminal: Terminal, folder: Path, board: str, old: int | None, new: int | None
+    terminal: Terminal, folder: Place, board: str, old: int | None, new: int | None
 ) -> int:
     r"""Compare two versions of a board: without numbers, the newest with the one before.
 
@@ -127,15 +131,23 @@ def diff_command(
 
 @store_command.command("verify")
 @_folder
+@click.option("--key", type=_SIGN, help="A public key: all must be signed with its private one.")
 @json_option
 @click.pass_obj
-def verify_command(terminal: Terminal, folder: Path) -> int:
-    """Compare every version with its digest, the version after it and the index.
+def verify_command(terminal: Terminal, folder: Place, key: Path | None) -> int:
+    r"""Compare every file with its digest, the version after it, the index and the manifests.
 
-    Leaves with 3 when anything is damaged, missing or unknown.
+    Leaves with 3 when anything is damaged, missing, unknown or not signed as asked. Without
+    this program: sha256sum -c manifest/*.sha256, in the store's folder.
+
+    \b
+    Example:
+      gyrorig store verify calibrations
+      gyrorig store verify s3://fleet/calibrations --key fleet-public.pem
     """
-    found = verify(folder)
-    said = f"{found.boards} boards, {found.versions} versions, {found.rows} rows of the index"
+    found = verify(folder, None if key is None else public_key_of(key))
+    said = f"{found.boards} boards, {found.versions} versions, {found.rows} rows of the index, "
+    said += f"{found.sealed} files in manifests"
     for fault in found.faults[:_FAULTS_SHOWN]:
         terminal.say(f"{fault.kind:<11} {fault.file}: {fault.text}")
     if len(found.faults) > _FAULTS_SHOWN:
@@ -149,17 +161,18 @@ def verify_command(terminal: Terminal, folder: Path) -> int:
 
 @store_command.command("rebuild-index")
 @_folder
+@click.option("--sign", type=_SIGN, help="A private key, to sign the new manifest with.")
 @json_option
 @click.pass_obj
-def rebuild_command(terminal: Terminal, folder: Path) -> int:
-    """Make the index anew from the calibrations themselves."""
-    count = rebuild_index(folder)
-    terminal.say(f"{count} versions in the index of {folder}")
+def rebuild_command(terminal: Terminal, folder: Place, sign: Path | None) -> int:
+    """Make the index and the manifests anew from the calibrations themselves."""
+    count = rebuild_index(folder, None if sign is None else signer_of(sign))
+    terminal.say(f"{count} versions in the index of {folder.text}")
     terminal.emit({"versions": count})
     return 0
 
 
-def _version(folder: Path, board: BoardId, number: int | None) -> tuple[Path, Calibration]:
+def _version(folder: Place, board: BoardId, number: int | None) -> tuple[Path, Calibration]:
     """Return one version of a board.
 
     Raises:
@@ -170,9 +183,9 @@ def _version(folder: Path, board: BoardId, number: int | None) -> tuple[Path, Ca
     if not chosen:
         there = f"it has 1 to {versions[-1].number}" if versions else "see gyrorig store ls"
         what = f"version {number} of board {board}" if number else f"board {board}"
-        raise InputError(f"{folder} holds no {what}", there)
+        raise InputError(f"{folder.text} holds no {what}", there)
     path = chosen[-1].path
-    return path, parse_calibration(path.read_bytes(), str(path))
+    return path, parse_calibration(chosen[-1].data(), str(path))
 
 
 def _differences(earlier: Calibration, later: Calibration) -> Any:

@@ -5,6 +5,7 @@ key is in the index is done, a version without a row is found again, a row witho
 is folded at the next start. Two batches on one store share the work by claims.
 """
 
+import contextlib
 import os
 import secrets
 import time
@@ -15,15 +16,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gyrorig_protocol.errors import MachineError
-from gyrorig_solver.calibration.store import make_sharded
-from gyrorig_solver.fleet.claims import Claims
+from gyrorig_solver.fleet.bucket_index import kept_folder
+from gyrorig_solver.fleet.bucket_store import make_store
 from gyrorig_solver.fleet.heads import Heads
 from gyrorig_solver.fleet.index import Index
-from gyrorig_solver.fleet.journal import Journal
 from gyrorig_solver.fleet.lanes import Lane, PutOff, through
+from gyrorig_solver.fleet.ledger import ClaimsLike, JournalLike, ledger_at
+from gyrorig_solver.fleet.manifest import Signer, seal
 from gyrorig_solver.fleet.rows import Row
 from gyrorig_solver.fleet.spool import Session, Spool, look, read_all, sessions
 from gyrorig_solver.fleet.task import Order, Outcome, Settings, key_of
+from gyrorig_solver.places.choose import place_at
+from gyrorig_solver.places.folder import Folder
+from gyrorig_solver.places.place import Place
 
 HEADS_FILE = "spool-heads.sqlite"
 GIVE_UP_AFTER = 20  # pieces put off one after another: the store is full, or gone
@@ -56,10 +61,17 @@ class Summary:
     begun_s: float = field(default_factory=time.monotonic)
     ended: Counter[str] = field(default_factory=Counter)  # sessions by their worst status
     boards: Counter[str] = field(default_factory=Counter)  # rows by status
-    put_off: int = 0
+    later: set[str] = field(default_factory=set)  # keys of what was put off
     put_off_why: str = ""
     wrong: list[Row] = field(default_factory=list)
+    put_off_in_a_row: int = 0
     gave_up: bool = False
+    unfolded_why: str = ""  # the index was not carried on; the next batch does it
+
+    @property
+    def put_off(self) -> int:
+        """How many sessions the machine or the store refused."""
+        return len(self.later)
 
     @property
     def finished(self) -> int:
@@ -89,28 +101,32 @@ class Summary:
     @property
     def in_part(self) -> bool:
         """Whether something did not end well."""
-        return bool(self.put_off or sum(self.ended.values()) > self.ended["ok"])
+        return bool(
+            self.put_off or self.unfolded_why or sum(self.ended.values()) > self.ended["ok"]
+        )
 
 
 def run_batch(
-    spool: Path,
-    store: Path,
+    spool: Path | Place,
+    store: Path | Place,
     settings: Settings,
     lanes: list[Lane],
     *,
     shard: Shard | None = None,
     retry: Sequence[str] = (),
+    signer: Signer | None = None,
     progress: Progress = lambda _summary: None,
 ) -> Summary:
     """Solve what is new in a spool.
 
     Args:
-        spool: a folder of recordings, looked at with all below it.
+        spool: a folder or bucket of recordings, looked at with all below it.
         store: a fleet's store; made if it is not there.
         settings: how to solve.
         lanes: where to.
         shard: only this part of the work.
         retry: statuses whose work is to be done again: failed, quarantined, rejected.
+        signer: signs the manifests of what is written.
         progress: told after each session.
 
     Raises:
@@ -118,32 +134,59 @@ def run_batch(
         MachineError: the store cannot be begun.
         InputError: its index is damaged, or it is of a newer schema.
     """
-    found = look(spool)
-    make_sharded(store)
+    found, place = look(spool), place_at(store)
+    make_store(place)
     batch = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}-{secrets.token_hex(3)}"
-    index, claims = Index(store), Claims(store, batch)
+    index, claims = ledger_at(place, batch)
     summary = Summary(found)
     with claims.begin(index) as journal:
-        work = _new_work(found, store, settings, index, shard or Shard(), retry, summary)
+        work = _new_work(found, place, settings, index, shard or Shard(), retry, summary)
         progress(summary)
-        orders = _orders(work, store, batch, settings, claims, summary)
-        _carry_on(orders, lanes, journal, index, claims, summary, progress)
-    index.fold_left_behind()
+        for one_more in (False, True):
+            orders = _orders(work, found.place, place, batch, settings, claims, summary)
+            _carry_on(orders, lanes, journal, index, claims, summary, progress)
+            if one_more or not summary.put_off or summary.gave_up:
+                break
+            work = _once_more(work, claims, summary)
+    _close(place, index, signer, summary)
     return summary
+
+
+def _once_more(
+    work: list[tuple[str, Session]], claims: ClaimsLike, summary: Summary
+) -> list[tuple[str, Session]]:
+    """Return what the machine or the store refused: it may have been for a moment only."""
+    again = [(key, session) for key, session in work if key in summary.later]
+    summary.later.clear()
+    summary.put_off_in_a_row = 0
+    with contextlib.suppress(MachineError):
+        for key, _ in again:
+            claims.give_back(key)
+    return again
+
+
+def _close(place: Place, index: Index, signer: Signer | None, summary: Summary) -> None:
+    """Fold what was written into the index and seal it; the next batch does what is not."""
+    try:
+        index.fold_left_behind()
+        seal(place, signer)
+    except MachineError as fault:
+        summary.unfolded_why = str(fault)
 
 
 def _new_work(
     found: Spool,
-    store: Path,
+    store: Place,
     settings: Settings,
     index: Index,
     shard: Shard,
     retry: Sequence[str],
     summary: Summary,
 ) -> list[tuple[str, Session]]:
-    with Heads(store / HEADS_FILE) as heads:
-        remembered, unread = heads.split(found.recordings)
-        all_sessions = sessions([*remembered, *heads.keep(read_all(unread))])
+    kept = store.path if isinstance(store, Folder) else kept_folder(store)
+    with Heads(kept / HEADS_FILE, found.place.text) as heads:
+        remembered, unread = heads.split(found)
+        all_sessions = sessions([*remembered, *heads.keep(read_all(found.place, unread))])
     done = index.done(retry)
     work: list[tuple[str, Session]] = []
     for session in all_sessions:
@@ -161,49 +204,61 @@ def _new_work(
 
 def _orders(
     work: Sequence[tuple[str, Session]],
-    store: Path,
+    spool: Place,
+    store: Place,
     batch: str,
     settings: Settings,
-    claims: Claims,
+    claims: ClaimsLike,
     summary: Summary,
 ) -> Iterator[Order]:
     for key, session in work:
         if summary.gave_up:
             return
-        if not claims.take(key):
+        try:
+            taken = claims.take(key)
+        except MachineError as fault:
+            _put_off(summary, key, fault)
+            continue
+        if not taken:
             summary.others += 1
             summary.to_do -= 1
             continue
         paths = tuple(one.path for one in session.recordings)
-        yield Order(key, batch, store, paths, session.digests, settings, session.refused)
+        yield Order(key, batch, store, spool, paths, session.digests, settings, session.refused)
 
 
 def _carry_on(
     orders: Iterator[Order],
     lanes: list[Lane],
-    journal: Journal,
+    journal: JournalLike,
     index: Index,
-    claims: Claims,
+    claims: ClaimsLike,
     summary: Summary,
     progress: Progress,
 ) -> None:
-    in_a_row = 0
     for told in through(orders, lanes):
         try:
             if isinstance(told, PutOff):
                 raise told.fault
             journal.add(told.rows)
-            claims.done(told.key)
             _count(told, summary)
-            in_a_row = 0
-        except MachineError as fault:  # nothing of it is recorded: the next batch does it
-            in_a_row += 1
-            summary.put_off += 1
-            summary.put_off_why = str(fault)
-            summary.gave_up = in_a_row >= GIVE_UP_AFTER
+            summary.put_off_in_a_row = 0
+            with contextlib.suppress(MachineError):  # it has its rows: that is what counts
+                claims.done(told.key)
+            if journal.is_full:
+                with contextlib.suppress(MachineError):  # the next batch folds it
+                    index.fold(journal.next_part())
+        except MachineError as fault:
+            key = told.order.key if isinstance(told, PutOff) else told.key
+            _put_off(summary, key, fault)  # nothing of it is recorded
         progress(summary)
-        if journal.is_full:
-            index.fold(journal.next_part())
+
+
+def _put_off(summary: Summary, key: str, fault: MachineError) -> None:
+    summary.later.add(key)
+    summary.put_off_in_a_row += 1
+    summary.put_off_why = str(fault)
+    summary.gave_up |= summary.put_off_in_a_row >= GIVE_UP_AFTER
 
 
 def _count(told: Outcome, summary: Summary) -> None:

@@ -59,7 +59,8 @@ class Claims:
         with self._locked():
             if claim.exists():
                 holder = claim.read_text(encoding="utf-8")
-                if holder.endswith(_DONE) or is_running(self._store, holder):
+                own = holder == self._batch  # it was put off, and is tried again
+                if holder.endswith(_DONE) or (not own and is_running(self._store, holder)):
                     return False
             self._write(claim, self._batch)
         return True

@@ -129,7 +129,9 @@ class Index:
             rows = _no_rows(database)
             files = sorted(self._folder.glob("*.parquet"))
             if files:
-                rows = rows.union(_ordered(database.read_parquet([str(f) for f in files])))
+                # Files of an older version lack columns, those of a newer one have more.
+                named = [str(file) for file in files]
+                rows = rows.union(_ordered(database.read_parquet(named, union_by_name=True)))
             # Their last line may be in the making: what is no whole line is passed over.
             folded = {path.stem for path in files}
             journals = sorted((self._store / JOURNALS).glob(f"*{SUFFIX}"))
@@ -186,8 +188,16 @@ def _no_rows(database: duckdb.DuckDBPyConnection) -> duckdb.DuckDBPyRelation:
 
 
 def _ordered(rows: duckdb.DuckDBPyRelation) -> duckdb.DuckDBPyRelation:
-    """Return the columns in our order: a union goes by position."""
-    return rows.select(*(duckdb.ColumnExpression(name) for name in sql_columns()))
+    """Return our columns in our order: a union goes by position. One that lacks is NULL."""
+    there = set(rows.columns)
+    return rows.select(
+        *(
+            duckdb.ColumnExpression(name)
+            if name in there
+            else duckdb.ConstantExpression(None).cast(kind).alias(name)
+            for name, kind in sql_columns().items()
+        )
+    )
 
 
 def _lines(

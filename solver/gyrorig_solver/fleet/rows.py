@@ -5,7 +5,7 @@ row is what is asked about a fleet without opening a million documents; the docu
 what counts.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from typing import Literal
 
@@ -54,6 +54,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     version: int | None = None
     file: str = ""  # below the store
     file_sha256: str = ""
+    beside: list[str] = []  # what lies beside it: `<sha256>  <name>`
     solver_version: str = ""
     config_sha256: str = ""
     trust: str = ""
@@ -77,6 +78,7 @@ def sql_columns() -> dict[str, str]:
     fixed = {
         "inputs": "VARCHAR[]",
         "names": "VARCHAR[]",
+        "beside": "VARCHAR[]",
         "created": "TIMESTAMP",
         "start": "TIMESTAMP",
         "version": "INTEGER",
@@ -112,7 +114,15 @@ def parameters_of(calibration: Calibration) -> dict[str, float]:
 
 
 def row_of_calibration(
-    made: Calibration, *, key: str, batch: str, session: str, rig: str, file: str, file_sha256: str
+    made: Calibration,
+    *,
+    key: str,
+    batch: str,
+    session: str,
+    rig: str,
+    file: str,
+    file_sha256: str,
+    beside: Sequence[str] = (),
 ) -> Row:
     """Return the row of a calibration that is in the store."""
     return Row(
@@ -134,6 +144,7 @@ def row_of_calibration(
         version=made.version,
         file=file,
         file_sha256=file_sha256,
+        beside=list(beside),
         solver_version=made.solver.version,
         config_sha256=made.solver.config_sha256,
         trust=made.trust.verdict,

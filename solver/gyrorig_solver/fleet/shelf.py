@@ -8,22 +8,35 @@ counts; the index can always be made from them.
 import hashlib
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from pathlib import Path
+from itertools import groupby
+from pathlib import Path, PurePosixPath
 from typing import Any
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from gyrorig_protocol.errors import BusyError, GyrorigError, UsageError
 from gyrorig_solver.calibration.document import Calibration, parse_calibration
-from gyrorig_solver.calibration.store import STORE_FILE, CalibrationStore
-from gyrorig_solver.fleet.index import Index
-from gyrorig_solver.fleet.journal import others_run
+from gyrorig_solver.calibration.store import STORE_FILE, VERSION_FILE, CalibrationStore
+from gyrorig_solver.fleet.bucket_store import store_at
+from gyrorig_solver.fleet.ledger import index_at, others_write
+from gyrorig_solver.fleet.manifest import (
+    Signer,
+    index_files,
+    manifest_of,
+    read_manifests,
+    seal,
+    unseal,
+)
 from gyrorig_solver.fleet.rows import Row, row_of_calibration
 from gyrorig_solver.fleet.task import key_of
+from gyrorig_solver.places.choose import place_at
+from gyrorig_solver.places.place import Entry, Place
 
 LISTED = ("board", "version", "trust", "created", "start", "sensor", "rig", "uid", "file")
 _RECORDING = re.compile(r"\d{8}T\d{6}Z_(?P<rig>[A-Za-z0-9-]+)_(?P<session>.+?)(_p\d+)?\.mcap")
-_VERSION_FILE = re.compile(r"v(\d{4,9})\.yaml")
+_IN_CALIB = 5  # calib/<h2>/<h2>/<board>/<file>
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +68,7 @@ class Chosen:
 class Fault:
     """One thing that is wrong with a store."""
 
-    kind: str  # damaged | missing | unknown | chain | unreadable
+    kind: str  # damaged | missing | unknown | chain | unreadable | unsigned
     file: str
     text: str
 
@@ -67,25 +80,28 @@ class Verified:
     boards: int
     versions: int
     rows: int
+    sealed: int  # files that a manifest names
     faults: tuple[Fault, ...]
 
 
-def opened(folder: Path) -> CalibrationStore:
-    """Return the fleet's store in `folder`.
+def opened(store: Path | Place) -> CalibrationStore:
+    """Return the calibrations of a fleet's store.
 
     Raises:
         UsageError: there is none.
         InputError: it is of another schema.
+        MachineError: the bucket does not answer.
     """
-    if not (folder / STORE_FILE).is_file():
+    place = place_at(store)
+    if place.read(STORE_FILE) is None:
         raise UsageError(
-            f"{folder} is no store of a fleet: it holds no {STORE_FILE}",
-            "name the folder that `gyrorig batch --store` wrote",
+            f"{place.text} is no store of a fleet: it holds no {STORE_FILE}",
+            "name what `gyrorig batch --store` wrote",
         )
-    return CalibrationStore(folder)
+    return store_at(place)
 
 
-def newest(folder: Path, chosen: Chosen, limit: int) -> list[dict[str, Any]]:
+def newest(store: Path | Place, chosen: Chosen, limit: int) -> list[dict[str, Any]]:
     """Return the newest version of each board, at most `limit`, by name."""
     where, values = chosen.clause()
     sql = (
@@ -93,126 +109,218 @@ def newest(folder: Path, chosen: Chosen, limit: int) -> list[dict[str, Any]]:
         "QUALIFY row_number() OVER (PARTITION BY board ORDER BY version DESC) = 1 "
         "ORDER BY board LIMIT ?"
     )
-    return _named(LISTED, Index(folder).ask(sql, [*values, limit]))
+    return _named(LISTED, index_at(place_at(store)).ask(sql, [*values, limit]))
 
 
-def versions_of(folder: Path, chosen: Chosen, limit: int) -> list[dict[str, Any]]:
+def versions_of(store: Path | Place, chosen: Chosen, limit: int) -> list[dict[str, Any]]:
     """Return every version, at most `limit`, by board and version."""
     where, values = chosen.clause()
     sql = (
         f"SELECT {', '.join(LISTED)} FROM rows WHERE status = 'ok' AND {where} "  # noqa: S608
         "ORDER BY board, version LIMIT ?"
     )
-    return _named(LISTED, Index(folder).ask(sql, [*values, limit]))
+    return _named(LISTED, index_at(place_at(store)).ask(sql, [*values, limit]))
 
 
-def gone_wrong(folder: Path, limit: int) -> list[dict[str, Any]]:
+def gone_wrong(store: Path | Place, limit: int) -> list[dict[str, Any]]:
     """Return the work that has no calibration, the latest first."""
     names = ("status", "reason", "names", "board", "created", "trace")
     sql = (
         f"SELECT {', '.join(names)} FROM rows WHERE status <> 'ok' "  # noqa: S608
         "ORDER BY created DESC LIMIT ?"
     )
-    return _named(names, Index(folder).ask(sql, [limit]))
+    return _named(names, index_at(place_at(store)).ask(sql, [limit]))
 
 
-def verify(folder: Path) -> Verified:
-    """Compare every version with its digest, its successor and the index.
+def verify(store: Path | Place, key: Ed25519PublicKey | None = None) -> Verified:
+    """Compare every file with its digest, its successor, the index and the manifests.
+
+    Args:
+        store: where it is.
+        key: the manifests have to be signed with it, and to name every calibration.
 
     Raises:
         UsageError: there is no store.
         InputError: the index cannot be read.
+        MachineError: the bucket does not answer.
     """
-    opened(folder)
-    index = Index(folder)
-    sql = "SELECT file, file_sha256 FROM rows WHERE status = 'ok'"
-    listed: dict[str, str] = dict(index.ask(sql))
-    faults: list[Fault] = []
-    seen: set[str] = set()
-    boards = 0
-    for board in _boards(folder):
-        boards += 1
-        before = ""
-        for path in _versions(board):
-            name = str(path.relative_to(folder))
-            seen.add(name)
-            digest = hashlib.sha256(path.read_bytes()).hexdigest()
-            faults += _faults_of(path, name, digest, before, listed.get(name))
-            before = digest
-    missing = sorted(set(listed) - seen)
-    faults += [
-        Fault("missing", name, "the index names it, and it is not there") for name in missing
-    ]
+    opened(store)
+    place = place_at(store)
+    index = index_at(place)
+    sql = "SELECT file, file_sha256, beside FROM rows WHERE status = 'ok'"
+    listed = _listed(index.ask(sql))
+    sealed, faults = _sealed(place, key)
+    look = _Look(place, listed, sealed, key is not None)
+    for _, entries in groupby(_documents(place), lambda entry: PurePosixPath(entry.name).parent):
+        look.at_board(list(entries))
+    missing = sorted({*listed.of, *sealed} - look.seen)
+    gone = [Fault("missing", one, "it was written, and it is not there") for one in missing]
     (count,) = index.ask("SELECT count(*) FROM rows")[0]
-    return Verified(boards, len(seen), int(count), tuple(faults))
+    found = (*faults, *look.faults, *gone)
+    return Verified(look.boards, look.versions, int(count), len(sealed), found)
 
 
-def rebuild_index(folder: Path) -> int:
-    """Make the index anew from the calibrations; return how many there are.
+def rebuild_index(store: Path | Place, signer: Signer | None = None) -> int:
+    """Make the index anew from the calibrations, and the manifests; return how many there are.
 
     What the old index knows of work without a calibration is kept where it can be read.
+
+    Args:
+        store: where it is.
+        signer: signs the new manifest.
 
     Raises:
         UsageError: there is no store.
         BusyError: a batch is running.
-        MachineError: the disk refuses; the old index stays.
+        MachineError: the disk or the bucket refuses; the old index stays.
     """
-    opened(folder)
-    if others_run(folder, ""):
-        raise BusyError(f"a batch writes to {folder}", "wait until it has ended")
+    calibrations = opened(store)
+    place = place_at(store)
+    if others_write(place):
+        raise BusyError(f"a batch writes to {place.text}", "wait until it has ended")
     written = 0
 
     def counted() -> Iterator[Row]:
         nonlocal written
-        for row in _rows_of_calibrations(folder):
+        for row in _rows_of_calibrations(place, calibrations):
             written += 1
             yield row
 
     now = datetime.now(UTC)
-    Index(folder).rebuild(counted(), f"{now:%Y%m%dT%H%M%S%fZ}-rebuilt")
+    index_at(place).rebuild(counted(), f"{now:%Y%m%dT%H%M%S%fZ}-rebuilt")
+    unseal(place)
+    seal(place, signer)
     return written
 
 
-def _faults_of(
-    path: Path, name: str, digest: str, before: str, listed: str | None
-) -> Iterator[Fault]:
-    if listed is None:
-        yield Fault("unknown", name, "the index does not name it")
-    elif listed != digest:
-        yield Fault("damaged", name, "its bytes are not those that were written")
-    try:
-        made = parse_calibration(path.read_bytes(), name)
-    except GyrorigError as fault:
-        yield Fault("unreadable", name, str(fault))
-        return
-    expected = f"sha256:{before}" if before else None
-    if made.previous != expected:
-        yield Fault("chain", name, "the version before it is not the one it was made after")
+@dataclass(frozen=True, slots=True)
+class _Listed:
+    """What the index names."""
+
+    of: dict[str, str]  # digests by name, of documents and of what lies beside them
+    documents: frozenset[str]
 
 
-def _boards(folder: Path) -> Iterator[Path]:
-    for board in sorted((folder / "calib").glob("??/??/*")):
-        if board.is_dir():
-            yield board
+def _listed(rows: Sequence[Sequence[Any]]) -> _Listed:
+    digests: dict[str, str] = {}
+    for file, digest, beside in rows:
+        digests[file] = digest
+        folder = file.rpartition("/")[0]
+        for line in beside or ():
+            one, _, name = line.partition("  ")
+            digests[f"{folder}/{name}"] = one
+    return _Listed(digests, frozenset(file for file, *_ in rows))
 
 
-def _versions(board: Path) -> Sequence[Path]:
-    found = (path for path in board.iterdir() if _VERSION_FILE.fullmatch(path.name))
-    return sorted(found, key=lambda path: int(path.stem[1:]))
+def _sealed(place: Place, key: Ed25519PublicKey | None) -> tuple[dict[str, str], list[Fault]]:
+    """Return the digests that manifests name, and what is wrong with manifests and index."""
+    sealed: dict[str, str] = {}
+    faults: list[Fault] = []
+    there = set(index_files(place))
+    manifests = {one.name: one for one in read_manifests(place, key)}
+    for one in manifests.values():
+        if one.signed is False:
+            faults.append(Fault("unsigned", one.name, "this key has not signed it"))
+            continue
+        sealed.update(one.digests)
+        if one.index_file in there:
+            data = place.read(one.index_file) or b""
+            if hashlib.sha256(data).hexdigest() != sealed.get(one.index_file):
+                faults.append(Fault("damaged", one.index_file, "its manifest has another digest"))
+        sealed.pop(one.index_file, None)
+    if key is not None:
+        faults += [
+            Fault("unsigned", file, "no manifest names it")
+            for file in sorted(there)
+            if manifest_of(file) not in manifests
+        ]
+    return sealed, faults
 
 
-def _rows_of_calibrations(folder: Path) -> Iterator[Row]:
-    for board in _boards(folder):
-        for path in _versions(board):
-            data = path.read_bytes()
-            try:
-                made = parse_calibration(data, str(path))
-            except GyrorigError:
-                continue  # `verify` says so
-            yield _row(made, str(path.relative_to(folder)), hashlib.sha256(data).hexdigest())
+@dataclass(slots=True)
+class _Look:
+    """All documents looked at, board by board."""
+
+    place: Place
+    listed: _Listed
+    sealed: dict[str, str]
+    asks_signed: bool
+    boards: int = 0
+    versions: int = 0
+    seen: set[str] = field(default_factory=set)
+    faults: list[Fault] = field(default_factory=list)
+
+    def at_board(self, entries: Sequence[Entry]) -> None:
+        """Look at all files of one board."""
+        self.boards += 1
+        before = ""
+        documents = {entry.name for entry in entries if _is_version(entry.name)}
+        for name in sorted(documents, key=_number):
+            data = self.place.read(name) or b""
+            digest = hashlib.sha256(data).hexdigest()
+            self._compare(name, digest)
+            self._parse(name, data, before)
+            before = digest
+            self.versions += 1
+        for name in sorted({entry.name for entry in entries} - documents):
+            # What no row names: a report whose batch was killed before its row, say.
+            if name in self.listed.of or name in self.sealed:
+                self._compare(name, hashlib.sha256(self.place.read(name) or b"").hexdigest())
+
+    def _compare(self, name: str, digest: str) -> None:
+        self.seen.add(name)
+        if name not in self.listed.of:
+            if name not in self.sealed:
+                self.faults.append(Fault("unknown", name, "the index does not name it"))
+        elif self.listed.of[name] != digest:
+            self.faults.append(Fault("damaged", name, "its bytes are not those that were written"))
+            return
+        if name in self.sealed and self.sealed[name] != digest:
+            self.faults.append(Fault("damaged", name, "its manifest has another digest"))
+        elif self.asks_signed and name not in self.sealed:
+            self.faults.append(Fault("unsigned", name, "no signed manifest names it"))
+
+    def _parse(self, name: str, data: bytes, before: str) -> None:
+        try:
+            made = parse_calibration(data, name)
+        except GyrorigError as fault:
+            self.faults.append(Fault("unreadable", name, str(fault)))
+            return
+        if made.previous != (f"sha256:{before}" if before else None):
+            text = "the version before it is not the one it was made after"
+            self.faults.append(Fault("chain", name, text))
 
 
-def _row(made: Calibration, file: str, digest: str) -> Row:
+def _documents(place: Place) -> Iterator[Entry]:
+    """Yield the files of all boards, those of one board together."""
+    for entry in place.entries("calib"):
+        name = PurePosixPath(entry.name)
+        if len(name.parts) == _IN_CALIB and not name.name.startswith("."):
+            yield entry
+
+
+def _is_version(name: str) -> bool:
+    return VERSION_FILE.fullmatch(PurePosixPath(name).name) is not None
+
+
+def _number(name: str) -> int:
+    return int(PurePosixPath(name).stem[1:])
+
+
+def _rows_of_calibrations(place: Place, store: CalibrationStore) -> Iterator[Row]:
+    for entry in _documents(place):
+        if not _is_version(entry.name):
+            continue
+        data = place.read(entry.name) or b""
+        try:
+            made = parse_calibration(data, entry.name)
+        except GyrorigError:
+            continue  # `verify` says so
+        beside = store.digests_beside(store.stored(entry.name))
+        yield _row(made, entry.name, hashlib.sha256(data).hexdigest(), beside)
+
+
+def _row(made: Calibration, file: str, digest: str, beside: Sequence[str]) -> Row:
     """Return a version's row; the daemon names recordings by time, rig and session."""
     named = _RECORDING.fullmatch(made.inputs[0].name)
     inputs = [one.sha256 for one in made.inputs]
@@ -224,6 +332,7 @@ def _row(made: Calibration, file: str, digest: str) -> Row:
         rig=named["rig"] if named else "",
         file=file,
         file_sha256=digest,
+        beside=beside,
     )
 
 

@@ -1,5 +1,7 @@
 """What there is to do: the recordings below a folder, put together by session.
 
+A spool is a folder or a bucket; a recording of a bucket is fetched for as long as it is read.
+
 What to use when: `look` once, at the beginning of a batch; `sessions` for what is new.
 The parts of one session are solved together, so they are one piece of work. Files still
 being written (`.mcap.part`) are counted and left alone: the daemon finishes or recovers
@@ -8,28 +10,35 @@ them. Names and sizes are of no use as identity: the digest is what a recording 
 
 import hashlib
 import json
-import os
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
+from pathlib import Path, PurePosixPath
 
 from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.recording.reader import read_head
+from gyrorig_solver.places.choose import place_at
+from gyrorig_solver.places.folder import Folder
+from gyrorig_solver.places.place import Entry, Place
 
+UNREAD = "unread:"  # instead of a digest
 SET_ASIDE = "unclean"  # where the daemon keeps what it has recovered a recording from
 READERS = 4  # digests are computed outside of Python's lock
+LEFT_AFTER_S = 86_400.0  # a part of a recording is an hour at most: nobody writes this one any more
 
 
 @dataclass(frozen=True, slots=True)
 class Spooled:
     """One recording as it lies there."""
 
-    path: Path
+    path: PurePosixPath  # below the spool
     sha256: str
     session: str  # rig, name and beginning; "" where its head cannot be read
     part: str = ""
     size: int = 0
+    stamp: str = ""  # another one where the file was changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,28 +58,36 @@ class Session:
 class Spool:
     """The files of a spool."""
 
-    recordings: tuple[Path, ...]
+    place: Place
+    recordings: tuple[Entry, ...]
     unfinished: int = 0
+    left: int = 0  # of them, not touched for a day: their writer is gone
 
 
-def look(folder: Path) -> Spool:
-    """Return the recordings below `folder`, sorted by path.
-
-    Symbolic links to folders are not followed: a loop of them has no end.
+def look(spool: Path | Place) -> Spool:
+    """Return the recordings of a spool, sorted by name.
 
     Raises:
         UsageError: there is no such folder.
+        MachineError: the bucket does not answer.
     """
-    if not folder.is_dir():
-        raise UsageError(f"there is no folder {folder}", "name a folder of recordings with --spool")
-    found: list[Path] = []
-    unfinished = 0
-    for path in _below(folder):
-        if path.name.endswith(".mcap.part"):
+    place = place_at(spool)
+    if isinstance(place, Folder) and not place.path.is_dir():
+        raise UsageError(
+            f"there is no folder {place.text}", "name a folder of recordings with --spool"
+        )
+    found: list[Entry] = []
+    unfinished = left = 0
+    for entry in place.entries():
+        if SET_ASIDE in entry.name.split("/")[:-1]:
+            continue
+        if entry.name.endswith(".mcap.part"):
             unfinished += 1
-        elif path.name.endswith(".mcap"):
-            found.append(path)
-    return Spool(tuple(sorted(found)), unfinished)
+            left += 0.0 < entry.changed_s < time.time() - LEFT_AFTER_S
+        elif entry.name.endswith(".mcap"):
+            found.append(entry)
+    found.sort(key=lambda entry: PurePosixPath(entry.name))
+    return Spool(place, tuple(found), unfinished, left)
 
 
 def sessions(found: Iterable[Spooled]) -> list[Session]:
@@ -100,39 +117,33 @@ def sessions(found: Iterable[Spooled]) -> list[Session]:
     return sorted([*made, *alone], key=lambda session: session.recordings[0].path)
 
 
-def _by_path(one: Spooled) -> Path:
+def _by_path(one: Spooled) -> PurePosixPath:
     return one.path
 
 
-def read_all(paths: Sequence[Path]) -> Iterator[Spooled]:
-    """Yield what each recording is, in the order of paths, several being read at a time."""
+def read_all(place: Place, entries: Sequence[Entry]) -> Iterator[Spooled]:
+    """Yield what each recording is, in the order of entries, several being read at a time."""
     with ThreadPoolExecutor(READERS, "digest") as readers:
-        yield from readers.map(spooled, paths)
+        yield from readers.map(partial(spooled, place), entries)
 
 
-def spooled(path: Path) -> Spooled:
+def spooled(place: Place, entry: Entry) -> Spooled:
     """Return what a recording is. Never raises: what is wrong with it its worker says."""
+    name = PurePosixPath(entry.name)
     try:
-        digest, size = _digest(path), path.stat().st_size
-    except OSError:
-        return Spooled(path, f"unread:{path}", "")
-    try:
-        own = read_head(path).get("gyrorig", {})
-    except GyrorigError:
-        return Spooled(path, digest, "", size=size)
+        with place.local(entry.name) as path:
+            digest, size = _digest(path), path.stat().st_size
+            try:
+                own = read_head(path).get("gyrorig", {})
+            except GyrorigError:
+                return Spooled(name, digest, "", size=size, stamp=entry.stamp)
+    except (OSError, GyrorigError):
+        return Spooled(name, f"{UNREAD}{entry.name}", "")
     names = [own.get(key, "") for key in ("rig", "session", "anchor_utc_ns")]
     session = json.dumps(names) if any(names) else ""
-    return Spooled(path, digest, session, own.get("part", ""), size)
+    return Spooled(name, digest, session, own.get("part", ""), size, entry.stamp)
 
 
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _below(folder: Path) -> Iterator[Path]:
-    for root, folders, names in os.walk(folder):
-        if SET_ASIDE in folders:
-            folders.remove(SET_ASIDE)
-        for name in names:
-            yield Path(root) / name

@@ -17,7 +17,8 @@ import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
+from functools import partial
+from pathlib import PurePosixPath
 
 import msgspec
 
@@ -27,9 +28,12 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.build import settings_sha256
 from gyrorig_solver.calibration.document import Calibration, parse_calibration
-from gyrorig_solver.calibration.solving import Solved, likelihood_settings, solve_into
+from gyrorig_solver.calibration.solving import fits_together, likelihood_settings, solve_into
 from gyrorig_solver.calibration.store import CalibrationStore, StoredVersion
+from gyrorig_solver.estimate.result import GyroFit
+from gyrorig_solver.fleet.bucket_store import store_at
 from gyrorig_solver.fleet.rows import MAX_TEXT, Row, Status, row_of_calibration, utc_now_text
+from gyrorig_solver.places.place import Place
 
 HARD_FACTOR = 1.5  # the work is ended from outside Python so much later than from inside
 LOOKED_BACK = 3  # versions in which a cut-off batch's own work is looked for
@@ -56,8 +60,9 @@ class Order:
 
     key: str
     batch: str
-    store: Path
-    paths: tuple[Path, ...]
+    store: Place
+    spool: Place
+    paths: tuple[PurePosixPath, ...]  # below the spool
     digests: tuple[str, ...]
     settings: Settings
     refused: str = ""  # why it must not be solved; its worker says so
@@ -137,7 +142,7 @@ def row_of(
         trace=trace[-MAX_TEXT:],
         session=own.get("session", ""),
         rig=own.get("rig", ""),
-        board=board,
+        board=str(board),  # an id is a text of its own kind, which JSON does not know
         solver_version=order.settings.solver_version,
         config_sha256=order.settings.config_sha256,
     )
@@ -146,7 +151,10 @@ def row_of(
 def _solve(order: Order) -> Iterator[Row]:
     if order.refused:
         raise InputError(order.refused, "keep one of them in the spool")
-    recordings = [read_recording(path) for path in order.paths]
+    recordings = []
+    for path in order.paths:
+        with order.spool.local(str(path)) as here:  # mapped: it may be removed once it is read
+            recordings.append(read_recording(here))
     for recording in recordings:
         if recording.sha256 not in order.digests:
             raise InputError(
@@ -158,23 +166,52 @@ def _solve(order: Order) -> Iterator[Row]:
         raise InputError(
             f"{order.paths[0].name} holds no board's samples", "look at it with gyrorig check"
         )
-    store = CalibrationStore(order.store)
+    store = store_at(order.store)
+    ready = _together(order, store, recordings, boards)
     for board in boards:
-        yield _solve_board(order, store, recordings, board)
+        yield _solve_board(order, store, recordings, board, ready.get(board))
+
+
+def _together(
+    order: Order, store: CalibrationStore, recordings: Sequence[Recording], boards: list[BoardId]
+) -> dict[str, GyroFit | GyrorigError]:
+    """Return the fits of boards that were on one unit at once; empty where they go one by one."""
+    everywhere = [one for one in boards if all(one in each.board_ids for each in recordings)]
+    try:
+        for board in everywhere:
+            _look_again(order, store, recordings[0], board)
+    except _DoneError:  # a batch was cut off among them: the others are few
+        return {}
+    except InputError:  # said where that board is solved
+        pass
+    try:
+        return fits_together(recordings, everywhere, extend=order.settings.extend)
+    except (TooLongError, MemoryError):
+        raise
+    except Exception:  # a fault of the joint fit leaves the boards one by one
+        return {}
 
 
 def _solve_board(
-    order: Order, store: CalibrationStore, recordings: Sequence[Recording], board: BoardId
+    order: Order,
+    store: CalibrationStore,
+    recordings: Sequence[Recording],
+    board: BoardId,
+    ready: GyroFit | GyrorigError | None,
 ) -> Row:
     """Solve one board; what is wrong with it does not keep the others."""
     holding = [recording for recording in recordings if board in recording.board_ids]
     first = holding[0]
+    before = partial(_look_again, order, store, first, board)
     try:
-        _refuse_twins(store, first, board)
-        done = _done_before(order, store, board)
-        if done is None:
-            solved = solve_into(store, holding, board, extend=order.settings.extend)
-            done = (solved.calibration, _stored(solved))
+        before()
+        if isinstance(ready, GyrorigError):
+            raise ready
+        extend = order.settings.extend
+        solved = solve_into(store, holding, board, extend=extend, fit=ready, before=before)
+        made, stored = solved.calibration, solved.stored
+    except _DoneError as found:
+        made, stored = found.made, found.stored
     except MachineError:
         raise
     except GyrorigError as fault:
@@ -185,7 +222,6 @@ def _solve_board(
         reason = f"a fault of the program, {type(fault).__name__}: {fault}"
         trace = traceback.format_exc()
         return row_of(order, "failed", reason=reason, trace=trace, recording=first, board=board)
-    made, stored = done
     own = first.metadata.get("gyrorig", {})
     return row_of_calibration(
         made,
@@ -193,46 +229,44 @@ def _solve_board(
         batch=order.batch,
         session=own.get("session", ""),
         rig=own.get("rig", ""),
-        file=str(stored.path.relative_to(store.folder)),
+        file=store.name_of(stored),
         file_sha256=stored.digest().removeprefix("sha256:"),
+        beside=store.digests_beside(stored),
     )
 
 
-def _stored(solved: Solved) -> StoredVersion:
-    return StoredVersion(solved.calibration.version, solved.path)
+class _DoneError(Exception):
+    """This work has its version: it was cut off before its row, or another batch was faster."""
+
+    def __init__(self, made: Calibration, stored: StoredVersion) -> None:
+        super().__init__()
+        self.made, self.stored = made, stored
 
 
-def _done_before(
-    order: Order, store: CalibrationStore, board: BoardId
-) -> tuple[Calibration, StoredVersion] | None:
-    """Return this work's own version, where a batch was cut off between version and row."""
+def _look_again(
+    order: Order, store: CalibrationStore, recording: Recording, board: BoardId
+) -> None:
+    """Look at the board's newest versions: before the work, and before each try to write.
+
+    Raises:
+        _DoneError: one of them is this work's.
+        InputError: they are another board's.
+    """
+    newest = store.versions(board)[-LOOKED_BACK:]
+    uid = recording.metadata.get(f"gyrorig.board.{board}", {}).get("uid", "")
     config = order.settings.config_sha256
-    for stored in reversed(store.versions(board)[-LOOKED_BACK:]):
-        made = parse_calibration(stored.path.read_bytes(), str(stored.path))
+    for stored in reversed(newest):
+        made = parse_calibration(stored.data(), str(stored.path))
+        if stored is newest[-1] and uid and made.board.uid not in ("", uid):
+            raise InputError(
+                f"board {board} has the uid {uid[:40]!r} here and {made.board.uid[:40]!r} in "
+                "the store: two boards have one name",
+                "give one of them another id in its rig's configuration",
+            )
         same_inputs = {one.sha256 for one in made.inputs} <= set(order.digests)
         same_solver = made.solver.version == order.settings.solver_version
         if same_inputs and same_solver and made.solver.config_sha256 == config:
-            return made, stored
-    return None
-
-
-def _refuse_twins(store: CalibrationStore, recording: Recording, board: BoardId) -> None:
-    """Refuse a board whose name another board has in this store.
-
-    Raises:
-        InputError: the uid differs.
-    """
-    uid = recording.metadata.get(f"gyrorig.board.{board}", {}).get("uid", "")
-    latest = store.latest(board)
-    if latest is None or not uid:
-        return
-    before = parse_calibration(latest.path.read_bytes(), str(latest.path)).board.uid
-    if before and before != uid:
-        raise InputError(
-            f"board {board} has the uid {uid[:40]!r} here and {before[:40]!r} in the store: "
-            "two boards have one name",
-            "give one of them another id in its rig's configuration",
-        )
+            raise _DoneError(made, stored)
 
 
 @contextlib.contextmanager

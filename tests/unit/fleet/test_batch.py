@@ -9,7 +9,8 @@ import sys
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
 
 import pytest
 from tests.unit.fleet.test_spool import write
@@ -23,6 +24,7 @@ from gyrorig_solver.fleet.index import Index
 from gyrorig_solver.fleet.lanes import Lane, PutOff, local_lanes, through
 from gyrorig_solver.fleet.shelf import verify
 from gyrorig_solver.fleet.task import Order, Outcome, Settings, carry_out, row_of
+from gyrorig_solver.places.folder import Folder
 
 BOARD = BoardId("GY80-1")
 SETTINGS = Settings(solver_version="0.1.0")
@@ -30,7 +32,8 @@ GIGABYTES = 1 << 30
 
 
 def order(key: str, store: Path, *paths: Path) -> Order:
-    return Order(key, "night", store, paths, ("00",), SETTINGS)
+    names = tuple(PurePosixPath(path) for path in paths)
+    return Order(key, "night", Folder(store), Folder(Path("/")), names, ("00",), SETTINGS)
 
 
 def night(spool: Path, store: Path, workers: int = 1, **more: object):  # type: ignore[no-untyped-def]
@@ -124,7 +127,7 @@ def test_two_boards_with_one_name_are_not_mixed(
     from gyrorig_protocol.recording.reader import read_recording  # noqa: PLC0415
 
     digest = read_recording(recorded[0]).sha256
-    told = carry_out(Order("k", "night", store, (recorded[0],), (digest,), SETTINGS))
+    told = carry_out(replace(order("k", store, recorded[0]), digests=(digest,)))
     assert "two boards have one name" in told.rows[0].reason
 
 
@@ -136,11 +139,21 @@ def test_a_deadline_fails_the_work_and_keeps_the_trace(
 
     digests = (read_recording(recorded[0]).sha256,)
     hurried = Settings(solver_version="0.1.0", deadline_s=0.02)
-    told = carry_out(Order("k", "n", tmp_path / "store", (recorded[0],), digests, hurried))
+    told = carry_out(
+        replace(order("k", tmp_path / "store", recorded[0]), digests=digests, settings=hurried)
+    )
     (row,) = told.rows
     assert row.status == "failed"
     assert "0.02 s" in row.reason
     assert "TooLongError" in row.trace
+
+
+def test_a_row_of_a_board_without_a_calibration_is_written(tmp_path: Path) -> None:
+    make_sharded(tmp_path)
+    index = Index(tmp_path)
+    with Claims(tmp_path, "night").begin(index) as journal:
+        journal.add([row_of(order("k", tmp_path), "rejected", reason="no motion", board=BOARD)])
+    assert index.ask("SELECT board, reason FROM rows") == [(BOARD, "no motion")]
 
 
 def dies_of_poison(one: Order) -> Outcome:
@@ -183,6 +196,7 @@ def test_a_store_that_takes_nothing_ends_the_batch_early(tmp_path: Path) -> None
     summary = run_batch(spool, tmp_path / "store", SETTINGS, lanes(2, refuses))
     assert summary.gave_up
     assert 20 <= summary.put_off <= 22
+    assert summary.not_begun >= 38
     assert "make room" in summary.put_off_why
     after = night(spool, tmp_path / "store")
     assert after.ended == Counter(rejected=60)

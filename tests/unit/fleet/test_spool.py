@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,8 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
 from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver.fleet.heads import Heads
-from gyrorig_solver.fleet.spool import look, read_all, sessions, spooled
+from gyrorig_solver.fleet.spool import Spooled, look, read_all, sessions
+from gyrorig_solver.places.folder import Folder
 
 
 def write(path: Path, session: str = "s", part: int = 0, events: int = 1, anchor: int = 1) -> Path:
@@ -29,8 +31,12 @@ def write(path: Path, session: str = "s", part: int = 0, events: int = 1, anchor
     return path
 
 
+def read(folder: Path) -> Iterator[Spooled]:
+    return read_all(Folder(folder), look(folder).recordings)
+
+
 def names(folder: Path) -> list[list[str]]:
-    found = sessions(read_all(look(folder).recordings))
+    found = sessions(read(folder))
     return [[one.path.name for one in session.recordings] for session in found]
 
 
@@ -50,7 +56,7 @@ def test_the_same_bytes_count_once(tmp_path: Path) -> None:
 def test_a_shorter_copy_is_refused_and_not_joined(tmp_path: Path) -> None:
     whole = write(tmp_path / "b.mcap", events=3)
     (tmp_path / "a.mcap").write_bytes(whole.read_bytes()[:-100])
-    found = sessions(read_all(look(tmp_path).recordings))
+    found = sessions(read(tmp_path))
     assert [s.refused for s in found] == ["a.mcap is a shorter copy of b.mcap", ""]
 
 
@@ -60,7 +66,9 @@ def test_unfinished_recordings_are_left_alone_and_counted(tmp_path: Path) -> Non
     (tmp_path / "unclean").mkdir()  # the daemon's originals of what it recovered
     (tmp_path / "unclean" / "b.mcap.part").write_bytes(b"x")
     found = look(tmp_path)
-    assert (found.recordings, found.unfinished) == ((), 1)
+    assert (found.recordings, found.unfinished, found.left) == ((), 1, 0)
+    os.utime(tmp_path / "a.mcap.part", (1, 1))
+    assert look(tmp_path).left == 1
 
 
 def test_loops_of_links_end(tmp_path: Path) -> None:
@@ -79,26 +87,33 @@ def test_there_must_be_a_folder(tmp_path: Path) -> None:
 )
 def test_what_is_no_recording_is_a_session_of_its_own(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.mcap").write_bytes(content)
-    (session,) = sessions(read_all(look(tmp_path).recordings))
+    (session,) = sessions(read(tmp_path))
     assert session.recordings[0].session == ""
 
 
 def test_what_was_read_once_is_remembered_until_it_changes(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap")
     memory = tmp_path / "heads.sqlite"
-    with Heads(memory) as heads:
-        assert heads.split([path]) == ([], [path])
-        assert list(heads.keep([spooled(path)])) == [spooled(path)]
-    with Heads(memory) as heads:
-        assert heads.split([path]) == ([spooled(path)], [])
+    found = look(tmp_path)
+    (known,) = read(tmp_path)
+    with Heads(memory, "here") as heads:
+        assert heads.split(found) == ([], list(found.recordings))
+        assert list(heads.keep([known])) == [known]
+    with Heads(memory, "here") as heads:
+        assert heads.split(found) == ([known], [])
         os.utime(path, ns=(1, 1))
-        assert heads.split([path]) == ([], [path])
+        changed = look(tmp_path)
+        assert heads.split(changed) == ([], list(changed.recordings))
+    with Heads(memory, "elsewhere") as heads:
+        assert heads.split(found) == ([], list(found.recordings))
 
 
 def test_a_lost_or_foreign_memory_is_no_fault(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap")
+    write(tmp_path / "a.mcap")
     memory = tmp_path / "heads.sqlite"
     memory.write_bytes(b"no database at all, but long enough to be looked at" * 10)
-    with Heads(memory) as heads:
-        assert heads.split([path]) == ([], [path])
-        assert list(heads.keep([spooled(path)])) == [spooled(path)]
+    found = look(tmp_path)
+    (known,) = read(tmp_path)
+    with Heads(memory, "here") as heads:
+        assert heads.split(found) == ([], list(found.recordings))
+        assert list(heads.keep([known])) == [known]
