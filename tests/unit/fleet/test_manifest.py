@@ -1,0 +1,160 @@
+"""What a store holds, sealed: damage is seen, forgery too where there is a key."""
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, generate_private_key
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+)
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.cli import run
+from gyrorig_solver.fleet.batch import run_batch
+from gyrorig_solver.fleet.lanes import Lane
+from gyrorig_solver.fleet.manifest import public_key_of, seal, signer_of
+from gyrorig_solver.fleet.shelf import rebuild_index, verify
+from gyrorig_solver.fleet.task import Settings
+from gyrorig_solver.places.folder import Folder
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("keys")
+    key = Ed25519PrivateKey.generate()
+    private, public = folder / "key.pem", folder / "public.pem"
+    private.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    form = PublicFormat.SubjectPublicKeyInfo
+    public.write_bytes(key.public_key().public_bytes(Encoding.PEM, form))
+    return private, public
+
+
+@pytest.fixture(scope="module")
+def sealed(
+    recorded: list[Path], keys: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    folder = tmp_path_factory.mktemp("sealed")
+    (folder / "spool").mkdir()
+    for number, path in enumerate(recorded):
+        shutil.copy(path, folder / "spool" / f"{number}.mcap")
+    lanes = [Lane(lambda: ThreadPoolExecutor(1))]
+    run_batch(
+        folder / "spool",
+        folder / "store",
+        Settings(solver_version="0.1.0"),
+        lanes,
+        signer=signer_of(keys[0]),
+    )
+    return folder / "store"
+
+
+@pytest.fixture
+def store(sealed: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(sealed, tmp_path / "store"))
+
+
+def one(store: Path, pattern: str) -> Path:
+    return min(store.glob(pattern))
+
+
+def test_a_signed_store_verifies(store: Path, keys: tuple[Path, Path]) -> None:
+    found = verify(store, public_key_of(keys[1]))
+    assert (found.faults, found.versions, found.sealed) == ((), 2, 4)
+
+
+def test_other_programs_check_it_too(store: Path, keys: tuple[Path, Path]) -> None:
+    manifest = one(store, "manifest/*.sha256")
+    if shutil.which("sha256sum"):
+        done = subprocess.run(
+            ["sha256sum", "--check", "--strict", str(manifest.relative_to(store))],
+            cwd=store,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.count(": OK") == 5
+    if shutil.which("openssl"):
+        command = ["openssl", "pkeyutl", "-verify", "-pubin", "-inkey", str(keys[1]), "-rawin"]
+        command += ["-in", str(manifest), "-sigfile", f"{manifest}.sig"]
+        subprocess.run(command, check=True, capture_output=True)
+
+
+def garbled(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1] + b"\n \n")
+
+
+@pytest.mark.parametrize(
+    ("pattern", "harm", "kind"),
+    [
+        ("calib/*/*/*/v0001.yaml", garbled, "damaged"),
+        ("calib/*/*/*/v0001.yaml", Path.unlink, "missing"),
+        ("calib/*/*/*/v0002.report.html", garbled, "damaged"),
+        ("calib/*/*/*/v0002.report.html", Path.unlink, "missing"),
+        ("manifest/*.sha256", garbled, "unsigned"),
+        ("manifest/*.sha256", Path.unlink, "unsigned"),
+        ("manifest/*.sig", garbled, "unsigned"),
+        ("manifest/*.sig", Path.unlink, "unsigned"),
+    ],
+)
+def test_what_was_changed_is_named(
+    store: Path,
+    keys: tuple[Path, Path],
+    pattern: str,
+    harm: Callable[[Path], None],
+    kind: str,
+) -> None:
+    harm(one(store, pattern))
+    assert kind in {fault.kind for fault in verify(store, public_key_of(keys[1])).faults}
+
+
+def test_a_forger_who_mends_every_digest_is_seen(store: Path, keys: tuple[Path, Path]) -> None:
+    """The last version, its row and its manifest are all made anew: only the key knows."""
+    path = one(store, "calib/*/*/*/v0002.yaml")
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("verdict: ", "verdict:  ", 1), encoding="utf-8")
+    rebuild_index(store)
+    assert verify(store).faults == ()
+    assert {fault.kind for fault in verify(store, public_key_of(keys[1])).faults} == {"unsigned"}
+    rebuild_index(store, signer_of(keys[0]))
+    assert verify(store, public_key_of(keys[1])).faults == ()
+
+
+def test_a_seal_that_was_cut_off_is_made_by_the_next_batch(store: Path) -> None:
+    manifest = one(store, "manifest/*.sha256")
+    before = manifest.read_bytes()
+    manifest.unlink()
+    assert seal(Folder(store), None) == 1
+    assert manifest.read_bytes() == before
+    assert seal(Folder(store), None) == 0
+
+
+def test_what_is_no_key_is_refused(keys: tuple[Path, Path], tmp_path: Path) -> None:
+    other = tmp_path / "other.pem"
+    form = (Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    other.write_bytes(generate_private_key(SECP256R1()).private_bytes(*form))
+    for path in (keys[1], other, tmp_path / "none"):
+        with pytest.raises(UsageError, match="openssl genpkey"):
+            signer_of(path)
+    for path in (keys[0], tmp_path / "none"):
+        with pytest.raises(UsageError, match="openssl pkey"):
+            public_key_of(path)
+
+
+def test_the_command_leaves_with_3_where_the_key_is_another(
+    store: Path, keys: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["store", "verify", str(store), "--key", str(keys[1])]) == 0
+    other = tmp_path / "public.pem"
+    form = (Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    other.write_bytes(Ed25519PrivateKey.generate().public_key().public_bytes(*form))
+    assert run(["store", "verify", str(store), "--key", str(other)]) == 3
+    assert "this key has not signed it" in capsys.readouterr().out
