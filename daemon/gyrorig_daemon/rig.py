@@ -14,9 +14,10 @@ from gyrorig_daemon.links.boards import make_boards
 from gyrorig_daemon.links.capture_clock import CaptureClock
 from gyrorig_daemon.links.hub import PortHub
 from gyrorig_daemon.links.pump import Pump, StopFlag
+from gyrorig_daemon.live import NO_VIEW, View
 from gyrorig_daemon.motion import Exchange, PtuClient
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.messages import ClockPing, ImuRaw
+from gyrorig_protocol.recording.messages import ClockPing, ImuRaw, clock_topic, imu_topic
 
 
 class Listener(Protocol):
@@ -55,6 +56,7 @@ class Rig:
         stop: StopFlag,
         seed: int,
         paths: Mapping[str, str] | None = None,
+        view: View = NO_VIEW,
     ) -> None:
         """Attach to the ports; nothing is said to them yet.
 
@@ -65,6 +67,7 @@ class Rig:
             stop: heeded by the pump.
             seed: of the moments at which the boards are asked for their clocks.
             paths: of ports that are not as configured.
+            view: sees the samples between sessions; in one, what the recorder takes.
         """
         self.config = config
         self.capture = capture
@@ -72,6 +75,7 @@ class Rig:
         self.pump = Pump(hub, stop)
         self.pump.on_stall = self._take_stall
         self.listener: Listener | None = None
+        self.view = view
         self.client = PtuClient(
             self.pump,
             PTU_PORT,
@@ -90,10 +94,14 @@ class Rig:
     def _take_sample(self, board_id: BoardId, message: ImuRaw, publish_ns: int) -> None:
         if self.listener is not None:
             self.listener.take_sample(board_id, message, publish_ns)
+        elif self.view is not NO_VIEW:
+            self.view.take(imu_topic(board_id), message, message.host_time_ns)
 
     def _take_ping(self, board_id: BoardId, message: ClockPing) -> None:
         if self.listener is not None:
             self.listener.take_ping(board_id, message)
+        elif self.view is not NO_VIEW:
+            self.view.take(clock_topic(board_id), message, message.host_receive_ns)
 
     def _note(self, text: str) -> None:
         if self.listener is not None:

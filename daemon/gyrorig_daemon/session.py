@@ -136,6 +136,7 @@ class Session:
         self.boards = list(boards)
         self._named = {board.board_id for board in boards}
         self._unfit: list[BoardLink] = []
+        self._topics: dict[BoardId, str] = {}
         self._pump = rig.pump
         self._client = rig.client
         new_recorder = around.new_recorder or (lambda: Recorder(around.threaded_writer))
@@ -177,6 +178,16 @@ class Session:
     def planned_s(self) -> float:
         """How long the program takes at most, 0 before it is known."""
         return plan_duration_s(self._steps)
+
+    @property
+    def angles_rad(self) -> tuple[float, float] | None:
+        """Where pan and tilt were when the unit last said so, None before."""
+        position = self._log.position
+        return None if position is None else (position.pan_rad, position.tilt_rad)
+
+    def left_s(self, done: int) -> float:
+        """How long the steps take at most of which `done` are behind."""
+        return plan_duration_s(self._steps[done:])
 
     def carry_out(self) -> None:
         """Run the program."""
@@ -245,7 +256,10 @@ class Session:
     def take_sample(self, board_id: BoardId, message: ImuRaw, publish_ns: int) -> None:
         """Record a sample."""
         if board_id in self._named:
-            self.recorder.put(imu_topic(board_id), message, message.host_time_ns, publish_ns)
+            topic = self._topics.get(board_id)
+            if topic is None:
+                topic = self._topics[board_id] = imu_topic(board_id)
+            self.recorder.put(topic, message, message.host_time_ns, publish_ns)
 
     def take_ping(self, board_id: BoardId, message: ClockPing) -> None:
         """Record a board's answer about its clock."""

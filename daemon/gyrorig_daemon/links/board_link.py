@@ -148,6 +148,15 @@ class BoardLink:
         """Return the state of the board's clock map."""
         return self._samples.clock.report()
 
+    def latencies_ns(self) -> tuple[int, int] | None:
+        """Return how late samples come: the last, and the worst since this was asked.
+
+        None where the board's clock is not mapped: arrivals stand in for it then.
+        """
+        samples = self._samples
+        worst_ns, samples.worst_latency_ns = samples.worst_latency_ns, 0
+        return (samples.latency_ns, worst_ns) if samples.clock.report().mapped else None
+
     def faults(self) -> dict[str, int]:
         """Return the parser's counters by cause."""
         return {cause.name.lower(): count for cause, count in self._parser.faults.items()}

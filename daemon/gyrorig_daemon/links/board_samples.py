@@ -82,6 +82,8 @@ class SampleStream:
         self._last_batch: tuple[int, int] | None = None  # last sequence and its stamp
         self.counts = BoardCounts()
         self.seen = False  # a sample came, taken or not
+        self.latency_ns = 0  # of the last sample, from being taken to its arrival
+        self.worst_latency_ns = 0  # until somebody asks
         self.clock = self._new_clock()
 
     def use_hello(self, hello: Hello) -> None:
@@ -125,6 +127,8 @@ class SampleStream:
                 last.device_time, arrival_ns, wire_ns, last.sequence, not self._has_edges
             )
             self._note_epoch()  # before it is counted: a restart is no loss of 40000 samples
+        self.latency_ns = arrival_ns - mapped_ns
+        self.worst_latency_ns = max(self.worst_latency_ns, self.latency_ns)
         self._count(samples)
         for sample in samples:
             taken_ns: int | None = mapped_ns

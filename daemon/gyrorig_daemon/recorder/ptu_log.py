@@ -29,6 +29,7 @@ class PtuLog:
         self._facts: UnitFacts | None = None
         self._commands = 0
         self._positions = 0
+        self.position: PtuPosition | None = None  # the last one
         self.controller_clock: OnlineClock | None = None
 
     def use_unit(self, facts: UnitFacts) -> None:
@@ -83,22 +84,20 @@ class PtuLog:
         if position.synchrony_lost:
             status |= PtuStatus.SYNCHRONY_LOST
         pan, tilt = facts.pan, facts.tilt
+        self.position = PtuPosition(
+            request_time_ns=utc_ns(exchange.request_ns),
+            first_byte_time_ns=utc_ns(exchange.first_byte_ns),
+            reply_time_ns=utc_ns(exchange.reply_ns),
+            pan_steps=position.pan_steps,
+            tilt_steps=position.tilt_steps,
+            pan_rad=pan.sign * position.pan_steps * pan.resolution_arcsec * _RAD_PER_ARCSEC,
+            tilt_rad=tilt.sign * position.tilt_steps * tilt.resolution_arcsec * _RAD_PER_ARCSEC,
+            controller_time=position.counter or 0,
+            sequence=self._positions & 0xFFFF_FFFF,
+            status=int(status),
+        )
         self._recorder.put(
-            PTU_POSITION_TOPIC,
-            PtuPosition(
-                request_time_ns=utc_ns(exchange.request_ns),
-                first_byte_time_ns=utc_ns(exchange.first_byte_ns),
-                reply_time_ns=utc_ns(exchange.reply_ns),
-                pan_steps=position.pan_steps,
-                tilt_steps=position.tilt_steps,
-                pan_rad=pan.sign * position.pan_steps * pan.resolution_arcsec * _RAD_PER_ARCSEC,
-                tilt_rad=tilt.sign * position.tilt_steps * tilt.resolution_arcsec * _RAD_PER_ARCSEC,
-                controller_time=position.counter or 0,
-                sequence=self._positions & 0xFFFF_FFFF,
-                status=int(status),
-            ),
-            utc_ns(exchange.reply_ns),
-            utc_ns(taken_ns),
+            PTU_POSITION_TOPIC, self.position, utc_ns(exchange.reply_ns), utc_ns(taken_ns)
         )
         self._positions += 1
 

@@ -15,6 +15,7 @@ from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
 
+from gyrorig_daemon.live import NO_VIEW, View
 from gyrorig_daemon.recorder.counts import RecorderCounts
 from gyrorig_daemon.recorder.disk_worker import DiskWorker
 from gyrorig_daemon.recorder.settings import (
@@ -69,6 +70,7 @@ class Recorder:
         settings: RecorderSettings | None = None,
         make_room: Callable[[], object] | None = None,
         disk: Disk = DISK,
+        view: View = NO_VIEW,
     ) -> None:
         """Begin without a file; `hold` and `put` before `open` as each says.
 
@@ -78,7 +80,9 @@ class Recorder:
                 out, as for one shot.
             make_room: called in the disk's thread when less than the reserve is free.
             disk: where the files go.
+            view: shown every message, whatever becomes of it on the disk.
         """
+        self._view = None if view is NO_VIEW else view
         self._threaded = threaded
         self._settings = settings or (ONE_SHOT if threaded else SIMULATED)
         self._make_room = make_room
@@ -165,7 +169,10 @@ class Recorder:
         """Record one message, whether or not there is a file yet."""
         if self._spool is not None:
             self.put(topic, message, log_ns)
-        elif len(self._held) < HELD_LIMIT:
+            return
+        if self._view is not None:
+            self._view.take(topic, message, log_ns)
+        if len(self._held) < HELD_LIMIT:
             self._held.append(_Entry(topic, message, log_ns, log_ns))
         else:
             self.counts.dropped_too_early += 1
@@ -183,6 +190,8 @@ class Recorder:
             MachineError: the disk refused this or an earlier message, and the recording
                 is not to survive that.
         """
+        if self._view is not None:
+            self._view.take(topic, message, log_ns)
         spool = self._spool
         if spool is None or self._muted:
             return

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from gyrorig_daemon.config import read_document
+from gyrorig_daemon.live import DEFAULT as LIVE_DEFAULT
 from gyrorig_daemon.service import wire
 from gyrorig_daemon.service.client import ask, listen
 from gyrorig_daemon.service.jobs import put
@@ -54,8 +55,17 @@ _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
 @click.option("--config", "config_path", type=_FILE, required=True, help="The rig (YAML).")
 @_state
 @_socket
+@click.option(
+    "--live",
+    is_flag=False,
+    flag_value=LIVE_DEFAULT,
+    metavar="[HOST:PORT]",
+    help=f"Show it in Foxglove while it happens, at {LIVE_DEFAULT} if nothing else is said.",
+)
 @click.option("--check", is_flag=True, help="Only say whether the configuration can be used.")
-def run_command(config_path: Path, state: Path, socket_path: Path, check: bool) -> None:
+def run_command(
+    config_path: Path, state: Path, socket_path: Path, live: str | None, check: bool
+) -> None:
     """Serve a rig until stopped: sessions from the queue and the schedule, for months.
 
     Halts the unit before anything else; waits for ports that are not there. Told to stop
@@ -74,7 +84,8 @@ def run_command(config_path: Path, state: Path, socket_path: Path, check: bool) 
         return
     orders = Orders()
     with _signals(orders):
-        Service(Call(config_path, state, socket_path), orders, Notifier.from_environment()).run()
+        call = Call(config_path, state, socket_path, live)
+        Service(call, orders, Notifier.from_environment()).run()
 
 
 @click.command("enqueue")

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
+from gyrorig_daemon.live import NO_VIEW, View
 from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.jobs import JobQueue
 from gyrorig_daemon.service.keeper import Keeper
@@ -54,4 +55,5 @@ class Parts:
     lost_rig: Callable[[], str] = lambda: ""  # why the rig has to be opened anew, if it has to
     account: Account = field(default_factory=Account)
     threaded_writer: bool = True
+    view: View = NO_VIEW
     seed: int = 0

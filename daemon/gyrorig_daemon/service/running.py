@@ -44,6 +44,8 @@ class Scene:
     glance: Glance
     session: Session | None = None
     last: dict[str, Any] | None = None  # what became of the last session
+    begun_s: float = 0.0  # when the session's first step was, by the clock that nobody sets
+    step_begun_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,9 @@ class Runner:
     def _new_recorder(self) -> Recorder:
         settings = recorder_settings(self._rig.config.service)
         keeper = self._parts.keeper
-        keeper.recorder = Recorder(self._parts.threaded_writer, settings, keeper.make_room)
+        keeper.recorder = Recorder(
+            self._parts.threaded_writer, settings, keeper.make_room, view=self._parts.view
+        )
         return keeper.recorder
 
     def _hold_session(self, session: Session, is_scheduled: bool) -> Outcome:
@@ -250,4 +254,8 @@ class Runner:
 
     def _take_progress(self, done: int, total: int) -> None:
         if self._scene.glance.session is not None:
+            now_s = self._parts.clocks.monotonic_s()
+            if done == 0:
+                self._scene.begun_s = now_s
+            self._scene.step_begun_s = now_s
             self._scene.glance.session.update(step=done, steps=total)

@@ -21,6 +21,7 @@ from gyrorig_daemon.links.capture_clock import anchor_now, read_host_clocks
 from gyrorig_daemon.links.hub import PortsGoneError
 from gyrorig_daemon.links.process_hub import AcquisitionHub
 from gyrorig_daemon.links.raw_clock import raw_ns
+from gyrorig_daemon.live import NO_VIEW, live_view
 from gyrorig_daemon.record import port_settings
 from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.counts import ServiceCounts
@@ -51,6 +52,7 @@ class Call:
     config_path: Path
     state: Path
     socket: Path
+    live: str | None = None  # HOST:PORT for Foxglove
     emulation: Emulation = field(default_factory=lambda: Emulation(session_s=EMULATED_USE_S))
 
 
@@ -99,6 +101,7 @@ class Service:
         self._dropped_bytes = 0  # of hubs that are closed
         self._emulator_ending: Callable[[], str] = str  # how the emulated rig ended, "" if not
         self._counts = ServiceCounts()
+        self._view = NO_VIEW
 
     def run(self) -> None:
         """Serve until the orders say that the process has to end.
@@ -117,10 +120,14 @@ class Service:
             keeper = Keeper(state, lambda: self._sound.config.service, self._clock_is_sound, log)
             stack.callback(keeper.close)
             keeper.begin()
+            view = live_view(call.live, log)
+            stack.callback(view.close)
+            self._view = view
 
             def publish(status: dict[str, Any]) -> None:
                 server.publish(status)
                 metrics.publish(status)
+                view.status(status)
 
             parts = Parts(
                 state=state,
@@ -142,6 +149,7 @@ class Service:
                 log=log,
                 keeper=keeper,
                 seed=time.monotonic_ns(),
+                view=view,
             )
             self._serve(parts)
             self._notifier.stopping()
@@ -205,6 +213,7 @@ class Service:
                 stop=self._orders.stop,
                 seed=time.monotonic_ns(),
                 paths=paths,
+                view=self._view,
             )
 
     def _forget_emulator(self) -> None:

@@ -4,6 +4,7 @@ What to use when: `StatusTimer` in the pump; it hands the document to `Parts.pub
 losses in it are by cause and only grow; docs/service.md says what each means.
 """
 
+import math
 import os
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -68,7 +69,7 @@ class StatusTimer:
             "uptime_s": round(parts.clocks.monotonic_s() - self._started_s, 1),
             "state": glance.state,
             "reason": glance.reason,
-            "session": None if glance.session is None else dict(glance.session),
+            "session": self._session(),
             "last_session": self._scene.last,
             "unit": self._unit(),
             "boards": [self._board(board, now_ns) for board in self._rig.boards],
@@ -89,16 +90,36 @@ class StatusTimer:
             "counts": asdict(parts.counts),
         }
 
+    def _session(self) -> dict[str, Any] | None:
+        scene = self._scene
+        told, session = scene.glance.session, scene.session
+        if told is None:
+            return None
+        document = dict(told)
+        if session is not None and "step" in told:
+            now_s = self._parts.clocks.monotonic_s()
+            left_s = session.left_s(told["step"]) - (now_s - scene.step_begun_s)
+            # a step may take longer than planned: what is left is that of the others then
+            left_s = max(left_s, session.left_s(told["step"] + 1), 0.0)
+            document["elapsed_s"] = round(now_s - scene.begun_s, 1)
+            document["left_s"] = round(left_s, 1)
+        return document
+
     def _unit(self) -> dict[str, Any]:
         client, unit = self._rig.client, self._unit_watch
         counts = client.counts
         counted = asdict(counts)
         reply_wait_max_ns = counted.pop("reply_wait_max_ns")
+        session = self._scene.session
+        angles = None if session is None else session.angles_rad
+        where = (None, None) if angles is None else [round(math.degrees(a), 4) for a in angles]
         return {
             "state": unit.state.name.lower(),
             "text": unit.why or unit.state.value,
             "port": client.where,
             "steps_are_sure": self._parts.memory.steps_are_sure,
+            "pan_deg": where[0],
+            "tilt_deg": where[1],
             "counts": counted,
             "reply_wait_max_ms": round(reply_wait_max_ns * 1e-6, 3),
         }
@@ -111,11 +132,14 @@ class StatusTimer:
             rate_hz = round((counts.samples - before) / ((now_ns - before_ns) * 1e-9), 1)
         self._samples[name] = now_ns, counts.samples
         clock = board.clock_report()
+        late = board.latencies_ns()
         return {
             "id": name,
             "state": board.state.name.lower(),
             "text": board.state.value,
             "rate_hz": rate_hz,
+            "latency_ms": None if late is None else round(late[0] * 1e-6, 3),
+            "latency_max_ms": None if late is None else round(late[1] * 1e-6, 3),
             "counts": {key: getattr(counts, key) for key in counts.__dataclass_fields__},
             "faults": board.faults(),
             "own": _numbers(board, "board_"),

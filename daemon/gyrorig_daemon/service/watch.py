@@ -66,7 +66,12 @@ def losses(status: dict[str, Any]) -> dict[str, int]:
 
 def _unit(unit: dict[str, Any]) -> str:
     sure = "" if unit["steps_are_sure"] else "; it may have lost steps, home it"
-    return f"unit  {unit['text']} ({unit['port']}){sure}"
+    where = ""
+    if unit["pan_deg"] is not None:
+        where = f", pan {unit['pan_deg']:+.2f}, tilt {unit['tilt_deg']:+.2f} deg"
+    wait = unit["reply_wait_max_ms"]
+    waited = f", slowest answer {wait:.1f} ms" if wait else ""
+    return f"unit  {unit['text']} ({unit['port']}){where}{waited}{sure}"
 
 
 def _board(board: dict[str, Any]) -> str:
@@ -76,6 +81,10 @@ def _board(board: dict[str, Any]) -> str:
     mapped = ", clock not mapped yet"
     if clock["mapped"] and clock["skew_ppm"] is not None:
         mapped = f", clock {clock['skew_ppm']:+.1f} ppm"
+        if clock["sigma_s"] is not None:
+            mapped += f" ± {clock['sigma_s'] * 1e6:.0f} us"
+    if board["latency_ms"] is not None:
+        rate += f", {board['latency_ms']:.2f} ms late, {board['latency_max_ms']:.2f} at most"
     return f"board {board['id']}  {board['text']}{rate}, {counts['samples']} samples{mapped}"
 
 
@@ -87,7 +96,10 @@ def _session(session: dict[str, Any], recorder: dict[str, Any]) -> str:
     written = "" if path is None else f"\n  {path}"
     if recorder["degraded"]:
         written += f"\n  NOT ON DISK: {recorder['degraded']}"
-    return f"session {session['session']}  [{bar}] step {step} of {steps}{written}"
+    if not steps:
+        return f"session {session['session']}  getting to know unit and boards{written}"
+    left = f", {_span(session['left_s'])} left" if "left_s" in session else ""
+    return f"session {session['session']}  [{bar}] step {step} of {steps}{left}{written}"
 
 
 def _machine(status: dict[str, Any]) -> str:

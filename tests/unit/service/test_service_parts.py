@@ -225,7 +225,10 @@ def test_a_person_can_read_it(make_bench: Make) -> None:
     running = picture(bench.state_at(5.0))
     assert running.startswith("rig test: running\n")
     assert "] step " in running
-    assert " of 3\n" in running
+    assert " of 3, " in running
+    assert " left\n" in running
+    assert ", pan +" in running
+    assert " ms late, " in running
     assert "lost  nothing" in running
     assert "board B-1  sends samples, " in running
     after = picture(bench.state_at(11.0))
