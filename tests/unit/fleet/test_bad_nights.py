@@ -13,7 +13,6 @@ from tests.unit.recording.test_damage import chunk, file_of
 
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration import store as stores
 from gyrorig_solver.calibration.store import STORE_FILE, make_sharded
 from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.batch import Summary, run_batch
@@ -97,7 +96,7 @@ def test_a_disk_that_is_full_for_a_while_costs_no_work(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         link(*arguments)  # type: ignore[arg-type] # as it was called
 
-    monkeypatch.setattr(stores.os, "link", refused)
+    monkeypatch.setattr(os, "link", refused)
     first = night(folder)
     assert (first.finished, first.put_off) == (0, 2)
     assert "No space left on device" in first.put_off_why
@@ -123,7 +122,7 @@ def test_what_was_refused_for_a_moment_is_done_in_the_same_night(
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         link(*arguments)  # type: ignore[arg-type] # as it was called
 
-    monkeypatch.setattr(stores.os, "link", refused)
+    monkeypatch.setattr(os, "link", refused)
     summary = night(folder)
     assert (summary.ended, summary.put_off, summary.in_part) == (Counter(ok=1), 0, False)
 
