@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.clocks.course import clock_course
+from gyrorig_solver.columns import KEPT_ROWS
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.observability import BIAS_NAMES, Concluded, Decision, conclude
 from gyrorig_solver.estimate.result import (
@@ -170,6 +172,7 @@ def _temperatures(samples: Sequence[GyroSamples]) -> tuple[float, float] | None:
 
 
 def _clock(samples: GyroSamples, truth: str) -> Clock:
+    short = samples.number.size <= KEPT_ROWS  # arrivals of a longer one are read once more
     return Clock(
         skew_ppm=samples.clock.skew_ppm,
         wander_bound_s=samples.clock.wander_bound_s,
@@ -178,6 +181,11 @@ def _clock(samples: GyroSamples, truth: str) -> Clock:
         restarts=samples.clock.restarts,
         wraps=samples.clock.wraps,
         truth=truth,
+        course=(
+            clock_course(samples.time_s, samples.host_s, samples.number, samples.segment)
+            if short
+            else None
+        ),
     )
 
 

@@ -288,8 +288,10 @@ def _diagnostics(solution: Solution) -> FitDiagnostics:
     used = np.concatenate(session.used)[:, None]
     residual = np.concatenate(session.residuals(solution.gain))
     white = np.concatenate(solution.whitened()[-len(session.series) :])
+    time_s = np.concatenate([s.block_times_s() for s in session.series])
+    angles = getattr(session.reference, "angles_rad", None)  # rests and attitudes have none
     return FitDiagnostics(
-        time_s=np.concatenate([s.block_times_s() for s in session.series]),
+        time_s=time_s,
         rate_rad_s=np.where(used, np.concatenate(session.measured), np.nan),
         reference_rad_s=np.where(used, np.concatenate(session.rates), np.nan),
         residual_rad_s=np.where(used, residual, np.nan),
@@ -298,4 +300,5 @@ def _diagnostics(solution: Solution) -> FitDiagnostics:
         frequency_hz=spectrum.frequency_hz,
         spectrum=spectrum.density,
         spectrum_model=solution.noises[-1].density(spectrum.frequency_hz),
+        angle_rad=None if angles is None else angles(time_s - session.time_offset_s),
     )

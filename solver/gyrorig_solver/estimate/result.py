@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.clocks.course import ClockCourse
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,7 @@ class FitDiagnostics:
     frequency_hz: FloatArray  # (k,), centres of the spectrum's bins
     spectrum: FloatArray  # (k, 3), one-sided residual density, (rad/s)^2/Hz
     spectrum_model: FloatArray  # (k, 3), the noise model's density
+    angle_rad: FloatArray | None = None  # (2, n), pan and tilt; None without a unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +60,7 @@ class Clock:
     restarts: int
     wraps: int
     truth: str  # which clock the common gain rests on
+    course: ClockCourse | None = None  # for pictures; None of long recordings
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -122,7 +122,7 @@ def course_of_fit(fit: GyroFit) -> Course | None:
         base_rad_s=says,
         extended_rad_s=says,
         rate_rad_s=data.reference_rad_s,
-        angle_rad=np.full((2, n), np.nan),
+        angle_rad=np.full((2, n), np.nan) if data.angle_rad is None else data.angle_rad,
         temperature_degc=np.full(n, np.nan),
         effects={},
         frequency_hz=data.frequency_hz,

@@ -13,6 +13,7 @@ from gyrorig_solver.calibration.document import Calibration
 from gyrorig_solver.calibration.wording import collapsed, nothing_text
 from gyrorig_solver.report import view
 from gyrorig_solver.report.data import ReportData
+from gyrorig_solver.report.pictures import pictures
 
 
 def render(data: ReportData) -> str:
@@ -50,9 +51,9 @@ def _page(data: ReportData) -> dict[str, Any]:
         "verdict_text": text,
         "reasons": calibration.trust.reasons,
         "tiles": view.tiles(data),
-        "pictures": (
-            view.pictures(data.diagnostics, calibration) if data.diagnostics is not None else None
-        ),
+        "pictures": pictures(data, view.inverse_gain(calibration)),
+        "noise": view.noise_rows(data),
+        "findings": view.findings_text(calibration),
         "groups": view.groups(data),
         "nothing": nothing_text(calibration),
         "has_profile": data.profile is not None,

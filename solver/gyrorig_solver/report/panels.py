@@ -18,6 +18,7 @@ WIDTH = 532.8  # of a figure, points of 1/72 inch
 LEFT, RIGHT, TOP, KEY, BOTTOM, GAP = 62.0, 7.0, 7.0, 18.0, 36.0, 9.0
 FONT, KEY_FONT = 10.0, 9.0
 LETTER = 0.56  # width of a letter on average, of its height
+KEY_ROOM = 12.5  # letters of the key have on a phone, see page.css
 SAMPLE = 18.0  # length of a line in the key
 SOFT, LINE, GRID = "var(--soft)", "var(--line)", "var(--grid)"
 TICK_EACH_X, TICK_EACH_Y = 62.0, 18.0  # points between ticks, at least
@@ -226,7 +227,7 @@ def _key(marks: list[Mark], box: _Box) -> Iterator[str]:
     """Name the marks above the panel, from the right."""
     y, x = box.top - 6.5, box.left + box.wide
     for mark in reversed(marks):
-        x -= LETTER * KEY_FONT * len(mark.label)
+        x -= LETTER * KEY_ROOM * len(mark.label)
         words = escape(mark.label)
         yield (
             f'<text x="{x:.2f}" y="{y + 3.0:.2f}" '

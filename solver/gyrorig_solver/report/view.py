@@ -24,11 +24,16 @@ from gyrorig_solver.calibration.wording import (
     short,
 )
 from gyrorig_solver.estimate.result import Clock, FitDiagnostics
-from gyrorig_solver.report import figures
 from gyrorig_solver.report.data import ReportData
 
 SINGULAR = 1e6  # condition of a gain matrix that undoes nothing; the paper's method makes such
 _NO_SECOND_CLOCK_S = 1e-9  # stamps that agree to rounding are one and the same clock
+_DEG = 180.0 / math.pi
+_NOISE = (  # name in the document, words, factor, unit
+    ("angle_random_walk", "white noise (angle random walk)", _DEG, "deg/s/√Hz"),
+    ("bias_instability", "bias instability", 3600.0 * _DEG, "deg/h"),
+    ("rate_random_walk", "rate random walk", _DEG, "deg/s²/√Hz"),
+)
 _AXIS_COLOURS = ("var(--x)", "var(--y)", "var(--z)")
 _LEFT, _RIGHT = 30.0, 170.0  # of the allowed range in a bar that is 200 wide
 
@@ -75,16 +80,6 @@ class RowGroup:
     rows: tuple[Row, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Pictures:
-    """The figures; `linearity` is empty where nothing turned."""
-
-    rate_error: str
-    residual: str
-    spectrum: str
-    linearity: str
-
-
 def tiles(data: ReportData) -> list[Tile]:
     """Return the figures that say most: gain, rate error, turned angle, observability."""
     calibration = data.calibration
@@ -118,7 +113,7 @@ def groups(data: ReportData) -> list[RowGroup]:
     return [
         RowGroup(
             f"{group.name.replace('_', ' ')} ({group.unit})",
-            group.meaning,
+            group.meaning + _allowed(group, data.profile),
             tuple(_rows(calibration, group, data.profile)),
         )
         for group in (*GROUPS, *other_groups(calibration))
@@ -126,16 +121,44 @@ def groups(data: ReportData) -> list[RowGroup]:
     ]
 
 
-def pictures(data: FitDiagnostics, calibration: Calibration) -> Pictures:
-    """Return the figures of one fit."""
-    gain = inverse_gain(calibration)
-    turning = float(np.nanmax(np.abs(data.reference_rad_s))) > 0.01  # rad/s
-    return Pictures(
-        figures.rate_error(data, data.residual_rad_s @ gain.T),
-        figures.residual_over_time(data),
-        figures.residual_spectrum(data),
-        figures.residual_against_rate(data) if turning else "",
-    )
+def _allowed(group: Group, profile: SensorProfile | None) -> str:
+    """Return what the data sheet allows of a group, as words behind its meaning."""
+    limits = _limits(group.name, profile)
+    if limits is None:
+        return ""
+    unit = "" if group.unit == "1" else f" {group.unit}"
+    return f"; the data sheet allows {short(limits[0])} to {short(limits[1])}{unit}"
+
+
+def noise_rows(data: ReportData) -> list[dict[str, str]]:
+    """Return the noise's coefficients in the units that data sheets have, row by row."""
+    rows = []
+    for name, words, factor, unit in _NOISE:
+        figure = data.calibration.noise.get(name)
+        if figure is None:
+            continue
+        axes = ["not seen" if v is None else short(v * factor) for v in figure.value]
+        sheet = data.profile.noise_density_dps_rthz if data.profile is not None else None
+        said = short(sheet) if sheet is not None and name == "angle_random_walk" else ""
+        rows.append({"name": words, "axes": ", ".join(axes), "unit": unit, "sheet": said})
+    return rows
+
+
+def findings_text(calibration: Calibration) -> str:
+    """Return what a search for causes found, empty where none was made."""
+    found = calibration.findings
+    if found is None:
+        return ""
+    page = found.file.replace(".yaml", ".html")
+    if found.verdict == "adequate":
+        words = "The model leaves nothing but noise: no cause beyond it was found"
+    elif found.causes:
+        named = ", ".join(cause.replace("_", " ") for cause in found.causes)
+        left = "" if found.verdict == "explained" else "; something is left without a name"
+        words = f"Found, and taken into the fit: {named}{left}"
+    else:
+        words = "Something is left that no known cause explains"
+    return f"{words}. Its figures are in {page}, beside this file."
 
 
 def clock_rows(clock: Clock) -> list[tuple[str, str]]:

@@ -6,11 +6,13 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from gyrorig_protocol.profile import parse_profile
 from gyrorig_solver.calibration.build import Provenance, calibration_of
-from gyrorig_solver.calibration.document import Calibration, Level, OwnOfRecording
+from gyrorig_solver.calibration.document import Calibration, Findings, Level, OwnOfRecording
+from gyrorig_solver.clocks.course import ClockCourse
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.report.data import ReportData
 from gyrorig_solver.report.html import render
@@ -137,3 +139,44 @@ def test_level_and_what_is_each_recordings_own_are_said(
     assert "+0.201 ± 0.011°" in said  # 0.0035 rad
     assert "+4.000 ± 0.010" in said  # ms
     assert "not shown" in said
+
+
+def test_every_part_that_people_look_for_is_there(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    course = ClockCourse(*[np.linspace(0.0, 1.0, 50)] * 4)
+    assert good_fit.clock is not None
+    assert good_fit.diagnostics is not None
+    angle = np.stack([np.sin(good_fit.diagnostics.time_s), np.cos(good_fit.diagnostics.time_s)])
+    fit = replace(
+        good_fit,
+        clock=replace(good_fit.clock, course=course),
+        diagnostics=replace(good_fit.diagnostics, angle_rad=angle),
+    )
+    found = msgspec.structs.replace(
+        made(fit, provenance),
+        findings=Findings(verdict="explained", causes=["backlash"], file="v0001.findings.yaml"),
+    )
+    profile = parse_profile((BOARDS / "L3G4200D.yaml").read_text(), "L3G4200D.yaml")
+    page = page_of(render(ReportData(found, fit.diagnostics, fit.clock, profile, fit.reference)))
+    words = " ".join(page.words)
+    for part in (
+        *("seconds of integration", "Allan deviation", "pan, deg", "tilt, deg", "late by, ms"),
+        *("the data sheet allows -25.0 to 25.0 deg/s", "white noise (angle random walk)"),
+        *("taken into the fit: backlash", "v0001.findings.html", "not seen"),
+    ):
+        assert part in words, part
+    assert page.tags.count("figure") == 8
+
+
+def test_what_a_recording_does_not_have_is_left_out(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    page = page_of(report(good_fit, provenance))
+    words = " ".join(page.words)
+    assert "pan, deg" not in words
+    assert "late by, ms" not in words
+    assert "What a search for causes found" not in words
+    nothing = render(ReportData(made(good_fit, provenance)))
+    assert "<figure" not in nothing
+    assert "white noise" in nothing
