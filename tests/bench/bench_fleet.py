@@ -1,0 +1,381 @@
+"""Figures of the nightly batch: throughput, overhead, memory, growth, peers.
+
+Recordings are made once, by the emulator (tests/bench/fleet/make.py), and kept in --work.
+Times of a machine that does other things too are of little worth: the processor's seconds are
+what is compared, and the time on the clock is given beside them.
+
+Run: python tests/bench/bench_fleet.py [--work DIR] [--only throughput,overhead,growth,index,peer]
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.bench.fleet_machine import Measured, measured
+from tests.bench.synthetic_fleet import FleetPlan, write_fleet
+from tests.unit.fleet.conftest import row
+
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
+from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.calibration.store import CalibrationStore, make_sharded
+from gyrorig_solver.fleet.batch import HEADS_FILE
+from gyrorig_solver.fleet.heads import Heads
+from gyrorig_solver.fleet.index import Index
+from gyrorig_solver.fleet.journal import Journal
+from gyrorig_solver.fleet.manifest import seal
+from gyrorig_solver.fleet.rows import Row
+from gyrorig_solver.fleet.shelf import Chosen, newest, verify
+from gyrorig_solver.fleet.spool import look, read_all, sessions
+from gyrorig_solver.fleet.task import Settings, key_of
+from gyrorig_solver.places.folder import Folder
+
+BIN = Path(sys.executable).parent
+GYRORIG = str(BIN / "gyrorig")
+MAKE = Path(__file__).parent / "fleet" / "make.py"
+PEER = Path(__file__).parent / "fleet_peer.py"
+KINDS = {
+    "75 s at 800 Hz": ("fast", ["--program", "planned-75", "--odr", "800"]),
+    "300 s at 100 Hz": ("slow", ["--program", "planned-300", "--odr", "100"]),
+}
+SIZES = (100, 1_000, 10_000)
+MILLION_BOARDS, MILLION_NIGHTS = 100_000, 10
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    workers = int(sys.argv[1])
+    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.read()
+"""
+
+
+def say(text: str) -> None:
+    """Print what is known so far."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def spools(work: Path, boards: int) -> dict[str, Path]:
+    """Return the spools of both kinds of recordings; made where they lack."""
+    made: dict[str, Path] = {}
+    for kind, (name, arguments) in KINDS.items():
+        out = work / name
+        command = [sys.executable, str(MAKE), "--out", str(out), "--boards", str(boards)]
+        command += ["--nights", "1", "--at-once", "1", *arguments]
+        subprocess.run(command, check=True, capture_output=True)
+        made[kind] = out / "spool"
+    return made
+
+
+@contextmanager
+def cluster(workers: int) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """Give the address of a scheduler of this machine with so many workers."""
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder) / "cluster.py"
+        script.write_text(CLUSTER)
+        process = subprocess.Popen(
+            [sys.executable, str(script), str(workers)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            cwd=folder,
+        )
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().strip(), process
+        finally:
+            process.communicate()  # its input's end ends it
+
+
+def batch(spool: Path, store: Path, *more: str) -> list[str]:
+    """Return the command of a batch."""
+    return [GYRORIG, "batch", "--spool", str(spool), "--store", str(store), "--json", *more]
+
+
+def by_pool(spool: Path, workers: int) -> Measured:
+    """Run a batch on this machine's own processes."""
+    with tempfile.TemporaryDirectory() as folder:
+        return measured(batch(spool, Path(folder) / "s", "--workers", str(workers)))
+
+
+def by_dask(spool: Path, workers: int) -> Measured:
+    """Run a batch on a scheduler, whose start and end count too."""
+    script = (
+        "import subprocess, sys, json; from tests.bench.bench_fleet import batch, cluster; "
+        "from pathlib import Path; import time\n"
+        "with cluster(int(sys.argv[3])) as (address, _):\n"
+        "    begun = time.monotonic()\n"
+        "    subprocess.run(batch(Path(sys.argv[1]), Path(sys.argv[2]), '--scheduler', address))\n"
+        "    print(json.dumps({'wall_s': time.monotonic() - begun}))\n"
+    )
+    root = str(Path(__file__).resolve().parents[2])
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", script, str(spool), f"{folder}/s", str(workers)]
+        return measured(command, {**os.environ, "PYTHONPATH": root})
+
+
+def by_shards(spool: Path, workers: int) -> Measured:
+    """Run so many batches at once, each with one worker and its own shard."""
+    with tempfile.TemporaryDirectory() as folder:
+        commands = [
+            " ".join(
+                batch(spool, Path(folder) / "s", "--workers", "1", "--shard", f"{k}/{workers}")
+            )
+            for k in range(1, workers + 1)
+        ]
+        return measured(["sh", "-c", " & ".join(commands) + " & wait"])
+
+
+ENGINES: dict[str, Callable[[Path, int], Measured]] = {
+    "pool": by_pool,
+    "dask": by_dask,
+    "shards": by_shards,
+}
+
+
+def throughput(work: Path, boards: int) -> None:
+    """Print boards a second and core."""
+    say(
+        "\n| recordings | engine | workers | on the clock, s | processor, s a board "
+        "| boards a core and hour | largest worker, MB |"
+    )
+    say("|---|---|---|---|---|---|---|")
+    for kind, spool in spools(work, boards).items():
+        for engine, run in ENGINES.items():
+            for workers in (1, 2):
+                found = run(spool, workers)
+                solved = sum(
+                    json.loads(line)["ended"].get("ok", 0)
+                    for line in found.out.splitlines()
+                    if '"ended"' in line
+                )
+                if solved != boards:
+                    raise SystemExit(f"{solved} of {boards} solved by {engine}: {found.err}")
+                each_s = found.cpu_s / boards
+                say(
+                    f"| {kind} | {engine} | {workers} | {found.wall_s:.1f} | {each_s:.2f} "
+                    f"| {3600 / each_s:.0f} | {found.worker_mb:.0f} |"
+                )
+
+
+def overhead(tasks: int) -> None:
+    """Print what a piece of work costs that is refused at once."""
+    say(f"\n{tasks} recordings that are none, against one:\n")
+    say("| engine | processor, ms a piece | on the clock, ms a piece |")
+    say("|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        few, many = Path(folder) / "few", Path(folder) / "many"
+        for spool, count in ((few, 1), (many, tasks)):
+            spool.mkdir()
+            for number in range(count):
+                (spool / f"{number}.mcap").write_bytes(b"foreign %d" % number)
+        for engine in ("pool", "dask"):
+            one, all_of = (ENGINES[engine](spool, 1) for spool in (few, many))
+            cpu_ms = (all_of.cpu_s - one.cpu_s) / (tasks - 1) * 1e3
+            wall_ms = (all_of.wall_s - one.wall_s) / (tasks - 1) * 1e3
+            say(f"| {engine} | {cpu_ms:.1f} | {wall_ms:.1f} |")
+
+
+def timed(work: Callable[[], object]) -> float:
+    """Return the processor's seconds that this process spends on `work`, least of three."""
+    took = []
+    for _ in range(3):
+        begun_s = time.process_time()
+        work()
+        took.append(time.process_time() - begun_s)
+    return min(took)
+
+
+def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path, Path]:
+    """Make a spool and a store of so many boards, each with one recording that is done."""
+    spool, store = folder / "spool", folder / "store"
+    spool.mkdir(parents=True)
+    made = make_sharded(store)
+    settings = Settings(solver_version="0.1.0")
+    with Journal(store, "night") as journal:
+        rows: list[Row] = []
+        for number in range(boards):
+            path = spool / f"{number:06d}.mcap"
+            own = {"session": f"n{number}", "rig": "r", "part": "0", "anchor_utc_ns": str(number)}
+            with RecordingWriter(path, {"gyrorig": own}) as writer:
+                event = SessionEvent(number, int(EventKind.NOTE), "", "note")
+                writer.write(SESSION_EVENT_TOPIC, event)
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            board = BoardId(f"B{number:06d}")
+            text = document.replace("B000000", board).encode()
+            home = made.folder_of(board)
+            home.mkdir(parents=True)
+            (home / "v0001.yaml").write_bytes(text)
+            (home / "v0001.report.html").write_bytes(report)
+            rows.append(
+                row(
+                    key_of([digest], settings.solver_version, settings.config_sha256),
+                    board=str(board),
+                    inputs=[digest],
+                    file=str((home / "v0001.yaml").relative_to(store)),
+                    file_sha256=hashlib.sha256(text).hexdigest(),
+                    beside=[f"{hashlib.sha256(report).hexdigest()}  v0001.report.html"],
+                )
+            )
+        journal.add(rows)
+    Index(store).fold_left_behind()
+    seal(Folder(store), None)
+    return spool, store
+
+
+def growth(work: Path) -> None:
+    """Print what listing, looking up and resuming cost with the number of boards."""
+    document, report = one_document(work)
+    say(
+        f"\nA calibration is {len(document) / 1e3:.1f} kB, its report {len(report) / 1e3:.0f} kB.\n"
+    )
+    say(
+        "| boards | listing the spool, s | reading heads anew, s | a night with nothing new, s "
+        "| store ls, s | store verify, s | index, bytes a row |"
+    )
+    say("|---|---|---|---|---|---|---|")
+    for boards in SIZES:
+        with tempfile.TemporaryDirectory(dir=work) as folder:
+            spool, store = fill(Path(folder), boards, document, report)
+            say(f"| {boards} | {costs(spool, store, boards)} |")
+
+
+def costs(spool: Path, store: Path, boards: int) -> str:
+    """Return one line of the table of growth."""
+    found = look(spool)
+    list_s = timed(lambda: look(spool))
+    heads_s = timed(lambda: list(read_all(found.place, found.recordings)))
+    with Heads(store / HEADS_FILE, found.place.text) as heads:
+        list(heads.keep(read_all(found.place, found.recordings)))
+    resume_s = timed(lambda: resume(spool, store))
+    ls_s = timed(lambda: newest(store, Chosen(), 1000))
+    begun_s = time.process_time()
+    faults = verify(store).faults
+    verify_s = time.process_time() - begun_s
+    if faults:
+        raise SystemExit(str(faults[:3]))
+    size = sum(path.stat().st_size for path in (store / "index").glob("*.parquet"))
+    return (
+        f"{list_s:.3f} | {heads_s:.2f} | {resume_s:.2f} | {ls_s:.3f} | {verify_s:.2f} "
+        f"| {size / boards:.0f}"
+    )
+
+
+def resume(spool: Path, store: Path) -> None:
+    """Do what a batch does before its first piece of work, where none is new."""
+    found = look(spool)
+    with Heads(store / HEADS_FILE, found.place.text) as heads:
+        known, unread = heads.split(found)
+    done = Index(store).done()
+    settings = Settings(solver_version="0.1.0")
+    keys = {
+        key_of(one.digests, settings.solver_version, settings.config_sha256)
+        for one in sessions(known)
+    }
+    if unread or keys - done:
+        raise SystemExit("something is new")
+
+
+def one_document(work: Path) -> tuple[str, bytes]:
+    """Return a real calibration of board B000000 and its report."""
+    spool = work / "fast" / "spool"
+    one = work / "one"
+    if not one.exists():
+        one.mkdir()
+        shutil.copy(min(spool.glob("*.mcap")), one)
+        subprocess.run(batch(one, work / "one-store"), check=True, capture_output=True)
+    version = CalibrationStore(work / "one-store").versions(BoardId("B000000"))[0]
+    report = version.path.with_suffix(".report.html").read_bytes()
+    return version.path.read_text(encoding="utf-8"), report
+
+
+def index_of_a_million() -> None:
+    """Print how long questions to a million rows take."""
+    with tempfile.TemporaryDirectory() as folder:
+        store = Path(folder) / "store"
+        write_fleet(store, FleetPlan(boards=MILLION_BOARDS, nights=MILLION_NIGHTS, measured=1.0))
+        index = Index(store)
+        (count,) = index.ask("SELECT count(*) FROM rows")[0]
+        size = sum(path.stat().st_size for path in (store / "index").glob("*.parquet"))
+        say(
+            f"\n{count} rows, {MILLION_BOARDS} boards: {size / 1e6:.0f} MB, "
+            f"{size / count:.0f} bytes a row\n"
+        )
+        say("| question | on the clock, s | processor, s |")
+        say("|---|---|---|")
+        questions: dict[str, Callable[[], object]] = {
+            "all versions of one board": lambda: index.ask(
+                "SELECT version, scale_z FROM rows WHERE board = 'B012345' ORDER BY version"
+            ),
+            "the newest version of each board, 1000 of them": lambda: newest(store, Chosen(), 1000),
+            "mean and scatter of a parameter by sensor": lambda: index.ask(
+                "SELECT sensor, avg(scale_z), stddev(scale_z) FROM rows GROUP BY sensor"
+            ),
+            "the keys of all work done (at each start of a batch)": index.done,
+        }
+        for name, ask in questions.items():
+            begun, cpu = time.monotonic(), time.process_time()
+            ask()
+            say(f"| {name} | {time.monotonic() - begun:.2f} | {time.process_time() - cpu:.2f} |")
+
+
+def peer(work: Path, boards: int) -> None:
+    """Print what the stock reader with SciPy takes for the same recordings."""
+    say(
+        "\n| recordings | stock reader and SciPy, processor s a board | of it reading "
+        "| gyrorig batch, one worker | ratio |"
+    )
+    say("|---|---|---|---|---|")
+    for kind, spool in spools(work, boards).items():
+        theirs = measured([sys.executable, str(PEER), str(spool)])
+        if theirs.code:
+            raise SystemExit(theirs.err)
+        told = [json.loads(line) for line in theirs.out.splitlines()]
+        ours = by_pool(spool, 1)
+        each, mine = theirs.cpu_s / boards, ours.cpu_s / boards
+        reading = sum(one["read_s"] for one in told) / boards
+        say(f"| {kind} | {each:.2f} | {reading:.2f} | {mine:.2f} | {each / mine:.1f} |")
+
+
+def main() -> int:
+    """Run what is asked for; the exit code."""
+    parts = ("throughput", "overhead", "growth", "index", "peer")
+    parser = argparse.ArgumentParser(description="figures of the nightly batch")
+    parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "bench-fleet")
+    parser.add_argument("--boards", type=int, default=8, help="recordings of each kind")
+    parser.add_argument("--tasks", type=int, default=400, help="pieces for the overhead")
+    parser.add_argument("--only", default=",".join(parts), help="some of: " + ",".join(parts))
+    asked = parser.parse_args()
+    asked.work.mkdir(parents=True, exist_ok=True)
+    only = asked.only.split(",")
+    if "throughput" in only:
+        throughput(asked.work, asked.boards)
+    if "overhead" in only:
+        overhead(asked.tasks)
+    if "growth" in only:
+        spools(asked.work, asked.boards)
+        growth(asked.work)
+    if "index" in only:
+        index_of_a_million()
+    if "peer" in only:
+        peer(asked.work, asked.boards)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

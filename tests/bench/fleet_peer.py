@@ -1,0 +1,73 @@
+"""A night as it is written without this project: the stock reader, SciPy, one file at a time.
+
+mcap's own reader and mcap-ros2-support decode every message into an object; answers of the
+unit are interpolated and differentiated, both sides smoothed alike; a numeric Jacobian fits
+scale, skew, rotation, bias and time offset. One result a recording, printed.
+
+Run: python tests/bench/fleet_peer.py SPOOL
+"""
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from scipy.ndimage import gaussian_filter1d
+from tests.bench.peers.methods import numeric
+from tests.bench.peers.recording import SMOOTH_S, Table, _stage
+
+FloatArray = np.ndarray
+
+
+def table_of(path: Path) -> Table:
+    """Read one recording message by message."""
+    counts: list[tuple[float, float, float, float]] = []
+    answers: list[tuple[float, float, float]] = []
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        scale, rate_hz = 1.0, 100.0
+        for about in reader.iter_metadata():
+            if about.name.startswith("gyrorig.board."):
+                scale = float(about.metadata["gyro_scale_rad_s"])
+                rate_hz = float(about.metadata["odr_hz"])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            time_s = message.publish_time * 1e-9
+            if channel.topic.endswith("/imu_raw"):
+                x, y, z = decoded.gyro
+                counts.append((time_s, x, y, z))
+            elif channel.topic == "/ptu/position":
+                answers.append((time_s, decoded.pan, decoded.tilt))
+    samples, told = np.array(sorted(counts)), np.array(sorted(answers))
+    begin_s = samples[0, 0]
+    time_s, told_s = samples[:, 0] - begin_s, told[:, 0] - begin_s
+    raw = samples[:, 1:] * scale
+    width = SMOOTH_S * rate_hz
+    angle = [np.interp(time_s, told_s, told[:, axis]) for axis in (1, 2)]
+    rate = [gaussian_filter1d(one, width, order=1) * rate_hz for one in angle]
+    stage = _stage(gaussian_filter1d(angle[1], width), rate[0], rate[1])
+    use = np.ones(time_s.size, dtype=np.bool_)
+    measured = gaussian_filter1d(raw, width, axis=0)
+    return Table(time_s, rate_hz, raw, measured, stage, ~use, use, angle[0], angle[1])
+
+
+def main(spool: Path) -> int:
+    """Calibrate every recording of a folder."""
+    for path in sorted(spool.glob("*.mcap")):
+        begun_s = time.process_time()
+        table = table_of(path)
+        read_s = time.process_time() - begun_s
+        value = numeric(table)[0]
+        took = {"read_s": read_s, "cpu_s": time.process_time() - begun_s}
+        sys.stdout.write(json.dumps({"name": path.name, **took, "value": list(value)}) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))
