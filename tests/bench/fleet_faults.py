@@ -178,9 +178,7 @@ def bucket_errs(spool: Path, _store: Path, boards: int, kills: int) -> bool:
         os.environ.update(environment)
         nights = killed = 0
         for number in range(kills // 4):
-            child = begin(
-                batch(spool, Path("/"), "--workers", "2")[:4] + ["--store", store, "--json"]
-            )
+            child = begin([GYRORIG, *_words(spool, store)])
             nights += 1
             try:
                 child.wait(chance.uniform(2.0, 12.0) if number % 2 else 60.0)
