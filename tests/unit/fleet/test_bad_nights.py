@@ -15,6 +15,7 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.calibration.store import STORE_FILE, make_sharded
 from gyrorig_solver.cli import run
+from gyrorig_solver.fleet import task
 from gyrorig_solver.fleet.batch import Summary, run_batch
 from gyrorig_solver.fleet.index import Index
 from gyrorig_solver.fleet.lanes import Lane
@@ -125,6 +126,19 @@ def test_what_was_refused_for_a_moment_is_done_in_the_same_night(
     monkeypatch.setattr(os, "link", refused)
     summary = night(folder)
     assert (summary.ended, summary.put_off, summary.in_part) == (Counter(ok=1), 0, False)
+
+
+def test_work_that_needs_too_much_memory_fails_and_the_others_go_on(
+    folder: Path, recorded: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def greedy(*_arguments: object, **_more: object) -> None:
+        raise MemoryError
+
+    shutil.copy(recorded[0], folder / "spool" / "a.mcap")
+    (folder / "spool" / "foreign.mcap").write_bytes(b"x")
+    monkeypatch.setattr(task, "solve_into", greedy)
+    assert night(folder).ended == Counter(failed=1, rejected=1)
+    assert why(folder)["a.mcap"] == "failed: it needs more than 4096 MB of memory"
 
 
 def test_a_board_whose_newest_version_is_of_a_newer_program_keeps_no_other(
