@@ -32,9 +32,11 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 LEVELS, PER_LEVEL = 4, 4  # an event is looked for this many times, each so much finer
 NEAR_S = 2e-3  # an event known better than this lies on one smooth hill of the likelihood
 ABOUT_S = (0.02, 0.07, 0.25)  # an edge of a move, its ramp, a rest
+NO_TIME_S = 1e-6  # that an event is known to
 LOOKS_PER_SIDE = 20  # times to either side of one that is known worse
 SURE = 4.0  # deviations
-AT_BOUND = 1e-6  # of the range
+BEYOND_NATS = 2.0  # won by leaving what is possible, two deviations: it is something else
+STAYING = ("mount", "clock")  # links at which an event changes what the fit itself follows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +106,18 @@ def refit(
     weighed = _weighed(projection, term, place, best, sizes, shapes)
     if not events:
         return weighed
-    return replace(weighed, event_std=_event_std(projection, term, timed, sizes, events[0]))
+    std = _event_std(projection, term, timed, sizes, events[0])
+    return replace(
+        weighed, event_std=std, evidence=weighed.evidence + _timely(projection, term, std)
+    )
+
+
+def _timely(projection: Projection, term: Term, event_std: float) -> float:
+    """Return Occam's factor of an event's time in nats: it could have been at any other."""
+    first, last = _during(projection, term)
+    return min(
+        0.0, float(np.log(np.sqrt(2.0 * np.pi) * max(event_std, NO_TIME_S) / (last - first)))
+    )
 
 
 def _only(term: Term, start: FloatArray, sizes: IntArray) -> FloatArray:
@@ -202,13 +215,27 @@ def _event_std(
 
 
 def _inside(projection: Projection, term: Term, values: FloatArray) -> FloatArray:
-    setting = _setting(projection, term)
-    during = setting.begin_s, setting.end_s
     own = value_parameters(term)
     low, high = np.array([p.lower for p in own]), np.array([p.upper for p in own])
     for k in indices(term, role="event"):
-        low[k], high[k] = during
+        low[k], high[k] = _during(projection, term)
     return np.clip(values, low, high)
+
+
+def _during(projection: Projection, term: Term) -> tuple[float, float]:
+    """Return when an event of a cause can be.
+
+    What stays after it is told from what was before: where the gain or the time offset stays
+    changed there must be a whole move on either side, or the fit's own follows it as well,
+    and at any size.
+    """
+    setting = _setting(projection, term)
+    if term.link in STAYING and len(setting.courses) > 2:
+        first = min(float(course.end_s) for _, course in setting.courses)
+        last = max(float(course.start_s[0]) for _, course in setting.courses)
+        if first < last:
+            return first, last
+    return setting.begin_s, setting.end_s
 
 
 def _setting(projection: Projection, term: Term) -> Setting:
@@ -317,7 +344,10 @@ def _weighed(
     value = state.values[free]
     at_zero = np.array([own[k].role == "size" for k in free]) & (value == 0.0)
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    outside = bool(np.any(held[: sizes.size] & ~at_zero[: sizes.size]))
+    pushed = np.where(held & ~at_zero, state.slope, 0.0)
+    pushed[sizes.size :] = 0.0
+    # An estimate scatters: that of a truth near a bound lies beyond it half of the time.
+    outside = 0.5 * float(pushed @ covariance @ pushed) > BEYOND_NATS
     return Weighed(
         extension=Extension(term, state.values, free),
         place=place,
@@ -325,8 +355,19 @@ def _weighed(
         evidence=evidence,
         std=std,
         taken=state.taken,
-        impossible=outside or _parted(term, value, free, std),
+        impossible=outside
+        or _at_an_end(projection, term, state.values)
+        or _parted(term, value, free, std),
     )
+
+
+def _at_an_end(projection: Projection, term: Term, values: FloatArray) -> bool:
+    """Return whether an event that would have to stay lies where it would rather be outside."""
+    events = indices(term, role="event")
+    if term.link not in STAYING or not events:
+        return False
+    during = _during(projection, term)
+    return any(float(values[k]) in during for k in events)
 
 
 def _parted(term: Term, value: FloatArray, free: IntArray, std: FloatArray) -> bool:

@@ -16,7 +16,9 @@ import numpy as np
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.banks import all_rows
+from gyrorig_solver.discover.confirm import confirmed
 from gyrorig_solver.discover.refit import Weighed, refit
+from gyrorig_solver.discover.regain import regained
 from gyrorig_solver.discover.scores import Sight, sights, where
 from gyrorig_solver.discover.wandering import beside, is_calm, log_evidence, log_likelihood
 from gyrorig_solver.estimate.extension import Extension
@@ -53,6 +55,11 @@ class Standing:
     posterior: float
     here: float | None = None  # nats won on this board, where several share it
 
+    def worth(self, real: Mapping[str, float]) -> "Standing":
+        """Return it with no more won than a fit without it loses, where that is known."""
+        nats = real.get(label(self.best.extension.term), np.inf)
+        return self if nats >= self.best.won else replace(self, best=replace(self.best, won=nats))
+
     @property
     def one_of(self) -> tuple[str, ...]:
         """The other causes of the stated set."""
@@ -77,11 +84,9 @@ class Doubt:
 
     @classmethod
     def of(cls, best: "_Best", before: Solution, after: Solution) -> "Doubt":
-        """Weigh a cause against a bias that wanders; an event's looks are its freedom."""
+        """Weigh a cause against a bias that wanders."""
         one = best.weighed
         freedom = one.won - one.evidence
-        if indices(one.extension.term, role="event"):
-            freedom += float(np.log(best.looks))
         rise = log_likelihood(after) - log_likelihood(before)
         evidence = log_evidence(after, calm=True) - log_evidence(before) - freedom
         return cls(one, best.looks, rise, evidence)
@@ -133,6 +138,7 @@ def search(base: Solution) -> Found:
     doubted: set[str] = set()
     doubts: list[Doubt] = []
     fitted: dict[str, set[str]] = {}
+    worth: Mapping[str, float] = {}
     while True:
         taken = {label(one.term) for one in solution.extensions}
         if seen is not projection:
@@ -141,14 +147,18 @@ def search(base: Solution) -> Found:
         usable = [s for s in found if label(s.term) not in barred | doubted]
         best = _next(projection, usable, taken, tests)
         if best is None or len(taken) >= MOST_CAUSES:
-            if not (calm and doubted):
+            if calm and doubted:  # a bias that does wander: once more, as it does
+                calm, doubted = False, set()
+                projection = beside(solution, calm)
+                continue
+            real = confirmed(solution, known, tests)
+            solution, worth = real.solution, real.won
+            if not real.refused - barred:
                 break
-            calm, doubted = False, set()  # a bias that does wander: once more, as it does
+            barred |= real.refused
             projection = beside(solution, calm)
             continue
-        cause = label(best.weighed.extension.term)
-        after = _timed_anew(_with(solution, best.weighed.extension))
-        doubt = Doubt.of(best, solution, after)
+        cause, after, doubt = _taken_in(solution, best)
         if calm and not _likelier(solution, doubt, tests):
             doubted.add(cause)
             doubts.append(doubt)
@@ -163,9 +173,9 @@ def search(base: Solution) -> Found:
             barred.add(cause)
         solution = after
         projection = beside(solution, calm)
-    solution, standings = _reviewed(solution, terms, tests, fitted)
-    same = not standings and (not calm or is_calm(solution))
-    last = projection if same else beside(solution, calm=False)
+    solution, standings = _reviewed(solution, terms, tests, fitted, worth)
+    as_it_is = not standings and (not calm or is_calm(solution))
+    last = projection if as_it_is else beside(solution, calm=False)
     return Found(solution, standings, last, tuple(found), tuple(doubts))
 
 
@@ -192,15 +202,28 @@ def _next(
     return None
 
 
+def _taken_in(solution: Solution, best: _Best) -> tuple[str, Solution, Doubt]:
+    """Return a cause's label, the fit with it, and what speaks against it."""
+    after = _timed_anew(_with(solution, best.weighed.extension))
+    return label(best.weighed.extension.term), after, Doubt.of(best, solution, after)
+
+
 def _likelier(before: Solution, doubt: Doubt, tests: int) -> bool:
     """Return whether a cause that was found with calmed levels is one with those found anew.
 
     It stays if the likelihood rises by as much when the levels are found beside it: a bias
-    that does wander does not become likelier by a step.
+    that does wander does not become likelier by a step. Or if it wins as much by the levels
+    that were found without it: those are taken from the rests where there are enough, and
+    know nothing of what shows at the edges of moves, which no wandering bias makes.
     """
     if is_calm(before):
         return True
-    return by_chance(replace(doubt.weighed, won=doubt.rise), doubt.looks, tests) < ALPHA
+    one = doubt.weighed
+    if by_chance(replace(one, won=doubt.rise), doubt.looks, tests) < ALPHA:
+        return True
+    row = one.extension.values
+    found = refit(Projection.of(before), one.extension.term, one.place, [row])
+    return found is not None and by_chance(found, doubt.looks, tests) < ALPHA
 
 
 def by_chance(one: Weighed, looks: float, tests: int) -> float:
@@ -277,7 +300,7 @@ def _with(solution: Solution, one: Extension) -> Solution:
         held = replace(one, free=np.array(sizes, dtype=np.int64))
         after = solve_again(solution, [*others, held])
     # What was a spike beside the model before may be none beside this one.
-    return solve_again(after, after.extensions) if after.outliers else after
+    return regained(solve_again(after, after.extensions) if after.outliers else after)
 
 
 def _timed_anew(solution: Solution) -> Solution:
@@ -339,8 +362,12 @@ def _reviewed(
     terms: Sequence[Term],
     tests: int,
     fitted: Mapping[str, set[str]],
+    worth: Mapping[str, float],
 ) -> tuple[Solution, tuple[Standing, ...]]:
-    """Weigh each cause against all others, all else fitted; let the better ones in."""
+    """Weigh each cause against all others, all else fitted; let the better ones in.
+
+    `worth`: what a fit without a cause loses, in nats, where that is known.
+    """
     for swap in range(SWAPS + 1):
         standings, better = [], None
         for k, one in enumerate(solution.extensions):
@@ -354,7 +381,7 @@ def _reviewed(
             if better is None and ahead and ahead > CLEARLY:
                 better = k, standing.rivals[0][0].extension
         if better is None or swap == SWAPS:
-            return solution, tuple(standings)
+            return solution, tuple(one.worth(worth) for one in standings)
         k, other = better
         left = [one for j, one in enumerate(solution.extensions) if j != k]
         solution = _with(solve_again(solution, left), other)

@@ -10,19 +10,20 @@ adds, `lost_without` for what would lack without some; `Chain` for a cause that 
 beside those of a fit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.model.terms.bound import label
-from gyrorig_solver.model.terms.protocol import CHAIN, OPERATORS, Term
+from gyrorig_solver.model.terms.protocol import CHAIN, OPERATORS, Term, value_parameters
 from gyrorig_solver.model.terms.scene import Scene
 
 CUTTING = ("threshold", "limit")  # links of the chain at which rates are cut off
 GAIN_STEP = 1e-4
+READER_STEP = 1e-3  # of a typical size
 
 
 def ordered(extensions: Sequence[Extension]) -> list[Extension]:
@@ -33,10 +34,12 @@ def ordered(extensions: Sequence[Extension]) -> list[Extension]:
 def shares_of(extensions: Sequence[Extension], scene: Scene) -> list[FloatArray]:
     """Return what each cause adds to those before it in the chain, (blocks, 3) each.
 
-    In the order given. Their sum is what all of them change together.
+    In the order given. Their sum is what all of them change together. What only filters or
+    delays comes first: it does so to all that the others add, and some of that is written
+    out behind the filter, on no grid that could be filtered again.
     """
     found = {}
-    acting = [one for one in ordered(extensions) if one.acts]
+    acting = _readers_first([one for one in ordered(extensions) if one.acts])
     for k, one in enumerate(acting):
         found[id(one)] = one.term.effect(scene, one.values)
         if k + 1 < len(acting):
@@ -45,12 +48,24 @@ def shares_of(extensions: Sequence[Extension], scene: Scene) -> list[FloatArray]
     return [found.get(id(one), none) for one in extensions]
 
 
+def _readers_first(acting: list[Extension]) -> list[Extension]:
+    readers = [one for one in acting if one.term.link in OPERATORS]
+    return [*readers, *(one for one in acting if one.term.link not in OPERATORS)]
+
+
 def effect_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray:
     """Return what the causes together change, (blocks, 3), sensor frame."""
     total = np.zeros((scene.blocks, 3))
     for share in shares_of(extensions, scene):
         total += share
     return total
+
+
+def unsure_of(extensions: Sequence[Extension], scene: Scene) -> BoolArray | None:
+    """Return which blocks are left out beside the causes, (blocks,), None where none are."""
+    each = [one.term.unsure(scene, one.values) for one in extensions if one.acts]
+    found = [one for one in each if one is not None]
+    return np.logical_or.reduce(found) if found else None
 
 
 def lost_without(
@@ -63,7 +78,7 @@ def lost_without(
         extensions: all of them.
         scene: without any.
     """
-    acting = [one for one in ordered(extensions) if one.acts]
+    acting = _readers_first([one for one in ordered(extensions) if one.acts])
     stays = [all(one is not other for other in gone) for one in acting]
     if all(stays):
         return np.zeros((scene.blocks, 3))
@@ -84,7 +99,10 @@ def columns_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray:
     found = []
     for one in extensions:
         if one.free.size:
-            found.append(one.term.columns(chain.at(one.term), one.values)[one.free])
+            columns = one.term.columns(chain.at(one.term), one.values)[one.free]
+            if one.term.link in OPERATORS:
+                columns = columns + chain.unheld_columns(one)
+            found.append(columns)
     return np.concatenate(found) if found else np.zeros((0, scene.blocks, 3))
 
 
@@ -128,10 +146,10 @@ class Chain:
         self._scenes: dict[tuple[int, tuple[str, ...]], Scene] = {}
         self._effects: dict[str, FloatArray] = {}
 
-    def at(self, term: Term) -> Scene:
+    def at(self, term: Term, but: str = "") -> Scene:
         """Return the scene as a cause finds it: those before it, and all that only read.
 
-        Where the cause itself is among those of the fit, it is left out.
+        Where the cause itself is among those of the fit, it is left out; `but`: and this one.
         """
         if not self._extensions:
             return self.scene
@@ -140,7 +158,7 @@ class Chain:
         readers = [
             one
             for one in self._extensions
-            if one.term.link in OPERATORS and label(one.term) != label(term)
+            if one.term.link in OPERATORS and label(one.term) not in (label(term), but)
         ]
         return self._after(signals, readers)
 
@@ -152,6 +170,8 @@ class Chain:
         """
         here = self.at(term)
         total = term.effect(here, values)
+        if term.link in OPERATORS:
+            return total + self._unheld(term, values) - self._unheld(term, None)
         later = [one for one in self._extensions if _key(one.term) > _key(term)]
         later = [one for one in later if one.term.link not in OPERATORS]
         last = max((k for k, one in enumerate(later) if one.term.reshapes), default=-1)
@@ -163,6 +183,39 @@ class Chain:
                 total = total + one.term.effect(changed, one.values) - self._own(one)
             if k < last:
                 changed = one.term.passed(changed, one.values)
+        return total
+
+    def unheld_columns(self, reader: Extension) -> FloatArray:
+        """Return what a cause that only filters or delays makes of what no grid holds.
+
+        By central differences, (free, blocks, 3).
+        """
+        found = np.zeros((reader.free.size, self.scene.blocks, 3))
+        if not any(self._held_out(reader.term)):
+            return found
+        own = value_parameters(reader.term)
+        for k, index in enumerate(reader.free):
+            step = np.zeros(reader.values.size)
+            step[index] = READER_STEP * own[index].typical
+            more, less = (self._unheld(reader.term, reader.values + by) for by in (step, -step))
+            found[k] = (more - less) / (2.0 * step[index])
+        return found
+
+    def _held_out(self, reader: Term) -> Iterator[tuple[Extension, Scene]]:
+        """Yield what acts before a filter or delay, as it finds its scene without that."""
+        for one in self._extensions:
+            if one.term.link not in OPERATORS:
+                here = self.at(one.term, but=label(reader))
+                if one.term.unheld(here, one.values) is not None:
+                    yield one, here
+
+    def _unheld(self, reader: Term, values: FloatArray | None) -> FloatArray:
+        """Return all that no grid holds behind a filter or delay, None: without it."""
+        total = np.zeros((self.scene.blocks, 3))
+        for one, here in self._held_out(reader):
+            there = here if values is None else reader.passed(here, values)
+            found = one.term.unheld(there, one.values)
+            total += 0.0 if found is None else found
         return total
 
     def forget(self) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.chain import columns_of, effect_of, gain_columns_of
+from gyrorig_solver.estimate.chain import columns_of, effect_of, gain_columns_of, unsure_of
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.noise import NoiseModel, Periodogram, Sampling
 from gyrorig_solver.estimate.normal import Normal, NormalSum, score_again
@@ -345,9 +345,11 @@ class SessionFit:
         measured = series.rate_rad_s(samples)
         use = series.good[samples] & sampled.known
         if self.extensions:
-            s.effect[blocks] = effect_of(
-                self.extensions, self.scene(series, blocks, gain, exact=True)
-            )
+            scene = self.scene(series, blocks, gain, exact=True)
+            s.effect[blocks] = effect_of(self.extensions, scene)
+            unsure = unsure_of(self.extensions, scene)
+            if unsure is not None:
+                use = use & ~np.repeat(unsure, series.block)
         if judge and use.any():
             left = measured - sampled.rate @ gain.T - self.bias_rad_s
             if self.extensions:

@@ -222,3 +222,49 @@ def test_limits_changed_together(rig: Any) -> None:
         exact = scene.seen_at_stage(scene.turned(change))
         assert norm(exact) > 0.0
         assert norm(effect_of(chain, scene) - exact) < 1e-9 * norm(exact)
+
+
+@pytest.fixture
+def jumping() -> Scene:
+    """A move that starts and stops at its base speed, on a grid of 2 ms."""
+    step, speed = 9e-4, 100.0
+    course = lay(0.0, [Instruction(0.2998, "to", 100.0, Limits(speed, 1000.0, speed))])
+    edges_s: Array = (np.arange(150 * 5 + 1, dtype=np.float64) - 2.5) / 500.0
+    angle = np.stack([course.position_steps(edges_s) * step, np.zeros_like(edges_s)])
+    return Scene.build(
+        edges_s, angle, np.ones(150, dtype=np.bool_), block=1, fine=5,
+        bandwidth_hz=25.0, gain=np.eye(3),
+        setting=Setting(rad_per_step=(step, step), courses=((0, course),)),
+    )  # fmt: skip
+
+
+def test_what_no_grid_holds_passes_the_true_filter(jumping: Scene) -> None:
+    bend = extension("base_compliance", [5e-5, 0.0])
+    lag = extension("low_pass_lag", [-0.3])
+    both, late = effect_of([bend, lag], jumping), effect_of([lag], jumping)
+    own = bend.term.effect(lag.term.passed(jumping, lag.values), bend.values)
+    assert np.allclose(both - late, own, atol=1e-12)
+    # It is no small part of it: the pulses grow as the square of the cut-off.
+    assert norm(own - bend.term.effect(jumping, bend.values)) > 0.3 * norm(own)
+    exact = both - effect_of([bend], jumping)
+    assert norm(Chain([bend], jumping).effect(lag.term, lag.values) - exact) < 0.02 * norm(exact)
+    assert np.allclose(lost_without([lag], [bend, lag], jumping), exact, atol=1e-12)
+
+
+def test_the_filters_derivative_knows_what_no_grid_holds(jumping: Scene) -> None:
+    bend = extension("base_compliance", [5e-5, 0.0])
+    lag = extension("low_pass_lag", [-0.3])
+    step = 1e-3
+    more, less = (
+        effect_of([bend, extension("low_pass_lag", [-0.3 + by])], jumping) for by in (step, -step)
+    )
+    slope = columns_of([bend, lag], jumping)[2]
+    assert norm(slope - (more - less) / (2.0 * step)) < 0.02 * norm(slope)
+
+
+def test_samples_at_a_jump_are_left_out_beside_what_is_sharp_there(jumping: Scene) -> None:
+    unsure = term("base_compliance").unsure(jumping, np.array([5e-5, 0.0]))
+    assert unsure is not None
+    assert 1 <= unsure.sum() <= 2
+    assert term("base_compliance").unsure(jumping, np.array([0.0, 0.0])) is None
+    assert term("s_curve").unsure(jumping, np.array([0.01, 0.0])) is None

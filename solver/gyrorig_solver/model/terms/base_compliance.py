@@ -4,17 +4,23 @@ angle - c angle'' on each axis: the reaction of an accelerated head twists its b
 (a mode far above the low-pass). 1e-4 s^2 is 0.01 deg at 100 deg/s^2. A pulse of rate at each
 corner of a ramp, two opposite ones to a ramp. Short rounded corners (`s_curve`) are the same
 but for the sign, which neither can change: only a positive c is a base.
+
+Where a motor starts at its base speed the two opposite pulses come within no time, and the
+first sample behind them has half of what they show. One that was taken as the speed jumped
+saw neither, one or both: when it jumped is not known as well, so it is left out.
 """
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.model.terms.bases import LinearAngleTerm
 from gyrorig_solver.model.terms.jumps import double_pulses, jumps, sharp_angle
 from gyrorig_solver.model.terms.profiles import acceleration
 from gyrorig_solver.model.terms.protocol import TermParameter
 from gyrorig_solver.model.terms.scene import Scene
 from gyrorig_solver.model.terms.wording import PAN_TILT, listed
+
+KNOWN_S = 3e-4  # a move's start: two or three deviations of what the fit knows of it
 
 
 class BaseCompliance(LinearAngleTerm):
@@ -43,11 +49,26 @@ class BaseCompliance(LinearAngleTerm):
 
     def effect(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return what the twist does to the measured rate, (blocks, 3)."""
-        seen = super().effect(scene, values)
+        return super().effect(scene, values) + self.unheld(scene, values)
+
+    def unheld(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return what the jumps of the speed make sharper than the grid is, (blocks, 3)."""
+        found = np.zeros((scene.blocks, 3))
         for axis, sharper in enumerate(self._sharper(scene)):
             if values[axis]:
-                seen = seen + values[axis] * sharper
-        return seen
+                found += values[axis] * sharper
+        return found
+
+    def unsure(self, scene: Scene, values: FloatArray) -> BoolArray | None:
+        """Return the samples that were taken as a speed jumped: they saw one pulse or none."""
+        found = np.zeros(scene.use.size, dtype=np.bool_)
+        for axis in np.flatnonzero(values):
+            at_s, _ = jumps(scene, int(axis))
+            first, last = np.searchsorted(scene.instants_s, [at_s - KNOWN_S, at_s + KNOWN_S])
+            for k, stop in zip(first, last, strict=True):
+                found[k:stop] = True
+        each = np.asarray(found.reshape(scene.blocks, -1).any(axis=1), dtype=np.bool_)
+        return each if found.any() else None
 
     def directions(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the derivative by the coefficients, (2, blocks, 3)."""

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.model.terms.protocol import (
     Kind,
     Link,
@@ -74,6 +74,14 @@ class BaseTerm(ABC):
     def bandwidth_share(self, values: FloatArray) -> float:
         """Return one: the noise passes the low-pass that is configured."""
         return 1.0
+
+    def unheld(self, scene: Scene, values: FloatArray) -> FloatArray | None:
+        """Return None: what it does is passed on with the scene."""
+        return None
+
+    def unsure(self, scene: Scene, values: FloatArray) -> BoolArray | None:
+        """Return None: what it shows does not hang on the last tenth of a millisecond."""
+        return None
 
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return the derivative by the values, (k, blocks, 3), by central differences."""

@@ -68,10 +68,12 @@ def double_pulses(
     stage = [none, np.sin(tilt), np.cos(tilt)] if axis == 0 else [one, none, none]
     shown = np.stack(stage, axis=1) @ scene.gain.T
     reach_s = FORGOTTEN * np.sqrt(2.0) / omega
-    first = np.searchsorted(scene.instants_s, time_s, side="right")
-    stop = np.searchsorted(scene.instants_s, time_s + reach_s)
+    # Of what is read late the sample saw what came later.
+    read_s = scene.instants_s + (0.0 if scene.delay_s is None else scene.delay_s)
+    first = np.searchsorted(read_s, time_s, side="right")
+    stop = np.searchsorted(read_s, time_s + reach_s)
     for k, (begin, end) in enumerate(zip(first.tolist(), stop.tolist(), strict=True)):
-        x = (scene.instants_s[begin:end] - time_s[k]) * (omega / np.sqrt(2.0))
+        x = (read_s[begin:end] - time_s[k]) * (omega / np.sqrt(2.0))
         answer = size_rad_s[k] * omega**2 * np.exp(-x) * (np.cos(x) - np.sin(x))
         found[begin:end] += answer[:, None] * shown[k]
     return scene.mean(found)

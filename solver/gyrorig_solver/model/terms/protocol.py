@@ -7,7 +7,7 @@ What to use when: a fit asks `missing`, `effect` and `columns`; a search over ca
 from dataclasses import dataclass
 from typing import Literal, Protocol, get_args
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.model.terms.scene import Scene
 
 Part = Literal["clock", "link", "sensor", "ptu", "mount", "environment"]
@@ -144,6 +144,20 @@ class Term(Protocol):
 
     def bandwidth_share(self, values: FloatArray) -> float:
         """Return the low-pass that the noise passes over the configured one, of cut-offs."""
+        ...
+
+    def unheld(self, scene: Scene, values: FloatArray) -> FloatArray | None:
+        """Return what of its effect no grid holds, (blocks, 3), None where there is no such.
+
+        What filters or delays does not find it in the scene that is passed on.
+        """
+        ...
+
+    def unsure(self, scene: Scene, values: FloatArray) -> BoolArray | None:
+        """Return which blocks show something else if an instant is hardly off, (blocks,).
+
+        None where none do. They are left out beside it.
+        """
         ...
 
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
