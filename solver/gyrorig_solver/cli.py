@@ -31,6 +31,7 @@ _COMMANDS = {
     "explain": ("explain", "What the model of the rig gets wrong, and why."),
     "apply": ("apply", "The true rates beside the readings of a recording or a table."),
     "export": ("export", "A calibration as C, ROS, Kalibr, PX4, ArduPilot or JSON."),
+    "report": ("report", "A calibration's page, made again."),
     "batch": ("batch", "Every new recording of a spool, into a fleet's store."),
     "store": ("store", "What a fleet's store holds, and whether it is whole."),
     "fleet": ("fleet", "What the boards of a store are like, and what drifts."),

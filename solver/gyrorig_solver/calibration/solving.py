@@ -9,10 +9,10 @@ from typing import Any
 
 import msgspec
 
-from gyrorig_protocol.errors import GyrorigError, UsageError
+from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.calibration.build import calibration_of
+from gyrorig_solver.calibration.build import calibration_of, settings_sha256
 from gyrorig_solver.calibration.document import Calibration, Findings, to_yaml
 from gyrorig_solver.calibration.origin import provenance
 from gyrorig_solver.calibration.paper import paper_calibration_of, solve_as_printed
@@ -28,6 +28,7 @@ from gyrorig_solver.findings.explaining import (
     explain_board,
     page_of_found,
 )
+from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.report.data import ReportData
 from gyrorig_solver.report.html import render
 from gyrorig_solver.samples import load_samples
@@ -172,6 +173,51 @@ def _by_likelihood(
         return ReportData(calibration, fit.diagnostics, fit.clock, profile, fit.reference)
 
     return document, data_of, found
+
+
+def shown_again(calibration: Calibration, recordings: Sequence[Recording]) -> ReportData:
+    """Return what a stored calibration's report shows, its arrays worked out anew.
+
+    Args:
+        calibration: from a store; its numbers stay what they are.
+        recordings: those that it was solved from.
+
+    Raises:
+        InputError: they are others, or it was solved with settings that are not known here.
+    """
+    there = {recording.sha256: recording.path.name for recording in recordings}
+    wanted = {row.sha256: row.name for row in calibration.inputs}
+    for missing in wanted.keys() - there.keys():
+        raise InputError(
+            f"{wanted[missing]}, which {calibration.board.id} was solved from, is not there",
+            "name every recording of the calibration",
+        )
+    for other in there.keys() - wanted.keys():
+        raise InputError(
+            f"{calibration.board.id} was not solved from {there[other]}", "leave it out"
+        )
+    if calibration.solver.method == "paper":
+        return ReportData(calibration, profile=find_profile(calibration.board.sensor))
+    ordered = sorted(recordings, key=lambda recording: recording.start_ns)
+    board = BoardId(calibration.board.id)
+    _, data_of, _ = _by_likelihood(ordered, board, _asked(calibration))
+    return data_of(calibration)
+
+
+def _asked(calibration: Calibration) -> tuple[str, ...]:
+    """Return the causes that were asked for: those whose settings have the document's digest.
+
+    Raises:
+        InputError: none that could have been.
+    """
+    causes = tuple(t for t in calibration.solver.terms if t in catalogue())
+    for extend in ((), (AUTO,), *(causes[:k] for k in range(1, len(causes) + 1))):
+        if settings_sha256(likelihood_settings(extend)) == calibration.solver.config_sha256:
+            return extend
+    raise InputError(
+        f"the settings that {calibration.board.id} was solved with are not known",
+        "leave the recordings out: the page has the numbers, or solve again for the figures",
+    )
 
 
 def explained(calibration: Calibration, findings: FindingsDocument) -> Calibration:

@@ -24,6 +24,7 @@ from gyrorig_solver.reference.rests import DETENT_VARIANCE
 from gyrorig_solver.samples import GyroSamples
 
 # Whitened variance while moving over that at rest: above this, motion is not explained.
+MOST_FOR_ANGLES = 1 << 20  # blocks, 3 h; pictures are not worth the memory of more
 CHI2_LIMIT = 1.25
 HELD_OUT_WINDOW_S = 10.0
 PATH_HZ = 100.0  # turns from rest to rest need no finer steps
@@ -290,6 +291,8 @@ def _diagnostics(solution: Solution) -> FitDiagnostics:
     white = np.concatenate(solution.whitened()[-len(session.series) :])
     time_s = np.concatenate([s.block_times_s() for s in session.series])
     angles = getattr(session.reference, "angles_rad", None)  # rests and attitudes have none
+    if time_s.size > MOST_FOR_ANGLES:
+        angles = None
     return FitDiagnostics(
         time_s=time_s,
         rate_rad_s=np.where(used, np.concatenate(session.measured), np.nan),

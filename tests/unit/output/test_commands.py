@@ -15,7 +15,7 @@ from gyrorig_solver.calibration.document import parse_calibration
 from gyrorig_solver.commands.terminal import finite, printable
 
 ROOT = Path(__file__).parents[3]
-COMMANDS = ["demo", "import", "check", "solve", "plan"]
+COMMANDS = ["demo", "import", "check", "solve", "apply", "export", "report", "plan"]
 Captured = pytest.CaptureFixture[str]
 
 
@@ -243,6 +243,28 @@ def test_solving_twice_changes_no_number_and_chains_the_versions(
         new.pop(key, None)
     assert old == new
     assert first.with_suffix(".report.html").stat().st_size > 50_000
+
+
+def test_a_page_is_made_again_with_its_recordings_or_without(
+    simulated: Callable[[str, int], Path], tmp_path: Path, capsys: Captured
+) -> None:
+    path, out = simulated("quick", 3), tmp_path / "out"
+    assert cli.run(["solve", str(path), "--out", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["boards"][0]
+    document, page = told["file"], Path(told["report"]).read_text()
+    again = tmp_path / "again.html"
+    assert cli.run(["report", document, str(path), "-o", str(again), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["figures"] is True
+    assert again.read_text() == page
+    assert cli.run(["report", document, "-o", str(again)]) == 0
+    assert "<figure" not in again.read_text()
+    assert told["calibration"]["inputs"][0]["sha256"] in again.read_text()
+    capsys.readouterr()
+    other = tmp_path / "other.mcap"
+    other.write_bytes(path.read_bytes()[:-9000])
+    assert cli.run(["report", document, str(other)]) == 3
+    assert "name every recording of the calibration" in capsys.readouterr().err
+    assert cli.run(["report", str(path)]) == 3
 
 
 def test_solve_of_a_rest_gives_nulls_and_4(
