@@ -252,8 +252,20 @@ def _annotation(found: Any) -> str:
 def _doc(text: str) -> str:
     """Turn a Google docstring's sections into Markdown."""
     out: list[str] = []
-    section = False
+    section = in_code = False
     for line in text.splitlines():
+        # indented and in no section: an example
+        if not section and (line.startswith("    ") or (in_code and not line.strip())):
+            if not in_code:
+                out.append("```python")
+            in_code = True
+            out.append(line[4:])
+            continue
+        if in_code:
+            while not out[-1]:
+                out.pop()
+            out += ["```", ""]
+            in_code = False
         heading = re.fullmatch(r"(Args|Returns|Raises|Source|Yields):", line)
         if heading:
             section = True
@@ -266,7 +278,7 @@ def _doc(text: str) -> str:
         else:
             section = section and not line.strip()
             out.append(_text(line.strip()))
-    return "\n".join(out)
+    return "\n".join([*out, "```"] if in_code else out)
 
 
 def _text(text: str) -> str:
@@ -284,6 +296,8 @@ def _cell(text: str) -> str:
 def _kind(kind: Any) -> str:
     text = kind.__name__ if inspect.isclass(kind) else str(kind)
     text = re.sub(r", Meta\((.*?)\)\]", "]", re.sub(r"msgspec\.", "", text))
+    for _ in range(3):  # one in another
+        text = re.sub(r"(?:typing\.)?Annotated\[(\w+(?:\[[^\[\]]*\])?)\]", r"\1", text)
     return _text(re.sub(r"(?:typing|gyrorig_\w+(?:\.\w+)*)\.|<class '|'>", "", text))
 
 

@@ -23,6 +23,7 @@ from gyrorig_protocol.recording.messages import (
 )
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.importers.android import read_log
 from gyrorig_solver.importers.columns import open_columns
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -128,8 +129,25 @@ def _contents() -> list[bytes]:
     return contents
 
 
+def phone(data: bytes) -> None:
+    """A phone's log is refused in one line, or its samples can be had, in order."""
+    path = folder() / "Gyroscope.csv"
+    path.write_bytes(data)
+    refused(lambda _: read_log(path), InputError, data)
+
+
+PHONE_LOGS = (
+    b"time,seconds_elapsed,z,y,x\n1665,0.00,1,2,3\n1666,0.01,1,2,3\n1667,0.02,1,2,3\n",
+    b"GYRO;0.1;1.000;0.1;0.2;0.3;3\nACCE;0.1;1.001;0.1;0.2;9.8;3\n"
+    b"GYRO;0.2;1.010;0.1;0.2;0.3;3\nGYRO;0.3;1.020;0.1;0.2;0.3;3\n",
+    b"UncalGyro,1,1000000,0.1,0.2,0.3,0,0,0\nUncalGyro,2,11000000,0.1,0.2,0.3,0,0,0\n"
+    b"UncalGyro,3,21000000,0.1,0.2,0.3,0,0,0\n",
+    b"Timestamp[nanosec], gx[rad/s], gy[rad/s], gz[rad/s]\n1000000, 1, 2, 3\n"
+    b"6000000, 1, 2, 3\n11000000, 1, 2, 3\n",
+)
 TARGETS = (
     Target("recording", recording, lambda: [small_recording()], 16384),
     Target("chunk", chunk, _contents, 8192),
+    Target("phone", phone, lambda: list(PHONE_LOGS), 2048),
     Target("table", table, lambda: [b"t,x,y\n0,1,2\n1,3,4\n", b"t\tx\ty\n1\t2\t3\n"], 1024),
 )
