@@ -26,6 +26,9 @@ from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.bound import label
 from gyrorig_solver.model.terms.protocol import indices
 
+# A fit that has gone so far without a cause and is no better does not do without it; where
+# it lacks a large one it would not settle for long.
+STEPS = 4
 # Share of recordings without any cause that may get a name: as in `search`.
 ALPHA = 0.0075
 
@@ -58,7 +61,7 @@ def confirmed(solution: Solution, known: Sequence[Extension], tests: int) -> Con
             if one in known or not sizes:
                 continue
             left = [other for j, other in enumerate(solution.extensions) if j != k]
-            without = regained(solve_again(solution, left))
+            without = regained(solve_again(solution, left, STEPS))
             won = each[label(one.term)] = _cost(without, noises) - cost
             p_value = chi2_tail(2.0 * max(won, 0.0), sizes) * tests
             if p_value > ALPHA and (worst is None or p_value > worst[0]):

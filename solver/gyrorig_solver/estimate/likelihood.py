@@ -93,14 +93,17 @@ def solve_likelihood(
     return _settled(work, ROUNDS)
 
 
-def solve_again(before: Solution, extensions: Sequence[Extension]) -> Solution:
+def solve_again(
+    before: Solution, extensions: Sequence[Extension], rounds: int = 2 * ROUNDS
+) -> Solution:
     """Fit the same recordings with other causes, from where a fit ended.
 
     Args:
         before: is left as it is.
         extensions: all causes that are to take part, each begun near its own best.
+        rounds: steps at most.
     """
-    return _settled(resumed(before, extensions), 2 * ROUNDS)
+    return _settled(resumed(before, extensions), rounds)
 
 
 def resumed(before: Solution, extensions: Sequence[Extension]) -> "Work":
