@@ -9,6 +9,7 @@ from gyrorig_solver.commands.terminal import Terminal, json_option
 from gyrorig_solver.fleet.overview import PARAMETERS, Overview, overview, read_origins
 from gyrorig_solver.fleet.page import write_page
 from gyrorig_solver.fleet.shelf import opened
+from gyrorig_solver.fleet.shrunk import keep_shrunk
 from gyrorig_solver.fleet.worries import Worry, worries
 
 _SHOWN = 15
@@ -33,7 +34,7 @@ def fleet_command(terminal: Terminal, store: Path, boards: Path | None, out: Pat
 
     Lots, rigs and sites are asked before boards: what all boards of one rig show at once is
     the rig's. Every value here comes from the calibrations as they are; shrunk values are
-    shown beside them and never come back.
+    kept beside them, in STORE/shrunk, and never come back.
 
     \b
     Example:
@@ -42,12 +43,15 @@ def fleet_command(terminal: Terminal, store: Path, boards: Path | None, out: Pat
     opened(store)
     terminal.progress("reading the index")
     found = overview(store, None if boards is None else read_origins(boards))
+    kept = keep_shrunk(store, found)
     terminal.progress("writing the page")
     page = write_page(store, out or store / "fleet", found)
     told = worries(found)
     terminal.say(_said(found, told))
+    if kept is not None:
+        terminal.say(f"shrunk values: {kept}")
     terminal.say(f"the page: {page}")
-    terminal.emit(_plain(found, told, page))
+    terminal.emit({**_plain(found, told, page), "shrunk": None if kept is None else str(kept)})
     return 0
 
 

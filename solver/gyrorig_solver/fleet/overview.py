@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import duckdb
 import numpy as np
 import numpy.typing as npt
 
@@ -41,6 +42,7 @@ from gyrorig_solver.fleet.population import (
 from gyrorig_solver.fleet.rows import parameter_columns
 
 Kind = Literal["rig", "lot", "site"]
+_WORDS = ("sensor", "rig", "trust", "findings", "file")
 KINDS: tuple[Kind, ...] = ("rig", "lot", "site")
 PARAMETERS = tuple(name for name in parameter_columns() if not name.endswith("_std"))
 # What a perfect board on a perfect rig has; a bias and a lag are nobody's constant.
@@ -180,35 +182,48 @@ def _newest(index: Index, origins: Origins) -> Newest:
     columns = ", ".join(f"{name}, {name}_std" for name in PARAMETERS)
     sql = (
         "SELECT board, sensor, rig, trust, findings, file, version, "  # noqa: S608 - ours
-        "count(*) OVER (PARTITION BY board), epoch(start), reduced_chi2, temperature_degc, "
+        "count(*) OVER (PARTITION BY board) AS versions, epoch(start) AS start_s, "
+        "reduced_chi2, temperature_degc, "
         f"{columns} FROM rows WHERE status = 'ok' "
         "QUALIFY row_number() OVER (PARTITION BY board ORDER BY version DESC) = 1 ORDER BY board"
     )
-    rows = index.ask(sql)
-    turned: list[list[Any]] = [list(one) for one in zip(*rows, strict=True)]
-    if not turned:
-        turned = [[] for _ in range(11 + 2 * len(PARAMETERS))]
-    board = [str(one) for one in turned[0]]
-    numbers = [
-        np.array([np.nan if v is None else v for v in one], dtype=float) for one in turned[8:]
-    ]
+    found = _columns(index, sql)
+    board = [str(one) for one in found["board"]]
     return Newest(
         board=board,
-        sensor=[str(one or "") for one in turned[1]],
-        rig=[str(one or "") for one in turned[2]],
         lot=[origins.lot.get(one, "") for one in board],
         site=[origins.site.get(one, "") for one in board],
-        trust=[str(one or "") for one in turned[3]],
-        findings=[str(one or "") for one in turned[4]],
-        file=[str(one or "") for one in turned[5]],
-        version=[int(one) for one in turned[6]],
-        versions=[int(one) for one in turned[7]],
-        start_s=numbers[0],
-        chi2=numbers[1],
-        temperature_c=numbers[2],
-        value=dict(zip(PARAMETERS, numbers[3::2], strict=True)),
-        std=dict(zip(PARAMETERS, numbers[4::2], strict=True)),
+        **{name: [str(one or "") for one in found[name]] for name in _WORDS},
+        version=[int(one) for one in found["version"]],
+        versions=[int(one) for one in found["versions"]],
+        start_s=_numbers(found["start_s"]),
+        chi2=_numbers(found["reduced_chi2"]),
+        temperature_c=_numbers(found["temperature_degc"]),
+        value={name: _numbers(found[name]) for name in PARAMETERS},
+        std={name: _numbers(found[f"{name}_std"]) for name in PARAMETERS},
     )
+
+
+def _columns(index: Index, sql: str) -> dict[str, npt.NDArray[Any]]:
+    """Return the answer to a question as columns: millions of rows as objects take gigabytes.
+
+    Raises:
+        InputError: as `Index.ask`.
+    """
+    with index.connect() as database:
+        try:
+            found: dict[str, npt.NDArray[Any]] = database.execute(sql).fetchnumpy()
+        except duckdb.Error as fault:
+            raise InputError(
+                f"the index cannot be read, {' '.join(str(fault).split())[:200]}",
+                "`gyrorig store rebuild-index` makes it anew from the calibrations",
+            ) from fault
+    return found
+
+
+def _numbers(column: npt.NDArray[Any]) -> FloatArray:
+    """Return a column as numbers, NaN where it is NULL."""
+    return np.ma.filled(np.ma.asarray(column, dtype=np.float64), np.nan)
 
 
 def compared(
@@ -262,27 +277,29 @@ def _differences(
 
 def _charts(index: Index, boards: Newest) -> tuple[list[Chart], int]:
     """Return the drift chart of every parameter over the nights of the index."""
-    number = {name: at for at, name in enumerate(boards.board)}
     columns = ", ".join(f"{name}, {name}_std" for name in PARAMETERS)
     sql = (
-        f"SELECT board, date_diff('day', DATE '1970-01-01', start::DATE), temperature_degc, "  # noqa: S608
-        f"{columns} FROM rows WHERE status = 'ok' AND start IS NOT NULL "
+        "SELECT board, date_diff('day', DATE '1970-01-01', start::DATE) AS day, "  # noqa: S608
+        f"temperature_degc, {columns} FROM rows WHERE status = 'ok' AND start IS NOT NULL "
         "QUALIFY row_number() OVER (PARTITION BY board, start::DATE ORDER BY version DESC) = 1"
     )
-    rows = index.ask(sql)
-    if not rows:
+    found = _columns(index, sql)
+    if not found["board"].size:
         return [], 0
-    table = np.array([[np.nan if v is None else v for v in row[1:]] for row in rows], dtype=float)
-    board = np.array([number[row[0]] for row in rows])
-    days, night = np.unique(table[:, 0], return_inverse=True)
+    number = {name: at for at, name in enumerate(boards.board)}
+    board = np.array([number[name] for name in found["board"]])
+    days, night = np.unique(np.asarray(found["day"]), return_inverse=True)
     shape = (len(days), len(boards.board))
-    temperature = np.full(shape, np.nan)
-    temperature[night, board] = table[:, 1]
+
+    def laid(name: str) -> FloatArray:
+        table = np.full(shape, np.nan)
+        table[night, board] = _numbers(found[name])
+        return table
+
+    temperature = laid("temperature_degc")
     charts: list[Chart] = []
-    for at, name in enumerate(PARAMETERS):
-        value, variance = np.full(shape, np.nan), np.full(shape, np.nan)
-        value[night, board] = table[:, 2 + 2 * at]
-        variance[night, board] = table[:, 3 + 2 * at] ** 2
+    for name in PARAMETERS:
+        value, variance = laid(name), laid(f"{name}_std") ** 2
         value[~(variance > 0.0)] = np.nan
         charts.append(chart(Nights(name, value, variance, temperature)))
     return charts, len(days)

@@ -17,6 +17,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gyrorig_protocol.errors import MachineError
 from gyrorig_solver.fleet.index import Index
 from gyrorig_solver.fleet.overview import KINDS, PARAMETERS, Overview
@@ -26,6 +28,7 @@ _COPIED = ("index.html", "app.js", "style.css")
 _SHARDS = 256
 HISTORY_POINTS = 60  # the latest of each board
 _DIGITS = 7
+_MEASURED = ("temperature_degc", *PARAMETERS)
 _BINS = 41
 
 
@@ -52,7 +55,7 @@ def write_page(store: Path, folder: Path, found: Overview) -> Path:
         _write(folder / name, (here / name).read_bytes())
     up = _way_up(store, folder)
     _write(folder / "data.js", _call("FLEET", _data(found, up)))
-    _write_histories(Index(store), folder / "history")
+    _write_histories(Index(store), found, folder / "history")
     return folder / "index.html"
 
 
@@ -93,8 +96,8 @@ def _data(found: Overview, up: str) -> dict[str, Any]:
             ],
             "odd": [bool(one) for one in found.odd],
             "value": {name: _numbers(boards.value[name]) for name in PARAMETERS},
-            "std": {name: _numbers(boards.std[name], 3) for name in PARAMETERS},
-            "shrunk": {name: _numbers(found.shrunk[:, at]) for at, name in enumerate(PARAMETERS)},
+            # a bit a parameter: its shrunk value is more the fleet's than the board's own
+            "prior": (found.prior_dominated @ (1 << np.arange(len(PARAMETERS)))).tolist(),
         },
     }
 
@@ -144,19 +147,52 @@ def _worry(one: Worry) -> dict[str, Any]:
     return {"what": one.what, "why": one.why, "do": one.do, "kind": one.kind, "find": one.find}
 
 
-def _write_histories(index: Index, folder: Path) -> None:
-    columns = ", ".join(PARAMETERS)
-    sql = (
-        f"SELECT board, version, epoch(start), temperature_degc, {columns} FROM rows "  # noqa: S608
-        "WHERE status = 'ok' QUALIFY row_number() OVER (PARTITION BY board ORDER BY version DESC) "
-        f"<= {HISTORY_POINTS} ORDER BY board, version"
-    )
-    shards: dict[str, dict[str, list[Any]]] = {f"{n:02x}": {} for n in range(_SHARDS)}
-    for board, number, *numbers in index.ask(sql):
-        points = shards[shard_of(board)].setdefault(board, [])
-        points.append([number, *_numbers(numbers)])
-    for name, boards in shards.items():
-        _write(folder / f"{name}.js", _call("HISTORY", boards, name))
+def _write_histories(index: Index, overview: Overview, folder: Path) -> None:
+    """Write what only an opened board shows, put together by the database: millions of points."""
+    sql = f"""
+        WITH latest AS (
+            SELECT board, version, epoch(start) AS seconds, {", ".join(_MEASURED)} FROM rows
+            WHERE status = 'ok' QUALIFY
+            row_number() OVER (PARTITION BY board ORDER BY version DESC) <= {HISTORY_POINTS}
+        ), points AS (
+            SELECT board, version, '[' || version || ',' || {_joined("seconds", *_MEASURED)} || ']'
+            AS point FROM latest
+        ), boards AS (
+            SELECT board, string_agg(point, ',' ORDER BY version) AS points FROM points
+            GROUP BY board
+        ), whole AS (
+            SELECT board, to_json(board)::VARCHAR || ':{{"points":[' || points || '],"std":['
+            || {_joined(*(f"{name}_std" for name in PARAMETERS))} || '],"shrunk":['
+            || {_joined(*(f"{name}_shrunk" for name in PARAMETERS))} || ']}}' AS text
+            FROM boards JOIN newest USING (board)
+        )
+        SELECT substr(sha256(board), 1, 2), string_agg(text, ',' ORDER BY board)
+        FROM whole GROUP BY 1
+    """  # noqa: S608 - ours
+    boards = overview.boards
+    newest: dict[str, Any] = {"board": np.array(boards.board, dtype=object)}
+    for at, name in enumerate(PARAMETERS):
+        newest[f"{name}_std"] = boards.std[name]
+        newest[f"{name}_shrunk"] = overview.shrunk[:, at]
+    found: dict[str, str] = {}
+    if boards.board:
+        with index.connect() as database:
+            database.register("newest", newest)
+            found = dict(database.execute(sql).fetchall())
+    for name in (f"{n:02x}" for n in range(_SHARDS)):
+        _write(folder / f"{name}.js", _script("HISTORY", f'"{name}",{{{found.get(name, "")}}}'))
+
+
+def _joined(*columns: str) -> str:
+    """Return numbers of the database as the inside of a list of JSON."""
+    return f"concat_ws(',', {', '.join(_number(name) for name in columns)})"
+
+
+def _number(column: str) -> str:
+    """Return a number of the database as JSON has it."""
+    digits = {"seconds": 10}.get(column, _DIGITS)
+    text = f"format('{{:.{digits}g}}', {column}::DOUBLE)"
+    return f"CASE WHEN isfinite({column}) THEN {text} ELSE 'null' END"
 
 
 def _write(path: Path, data: bytes) -> None:
@@ -171,9 +207,13 @@ def _write(path: Path, data: bytes) -> None:
         ) from fault
 
 
-def _call(function: str, value: Any, *names: str) -> bytes:
-    """Return a script that hands a value to the page. Nothing in it can end the script."""
-    arguments = ", ".join(json.dumps(one, separators=(",", ":")) for one in (*names, value))
+def _call(function: str, value: Any) -> bytes:
+    """Return a script that hands a value to the page."""
+    return _script(function, json.dumps(value, separators=(",", ":")))
+
+
+def _script(function: str, arguments: str) -> bytes:
+    """Return a call. Nothing in its arguments, JSON, can end the script."""
     return f"{function}({arguments});\n".replace("</", "<\\/").encode()
 
 

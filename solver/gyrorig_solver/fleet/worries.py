@@ -91,6 +91,8 @@ def _moved(found: Overview) -> list[Worry]:
 
 
 def _differing(found: Overview) -> list[Worry]:
+    """Say which groups differ, those left out that are told to have moved."""
+    moved = {(one.kind, one.group, one.parameter) for one in found.moved}
     return [
         Worry(
             kind,
@@ -102,6 +104,7 @@ def _differing(found: Overview) -> list[Worry]:
             f"{kind}:{one.most}",
         )
         for sensor, kind, one in found.differing
+        if (kind, one.most, one.parameter) not in moved
     ]
 
 
@@ -143,7 +146,7 @@ def _odd(found: Overview) -> list[Worry]:
         Worry(
             "odd",
             f"board {found.boards.board[at]} is unlike all others of its kind",
-            f"by chance in one of {1.0 / max(float(found.odd_p[at]), 1e-300):.2g} boards",
+            f"by chance in one of {_many(float(found.odd_p[at]))} boards",
             "a damaged part, another part under that name, or set otherwise: open it",
             f"board:{found.boards.board[at]}",
         )
@@ -177,6 +180,11 @@ def unit_of(parameter: str) -> str:
     """Return the unit of a parameter's column, "" for a plain number."""
     family = parameter.split("_", maxsplit=1)[0]
     return {"bias": "rad/s", "misalignment": "rad", "time": "s"}.get(family, "")
+
+
+def _many(p: float) -> str:
+    """Return how many boards one such comes on; tails further out mean nothing."""
+    return f"{1.0 / p:.2g}" if p > 1e-12 else "more than a million million"
 
 
 def _sized(parameter: str, size: float) -> str:

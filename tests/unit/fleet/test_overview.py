@@ -81,10 +81,12 @@ def test_the_page_holds_every_board_and_its_history(tmp_path: Path) -> None:
     assert boards["file"][0].startswith("calib/")
     shard, history = script(folder / "history" / f"{shard_of('B000005')}.js", "HISTORY")
     assert shard == shard_of("B000005")
-    version, seconds, temperature, *values = history["B000005"][-1]
+    one = history["B000005"]
+    version, seconds, temperature, *values = one["points"][-1]
     assert version == boards["version"][5]
     assert (seconds > 1.7e9, 15.0 < temperature < 35.0) == (True, True)
-    assert len(values) == len(PARAMETERS)
+    assert len(values) == len(one["std"]) == len(one["shrunk"]) == len(PARAMETERS)
+    assert all(0.0 < std < 1e-3 for std in one["std"])
 
 
 def test_a_hostile_name_ends_no_script(tmp_path: Path) -> None:

@@ -20,17 +20,14 @@ const text = (coded, at) => coded.names[coded.of[at]];
 const day = (seconds) => seconds === null ? "–" : new Date(seconds * 1000).toISOString().slice(0, 10);
 const number = (value, digits = 5) => value === null || value === undefined ? "–" : Number(value).toPrecision(digits);
 
+// key, heading, what is shown, whether it is a number, what it is sorted by: names come sorted
 const COLUMNS = [
-  ["id", "board", (at) => boards.id[at]],
-  ["trust", "trust", (at) => text(boards.trust, at)],
-  ["sensor", "sensor", (at) => text(boards.sensor, at)],
-  ["rig", "rig", (at) => text(boards.rig, at)],
-  ["lot", "lot", (at) => text(boards.lot, at)],
-  ["site", "site", (at) => text(boards.site, at)],
-  ["version", "version", (at) => boards.version[at], true],
-  ["start", "measured", (at) => boards.start[at], true],
-  ["drift", "drift, sd", (at) => boards.drift[at] ? Math.abs(boards.drift[at][0]) : 0, true],
-  ["value", "", (at) => boards.value[column][at], true],
+  ["id", "board", (at) => boards.id[at], false, (at) => at],
+  ...["trust", "sensor", "rig", "lot", "site"].map((name) => [name, name, (at) => text(boards[name], at), false, (at) => boards[name].of[at]]),
+  ["version", "version", (at) => boards.version[at], true, (at) => boards.version[at]],
+  ["start", "measured", (at) => boards.start[at], true, (at) => boards.start[at]],
+  ["drift", "drift, sd", (at) => boards.drift[at] && boards.drift[at][0], true, (at) => boards.drift[at] ? Math.abs(boards.drift[at][0]) : 0],
+  ["value", "", (at) => boards.value[column][at], true, (at) => boards.value[column][at]],
 ];
 
 window.FLEET = (given) => {
@@ -112,7 +109,7 @@ function drawHead() {
 function filter(words) {
   const tests = words.toLowerCase().split(/\s+/).filter(Boolean).map((word) => {
     const [key, wanted] = word.includes(":") ? [word.slice(0, word.indexOf(":")), word.slice(word.indexOf(":") + 1)] : ["", word];
-    if (key === "is") return wanted === "drifting" ? (at) => boards.drift[at] !== null : wanted === "odd" ? (at) => boards.odd[at] : () => false;
+    if (key === "is") return wanted === "drifting" ? (at) => boards.drift[at] !== null : wanted === "odd" ? (at) => boards.odd[at] : wanted === "prior" ? (at) => boards.prior[at] !== 0 : () => false;
     if (key === "board") return (at) => boards.id[at].toLowerCase() === wanted;
     if (["trust", "sensor", "rig", "lot", "site", "findings"].includes(key)) {
       const yes = boards[key].names.map((name) => name.toLowerCase() === wanted);
@@ -128,13 +125,10 @@ function filter(words) {
 
 function refresh() {
   shown = filter(by("search").value);
-  const value = COLUMNS.find(([key]) => key === order.key)[2], sign = order.down ? -1 : 1;
-  const keys = new Map(shown.map((at) => [at, value(at)]));
-  shown.sort((a, b) => {
-    const x = keys.get(a), y = keys.get(b);
-    if (x === null || y === null) return (x === null) - (y === null);
-    return x < y ? -sign : x > y ? sign : a - b;
-  });
+  const key = COLUMNS.find(([name]) => name === order.key)[4], sign = order.down ? -1 : 1;
+  const keys = new Float64Array(boards.id.length);
+  for (const at of shown) { const one = key(at); keys[at] = one === null ? Infinity : sign * one; }
+  shown.sort((a, b) => keys[a] < keys[b] ? -1 : keys[a] > keys[b] ? 1 : a - b);  // unknown ones last
   by("count").textContent = shown.length === boards.id.length ? "" : `${shown.length.toLocaleString("en")} of ${boards.id.length.toLocaleString("en")}`;
   by("space").style.height = `${shown.length * ROW_PX}px`;
   by("rows").scrollTop = 0;
@@ -178,7 +172,8 @@ function open(at) {
     element("p", {}, element("a", { href: `${file}.report.html` }, "report"), " · ", element("a", { href: `${file}.yaml` }, "calibration"), " · ",
       element("a", { href: `${file.slice(0, file.lastIndexOf("/") + 1)}` }, "all versions")),
     element("p", { class: "soft", id: "loading" }, "loading its history …"));
-  load(boards.shard[at], (found) => { if (opened === at) drawHistory(at, found[boards.id[at]] || []); });
+  if (matchMedia("(max-width:60rem)").matches) panel.scrollIntoView({ block: "start" });  // it is below the table
+  load(boards.shard[at], (found) => { if (opened === at) drawHistory(at, found[boards.id[at]] || { points: [], std: [], shrunk: [] }); });
 }
 
 function close() {
@@ -196,8 +191,8 @@ function load(shard, done) {
   document.head.append(script);
 }
 
-// points: [version, seconds, temperature, parameters ...]
-function drawHistory(at, points) {
+// points: [version, seconds, temperature, parameters ...]; std and shrunk: one a parameter, of the newest
+function drawHistory(at, { points, std, shrunk }) {
   by("loading").remove();
   const worst = boards.drift[at] ? boards.drift[at][1] : -1;  // drawn first
   [...data.parameters.keys()].sort((a, b) => (b === worst) - (a === worst) || a - b).forEach((which) => {
@@ -210,8 +205,8 @@ function drawHistory(at, points) {
     const drawing = element("div");
     drawing.innerHTML = `<svg viewBox="0 0 100 30" preserveAspectRatio="none" height="44" role="img" aria-label="history"><polyline class="line" points="${dots.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ")}"/></svg>`;
     by("board").append(element("figure", {}, element("figcaption", {}, element("span", { class: here ? "flag" : null }, name.replace(/_/g, " ") + (here ? `, drifts ${drift[0]} sd` : "")),
-      element("span", {}, `${number(boards.value[name][at])} ± ${number(boards.std[name][at], 2)}${data.units[which]}`)), drawing,
-      boards.shrunk[name][at] === null ? "" : element("figcaption", {}, element("span", {}, "with the fleet's help"), element("span", {}, number(boards.shrunk[name][at])))));
+      element("span", {}, `${number(boards.value[name][at])} ± ${number(std[which], 2)}${data.units[which]}`)), drawing,
+      shrunk[which] === null || shrunk[which] === undefined ? "" : element("figcaption", {}, element("span", {}, boards.prior[at] >> which & 1 ? "more the fleet's than its own" : "with the fleet's help"), element("span", {}, number(shrunk[which])))));
   });
 }
 

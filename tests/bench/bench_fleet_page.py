@@ -1,0 +1,151 @@
+"""How fast the fleet's page is with many boards, in a headless Chromium, opened from a disk.
+
+Each figure is what the page itself measures between an event and the frame that shows it.
+
+Run: python tests/bench/bench_fleet_page.py [--boards 100000] [--pictures FOLDER]
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.bench.fleet.browser import PATIENCE_S, chromium
+from tests.bench.synthetic_fleet import FleetPlan, write_fleet
+
+from gyrorig_solver.fleet.overview import overview, read_origins
+from gyrorig_solver.fleet.page import write_page
+
+FREEZE_MS = 500.0  # longer is felt as a stop
+LOAD_MS = 10_000.0
+_TIMED = """
+const done = arguments[arguments.length - 1], begin = performance.now();
+(() => { %s })();
+requestAnimationFrame(() => setTimeout(() => done(performance.now() - begin), 0));
+"""
+# what typing ends in
+_SEARCH = "const box = document.getElementById('search'); box.value = '%s'; refresh()"
+STEPS = {
+    "search for a name": _SEARCH % "B0500",
+    "filter by rig and trust": _SEARCH % "rig:rig-3 trust:limited",
+    "filter what drifts": _SEARCH % "is:drifting",
+    "show all again": _SEARCH % "",
+    "sort by a number": "document.querySelectorAll('#head button')[9].click()",
+    "sort by a name": "document.querySelectorAll('#head button')[3].click()",
+    "scroll to the end": "document.getElementById('rows').scrollTop = 1e9",
+}
+_OPEN = """
+const done = arguments[arguments.length - 1], begin = performance.now();
+document.querySelectorAll('.row')[5].click();
+(function look() {
+  if (document.querySelectorAll('#board figure').length) done(performance.now() - begin);
+  else setTimeout(look, 1);
+})();
+"""
+
+
+def made(folder: Path, boards: int) -> tuple[Path, dict[str, float]]:
+    """Write a fleet's page; return it and what that took."""
+    store = folder / "store"
+    plan = FleetPlan(
+        boards=boards,
+        nights=10,
+        rigs=64,
+        lots=20,
+        rig_drift=(3, "misalignment_x", 7, 6e-4),
+        board_drift=(17, "scale_y", 6, 2e-3),
+        bad_lot=(2, "scale_z", 0.004),
+        odd_board=(33, "scale_x", 0.2),
+    )
+    table = write_fleet(store, plan)
+    begun_s = time.process_time()
+    found = overview(store, read_origins(table))
+    asked_s = time.process_time()
+    page = write_page(store, store / "fleet", found)
+    return page, {
+        "overview, s of CPU": asked_s - begun_s,
+        "page, s of CPU": time.process_time() - asked_s,
+        "data.js, MB": (page.parent / "data.js").stat().st_size / 1e6,
+    }
+
+
+def measured(browser: Any, page: Path) -> dict[str, float]:
+    """Return how long each step takes, ms."""
+    browser.set_script_timeout(PATIENCE_S)
+    browser.get(page.as_uri())
+    ready = "return document.body.dataset.ready === 'yes'"
+    while not browser.execute_script(ready):
+        time.sleep(0.02)  # between looks
+    found = {"load, ms": float(browser.execute_script("return performance.now()"))}
+    for name, script in STEPS.items():
+        found[f"{name}, ms"] = min(
+            float(browser.execute_async_script(_TIMED % script)) for _ in range(3)
+        )
+    found["open a board, ms"] = float(browser.execute_async_script(_OPEN))
+    return found
+
+
+def pictures(browser: Any, page: Path, folder: Path) -> None:
+    """Take pictures of the page in light, dark and on a phone."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, width, scheme in (
+        ("light", 1300, "light"),
+        ("dark", 1300, "dark"),
+        ("phone", 390, "light"),
+    ):
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+        size = {"width": width, "height": 1700, "deviceScaleFactor": 1, "mobile": width < 500}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        browser.get("about:blank")
+        browser.get(page.as_uri())
+        while not browser.execute_script("return document.body.dataset.ready === 'yes'"):
+            time.sleep(0.02)  # between looks
+        browser.execute_async_script(_OPEN)
+        browser.save_screenshot(str(folder / f"fleet-{name}.png"))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print; return 1 where the page stops or complains."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--boards", type=int, default=100_000)
+    parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--page", type=Path, help="measure this one, and make none")
+    told = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        browser = chromium(folder / "profile")
+        if browser is None:
+            sys.stdout.write("no Chromium here: apt-get install chromium chromium-driver\n")
+            return 0
+        try:
+            page, figures = (told.page, {}) if told.page else made(folder, told.boards)
+            figures |= measured(browser, page)
+            if told.pictures is not None:
+                pictures(browser, page, told.pictures)
+            complaints = [
+                one for one in browser.get_log("browser") if one["level"] in ("SEVERE", "WARNING")
+            ]
+        finally:
+            browser.quit()
+    sys.stdout.write(json.dumps({**figures, "complaints": len(complaints)}, indent=1) + "\n")
+    slow = [
+        name
+        for name, value in figures.items()
+        if name.endswith(", ms") and value > (LOAD_MS if name.startswith("load") else FREEZE_MS)
+    ]
+    for name in slow:
+        sys.stderr.write(f"{name}: {figures[name]:.0f} is too long\n")
+    return int(bool(slow or complaints))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
