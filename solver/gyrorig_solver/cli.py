@@ -38,7 +38,10 @@ _COMMANDS = {
     "plan": ("plan", "The motion program that tells most in a given time."),
 }
 # a package that is not there, and the extra that brings it
-_EXTRAS = {"scipy": "solver", "jinja2": "solver", "duckdb": "fleet", "distributed": "fleet"}
+_EXTRAS = {
+    **dict.fromkeys(("scipy", "jinja2"), "solver"),
+    **dict.fromkeys(("duckdb", "distributed", "s3fs", "cryptography"), "fleet"),
+}
 _INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
