@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from gyrorig_daemon.collector import look_rarely
 from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
 from gyrorig_daemon.description import SessionOrder
 from gyrorig_daemon.emulation import Emulation
@@ -88,6 +89,7 @@ def in_real_time(call: Call) -> Path:
             ending = process.ending
             paths |= {port: process.paths[port] for port in emulated}
         hub = stack.enter_context(AcquisitionHub(port_settings(config, paths)))
+        look_rarely()
         around = Surroundings(
             capture=anchor_now(),
             read_host=read_host_clocks,

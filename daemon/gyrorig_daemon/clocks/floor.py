@@ -62,10 +62,12 @@ class FloorFilter:
         self._steps = 0
         self._window_end_s: float | None = None
         self._least_rest = math.inf
+        self.revision = 0  # changes whenever offset or skew may have
         self._begin()
 
     def restart(self) -> None:
         """Forget offset and skew; the counts of faults stay."""
+        self.revision += 1
         self._begin()
 
     @property
@@ -124,6 +126,7 @@ class FloorFilter:
         self._least_latency = 0.0
 
     def _close_window(self) -> None:
+        self.revision += 1
         if not self._windows:
             self._guess_skew()
         count, mean_over = self._count, self._sum_rest / self._count - self._least_rest

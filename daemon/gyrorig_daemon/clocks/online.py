@@ -9,6 +9,7 @@ microseconds; its middle is taken (reference: timesync.md section 4, two hulls).
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from gyrorig_daemon.clocks.floor import FloorFilter
@@ -75,6 +76,7 @@ class OnlineClock:
         self._low_s = -math.inf
         self._high_s = math.inf
         self._correction_s = 0.0
+        self._bracketed_revision = -1  # of the floor, when all brackets were looked at
 
     def restart(self) -> None:
         """Begin anew: the device said that it booted."""
@@ -110,6 +112,7 @@ class OnlineClock:
             self._pings.clear()
             self._sent.clear()
             self._low_s, self._high_s, self._correction_s = -math.inf, math.inf, 0.0
+            self._bracketed_revision = -1
         self._last_ticks = max(stamp.ticks, self._origin_ticks)
         device_s = self._device_s(stamp.ticks)
         if is_floor:
@@ -184,10 +187,25 @@ class OnlineClock:
         send_s = self._device_s(self._nearest(device_send))
         received_s = (received_ns - self._origin_ns) * 1e-9
         self._sent.append((send_s, received_s))
+        high_s = received_s - send_s - self._floor.latency_floor_s(send_s)
+        self._high_s = min(self._high_s, high_s)
 
     def _bracket(self, ping: _Ping) -> None:
         self._pings.append(ping)
-        floor_s = self._floor.latency_floor_s
+        floor = self._floor
+        if floor.revision == self._bracketed_revision:
+            # The floor is where it was: so are all brackets beside it, and only one is new.
+            received_s, sent_s = ping.device_receive_s, ping.device_send_s
+            low_s = ping.sent_s - received_s - floor.latency_floor_s(received_s)
+            high_s = ping.received_s - sent_s - floor.latency_floor_s(sent_s)
+            self._low_s, self._high_s = max(self._low_s, low_s), min(self._high_s, high_s)
+        else:
+            self._bracketed_revision = floor.revision
+            self._bracket_anew(floor.latency_floor_s)
+        if self._low_s <= self._high_s:
+            self._correction_s = 0.5 * (self._low_s + self._high_s)
+
+    def _bracket_anew(self, floor_s: Callable[[float], float]) -> None:
         self._low_s = max(
             p.sent_s - p.device_receive_s - floor_s(p.device_receive_s) for p in self._pings
         )
@@ -195,8 +213,6 @@ class OnlineClock:
         self._high_s = min(
             received_s - send_s - floor_s(send_s) for send_s, received_s in (*sent, *self._sent)
         )
-        if self._low_s <= self._high_s:
-            self._correction_s = 0.5 * (self._low_s + self._high_s)
 
     def report(self) -> ClockReport:
         """Return the state of the map."""

@@ -30,13 +30,13 @@ MAX_HELD_BYTES = 32 << 20  # about ten minutes of 16 boards at 800 Hz
 FAREWELL_S = 0.5
 # udev gives a node its rights a moment after the node; a broken adapter may be exchanged
 WAITED_FOR = ("missing", "denied", "broken")
-HEARTBEAT_MS = 100  # the longest wait: what takes much longer is this process standing still
+HEARTBEAT_S = 0.1  # the longest wait: what takes much longer is this process standing still
 STALL_NS = 150_000_000  # beyond the stamps' usual lateness by far, and above the heartbeat
 # Chunks wait so long for others before they are handed over: they are stamped already, and
 # each handing over costs the daemon a wake-up. What somebody waits for goes at once.
 GATHER_NS = 4_000_000
 GATHER_BYTES = 1 << 16
-_HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
+_HUNG_UP = select.EPOLLHUP | select.EPOLLERR
 
 
 class Acquisition:
@@ -52,10 +52,13 @@ class Acquisition:
         self._dropped_bytes = 0
         self._is_urgent = False
         self._is_full = False  # the pipe
-        self._gathered_ns = 0  # since when reports wait
+        self._gathered_ns = 0  # since when reports wait, or frames to be read
+        self._put_off: list[SupervisedPort] = []  # readable, and read with the next handing over
+        self._unwritten = 0  # writes under way, of all ports
         self._late_ns = 0  # by which the stamps of this turn may be late
-        self._poll = select.poll()
-        self._poll.register(orders_fd, select.POLLIN)
+        # Not `poll`: that asks every port whenever one of them has something.
+        self._poll = select.epoll()
+        self._poll.register(orders_fd, select.EPOLLIN)
 
     def run(self) -> None:
         """Serve until the daemon says so, or is gone."""
@@ -67,11 +70,15 @@ class Acquisition:
                 self._say_gone(port, port.refusal)
         turn_ns = raw_ns()
         while True:
-            if self._is_due():
+            if self._is_due(turn_ns):
+                self._read_put_off()
                 self._flush()
-            ready = self._poll.poll(self._timeout_ms())
+            ready = self._poll.poll(self._timeout_s())
             before_ns, turn_ns = turn_ns, raw_ns()
             self._late_ns = _lateness_ns(turn_ns - before_ns)
+            if self._late_ns and not ready:
+                # A stop ends the waiting with nothing: what has come meanwhile is late, too.
+                ready = self._poll.poll(0.0)
             for fd, events in ready:
                 if fd in self._by_fd:
                     self._serve(self._by_fd[fd], events)
@@ -79,34 +86,61 @@ class Acquisition:
                     self._flush()
                 elif fd == self._orders_fd and not self._take_orders():
                     return
-            self._expire_writes()
-            self._try_again()
+            if self._unwritten:
+                self._expire_writes()
+            if len(self._by_fd) < len(self._ports):
+                self._try_again()
 
-    def _is_due(self) -> bool:
-        """Return whether reports wait that have waited enough."""
-        if not self._reports:
-            return False
+    def _is_due(self, now_ns: int) -> bool:
+        """Return whether something waits that has waited enough."""
         if self._is_urgent or len(self._reports) >= GATHER_BYTES:
-            return True
-        return raw_ns() - self._gathered_ns >= GATHER_NS
+            return bool(self._reports)
+        return now_ns - self._gathered_ns >= GATHER_NS and self._waits()
+
+    def _waits(self) -> bool:
+        return bool(self._reports or self._put_off)
 
     def _serve(self, port: SupervisedPort, events: int) -> None:
-        if events & (select.POLLIN | _HUNG_UP):
-            data = port.read(bool(events & _HUNG_UP))
-            stamp_ns = raw_ns()
-            if data:
-                self._report(wire.CHUNK, port.index, stamp_ns, self._late_ns, data)
-            elif data is not None:
-                self._lose(port, "it hung up")
-        if events & select.POLLOUT and port.writes:
+        if events & _HUNG_UP or (events & select.EPOLLIN and not port.stamps_itself):
+            self._read(port, bool(events & _HUNG_UP))
+        elif events & select.EPOLLIN and port not in self._put_off:
+            # What comes meanwhile is read with it, and each frame has its own stamp: one
+            # call for many instead of a wake-up for each.
+            if not self._waits():
+                self._gathered_ns = raw_ns()
+            self._put_off.append(port)
+            self._look_out(port)
+        if events & select.EPOLLOUT and port.writes:
             self._write(port)
+
+    def _read(self, port: SupervisedPort, has_hung_up: bool) -> None:
+        data = port.read(has_hung_up)
+        stamp_ns = raw_ns()
+        if data:
+            self._report(wire.CHUNK, port.index, stamp_ns, self._late_ns, data)
+        elif data is not None:
+            self._lose(port, "it hung up")
+
+    def _read_put_off(self) -> None:
+        ports, self._put_off = self._put_off, []
+        for port in ports:
+            self._look_out(port)
+            self._read(port, False)
+
+    def _look_out(self, port: SupervisedPort) -> None:
+        """Have the port's events told that are of interest now."""
+        if port.line is not None:
+            mask = 0 if port in self._put_off else select.EPOLLIN
+            self._poll.modify(port.line.fd, mask | (select.EPOLLOUT if port.writes else 0))
 
     def _watch(self, port: SupervisedPort, line: Line) -> None:
         self._by_fd[line.fd] = port
-        self._poll.register(line.fd, select.POLLIN)
+        self._poll.register(line.fd, select.EPOLLIN)
 
     def _lose(self, port: SupervisedPort, why: str, now: bool = False) -> None:
         """Let go of a port; what was to be written to it fails."""
+        if port in self._put_off:
+            self._put_off.remove(port)
         if port.line is not None:
             self._poll.unregister(port.line.fd)
             del self._by_fd[port.line.fd]
@@ -159,6 +193,7 @@ class Acquisition:
                 self._lose(port, "it is opened anew", now=True)
             else:
                 port.writes.append(Write(body, deadline_ns))
+                self._unwritten += 1
                 self._write(port)
         return True
 
@@ -179,7 +214,7 @@ class Acquisition:
         after_ns = raw_ns()
         write.data = write.data[sent:]
         if write.data:
-            self._poll.modify(port.line.fd, select.POLLIN | select.POLLOUT)
+            self._look_out(port)
             return
         self._report(wire.WRITTEN, port.index, write.before_ns, after_ns, b"")
         self._next_write(port)
@@ -190,23 +225,26 @@ class Acquisition:
 
     def _next_write(self, port: SupervisedPort) -> None:
         port.writes.pop(0)
-        if port.line is not None:
-            mask = select.POLLIN | (select.POLLOUT if port.writes else 0)
-            self._poll.modify(port.line.fd, mask)
+        self._unwritten -= 1
+        self._look_out(port)
 
     def _expire_writes(self) -> None:
         for port in self._ports:
             while port.writes and raw_ns() > port.writes[0].deadline_ns:
                 self._end_write(port, b"it does not take bytes")
 
-    def _timeout_ms(self) -> int:
-        waiting = [port.writes[0].deadline_ns for port in self._ports if port.writes]
-        waiting += [port.retry_ns for port in self._ports if port.line is None]
-        if self._reports and not self._is_full:
+    def _timeout_s(self) -> float:
+        """Return how long to wait at most; the system rounds it up to milliseconds."""
+        waiting = []
+        if self._unwritten:
+            waiting += [port.writes[0].deadline_ns for port in self._ports if port.writes]
+        if len(self._by_fd) < len(self._ports):
+            waiting += [port.retry_ns for port in self._ports if port.line is None]
+        if self._put_off or (self._reports and not self._is_full):
             waiting.append(self._gathered_ns + GATHER_NS)
         if not waiting:
-            return HEARTBEAT_MS
-        return max(0, min((min(waiting) - raw_ns()) // 1_000_000 + 1, HEARTBEAT_MS))
+            return HEARTBEAT_S
+        return max(0.0, min((min(waiting) - raw_ns()) * 1e-9, HEARTBEAT_S))
 
     def _report(self, kind: int, index: int, first_ns: int, second_ns: int, data: bytes) -> None:
         if len(self._reports) > MAX_HELD_BYTES and kind == wire.CHUNK:
@@ -216,7 +254,7 @@ class Acquisition:
             lost = wire.REPORT.pack(wire.LOST, index, 0, raw_ns(), self._dropped_bytes)
             self._reports += lost
             self._dropped_bytes = 0
-        if not self._reports:
+        if not self._waits():
             self._gathered_ns = raw_ns()
         self._is_urgent = self._is_urgent or kind != wire.CHUNK or self._ports[index].is_awaited
         self._reports += wire.REPORT.pack(kind, index, len(data), first_ns, second_ns) + data
@@ -228,14 +266,15 @@ class Acquisition:
                 sent = os.write(self._reports_fd, self._reports[:PIPE_BYTES])
                 del self._reports[:sent]
         except BlockingIOError:
+            if not self._is_full:
+                self._poll.register(self._reports_fd, select.EPOLLOUT)
             self._is_full = True
-            self._poll.register(self._reports_fd, select.POLLOUT)
             return
         except OSError:
             self._reports.clear()  # nobody reads; the orders' pipe will tell the same
-        self._is_urgent = self._is_full = False
-        with contextlib.suppress(KeyError):
+        if self._is_full:
             self._poll.unregister(self._reports_fd)
+        self._is_urgent = self._is_full = False
 
     def _say_farewell(self) -> None:
         for port in self._ports:

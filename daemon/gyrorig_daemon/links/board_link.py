@@ -231,8 +231,11 @@ class BoardLink:
     def _take_event(self, event: BoardEvent) -> None:
         if isinstance(event, FrameFault):
             return
+        if isinstance(event.frame, Sample):  # nearly always
+            self._take_samples(event.frame, event)
+            return
         match event.frame:
-            case Sample() | Batch() as frame:
+            case Batch() as frame:
                 self._take_samples(frame, event)
             case Slow() as slow:
                 self._take_slow(slow, event)

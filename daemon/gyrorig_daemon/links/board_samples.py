@@ -22,6 +22,7 @@ BITS_PER_BYTE = 10
 SEQUENCE_BITS = 16
 DEFAULT_TICK_HZ = 1e6
 PERIOD_TOLERANCE = 0.2  # rates are off by 5 % as a rule, by 8 % with an RC oscillator
+_NO_ACCEL = (0, 0, 0)
 _ACCEL_VALID = int(ImuStatus.ACCEL_VALID)  # flags of an enum cost a microsecond each
 _TEMPERATURE_VALID = int(ImuStatus.TEMPERATURE_VALID)
 
@@ -80,6 +81,7 @@ class SampleStream:
         self._epochs_seen = 0
         self._last_first = 0  # of the frame that it ended
         self._last_batch: tuple[int, int] | None = None  # last sequence and its stamp
+        self._frames_ns: dict[int, int] = {}  # by length of the payload
         self.counts = BoardCounts()
         self.seen = False  # a sample came, taken or not
         self.latency_ns = 0  # of the last sample, from being taken to its arrival
@@ -113,16 +115,15 @@ class SampleStream:
 
     def take(self, frame: Sample | Batch, event: FrameEvent) -> None:
         """Count, date and hand on what a frame holds."""
-        match frame:
-            case Sample():
-                samples = [frame]
-            case Batch():
-                samples = frame.samples(self._period_ticks(frame))
+        if isinstance(frame, Sample):
+            self._take_one(frame, event)
+            return
+        samples = frame.samples(self._period_ticks(frame))
         last = samples[-1]
         arrival_ns = event.received_ns
         mapped_ns = arrival_ns
         if last.device_time is not None:
-            wire_ns = self.wire_ns(len(event.payload) + self._overhead())
+            wire_ns = self._frame_ns(len(event.payload))
             mapped_ns = self.clock.observe(
                 last.device_time, arrival_ns, wire_ns, last.sequence, not self._has_edges
             )
@@ -139,6 +140,25 @@ class SampleStream:
                 taken_ns = arrival_ns - self._before_ns(sample, last)
             self._emit(sample, arrival_ns, taken_ns)
 
+    def _take_one(self, sample: Sample, event: FrameEvent) -> None:
+        """Do the same with a frame of one sample: thousands come a second."""
+        arrival_ns = taken_ns = event.received_ns
+        if sample.device_time is not None:
+            wire_ns = self._frame_ns(len(event.payload))
+            clock = self.clock
+            taken_ns = clock.observe(
+                sample.device_time, arrival_ns, wire_ns, sample.sequence, not self._has_edges
+            )
+            if clock.restarts > self._epochs_seen:
+                self._note_epoch()
+        latency_ns = self.latency_ns = arrival_ns - taken_ns
+        if latency_ns > self.worst_latency_ns:
+            self.worst_latency_ns = latency_ns
+        self._count([sample])
+        if taken_ns == arrival_ns:
+            self.counts.unmapped += 1
+        self._emit(sample, arrival_ns, taken_ns)
+
     def _before_ns(self, sample: Sample, last: Sample) -> int:
         """Return how long before the last of its batch a sample was taken, by the nominal tick."""
         if sample.device_time is None or last.device_time is None:
@@ -152,16 +172,17 @@ class SampleStream:
             status |= _ACCEL_VALID
         if sample.temperature is not None:
             status |= _TEMPERATURE_VALID
+        host_ns = self._capture.utc_ns(arrival_ns)
         message = ImuRaw(
-            host_time_ns=self._capture.utc_ns(arrival_ns),
-            device_time=sample.device_time or 0,
-            sequence=sample.sequence,
-            status=status,
-            temperature=sample.temperature or 0,
-            gyro=sample.gyro,
-            accel=sample.accel or (0, 0, 0),
+            host_ns,
+            sample.device_time or 0,
+            sample.sequence,
+            status,
+            sample.temperature or 0,
+            sample.gyro,
+            sample.accel or _NO_ACCEL,
         )
-        self._sinks.sample(self._board_id, message, self._capture.utc_ns(taken_ns))
+        self._sinks.sample(self._board_id, message, host_ns + taken_ns - arrival_ns)
 
     def _count(self, samples: list[Sample]) -> None:
         self.counts.samples += len(samples)
@@ -206,8 +227,13 @@ class SampleStream:
             return nominal
         return period
 
-    def _overhead(self) -> int:
-        return FRAME_OVERHEAD_BYTES if self._speaks else 0
+    def _frame_ns(self, payload_bytes: int) -> int:
+        """Return how long a frame is on the wire, by its payload."""
+        found = self._frames_ns.get(payload_bytes)
+        if found is None:
+            overhead = FRAME_OVERHEAD_BYTES if self._speaks else 0
+            found = self._frames_ns[payload_bytes] = self.wire_ns(payload_bytes + overhead)
+        return found
 
     def wire_ns(self, byte_count: int) -> int:
         """Return how long so many bytes are on the wire; a bus's edges are exact without."""

@@ -17,6 +17,7 @@ SERIAL = "serial"
 READ_BYTES = 65_536
 # kind -> module with `open_line`; the serial port is at home here
 KINDS: dict[str, str] = {"can": "gyrorig_daemon.links.can_line"}
+STAMPED = frozenset({"can"})  # whose bytes hold when each frame came
 
 
 @dataclass(frozen=True, slots=True)

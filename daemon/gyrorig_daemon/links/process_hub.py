@@ -146,7 +146,15 @@ class AcquisitionHub:
             if report is None:
                 return None
             self._keep(report)
+            # What came in one piece is looked through at once, up to a port's going or coming.
+            while self._reports and self._reports[0].kind == wire.CHUNK:
+                self._keep(self._reports.popleft())
         return self._chunks.popleft()
+
+    @property
+    def at_hand(self) -> deque[Chunk]:
+        """What has been read from the pipe and not been handed out; see `GatheringHub`."""
+        return self._chunks
 
     def is_up(self, port: str) -> bool:
         """Return whether the port is open, by what the acquisition process has said."""
@@ -208,8 +216,8 @@ class AcquisitionHub:
     def _keep(self, report: wire.Report) -> None:
         name = self._names[report.port]
         if report.kind == wire.CHUNK:
-            late_ns = report.second_ns
-            self._chunks.append(Chunk(name, report.first_ns, report.data, late_ns=late_ns))
+            _, _, stamp_ns, late_ns, data = report
+            self._chunks.append(Chunk(name, stamp_ns, data, None, "", late_ns))
         elif report.kind == wire.GONE:
             self._down.add(name)
             why = report.data.decode(errors="replace")

@@ -5,16 +5,18 @@ Whatever a session waits for (an answer, the end of a move, a rest), it waits in
 whether time is real.
 """
 
+from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from gyrorig_daemon.links.hub import Chunk, PortHub, WriteStamp
+from gyrorig_daemon.links.hub import Chunk, GatheringHub, PortHub, WriteStamp
 from gyrorig_protocol.errors import GyrorigError
 
 SLICE_NS = 50_000_000  # how long a request to stop may go unnoticed
 STALL_NS = 700_000_000  # a turn of the loop takes so long only if the process stood still:
 # the longest that it waits by itself is for a stuck port, half a second
 
+AT_ONCE = 64  # chunks handed out between two looks at clock, timers and stop: a millisecond
 NEVER_NS = 1 << 62
 
 Sink = Callable[[Chunk], None]
@@ -51,6 +53,7 @@ class Pump:
 
     def __init__(self, hub: PortHub, stop: StopFlag | None = None) -> None:
         self._hub = hub
+        self._at_hand: deque[Chunk] = hub.at_hand if isinstance(hub, GatheringHub) else deque()
         self._stop = stop or StopFlag()
         self._sinks: dict[str, Sink] = {}
         self._timers: list[Timer] = []
@@ -126,6 +129,8 @@ class Pump:
                 self.served_ns = self._hub.now_ns()
             else:
                 self._deliver(chunk)
+                if self._at_hand:
+                    self._deliver_at_hand(done)
 
     def hurry(self) -> None:
         """Look at the timers at once: one of them is due sooner than it had said."""
@@ -149,6 +154,14 @@ class Pump:
             if chunk.received_ns > deadline_ns:
                 break
         return False
+
+    def _deliver_at_hand(self, done: Callable[[], bool] | None) -> None:
+        """Hand out what came together with the last chunk."""
+        chunks = self._at_hand
+        for _ in range(min(len(chunks), AT_ONCE)):
+            if done is not None and done():
+                return
+            self._deliver(chunks.popleft())
 
     def _deliver(self, chunk: Chunk) -> None:
         self.served_ns = chunk.received_ns

@@ -10,7 +10,7 @@ has the same link and another node. What is under way when it goes down fails at
 import os
 from dataclasses import dataclass, field
 
-from gyrorig_daemon.links.port_kinds import Line, PortSettings, open_line
+from gyrorig_daemon.links.port_kinds import STAMPED, Line, PortSettings, open_line
 from gyrorig_daemon.links.raw_clock import raw_ns
 from gyrorig_daemon.links.serial_port import RefusedError
 
@@ -50,6 +50,11 @@ class SupervisedPort:
     def is_awaited(self) -> bool:
         """True where somebody waits for each answer: on the unit's port."""
         return bool(self.settings.farewell)
+
+    @property
+    def stamps_itself(self) -> bool:
+        """True where each frame that is read has a stamp of its own: it may be read later."""
+        return self.settings.kind in STAMPED
 
     def open(self) -> None:
         """Open the line.

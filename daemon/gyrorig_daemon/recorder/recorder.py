@@ -197,7 +197,7 @@ class Recorder:
             return
         if self._fault is not None:
             raise self._fault
-        skipped = self._skipped[topic]
+        skipped = self._skipped.get(topic, 0)  # a Counter's own way costs a call
         taken_ns = log_ns if publish_ns is None else publish_ns
         entry = _Entry(topic, message, log_ns, taken_ns, skipped)
         if not self._threaded:

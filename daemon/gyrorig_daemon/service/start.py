@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gyrorig_daemon.collector import look_rarely
 from gyrorig_daemon.config import EMULATED, RigConfig, parse_rig, read_document
 from gyrorig_daemon.emulation import Emulation
 from gyrorig_daemon.links.capture_clock import anchor_now, read_host_clocks
@@ -151,6 +152,7 @@ class Service:
                 seed=time.monotonic_ns(),
                 view=view,
             )
+            look_rarely()
             self._serve(parts)
             self._notifier.stopping()
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar, Protocol, Self
 
+import msgspec
+
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.cdr_stream import (
@@ -119,9 +121,11 @@ def _unpack(layout: struct.Struct, data: bytes, name: str) -> list[int | float]:
     return list(layout.unpack(data)[1:])
 
 
-@dataclass(frozen=True, slots=True)
-class ImuRaw:
-    """One sample of a board, counts as sent, in the sensor's own axes."""
+class ImuRaw(msgspec.Struct, frozen=True, gc=False):
+    """One sample of a board, counts as sent, in the sensor's own axes.
+
+    A msgspec structure: frozen like a frozen dataclass, and made ten times as quickly.
+    """
 
     TYPE: ClassVar[str] = "gyrorig_msgs/msg/ImuRaw"
     _LAYOUT: ClassVar[struct.Struct] = struct.Struct("<4siIQIHh9i")
@@ -142,17 +146,22 @@ class ImuRaw:
 
     def encode(self) -> bytes:
         """The 64-byte payload."""
-        return _pack(
-            self._LAYOUT,
-            *split_time(self.host_time_ns),
-            self.device_time,
-            self.sequence,
-            self.status,
-            self.temperature,
-            *self.gyro,
-            *self.accel,
-            *self.mag,
-        )
+        sec, nanosec = divmod(self.host_time_ns, NS_PER_S)  # thousands a second: no calls
+        try:
+            return self._LAYOUT.pack(
+                ENCAPSULATION,
+                sec,
+                nanosec,
+                self.device_time,
+                self.sequence,
+                self.status,
+                self.temperature,
+                *self.gyro,
+                *self.accel,
+                *self.mag,
+            )
+        except struct.error as error:
+            raise ValueError(f"a value does not fit its field: {error}") from error
 
     @classmethod
     def decode(cls, data: bytes) -> Self:

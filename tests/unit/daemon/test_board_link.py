@@ -2,7 +2,6 @@
 
 import random
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -413,7 +412,7 @@ class Late:
         if chunk is None or chunk.received_ns < self._at_ns or not self._left:
             return chunk
         self._left -= 1
-        return replace(chunk, late_ns=1_200_000_000)
+        return chunk._replace(late_ns=1_200_000_000)
 
 
 def test_stamps_that_are_late_are_told_once() -> None:

@@ -343,8 +343,8 @@ class Scripted(VirtualHub):
             return chunk
         data, self._data = self._data, None
         if not data:
-            return replace(chunk, data=b"", change=PortChange.GONE, text="it hung up")
-        return replace(chunk, data=data + chunk.data)
+            return chunk._replace(data=b"", change=PortChange.GONE, text="it hung up")
+        return chunk._replace(data=data + chunk.data)
 
 
 def failing(tmp_path: Path, at_s: float, data: bytes, port: str = "ptu") -> tuple[Bench, str]:

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -211,7 +210,7 @@ def run_two(bench: Bench, answer: Callable[[Chunk, int], Chunk]) -> None:
 def shifted(chunk: Chunk) -> Chunk:
     """Return an answer to BT in which pan is 1000 steps elsewhere."""
     data = re.sub(rb"P\((-?\d+),", lambda m: b"P(%d," % (int(m[1]) + 1000), chunk.data)
-    return replace(chunk, data=data)
+    return chunk._replace(data=data)
 
 
 def test_one_answer_that_cannot_be_is_lived_with() -> None:
