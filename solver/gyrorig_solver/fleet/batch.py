@@ -157,7 +157,7 @@ def _once_more(
 ) -> list[tuple[str, Session]]:
     """Return what the machine or the store refused: it may have been for a moment only."""
     again = [(key, session) for key, session in work if key in summary.later]
-    summary.later.clear()
+    summary.later -= {key for key, _ in again}
     summary.put_off_in_a_row = 0
     with contextlib.suppress(MachineError):
         for key, _ in again:
@@ -196,9 +196,12 @@ def _new_work(
             summary.done_before += 1
         elif not shard.holds(key):
             summary.others += 1
+        elif session.trouble:  # a bucket's; its digest is not known, so nothing is recorded
+            summary.later.add(key)
+            summary.put_off_why = session.trouble
         else:
             work.append((key, session))
-    summary.to_do = len(work)
+    summary.to_do = len(work) + len(summary.later)
     return work
 
 

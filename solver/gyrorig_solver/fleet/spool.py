@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
 
-from gyrorig_protocol.errors import GyrorigError, UsageError
+from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
 from gyrorig_protocol.recording.reader import read_head
 from gyrorig_solver.places.choose import place_at
 from gyrorig_solver.places.folder import Folder
@@ -39,6 +39,7 @@ class Spooled:
     part: str = ""
     size: int = 0
     stamp: str = ""  # another one where the file was changed
+    trouble: str = ""  # why the place did not give it; it may tomorrow
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,11 @@ class Session:
 
     recordings: tuple[Spooled, ...]
     refused: str = ""  # why they must not be solved
+
+    @property
+    def trouble(self) -> str:
+        """Why they cannot be solved now; "" where they can."""
+        return next((one.trouble for one in self.recordings if one.trouble), "")
 
     @property
     def digests(self) -> tuple[str, ...]:
@@ -137,6 +143,8 @@ def spooled(place: Place, entry: Entry) -> Spooled:
                 own = read_head(path).get("gyrorig", {})
             except GyrorigError:
                 return Spooled(name, digest, "", size=size, stamp=entry.stamp)
+    except MachineError as fault:
+        return Spooled(name, f"{UNREAD}{entry.name}", "", trouble=str(fault))
     except (OSError, GyrorigError):
         return Spooled(name, f"{UNREAD}{entry.name}", "")
     names = [own.get(key, "") for key in ("rig", "session", "anchor_utc_ns")]

@@ -171,6 +171,28 @@ def test_an_outage_of_a_moment_costs_nothing(
     assert verify(bucket).faults == ()
 
 
+def test_a_recording_that_the_bucket_does_not_give_is_put_off(
+    bucket: Bucket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spool, store = (Bucket("memory", f"{bucket.prefix}/{name}") for name in ("spool", "store"))
+    for name in ("a.mcap", "b.mcap"):
+        spool.put(name, name.encode())
+    local = Bucket.local
+
+    def given(self: Bucket, name: str) -> object:
+        if name == "a.mcap":
+            raise MachineError("the bucket does not answer", "wait")
+        return local(self, name)
+
+    monkeypatch.setattr(Bucket, "local", given)
+    first = night(spool, store)
+    assert (first.ended, first.put_off, first.not_begun) == (Counter(rejected=1), 1, 0)
+    assert "does not answer" in first.put_off_why
+    monkeypatch.setattr(Bucket, "local", local)
+    assert night(spool, store).ended == Counter(rejected=1)
+    assert BucketIndex(store).ask("SELECT count(*) FROM rows") == [(2,)]
+
+
 def test_a_newer_or_foreign_store_is_refused_in_one_line(bucket: Bucket) -> None:
     bucket.put("thesis.tex", b"x")
     with pytest.raises(UsageError, match=r"holds thesis\.tex"):
