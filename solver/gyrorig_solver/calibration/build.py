@@ -246,5 +246,6 @@ def _quality(fit: GyroFit, profile: SensorProfile | None, names: Sequence[str]) 
         rest_to_rest=_second_opinion(fit),
         level=_level(fit),
         recordings=_apart(fit, names) if fit.recordings else None,
+        mean_temperature_degc=fit.extra.get("mean_temperature_degc"),
         boards_together=int(many) if (many := fit.extra.get("boards_together")) else None,
     )

@@ -160,6 +160,8 @@ class Quality(_Document, frozen=True, omit_defaults=True):
     rest_to_rest: SecondOpinion | None = None
     level: Level | None = None  # where the accelerometer was recorded at several tilts
     recordings: list[OwnOfRecording] | None = None  # where several were solved together
+    # of the board's own thermometer; its zero may be unknown, see `validity` for one that is not
+    mean_temperature_degc: float | None = None
     boards_together: int | None = None  # on one unit at once, its motion found by all of them
 
 

@@ -115,7 +115,7 @@ def concluded(
         noise=_levels(solution),
         rate_range_rad_s=_range(solution),
         clock_truth="the host's capture clock",
-        extra={**_said(second), **(more or {})},
+        extra={**_said(second), **_warmth(samples[-1]), **(more or {})},
         names=solution.names,
         unit=solution.unit,
         extensions=solution.extensions,
@@ -249,6 +249,14 @@ def _means(values: FloatArray, many: int) -> FloatArray:
     """Return means over groups of rows, a last short group left out."""
     groups = values.shape[0] // many
     return np.asarray(values[: groups * many].reshape(groups, many, -1).mean(axis=1))
+
+
+def _warmth(samples: GyroSamples) -> dict[str, float]:
+    """Return the mean of a board's thermometer, whether or not its zero is known."""
+    degc = samples.temperature_degc
+    if degc is None or not np.isfinite(degc).any():
+        return {}
+    return {"mean_temperature_degc": float(np.nanmean(degc))}
 
 
 def _said(second: CrossCheck | None) -> dict[str, float]:

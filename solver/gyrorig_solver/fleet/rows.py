@@ -50,7 +50,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     config_hash: str = ""
     start: str | None = None
     duration_s: float | None = None
-    temperature_degc: float | None = None  # middle of the range
+    temperature_degc: float | None = None  # mean of the thermometer, or middle of the range
     version: int | None = None
     file: str = ""  # below the store
     file_sha256: str = ""
@@ -140,7 +140,11 @@ def row_of_calibration(
         config_hash=made.board.config.config_hash or "",
         start=made.inputs[0].start,
         duration_s=sum(one.duration_s for one in made.inputs),
-        temperature_degc=middle(made.validity.temperature_degc),
+        temperature_degc=(
+            middle(made.validity.temperature_degc)
+            if made.quality.mean_temperature_degc is None
+            else made.quality.mean_temperature_degc
+        ),
         version=made.version,
         file=file,
         file_sha256=file_sha256,
