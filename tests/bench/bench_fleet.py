@@ -73,7 +73,7 @@ def spools(work: Path, boards: int) -> dict[str, Path]:
     """Return the spools of both kinds of recordings; made where they lack."""
     made: dict[str, Path] = {}
     for kind, (name, arguments) in KINDS.items():
-        out = work / name
+        out = work / f"{name}-{boards}"  # another number is another fleet
         command = [sys.executable, str(MAKE), "--out", str(out), "--boards", str(boards)]
         command += ["--nights", "1", "--at-once", "1", *arguments]
         subprocess.run(command, check=True, capture_output=True)
@@ -238,9 +238,9 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
     return spool, store
 
 
-def growth(work: Path) -> None:
+def growth(work: Path, boards: int) -> None:
     """Print what listing, looking up and resuming cost with the number of boards."""
-    document, report = one_document(work)
+    document, report = one_document(work, boards)
     say(
         f"\nA calibration is {len(document) / 1e3:.1f} kB, its report {len(report) / 1e3:.0f} kB.\n"
     )
@@ -249,10 +249,10 @@ def growth(work: Path) -> None:
         "| store ls, s | store verify, s | index, bytes a row |"
     )
     say("|---|---|---|---|---|---|---|")
-    for boards in SIZES:
+    for size in SIZES:
         with tempfile.TemporaryDirectory(dir=work) as folder:
-            spool, store = fill(Path(folder), boards, document, report)
-            say(f"| {boards} | {costs(spool, store, boards)} |")
+            spool, store = fill(Path(folder), size, document, report)
+            say(f"| {size} | {costs(spool, store, size)} |")
 
 
 def costs(spool: Path, store: Path, boards: int) -> str:
@@ -291,9 +291,9 @@ def resume(spool: Path, store: Path) -> None:
         raise SystemExit("something is new")
 
 
-def one_document(work: Path) -> tuple[str, bytes]:
+def one_document(work: Path, boards: int) -> tuple[str, bytes]:
     """Return a real calibration of board B000000 and its report."""
-    spool = work / "fast" / "spool"
+    spool = spools(work, boards)["75 s at 800 Hz"]
     one = work / "one"
     if not one.exists():
         one.mkdir()
@@ -369,7 +369,7 @@ def main() -> int:
         overhead(asked.tasks)
     if "growth" in only:
         spools(asked.work, asked.boards)
-        growth(asked.work)
+        growth(asked.work, asked.boards)
     if "index" in only:
         index_of_a_million()
     if "peer" in only:
