@@ -295,8 +295,8 @@ def _with(solution: Solution, one: Extension) -> Solution:
     """Return the fit with one cause more; with its shapes held where they do not settle."""
     others = solution.extensions
     after = solve_again(solution, [*others, one])
-    if not after.converged:
-        sizes = [k for k in one.free if value_parameters(one.term)[k].role == "size"]
+    sizes = [k for k in one.free if value_parameters(one.term)[k].role == "size"]
+    if not after.converged and len(sizes) < one.free.size:
         held = replace(one, free=np.array(sizes, dtype=np.int64))
         after = solve_again(solution, [*others, held])
     # What was a spike beside the model before may be none beside this one.
