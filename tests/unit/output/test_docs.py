@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrorig_protocol.documents import parse_yaml, read_as
+from gyrorig_solver.importers.mapping import ImportMap, check_import_map
+
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 # pages that the site makes of the code
@@ -96,6 +99,18 @@ def test_the_example_of_the_conventions_runs(
     rate = np.array([[0.1, -0.2, 0.3], [0.0, 0.0, 0.0]])
     counts = (rate @ gain.T + bias) / 1.5e-4
     np.testing.assert_allclose(apply(counts, 1.5e-4), rate, atol=1e-12)
+
+
+def test_printed_import_maps_can_be_used() -> None:
+    found = 0
+    for page in PAGES:
+        for block in re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
+            if "schema: gyrorig/import/1" in block:
+                check_import_map(
+                    read_as(parse_yaml(block, page.name), ImportMap, page.name), page.name
+                )
+                found += 1
+    assert found
 
 
 def test_decisions_are_numbered_and_name_what_was_refused() -> None:
