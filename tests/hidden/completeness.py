@@ -9,13 +9,14 @@ residual,
     floor = E(base, nothing hidden).
 
 Energy is the sum of squares of the residual of all samples with a known motion, those that
-were taken for spikes among them, whitened by the noise of an ordinary part (0.03 dps/sqrt(Hz)
-and what goes with it): so it is in units of what can be seen, twice the nats. The fits weigh
-by that noise too, and judge spikes by its deviation: levels found in a residual without
-noise would be those of what a model lacks. Rates are those that the emulated sensor had
-before it rounded them, where a word is nothing but such a rate rounded. The floor is then
-what the base model lacks of the emulated rig, above all the unit's rounded answers; it is
-printed with the table, and may be a little less in one session than in another.
+were taken for spikes and those that a cause has left out among them, whitened by the noise of
+an ordinary part (0.03 dps/sqrt(Hz) and what goes with it): so it is in units of what can be
+seen, twice the nats. The fits weigh by that noise too, and judge spikes by its deviation:
+levels found in a residual without noise would be those of what a model lacks. Rates are those
+that the emulated sensor had before it rounded them, where a word is nothing but such a rate
+rounded. The floor is then what the base model lacks of the emulated rig, above all the unit's
+rounded answers; it is printed with the table, and may be a little less in one session than in
+another.
 
 This is a scorer's module: truth and finder meet here in files alone.
 
@@ -154,7 +155,8 @@ def energy(solution: Solution) -> float:
         every = session.copy()
         for stretch in every._stretches:
             stretch.good = stretch.series.good.copy()
-        every.observe(solution.gain, judge=False, fresh=False)
+        with patch("gyrorig_solver.estimate.session.unsure_of", lambda *_: None):
+            every.observe(solution.gain, judge=False, fresh=False)
         noise = _ordinary(session.sampling)
         for series, residual in zip(every.series, every.residuals(solution.gain), strict=True):
             white = whitened([residual[part] for part in series.parts()], noise)
