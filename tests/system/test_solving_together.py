@@ -53,3 +53,32 @@ def test_one_recording_twice_is_refused(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "are one recording" in done.stderr
     assert not list(tmp_path.rglob("v0001.yaml"))
+
+
+def test_boards_on_one_unit_are_solved_together(tmp_path: Path) -> None:
+    """Two on serial ports and one on CAN; the sixteen of `rig-sixteen` are in the benchmark."""
+    rig = yaml.safe_load((ROOT / "config" / "rig-sixteen.yaml").read_text(encoding="utf-8"))
+    rig["boards"] = [one for one in rig["boards"] if one["id"] in ("S1", "S2", "C1")]
+    rig["buses"] = rig["buses"][:1]
+    config = tmp_path / "rig.yaml"
+    config.write_text(yaml.safe_dump(rig), encoding="utf-8")
+    command = [BIN / "gyrorigd", "record", "--simulated-time", "--seed", "5", "--config", config]
+    command += ["--program", ROOT / "config" / "programs" / "quick.yaml", "--out", tmp_path / "r"]
+    subprocess.run([*map(str, command)], check=True, capture_output=True)
+    (recording,) = (tmp_path / "r").glob("*.mcap")
+    solve = [str(BIN / "gyrorig"), "solve", str(recording), "--json", "--out", str(tmp_path / "c")]
+    done = subprocess.run(solve, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    boards = json.loads(done.stdout)["boards"]
+    assert sorted(one["board"] for one in boards) == ["C1", "S1", "S2"]
+    for one in boards:
+        assert one["verdict"] == "good"
+        assert one["calibration"]["quality"]["boards_together"] == 3
+    alone = subprocess.run([*solve, "--board", "C1"], check=False, capture_output=True, text=True)
+    (board,) = json.loads(alone.stdout)["boards"]
+    assert board["version"] == 2
+    assert "boards_together" not in board["calibration"]["quality"]
+    (before,) = (one for one in boards if one["board"] == "C1")
+    own, joint = (x["calibration"]["parameters"]["scale"] for x in (board, before))
+    for value, other, std in zip(own["value"], joint["value"], own["std"], strict=True):
+        assert abs(value - other) < 2.0 * std
