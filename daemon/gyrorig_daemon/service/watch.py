@@ -21,7 +21,7 @@ def picture(status: dict[str, Any]) -> str:
         + (f": {status['reason']}" if status["reason"] else ""),
         f"  {status['utc']}, up {_span(status['uptime_s'])}, {status['software']}, "
         f"process {status['pid']}",
-        _unit(status["unit"]),
+        _unit(status["unit"], moves=status["state"] == "running"),
     ]
     lines += [_board(board) for board in status["boards"]]
     if status["session"] is not None:
@@ -64,14 +64,16 @@ def losses(status: dict[str, Any]) -> dict[str, int]:
     return {name: count for name, count in found.items() if count}
 
 
-def _unit(unit: dict[str, Any]) -> str:
+def _unit(unit: dict[str, Any], moves: bool) -> str:
     sure = "" if unit["steps_are_sure"] else "; it may have lost steps, home it"
     where = ""
     if unit["pan_deg"] is not None:
         where = f", pan {unit['pan_deg']:+.2f}, tilt {unit['tilt_deg']:+.2f} deg"
     wait = unit["reply_wait_max_ms"]
     waited = f", slowest answer {wait:.1f} ms" if wait else ""
-    return f"unit  {unit['text']} ({unit['port']}){where}{waited}{sure}"
+    # whether it stands is not asked while a session gives it orders
+    text = "under the session's orders" if moves else unit["text"]
+    return f"unit  {text} ({unit['port']}){where}{waited}{sure}"
 
 
 def _board(board: dict[str, Any]) -> str:
