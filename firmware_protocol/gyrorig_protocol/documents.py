@@ -74,6 +74,8 @@ def read_as(value: object, kind: type[T], name: str, error: type[GyrorigError] =
         GyrorigError: of the given class; a key is unknown or missing, or a type is wrong.
             The text names the place as a path such as `$.ptu.port`.
     """
+    if value is None or isinstance(value, str | int | float | list):
+        raise error(f"{name} is no such document", "it holds no names with values, `key: value`")
     try:
         return msgspec.convert(value, type=kind, strict=True)
     except (msgspec.ValidationError, ValueError) as fault:

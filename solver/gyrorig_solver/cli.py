@@ -138,6 +138,9 @@ def _report(terminal: Terminal, fault: Exception, arguments: Sequence[str]) -> i
             )
     if isinstance(fault, GyrorigError):
         return _fail(terminal, str(fault), fault.exit_code)
+    if isinstance(fault, click.exceptions.NoArgsIsHelpError) and not terminal.json:
+        click.echo(fault.format_message(), err=True)  # a group by itself: its help, in lines
+        return 2
     if isinstance(fault, click.ClickException):
         context = getattr(fault, "ctx", None)
         where = context.command_path if context is not None else "gyrorig"

@@ -101,11 +101,12 @@ def _check(cause: str) -> None:
     if found.kind == "gauge":
         raise UsageError(
             f"{cause} is absorbed by the base parameters whole, so no motion shows it",
-            found.excitation,
+            f"leave it out; what tells it apart: {found.excitation}",
         )
     if found.kind not in ("effect", "known"):
         raise UsageError(
-            f"{cause} cannot be fitted to the rates", f"{found.excitation}; `gyrorig explain` looks"
+            f"{cause} cannot be fitted to the rates",
+            f"leave it out; `gyrorig explain` looks for it, and what shows it: {found.excitation}",
         )
     if any(p.role != "size" for p in found.parameters) and cause not in THERMAL:
         raise UsageError(

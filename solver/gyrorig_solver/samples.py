@@ -153,7 +153,8 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     scale = number(metadata, "gyro_scale_rad_s")
     if scale is None:
         raise InputError(
-            f"board {board} has no gyro_scale_rad_s", "the scale of a count is unknown"
+            f"{recording.path.name} does not say what a count of {board} is worth",
+            "record or import it again with gyro_scale_rad_s among the board's facts",
         )
     raw = recording.imu_columns(BoardId(board))
     if raw.sequence.size < 16:

@@ -335,8 +335,11 @@ def _check_alike(loaded: list[tuple[Recording, GyroSamples]]) -> None:
     for recording, _ in loaded:
         twin = known.setdefault(recording.sha256, recording) if len(loaded) > 1 else recording
         if twin is not recording:
+            same = twin.path.name == recording.path.name
             raise UsageError(
-                f"{twin.path.name} and {recording.path.name} are one recording",
+                f"{twin.path.name} is named twice"
+                if same
+                else f"{twin.path.name} and {recording.path.name} are one recording",
                 "name each once: evidence counted twice claims too much",
             )
     for recording, other in loaded[1:]:

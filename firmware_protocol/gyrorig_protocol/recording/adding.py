@@ -108,7 +108,10 @@ def copy_with(
             raise UsageError(f"{path} exists", "a recording is never overwritten: name another")
     data = map_file(source)
     if data[: len(MAGIC)] != MAGIC:
-        raise InputError(f"{source} is no MCAP file", "a recording begins with the MCAP mark")
+        raise InputError(
+            f"{source} is no MCAP file",
+            "measurements of other kinds become a recording by gyrorig import",
+        )
     summary = read_summary(data)
     found = walk(data, summary)
     known = summary.declared if summary.sound else _declared(source, data, found)

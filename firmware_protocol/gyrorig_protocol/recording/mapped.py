@@ -28,7 +28,9 @@ def map_file(path: Path) -> memoryview:
         if not stat.S_ISREG(status.st_mode):
             raise InputError(f"{path} is no file", "name one recording")
         if status.st_size == 0:
-            raise InputError(f"{path} is empty", "its writer died within its first moments")
+            raise InputError(
+                f"{path} is empty", "its writer died within its first moments: record again"
+            )
         with path.open("rb") as file:
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except (FileNotFoundError, NotADirectoryError) as error:

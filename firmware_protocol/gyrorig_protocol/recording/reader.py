@@ -44,7 +44,10 @@ def read_recording(path: Path) -> Recording:
     """
     data = map_file(path)
     if data[: len(MAGIC)] != MAGIC:
-        raise InputError(f"{path} is no MCAP file", "a recording begins with the MCAP mark")
+        raise InputError(
+            f"{path} is no MCAP file",
+            "measurements of other kinds become a recording by gyrorig import",
+        )
     try:
         return _read(path, data, all_records=False)
     except SeveralChannelsError:
@@ -60,7 +63,10 @@ def read_head(path: Path) -> Metadata:
     """
     data = map_file(path)
     if data[: len(MAGIC)] != MAGIC:
-        raise InputError(f"{path} is no MCAP file", "a recording begins with the MCAP mark")
+        raise InputError(
+            f"{path} is no MCAP file",
+            "measurements of other kinds become a recording by gyrorig import",
+        )
     metadata = _metadata(walk(data, read_summary(data)))
     _check_format(path, metadata)
     return metadata

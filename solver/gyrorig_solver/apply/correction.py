@@ -194,7 +194,7 @@ def _inverse(calibration: Calibration, frame: Frame, name: str) -> FloatArray:
     matrices = calibration.matrices
     rows = [matrices.STM] if frame == "stage" else [matrices.S, matrices.T]
     if any(value is None for matrix in rows for row in matrix for value in row):
-        hidden = ", ".join(calibration.observability.unobservable) or "the gain"
+        hidden = open_parameters(calibration)
         raise InputError(
             f"the calibration of {name} leaves open {hidden}",
             "record a motion that shows it, or take off the bias alone (--bias-only)",
@@ -203,6 +203,12 @@ def _inverse(calibration: Calibration, frame: Frame, name: str) -> FloatArray:
     if np.linalg.cond(gain) > _LARGEST_CONDITION:
         raise InputError(f"the gain of {name} cannot be undone", "it is singular; solve again")
     return np.asarray(np.linalg.inv(gain), dtype=np.float64)
+
+
+def open_parameters(calibration: Calibration) -> str:
+    """Return what the motion did not show, whole parameters by their name, as words."""
+    groups = (name.partition(".")[0] for name in calibration.observability.unobservable)
+    return ", ".join(dict.fromkeys(groups)) or "the gain"
 
 
 def correction_of_bias(calibration: Calibration) -> Correction:

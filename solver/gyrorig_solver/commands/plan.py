@@ -93,7 +93,7 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     if seconds is not None:
         if not SHORTEST_S <= seconds <= LONGEST_S:
             raise UsageError(
-                f"--seconds {seconds:g} is out of reach", f"{SHORTEST_S:g} to {LONGEST_S:g}"
+                f"--seconds {seconds:g} is out of reach", f"give {SHORTEST_S:g} to {LONGEST_S:g}"
             )
         found = find_program(
             rig.unit,

@@ -118,7 +118,7 @@ def _integrate(samples: GyroSamples, turn: KnownTurn) -> _Turned:
     if index.size < 8:
         raise InputError(
             f"the turn at {turn.over.begin_s:.1f} s holds {index.size} good samples",
-            "check its phase",
+            "move its phase to where the board was turned, or take it out",
         )
     if np.any(np.diff(samples.segment[index]) != 0):
         raise InputError(
@@ -135,7 +135,8 @@ def _rest(samples: GyroSamples, over: Interval) -> FloatArray:
     rate = samples.rate_rad_s[_inside(samples, over).astype(np.int64)]
     if len(rate) < 8:
         raise InputError(
-            f"the rest at {over.begin_s:.1f} s holds {len(rate)} good samples", "check"
+            f"the rest at {over.begin_s:.1f} s holds {len(rate)} good samples",
+            "let it last longer, or take its phase out",
         )
     middle = np.median(rate, axis=0)
     # Not the median deviation: it is 0 where most samples are one and the same count.

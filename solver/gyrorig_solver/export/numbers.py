@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.apply.calibration import Calibration
-from gyrorig_solver.apply.correction import Correction, Frame
+from gyrorig_solver.apply.correction import Correction, Frame, open_parameters
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration import document
 
@@ -55,9 +55,9 @@ class Source:
             InputError: the motion did not show the gain.
         """
         if self.gain is None:
-            hidden = ", ".join(self.found.observability.unobservable) or "the gain"
             raise InputError(
-                f"the calibration of {self.found.board.id} leaves open {hidden}",
+                f"the calibration of {self.found.board.id} leaves open "
+                f"{open_parameters(self.found)}",
                 "record a motion that shows it; px4, ardupilot and kalibr take what is known",
             )
         return self.gain.correction

@@ -246,7 +246,8 @@ def _as_ns(stamps: FloatArray, name: str, where: str) -> IntArray:
                 raise InputError(f"{where}: a stamp is no time", "look at the time column")
             return np.asarray(np.rint(times), dtype=np.int64)
     raise InputError(
-        f"{where}: stamps step by {step:g}, in no unit a rate of 4 to 2000 Hz", "look at them"
+        f"{where}: stamps step by {step:g}, in no unit a rate of 4 to 2000 Hz",
+        "say their unit in a column map, and import it as csv",
     )
 
 

@@ -92,7 +92,8 @@ def read_attitude(
     """
     if time_s.size and not np.all(np.diff(time_s) > 0.0):
         raise InputError(
-            "the reference attitude's times stand still or run back", "repair the recording"
+            "the reference attitude's times stand still or run back",
+            "sort them at their source, and import them again",
         )
     length = np.linalg.norm(orientation_xyzw, axis=1)
     sound = np.abs(length - 1.0) < LENGTH_TOLERANCE

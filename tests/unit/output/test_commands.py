@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from gyrorig_protocol.errors import UsageError
 from gyrorig_solver import cli
 from gyrorig_solver.calibration.document import parse_calibration
 from gyrorig_solver.commands.terminal import finite, printable
+from gyrorig_solver.model.terms.catalogue import term
 
 ROOT = Path(__file__).parents[3]
 COMMANDS = ["demo", "import", "check", "solve", "apply", "export", "report", "plan"]
@@ -96,6 +98,21 @@ def test_help_names_every_command_and_version_the_project(capsys: Captured) -> N
 def test_wrong_usage_is_one_line_and_2(arguments: list[str], capsys: Captured) -> None:
     assert cli.run(arguments) == 2
     one_line(capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("arguments", [[], ["store"]])
+def test_a_group_by_itself_shows_its_help_in_lines(arguments: list[str], capsys: Captured) -> None:
+    assert cli.run(arguments) == 2
+    text = capsys.readouterr().err
+    assert text.startswith("Usage: gyrorig")
+    assert "\nCommands:\n" in text
+
+
+def test_a_cause_that_is_misspelt_is_guessed() -> None:
+    with pytest.raises(UsageError, match=r"'backlsh': did you mean backlash\?"):
+        term("backlsh")
+    with pytest.raises(UsageError, match=r"'xyzzy': there are acceleration_error"):
+        term("xyzzy")
 
 
 @pytest.mark.parametrize("command", ["check", "solve"])

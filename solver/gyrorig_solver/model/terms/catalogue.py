@@ -3,6 +3,7 @@
 Every module of this package that has a `TERM` takes part: adding a cause is adding a file.
 """
 
+import difflib
 import importlib
 import pkgutil
 from functools import cache
@@ -33,5 +34,9 @@ def term(cause: str) -> Term:
         UsageError: there is none of that id.
     """
     if cause not in catalogue():
-        raise UsageError(f"no cause is called {cause!r}", f"causes: {', '.join(catalogue())}")
+        near = difflib.get_close_matches(cause, catalogue(), 1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise UsageError(
+            f"no cause is called {cause[:40]!r}", f"{hint}there are {', '.join(catalogue())}"
+        )
     return catalogue()[cause]
