@@ -157,7 +157,7 @@ def test_every_profile_names_itself_and_its_source(path: Path) -> None:
         (0.123456, 0.0012, ("+0.1235", "0.0012")),
         (-12.3, 4.5, ("-12.3", "4.5")),
         (1.0, None, ("+1", "unknown")),
-        (1.0, 0.0, ("+1", "unknown")),
+        (1.0, 0.0, ("+1", "0")),  # chosen, not measured
     ],
 )
 def test_digits_follow_the_uncertainty(
