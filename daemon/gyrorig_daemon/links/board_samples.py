@@ -152,8 +152,7 @@ class SampleStream:
             if clock.restarts > self._epochs_seen:
                 self._note_epoch()
         latency_ns = self.latency_ns = arrival_ns - taken_ns
-        if latency_ns > self.worst_latency_ns:
-            self.worst_latency_ns = latency_ns
+        self.worst_latency_ns = max(self.worst_latency_ns, latency_ns)
         self._count([sample])
         if taken_ns == arrival_ns:
             self.counts.unmapped += 1
