@@ -37,9 +37,10 @@ from gyrorig_solver.fleet.index import Index
 from gyrorig_solver.fleet.journal import Journal
 from gyrorig_solver.fleet.manifest import seal
 from gyrorig_solver.fleet.rows import Row
-from gyrorig_solver.fleet.shelf import Chosen, newest, verify
+from gyrorig_solver.fleet.shelf import Chosen, newest
 from gyrorig_solver.fleet.spool import look, read_all, sessions
 from gyrorig_solver.fleet.task import Settings, key_of
+from gyrorig_solver.fleet.verifying import verify
 from gyrorig_solver.places.folder import Folder
 
 BIN = Path(sys.executable).parent

@@ -27,7 +27,7 @@ from tests.bench.fleet_machine import adopt, below
 from tests.bench.s3_server import BUCKET, served
 
 from gyrorig_solver.fleet.ledger import index_at
-from gyrorig_solver.fleet.shelf import verify
+from gyrorig_solver.fleet.verifying import verify
 from gyrorig_solver.places.choose import place_at
 
 FOREIGN = 8  # files in the spool that are no recordings

@@ -17,7 +17,7 @@ import pytest
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.index import Index
-from gyrorig_solver.fleet.shelf import verify
+from gyrorig_solver.fleet.verifying import verify
 
 pytest.importorskip("distributed", reason="dask.distributed is not installed: pip install .[fleet]")
 

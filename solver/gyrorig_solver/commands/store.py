@@ -20,9 +20,9 @@ from gyrorig_solver.fleet.shelf import (
     newest,
     opened,
     rebuild_index,
-    verify,
     versions_of,
 )
+from gyrorig_solver.fleet.verifying import verify
 from gyrorig_solver.places.choose import PlaceOption
 from gyrorig_solver.places.place import Place
 

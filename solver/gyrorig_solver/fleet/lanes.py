@@ -17,7 +17,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 
 from gyrorig_protocol.errors import MachineError
-from gyrorig_solver.fleet.task import Order, Outcome, carry_out, limit_memory, row_of
+from gyrorig_solver.fleet.limits import limit_memory
+from gyrorig_solver.fleet.task import Order, Outcome, carry_out, row_of
 
 DEATHS_ALLOWED = 1  # the second one is enough: such work is quarantined
 LOOK_S = 2.0  # how long it may go unnoticed that a lane is gone

@@ -5,13 +5,8 @@ recording holds. What it raises is a fault of the machine or of the store, and t
 then put off, not done.
 """
 
-import contextlib
-import faulthandler
 import hashlib
 import json
-import resource
-import signal
-import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
@@ -32,10 +27,10 @@ from gyrorig_solver.calibration.solving import fits_together, likelihood_setting
 from gyrorig_solver.calibration.store import CalibrationStore, StoredVersion
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.fleet.bucket_store import store_at
+from gyrorig_solver.fleet.limits import TooLongError, deadline
 from gyrorig_solver.fleet.rows import MAX_TEXT, Row, Status, row_of_calibration, utc_now_text
 from gyrorig_solver.places.place import Place
 
-HARD_FACTOR = 1.5  # the work is ended from outside Python so much later than from inside
 LOOKED_BACK = 3  # versions in which a cut-off batch's own work is looked for
 
 
@@ -76,21 +71,10 @@ class Outcome:
     rows: tuple[Row, ...]
 
 
-class TooLongError(Exception):
-    """The work took longer than its deadline."""
-
-
 def key_of(digests: Sequence[str], solver_version: str, config_sha256: str) -> str:
     """Return the name of a piece of work: what goes in, by what it is solved, and how."""
     text = json.dumps([sorted(digests), solver_version, config_sha256])
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def limit_memory(memory_bytes: int) -> None:
-    """Let this process have no more memory than that; it meets a MemoryError then."""
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    if hard == resource.RLIM_INFINITY or hard > memory_bytes:
-        resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, hard))
 
 
 def carry_out(order: Order) -> Outcome:
@@ -101,7 +85,7 @@ def carry_out(order: Order) -> Outcome:
     """
     begun_s = time.process_time()
     try:
-        with _deadline(order.settings.deadline_s):
+        with deadline(order.settings.deadline_s):
             rows = tuple(_solve(order))
     except MachineError:
         raise
@@ -267,38 +251,3 @@ def _look_again(
         same_solver = made.solver.version == order.settings.solver_version
         if same_inputs and same_solver and made.solver.config_sha256 == config:
             raise _DoneError(made, stored)
-
-
-@contextlib.contextmanager
-def _deadline(deadline_s: float) -> Iterator[None]:
-    """Raise TooLongError in the block after that time; end the process a little later.
-
-    Python's handlers run between its own instructions, in the main thread alone: a loop
-    inside a library, and work in another thread, are ended by faulthandler's thread, which
-    takes the process with it.
-    """
-    faulthandler.dump_traceback_later(HARD_FACTOR * deadline_s, exit=True)
-    try:
-        if threading.current_thread() is threading.main_thread():
-            with _alarm(deadline_s):
-                yield
-        else:
-            yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
-
-
-@contextlib.contextmanager
-def _alarm(deadline_s: float) -> Iterator[None]:
-    """Raise TooLongError in the block after that time."""
-
-    def too_long(_signal: int, _frame: object) -> None:
-        raise TooLongError
-
-    before = signal.signal(signal.SIGALRM, too_long)
-    signal.setitimer(signal.ITIMER_REAL, deadline_s)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)

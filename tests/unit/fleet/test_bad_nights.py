@@ -19,8 +19,8 @@ from gyrorig_solver.fleet import task
 from gyrorig_solver.fleet.batch import Summary, run_batch
 from gyrorig_solver.fleet.index import Index
 from gyrorig_solver.fleet.lanes import Lane
-from gyrorig_solver.fleet.shelf import verify
 from gyrorig_solver.fleet.task import Settings
+from gyrorig_solver.fleet.verifying import verify
 
 BOARD = BoardId("GY80-1")
 

@@ -22,8 +22,8 @@ from gyrorig_solver.fleet.batch import Shard, run_batch
 from gyrorig_solver.fleet.claims import Claims
 from gyrorig_solver.fleet.index import Index
 from gyrorig_solver.fleet.lanes import Lane, PutOff, local_lanes, through
-from gyrorig_solver.fleet.shelf import verify
 from gyrorig_solver.fleet.task import Order, Outcome, Settings, carry_out, row_of
+from gyrorig_solver.fleet.verifying import verify
 from gyrorig_solver.places.folder import Folder
 
 BOARD = BoardId("GY80-1")

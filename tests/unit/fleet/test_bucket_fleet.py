@@ -19,8 +19,9 @@ from gyrorig_solver.fleet.bucket_index import BucketIndex
 from gyrorig_solver.fleet.bucket_ledger import BucketClaims
 from gyrorig_solver.fleet.bucket_store import make_store, store_at
 from gyrorig_solver.fleet.lanes import Lane
-from gyrorig_solver.fleet.shelf import Chosen, newest, rebuild_index, verify
+from gyrorig_solver.fleet.shelf import Chosen, newest, rebuild_index
 from gyrorig_solver.fleet.task import Settings
+from gyrorig_solver.fleet.verifying import verify
 from gyrorig_solver.places.bucket import Bucket
 from gyrorig_solver.places.choose import place_at
 from gyrorig_solver.places.folder import Folder

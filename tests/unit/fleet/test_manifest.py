@@ -21,8 +21,9 @@ from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.batch import run_batch
 from gyrorig_solver.fleet.lanes import Lane
 from gyrorig_solver.fleet.manifest import public_key_of, seal, signer_of
-from gyrorig_solver.fleet.shelf import rebuild_index, verify
+from gyrorig_solver.fleet.shelf import rebuild_index
 from gyrorig_solver.fleet.task import Settings
+from gyrorig_solver.fleet.verifying import verify
 from gyrorig_solver.places.folder import Folder
 
 
