@@ -138,6 +138,11 @@ def _head(source: Source, stem: str, fixed: FixedPoint, limit: int) -> Iterator[
         lines.append(
             f"{stem}_rate_float_at takes the temperature too; the others hold at "
             f"{source.whole.reference_degc:.2f} degC"
+            + (
+                ""
+                if source.found.validity.temperature_degc is not None
+                else ", counted as the recording counts: from a zero that is not known"
+            )
         )
     yield "/*"
     yield from (f" * {printable_line(line) if line.strip() == line else line}".rstrip()

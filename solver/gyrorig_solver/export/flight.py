@@ -41,7 +41,7 @@ def px4_parameters(source: Source, slot: int = 0, device_id: int | None = None) 
         "# rad/s, subtracted by PX4 from the rates as its driver reports them (see `listener",
         "# sensor_gyro`): this file is right if that driver turns no axis, else turn these alike.",
         "# PX4 has no gyro scale and no misalignment: those of this calibration are not in here.",
-        *(f"# {line}" for line in source.left_out(("thermal_bias",))),
+        *(f"# {line}" for line in source.left_out(_carried(source))),
     ]
     if device_id is None:
         lines.append(
@@ -97,7 +97,7 @@ def ardupilot_parameters(source: Source, slot: int = 0) -> str:
         "# if the board's driver turns no axis, else turn the three offsets alike.",
         "# INS_GYR_CAL 0: otherwise the offsets are measured anew, and replaced, at every start.",
         "# ArduPilot has no gyro scale and no misalignment: this calibration's are not in here.",
-        *(f"# {line}" for line in source.left_out(("thermal_bias",))),
+        *(f"# {line}" for line in source.left_out(_carried(source))),
         "INS_GYR_CAL,0",
     ]
     lines += [
@@ -120,6 +120,12 @@ def ardupilot_parameters(source: Source, slot: int = 0) -> str:
             for axis, value in zip("XYZ", row.tolist(), strict=True)
         ]
     return "\n".join(lines) + "\n"
+
+
+def _carried(source: Source) -> tuple[str, ...]:
+    """Return the causes that are written; temperatures without a zero cannot be."""
+    polynomial, _, span = _polynomial(source)
+    return ("thermal_bias",) if polynomial is not None and span is not None else ()
 
 
 def _polynomial(

@@ -296,6 +296,16 @@ def test_ardupilot_subtracts_the_bias_and_its_drift(document: Made) -> None:
     assert "INS_GYR2OFFS_X,0.0078125" in second
 
 
+def test_temperatures_without_a_zero_are_no_vehicles(document: Made) -> None:
+    """Where a sensor's temperature counts from anywhere, TMIN and TREF would be wrong."""
+    found = document(parameters=WARM, validity={"rate_rad_s": [-1.0, 1.0]})
+    for kind in ("px4", "ardupilot"):
+        text = exported(Source.of(found), kind)
+        assert "not carried by this format: thermal_bias" in text
+        assert "TC" not in text.replace("MTC", "")
+    assert "a zero that is not known" in exported(Source.of(found), "c")
+
+
 def test_a_polynomial_moved_to_another_reference() -> None:
     rng = np.random.default_rng(2)
     old = rng.normal(size=(3, 3))
