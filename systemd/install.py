@@ -149,7 +149,7 @@ def install_programs(place: Place, python: Path, wheels: Path | None) -> None:
     run(python, "-m", "venv", "--clear", fresh)
     fill(fresh, wheels)
     for script in (fresh / "bin").iterdir():  # they name the place where they were made
-        if not script.is_symlink():
+        if script.is_file() and not script.is_symlink():  # a package may leave a folder there
             text = script.read_bytes()
             script.write_bytes(text.replace(str(fresh).encode(), str(PREFIX).encode()))
     (fresh / mark.name).write_text(state)
