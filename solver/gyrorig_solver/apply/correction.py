@@ -28,6 +28,7 @@ FRAMES: tuple[Frame, ...] = ("stage", "sensor")
 # Causes of the catalogue that act on every later reading too.
 BENDING = ("scale_quadratic", "scale_cubic", "scale_asymmetry")
 ORDERS = ("slope", "square", "cube")
+LAG = "thermal_bias.lag: the die is taken to be as warm as its thermometer says"
 REFERENCE = "reference"  # thermal_bias.reference: what temperatures count from
 _NEWTON_STEPS = 4  # bends are below a tenth: three steps reach the last digit
 _BLOCK = 65536  # readings at a time where the arithmetic needs several copies
@@ -52,6 +53,7 @@ class Correction:
     cubic: FloatArray  # (3,)
     asymmetry: FloatArray  # (3,)
     force: FloatArray  # (3, 3), rad/s/(m/s^2), against the sensor's axes
+    lag_s: float = 0.0  # of the die's temperature, see model/terms/temperature
     not_applied: tuple[str, ...] = ()
 
     @property
@@ -165,6 +167,8 @@ def correction_of(calibration: Calibration, frame: Frame = "stage") -> Correctio
     inverse = _inverse(calibration, frame, name)
     left: list[str] = []
     thermal = _thermal(calibration, left)
+    lag_s = float(_optional(calibration, "thermal_bias.lag")[0]) if thermal[0].size else 0.0
+    left += [LAG] if lag_s else []
     force, partly = _force(calibration)
     left += partly
     for parameter in calibration.parameters:
@@ -182,6 +186,7 @@ def correction_of(calibration: Calibration, frame: Frame = "stage") -> Correctio
         cubic=_optional(calibration, "scale_cubic"),
         asymmetry=_optional(calibration, "scale_asymmetry"),
         force=force,
+        lag_s=lag_s,
         not_applied=tuple(dict.fromkeys(left)),
     )
 
@@ -264,8 +269,6 @@ def _thermal(calibration: Calibration, left: list[str]) -> tuple[FloatArray, Flo
                 "solve again with this version"
             )
         return np.zeros((0, 3)), np.zeros(3), float("nan")
-    if "thermal_bias.lag" in calibration.parameters:
-        left.append("thermal_bias.lag: the die is taken to be as warm as its thermometer says")
     return polynomial, scale, start
 
 

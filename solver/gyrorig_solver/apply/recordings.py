@@ -19,8 +19,10 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.recording.sensor_imu import SENSOR_IMU, SENSOR_IMU_TYPE, pack_sensor_imu
 from gyrorig_solver.apply.calibration import Calibration
+from gyrorig_solver.apply.correction import Correction
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.columns import column_of
+from gyrorig_solver.model.terms.temperature import Temperature
 from gyrorig_solver.samples import GyroSamples, load_samples
 
 SAMPLES_AT_A_TIME = 1 << 16
@@ -146,6 +148,7 @@ class _Work:
         known = bool(np.all(np.isfinite(turn))) and calibration.frame == "stage"
         self._turn = turn if known else np.eye(3)
         self._covariance = _covariance(calibration)
+        self._die = _die(samples, calibration.correction)
         self._frame_id = f"{samples.board}/{calibration.frame}"
 
     def batches(self) -> Iterator[Batch]:
@@ -167,10 +170,13 @@ class _Work:
         force_m_s2 = None if force is None else force.values(rows)[good]
         warmth = samples.temperature
         degc = None if warmth is None else warmth.values(rows)[good]
-        if degc is not None and calibration.correction.needs_temperature:
-            degc = _filled(degc, calibration.correction.reference_degc)
+        die = None
+        if self._die is not None:
+            correction = calibration.correction
+            die = self._die.at(samples.time_s[rows][good], correction.lag_s)
+            die += correction.reference_degc
         rates = calibration.correction.rates(
-            samples.counts[rows][good], samples.quantum_rad_s, degc, force_m_s2
+            samples.counts[rows][good], samples.quantum_rad_s, die, force_m_s2
         )
         self.outside += int(np.sum(np.abs(rates).max(axis=1) > self._limit_rad_s))
         if degc is not None and self._warmth_degc is not None and samples.absolute_degc:
@@ -189,15 +195,22 @@ class _Work:
         return Batch(arrived_ns, np.maximum(stamp_ns, 0), payloads)
 
 
-def _filled(degc: FloatArray, otherwise: float) -> FloatArray:
-    """Return temperatures with the last one before it in the place of one that is missing."""
-    known = np.isfinite(degc)
-    if known.all():
-        return degc
-    if not known.any():
-        return np.full(degc.size, otherwise)
-    at = np.maximum.accumulate(np.where(known, np.arange(degc.size), int(np.argmax(known))))
-    return degc[at]
+def _die(samples: GyroSamples, correction: Correction) -> Temperature | None:
+    """Return the board's temperature as the fit saw it, smooth; None where none is needed.
+
+    Raises:
+        InputError: the recording has too few readings of it.
+    """
+    readings = samples.temperature_degc if correction.needs_temperature else None
+    if readings is None:
+        return None
+    found = Temperature.of(samples.time_s, readings, correction.reference_degc)
+    if found is None:
+        raise InputError(
+            f"the recording has hardly a temperature of {samples.board}",
+            "the calibration depends on it: solve without thermal causes",
+        )
+    return found
 
 
 def _covariance(calibration: Calibration) -> FloatArray:

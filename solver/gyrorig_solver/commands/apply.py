@@ -8,7 +8,7 @@ import click
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.apply.calibration import UNITS, Calibration, Unit
-from gyrorig_solver.apply.correction import FRAMES, Frame
+from gyrorig_solver.apply.correction import FRAMES, LAG, Frame
 from gyrorig_solver.apply.tables import RATES, TIME_UNITS_S, TableColumns, apply_to_table
 from gyrorig_solver.commands.terminal import Terminal, json_option
 
@@ -90,13 +90,14 @@ def apply_command(
             raise UsageError(f"{source.name} is a table", "leave out --board")
         asked = _columns(source, columns, unit, temperature, time, time_unit)
         plain = _table(terminal, found, source, out, asked)
-    for words in found.not_applied:
+    left = [
+        words for words in found.not_applied if words != LAG or source.suffix not in _RECORDINGS
+    ]
+    for words in left:
         terminal.say(f"  remark: {words}")
     terminal.say(f"  rates       rad/s, in the {found.frame}'s axes\n  written     {out}")
     about = {"board": found.board, "version": found.document.version, "frame": found.frame}
-    terminal.emit(
-        {**about, **plain, "not_applied": found.not_applied, "out": str(out), "exit_code": 0}
-    )
+    terminal.emit({**about, **plain, "not_applied": left, "out": str(out), "exit_code": 0})
     return 0
 
 
