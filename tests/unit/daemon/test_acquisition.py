@@ -6,6 +6,7 @@ import os
 import pty
 import select
 import signal
+import socket
 import termios
 import time
 from collections.abc import Iterator
@@ -14,12 +15,15 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.links.acquire import GATHER_NS
+from gyrorig_daemon.links.acquire import GATHER_NS, PIPE_BYTES
+from gyrorig_daemon.links.can_multicast import MulticastLine
 from gyrorig_daemon.links.hub import Chunk, PortChange, PortsGoneError
 from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings, refusal
+from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.links.raw_clock import raw_ns
 from gyrorig_daemon.links.serial_port import RefusedError, open_port
 from gyrorig_daemon.links.wire import CHUNK, REPORT, ReportParser
+from gyrorig_protocol.can import CanFrame, pack_frames, unpack_frames
 from gyrorig_protocol.errors import BusyError, DeviceError, MachineError, UsageError
 
 SECOND_NS = 1_000_000_000
@@ -339,6 +343,63 @@ def test_chunks_are_gathered_with_a_stamp_each_and_answers_are_not_kept_waiting(
             assert chunk is not None
             waits_ns.append(raw_ns() - chunk.received_ns)
         assert min(waits_ns) < GATHER_NS // 2
+
+
+def test_nothing_is_lost_while_the_daemon_does_not_read(line: Line) -> None:
+    piece = bytes(range(256)) * 16
+    with AcquisitionHub({"a": PortSettings(line.path, 115200)}) as hub:
+        for _ in range(2):  # the pipe is full, and empty, and full again
+            pieces = 2 * PIPE_BYTES // len(piece)
+            for _ in range(pieces):
+                rest = piece
+                while rest:
+                    rest = rest[os.write(line.fd, rest) :]
+            got = 0
+            while got < pieces * len(piece):
+                chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+                assert chunk is not None
+                assert chunk.data[0] == got % 256
+                got += len(chunk.data)
+        assert hub.dropped_bytes == 0
+
+
+def test_frames_of_a_bus_are_read_together_with_a_stamp_each() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    path = f"udp_multicast:239.74.163.8:{port}@127.0.0.1"
+    sender = MulticastLine("239.74.163.8", port, "127.0.0.1")
+    with AcquisitionHub({"bus": PortSettings(path, 1_000_000, kind="can")}) as hub:
+        for number in range(40):
+            sender.write(pack_frames([CanFrame(0x80, bytes([number]))]))
+            time.sleep(0.0005)
+        frames: list[CanFrame] = []
+        chunks = 0
+        while len(frames) < 40:
+            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            assert chunk is not None
+            chunks += 1
+            frames += unpack_frames(chunk.data, 0)
+    sender.close()
+    assert [frame.data[0] for frame in frames] == list(range(40))
+    stamps = [frame.stamp_ns for frame in frames]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] - stamps[0] > 39 * 500_000 * 0.8  # when they came, not when they were read
+    assert chunks < 30
+
+
+def test_chunks_that_came_together_are_handed_out_together(line: Line) -> None:
+    taken: list[bytes] = []
+    with AcquisitionHub({"a": PortSettings(line.path, 115200)}) as hub:
+        pump = Pump(hub)
+        pump.attach("a", lambda chunk: taken.append(chunk.data))
+        for number in range(200):
+            os.write(line.fd, b"%03d" % number)
+        end_ns = raw_ns() + 5 * SECOND_NS
+        assert pump.run_until(end_ns, lambda: b"".join(taken)[:9] == b"000001002")
+        assert pump.run_until(end_ns, lambda: len(b"".join(taken)) == 600)
+        assert not hub.at_hand
+    assert b"".join(taken) == b"".join(b"%03d" % number for number in range(200))
 
 
 def test_opening_anew_again_and_again_leaves_nothing_behind(line: Line, cable: Cable) -> None:
