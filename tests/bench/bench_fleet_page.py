@@ -69,7 +69,7 @@ def made(folder: Path, boards: int) -> tuple[Path, dict[str, float]]:
     begun_s = time.process_time()
     found = overview(store, read_origins(table))
     asked_s = time.process_time()
-    page = write_page(store, store / "fleet", found)
+    page = Path(write_page(store, found))
     return page, {
         "overview, s of CPU": asked_s - begun_s,
         "page, s of CPU": time.process_time() - asked_s,

@@ -26,7 +26,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         odd_board=(33, "scale_x", 0.2),
     )
     table = write_fleet(store, plan)
-    return write_page(store, store / "fleet", overview(store, read_origins(table)))
+    return Path(write_page(store, overview(store, read_origins(table))))
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,14 @@ from gyrorig_solver.fleet.page import write_page
 from gyrorig_solver.fleet.shelf import opened
 from gyrorig_solver.fleet.shrunk import keep_shrunk
 from gyrorig_solver.fleet.worries import Worry, worries
+from gyrorig_solver.places.choose import PlaceOption
+from gyrorig_solver.places.place import Place
 
 _SHOWN = 15
 
 
 @click.command("fleet")
-@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("store", type=PlaceOption())
 @click.option(
     "--boards",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -29,7 +31,7 @@ _SHOWN = 15
 )
 @json_option
 @click.pass_obj
-def fleet_command(terminal: Terminal, store: Path, boards: Path | None, out: Path | None) -> int:
+def fleet_command(terminal: Terminal, store: Place, boards: Path | None, out: Path | None) -> int:
     r"""Say what to look at first in a fleet, and write its page.
 
     Lots, rigs and sites are asked before boards: what all boards of one rig show at once is
@@ -45,13 +47,13 @@ def fleet_command(terminal: Terminal, store: Path, boards: Path | None, out: Pat
     found = overview(store, None if boards is None else read_origins(boards))
     kept = keep_shrunk(store, found)
     terminal.progress("writing the page")
-    page = write_page(store, out or store / "fleet", found)
+    page = write_page(store, found, out)
     told = worries(found)
     terminal.say(_said(found, told))
     if kept is not None:
-        terminal.say(f"shrunk values: {kept}")
+        terminal.say(f"shrunk values: {store.text}/{kept}")
     terminal.say(f"the page: {page}")
-    terminal.emit({**_plain(found, told, page), "shrunk": None if kept is None else str(kept)})
+    terminal.emit({**_plain(found, told, page), "shrunk": kept})
     return 0
 
 
@@ -71,7 +73,7 @@ def _said(found: Overview, told: list[Worry]) -> str:
     return "\n".join(lines)
 
 
-def _plain(found: Overview, told: list[Worry], page: Path) -> dict[str, Any]:
+def _plain(found: Overview, told: list[Worry], page: str) -> dict[str, Any]:
     return {
         "boards": len(found.boards.board),
         "versions": sum(found.boards.versions),
@@ -99,5 +101,5 @@ def _plain(found: Overview, told: list[Worry], page: Path) -> dict[str, Any]:
             for at, row in enumerate(found.drifting)
             if row.any()
         ],
-        "page": str(page),
+        "page": page,
     }

@@ -1,6 +1,7 @@
 """`gyrorig store`: a fleet's calibrations listed, shown, compared, verified."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from gyrorig_solver.fleet.shelf import (
     rebuild_index,
     versions_of,
 )
+from gyrorig_solver.fleet.shrunk import shrunk_of
 from gyrorig_solver.fleet.verifying import verify
 from gyrorig_solver.places.choose import PlaceOption
 from gyrorig_solver.places.place import Place
@@ -100,7 +102,12 @@ def show_command(terminal: Terminal, folder: Place, board: str, version: int | N
     for one in made.inputs:
         terminal.say(f"  from                  {one.name}, {one.start}, sha256 {one.sha256}")
     terminal.say(f"  calibration           {path}")
-    terminal.emit({"file": str(path), "calibration": to_plain(made)})
+    shrunk = shrunk_of(folder, board)
+    for name, own in shrunk.items():
+        whose = "more the fleet's than its own" if own.prior_dominated else "with the fleet's help"
+        terminal.say(f"  {name:<21} {own.value:.6g} ± {own.std:.2g}, {whose}")
+    plain = {name: asdict(own) for name, own in shrunk.items()}
+    terminal.emit({"file": str(path), "calibration": to_plain(made), "shrunk": plain})
     return 0
 
 

@@ -16,7 +16,7 @@ boards and parameters of a night: at a million boards the usual three sigma woul
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -33,6 +33,7 @@ DISCOVERY_RATE = 0.01
 # Less than this says nothing of a slope. A board's own cubic needs 10 degrees (reference:
 # peers.md section 1); a line common to many boards needs no more than that it can be seen.
 TEMPERATURE_SPAN_C = 2.0
+MIDDLE_OF_SQUARES = 0.4549  # the median of chi-squared with one degree
 
 IntArray = npt.NDArray[np.intp]
 
@@ -54,6 +55,8 @@ class Chart:
     parameter: str
     scatter: float  # ordinary, from night to night, beside the calibrations' own
     slope_per_c: float | None  # taken off; None where temperatures say nothing of it
+    slope_variance: float  # of that slope, whose error all boards share
+    lever_c: FloatArray  # (boards,): how much warmer than in its baseline the EWMA is
     moved: FloatArray  # (boards,): the EWMA, in the parameter's unit
     variance: FloatArray  # (boards,), inf where there is no chart yet
     history: FloatArray  # (nights, boards): the EWMA of every night, NaN within baselines
@@ -111,7 +114,7 @@ def chart(nights: Nights) -> Chart:
 
     Boards with fewer than `LEAST_BASELINE` nights before the last have none.
     """
-    value, slope = _without_temperature(nights)
+    value, warmth, slope, slope_variance = _without_temperature(nights)
     measured = np.isfinite(value)
     count = np.cumsum(measured, axis=0)
     base_length = np.clip(count[-1] - 1, 0, BASELINE_NIGHTS)
@@ -123,9 +126,10 @@ def chart(nights: Nights) -> Chart:
     with np.errstate(invalid="ignore", divide="ignore"):
         base = (weight * np.where(measured, value, 0.0)).sum(axis=0) / total
         base_variance = 1.0 / total
+        base_warmth = (weight * warmth).sum(axis=0) / total
     charted = base_length >= LEAST_BASELINE
     base_variance[~charted] = 0.0  # has no chart, and inf times 0 no value
-    moved = np.zeros(value.shape[1])
+    moved, lever = np.zeros(value.shape[1]), np.zeros(value.shape[1])
     own = np.zeros(value.shape[1])  # variance of the nights after the baseline
     share = np.zeros(value.shape[1])  # how much of the baseline's error is in it
     history = np.full(value.shape, np.nan)
@@ -134,11 +138,21 @@ def chart(nights: Nights) -> Chart:
         step = np.where(takes, LAMBDA, 0.0)
         left = np.where(takes, value[night] - base, 0.0)
         moved += step * (left - moved)
+        lever += step * (np.where(takes, warmth[night] - base_warmth, 0.0) - lever)
         own = (1.0 - step) ** 2 * own + np.where(takes, LAMBDA**2 * noise[night], 0.0)
         share += step * (1.0 - share)
         history[night] = np.where(takes, moved, np.nan)
     variance = np.where(charted & (share > 0.0), own + share**2 * base_variance, np.inf)
-    return Chart(nights.parameter, float(np.sqrt(scatter2)), slope, moved, variance, history)
+    return Chart(
+        parameter=nights.parameter,
+        scatter=float(np.sqrt(scatter2)),
+        slope_per_c=slope,
+        slope_variance=slope_variance,
+        lever_c=lever,
+        moved=moved,
+        variance=variance,
+        history=history,
+    )
 
 
 def what_moved(charts: Sequence[Chart], groupings: Sequence[Grouping]) -> Moved:
@@ -173,7 +187,7 @@ def moved_groups(
         tests: how many groups and parameters are asked on this night.
         alpha: chance of a false alarm in a night, over all of them.
     """
-    moved, variance = one.moved.copy(), one.variance.copy()
+    moved = one.moved.copy()
     found: list[GroupMove] = []
     taken: set[tuple[str, str]] = set()
     limit = float(-special.ndtri(0.5 * alpha / max(tests, 1)))
@@ -181,22 +195,26 @@ def moved_groups(
         best: GroupMove | None = None
         members: BoolArray | None = None
         for grouping in groupings:
-            for move, here in _moves(one.parameter, grouping, moved, variance, limit):
+            for move, here in _moves(one, grouping, moved, limit):
                 better = best is None or abs(move.z) > abs(best.z) * (1.0 + 1e-9)
                 if better and (move.kind, move.group) not in taken:
                     best, members = move, here
         if best is None or members is None:
-            left = Chart(one.parameter, one.scatter, one.slope_per_c, moved, variance, one.history)
-            return found, left
+            return found, replace(one, moved=moved)
         found.append(best)
         taken.add((best.kind, best.group))
         moved[members] -= best.moved
 
 
 def _moves(
-    parameter: str, grouping: Grouping, moved: FloatArray, variance: FloatArray, limit: float
+    one: Chart, grouping: Grouping, moved: FloatArray, limit: float
 ) -> Iterator[tuple[GroupMove, BoolArray]]:
-    """Yield the groups that have moved by more than the limit, with their boards."""
+    """Yield the groups that have moved by more than the limit, with their boards.
+
+    What the common slope with temperature is wrong by does not average out over boards: it
+    counts as much as the group's nights were warmer than its baseline.
+    """
+    variance = one.variance
     charted = np.isfinite(variance) & (grouping.of >= 0)
     weight = np.where(charted, 1.0 / variance, 0.0)
     group = np.where(charted, grouping.of, 0)
@@ -204,8 +222,11 @@ def _moves(
     boards = np.bincount(group, charted, count)
     total = np.bincount(group, weight, count)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.bincount(group, weight * np.where(charted, moved, 0.0), count) / total
-        z = mean * np.sqrt(total)
+        mean, lever = (
+            np.bincount(group, weight * np.where(charted, each, 0.0), count) / total
+            for each in (moved, one.lever_c)
+        )
+        z = mean / np.sqrt(1.0 / total + lever**2 * one.slope_variance)
     for index in np.flatnonzero((boards >= 2) & (np.abs(np.nan_to_num(z)) > limit)):
         here: BoolArray = charted & (grouping.of == index)
         middle = float(np.median(moved[here] / np.sqrt(variance[here]))) * np.sign(z[index])
@@ -214,7 +235,7 @@ def _moves(
             score = float(z[index])
             p = float(2.0 * special.ndtr(-abs(score)))
             move = GroupMove(
-                parameter,
+                one.parameter,
                 grouping.kind,
                 grouping.names[int(index)],
                 int(boards[index]),
@@ -250,26 +271,44 @@ def board_p_values(charts: Sequence[Chart]) -> FloatArray:
     return np.stack(columns, axis=1)
 
 
-def _without_temperature(nights: Nights) -> tuple[FloatArray, float | None]:
+def _without_temperature(nights: Nights) -> tuple[FloatArray, FloatArray, float | None, float]:
     """Take off what the boards' common slope with temperature explains.
 
     The slope is that within boards (each has its own level), and only where the boards'
-    own temperatures span enough: a slope from less is noise times a lever.
+    own temperatures span enough: a slope from less is noise times a lever. It is the weighted
+    median of the boards' own slopes: a rig that drifts while the season turns would pull a
+    mean, and then all other boards would be called moved.
+
+    Returns:
+        The values, how warm each was, the slope and its variance.
     """
     value, temperature = nights.value, nights.temperature_c
+    none = np.zeros_like(value)
     if temperature is None:
-        return value, None
+        return value, none, None, 0.0
     both = np.isfinite(value) & np.isfinite(temperature)
     if not both.any():
-        return value, None
+        return value, none, None, 0.0
     weight = np.where(both, 1.0 / nights.variance, 0.0)
     off, left = (_about_own_mean(one, weight) for one in (temperature, value))
     span = off.max(axis=0) - off.min(axis=0)
     several = both.sum(axis=0) > 1
     if not several.any() or np.median(span[several]) < TEMPERATURE_SPAN_C:
-        return value, None
-    slope = float((weight * off * left).sum() / (weight * off * off).sum())
-    return value - slope * off, slope
+        return value, none, None, 0.0
+    information = (weight * off * off).sum(axis=0)
+    told = information > 0.0
+    own = (weight * off * left).sum(axis=0)[told] / information[told]
+    slope = _weighted_median(own, information[told])
+    # how much more boards' own slopes scatter than calibrations alone would make them
+    more = float(np.median((own - slope) ** 2 * information[told])) / MIDDLE_OF_SQUARES
+    variance = 0.5 * np.pi * more / float(information.sum())  # a median's, of normal values
+    return value - slope * off, off, slope, variance
+
+
+def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
+    order = np.argsort(values)
+    half = np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())
+    return float(values[order[min(int(half), order.size - 1)]])
 
 
 def _about_own_mean(table: FloatArray, weight: FloatArray) -> FloatArray:
@@ -284,8 +323,8 @@ def _scatter2(value: FloatArray, variance: FloatArray, in_base: BoolArray) -> fl
     """Return the ordinary variance from night to night beside the calibrations' own.
 
     From differences of neighbouring nights of a board, half of whose square is one night's
-    variance: a drift hardly enters it. By the median of the squares (0.4549 is chi-squared's
-    with one degree), so that boards that step do not count.
+    variance: a drift hardly enters it. By the median of the squares, so that boards
+    that step do not count.
     """
     squares: list[FloatArray] = []
     boards = value.shape[1]
@@ -296,7 +335,7 @@ def _scatter2(value: FloatArray, variance: FloatArray, in_base: BoolArray) -> fl
         pair = here & np.isfinite(before)
         step = value[night, pair] - before[pair]
         told = variance[night, pair] + told_before[pair]
-        squares.append(0.5 * (step * step / 0.4549 - told))
+        squares.append(0.5 * (step * step / MIDDLE_OF_SQUARES - told))
         before = np.where(here, value[night], before)
         told_before = np.where(here, variance[night], told_before)
     found = np.concatenate(squares)

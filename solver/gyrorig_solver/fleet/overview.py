@@ -29,6 +29,7 @@ from gyrorig_solver.fleet.charts import (
     what_moved,
 )
 from gyrorig_solver.fleet.index import Index
+from gyrorig_solver.fleet.ledger import index_at
 from gyrorig_solver.fleet.population import (
     LEAST_BOARDS,
     Between,
@@ -40,6 +41,8 @@ from gyrorig_solver.fleet.population import (
     population,
 )
 from gyrorig_solver.fleet.rows import parameter_columns
+from gyrorig_solver.places.choose import place_at
+from gyrorig_solver.places.place import Place
 
 Kind = Literal["rig", "lot", "site"]
 _WORDS = ("sensor", "rig", "trust", "findings", "file")
@@ -139,13 +142,13 @@ def read_origins(path: Path) -> Origins:
     return found
 
 
-def overview(store: Path, origins: Origins | None = None) -> Overview:
+def overview(store: Path | Place, origins: Origins | None = None) -> Overview:
     """Return what there is to say of a fleet.
 
     Raises:
         InputError: the index is damaged.
     """
-    index = Index(store)
+    index = index_at(place_at(store))
     boards = _newest(index, origins or Origins())
     populations, constants, differing = compared(boards)
     charts, nights = _charts(index, boards)

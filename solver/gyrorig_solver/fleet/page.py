@@ -10,7 +10,7 @@ when a board is opened. Links go to the calibrations and reports beside it in th
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
@@ -19,11 +19,15 @@ from typing import Any
 
 import numpy as np
 
-from gyrorig_protocol.errors import MachineError
 from gyrorig_solver.fleet.index import Index
+from gyrorig_solver.fleet.ledger import index_at
 from gyrorig_solver.fleet.overview import KINDS, PARAMETERS, Overview
 from gyrorig_solver.fleet.worries import Worry, unit_of, worries
+from gyrorig_solver.places.choose import place_at
+from gyrorig_solver.places.folder import Folder
+from gyrorig_solver.places.place import Place
 
+FOLDER = "fleet"
 _COPIED = ("index.html", "app.js", "style.css")
 _SHARDS = 256
 HISTORY_POINTS = 60  # the latest of each board
@@ -32,31 +36,29 @@ _MEASURED = ("temperature_degc", *PARAMETERS)
 _BINS = 41
 
 
-def write_page(store: Path, folder: Path, found: Overview) -> Path:
-    """Write the fleet's page and return its `index.html`.
+def write_page(store: Path | Place, found: Overview, out: Path | None = None) -> str:
+    """Write the fleet's page and return where its `index.html` is.
 
     Args:
-        store: whose index the histories come from.
-        folder: where to; made if it is not there. Usually `STORE/fleet`.
+        store: whose index the histories come from; the page goes into its folder `fleet`.
         found: what to show.
+        out: another folder to put it into; made if it is not there.
 
     Raises:
-        MachineError: the folder cannot be written.
+        MachineError: the folder or the bucket cannot be written.
         InputError: the index is damaged.
     """
-    try:
-        (folder / "history").mkdir(parents=True, exist_ok=True)
-    except OSError as fault:
-        raise MachineError(
-            f"cannot make {folder}, {fault.strerror}", "choose another with --out"
-        ) from fault
+    place = place_at(store)
+    to: Place = place if out is None else Folder(out)
+    below = f"{FOLDER}/" if out is None else ""
     here = files("gyrorig_solver.fleet") / "web"
     for name in _COPIED:
-        _write(folder / name, (here / name).read_bytes())
-    up = _way_up(store, folder)
-    _write(folder / "data.js", _call("FLEET", _data(found, up)))
-    _write_histories(Index(store), found, folder / "history")
-    return folder / "index.html"
+        to.put(below + name, (here / name).read_bytes())
+    up = "../" if out is None else _way_up(place, out)
+    to.put(f"{below}data.js", _call("FLEET", _data(found, up)))
+    for name, text in _histories(index_at(place), found):
+        to.put(f"{below}history/{name}.js", text)
+    return f"{to.text}/{below}index.html"
 
 
 def shard_of(board: str) -> str:
@@ -147,8 +149,8 @@ def _worry(one: Worry) -> dict[str, Any]:
     return {"what": one.what, "why": one.why, "do": one.do, "kind": one.kind, "find": one.find}
 
 
-def _write_histories(index: Index, overview: Overview, folder: Path) -> None:
-    """Write what only an opened board shows, put together by the database: millions of points."""
+def _histories(index: Index, overview: Overview) -> Iterator[tuple[str, bytes]]:
+    """Yield what only an opened board shows, put together by the database: millions of points."""
     sql = f"""
         WITH latest AS (
             SELECT board, version, epoch(start) AS seconds, {", ".join(_MEASURED)} FROM rows
@@ -180,7 +182,7 @@ def _write_histories(index: Index, overview: Overview, folder: Path) -> None:
             database.register("newest", newest)
             found = dict(database.execute(sql).fetchall())
     for name in (f"{n:02x}" for n in range(_SHARDS)):
-        _write(folder / f"{name}.js", _script("HISTORY", f'"{name}",{{{found.get(name, "")}}}'))
+        yield name, _script("HISTORY", f'"{name}",{{{found.get(name, "")}}}')
 
 
 def _joined(*columns: str) -> str:
@@ -193,18 +195,6 @@ def _number(column: str) -> str:
     digits = {"seconds": 10}.get(column, _DIGITS)
     text = f"format('{{:.{digits}g}}', {column}::DOUBLE)"
     return f"CASE WHEN isfinite({column}) THEN {text} ELSE 'null' END"
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Write a file whole, so that nobody opens half of it. Not synced: it can be made anew."""
-    temporary = path.with_name(f".{path.name}.new")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as fault:
-        raise MachineError(
-            f"cannot write {path}, {fault.strerror}", "make room, or choose another with --out"
-        ) from fault
 
 
 def _call(function: str, value: Any) -> bytes:
@@ -235,10 +225,12 @@ def _largest(z: Any, among: Any) -> int:
     return max(range(len(z)), key=lambda at: abs(z[at]) if among[at] else -1.0)
 
 
-def _way_up(store: Path, folder: Path) -> str:
-    """Return the way from the page to the store, as a link has it."""
+def _way_up(place: Place, out: Path) -> str:
+    """Return the way from a page elsewhere to the store, as a link has it."""
+    if not isinstance(place, Folder):
+        return place.text.rstrip("/") + "/"
     try:
-        inside = folder.resolve().relative_to(store.resolve())
+        inside = out.resolve().relative_to(place.path.resolve())
     except ValueError:
-        return store.resolve().as_uri() + "/"
+        return place.path.resolve().as_uri() + "/"
     return "../" * len(inside.parts)

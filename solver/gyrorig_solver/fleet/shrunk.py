@@ -9,7 +9,7 @@ who asks for them, and they are no part of the index.
 """
 
 import hashlib
-import os
+import tempfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +19,8 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError, MachineError
 from gyrorig_solver.fleet.overview import PARAMETERS, Overview
+from gyrorig_solver.places.choose import place_at
+from gyrorig_solver.places.place import Place
 
 FOLDER = "shrunk"
 _DIGITS = 12  # of a digest, in a file's name
@@ -33,55 +35,61 @@ class Shrunk:
     prior_dominated: bool  # more the fleet's than the board's own
 
 
-def keep_shrunk(store: Path, found: Overview) -> Path | None:
-    """Write the shrunk values of a fleet, one row a board; None where there are none.
+def keep_shrunk(store: Path | Place, found: Overview) -> str | None:
+    """Write the shrunk values of a fleet, one row a board, and return the file's name below it.
 
     Columns: board, sensor, version and file of the calibration that each is beside, each
     parameter and its `_std`, and `prior_dominated`, the names of those that are more the
-    fleet's than the board's own.
+    fleet's than the board's own. None where there are none to write.
 
     Raises:
-        MachineError: the disk refuses.
+        MachineError: the disk or the bucket refuses.
     """
     here = np.isfinite(found.shrunk).any(axis=1)
     if not here.any():
         return None
-    folder = store / FOLDER
+    place = place_at(store)
     digest = _digest(found)[:_DIGITS]
-    there = sorted(folder.glob(f"*-{digest}.parquet"))
+    there = [name for name in _files(place) if name.endswith(f"-{digest}.parquet")]
     if there:
         return there[-1]
-    final = folder / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{digest}.parquet"
-    temporary = folder / f".{final.name}.{os.getpid()}"
+    name = f"{FOLDER}/{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{digest}.parquet"
     try:
-        folder.mkdir(exist_ok=True)
-        _write(found, np.flatnonzero(here), temporary)
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        temporary.rename(final)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "shrunk.parquet"
+            _write(found, np.flatnonzero(here), path)
+            data = path.read_bytes()
     except (OSError, duckdb.IOException) as fault:
         raise MachineError(
-            f"cannot write {final}, {' '.join(str(fault).split())[:200]}", "make room for the store"
+            f"shrunk values cannot be written, {' '.join(str(fault).split())[:200]}",
+            "make room for temporary files",
         ) from fault
-    finally:
-        temporary.unlink(missing_ok=True)
-    return final
+    place.put_new(name, data)
+    return name
 
 
-def shrunk_of(store: Path, board: str) -> dict[str, Shrunk]:
+def _files(place: Place) -> list[str]:
+    """Return the files of shrunk values, the latest last."""
+    names = (entry.name for entry in place.entries(FOLDER))
+    return sorted(name for name in names if name.endswith(".parquet"))
+
+
+def shrunk_of(store: Path | Place, board: str) -> dict[str, Shrunk]:
     """Return the latest shrunk values of a board by parameter, empty where there are none.
 
     Raises:
         InputError: the file is damaged.
+        MachineError: the disk or the bucket refuses.
     """
-    files = sorted((store / FOLDER).glob("*.parquet"))
+    place = place_at(store)
+    files = _files(place)
     if not files:
         return {}
     columns = ", ".join(f"{name}, {name}_std" for name in PARAMETERS)
     sql = f"SELECT prior_dominated, {columns} FROM read_parquet(?) WHERE board = ?"  # noqa: S608
     try:
-        with duckdb.connect(":memory:") as database:
-            rows = database.execute(sql, [str(files[-1]), board]).fetchall()
+        with place.local(files[-1]) as path, duckdb.connect(":memory:") as database:
+            rows = database.execute(sql, [str(path), board]).fetchall()
     except duckdb.Error as fault:
         raise InputError(
             f"{files[-1]} cannot be read, {' '.join(str(fault).split())[:200]}",

@@ -18,7 +18,7 @@ BOARDS_NAMED = 20  # the page lists all of them
 class Worry:
     """One thing to look at."""
 
-    kind: str  # constant | rig | lot | site | drift | odd | work | trust
+    kind: str  # constant | rig | lot | site | drift | odd | work | trust | prior
     what: str
     why: str
     do: str
@@ -35,6 +35,7 @@ def worries(found: Overview) -> list[Worry]:
         *_drifting(found),
         *_odd(found),
         *_refused(found),
+        *_loose(found),
     ]
 
 
@@ -167,6 +168,22 @@ def _refused(found: Overview) -> list[Worry]:
             "open them",
             "trust:refused",
         )
+    ]
+
+
+def _loose(found: Overview) -> list[Worry]:
+    """Say which parameters the calibrations of a kind tell less of than the fleet does."""
+    return [
+        Worry(
+            "prior",
+            f"{_words(name)} of {int(one.prior_dominated.sum())} of {one.boards} {sensor} says "
+            "less than the fleet",
+            "calibrations leave more open than boards differ by: shrunk values are the fleet's",
+            "record for longer, or by a program that tells more of it: `gyrorig plan`",
+            f"is:prior sensor:{sensor}",
+        )
+        for (sensor, name), one in found.populations.items()
+        if one.prior_dominated.mean() > 0.5
     ]
 
 

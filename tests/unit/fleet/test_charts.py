@@ -131,3 +131,39 @@ def test_discoveries_are_those_of_scipy() -> None:
         p = 2.0 * norm.sf(np.abs(rng.normal(size=300) + 4.0 * (rng.random(300) < 0.05)))
         np.testing.assert_array_equal(discoveries(p), false_discovery_control(p) <= 0.01)
     assert not discoveries(np.array([np.nan])).any()
+
+
+def test_a_rig_that_drifts_as_the_season_turns_moves_nobody_else() -> None:
+    """The boards' common slope with temperature is their median: a quarter of them bends none."""
+    rng = np.random.default_rng(17)
+    nights, boards = 16, 24
+    night = np.arange(nights)[:, None]
+    rig = np.arange(boards) % 4
+    warm = 25.0 + 4.0 * np.sin(night / 4.0) + rng.normal(0.0, 0.5, (nights, boards))
+    sigma = 3e-4
+    value = rng.normal(0.0, sigma, (nights, boards)) + rng.normal(0.0, 8e-3, boards)
+    value += 5e-4 * np.maximum(night - 11, 0) * (rig == 1)
+    one = chart(Nights("misalignment_x", value, np.full(value.shape, sigma**2), warm))
+    assert one.slope_per_c is not None
+    assert abs(one.slope_per_c) < 4.0 * np.sqrt(one.slope_variance)
+    groupings = [
+        Grouping.by_name("rig", [f"rig-{n}" for n in rig]),
+        Grouping.by_name("fleet", ["all"] * boards),
+    ]
+    found, _ = moved_groups(one, groupings, 13 * 5)
+    assert [(move.kind, move.group) for move in found] == [("rig", "rig-1")]
+
+
+def test_what_the_slope_may_be_wrong_by_counts_for_a_group() -> None:
+    """However many boards: the error of a common slope is common to them."""
+    rng = np.random.default_rng(18)
+    worst = []
+    for _ in range(40):
+        warm = 25.0 + 0.3 * np.arange(14)[:, None] + rng.normal(0.0, 0.3, (14, 60))
+        value = rng.normal(0.0, 1.0, warm.shape) + 0.5 * (warm - 25.0)
+        one = chart(Nights("bias_x", value, np.ones(warm.shape), warm))
+        weight = 1.0 / one.variance
+        mean = float((weight * one.moved).sum() / weight.sum())
+        lever = float((weight * one.lever_c).sum() / weight.sum())
+        worst.append(mean / np.sqrt(1.0 / weight.sum() + lever**2 * one.slope_variance))
+    assert 0.5 < float(np.std(worst)) < 1.5

@@ -20,11 +20,12 @@ def store(tmp_path: Path) -> Path:
 
 def test_they_are_kept_once_and_are_those_of_the_overview(store: Path) -> None:
     found = overview(store)
-    path = keep_shrunk(store, found)
-    assert path is not None
+    name = keep_shrunk(store, found)
+    assert name is not None
+    path = store / name
     assert path.parent == store / FOLDER
     before = path.read_bytes()
-    assert keep_shrunk(store, found) == path
+    assert keep_shrunk(store, found) == name
     assert path.read_bytes() == before
     assert len(list((store / FOLDER).iterdir())) == 1
     told = shrunk_of(store, "B000007")
@@ -57,11 +58,11 @@ def test_what_is_more_the_fleets_than_its_own_is_named(store: Path, tmp_path: Pa
         database.execute(sql)
     loose.replace(parquet)
     found = overview(store)
-    path = keep_shrunk(store, found)
+    name = keep_shrunk(store, found)
     told = shrunk_of(store, "B000003")
     assert told["time_offset"].prior_dominated
     assert not told["scale_x"].prior_dominated
-    sql = f"SELECT board FROM '{path}' WHERE list_contains(prior_dominated, 'time_offset')"  # noqa: S608
+    sql = f"SELECT board FROM '{store}/{name}' WHERE list_contains(prior_dominated, 'time_offset')"  # noqa: S608
     with duckdb.connect(":memory:") as database:
         rows = database.execute(sql).fetchall()
     assert rows == [("B000003",)]
@@ -71,8 +72,8 @@ def test_a_fleet_of_few_has_none_and_a_damaged_file_is_said(tmp_path: Path, stor
     write_fleet(tmp_path / "few", FleetPlan(boards=3, nights=2))
     assert keep_shrunk(tmp_path / "few", overview(tmp_path / "few")) is None
     assert shrunk_of(tmp_path / "few", "B000001") == {}
-    path = keep_shrunk(store, overview(store))
-    assert path is not None
-    path.write_bytes(b"PAR1")
+    name = keep_shrunk(store, overview(store))
+    assert name is not None
+    (store / name).write_bytes(b"PAR1")
     with pytest.raises(InputError, match="makes it anew"):
         shrunk_of(store, "B000001")
