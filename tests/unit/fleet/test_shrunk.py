@@ -3,13 +3,16 @@
 from pathlib import Path
 
 import duckdb
+import fsspec  # type: ignore[import-untyped] # it has no types
 import numpy as np
 import pytest
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_solver.cli import run
 from gyrorig_solver.fleet.overview import PARAMETERS, overview
 from gyrorig_solver.fleet.shrunk import FOLDER, keep_shrunk, shrunk_of
+from gyrorig_solver.places.choose import place_at
 
 
 @pytest.fixture
@@ -77,3 +80,22 @@ def test_a_fleet_of_few_has_none_and_a_damaged_file_is_said(tmp_path: Path, stor
     (store / name).write_bytes(b"PAR1")
     with pytest.raises(InputError, match="makes it anew"):
         shrunk_of(store, "B000001")
+
+
+def test_a_fleet_in_a_bucket_has_its_page_and_its_shrunk_values_there(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    bucket = place_at(f"memory://{tmp_path.name}/fleet")
+    for path in store.rglob("*"):
+        if path.is_file():
+            bucket.put(str(path.relative_to(store)), path.read_bytes())
+    assert run(["fleet", bucket.text]) == 0
+    said = capsys.readouterr().out
+    assert f"the page: {bucket.text}/fleet/index.html" in said
+    names = {entry.name for entry in bucket.entries()}
+    assert {"fleet/index.html", "fleet/app.js", "fleet/data.js", "fleet/history/00.js"} <= names
+    assert tuple(shrunk_of(bucket, "B000007")) == PARAMETERS
+    assert run(["fleet", bucket.text, "--out", str(tmp_path / "page")]) == 0
+    assert (tmp_path / "page" / "data.js").read_bytes().count(bucket.text.encode()) == 1
+    fsspec.filesystem("memory").store.clear()
