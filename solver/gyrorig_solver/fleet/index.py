@@ -22,8 +22,11 @@ from gyrorig_solver.fleet.journal import SUFFIX, left_behind, told_of_disk, whol
 from gyrorig_solver.fleet.rows import Row, flat, sql_columns
 
 FOLDER = "index"
+# A batch killed between a version and its row leaves the row to be written twice; and work that
+# is done again has another end, which counts: a calibration before all, else the latest.
 _ONE_A_BOARD = """CREATE VIEW rows AS SELECT * FROM all_rows
-    QUALIFY row_number() OVER (PARTITION BY key, board) = 1"""
+    QUALIFY row_number() OVER (PARTITION BY key, board ORDER BY status <> 'ok', created DESC) = 1
+    AND (board <> '' OR NOT bool_or(board <> '') OVER (PARTITION BY key))"""
 
 
 class Index:
@@ -138,7 +141,6 @@ class Index:
             fresh = [p for p in journals if p.stem not in folded and p.stat().st_size]
             if fresh:
                 rows = rows.union(_lines(database, fresh, torn=True))
-            # A batch killed between a version and its row leaves the row to be written twice.
             rows.create_view("all_rows")
             database.execute(_ONE_A_BOARD)
         except duckdb.Error as fault:

@@ -114,6 +114,26 @@ def test_a_row_that_was_written_twice_counts_once(tmp_path: Path) -> None:
     assert len(Index(tmp_path).ask("SELECT * FROM rows")) == 1
 
 
+def test_work_that_was_done_again_has_one_end(tmp_path: Path) -> None:
+    later = "2026-02-01T02:30:00Z"
+    with Journal(tmp_path, "night") as journal:
+        journal.add([row("whole", status="quarantined", board="")])
+        journal.add([row("whole"), row("whole", "C", status="failed")])
+        journal.add([row("board", "C", status="failed"), row("board")])
+        journal.add([row("board", "C"), row("board")])
+        journal.add([row("worse", status="failed", board="", reason="slow")])
+        journal.add([row("worse", status="quarantined", board="", created=later)])
+    asked = Index(tmp_path).ask("SELECT key, board, status FROM rows ORDER BY ALL")
+    assert asked == [
+        ("board", "B", "ok"),
+        ("board", "C", "ok"),
+        ("whole", "B", "ok"),
+        ("whole", "C", "failed"),
+        ("worse", "", "quarantined"),
+    ]
+    assert Index(tmp_path).done(["quarantined"]) == {"board", "whole"}
+
+
 def test_work_to_be_done_again_is_not_done(tmp_path: Path) -> None:
     with Journal(tmp_path, "night") as journal:
         journal.add([row("good"), row("bad", status="failed", board="")])
