@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.bench.fleet.parts import ERROR
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_protocol.errors import InputError, UsageError
@@ -117,3 +118,12 @@ def test_tables_that_are_none_are_refused(tmp_path: Path, content: bytes, words:
 def test_a_table_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot be read"):
         read_origins(tmp_path / "t.csv")
+
+
+def test_what_calibrations_leave_open_is_said_to_be_the_fleets(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(ERROR, "time", 1e-2)  # ten times what boards differ by
+    (one,) = told(tmp_path, seed=21)
+    assert one[0] == "prior"
+    assert one[1] == "time offset of 200 of 200 L3G4200D says less than the fleet"
