@@ -54,6 +54,7 @@ KINDS = {
     "300 s at 100 Hz": ("slow", ["--program", "planned-300", "--odr", "100"]),
 }
 SIZES = (100, 1_000, 10_000)
+MOST_VERIFIED = 1_000  # each is read whole: what it costs grows with the number, nothing else
 MILLION_BOARDS, MILLION_NIGHTS = 100_000, 10
 CLUSTER = """
 import sys
@@ -209,23 +210,23 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
     spool, store = folder / "spool", folder / "store"
     spool.mkdir(parents=True)
     made = make_sharded(store)
+    head = one_head(folder)
+    page = folder / "report.html"
+    page.write_bytes(report)
     settings = Settings(solver_version="0.1.0")
     with Journal(store, "night") as journal:
         rows: list[Row] = []
         for number in range(boards):
+            data = head.replace(b"n000000", b"n%06d" % number)
             path = spool / f"{number:06d}.mcap"
-            own = {"session": f"n{number}", "rig": "r", "part": "0", "anchor_utc_ns": str(number)}
-            own["anchor_monotonic_raw_ns"] = "1"
-            with RecordingWriter(path, {"gyrorig": own}) as writer:
-                event = SessionEvent(number, int(EventKind.NOTE), "", "note")
-                writer.write(SESSION_EVENT_TOPIC, event)
-            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            path.write_bytes(data)
+            digest = hashlib.sha256(data).hexdigest()
             board = BoardId(f"B{number:06d}")
             text = document.replace("B000000", board).encode()
             home = made.folder_of(board)
             home.mkdir(parents=True)
             (home / "v0001.yaml").write_bytes(text)
-            (home / "v0001.report.html").write_bytes(report)
+            os.link(page, home / "v0001.report.html")  # as many names as files, one time the room
             rows.append(
                 row(
                     key_of([digest], settings.solver_version, settings.config_sha256),
@@ -240,6 +241,16 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
     Index(store).fold_left_behind()
     seal(Folder(store), None)
     return spool, store
+
+
+def one_head(folder: Path) -> bytes:
+    """Return a recording that holds its head and a note."""
+    path = folder / "head.mcap"
+    own = {"session": "n000000", "rig": "r", "part": "0"}
+    own |= {"anchor_utc_ns": "1", "anchor_monotonic_raw_ns": "1"}
+    with RecordingWriter(path, {"gyrorig": own}) as writer:
+        writer.write(SESSION_EVENT_TOPIC, SessionEvent(1, int(EventKind.NOTE), "", "note"))
+    return path.read_bytes()
 
 
 def growth(work: Path, boards: int) -> None:
@@ -263,16 +274,19 @@ def costs(spool: Path, store: Path, boards: int) -> str:
     """Return one line of the table of growth."""
     found = look(spool)
     list_s = timed(lambda: look(spool))
-    heads_s = timed(lambda: list(read_all(found.place, found.recordings)))
+    begun_s = time.process_time()
     with Heads(store / HEADS_FILE, found.place.text) as heads:
         list(heads.keep(read_all(found.place, found.recordings)))
+    heads_s = time.process_time() - begun_s
     resume_s = timed(lambda: resume(spool, store))
     ls_s = timed(lambda: newest(store, Chosen(), 1000))
-    begun_s = time.process_time()
-    faults = verify(store).faults
-    verify_s = time.process_time() - begun_s
-    if faults:
-        raise SystemExit(str(faults[:3]))
+    verify_s = float("nan")
+    if boards <= MOST_VERIFIED:
+        begun_s = time.process_time()
+        faults = verify(store).faults
+        verify_s = time.process_time() - begun_s
+        if faults:
+            raise SystemExit(str(faults[:3]))
     size = sum(path.stat().st_size for path in (store / "index").glob("*.parquet"))
     return (
         f"{list_s:.3f} | {heads_s:.2f} | {resume_s:.2f} | {ls_s:.3f} | {verify_s:.2f} "

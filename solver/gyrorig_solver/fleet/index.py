@@ -24,9 +24,20 @@ from gyrorig_solver.fleet.rows import Row, flat, sql_columns
 FOLDER = "index"
 # A batch killed between a version and its row leaves the row to be written twice; and work that
 # is done again has another end, which counts: a calibration before all, else the latest.
-_ONE_A_BOARD = """CREATE VIEW rows AS SELECT * FROM all_rows
-    QUALIFY row_number() OVER (PARTITION BY key, board ORDER BY status <> 'ok', created DESC) = 1
-    AND (board <> '' OR NOT bool_or(board <> '') OVER (PARTITION BY key))"""
+# Asked in three, so that a question about one board looks at that board's rows alone.
+_ONE_A_BOARD = """CREATE VIEW rows AS
+    SELECT * FROM all_rows WHERE status = 'ok'
+    QUALIFY row_number() OVER (PARTITION BY key, board) = 1
+    UNION ALL
+    SELECT * FROM (
+        SELECT * FROM all_rows WHERE status <> 'ok' AND board <> ''
+        QUALIFY row_number() OVER (PARTITION BY key, board ORDER BY created DESC) = 1
+    ) ANTI JOIN (SELECT key, board FROM all_rows WHERE status = 'ok') USING (key, board)
+    UNION ALL
+    SELECT * FROM (
+        SELECT * FROM all_rows WHERE status <> 'ok' AND board = ''
+        QUALIFY row_number() OVER (PARTITION BY key, board ORDER BY created DESC) = 1
+    ) ANTI JOIN (SELECT key FROM all_rows WHERE board <> '') USING (key)"""
 
 
 class Index:
