@@ -213,6 +213,8 @@ def main() -> None:
         for line in traceback.format_exc().splitlines():
             say("FAULT", line)
         say("FAULT", run("/usr/local/bin/gyrorigd", "status", "--once"))
+        for line in run("journalctl", "-n", "60", "--no-pager", "-o", "cat").splitlines():
+            say("FAULT", line)
     sys.exit(0)
 
 

@@ -19,6 +19,7 @@ SERIAL = "RIG0001"
 PLUG = f"usb-serial,chardev=ser0,always-plugged=on,serial={SERIAL}"
 
 # On a busy host an emulated timer is late, which Linux takes for a broken one.
+FAULT_S = 5.0
 ARGUMENTS = "root=/dev/vda rw console=ttyS0 quiet no_timer_check panic=-1"
 
 
@@ -79,12 +80,19 @@ class Machine:
     def wait_for(self, beginning: str, limit_s: float) -> str:
         """Return the first line with a beginning; raises when it does not come."""
         found: list[str] = []
+        faults: list[str] = []
 
         def look() -> bool:
-            found[:] = [line for line in self.words() if line.startswith(beginning)]
-            return bool(found) or self._process is None or self._process.poll() is not None
+            words = self.words()
+            found[:] = [line for line in words if line.startswith(beginning)]
+            faults[:] = [line for line in words if line.startswith("FAULT")]
+            ended = self._process is None or self._process.poll() is not None
+            return bool(found or faults) or ended
 
         until(look, limit_s, lambda: "\n".join(self.words()[-20:]))
+        if faults and not found:
+            time.sleep(FAULT_S)  # all of it
+            raise RuntimeError("in the machine:\n" + "\n".join(self.words()[-60:]))
         if not found:
             raise RuntimeError(f"the machine ended: {self.words()[-20:]}")
         return found[0]
