@@ -60,11 +60,16 @@ def fit_on_one_unit(alone: Mapping[str, Solution]) -> OnOneUnit:
         worst = min(p, key=lambda name: p[name])
         if p[worst] >= DISAGREEMENT_P / len(taking):
             return OnOneUnit(dict(zip(taking, work.solutions(converged), strict=True)), left_out)
-        left_out[worst] = (
-            f"it does not agree with the {len(taking) - 1} other boards on how the unit moved "
-            f"(p {max(p[worst], 1e-99):.0e}): look at its screws and its clock"
-        )
-        del taking[worst]
+        # Of two that disagree nobody can say which is right.
+        two = len(taking) == 2
+        gone = list(taking) if two else [worst]
+        others = "the other board" if two else f"{len(taking) - 1} other boards"
+        for name in gone:
+            left_out[name] = (
+                f"it does not agree with {others} on how the unit moved "
+                f"(p {max(p[worst], 1e-99):.0e}): look at screws and clocks"
+            )
+            del taking[name]
     return OnOneUnit({}, left_out)
 
 

@@ -106,10 +106,20 @@ def test_a_board_that_saw_another_motion_is_left_out(
     solutions = {name: one for name, (_, one) in alone.items()}
     found = fit_on_one_unit({**solutions, "sick": sick})
     assert list(found.left_out) == ["sick"]
-    assert "does not agree with the 4 other boards" in found.left_out["sick"]
+    assert "does not agree with 4 other boards" in found.left_out["sick"]
     healthy = fit_on_one_unit(solutions)
     for name, one in healthy.solutions.items():
         assert found.solutions[name].estimate == pytest.approx(one.estimate, rel=1e-9, abs=1e-12)
+
+
+def test_of_two_that_disagree_nobody_is_right(
+    rig: Any, alone: dict[str, tuple[np.ndarray, Solution]]
+) -> None:
+    _, sick = board(rig, 7, late_s=0.01)
+    found = fit_on_one_unit({"B0": alone["B0"][1], "sick": sick})
+    assert not found.solutions
+    assert sorted(found.left_out) == ["B0", "sick"]
+    assert all("with the other board" in why for why in found.left_out.values())
 
 
 def test_one_board_has_nobody_beside_it(alone: dict[str, tuple[np.ndarray, Solution]]) -> None:
