@@ -13,7 +13,7 @@ import numpy as np
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.export.numbers import Source
-from gyrorig_solver.export.ros import _list, _number
+from gyrorig_solver.export.ros import yaml_list, yaml_number
 
 _ASK = "Kalibr refuses a file without it: take it from the accelerometer's data sheet"
 
@@ -39,8 +39,8 @@ def kalibr_imu(source: Source, name: str | None = None) -> str:
         "# Noise is that of the noisiest axis, in continuous time, as Kalibr takes it; what was",
         "# measured, without the factor of 10 to 20 that some add for effects they do not model.",
         f"rostopic: {name or '/imu0'}",
-        f"update_rate: {_number(rate_hz)}  # Hz",
-        f"gyroscope_noise_density: {_number(density)}  # rad/s/sqrt(Hz)",
+        f"update_rate: {yaml_number(rate_hz)}  # Hz",
+        f"gyroscope_noise_density: {yaml_number(density)}  # rad/s/sqrt(Hz)",
     ]
     if walk is None:
         lines.append(
@@ -48,7 +48,7 @@ def kalibr_imu(source: Source, name: str | None = None) -> str:
         )
         lines.append("#   record hours at rest, or take it from the data sheet; Kalibr wants one")
     else:
-        lines.append(f"gyroscope_random_walk: {_number(walk)}  # rad/s^2/sqrt(Hz)")
+        lines.append(f"gyroscope_random_walk: {yaml_number(walk)}  # rad/s^2/sqrt(Hz)")
     lines += [
         f"# accelerometer_noise_density:  # m/s^2/sqrt(Hz). {_ASK}",
         f"# accelerometer_random_walk:  # m/s^3/sqrt(Hz). {_ASK}",
@@ -72,10 +72,10 @@ def _intrinsics(source: Source) -> list[str]:
         *_matrix("M", low),
         *_matrix("C_gyro_i", turn),
         *_matrix("A", force),
-        f"  bias: {_list(source.bias_rad_s)}  # rad/s, in the sensor's axes",
+        f"  bias: {yaml_list(source.bias_rad_s)}  # rad/s, in the sensor's axes",
         *(f"# {line}" for line in source.left_out(("g_sensitivity",))),
     ]
 
 
 def _matrix(name: str, rows: FloatArray) -> list[str]:
-    return [f"  {name}:", *(f"    - {_list(row)}" for row in rows)]
+    return [f"  {name}:", *(f"    - {yaml_list(row)}" for row in rows)]

@@ -36,13 +36,15 @@ def ros_parameters(source: Source, name: str | None = None) -> str:
         f"      version: {source.found.version}",
         f"      verdict: {quoted(source.found.trust.verdict)}",
         f"      frame: {quoted(source.frame)}",
-        f"      angular_velocity_bias: {_list(source.bias_rad_s)}  # rad/s",
-        f"      angular_velocity_correction: {_list(correction.inverse.ravel())}",
+        f"      angular_velocity_bias: {yaml_list(source.bias_rad_s)}  # rad/s",
+        f"      angular_velocity_correction: {yaml_list(correction.inverse.ravel())}",
     ]
     if config.gyro_scale_rad_s is not None:
-        lines.append(f"      nominal_scale: {_number(config.gyro_scale_rad_s)}  # rad/s of a count")
+        lines.append(
+            f"      nominal_scale: {yaml_number(config.gyro_scale_rad_s)}  # rad/s of a count"
+        )
     if source.time_offset_s is not None:
-        lines.append(f"      time_offset: {_number(source.time_offset_s)}  # s")
+        lines.append(f"      time_offset: {yaml_number(source.time_offset_s)}  # s")
     for key, title, unit in (
         ("angle_random_walk", "noise_density", "rad/s/sqrt(Hz), one-sided"),
         ("rate_random_walk", "bias_random_walk", "rad/s^2/sqrt(Hz)"),
@@ -50,21 +52,22 @@ def ros_parameters(source: Source, name: str | None = None) -> str:
         values = source.noise(key)
         known = [v for v in values if v is not None]
         if known and len(known) == len(values):
-            lines.append(f"      {title}: {_list(known)}  # {unit}")
+            lines.append(f"      {title}: {yaml_list(known)}  # {unit}")
     band_hz = config.bandwidth_hz or (config.odr_hz and config.odr_hz / 2.0)
     density = [v for v in source.noise("angle_random_walk") if v is not None]
     if band_hz and len(density) == 3:
         inverse = correction.inverse
         covariance = inverse @ np.diag(np.square(density) * band_hz) @ inverse.T
-        lines.append(f"      angular_velocity_covariance: {_list(covariance.ravel())}")
+        lines.append(f"      angular_velocity_covariance: {yaml_list(covariance.ravel())}")
     return "\n".join(lines) + "\n"
 
 
-def _list(values: Iterable[float]) -> str:
-    return "[" + ", ".join(_number(v) for v in values) + "]"
+def yaml_list(values: Iterable[float]) -> str:
+    """Return numbers as a list of YAML on one line."""
+    return "[" + ", ".join(yaml_number(v) for v in values) + "]"
 
 
-def _number(value: float) -> str:
+def yaml_number(value: float) -> str:
     """Return a number that YAML 1.1 reads as one of floating point."""
     text = repr(float(value))
     mantissa, mark, exponent = text.partition("e")
