@@ -57,6 +57,7 @@ steps:
   - rest: {seconds: 0.6, phase: static}
 """
 BUSY = 75
+IMU = "/board/B-1/imu_raw"
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,15 +177,17 @@ class Rig:
         outcome = told[0].value if told else "closed"
         if Outcome.FAILED in told or (killed_ns is None and told):
             return Kill(outcome, None, 0, reports[0].text)
+        lost_s = 0.0 if killed_ns is None else (killed_ns - opened_ns) * 1e-9
         if not finished:
-            lost_ns = 0 if killed_ns is None else killed_ns - opened_ns
-            return Kill("no whole chunk yet", lost_ns * 1e-9, 0)
+            return Kill("no whole chunk yet", lost_s, 0)
         (path,) = finished
         read_strictly(path)
         recording = read_recording(path)
         if not recording.complete:
             return Kill(outcome, None, 0, f"losses: {recording.losses}")
-        samples = recording.array("/board/B-1/imu_raw")
+        if IMU not in recording.topics:  # the first chunk: what the unit said before
+            return Kill("no sample yet", lost_s, 0)
+        samples = recording.array(IMU)
         numbers = samples["message_sequence"].tolist()
         if numbers != list(range(len(numbers))):
             return Kill(outcome, None, len(samples), "a gap in the daemon's own numbers")
