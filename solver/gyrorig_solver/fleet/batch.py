@@ -145,7 +145,8 @@ def run_batch(
         for one_more in (False, True):
             orders = _orders(work, found.place, place, batch, settings, claims, summary)
             _carry_on(orders, lanes, journal, index, claims, summary, progress)
-            if one_more or not summary.put_off or summary.gave_up:
+            gone = any(lane.is_gone() for lane in lanes)
+            if one_more or not summary.put_off or summary.gave_up or gone:
                 break
             work = _once_more(work, claims, summary)
     _close(place, index, signer, summary)

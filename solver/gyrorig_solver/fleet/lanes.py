@@ -106,10 +106,13 @@ def through(orders: Iterable[Order], lanes: list[Lane]) -> Iterator[Outcome | Pu
     deaths: dict[str, int] = {}
     try:
         while True:
-            _fill(lanes, again, waiting)
+            refused = _fill(lanes, again, waiting)
+            yield from map(_put_off, refused)
             futures = {future: lane for lane in lanes for future in lane.held}
-            if not futures:
+            if not futures and not refused:
                 return
+            if not futures:
+                continue
             done, _ = wait(futures, timeout=LOOK_S, return_when=FIRST_COMPLETED)
             if not done and (gone := [lane for lane in lanes if lane.is_gone()]):
                 yield from (_put_off(order) for lane in gone for order in lane.held.values())
@@ -131,13 +134,18 @@ def _put_off(order: Order) -> PutOff:
     return PutOff(order, MachineError("the workers are gone", "start them, and the batch, again"))
 
 
-def _fill(lanes: list[Lane], again: list[Order], waiting: Iterator[Order]) -> None:
+def _fill(lanes: list[Lane], again: list[Order], waiting: Iterator[Order]) -> list[Order]:
+    """Give each lane what it holds; return what could not be given."""
     for lane in lanes:
         while len(lane.held) < lane.holds:
             order = again.pop() if again else next(waiting, None)
             if order is None:
                 break
-            lane.give(order)
+            try:
+                lane.give(order)
+            except Exception:  # a scheduler that has gone, a machine that starts no process
+                return [order]
+    return []
 
 
 def _told(

@@ -188,6 +188,15 @@ def test_what_the_machine_refuses_is_put_off(tmp_path: Path) -> None:
     assert [type(one) for one in told] == [PutOff]
 
 
+def test_work_that_no_worker_takes_is_put_off_and_the_batch_ends(tmp_path: Path) -> None:
+    def none() -> ProcessPoolExecutor:
+        raise OSError("no more processes")
+
+    orders = [order(f"k{number}", tmp_path) for number in range(5)]
+    told = list(through(orders, [Lane(none), Lane(none)]))
+    assert [type(one) for one in told] == [PutOff] * 5
+
+
 def test_a_store_that_takes_nothing_ends_the_batch_early(tmp_path: Path) -> None:
     spool = tmp_path / "spool"
     spool.mkdir()
