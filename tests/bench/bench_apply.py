@@ -80,7 +80,7 @@ def arrays(found: Calibration, samples: int, repeat: int) -> float:
 def imucal(rates: np.ndarray, repeat: int) -> float | None:
     """Return imucal's samples a second for the gyro and an accelerometer, None without it."""
     try:
-        from imucal import FerrarisCalibrationInfo  # noqa: PLC0415 - may be absent
+        from imucal import FerrarisCalibrationInfo  # type: ignore[import-untyped] # noqa: PLC0415
     except ImportError:
         return None
     eye = np.eye(3)
