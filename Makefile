@@ -41,7 +41,7 @@ docs: $(VENV)/.dev  ## the site, strictly: a broken link is an error; into site/
 	@echo "site/index.html"
 
 test-pages: $(VENV)/.dev  ## the pages of docs that are made from measured data and the paper, made anew
-	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist load -m pages
+	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile -m pages
 
 test-docs: $(VENV)/.dev  ## every command that the documents print, run as a reader would
 	@$(VENV)/bin/python tests/docs/run.py
