@@ -27,7 +27,7 @@ demo: $(VENV)/.solver  ## the whole way on an emulated rig; writes demo/ (SEED=7
 	@$(VENV)/bin/gyrorig demo --out $(OUT) $(if $(SEED),--seed $(SEED))
 
 test: $(VENV)/.dev  ## every test
-	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile -m "not bench and not pages"
+	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile --no-loadscope-reorder -m "not bench and not pages"
 
 check: $(VENV)/.dev  ## style, types and import contracts
 	$(VENV)/bin/ruff check

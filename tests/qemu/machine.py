@@ -40,7 +40,8 @@ class Machine:
         self._plugs = 0
         self._process: subprocess.Popen[bytes] | None = None
         self._command = [
-            "qemu-system-x86_64", "-accel", "tcg,thread=multi", "-smp", "2", "-m", "1024",
+            # All that the processor can be taught: numpy needs x86-64-v2, more than the default.
+            "qemu-system-x86_64", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "1024",
             "-display", "none", "-no-reboot", "-kernel", str(image.kernel),
             "-initrd", str(image.initrd), "-append", ARGUMENTS,
             "-drive", f"file={image.disk},format=raw,if=virtio", "-net", "none",

@@ -29,8 +29,6 @@ from gyrorig_solver.model.terms.protocol import indices
 # A fit that has gone so far without a cause and is no better does not do without it; where
 # it lacks a large one it would not settle for long.
 STEPS = 4
-# Share of recordings without any cause that may get a name: as in `search`.
-ALPHA = 0.0075
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +40,16 @@ class Confirmed:
     won: Mapping[str, float]  # nats, by label, of what it cannot
 
 
-def confirmed(solution: Solution, known: Sequence[Extension], tests: int) -> Confirmed:
+def confirmed(
+    solution: Solution, known: Sequence[Extension], tests: int, alpha: float
+) -> Confirmed:
     """Leave out what a fit can do without.
 
     Args:
         solution: where a search ended.
         known: causes of the base model, which stay.
         tests: how many share the false alarms.
+        alpha: share of recordings without any cause that may get a name.
     """
     refused: set[str] = set()
     while True:
@@ -64,7 +65,7 @@ def confirmed(solution: Solution, known: Sequence[Extension], tests: int) -> Con
             without = regained(solve_again(solution, left, STEPS))
             won = each[label(one.term)] = _cost(without, noises) - cost
             p_value = chi2_tail(2.0 * max(won, 0.0), sizes) * tests
-            if p_value > ALPHA and (worst is None or p_value > worst[0]):
+            if p_value > alpha and (worst is None or p_value > worst[0]):
                 worst = p_value, label(one.term), without
         if worst is None:
             return Confirmed(solution, frozenset(refused), each)

@@ -151,7 +151,7 @@ def search(base: Solution) -> Found:
                 calm, doubted = False, set()
                 projection = beside(solution, calm)
                 continue
-            real = confirmed(solution, known, tests)
+            real = confirmed(solution, known, tests, ALPHA)
             solution, worth = real.solution, real.won
             if not real.refused - barred:
                 break

@@ -50,7 +50,7 @@ def test_what_the_fit_can_do_without_is_refused(base: Fit) -> None:
     worm = term("worm_error")
     idle = Extension(worm, worm.bank(Projection.of(plain).scenes[0])[0].copy(), np.array([0, 1]))
     tests = search.tests_of(search.testable(Projection.of(plain)))
-    found = confirmed(solve_again(plain, [gap, idle]), (), tests)
+    found = confirmed(solve_again(plain, [gap, idle]), (), tests, search.ALPHA)
     assert found.refused == {"worm_error"}
     assert [one.term.cause for one in found.solution.extensions] == ["backlash"]
     assert found.won["backlash"] > 100.0
