@@ -41,9 +41,9 @@ class Machine:
         self._process: subprocess.Popen[bytes] | None = None
         self._command = [
             # All that the processor can be taught: numpy needs x86-64-v2, more than the default.
-            "qemu-system-x86_64", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "1024",
-            "-display", "none", "-no-reboot", "-kernel", str(image.kernel),
-            "-initrd", str(image.initrd), "-append", ARGUMENTS,
+            "qemu-system-x86_64", "-accel", "tcg,thread=multi", "-cpu", "max",
+            "-smp", "2", "-m", "1024", "-display", "none", "-no-reboot",
+            "-kernel", str(image.kernel), "-initrd", str(image.initrd), "-append", ARGUMENTS,
             "-drive", f"file={image.disk},format=raw,if=virtio", "-net", "none",
             "-device", "qemu-xhci", "-chardev", f"serial,id=ser0,path={port}",
             "-device", f"{PLUG},id=ftdi0", "-serial", f"file:{self.console}",
