@@ -59,7 +59,7 @@ def parse_yaml(text: str | bytes, name: str, error: type[GyrorigError] = UsageEr
     except _RepeatedKeyError as fault:
         objection = (f"has the key {fault} twice", "write it once")
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as fault:
-        raise error(f"{name} is not a YAML document", _one_line(fault)) from fault
+        raise error(f"{name} is not a YAML document{_where(fault)}", _said(fault)) from fault
     objection = objection or _objection_to_value(value)
     if objection:
         what, remedy = objection
@@ -125,6 +125,22 @@ class _RepeatedKeyError(Exception):
 def _one_line(fault: Exception) -> str:
     """Return what a library says, without line ends and without end."""
     return " ".join(str(fault).split())[:200]
+
+
+def _where(fault: Exception) -> str:
+    """Return the place in a text that a parser stopped at, where it knows one."""
+    mark = fault.problem_mark if isinstance(fault, yaml.MarkedYAMLError) else None
+    return "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
+
+
+def _said(fault: Exception) -> str:
+    """Return what a parser says is wrong, without its own name for the text."""
+    if not isinstance(fault, yaml.MarkedYAMLError):
+        return _one_line(fault)
+    begun = ""
+    if fault.context and fault.context_mark is not None:
+        begun = f" {fault.context} that begins in line {fault.context_mark.line + 1}"
+    return _one_line(Exception(f"{fault.problem}{begun}; mend it there"))
 
 
 def _objection_to_text(text: str | bytes) -> tuple[str, str] | None:

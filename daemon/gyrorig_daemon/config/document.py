@@ -240,7 +240,9 @@ def read_document(path: Path) -> bytes:
     try:
         text = path.read_bytes()
     except OSError as fault:
-        raise UsageError(f"{path} cannot be read", f"{fault.strerror}") from fault
+        raise UsageError(
+            f"{path} cannot be read, {fault.strerror}", "name a file, such as those in config/"
+        ) from fault
     if not text.strip():
         raise UsageError(f"{path} is empty", "see config/ for examples")
     return text

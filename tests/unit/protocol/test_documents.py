@@ -245,3 +245,18 @@ def test_a_long_unknown_key_does_not_make_a_long_error() -> None:
 def test_reading_any_value_gives_the_structure_or_the_named_error(value: object) -> None:
     read, error = outcome(lambda: read_as(value, _Outer, "it"))
     assert isinstance(read, _Outer) or type(error) is UsageError
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "what"),
+    [
+        ("a: [1", "line 2, column 1", "while parsing a flow sequence that begins in line 1"),
+        ("a: 1\nb: c: d", "line 2, column 5", "mapping values are not allowed"),
+    ],
+)
+def test_where_a_document_is_broken_is_said(text: str, place: str, what: str) -> None:
+    _, fault = outcome(lambda: parse_yaml(text, "rig.yaml"))
+    assert fault is not None
+    assert f"rig.yaml is not a YAML document, {place}" in str(fault)
+    assert what in str(fault)
+    assert "byte string" not in str(fault)
