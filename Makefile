@@ -14,7 +14,7 @@ SECONDS ?= 180
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check docs test-docs test-pages test-packages bench hidden fuzz kill test-qemu install-service clean
+.PHONY: help demo test check docs pictures first-steps test-docs test-pages test-packages bench hidden fuzz kill test-qemu install-service clean
 
 help:  ## this text
 	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
@@ -40,7 +40,13 @@ docs: $(VENV)/.dev  ## the site, strictly: a broken link is an error; into site/
 	@$(VENV)/bin/python -m docs.man
 	@echo "site/index.html"
 
-test-pages: $(VENV)/.dev  ## the pages of docs that are made from measured data and the paper, made anew
+pictures: $(VENV)/.dev  ## docs/img anew: reports, and the status of a session; two minutes
+	@$(VENV)/bin/python tests/bench/pictures.py --pictures docs/img
+
+first-steps: $(VENV)/.dev  ## how long a stranger takes, from a fresh clone to a calibration applied in C; minutes
+	@$(VENV)/bin/python tests/docs/first_steps.py
+
+test-pages: $(VENV)/.dev  ## pages in a browser; those of docs that come of measured data and the paper, made anew
 	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile -m pages
 
 test-docs: $(VENV)/.dev  ## every command that the documents print, run as a reader would

@@ -4,12 +4,17 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parents[1]
 
 # Before numpy is loaded, as the commands do: threads of two workers wait for one another.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+# An example's time says how busy a machine is, and nothing of what is tested.
+settings.register_profile("gyrorig", parent=settings(), deadline=None)
+settings.load_profile("gyrorig")
 
 
 @pytest.fixture(scope="session")

@@ -123,9 +123,9 @@ def check_folder(folder: Path) -> None:
     """
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not there.is_dir():
-        raise MachineError(f"{there} is no folder", "choose --out")
+        raise MachineError(f"{there} is no folder", "name another folder with --out")
     if not os.access(there, os.W_OK | os.X_OK):
-        raise MachineError(f"{there} may not be written to", "choose --out")
+        raise MachineError(f"{there} may not be written to", "name another folder with --out")
 
 
 def make_folder(folder: Path) -> None:
@@ -137,4 +137,6 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
-        raise MachineError(f"{folder} cannot be made: {fault.strerror}", "choose --out") from fault
+        raise MachineError(
+            f"{folder} cannot be made: {fault.strerror}", "name another folder with --out"
+        ) from fault

@@ -118,9 +118,9 @@ def write_truth(path: Path, document: Mapping[str, Any]) -> None:
         beside.write_text(text, encoding="utf-8")
         beside.replace(path)
     except OSError as fault:
-        raise MachineError(f"{path} cannot be written: {fault.strerror}", "choose --truth") from (
-            fault
-        )
+        raise MachineError(
+            f"{path} cannot be written: {fault.strerror}", "name another file with --truth"
+        ) from fault
 
 
 class TruthFile:

@@ -33,6 +33,7 @@ from gyrorig_daemon.motion import (
     PlannedStep,
     Poller,
     Unit,
+    UnitFacts,
     halt_and_confirm,
     identify_unit,
     open_unit,
@@ -184,6 +185,11 @@ class Session:
         """Where pan and tilt were when the unit last said so, None before."""
         position = self._log.position
         return None if position is None else (position.pan_rad, position.tilt_rad)
+
+    @property
+    def facts(self) -> UnitFacts | None:
+        """The unit as it described itself, None before."""
+        return None if self._unit is None else self._unit.facts
 
     def left_s(self, done: int) -> float:
         """How long the steps take at most of which `done` are behind."""

@@ -5,6 +5,7 @@ where an error becomes a line and an exit code. The commands are in
 `gyrorig_solver.commands`, one module each.
 """
 
+import errno
 import gc
 import importlib
 import json
@@ -146,13 +147,30 @@ def _report(terminal: Terminal, fault: Exception, arguments: Sequence[str]) -> i
         where = context.command_path if context is not None else "gyrorig"
         return _fail(terminal, f"{fault.format_message().rstrip('.')} (see {where} --help)", 2)
     if isinstance(fault, OSError):
-        return _fail(terminal, f"{fault.filename or 'this computer'}: {fault.strerror or fault}", 1)
+        return _fail(terminal, _of_the_system(fault), 1)
     if isinstance(fault, MemoryError):
         return _fail(terminal, "out of memory: solve fewer or shorter recordings at once", 1)
     again = " ".join(["gyrorig --traceback", *(a for a in arguments if a != "--traceback")])
     return _fail(
         terminal, f"a fault of the program, {type(fault).__name__}: {fault}; `{again}` shows it", 1
     )
+
+
+def _of_the_system(fault: OSError) -> str:
+    """Return what the computer refused, and what to do about it."""
+    remedies = {
+        errno.ENOENT: "name one that exists",
+        errno.EACCES: "mend its rights, or name another",
+        errno.EPERM: "mend its rights, or name another",
+        errno.EISDIR: "it is a folder: name a file",
+        errno.ENOTDIR: "it is a file: name a folder",
+        errno.ENOSPC: "make room on its disk",
+        errno.EROFS: "name one on a disk that can be written",
+        errno.EMFILE: "allow more open files (ulimit -n)",
+    }
+    what = f"{fault.filename or 'something of this computer'} cannot be used"
+    remedy = remedies.get(fault.errno or 0, "look at the disk and at the rights")
+    return f"{what}, {fault.strerror or fault}: {remedy}"
 
 
 def _fail(terminal: Terminal, text: str, code: int) -> int:

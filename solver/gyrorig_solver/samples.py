@@ -20,7 +20,8 @@ from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.clocks import ClockMap, map_clock
 from gyrorig_solver.clocks.faults import CounterArray
 from gyrorig_solver.clocks.numbering import number_samples
-from gyrorig_solver.clocks.pings import LinkFloor, Nearest, Pings, floor_of
+from gyrorig_solver.clocks.pings import LinkFloor, Nearest, Pings, asked_s, floor_of
+from gyrorig_solver.clocks.shared import Exchanges
 from gyrorig_solver.clocks.unwrap import PIECE
 from gyrorig_solver.columns import Column, CountArray, Physical, column_of
 
@@ -57,6 +58,7 @@ class GyroSamples:
     lost: int  # missing by the board's own counter
     repeated: int
     late: int
+    exchanges: Exchanges | None = None  # with the host; None where the clock began anew
 
     @property
     def gyro(self) -> Column:
@@ -135,7 +137,10 @@ def number(metadata: Mapping[str, str], key: str) -> float | None:
     except ValueError:
         value = np.nan
     if not np.isfinite(value) or value <= 0.0:
-        raise InputError(f"metadata {key} is {text[:40]!r}", "it must be a positive number")
+        raise InputError(
+            f"metadata {key} is {text[:40]!r}, and no positive number",
+            "correct it in the rig file, or the map of gyrorig import, and make it again",
+        )
     return value
 
 
@@ -167,6 +172,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     floor = _floor(pings, nearest, clock, metadata)
     numbered = number_samples(raw.sequence, clock.time_s, clock.segment, overwrite=True)
     _take_off(clock.time_s, floor)
+    exchanges = _exchanges(pings, nearest, clock, metadata, origin_ns)
     late = int(np.count_nonzero(clock.late))
     keep, twice, sample_number = numbered.keep, 0, numbered.number
     if keep is not None:
@@ -206,6 +212,7 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         lost=numbered.lost,
         repeated=repeated + twice,
         late=late,
+        exchanges=exchanges,
     )
 
 
@@ -251,6 +258,23 @@ def _floor(
         return None
     bits = int(number(metadata, "counter_bits") or 64)
     return floor_of(pings, nearest, clock, tick_hz, bits)
+
+
+def _exchanges(
+    pings: Pings | None,
+    nearest: Nearest | None,
+    clock: ClockMap,
+    metadata: Mapping[str, str],
+    origin_ns: int,
+) -> Exchanges | None:
+    """Return when the board took its pings, by the times of its samples."""
+    tick_hz = number(metadata, "tick_hz")
+    if tick_hz is None or pings is None or nearest is None or clock.segments != 1:
+        return None
+    bits = int(number(metadata, "counter_bits") or 64)
+    known, time_s = asked_s(pings, nearest, clock, tick_hz, bits)
+    asked_ns = np.rint(pings.host_send_s[known] * 1e9).astype(np.int64) + origin_ns
+    return Exchanges(asked_ns, time_s, origin_ns)
 
 
 def _take_off(time_s: FloatArray, floor: LinkFloor | None) -> None:

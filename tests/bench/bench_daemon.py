@@ -196,6 +196,10 @@ def record(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
         result["processes"][seen.name] = {
             "cpu_percent": 100.0 * seen.cpu_s / watcher.lasted_s,
             "rss_mb_start": seen.rss_kb[min(5, len(seen.rss_kb) - 1)] / 1024,
+            **{
+                f"rss_mb_at_{part}_quarters": seen.rss_kb[len(seen.rss_kb) * part // 4] / 1024
+                for part in (1, 2, 3)
+            },
             "rss_mb_end": seen.rss_kb[-1] / 1024,
             "rss_mb_max": max(seen.rss_kb) / 1024,
         }

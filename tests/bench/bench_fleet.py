@@ -8,7 +8,6 @@ Run: python tests/bench/bench_fleet.py [--work DIR] [--only throughput,overhead,
 """
 
 import argparse
-import hashlib
 import json
 import os
 import shutil
@@ -24,26 +23,15 @@ from pathlib import Path
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.bench.fleet_machine import Measured, measured
+from tests.bench.fleet_growth import costs, fill
+from tests.bench.fleet_machine import Measured, measured, timed
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
-from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_protocol.recording.writer import RecordingWriter
-from gyrorig_solver.calibration.store import CalibrationStore, make_sharded
-from gyrorig_solver.fleet.batch import HEADS_FILE
-from gyrorig_solver.fleet.heads import Heads
+from gyrorig_solver.calibration.store import CalibrationStore
 from gyrorig_solver.fleet.index import Index
-from gyrorig_solver.fleet.journal import Journal
-from gyrorig_solver.fleet.manifest import seal
-from gyrorig_solver.fleet.rows import Row
 from gyrorig_solver.fleet.shelf import Chosen, newest
-from gyrorig_solver.fleet.spool import look, read_all, sessions
-from gyrorig_solver.fleet.task import Settings, key_of
-from gyrorig_solver.fleet.verifying import verify
-from gyrorig_solver.places.folder import Folder
 
 BIN = Path(sys.executable).parent
 GYRORIG = str(BIN / "gyrorig")
@@ -54,7 +42,6 @@ KINDS = {
     "300 s at 100 Hz": ("slow", ["--program", "planned-300", "--odr", "100"]),
 }
 SIZES = (100, 1_000, 10_000)
-MOST_VERIFIED = 1_000  # each is read whole: what it costs grows with the number, nothing else
 MILLION_BOARDS, MILLION_NIGHTS = 100_000, 10
 CLUSTER = """
 import sys
@@ -195,64 +182,6 @@ def overhead(tasks: int) -> None:
             say(f"| {engine} | {cpu_ms:.1f} | {wall_ms:.1f} | {one.cpu_s:.1f} |")
 
 
-def timed(work: Callable[[], object]) -> float:
-    """Return the processor's seconds that this process spends on `work`, least of three."""
-    took = []
-    for _ in range(3):
-        begun_s = time.process_time()
-        work()
-        took.append(time.process_time() - begun_s)
-    return min(took)
-
-
-def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path, Path]:
-    """Make a spool and a store of so many boards, each with one recording that is done."""
-    spool, store = folder / "spool", folder / "store"
-    spool.mkdir(parents=True)
-    made = make_sharded(store)
-    head = one_head(folder)
-    page = folder / "report.html"
-    page.write_bytes(report)
-    settings = Settings(solver_version="0.1.0")
-    with Journal(store, "night") as journal:
-        rows: list[Row] = []
-        for number in range(boards):
-            data = head.replace(b"n000000", b"n%06d" % number)
-            path = spool / f"{number:06d}.mcap"
-            path.write_bytes(data)
-            digest = hashlib.sha256(data).hexdigest()
-            board = BoardId(f"B{number:06d}")
-            text = document.replace("B000000", board).encode()
-            home = made.folder_of(board)
-            home.mkdir(parents=True)
-            (home / "v0001.yaml").write_bytes(text)
-            os.link(page, home / "v0001.report.html")  # as many names as files, one time the room
-            rows.append(
-                row(
-                    key_of([digest], settings.solver_version, settings.config_sha256),
-                    board=str(board),
-                    inputs=[digest],
-                    file=str((home / "v0001.yaml").relative_to(store)),
-                    file_sha256=hashlib.sha256(text).hexdigest(),
-                    beside=[f"{hashlib.sha256(report).hexdigest()}  v0001.report.html"],
-                )
-            )
-        journal.add(rows)
-    Index(store).fold_left_behind()
-    seal(Folder(store), None)
-    return spool, store
-
-
-def one_head(folder: Path) -> bytes:
-    """Return a recording that holds its head and a note."""
-    path = folder / "head.mcap"
-    own = {"session": "n000000", "rig": "r", "part": "0"}
-    own |= {"anchor_utc_ns": "1", "anchor_monotonic_raw_ns": "1"}
-    with RecordingWriter(path, {"gyrorig": own}) as writer:
-        writer.write(SESSION_EVENT_TOPIC, SessionEvent(1, int(EventKind.NOTE), "", "note"))
-    return path.read_bytes()
-
-
 def growth(work: Path, boards: int) -> None:
     """Print what listing, looking up and resuming cost with the number of boards."""
     document, report = one_document(work, boards)
@@ -268,45 +197,6 @@ def growth(work: Path, boards: int) -> None:
         with tempfile.TemporaryDirectory(dir=work) as folder:
             spool, store = fill(Path(folder), size, document, report)
             say(f"| {size} | {costs(spool, store, size)} |")
-
-
-def costs(spool: Path, store: Path, boards: int) -> str:
-    """Return one line of the table of growth."""
-    found = look(spool)
-    list_s = timed(lambda: look(spool))
-    begun_s = time.process_time()
-    with Heads(store / HEADS_FILE, found.place.text) as heads:
-        list(heads.keep(read_all(found.place, found.recordings)))
-    heads_s = time.process_time() - begun_s
-    resume_s = timed(lambda: resume(spool, store))
-    ls_s = timed(lambda: newest(store, Chosen(), 1000))
-    verify_s = float("nan")
-    if boards <= MOST_VERIFIED:
-        begun_s = time.process_time()
-        faults = verify(store).faults
-        verify_s = time.process_time() - begun_s
-        if faults:
-            raise SystemExit(str(faults[:3]))
-    size = sum(path.stat().st_size for path in (store / "index").glob("*.parquet"))
-    return (
-        f"{list_s:.3f} | {heads_s:.2f} | {resume_s:.2f} | {ls_s:.3f} | {verify_s:.2f} "
-        f"| {size / boards:.0f}"
-    )
-
-
-def resume(spool: Path, store: Path) -> None:
-    """Do what a batch does before its first piece of work, where none is new."""
-    found = look(spool)
-    with Heads(store / HEADS_FILE, found.place.text) as heads:
-        known, unread = heads.split(found)
-    done = Index(store).done()
-    settings = Settings(solver_version="0.1.0")
-    keys = {
-        key_of(one.digests, settings.solver_version, settings.config_sha256)
-        for one in sessions(known)
-    }
-    if unread or keys - done:
-        raise SystemExit("something is new")
 
 
 def one_document(work: Path, boards: int) -> tuple[str, bytes]:

@@ -41,21 +41,36 @@ STEPS = {
     "sort by a number": "document.querySelectorAll('#head button')[9].click()",
     "sort by a name": "document.querySelectorAll('#head button')[3].click()",
     "scroll to the end": "document.getElementById('rows').scrollTop = 1e9",
+    "show all lots and rigs": "for (const one of [...document.querySelectorAll('#groups .more')])"
+    " one.click()",
+    "sort lots and rigs": "document.querySelectorAll('#groups-rig th button')[4].click()",
 }
 _OPEN = """
 const done = arguments[arguments.length - 1], begin = performance.now();
-document.querySelectorAll('.row')[5].click();
+document.querySelectorAll('%s')[%d].click();
 (function look() {
-  if (document.querySelectorAll('#board figure').length) done(performance.now() - begin);
+  if (document.querySelectorAll('%s figure').length) done(performance.now() - begin);
   else setTimeout(look, 1);
 })();
 """
+OPEN_BOARD = _OPEN % (".row", 5, "#board")
+OPEN_GROUP = _OPEN % ("#groups-rig td button", 0, "#group")
+PICTURED = FleetPlan(  # enough nights for charts to have a course
+    boards=2_000,
+    nights=40,
+    rigs=12,
+    lots=6,
+    rig_drift=(3, "misalignment_x", 28, 2e-4),
+    board_drift=(17, "scale_y", 25, 4e-4),
+    bad_lot=(2, "scale_z", 0.012),
+    odd_board=(33, "scale_x", 0.2),
+    temperature_per_c={"bias_x": 1e-3, "bias_z": -4e-4},
+)
 
 
-def made(folder: Path, boards: int) -> tuple[Path, dict[str, float]]:
-    """Write a fleet's page; return it and what that took."""
-    store = folder / "store"
-    plan = FleetPlan(
+def timed_fleet(boards: int) -> FleetPlan:
+    """Return the fleet whose page is timed."""
+    return FleetPlan(
         boards=boards,
         nights=10,
         rigs=64,
@@ -65,6 +80,11 @@ def made(folder: Path, boards: int) -> tuple[Path, dict[str, float]]:
         bad_lot=(2, "scale_z", 0.004),
         odd_board=(33, "scale_x", 0.2),
     )
+
+
+def made(folder: Path, plan: FleetPlan) -> tuple[Path, dict[str, float]]:
+    """Write a fleet's page; return it and what that took."""
+    store = folder / "store"
     table = write_fleet(store, plan)
     begun_s = time.process_time()
     found = overview(store, read_origins(table))
@@ -74,6 +94,7 @@ def made(folder: Path, boards: int) -> tuple[Path, dict[str, float]]:
         "overview, s of CPU": asked_s - begun_s,
         "page, s of CPU": time.process_time() - asked_s,
         "data.js, MB": (page.parent / "data.js").stat().st_size / 1e6,
+        "histories, MB": sum(one.stat().st_size for one in page.parent.glob("history/*.js")) / 1e6,
     }
 
 
@@ -89,36 +110,43 @@ def measured(browser: Any, page: Path) -> dict[str, float]:
         found[f"{name}, ms"] = min(
             float(browser.execute_async_script(_TIMED % script)) for _ in range(3)
         )
-    found["open a board, ms"] = float(browser.execute_async_script(_OPEN))
+    found["open a board, ms"] = float(browser.execute_async_script(OPEN_BOARD))
+    found["open a rig, ms"] = float(browser.execute_async_script(OPEN_GROUP))
     return found
 
 
 def pictures(browser: Any, page: Path, folder: Path) -> None:
-    """Take pictures of the page in light, dark and on a phone."""
+    """Take pictures of the whole page in light, dark and on a phone, a board and a rig opened."""
+    browser.set_script_timeout(PATIENCE_S)
     folder.mkdir(parents=True, exist_ok=True)
     for name, width, scheme in (
         ("light", 1300, "light"),
         ("dark", 1300, "dark"),
         ("phone", 390, "light"),
+        ("phone-dark", 390, "dark"),
     ):
         features = [{"name": "prefers-color-scheme", "value": scheme}]
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
-        size = {"width": width, "height": 1700, "deviceScaleFactor": 1, "mobile": width < 500}
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         browser.get("about:blank")
         browser.get(page.as_uri())
         while not browser.execute_script("return document.body.dataset.ready === 'yes'"):
             time.sleep(0.02)  # between looks
-        browser.execute_async_script(_OPEN)
+        browser.execute_script("document.getElementById('search').value = 'is:drifting'; refresh()")
+        browser.execute_async_script(_OPEN % (".row", 0, "#board"))
+        browser.execute_async_script(OPEN_GROUP)
+        height = browser.execute_script("return document.documentElement.scrollHeight")
+        size["height"] = height
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         browser.save_screenshot(str(folder / f"fleet-{name}.png"))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; return 1 where the page stops or complains."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--boards", type=int, default=100_000)
-    parser.add_argument("--pictures", type=Path)
-    parser.add_argument("--page", type=Path, help="measure this one, and make none")
+    parser.add_argument("--boards", type=int, default=100_000, help="0: measure nothing")
+    parser.add_argument("--pictures", type=Path, help="put pictures of another, small fleet there")
     told = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
@@ -127,10 +155,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.write("no Chromium here: apt-get install chromium chromium-driver\n")
             return 0
         try:
-            page, figures = (told.page, {}) if told.page else made(folder, told.boards)
-            figures |= measured(browser, page)
+            figures: dict[str, float] = {}
+            if told.boards:
+                page, figures = made(folder, timed_fleet(told.boards))
+                figures |= measured(browser, page)
             if told.pictures is not None:
-                pictures(browser, page, told.pictures)
+                pictures(browser, made(folder / "pictured", PICTURED)[0], told.pictures)
             complaints = [
                 one for one in browser.get_log("browser") if one["level"] in ("SEVERE", "WARNING")
             ]

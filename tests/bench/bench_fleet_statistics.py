@@ -35,10 +35,14 @@ from gyrorig_solver.fleet.charts import (
     moved_groups,
     what_moved,
 )
-from gyrorig_solver.fleet.overview import NOMINAL, PARAMETERS, Newest, compared
+from gyrorig_solver.fleet.comparing import compared
+from gyrorig_solver.fleet.constants import NOMINAL
+from gyrorig_solver.fleet.newest import PARAMETERS, Newest
 
 BOARDS, NIGHTS, RIGS, LOTS, BEGIN = 400, 40, 8, 4, 20
 TEMPERATURE = {"bias_x": 1e-4, "bias_y": -6e-5, "bias_z": 3e-5}
+# boards' own slopes differ by half of that: a tenth of the data sheet's limit (0.03 dps/K)
+SLOPE_SPREAD = dict.fromkeys(TEMPERATURE, 5e-5)
 # a night's drift, in the deviations of one board's night
 RIG_SIZES = (0.02, 0.05, 0.1, 0.2, 0.5)
 # in what boards of one kind differ by
@@ -76,7 +80,13 @@ def plan_of(seed: int, kind: str, size: float) -> FleetPlan:
     """Return a fleet with something of that size hidden in it."""
     rng = np.random.default_rng([seed, 7])
     plan = FleetPlan(
-        boards=BOARDS, nights=NIGHTS, rigs=RIGS, lots=LOTS, seed=seed, temperature_per_c=TEMPERATURE
+        boards=BOARDS,
+        nights=NIGHTS,
+        rigs=RIGS,
+        lots=LOTS,
+        seed=seed,
+        temperature_per_c=TEMPERATURE,
+        slope_spread=SLOPE_SPREAD,
     )
     name = str(rng.choice([*NOMINAL] if kind == "constant" else PARAMETERS))
     f, sign = family(name), float(rng.choice((-1.0, 1.0)))
@@ -139,6 +149,8 @@ class Fleet:
             start_s=np.zeros(len(board)),
             chi2=np.ones(len(board)),
             temperature_c=np.full(len(board), 25.0),
+            skew_ppm=np.full(len(board), np.nan),
+            count_rad_s=np.full(len(board), np.nan),
             value={n: self.value[n][last[n], board] for n in PARAMETERS},
             std={n: np.sqrt(self.variance[n][last[n], board]) for n in PARAMETERS},
         )
@@ -152,7 +164,8 @@ def ours(fleet: Fleet, kind: str) -> Told:
         moved = what_moved(charts, fleet.groupings)
         told = [(one.kind, one.group, one.parameter) for one in moved.groups]
         _, constants, differing = compared(fleet.newest(night))
-        told += [("constant", "all", one.parameter) for _, one in constants]
+        common = [one.told.parameter for one in constants if one.told.is_common]
+        told += [("constant", "all", name) for name in common]
         told += [(k, one.most, one.parameter) for _, k, one in differing]
         right = hidden_in(fleet.plan, kind)
         if right in told and delay is None:
@@ -239,7 +252,13 @@ def raised(boards: int, asked: int, seed: int) -> dict[str, float]:
     """Return what is raised in a night for nothing in a large fleet, by both ways."""
     nights = 12 + asked
     plan = FleetPlan(
-        boards=boards, nights=nights, rigs=64, lots=20, seed=seed, temperature_per_c=TEMPERATURE
+        boards=boards,
+        nights=nights,
+        rigs=64,
+        lots=20,
+        seed=seed,
+        temperature_per_c=TEMPERATURE,
+        slope_spread=SLOPE_SPREAD,
     )
     rng = np.random.default_rng(seed)
     kept, temperature = rooms_of(plan, rng)

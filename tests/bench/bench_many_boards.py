@@ -2,9 +2,10 @@
 
 Sessions of `config/rig-sixteen.yaml` in simulated time, eight boards on serial ports, eight on
 CAN, with a unit that is asked fast and one that is asked slowly. Each board is fitted alone
-and all together; both are held against the truth.
+and all together; both are held against the truth: the calibrations, how far the times of the
+boards of a bus are from each other, and with `--cause` the size of what the unit hides.
 
-Run: python tests/bench/bench_many_boards.py [--sessions 2]
+Run: python tests/bench/bench_many_boards.py [--sessions 2] [--cause s_curve:0.03]
 """
 
 import argparse
@@ -12,8 +13,8 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -24,17 +25,24 @@ import numpy as np
 from gyrorig_daemon.config import parse_rig
 from gyrorig_daemon.description import SessionOrder
 from gyrorig_daemon.emulated import rig_settings
+from gyrorig_daemon.emulator.causes import parse_hide
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.session import Surroundings, record_session
 from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.result import GyroFit
+from gyrorig_solver.findings.explaining import Explanation, explain_unit
 from gyrorig_solver.model.gain import FACTOR_NAMES, factorise
-from gyrorig_solver.solve import solve_on_one_unit, solve_recordings
+from gyrorig_solver.samples import GyroSamples, load_samples
+from gyrorig_solver.solve import solve_recordings
+from gyrorig_solver.together import load_together, solve_on_one_unit
 
 ROOT = Path(__file__).resolve().parents[2]
 ORIGIN_NS = 5_000_000_000
@@ -51,17 +59,32 @@ class Compared:
     error: np.ndarray  # (2, boards, 9)
     cpu_s: tuple[float, float]
     together: int
+    apart_s: tuple[float, float]  # between the times of boards of a bus, rms
+    cause: np.ndarray  # (2, boards, values), of the hidden one: value
+    cause_std: np.ndarray
 
 
-def session(seed: int, baud: int, command_time_ms: float, folder: Path) -> Compared:
+def session(
+    seed: int, baud: int, command_time_ms: float, folder: Path, hide: Sequence[str] = ()
+) -> Compared:
     """Record and solve one session both ways."""
-    path, truth = _recorded(seed, baud, command_time_ms, folder)
+    path, rig, end_ns = _recorded(seed, baud, command_time_ms, folder, hide)
+    truth = {name: board.imu.gain for name, board in rig.truth.boards.items()}
     recording = read_recording(path)
     boards = recording.board_ids
+    found = explain_unit([recording], boards) if hide else {}
+    named = {
+        str(board): one.findings.extensions
+        for board, one in found.items()
+        if isinstance(one, Explanation)
+    }
     begun_s = time.process_time()
-    alone = {board: solve_recordings([recording], board) for board in boards}
+    alone = {
+        board: solve_recordings([recording], board, named=_own(named.get(board, ())))
+        for board in boards
+    }
     half_s = time.process_time()
-    together = solve_on_one_unit([recording], boards)
+    together = solve_on_one_unit([recording], boards, named=named)
     cpu_s = half_s - begun_s, time.process_time() - half_s
     std, error = np.zeros((2, len(boards), 9)), np.zeros((2, len(boards), 9))
     taken = 0
@@ -71,7 +94,63 @@ def session(seed: int, baud: int, command_time_ms: float, folder: Path) -> Compa
             std[way, n] = [fit.std[name] for name in FACTOR_NAMES]
             error[way, n] = [fit.value(name) for name in FACTOR_NAMES] - true
         taken += int("boards_together" in _fit(together[board]).extra)
-    return Compared(std, error, cpu_s, taken)
+    on_bus = [board for board in boards if board.startswith("C")]
+    apart_s = (
+        _apart_s(recording, rig, end_ns, {b: load_samples(recording, b) for b in on_bus}),
+        _apart_s(recording, rig, end_ns, load_together(recording, on_bus).samples),
+    )
+    values = np.array(
+        [
+            [_causes(fit) for fit in fits]
+            for fits in (alone.values(), [_fit(together[b]) for b in boards])
+        ]
+    )
+    return Compared(std, error, cpu_s, taken, apart_s, values[..., 0], values[..., 1])
+
+
+def _own(named: Sequence[Extension]) -> list[Extension]:
+    """Return causes as one board knows them, not told of the others."""
+    return [replace(one, told=None) for one in named]
+
+
+def _causes(fit: GyroFit) -> np.ndarray:
+    """Return the values of the causes fitted to a board and their deviations, (values, 2)."""
+    pairs = [np.column_stack([one.value, one.std]) for one in fit.causes]
+    return np.concatenate(pairs) if pairs else np.zeros((0, 2))
+
+
+def _apart_s(
+    recording: Recording,
+    rig: EmulatedRig,
+    end_ns: int,
+    samples: Mapping[str, GyroSamples],
+) -> float:
+    """Return how far the times of boards of one bus are from each other, by the true clocks."""
+    late: dict[int, list[np.ndarray]] = {}
+    first = max(float(one.time_s[0]) + one.origin_ns * 1e-9 for one in samples.values())
+    last = min(float(one.time_s[-1]) + one.origin_ns * 1e-9 for one in samples.values())
+    grid_s = np.linspace(first, last, 400)
+    start_ns = min(one.origin_ns for one in samples.values())
+    for board, one in samples.items():
+        clock = rig.boards[board].clock
+        ticks = recording.imu_columns(BoardId(one.board)).device_time.astype(np.float64)
+        ticks = np.unwrap(ticks, period=2.0**32)[-one.time_s.size :]
+        knots_ns = ORIGIN_NS + np.arange(0, end_ns - ORIGIN_NS + 100_000_000, 50_000_000)
+        seconds = np.array([clock.seconds(int(at)) for at in knots_ns])
+        shown = seconds * clock.truth.tick_hz + clock.truth.start_ticks
+        # The counter may have wrapped before the first sample.
+        ticks += 2.0**32 * np.round((shown.mean() - ticks.mean()) / 2.0**32)
+        true_s = np.interp(ticks, shown, (knots_ns - ORIGIN_NS) * 1e-9)
+        error_s = one.time_s + (one.origin_ns - start_ns) * 1e-9 - true_s
+        at_s = np.interp(grid_s - one.origin_ns * 1e-9, one.time_s, error_s)
+        late.setdefault(_bus(board), []).append(at_s)
+    squares = [(np.array(each) - np.mean(each, axis=0)) ** 2 for each in late.values()]
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def _bus(board: str) -> int:
+    """Return which of the rig's two buses a board of `rig-sixteen` is on."""
+    return (int(board[1:]) - 1) // 4
 
 
 def _fit(found: GyroFit | GyrorigError) -> GyroFit:
@@ -81,15 +160,16 @@ def _fit(found: GyroFit | GyrorigError) -> GyroFit:
 
 
 def _recorded(
-    seed: int, baud: int, command_time_ms: float, folder: Path
-) -> tuple[Path, dict[str, np.ndarray]]:
+    seed: int, baud: int, command_time_ms: float, folder: Path, hide: Sequence[str]
+) -> tuple[Path, EmulatedRig, int]:
     document = parse_yaml((ROOT / "config" / "rig-sixteen.yaml").read_bytes(), "rig.yaml")
     document["ptu"]["baud"] = baud
     document["emulator"]["command_time_ms"] = command_time_ms
     config_text = dump_yaml(document).encode()
     config = parse_rig(config_text, "rig.yaml")
     program_text = (ROOT / "config" / "programs" / "quick.yaml").read_bytes()
-    rig = EmulatedRig(rig_settings(config, seed), ORIGIN_NS)
+    settings = replace(rig_settings(config, seed), hide=tuple(parse_hide(text) for text in hide))
+    rig = EmulatedRig(settings, ORIGIN_NS)
     hub = VirtualHub(rig)
     capture = CaptureClock(1_767_232_800_000_000_000 + 10**12 * seed, hub.now_ns())
 
@@ -107,7 +187,7 @@ def _recorded(
         session=f"s{seed}",
     )
     path = record_session(hub, order, around)
-    return path, {name: board.imu.gain for name, board in rig.truth.boards.items()}
+    return path, rig, hub.now_ns()
 
 
 def said(found: Sequence[Compared]) -> list[str]:
@@ -128,6 +208,9 @@ def said(found: Sequence[Compared]) -> list[str]:
             f"  {name}: {inside:.1%} of {z[way].size} values inside their 95 % interval, rms "
             f"{np.sqrt(np.mean(z[way] ** 2)):.3f} deviations"
         )
+    us = np.sqrt(np.mean(np.square([one.apart_s for one in found]), axis=0)) * 1e6
+    lines.append(f"  times of a bus' boards apart by {us[0]:.2f} us alone, {us[1]:.2f} us together")
+    lines += _said_of_cause(found)
     cpu = np.sum([one.cpu_s for one in found], axis=0) / len(found)
     lines.append(
         f"  {cpu[0]:.2f} s of CPU alone, {cpu[1]:.2f} s together, {found[0].std.shape[1]} boards; "
@@ -136,18 +219,41 @@ def said(found: Sequence[Compared]) -> list[str]:
     return lines
 
 
+def _said_of_cause(found: Sequence[Compared]) -> list[str]:
+    """Return how well the hidden cause's sizes are known, where all sessions named the same."""
+    sizes = {one.cause.shape for one in found}
+    if len(sizes) != 1 or not found[0].cause.shape[-1]:
+        return []
+    lines = []
+    for way, name in enumerate(("alone", "together")):
+        values = np.array([one.cause[way] for one in found])
+        std = np.array([one.cause_std[way] for one in found])
+        apart = np.ptp(values, axis=1).mean(axis=0)
+        lines.append(
+            f"  the cause, {name}: {np.round(values.mean(axis=(0, 1)), 6)}, deviation "
+            f"{np.round(std.mean(axis=(0, 1)), 6)}, boards apart {np.round(apart, 6)}"
+        )
+    return lines
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; return 1 where the joint fit knows less or says too much."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--sessions", type=int, default=2, help="of each unit")
     parser.add_argument("--seed", type=int, default=900)
+    parser.add_argument(
+        "--cause", default="", help="hidden in the unit, as `emulate --hide` has it"
+    )
     told = parser.parse_args(arguments)
     worse = False
     for name, (baud, command_time_ms) in UNITS.items():
         found = []
         for n in range(told.sessions):
             with tempfile.TemporaryDirectory() as folder:
-                found.append(session(told.seed + n, baud, command_time_ms, Path(folder)))
+                found.append(session(
+                    told.seed + n, baud, command_time_ms, Path(folder),
+                    [told.cause] if told.cause else [],
+                ))  # fmt: skip
         sys.stdout.write(f"{name}, {len(found)} sessions\n" + "\n".join(said(found)) + "\n")
         sys.stdout.flush()
         std = np.concatenate([one.std for one in found], axis=1)

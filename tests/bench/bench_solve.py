@@ -34,9 +34,9 @@ from gyrorig_solver.calibration.document import to_yaml
 from gyrorig_solver.calibration.solving import document_of
 from gyrorig_solver.clocks.envelope import forget_envelopes
 from gyrorig_solver.estimate.motion import fit_motion
+from gyrorig_solver.on_unit import PTU_WORDS
 from gyrorig_solver.reference.ptu_recording import ptu_reference
 from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import PTU_WORDS
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = ROOT / "config" / "programs" / "paper.yaml"  # 75 s

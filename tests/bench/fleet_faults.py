@@ -102,11 +102,17 @@ def kill_batch(spool: Path, store: Path, boards: int, kills: int) -> bool:
 
 
 def kill_workers(spool: Path, store: Path, boards: int, kills: int) -> bool:
-    """Kill a worker that has begun work, again and again; each session may lose one."""
+    """Kill a worker that has begun work, again and again; each session may lose one.
+
+    When all is solved before enough were killed, the store is judged and put aside, and the
+    work is done anew in another.
+    """
     chance, begun_s = random.Random(2), time.monotonic()
     done = nights = 0
+    held = True
     while done < kills and nights < kills:
         nights += 1
+        before = done
         child = begin(batch(spool, store, "--workers", "2", "--retry", "quarantined"))
         while child.poll() is None and done < kills:
             workers = [pid for pid in below(child.pid) if _is_worker(pid)]
@@ -119,11 +125,12 @@ def kill_workers(spool: Path, store: Path, boards: int, kills: int) -> bool:
                     continue
             time.sleep(0.3)
         end(child)
-        if done < kills:  # all is solved: what is there goes, and it is done anew
-            store.rename(store.with_name(f"{store.name}-{nights}"))
-    for _ in range(3):
-        end(begin(batch(spool, store, "--workers", "2", "--retry", "quarantined")))
-    return judged(f"worker killed {done} times", str(store), boards, begun_s)
+        for _ in range(3):
+            end(begin(batch(spool, store, "--workers", "2", "--retry", "quarantined")))
+        what = f"worker killed {done - before} times, {done} in all"
+        held &= judged(what, str(store), boards, begun_s)
+        store.rename(store.with_name(f"{store.name}-{nights}"))
+    return held and done >= kills
 
 
 def _is_worker(pid: int) -> bool:
@@ -181,7 +188,8 @@ def bucket_errs(spool: Path, _store: Path, boards: int, kills: int) -> bool:
             child = begin([GYRORIG, *_words(spool, store)])
             nights += 1
             try:
-                child.wait(chance.uniform(2.0, 12.0) if number % 2 else 60.0)
+                # the first of them while there is work to do
+                child.wait(60.0 if number % 2 else chance.uniform(1.0, 6.0))
                 child.communicate()
             except subprocess.TimeoutExpired:
                 kill(child)

@@ -33,6 +33,12 @@ class FleetPlan:
     board_drift: tuple[int, str, int, float] | None = None
     odd_board: tuple[int, str, float] | None = None
     temperature_per_c: dict[str, float] = field(default_factory=dict)
+    slope_spread: dict[str, float] = field(default_factory=dict)  # boards' own, about that
+    count_rad_s: float | None = None  # what a count is worth
+    truncated: bool = False  # counts are cut off: half a one is missing on every axis
+    clock_ppm: float | None = None  # boards' own clocks differ by
+    host_ppm: dict[int, float] = field(default_factory=dict)  # the clock of a rig's host is fast by
+    tick_ppm: float = 0.0  # every board counts so much faster than its profile says
 
 
 def rooms_of(plan: FleetPlan, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -54,6 +60,10 @@ def column_of(
     std = ERROR[family] * rng.uniform(0.7, 1.5, (plan.nights, plan.boards))
     value = truth + rng.normal(0.0, SCATTER[family], std.shape) + rng.normal(0.0, std)
     value += plan.temperature_per_c.get(name, 0.0) * (temperature_c - 25.0)
+    if name in plan.slope_spread:
+        value += rng.normal(0.0, plan.slope_spread[name], plan.boards) * (temperature_c - 25.0)
+    if plan.truncated and family == "bias":
+        value -= 0.5 * (plan.count_rad_s or 0.0)
     if plan.constant is not None and plan.constant[0] == name:
         value += plan.constant[1]
     if plan.bad_lot is not None and plan.bad_lot[1] == name:
@@ -64,6 +74,16 @@ def column_of(
         if drift is not None and drift[1] == name:
             value += np.maximum(night - drift[2] + 1, 0) * drift[3] * (here == drift[0])
     return value, std
+
+
+def skew_of(plan: FleetPlan) -> np.ndarray:
+    """Return how fast each board's clock is against its host's, ppm; NaN where boards have none."""
+    if plan.clock_ppm is None:
+        return np.full(plan.boards, np.nan)
+    own = np.random.default_rng([plan.seed, 2]).normal(0.0, plan.clock_ppm, plan.boards)
+    host = [plan.host_ppm.get(board % plan.rigs, 0.0) for board in range(plan.boards)]
+    skew: np.ndarray = own + plan.tick_ppm - np.array(host)
+    return skew
 
 
 def write_fleet(store: Path, plan: FleetPlan) -> Path:
@@ -79,6 +99,7 @@ def write_fleet(store: Path, plan: FleetPlan) -> Path:
         "n_night": night,
         "n_version": version,
         "temperature": temperature[kept],
+        "skew": skew_of(plan)[board],
     }
     for name in PARAMETERS:
         value, std = column_of(plan, name, rng, temperature)
@@ -103,6 +124,8 @@ def write_fleet(store: Path, plan: FleetPlan) -> Path:
         "file_sha256": "sha256(n_board || '/' || n_version)",
         "trust": "CASE WHEN n_board % 50 = 7 THEN 'limited' ELSE 'good' END",
         "reduced_chi2": "1.0",
+        "clock_skew_ppm": "CASE WHEN isfinite(skew) THEN skew END",
+        "gyro_scale_rad_s": "NULL" if plan.count_rad_s is None else repr(float(plan.count_rad_s)),
     }
     fields = ", ".join(
         f"({made.get(name, name if name in columns else 'NULL')})::{kind} AS {name}"

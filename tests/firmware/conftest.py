@@ -57,6 +57,12 @@ def host_board(c_build: Build) -> Path:
     return c_build("host_board.c", "-D_POSIX_C_SOURCE=200809L")
 
 
+@pytest.fixture(scope="session")
+def gapless_board(c_build: Build) -> Path:
+    """The same, but it loses no sample before it is read."""
+    return c_build("host_board.c", "-D_POSIX_C_SOURCE=200809L", "-DGAP_EVERY=1000000u")
+
+
 AVR_MEMORY = ["-DGYB_QUEUE_BYTES=192", "-DGYB_BATCH_BYTES=107"]  # the defaults of an AVR
 
 

@@ -11,7 +11,9 @@
 #include "gyrorig_board.h"
 
 #define PERIOD_US 5000u
+#ifndef GAP_EVERY
 #define GAP_EVERY 100u /* of so many samples one is lost before it is read */
+#endif
 
 static int line;
 static int over;

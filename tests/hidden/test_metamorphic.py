@@ -12,7 +12,7 @@ import pytest
 from tests.hidden.fast import Line, Sessions
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver import solve
+from gyrorig_solver import on_unit
 from gyrorig_solver.discover.finder import explain
 from gyrorig_solver.discover.result import Findings, NamedCause
 from gyrorig_solver.samples import GyroSamples, load_samples
@@ -75,7 +75,7 @@ def test_a_board_mounted_otherwise_has_the_same_names(there: Sessions) -> None:
         )
 
     recording = read_recording(there.path("plus"))
-    with patch.object(solve, "load_samples", lambda *a: turned(load_samples(*a))):
+    with patch.object(on_unit, "load_samples", lambda *a: turned(load_samples(*a))):
         one = only(explain([recording], recording.board_ids[0]).findings)
     before = only(findings(there, 0))
     assert {TURNED[axis] for axis in before.where} == set(one.where)

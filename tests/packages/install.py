@@ -19,11 +19,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 MINORS = (11, 12, 13)
+EXTRAS = ("", "solver", "solver,fleet", "live", "docs")
 SHORT = """schema: gyrorig/program/1
 name: short
 description: 2 s at rest
 steps:
   - rest: {seconds: 2.0, phase: static}
+"""
+VIEW = """
+from gyrorig_daemon.live import live_view
+view = live_view("127.0.0.1:0", print)
+view.status({"state": "ready"})
+view.close()
 """
 
 
@@ -109,6 +116,10 @@ def _use(folder: Path, extra: str) -> None:
         run("gyrorig", "solve", recording, code=4)  # at rest: only the bias and the noise
     else:
         run("gyrorig", "solve", recording, code=2)  # says which extra is missing
+    if extra == "live":
+        run("python", "-c", VIEW)
+    if extra == "docs":
+        run("mkdocs", "--version")  # the site itself is made in a checkout
     if extra == "solver,fleet":
         run("gyrorig", "batch", "--spool", "recordings", "--store", "store")
         run("gyrorig", "store", "verify", "store")
@@ -129,7 +140,7 @@ def main() -> int:
         )  # fmt: skip
         (wheel,) = folder.glob("*.whl")
         for python in pythons(told.minor or MINORS):
-            for extra in told.extra or ("", "solver", "solver,fleet", "live"):
+            for extra in told.extra or EXTRAS:
                 place = folder / "venv"
                 found = outcome(python, extra, wheel, place)
                 shutil.rmtree(place, ignore_errors=True)

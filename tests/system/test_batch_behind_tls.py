@@ -1,10 +1,7 @@
 """A batch on a scheduler behind TLS: with the right certificate, and with a stranger's."""
 
-import contextlib
 import json
-import os
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -21,6 +18,7 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
 )
 from cryptography.x509.oid import NameOID
+from tests.system.conftest import Clusters
 
 from gyrorig_solver.fleet.verifying import verify
 
@@ -80,23 +78,9 @@ def ours(tmp_path: Path) -> list[str]:
 
 
 @pytest.fixture
-def address(tmp_path: Path, ours: list[str]) -> Iterator[str]:
-    script = tmp_path / "cluster.py"
-    script.write_text(CLUSTER, encoding="utf-8")
-    process = subprocess.Popen(
-        [sys.executable, str(script), *ours],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        start_new_session=True,
-        cwd=tmp_path,
-    )
-    assert process.stdout is not None
-    yield process.stdout.readline().strip()
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
+def address(clusters: Clusters, ours: list[str]) -> Iterator[str]:
+    with clusters(CLUSTER, ours) as (_, at):
+        yield at
 
 
 def batch(tmp_path: Path, address: str, files: list[str]) -> "subprocess.CompletedProcess[str]":

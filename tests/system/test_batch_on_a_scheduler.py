@@ -1,6 +1,5 @@
 """A batch on dask's workers: the same ends as on this machine's, and nothing lost with it."""
 
-import contextlib
 import json
 import os
 import shutil
@@ -13,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from tests.system.conftest import Clusters
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.cli import run
@@ -29,6 +29,8 @@ if __name__ == "__main__":
         print(cluster.scheduler_address, flush=True)
         sys.stdin.read()
 """
+# Ten milliseconds each: some seconds of work are left when the first row is seen.
+PIECES = 400
 BATCH = [str(Path(sys.executable).with_name("gyrorig")), "batch", "--json"]
 
 
@@ -38,24 +40,43 @@ class Cluster:
     address: str
 
 
+# What a night's work is to the scheduler, with pieces one of which kills whoever has it.
+POISONED = """
+import json, os, signal, sys
+from pathlib import Path
+from gyrorig_solver.fleet.lanes import through
+from gyrorig_solver.fleet.scheduler import dask_lanes
+from gyrorig_solver.fleet.task import Order, Outcome, Settings, carry_out_within, row_of
+from gyrorig_solver.places.folder import Folder
+
+address, folder = sys.argv[1], Path(sys.argv[2])
+
+def work(order):
+    with (folder / "begun").open("a") as file:
+        file.write(order.key + "\\n")
+    if order.key == "poison":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return Outcome(order.key, (row_of(order, "rejected", reason="as asked"),))
+
+settings = Settings(solver_version="0.1.0")
+keys = ["k1", "k2", "poison", *(f"k{n}" for n in range(3, 12))]
+place = Folder(folder)
+orders = [Order(key, "night", place, place, (), ("00",), settings) for key in keys]
+with dask_lanes(address) as lanes:
+    (lane,) = lanes
+    limited = lane.work is carry_out_within
+    lane.work = work
+    ended = [(one.key, one.rows[0].status) for one in through(orders, lanes)]
+begun = (folder / "begun").read_text().split()
+print(json.dumps({"ended": ended, "killed": begun.count("poison"), "limited": limited}))
+"""
+
+
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    script = tmp_path / "cluster.py"
-    script.write_text(CLUSTER, encoding="utf-8")
-    process = subprocess.Popen(
-        [sys.executable, str(script)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        start_new_session=True,
-        cwd=tmp_path,
-    )
-    assert process.stdout is not None
-    yield Cluster(process, process.stdout.readline().strip())
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
+def cluster(clusters: Clusters, request: pytest.FixtureRequest) -> Iterator[Cluster]:
+    """One worker of a scheduler, which is told what the parameter says."""
+    with clusters(CLUSTER, more=getattr(request, "param", {})) as (process, address):
+        yield Cluster(process, address)
 
 
 @pytest.fixture
@@ -81,7 +102,7 @@ def test_a_batch_on_a_scheduler_and_on_one_that_dies(
     assert Counter(json.loads(done.stdout)["ended"]) == Counter(ok=1, rejected=4)
     assert verify(store).faults == ()
 
-    for number in range(4, 60):
+    for number in range(4, PIECES):
         (spool / f"foreign{number}.mcap").write_bytes(b"%d" % number)
     shutil.copy(spool / "sample.mcap", spool / "a-copy.mcap")  # the same bytes: no work
     child = subprocess.Popen(
@@ -97,15 +118,38 @@ def test_a_batch_on_a_scheduler_and_on_one_that_dies(
     out, err = child.communicate(timeout=90)
     assert child.returncode == 5, err
     told = json.loads(out)
+    assert told["put_off"] > 0  # what the scheduler held when it died
+    assert told["put_off_why"].startswith("the workers are gone")
     here = subprocess.run(command, capture_output=True, text=True, check=False)
     assert here.returncode in (0, 5), here.stderr
     after = json.loads(here.stdout)
-    assert after["done_before"] + sum(after["ended"].values()) == 61
+    assert after["done_before"] + sum(after["ended"].values()) == PIECES + 1
     assert after["put_off"] == 0
-    assert told["put_off"] + told["not_begun"] + sum(told["ended"].values()) == 56
+    assert told["put_off"] + told["not_begun"] + sum(told["ended"].values()) == PIECES - 4
     statuses = Counter(one for (one,) in Index(store).ask("SELECT status FROM rows"))
-    assert statuses == Counter(ok=1, rejected=60)
+    assert statuses == Counter(ok=1, rejected=PIECES)
     assert verify(store).faults == ()
+
+
+@pytest.mark.parametrize(
+    ("cluster", "workers_killed"),
+    [({"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}, 2)],
+    indirect=["cluster"],
+)
+def test_work_that_kills_two_workers_is_quarantined_and_nothing_beside_it(
+    cluster: Cluster, tmp_path: Path, workers_killed: int
+) -> None:
+    """The scheduler tells a death to all that waited on that worker: those are tried alone."""
+    command = [sys.executable, "-c", POISONED, cluster.address, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    ended = dict(told["ended"])
+    assert len(told["ended"]) == len(ended) == 12
+    assert ended.pop("poison") == "quarantined"
+    assert set(ended.values()) == {"rejected"}
+    assert told["killed"] == workers_killed
+    assert told["limited"]
 
 
 @pytest.mark.parametrize(

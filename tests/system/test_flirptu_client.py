@@ -1,14 +1,21 @@
-"""An unmodified client from the package index drives the emulated unit on its pty.
+"""Unmodified clients from the package index drive the emulated unit on its pty.
 
 `flirptu` 0.0.1a2 was written for a real unit: it wants verbose replies at the start, reads
 fixed columns, and has faults of its own that show on any unit (its mode is always `vel`, its
-query of the present speed cannot be read). They are asserted here as they are: an emulated
-unit that "repaired" them would not answer like a real one.
+query of the present speed cannot be read). `flir-ptu` 0.1.0 was written for a unit's network
+port: it waits for that port's greeting, ends its commands with LF, and cannot tell an angle.
+Their faults are asserted here as they are: an emulated unit that "repaired" them would not
+answer like a real one.
 """
 
 import gc
 import importlib
+import os
+import select
+import socket
 import threading
+import tty
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -20,6 +27,7 @@ from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.settings import BoardSettings, PtuSettings, RigSettings
 
 PTU: Any = importlib.import_module("flirptu").PTU  # it has no types
+GREETING = b"\r\n### PAN-TILT CONTROLLER\r\n*"  # of a network port (reference: ptu-e46.md)
 
 
 @contextmanager
@@ -36,6 +44,39 @@ def served(settings: PtuSettings) -> Iterator[str]:
         stop.set()
         thread.join()
         server.close()
+
+
+@contextmanager
+def bridged(path: str) -> Iterator[int]:
+    """Yield a port of the loopback interface that is a unit's: bytes pass as they are."""
+    line = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(line)
+    ended, listener = os.pipe(), socket.create_server(("127.0.0.1", 0))
+    listener.settimeout(30.0)
+
+    def serve() -> None:
+        with listener.accept()[0] as client:
+            client.sendall(GREETING)
+            watched: list[Any] = [client, line, ended[0]]
+            while True:
+                ready = select.select(watched, [], [])[0]
+                if ended[0] in ready or (client in ready and not (data := client.recv(4096))):
+                    return
+                if client in ready:
+                    os.write(line, data)
+                if line in ready:
+                    client.sendall(os.read(line, 4096))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield listener.getsockname()[1]
+    finally:
+        os.write(ended[1], b"x")
+        thread.join()
+        listener.close()
+        for handle in (line, *ended):
+            os.close(handle)
 
 
 @pytest.mark.parametrize("command_time_ms", [1.0, 20.0])
@@ -96,3 +137,38 @@ def test_terse_at_the_start_is_more_than_the_client_can_read() -> None:
         # What is left of the client halts the unit as it goes: let it, while there is one.
         del fault
         gc.collect()
+
+
+@pytest.fixture(scope="module")
+def network_client() -> Any:
+    """The client that speaks Telnet, by a module that Python 3.13 has no more."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        pytest.importorskip("telnetlib", reason="flir-ptu needs telnetlib: gone since Python 3.13")
+        return importlib.import_module("flir_ptu.ptu").PTU
+
+
+@pytest.mark.parametrize("command_time_ms", [1.0, 20.0])
+@pytest.mark.parametrize("echo", [True, False])
+def test_a_script_over_the_network(network_client: Any, echo: bool, command_time_ms: float) -> None:
+    settings = PtuSettings(echo=echo, command_time_ms=command_time_ms)
+    with served(settings) as path, bridged(path) as port:
+        unit = network_client("127.0.0.1", port)
+        unit.connect()
+        assert unit.stream.is_connected
+        assert (unit.pan(), unit.tilt()) == ("0", "0")
+        unit.pan(400)  # polls until it is there
+        unit.tilt(-300)
+        assert (unit.pan(), unit.tilt()) == ("400", "-300")
+        assert (unit.pan_offset(), unit.tilt_offset()) == ("400", "-300")  # the targets
+        unit.pan_angle(5.0)
+        assert unit.pan() == "195"  # of the D48's 92.5714", which it takes every unit to have
+        with pytest.raises(TypeError):
+            unit.pan_angle()  # the client's fault: it multiplies a text
+        unit.stream.send("pp9999")  # by `pan` it would wait for a `*` for ever
+        if echo:
+            assert unit.stream.read_until("\n") == b"pp9999\n"
+        refused = b"! Maximum allowable Pan position is 3090\r\n"
+        assert unit.stream.read_until("\n") == refused
+        assert unit.pan() == "195"
+        unit.stream.close()

@@ -1,81 +1,34 @@
 """Reports in a real browser: the verdict first, nothing red, readable on a phone and on paper."""
 
 import base64
-import subprocess
-import sys
-from collections.abc import Iterator
+import io
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.bench.fleet.browser import chromium
+from tests.bench.pictures import LOOKS, opened, reports
 
-ROOT = Path(__file__).resolve().parents[2]
-BIN = Path(sys.executable).parent
-PHONE, DESK = (390, 844, True), (1300, 1400, False)
-DONE, NOT_IDENTIFIABLE, REFUSED = 0, 4, 3
-
-
-def record(out: Path, program: str, *more: str) -> Path:
-    command = [BIN / "gyrorigd", "record", "--simulated-time", "--seed", "2", "--out", out]
-    command += ["--config", ROOT / "config" / "rig.yaml"]
-    command += ["--program", ROOT / "config" / "programs" / f"{program}.yaml"]
-    subprocess.run([*map(str, command), *more], check=True, capture_output=True)
-    return next(out.glob("*.mcap"))
-
-
-def made(out: Path, *command: str | Path) -> Path:
-    """Run a command that writes one page into `out`, and return the page."""
-    words = [str(BIN / "gyrorig"), *map(str, command), "--out", str(out)]
-    done = subprocess.run(words, check=False, capture_output=True, text=True)
-    assert done.returncode in (DONE, NOT_IDENTIFIABLE, REFUSED), done.stderr
-    (page,) = out.rglob("*.html")
-    return page
+pytestmark = pytest.mark.pages
+VERDICTS = ("Good", "Limited", "Refused", "Explained", "Not all explained")
+LEAST_CONTRAST = 4.5  # WCAG 2.2, 1.4.3, of words in their usual size
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("reports")
-    sound = record(folder / "sound", "quick")
-    worn = record(folder / "worn", "quick", "--hide", "backlash@tilt")
-    still = record(folder / "still", "static")
-    return {
-        "Good": made(folder / "good", "solve", sound),
-        "Limited": made(folder / "limited", "solve", still),
-        "Refused": made(folder / "refused", "solve", sound, "--method", "paper"),
-        "Explained": made(folder / "explained", "explain", worn),
-    }
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    one = chromium(tmp_path_factory.mktemp("profile"))
-    if one is None:
-        pytest.skip("no Chromium to drive: apt-get install chromium chromium-driver, selenium")
-    yield one
-    one.quit()
-
-
-def opened(browser: Any, page: Path, size: tuple[int, int, bool], scheme: str = "light") -> None:
-    width, height, mobile = size
-    browser.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride",
-        {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": mobile},
-    )
-    feature = {"name": "prefers-color-scheme", "value": scheme}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
-    browser.get(page.as_uri())
+    found = reports(tmp_path_factory.mktemp("reports"))
+    assert set(found) == set(VERDICTS)
+    return found
 
 
 def asked(browser: Any, script: str) -> Any:
     return browser.execute_script(script)
 
 
-@pytest.mark.parametrize("verdict", ["Good", "Limited", "Refused", "Explained"])
+@pytest.mark.parametrize("verdict", VERDICTS)
 def test_the_verdict_comes_first_and_every_picture_is_drawn(
     browser: Any, pages: dict[str, Path], verdict: str
 ) -> None:
-    opened(browser, pages[verdict], DESK)
+    opened(browser, pages[verdict], "light")
     first = "return document.querySelector('section, h2').querySelector('strong').innerText"
     assert asked(browser, first) == verdict
     sizes = asked(
@@ -88,14 +41,15 @@ def test_the_verdict_comes_first_and_every_picture_is_drawn(
     assert browser.get_log("browser") == []
 
 
-@pytest.mark.parametrize("verdict", ["Good", "Limited", "Refused", "Explained"])
+@pytest.mark.parametrize("verdict", VERDICTS)
 def test_nothing_leaves_a_phones_screen(browser: Any, pages: dict[str, Path], verdict: str) -> None:
-    opened(browser, pages[verdict], PHONE)
+    opened(browser, pages[verdict], "phone")
+    width = LOOKS["phone"][0]
     widths = asked(browser, "return [document.documentElement.scrollWidth, window.innerWidth]")
-    assert widths == [PHONE[0], PHONE[0]]
+    assert widths == [width, width]
 
 
-@pytest.mark.parametrize("verdict", ["Good", "Explained"])
+@pytest.mark.parametrize("verdict", VERDICTS)
 def test_dark_is_dark_and_words_stand_out(
     browser: Any, pages: dict[str, Path], verdict: str
 ) -> None:
@@ -103,17 +57,69 @@ def test_dark_is_dark_and_words_stand_out(
         colour = asked(browser, f"return getComputedStyle(document.body).{what}")
         return sum(float(part) for part in colour.split("(")[1].rstrip(")").split(",")[:3]) / 3.0
 
-    opened(browser, pages[verdict], DESK, "dark")
+    opened(browser, pages[verdict], "dark")
     assert lightness("backgroundColor") < 64.0
     assert lightness("color") > 160.0
-    opened(browser, pages[verdict], DESK, "light")
+    opened(browser, pages[verdict], "light")
     assert lightness("backgroundColor") > 224.0
     assert lightness("color") < 96.0
 
 
-def test_a_report_goes_on_paper(browser: Any, pages: dict[str, Path]) -> None:
-    opened(browser, pages["Good"], DESK, "dark")
+# Words and what is behind them, over the whole page: each element that has letters of its own.
+CONTRASTS = """
+const channel = c => c <= 0.03928 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+const parts = text => text.match(/[\\d.]+/g).map(Number);
+const light = c => [0.2126, 0.7152, 0.0722].reduce((s, w, k) => s + w * channel(c[k] / 255), 0);
+const behind = one => {
+  for (; one; one = one.parentElement) {
+    const c = parts(getComputedStyle(one).backgroundColor);
+    if (c.length < 4 || c[3] > 0.5) return c;
+  }
+  return [255, 255, 255];
+};
+const found = [];
+for (const one of document.querySelectorAll('body *:not(svg *)')) {
+  const own = [...one.childNodes].some(n => n.nodeType === 3 && n.textContent.trim());
+  if (!own || !one.getClientRects().length) continue;
+  const [a, b] = [light(parts(getComputedStyle(one).color)), light(behind(one))];
+  const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  found.push([ratio, one.textContent.trim().slice(0, 40)]);
+}
+return found;
+"""
+
+
+@pytest.mark.parametrize("look", ["light", "dark"])
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_all_words_can_be_read(
+    browser: Any, pages: dict[str, Path], verdict: str, look: str
+) -> None:
+    opened(browser, pages[verdict], look)
+    contrasts = asked(browser, CONTRASTS)
+    assert len(contrasts) > 20
+    assert [one for one in contrasts if one[0] < LEAST_CONTRAST] == []
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_a_report_goes_on_paper(browser: Any, pages: dict[str, Path], verdict: str) -> None:
+    """Printed out of a dark screen it is dark on white, and a few sheets."""
+    opened(browser, pages[verdict], "dark")
     told = browser.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
     paper = base64.b64decode(told["data"])
     assert paper.startswith(b"%PDF-")
-    assert 2 <= paper.count(b"/Type /Page\n") <= 12
+    assert 1 <= paper.count(b"/Type /Page\n") <= 12
+    media = {"media": "print", "features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    shot = base64.b64decode(
+        browser.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]
+    )
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert mean_lightness(shot) > 200.0
+
+
+def mean_lightness(png: bytes) -> float:
+    """The mean of a picture's grey values, 255 is white."""
+    image = pytest.importorskip("PIL.Image", reason="no pillow: it comes with `make test`")
+    with image.open(io.BytesIO(png)) as taken:
+        counts = taken.convert("L").histogram()
+    return float(sum(value * count for value, count in enumerate(counts)) / sum(counts))

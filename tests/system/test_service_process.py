@@ -18,10 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from websocket import create_connection
 
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.settings import PtuSettings, RigSettings
+from gyrorig_daemon.live import DEFAULT as LIVE_DEFAULT
 from gyrorig_daemon.service.client import ask
 from gyrorig_daemon.service.jobs import put
 from gyrorig_protocol.errors import GyrorigError
@@ -68,6 +70,7 @@ class Service:
 
     def __init__(self, folder: Path, devices: Devices, name: str = "") -> None:
         self.folder = folder
+        self.more: list[str] = []  # options of `gyrorigd run`
         self.config = folder / "rig.yaml"
         self.state = folder / f"state{name}"
         self.socket = folder / f"sock{name}"
@@ -91,7 +94,7 @@ class Service:
             "WATCHDOG_USEC": "10000000",
         }
         command: list[str | Path] = [*GYRORIGD, "run", "--config", self.config]
-        command += ["--state", self.state, "--socket", self.socket]
+        command += ["--state", self.state, "--socket", self.socket, *self.more]
         self.process = subprocess.Popen(
             command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
         )
@@ -251,6 +254,41 @@ def test_an_acquisition_process_that_hangs_is_replaced(service: Service, devices
     code, told = service.end()
     assert code == 0
     assert "the ports are opened anew" in told
+
+
+def listening(pid: int) -> set[tuple[str, int]]:
+    """Where a process listens on TCP, as the kernel says: addresses in its own hexadecimal."""
+    fds = Path(f"/proc/{pid}/fd")
+    inodes = {str(fd.readlink()).removeprefix("socket:[").removesuffix("]") for fd in fds.iterdir()}
+    found = set()
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
+            _, local, _, state, *more = line.split()
+            address, _, port = local.partition(":")
+            if state == "0A" and more[5] in inodes:  # 0A: it listens
+                found.add((address, int(port, 16)))
+    return found
+
+
+def test_a_live_view_listens_on_the_loopback_alone_and_ends_with_the_daemon(
+    service: Service,
+) -> None:
+    pytest.importorskip("foxglove", reason="no foxglove-sdk: it comes with the extra live")
+    assert LIVE_DEFAULT.startswith("127.0.0.1:")  # what --live alone means
+    service.more = ["--live", "127.0.0.1:0"]
+    process = service.start_ready()
+    ((address, port),) = listening(process.pid)
+    assert socket.inet_ntoa(int(address, 16).to_bytes(4, "little")) == "127.0.0.1"
+    viewer = create_connection(
+        f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], timeout=20.0
+    )
+    assert json.loads(viewer.recv())["name"] == "gyrorigd"
+    service.enqueue(SHORT)
+    wait_for(lambda: service.results("done"))
+    code, told = service.end()
+    viewer.close()
+    assert code == 0, told
+    assert f"live view at ws://127.0.0.1:{port}\n" in told
 
 
 def test_an_emulated_rig_that_dies_is_started_again(service: Service) -> None:

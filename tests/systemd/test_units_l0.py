@@ -86,6 +86,14 @@ def test_the_daemon_is_halted_for_after_every_end() -> None:
     assert values("gyrorigd.service", "KillMode") == ["mixed"]
 
 
+def test_the_night_solves_and_then_makes_the_page_of_the_same_store() -> None:
+    batch, fleet = (one.split() for one in values("gyrorig-nightly.service", "ExecStart"))
+    assert (batch[1], fleet[1]) == ("batch", "fleet")
+    assert batch[batch.index("--store") + 1] == fleet[2]
+    assert values("gyrorig-nightly.service", "Type") == ["oneshot"]  # one after the other
+    assert values("gyrorig-nightly.service", "SuccessExitStatus") == ["5"]  # or no page then
+
+
 def test_udev_reads_the_rules_without_complaint() -> None:
     udevadm = tool("udevadm", "udev")
     rules = FILES / "udev" / "70-gyrorig.rules"

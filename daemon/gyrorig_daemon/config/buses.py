@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
+from gyrorig_daemon.config.names import first_twice
 from gyrorig_protocol.can import MAX_NODE, bind
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
@@ -71,8 +72,8 @@ def check_buses(rig: "RigConfig", name: str) -> None:
         names = [BoardId(bus.id) for bus in rig.buses]
     except InputError as fault:
         raise UsageError(f"{name}: {fault.what}", fault.remedy) from fault
-    if len(set(names)) < len(names):
-        raise UsageError(f"{name} names a bus twice", "give each bus its own id")
+    if (again := first_twice(names)) is not None:
+        raise UsageError(f"{name} names bus {again} twice", "give each bus its own id")
     for bus in rig.buses:
         if not _PORT.fullmatch(bus.port):
             raise UsageError(
@@ -97,14 +98,16 @@ def check_buses(rig: "RigConfig", name: str) -> None:
             other = taken.setdefault((board.bus, board.node), board.id)
             if other != board.id:
                 raise UsageError(
-                    f"{name}: boards {other} and {board.id} have one node", "give each its own"
+                    f"{name}: boards {other} and {board.id} on bus {board.bus} have one node, "
+                    f"{board.node}",
+                    "give each its own, as it is set on the board",
                 )
     _check_emulated(rig, name)
 
 
 def _check_board(board: "BoardPort", name: str) -> None:
     if board.port:
-        raise UsageError(f"{name}: board {board.id} has a port and a bus", "leave out one")
+        raise UsageError(f"{name}: board {board.id} has a port and a bus", "leave out one of them")
     if board.format == "text":
         raise UsageError(f"{name}: board {board.id} sends text on a CAN bus", "use signals")
     if board.format == "gcb1":
@@ -129,8 +132,12 @@ def _check_emulated(rig: "RigConfig", name: str) -> None:
         if bus.port != EMULATED:
             continue
         there = [board for board in rig.boards if board.bus == bus.id]
-        if any(board.format != "gcb1" for board in there):
-            raise UsageError(f"{name}: an emulated board sends gcb1", "leave out format: signals")
+        for board in there:
+            if board.format != "gcb1":
+                raise UsageError(
+                    f"{name}: board {board.id} is emulated, and such a board sends gcb1",
+                    "leave out its format: signals",
+                )
         load = len(there) * 2 * rig.emulator.odr_hz * _FRAME_BITS / bus.bitrate
         if load > _LOAD:
             raise UsageError(

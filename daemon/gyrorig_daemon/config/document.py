@@ -12,6 +12,7 @@ from typing import Annotated, Literal, get_args
 import msgspec
 
 from gyrorig_daemon.config.buses import BusPort, Node, bus_port, check_buses
+from gyrorig_daemon.config.names import first_twice
 from gyrorig_daemon.config.service import ScheduleEntry, ServiceSettings, check_schedule
 from gyrorig_protocol.board import ColumnMap, Sample
 from gyrorig_protocol.can import SignalMap
@@ -194,11 +195,11 @@ def parse_rig(text: str | bytes, name: str, folder: Path | None = None) -> RigCo
         names = [BoardId(board.id) for board in rig.boards]
     except InputError as fault:
         raise UsageError(f"{name}: {fault.what}", fault.remedy) from fault
-    if len(set(names)) < len(names):
-        raise UsageError(f"{name} names a board twice", "give each board its own id")
+    if (again := first_twice(names)) is not None:
+        raise UsageError(f"{name} names board {again} twice", "give each board its own id")
     paths = [path for path in rig.ports().values() if path != EMULATED]
-    if len(set(paths)) < len(paths):
-        raise UsageError(f"{name} names a port twice", "give each device its own port")
+    if (again := first_twice(paths)) is not None:
+        raise UsageError(f"{name} names port {again} twice", "give each device its own port")
     check_buses(rig, name)
     for board in rig.serial_boards:
         _check_board(board, name)
@@ -253,12 +254,21 @@ def _check_board(board: BoardPort, name: str) -> None:
         raise UsageError(f"{name}: board {board.id} has no port", "give its port, or bus and node")
     if board.format == "gcb1":
         if board.columns is not None:
-            raise UsageError(f"{name}: board {board.id} has columns", "only format: text has them")
+            raise UsageError(
+                f"{name}: board {board.id} has columns, and only text lines have them",
+                "give it format: text, or leave out columns",
+            )
         return
     if board.port == EMULATED:
-        raise UsageError(f"{name}: an emulated board sends gcb1", "leave out format: text")
+        raise UsageError(
+            f"{name}: board {board.id} is emulated, and such a board sends gcb1",
+            "leave out its format: text",
+        )
     if board.columns is None:
-        raise UsageError(f"{name}: board {board.id} sends text", "name its columns")
+        raise UsageError(
+            f"{name}: board {board.id} sends text and nothing says which column is what",
+            "give it columns, as config/rig-raspberrypi.yaml shows",
+        )
     scale = board.facts.gyro_scale_rad_s or board.columns.gyro_scale_rad_s
     if not (board.facts.uid and board.facts.sensor and scale):
         raise UsageError(
@@ -285,4 +295,7 @@ def _check_limits(limits: CommandLimits, name: str) -> None:
         ("tilt", limits.tilt_min_deg, limits.tilt_max_deg),
     ):
         if low is not None and high is not None and low >= high:
-            raise UsageError(f"{name}: {axis}_min_deg is not below {axis}_max_deg", "swap them")
+            raise UsageError(
+                f"{name}: {axis}_min_deg {low:g} is not below {axis}_max_deg {high:g}",
+                "the lesser angle is the minimum, whatever the signs",
+            )

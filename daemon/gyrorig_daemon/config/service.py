@@ -5,6 +5,7 @@ from typing import Annotated
 
 import msgspec
 
+from gyrorig_daemon.config.names import first_twice
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 
@@ -71,6 +72,8 @@ def check_schedule(entries: tuple[ScheduleEntry, ...], name: str) -> None:
                 f"{name}: {entry.at_utc!r:.20} of {entry.name} is no time of day",
                 'write it as "02:30", in quotes',
             )
-    names = [entry.name for entry in entries]
-    if len(set(names)) < len(names):
-        raise UsageError(f"{name} names an entry of the schedule twice", "rename one")
+    twice = first_twice(entry.name for entry in entries)
+    if twice is not None:
+        raise UsageError(
+            f"{name} names {twice} of the schedule twice", "rename one: a result bears the name"
+        )

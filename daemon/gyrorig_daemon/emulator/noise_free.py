@@ -166,9 +166,9 @@ def write_rates(
         with path.open("wb") as file:
             np.savez_compressed(file, **arrays)
     except OSError as fault:
-        raise MachineError(f"{path} cannot be written: {fault.strerror}", "choose --rates") from (
-            fault
-        )
+        raise MachineError(
+            f"{path} cannot be written: {fault.strerror}", "name another file with --rates"
+        ) from fault
 
 
 def _run(

@@ -99,7 +99,8 @@ class PtyServer:
         except OSError as fault:
             self.close()
             raise MachineError(
-                "a pty or a multicast group cannot be opened", f"{fault.strerror}"
+                f"no pty or multicast group can be opened for {port}: {fault.strerror}",
+                "end other emulated rigs; /proc/sys/kernel/pty/max says how many ptys there are",
             ) from fault
         try:
             if links is not None:
@@ -107,7 +108,8 @@ class PtyServer:
         except OSError as fault:
             self.close()
             raise MachineError(
-                f"links cannot be made in {links}: {fault.strerror}", "choose --links"
+                f"links cannot be made in {links}: {fault.strerror}",
+                "name another folder with --links",
             ) from fault
         self._by_fd = {pty.master: port for port, pty in self._ptys.items()}
 

@@ -62,7 +62,9 @@ class AcquisitionHub:
         self._down: set[str] = set()
         self._gone: str | None = None  # why nothing can be said any more
         self.dropped_bytes = 0
-        self.answered_ns = raw_ns()  # when the acquisition process last answered a ping
+        # When anything last came from the acquisition process, which answers every ping. Not
+        # when it wrote it: we may be late, and its answer lies behind all that it read before.
+        self.answered_ns = raw_ns()
         self._refuse_twins()
         wanted = {
             "waits": waits,
@@ -79,7 +81,8 @@ class AcquisitionHub:
             )
         except OSError as fault:
             raise MachineError(
-                f"the acquisition process cannot be started: {fault.strerror}", "make room for it"
+                f"the acquisition process cannot be started: {fault.strerror}",
+                "free memory, or end other processes, and start again",
             ) from fault
         if self._child.stdin is None or self._child.stdout is None:
             raise MachineError("the acquisition process has no pipes", "start again")
@@ -169,7 +172,7 @@ class AcquisitionHub:
         self._send(wire.ORDER.pack(wire.REOPEN, self._index[port], 0, 0))
 
     def ping(self) -> None:
-        """Ask the acquisition process whether all is well; `answered_ns` moves when it is.
+        """Have the acquisition process say something; `answered_ns` moves when it does.
 
         Raises:
             PortsGoneError: the acquisition process is gone.
@@ -194,7 +197,10 @@ class AcquisitionHub:
     def _wait_until_open(self) -> None:
         report = self._next_report(raw_ns() + OPEN_DEADLINE_NS)
         if report is None:
-            raise MachineError("the acquisition process did not start", "look at its messages")
+            raise MachineError(
+                f"the acquisition process did not start within {OPEN_DEADLINE_NS // 10**9} s",
+                "the lines above are its own; without any the computer is overloaded: try again",
+            )
         if report.kind != wire.REFUSED:
             self._keep(report)
             return
@@ -227,8 +233,6 @@ class AcquisitionHub:
             self._chunks.append(Chunk(name, report.first_ns, b"", PortChange.BACK))
         elif report.kind == wire.LOST:
             self.dropped_bytes += report.second_ns
-        elif report.kind == wire.PONG:
-            self.answered_ns = report.first_ns
 
     def _send(self, order: bytes) -> None:
         if self._gone is not None:
@@ -249,6 +253,7 @@ class AcquisitionHub:
             data = os.read(self._reports_fd, PIPE_BYTES)
             if not data:
                 self._child_is_gone()
+            self.answered_ns = raw_ns()
             self._reports.extend(self._parser.feed(data))
         return self._reports.popleft()
 

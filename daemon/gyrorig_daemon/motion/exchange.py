@@ -49,4 +49,5 @@ class Counts:
     implausible: int = 0  # positions that no order can have brought about
     exchanges: int = 0
     polls: int = 0
-    reply_wait_max_ns: int = field(default=0)
+    reply_wait_max_ns: int = field(default=0)  # of all: a homing answers when it is done
+    poll_wait_max_ns: int = field(default=0)  # of polls alone: the line and the unit's program

@@ -5,6 +5,7 @@ wrong resolution or speed would spoil the whole recording. So each fact is asked
 two answers in a row agree.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
@@ -29,6 +30,7 @@ from gyrorig_protocol.ptu.commands import QUERY_COUNTER_HZ, QUERY_MODEL, QUERY_S
 T = TypeVar("T", int, float, str)
 
 ARCSEC_PER_DEG = 3600.0
+RAD_PER_ARCSEC = math.pi / 180.0 / ARCSEC_PER_DEG
 READINGS = 6  # of one fact, until two in a row agree
 
 
@@ -53,6 +55,10 @@ class AxisFacts:
     def to_steps(self, angle_deg: float) -> int:
         """Return the position nearest to an angle."""
         return round(angle_deg * self.steps_per_deg)
+
+    def to_rad(self, steps: int) -> float:
+        """Return the angle at a position, in the rig's sense of rotation."""
+        return self.sign * steps * self.resolution_arcsec * RAD_PER_ARCSEC
 
     def to_speed(self, speed_deg_s: float) -> int:
         """Return the speed in steps/s nearest to one in deg/s."""

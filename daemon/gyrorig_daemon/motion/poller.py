@@ -74,7 +74,7 @@ class Poller:
             raise self._client.unknown()
         if checked and self._client.lost_synchrony is not None:
             raise DeviceError(
-                f"synchrony lost: {self._client.lost_synchrony}",
+                f"the unit no longer knows where it stands: {self._client.lost_synchrony}",
                 "clear the rig, then start again with --home",
             )
         if self._is_silent(exchange.reply_ns):

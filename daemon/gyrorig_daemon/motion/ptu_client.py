@@ -134,6 +134,9 @@ class PtuClient:
         done = self._finish(command, stamp.before_ns, stamp.after_ns)
         self.counts.exchanges += 1
         self.counts.polls += is_poll
+        if is_poll and done.reply is not None:
+            wait_ns = done.reply_ns - done.request_ns
+            self.counts.poll_wait_max_ns = max(self.counts.poll_wait_max_ns, wait_ns)
         if not is_poll or done.reply is None or not done.reply.ok or done.limit_hit:
             self._on_exchange(done)
         self._is_out_of_step = done.reply is None or not _fits(command, done.reply)
@@ -243,10 +246,10 @@ class PtuClient:
                 case LimitFlag():
                     self._take_limit(event.axis)
                 case CableFlag():
-                    self.lost_synchrony = "the head's cable came off"
+                    self.lost_synchrony = "its head's cable came off"
                 case Banner():
                     if not self.expects_banner:
-                        self.lost_synchrony = "the unit has restarted"
+                        self.lost_synchrony = "it has restarted"
                 case FrameError():
                     self.counts.frame_errors += 1
                     self._garbled = self._in_flight is not None and self._accepts is None
@@ -278,7 +281,7 @@ class PtuClient:
         self.counts.limit_flags += 1
         self._limit_hit = True
         if not self.resetting:
-            self.lost_synchrony = f"the {axis.word} axis met its limit"
+            self.lost_synchrony = f"its {axis.word} axis met its limit"
 
     def _is_over(self) -> bool:
         return self._reply is not None or self._garbled or self.gone

@@ -141,7 +141,9 @@ class PartOpener:
         try:
             return self._disk.free_bytes(folder)
         except OSError as fault:
-            raise MachineError(f"cannot look at {folder}: {fault.strerror}") from fault
+            raise MachineError(
+                f"cannot look at {folder}: {fault.strerror}", f"see `ls -ld {folder}`, and its disk"
+            ) from fault
 
 
 class Closing:

@@ -1,7 +1,5 @@
 """The unit's exchanges and positions as a recording keeps them."""
 
-import math
-
 from gyrorig_daemon.clocks import OnlineClock
 from gyrorig_daemon.links.capture_clock import CaptureClock
 from gyrorig_daemon.motion import Exchange, Position, UnitFacts
@@ -17,7 +15,6 @@ from gyrorig_protocol.recording.messages import (
 
 _COUNTER_BITS = 32  # unknown for the E46; a counter that exceeds it shows that it has 64
 _POLLS_PER_BRACKET = 5  # each bracket looks at all others: not at every poll
-_RAD_PER_ARCSEC = math.pi / 180.0 / 3600.0
 
 
 class PtuLog:
@@ -90,8 +87,8 @@ class PtuLog:
             reply_time_ns=utc_ns(exchange.reply_ns),
             pan_steps=position.pan_steps,
             tilt_steps=position.tilt_steps,
-            pan_rad=pan.sign * position.pan_steps * pan.resolution_arcsec * _RAD_PER_ARCSEC,
-            tilt_rad=tilt.sign * position.tilt_steps * tilt.resolution_arcsec * _RAD_PER_ARCSEC,
+            pan_rad=pan.to_rad(position.pan_steps),
+            tilt_rad=tilt.to_rad(position.tilt_steps),
             controller_time=position.counter or 0,
             sequence=self._positions & 0xFFFF_FFFF,
             status=int(status),

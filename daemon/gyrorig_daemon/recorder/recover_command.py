@@ -50,5 +50,6 @@ def recover_command(folder: Path, reserve_bytes: int, as_json: bool) -> None:
     failed = [one for one in found if one.outcome is Outcome.FAILED]
     if failed:
         raise MachineError(
-            f"{len(failed)} of {len(found)} files could not be recovered", "see above"
+            f"{len(failed)} of {len(found)} files could not be recovered",
+            "the lines above say why, each; what is left is as it was: mend that and run it again",
         )

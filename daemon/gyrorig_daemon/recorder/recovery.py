@@ -83,7 +83,9 @@ def recover_folder(folder: Path, reserve_bytes: int = 0, disk: Disk = DISK) -> l
                 disk.unlink(half)
         parts = abandoned(folder, "*.mcap.part")
     except OSError as fault:
-        raise MachineError(f"cannot look at {folder}: {fault.strerror}") from fault
+        raise MachineError(
+            f"cannot look at {folder}: {fault.strerror}", f"see `ls -ld {folder}`, and its disk"
+        ) from fault
     found = (_recover_one(part, reserve_bytes, disk) for part in parts)
     return [recovery for recovery in found if recovery is not None]
 
@@ -96,7 +98,7 @@ def _recover_one(part: Path, reserve_bytes: int, disk: Disk) -> Recovery | None:
     except FileNotFoundError:  # another process has just done it
         return None
     except GyrorigError as fault:
-        return Recovery(part, Outcome.FAILED, None, 0, 0, f"{part.name}: {fault.what}")
+        return Recovery(part, Outcome.FAILED, None, 0, 0, f"{part.name}: {fault}")
     except OSError as fault:
         text = f"{part.name}: {fault.strerror or fault}"
         return Recovery(part, Outcome.FAILED, None, 0, 0, text)
@@ -114,7 +116,10 @@ def _recover(part: Path, reserve_bytes: int, disk: Disk) -> Recovery:
         text = f"{final.name} was finished, and has its name now"
         return Recovery(final, Outcome.RENAMED, final, 0, 0, text)
     if size + reserve_bytes > disk.free_bytes(part.parent):
-        raise MachineError("too little room to recover it", "make room; the next start tries again")
+        raise MachineError(
+            f"too little room to recover it: {size + reserve_bytes} bytes have to be free",
+            "make room; the next start tries again",
+        )
     half = final.with_name(final.name + _HALF)
     about = {"original": part.name, "original_sha256": digest}
     try:
@@ -124,11 +129,17 @@ def _recover(part: Path, reserve_bytes: int, disk: Disk) -> Recovery:
         return Recovery(aside, Outcome.EMPTY, None, 0, size, f"{part.name}: {fault.what}")
     try:
         if read_strictly(half) != salvaged.messages:
-            raise InputError(f"{half.name} holds not what {part.name} does")
+            raise InputError(
+                f"{half.name}, read back, holds not what was copied from {part.name}",
+                "the disk may be failing: copy the folder elsewhere and run gyrorigd recover there",
+            )
         if disk.exists(final):
             final = final.with_name(f"{final.stem}_recovered.mcap")
             if disk.exists(final):
-                raise MachineError(f"{final} exists", "move it away")
+                raise MachineError(
+                    f"not recovered: {final} is there already and holds something else",
+                    "move that away; the next start tries again",
+                )
         disk.rename(half, final)
     except BaseException:
         if disk.exists(half):

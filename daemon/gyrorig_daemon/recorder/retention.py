@@ -204,7 +204,9 @@ def _files(folder: Path) -> list[_File]:
                 status = path.stat()
                 found.append(_File(path, status.st_size, status.st_mtime))
     except OSError as fault:
-        raise MachineError(f"cannot look at {folder}: {fault.strerror}") from fault
+        raise MachineError(
+            f"cannot look at {folder}: {fault.strerror}", f"see `ls -ld {folder}`, and its disk"
+        ) from fault
     return sorted(found, key=lambda one: (one.time_s, one.path.name))
 
 
@@ -215,7 +217,10 @@ def _delete(path: Path, disk: Disk) -> None:
         if note.exists():
             disk.unlink(note)
     except OSError as fault:
-        raise MachineError(f"cannot delete {path}: {fault.strerror}") from fault
+        raise MachineError(
+            f"cannot delete {path}: {fault.strerror}",
+            "its folder has to belong to whom the daemon runs as; recording goes on meanwhile",
+        ) from fault
 
 
 def _digest(path: Path) -> str:
@@ -225,5 +230,8 @@ def _digest(path: Path) -> str:
             while block := file.read(_DIGESTED_BYTES):
                 digest.update(block)
     except OSError as fault:
-        raise MachineError(f"cannot read {path}: {fault.strerror}") from fault
+        raise MachineError(
+            f"cannot read {path}: {fault.strerror}",
+            "nothing is deleted that may be cited: mend its rights, or its disk",
+        ) from fault
     return digest.hexdigest()

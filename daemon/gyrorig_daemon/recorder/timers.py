@@ -18,7 +18,7 @@ from gyrorig_protocol.recording.standard_messages import (
 
 PERIOD_NS = 1_000_000_000
 TICK_NS = 200_000_000
-_NOT_A_COUNTER = "reply_wait_max_ns"
+_NOT_COUNTERS = ("reply_wait_max_ns", "poll_wait_max_ns")
 _CLOCK_COUNTERS = ("windows", "late_windows", "early_windows", "steps", "restarts")
 
 
@@ -138,15 +138,18 @@ class DiagnosticsTimer:
 
     def _ptu_status(self) -> DiagnosticStatus:
         counts = self._client.counts
-        names = [field.name for field in fields(counts) if field.name != _NOT_A_COUNTER]
+        names = [field.name for field in fields(counts) if field.name not in _NOT_COUNTERS]
         values = self._since("ptu", {name: getattr(counts, name) for name in names})
         lost = self._client.lost_synchrony
         level, text = DiagnosticLevel.OK, "answers"
         if values["timeouts"] + values["garbled"] + values["frame_errors"] + values["hung_up"]:
             level, text = DiagnosticLevel.WARN, "some answers were lost or garbled"
         if lost is not None:
-            level, text = DiagnosticLevel.ERROR, f"synchrony lost: {lost}"
-        told = _as_text(values) | {"reply_wait_max_ms": f"{counts.reply_wait_max_ns * 1e-6:.3f}"}
+            level, text = DiagnosticLevel.ERROR, f"it no longer knows where it stands: {lost}"
+        told = _as_text(values) | {
+            "reply_wait_max_ms": f"{counts.reply_wait_max_ns * 1e-6:.3f}",
+            "poll_wait_max_ms": f"{counts.poll_wait_max_ns * 1e-6:.3f}",
+        }
         return DiagnosticStatus(level, "ptu", text, self._client.where, told)
 
     def _board_status(self, board: BoardLink) -> DiagnosticStatus:

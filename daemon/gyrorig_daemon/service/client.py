@@ -10,6 +10,7 @@ from gyrorig_daemon.service.wire import MAX_ANSWER_BYTES, encode
 from gyrorig_protocol.errors import GyrorigError, MachineError
 
 PATIENCE_S = 5.0
+LOG = "`journalctl -u gyrorigd` says why, or the terminal in which it ran"
 _READ_BYTES = 65_536
 
 
@@ -45,13 +46,15 @@ def listen(path: Path, command: str) -> Iterator[dict[str, Any]]:
             for line in _lines(connection):
                 yield _read(line, path)
         except TimeoutError as fault:
-            raise MachineError(f"the daemon at {path} does not answer", "see its log") from fault
+            raise MachineError(
+                f"the daemon at {path} does not answer within {PATIENCE_S:.0f} s", LOG
+            ) from fault
         except OSError as fault:
             raise MachineError(
                 f"no daemon answers at {path}: {fault.strerror or fault}",
                 "is `gyrorigd run` running, and are you in its group? else give --socket",
             ) from fault
-    raise MachineError(f"the daemon at {path} went away", "see its log")
+    raise MachineError(f"the daemon at {path} went away", LOG)
 
 
 def _lines(connection: socket.socket) -> Iterator[bytes]:
@@ -71,7 +74,7 @@ def _read(line: bytes, path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError):
         document = None
     if not isinstance(document, dict):
-        raise MachineError(f"what answers at {path} is no daemon of ours", "give --socket")
+        raise MachineError(f"what answers at {path} is no gyrorigd", "name its socket by --socket")
     if document.get("ok") is not True:
         raise RefusedRequestError(str(document.get("error", "the daemon refuses")))
     return document

@@ -148,9 +148,9 @@ class JobQueue:
             for name in ("running", "done", "failed"):
                 (folder / name).mkdir(exist_ok=True)
         except OSError as fault:
-            raise MachineError(f"{folder} cannot be used: {fault.strerror}", "see --state") from (
-                fault
-            )
+            raise MachineError(
+                f"{folder} cannot be used: {fault.strerror}", "name another folder with --state"
+            ) from fault
         for path in self._files(folder / "running"):
             self._end(path, "failed", {"reason": "the daemon ended while it ran"})
 

@@ -96,7 +96,7 @@ class Runner:
             self._parts.keeper.recorder = None
             self._scene.session = None
             self._pump.heed_stop()
-            self._unit.session_ended(homed=home and outcome.result == "done")
+            self._unit.session_ended(home and outcome.result == "done", session.facts)
             self._put_aside(job, outcome, begun_s, session.recorder)
         if self._parts.orders.end.is_set():
             raise StopRequestedError("the process has to end")

@@ -30,6 +30,7 @@ from gyrorig_daemon.service.wire import (
 )
 from gyrorig_protocol.errors import BusyError, MachineError
 
+STARTING = "the daemon has only just begun and knows nothing of the rig yet: ask again in a second"
 MAX_CLIENTS = 32
 UNSENT_LIMIT_BYTES = 256_000  # some seconds of a large rig's status
 PATIENCE_S = 10.0  # so long may a client take nothing, or say nothing
@@ -83,7 +84,7 @@ class StatusServer:
         self.pulse = Pulse("status socket", LOOP_LIMIT_S)
         self._handle = handle
         self._counts = counts
-        self._latest = encode({"ok": False, "error": "starting"})
+        self._latest = encode({"ok": False, "error": STARTING})
         self._fresh = False
         self._ended = False
         self._clients: dict[int, _Client] = {}

@@ -53,7 +53,8 @@ class StateFolder:
             ) from fault
         except OSError as fault:
             raise MachineError(
-                f"{fault.filename or self.root} cannot be used: {fault.strerror}", "choose --state"
+                f"{fault.filename or self.root} cannot be used: {fault.strerror}",
+                "name another folder with --state",
             ) from fault
         return self
 

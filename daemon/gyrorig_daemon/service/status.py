@@ -110,8 +110,9 @@ class StatusTimer:
         counts = client.counts
         counted = asdict(counts)
         reply_wait_max_ns = counted.pop("reply_wait_max_ns")
+        poll_wait_max_ns = counted.pop("poll_wait_max_ns")
         session = self._scene.session
-        angles = None if session is None else session.angles_rad
+        angles = unit.angles_rad if session is None else session.angles_rad
         where = (None, None) if angles is None else [round(math.degrees(a), 4) for a in angles]
         return {
             "state": unit.state.name.lower(),
@@ -122,6 +123,7 @@ class StatusTimer:
             "tilt_deg": where[1],
             "counts": counted,
             "reply_wait_max_ms": round(reply_wait_max_ns * 1e-6, 3),
+            "poll_wait_max_ms": round(poll_wait_max_ns * 1e-6, 3),
         }
 
     def _board(self, board: BoardLink, now_ns: int) -> dict[str, Any]:

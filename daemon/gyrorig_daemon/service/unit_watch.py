@@ -10,12 +10,12 @@ from enum import Enum
 
 from gyrorig_daemon.config import PTU_PORT
 from gyrorig_daemon.links.pump import Pump
-from gyrorig_daemon.motion import PtuClient, identify_unit
+from gyrorig_daemon.motion import PtuClient, UnitFacts, identify_unit
 from gyrorig_daemon.rig import Rig
 from gyrorig_daemon.service.counts import ServiceCounts
 from gyrorig_daemon.service.memory import Memory
 from gyrorig_protocol.errors import DeviceError
-from gyrorig_protocol.ptu import Axis, Quantity, query
+from gyrorig_protocol.ptu import Axis, Quantity, query, read
 from gyrorig_protocol.ptu.commands import HALT
 
 RETRY_S = 2.0  # reference: reliability.md section 3 row 1
@@ -57,7 +57,24 @@ class UnitWatch:
         self.why = ""
         self._silent = 0
         self._in_vain = 0
+        self._facts: UnitFacts | None = None
+        self._steps: dict[Axis, int] = {}
+        self._next_axis = Axis.PAN
         self._due_ns = rig.pump.now_ns()
+
+    @property
+    def angles_rad(self) -> tuple[float, float] | None:
+        """Where pan and tilt stand between sessions; None until a session knew the unit.
+
+        What a step is worth a unit says in a session; one that was away may be another unit.
+        """
+        facts = self._facts
+        if facts is None or len(self._steps) < len(Axis):
+            return None
+        return (
+            facts.pan.to_rad(self._steps[Axis.PAN]),
+            facts.tilt.to_rad(self._steps[Axis.TILT]),
+        )
 
     def look(self) -> UnitState:
         """Make sure of the unit, if that is due."""
@@ -82,6 +99,8 @@ class UnitWatch:
         """Note that nothing is known of the unit any more."""
         self._counts.unit_lost += self.state is UnitState.STANDS
         self.state, self.why = state, why
+        self._facts = None
+        self._steps.clear()
         self._due_ns = self._pump.now_ns()
 
     def session_begins(self) -> None:
@@ -89,8 +108,15 @@ class UnitWatch:
         self._client.lost_synchrony = None
         self._client.expects_banner = True
 
-    def session_ended(self, homed: bool) -> None:
-        """Take from a session what it learnt of the unit."""
+    def session_ended(self, homed: bool, facts: UnitFacts | None) -> None:
+        """Take from a session what it learnt of the unit.
+
+        Args:
+            homed: it was homed, and all went well.
+            facts: the unit as it described itself, None if it did not come to that.
+        """
+        self._facts = facts
+        self._steps.clear()  # asked anew: a session may have been broken off in motion
         if homed:
             self._memory.steps_are_sure = True
         self._see_losses()
@@ -98,11 +124,18 @@ class UnitWatch:
         self._due_ns = self._pump.now_ns()
 
     def _ask(self) -> None:
+        axis = self._next_axis
+        self._next_axis = Axis.TILT if axis is Axis.PAN else Axis.PAN
+        question = query(axis, Quantity.POSITION)
         try:
-            exchange = self._client.exchange(query(Axis.PAN, Quantity.POSITION), is_poll=True)
+            exchange = self._client.exchange(question, is_poll=True)
         except DeviceError as fault:
             self.lose(UnitState.ABSENT, fault.what)
             return
+        if exchange.reply is not None and exchange.command == question:
+            steps = read(question, exchange.reply)
+            if isinstance(steps, int):
+                self._steps[axis] = steps
         self._silent = 0 if exchange.reply is not None else self._silent + 1
         self._see_losses()
         if self._silent >= SILENT_LOOKS:

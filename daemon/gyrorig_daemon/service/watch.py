@@ -69,8 +69,8 @@ def _unit(unit: dict[str, Any], moves: bool) -> str:
     where = ""
     if unit["pan_deg"] is not None:
         where = f", pan {unit['pan_deg']:+.2f}, tilt {unit['tilt_deg']:+.2f} deg"
-    wait = unit["reply_wait_max_ms"]
-    waited = f", slowest answer {wait:.1f} ms" if wait else ""
+    wait = unit.get("poll_wait_max_ms")  # an older daemon does not tell it
+    waited = f", says where within {wait:.1f} ms" if wait else ""
     # whether it stands is not asked while a session gives it orders
     text = "under the session's orders" if moves else unit["text"]
     return f"unit  {text} ({unit['port']}){where}{waited}{sure}"

@@ -17,10 +17,11 @@ class Bandwidth(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Range(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One full-scale setting and its nominal sensitivity."""
+    """One full-scale setting, its nominal sensitivity, and its own limit of the zero rate."""
 
     full_scale_dps: Positive
     sensitivity_mdps: Positive
+    zero_rate_dps: Positive | None = None
 
 
 class SensorProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -48,6 +49,17 @@ class SensorProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cross_axis: Positive | None = None
     temperature_scale_c: float | None = None
     temperature_offset_c: float | None = None
+
+    def zero_rate_at(self, full_scale_dps: float | None) -> float | None:
+        """Return the zero-rate limit in deg/s at a full scale; the part's where none is stated.
+
+        Args:
+            full_scale_dps: what the board is set to, None where it does not say.
+        """
+        for entry in self.ranges:
+            if entry.full_scale_dps == full_scale_dps and entry.zero_rate_dps is not None:
+                return entry.zero_rate_dps
+        return self.zero_rate_dps
 
 
 def parse_profile(text: str | bytes, name: str) -> SensorProfile:

@@ -24,6 +24,7 @@ from gyrorig_protocol.errors import UsageError
 
 SCHEMA = "gyrorig/program/1"
 MAX_STEPS = 100_000
+KINDS = ("rest", "move", "repeat", "home")  # of a step: one of them
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)]
@@ -118,21 +119,33 @@ def parse_program(text: str | bytes, name: str) -> MotionProgram:
     return program
 
 
-def unrolled(steps: tuple[Step, ...], name: str) -> Iterator[Rest | Move | Home]:
+def unrolled(steps: tuple[Step, ...], name: str, within: str = "") -> Iterator[Rest | Move | Home]:
     """Yield the rests, moves and homings of `steps` in order, repeats written out.
 
+    Args:
+        steps: of a program, or of a repeat in it.
+        name: of the program, for an error.
+        within: the number of the repeat with a dot behind it: `3.`; empty for a program's own.
+
     Raises:
-        UsageError: a step has none or several of its fields set.
+        UsageError: a step has none or several of its fields set; the text has its number.
     """
-    for step in steps:
+    for number, step in enumerate(steps, start=1):
         parts = [p for p in (step.rest, step.move, step.repeat, step.home) if p is not None]
         if len(parts) != 1:
-            raise UsageError(f"a step of {name} names {len(parts)} things", "name exactly one")
+            named = " and ".join(key for key in KINDS if getattr(step, key) is not None)
+            raise UsageError(
+                f"step {within}{number} of {name} is {named or 'empty'}",
+                f"give it one of {', '.join(KINDS)}",
+            )
         part = parts[0]
         if isinstance(part, Repeat):
+            inside = f"{within}{number}."
             for _ in range(part.times):
-                yield from unrolled(part.steps, name)
+                yield from unrolled(part.steps, name, inside)
         else:
             if isinstance(part, Move) and part.pan_deg is None and part.tilt_deg is None:
-                raise UsageError(f"a move of {name} has no target", "give pan_deg or tilt_deg")
+                raise UsageError(
+                    f"step {within}{number} of {name} moves nowhere", "give it pan_deg or tilt_deg"
+                )
             yield part

@@ -169,7 +169,10 @@ class _Copy:
         """Write all of it."""
         records = read_metadata(self._found.attachments) or dict(self._found.metadata)
         if records.get("gyrorig", {}).get("format") != FORMAT:
-            raise InputError(f"{source} holds no metadata of format {FORMAT}", "it cannot be used")
+            raise InputError(
+                f"{source} is MCAP, but no recording of Gyrorig of format {FORMAT}",
+                "make one of it with `gyrorig import`",
+            )
         records |= {name: dict(record) for name, record in metadata.items()}
         out = Assembly(file)
         out.start(software())

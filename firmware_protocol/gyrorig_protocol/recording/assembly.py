@@ -9,7 +9,7 @@ Source: the MCAP format specification, sections "Records" and "Summary Section".
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +66,9 @@ class Assembly:
         self._file = file
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._chunks: list[ChunkIndex] = []
+        # Packed as they will be written: of 45 channels an object takes 4 kB, this 0.5 kB.
+        self._chunk_indexes = bytearray()
+        self._chunks = 0
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
@@ -144,19 +146,19 @@ class Assembly:
             written += content
             self._counts[channel] = self._counts.get(channel, 0) + len(entries)
         self._file.write(bytes(written))
-        self._chunks.append(
-            ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=start,
-                compression=chunk.compression,
-                compressed_size=len(chunk.packed),
-                message_end_time=last_ns,
-                message_index_length=len(written) - length,
-                message_index_offsets=offsets,
-                message_start_time=first_ns,
-                uncompressed_size=chunk.unpacked_size,
-            )
+        index = ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=start,
+            compression=chunk.compression,
+            compressed_size=len(chunk.packed),
+            message_end_time=last_ns,
+            message_index_length=len(written) - length,
+            message_index_offsets=offsets,
+            message_start_time=first_ns,
+            uncompressed_size=chunk.unpacked_size,
         )
+        self._chunk_indexes += _bytes_of(index)
+        self._chunks += 1
         self._first_ns = first_ns if self._first_ns is None else min(self._first_ns, first_ns)
         self._last_ns = max(self._last_ns, last_ns)
 
@@ -164,28 +166,24 @@ class Assembly:
         """Write the summary and the end."""
         self._put(DataEnd(0))
         start = self._file.tell()
-        builder = RecordBuilder()
-        offsets: list[SummaryOffset] = []
-        groups: list[tuple[int, list[McapRecord]]] = [
-            (Opcode.SCHEMA, list(self._schemas.values())),
-            (Opcode.CHANNEL, list(self._channels.values())),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, list(self._chunks)),
-            (Opcode.ATTACHMENT_INDEX, list(self._attachments)),
-            (Opcode.METADATA_INDEX, list(self._metadata)),
+        groups: list[tuple[int, bytes | bytearray]] = [
+            (Opcode.SCHEMA, _all_of(self._schemas.values())),
+            (Opcode.CHANNEL, _all_of(self._channels.values())),
+            (Opcode.STATISTICS, _bytes_of(self._statistics())),
+            (Opcode.CHUNK_INDEX, self._chunk_indexes),
+            (Opcode.ATTACHMENT_INDEX, _all_of(self._attachments)),
+            (Opcode.METADATA_INDEX, _all_of(self._metadata)),
         ]
+        summary = bytearray()
+        offsets: list[SummaryOffset] = []
         for opcode, records in groups:
-            at = builder.count
-            for record in records:
-                record.write(builder)
-            offsets.append(SummaryOffset(opcode, start + at, builder.count - at))
-        offsets_start = start + builder.count
-        for offset in offsets:
-            offset.write(builder)
-        summary: bytes = builder.end()  # type: ignore[no-untyped-call]
+            offsets.append(SummaryOffset(opcode, start + len(summary), len(records)))
+            summary += records
+        offsets_start = start + len(summary)
+        summary += _all_of(offsets)
         footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
         crc = zlib.crc32(footer, zlib.crc32(summary))
-        self._file.write(summary)
+        self._file.write(bytes(summary))
         self._put(Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc))
         self._file.write(MAGIC)
 
@@ -194,7 +192,7 @@ class Assembly:
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunks,
             message_count=sum(self._counts.values()),
             message_end_time=self._last_ns,
             message_start_time=self._first_ns or 0,
@@ -206,6 +204,10 @@ class Assembly:
         data = _bytes_of(record)
         self._file.write(data)
         return len(data)
+
+
+def _all_of(records: Iterable[McapRecord]) -> bytes:
+    return b"".join(_bytes_of(record) for record in records)
 
 
 def _bytes_of(record: McapRecord) -> bytes:

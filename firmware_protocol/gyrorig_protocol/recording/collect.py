@@ -36,6 +36,7 @@ from gyrorig_protocol.recording.recording import MESSAGE_TYPES, Stamped, Topic
 from gyrorig_protocol.recording.ros2msg import same_definition
 from gyrorig_protocol.recording.schemas import SCHEMAS
 
+_FOREIGN = "another program or version wrote it: copy it from the rig again, or record anew"
 KEPT_BYTES = 160 << 20  # of unpacked chunks: half an hour of a board at 800 Hz
 GROUP_BYTES = 1 << 19  # of unpacked chunks taken together: they stay in the processor's cache
 
@@ -235,7 +236,8 @@ class Collector:
             layout = fixed_layout(schema.name, text)
         except (UnicodeDecodeError, InputError) as error:
             if schema.name in SCHEMAS or schema.name.startswith("gyrorig_msgs/"):
-                raise InputError(f"{self.path}: {channel.topic!r}: {error}") from error
+                why = error.what if isinstance(error, InputError) else "its schema is no text"
+                raise InputError(f"{self.path}: {channel.topic!r}: {why}", _FOREIGN) from error
             self.found.notes.append(f"{channel.topic!r} is not read: {error}")
             return _Sink(channel.topic, schema.name, None)
         if layout is not None:
@@ -254,7 +256,9 @@ class Collector:
         """One topic from its channels, usually one."""
         kinds = {sink.type for _, sink in parts}
         if len(kinds) > 1:
-            raise InputError(f"{self.path}: {name!r} holds several types: {sorted(kinds)}")
+            raise InputError(
+                f"{self.path}: {name!r} holds several types, {', '.join(sorted(kinds))}", _FOREIGN
+            )
         kind = kinds.pop()
         for _, sink in parts:
             if isinstance(sink.store, ColumnsChannel):
@@ -264,7 +268,7 @@ class Collector:
         arrays = [s.store.array() for _, s in parts if isinstance(s.store, FixedChannel)]
         if arrays:
             if len({array.dtype for array in arrays}) > 1:
-                raise InputError(f"{self.path}: {name!r} holds {kind} in several layouts")
+                raise InputError(f"{self.path}: {name!r} holds {kind} in several layouts", _FOREIGN)
             if len(arrays) == 1:
                 return Topic(kind, arrays[0])
             both = np.concatenate(arrays)

@@ -136,9 +136,15 @@ def _metadata(found: Walk) -> Metadata:
 def _check_format(path: Path, metadata: Metadata) -> None:
     own = metadata.get("gyrorig")
     if own is None:
-        raise InputError(f"{path} holds no gyrorig metadata", "it is no recording of this kind")
+        raise InputError(
+            f"{path} holds no gyrorig metadata",
+            "it is another program's MCAP: make a recording of its data with `gyrorig import`",
+        )
     if own.get("format") != FORMAT:
-        raise InputError(f"{path} is of format {own.get('format')!r}", f"this reads {FORMAT!r}")
+        raise InputError(
+            f"{path} is of format {own.get('format')!r}",
+            f"this version reads {FORMAT!r}: take the version that wrote it, or a newer one",
+        )
 
 
 def _state_missing(found: Walk, summary: Summary, seen: int) -> None:

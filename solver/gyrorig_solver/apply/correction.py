@@ -206,7 +206,10 @@ def _inverse(calibration: Calibration, frame: Frame, name: str) -> FloatArray:
         )
     gain = np.linalg.multi_dot([*(np.array(m, dtype=np.float64) for m in rows), np.eye(3)])
     if np.linalg.cond(gain) > _LARGEST_CONDITION:
-        raise InputError(f"the gain of {name} cannot be undone", "it is singular; solve again")
+        raise InputError(
+            f"the gain of {name} cannot be undone, for its axes cannot be told apart",
+            "record a motion about all three axes and solve again",
+        )
     return np.asarray(np.linalg.inv(gain), dtype=np.float64)
 
 

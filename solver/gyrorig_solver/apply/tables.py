@@ -172,14 +172,21 @@ class _Table:
         cells = next(csv.reader([line], delimiter=delimiter), [])
         if max(places) >= len(cells):
             raise InputError(
-                f"{self._name}: row {number + 1} has {len(cells)} columns", "it may be cut off"
+                f"{self._name}: row {number + 1} has {len(cells)} columns",
+                "it may be cut off: correct it or remove it",
             )
+        return [
+            self._cell(cells[at], name, number)
+            for at, name in zip(places, self._columns.names, strict=True)
+        ]
+
+    def _cell(self, text: str, column: str, number: int) -> float:
         try:
-            return [float(cells[at]) if cells[at].strip() else float("nan") for at in places]
+            return float(text) if text.strip() else float("nan")
         except ValueError as error:
             raise InputError(
-                f"{self._name}: row {number + 1} holds something else than numbers",
-                " ".join(str(error).split())[:120],
+                f"{self._name}: row {number + 1}: {text[:40]!r} in column {column} is no number",
+                "correct it or leave it empty",
             ) from error
 
     def _found(self, values: FloatArray) -> FloatArray:

@@ -40,6 +40,7 @@ from gyrorig_solver.calibration.trust import judge, profile_warnings
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.model.gain import factorise
 
+ONE_CLOCK_PPM = 1e-3  # no two clocks are that near to each other; 1e-9 s in 10 s is a tenth of it
 _UNITS = {"bias": "rad/s", "scale": "1", "nonorthogonality": "1", "misalignment": "rad"}
 _ENTRIES = {
     "bias": ("x", "y", "z"),
@@ -118,7 +119,7 @@ def calibration_of(
             condition=_number(fit.observability.condition),
         ),
         noise=_noise(fit),
-        quality=_quality(fit, profile, [i.name for i in origin.inputs]),
+        quality=_quality(fit, profile, origin),
         trust=judge(fit),
         validity=Validity(
             rate_rad_s=[float(v) for v in fit.rate_range_rad_s],
@@ -232,7 +233,18 @@ def _apart(fit: GyroFit, names: Sequence[str]) -> list[OwnOfRecording]:
     ]
 
 
-def _quality(fit: GyroFit, profile: SensorProfile | None, names: Sequence[str]) -> Quality:
+def _skew_ppm(fit: GyroFit) -> float | None:
+    """Return how far the board's clock is from its host's, None where it has none of its own.
+
+    A table with one column of times has it as both: they differ by roundings, at most 1e-9 s.
+    """
+    if fit.clock is None or abs(fit.clock.skew_ppm) < ONE_CLOCK_PPM:
+        return None
+    return _number(fit.clock.skew_ppm)
+
+
+def _quality(fit: GyroFit, profile: SensorProfile | None, origin: Provenance) -> Quality:
+    full_scale_dps = origin.board.config.gyro_full_scale_dps
     before, after = _number(fit.rms_before_rad_s), _number(fit.rms_after_rad_s)
     return Quality(
         reduced_chi2=_number(fit.reduced_chi2),
@@ -241,11 +253,14 @@ def _quality(fit: GyroFit, profile: SensorProfile | None, names: Sequence[str]) 
             if before is not None and after is not None
             else None
         ),
-        warnings=[*fit.warnings, *profile_warnings(fit, profile)],
+        warnings=[*fit.warnings, *profile_warnings(fit, profile, full_scale_dps)],
         outliers=int(fit.outliers),
         rest_to_rest=_second_opinion(fit),
         level=_level(fit),
-        recordings=_apart(fit, names) if fit.recordings else None,
+        recordings=_apart(fit, [i.name for i in origin.inputs]) if fit.recordings else None,
         mean_temperature_degc=fit.extra.get("mean_temperature_degc"),
         boards_together=int(many) if (many := fit.extra.get("boards_together")) else None,
+        boards_on_one_clock=int(bus) if (bus := fit.extra.get("boards_on_one_clock")) else None,
+        clock_moved_s=fit.extra.get("clock_moved_s"),
+        clock_skew_ppm=_skew_ppm(fit),
     )

@@ -163,6 +163,9 @@ class Quality(_Document, frozen=True, omit_defaults=True):
     # of the board's own thermometer; its zero may be unknown, see `validity` for one that is not
     mean_temperature_degc: float | None = None
     boards_together: int | None = None  # on one unit at once, its motion found by all of them
+    boards_on_one_clock: int | None = None  # on one bus, their times made one by its edges
+    clock_moved_s: float | None = None  # by that, rms
+    clock_skew_ppm: float | None = None  # the board's clock against its host's; + is fast
 
 
 class Trust(_Document, frozen=True):

@@ -176,7 +176,7 @@ def _angles(
         if int(has.sum()) < 2:
             raise InputError(
                 f"{recording.path.name} has fewer than two {axis} positions",
-                "record with polling on",
+                "leave out ptu.poll.rate_hz in the rig file, so that the daemon asks often",
             )
         out.append(np.interp(samples.time_s, middle_s[has], polls[axis][has]))
         low, high = max(low, float(middle_s[has][0])), min(high, float(middle_s[has][-1]))

@@ -26,13 +26,15 @@ from gyrorig_solver.findings.explaining import (
     Explanation,
     document_of_found,
     explain_board,
+    explain_unit,
     page_of_found,
 )
 from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.report.data import ReportData
 from gyrorig_solver.report.html import render
 from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import are_on_one_unit, solve_on_one_unit, solve_recordings
+from gyrorig_solver.solve import solve_recordings
+from gyrorig_solver.together import are_on_one_unit, solve_on_one_unit
 
 AUTO = "auto"
 FINDINGS_SUFFIX = ".findings.yaml"
@@ -49,6 +51,14 @@ class Solved:
     found: Explanation | None = None  # where causes were searched for
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Ready:
+    """One board's fit, made together with the boards beside it."""
+
+    fit: GyroFit
+    found: Explanation | None = None  # where causes were searched for
+
+
 # (version, digest of the version before, created) to the document
 Document = Callable[[int, str | None, str], Calibration]
 
@@ -59,7 +69,7 @@ def solve_into(
     board: BoardId,
     method: str = "likelihood",
     extend: Sequence[str] = (),
-    fit: GyroFit | None = None,
+    ready: Ready | None = None,
     before: Callable[[], None] = lambda: None,
 ) -> Solved:
     """Solve one board, and write its next version and its report.
@@ -71,7 +81,7 @@ def solve_into(
         method: `likelihood` or `paper`.
         extend: causes of the catalogue to fit too, `auto` for those that a search names;
             `likelihood` only.
-        fit: what `fits_together` has of this board; then nothing is solved anew.
+        ready: what `fits_together` has of this board; then nothing is solved anew.
         before: called when the version is to be written; what it raises ends this.
 
     Raises:
@@ -85,7 +95,7 @@ def solve_into(
     if method == "paper":
         document, data_of = _by_paper(ordered, board)
     else:
-        document, data_of, found = _by_likelihood(ordered, board, extend, fit)
+        document, data_of, found = _by_likelihood(ordered, board, extend, ready)
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     written: list[Calibration] = []
 
@@ -105,15 +115,25 @@ def fits_together(
     boards: Sequence[BoardId],
     method: str = "likelihood",
     extend: Sequence[str] = (),
-) -> dict[str, GyroFit | GyrorigError]:
+) -> dict[str, Ready | GyrorigError]:
     """Return the fits of boards that were on one unit at once, or why a board has none.
 
-    Empty where boards are to be solved one by one: another reference, causes to be fitted,
-    the paper's method, or more data than one look should take.
+    Empty where boards are to be solved one by one: another reference, the paper's method, or
+    more data than one look should take. Causes that are searched for are searched for in all
+    boards; what is the unit's has one size.
     """
-    if method != "likelihood" or extend or not are_on_one_unit(recordings, boards):
+    if method != "likelihood" or not are_on_one_unit(recordings, boards):
         return {}
-    return solve_on_one_unit(recordings, boards)
+    asked = tuple(cause for cause in extend if cause != AUTO)
+    searched = explain_unit(recordings, boards) if AUTO in extend else {}
+    failed = {str(b): one for b, one in searched.items() if isinstance(one, GyrorigError)}
+    found = {str(b): one for b, one in searched.items() if isinstance(one, Explanation)}
+    named = {board: one.findings.extensions for board, one in found.items()}
+    fits = solve_on_one_unit(recordings, [b for b in boards if b not in failed], asked, named)
+    ready: dict[str, Ready | GyrorigError] = dict(failed)
+    for board, fit in fits.items():
+        ready[board] = fit if isinstance(fit, GyrorigError) else Ready(fit, found.get(board))
+    return ready
 
 
 def _write_findings(store: CalibrationStore, stored: StoredVersion, found: Explanation) -> None:
@@ -156,12 +176,14 @@ def _by_likelihood(
     recordings: Sequence[Recording],
     board: BoardId,
     extend: Sequence[str],
-    ready: GyroFit | None = None,
+    ready: Ready | None = None,
 ) -> tuple[Document, Callable[[Calibration], ReportData], Explanation | None]:
-    found = explain_board(recordings, board) if AUTO in extend else None
-    asked = tuple(cause for cause in extend if cause != AUTO)
-    named = () if found is None else found.findings.extensions
-    fit = ready or solve_recordings(recordings, board, asked, named)
+    if ready is None:
+        found = explain_board(recordings, board) if AUTO in extend else None
+        asked = tuple(cause for cause in extend if cause != AUTO)
+        named = () if found is None else found.findings.extensions
+        ready = Ready(solve_recordings(recordings, board, asked, named), found)
+    fit, found = ready.fit, ready.found
     plain = document_of(fit, recordings, board, extend)
 
     def document(version: int, previous: str | None, created: str) -> Calibration:

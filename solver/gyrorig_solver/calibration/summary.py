@@ -5,6 +5,7 @@ import math
 from gyrorig_solver.calibration.document import Calibration
 from gyrorig_solver.calibration.wording import (
     GROUPS,
+    NEXT,
     VERDICTS,
     Group,
     entries,
@@ -18,10 +19,14 @@ _DEG = 180.0 / math.pi
 
 
 def summary(calibration: Calibration) -> str:
-    """Return the verdict, the parameters and the reasons, one thing a line."""
+    """Return the verdict and what to do next, the parameters and the reasons, line by line."""
     board, quality = calibration.board, calibration.quality
-    title = VERDICTS[calibration.trust.verdict][0].lower()
-    lines = [f"{board.id} ({board.sensor}), version {calibration.version}: {title}"]
+    title, sentence = VERDICTS[calibration.trust.verdict]
+    lines = [
+        f"{board.id} ({board.sensor}), version {calibration.version}: {title.lower()}",
+        f"  {sentence}",
+        f"  Next: {NEXT[calibration.trust.verdict]}",
+    ]
     for group in (*GROUPS, *other_groups(calibration)):
         lines += _rows(calibration, group)
     seen = calibration.observability
@@ -32,6 +37,11 @@ def summary(calibration: Calibration) -> str:
         )
     if quality.boards_together is not None:
         lines.append(f"  solved together       {quality.boards_together} boards on this unit")
+    if quality.boards_on_one_clock is not None and quality.clock_moved_s is not None:
+        lines.append(
+            f"  on one clock          {quality.boards_on_one_clock} boards of a bus, "
+            f"{quality.clock_moved_s * 1e6:.1f} us moved"
+        )
     lines += _recordings(calibration)
     for reason in calibration.trust.reasons:
         lines.append(f"  ! {reason}")

@@ -70,8 +70,10 @@ def with_findings(trust: Trust, findings: FindingsDocument) -> Trust:
     return Trust(verdict=verdict, reasons=[*trust.reasons, reason])
 
 
-def profile_warnings(fit: GyroFit, profile: SensorProfile | None) -> list[str]:
-    """Say where a value lies outside what the data sheet allows."""
+def profile_warnings(
+    fit: GyroFit, profile: SensorProfile | None, full_scale_dps: float | None = None
+) -> list[str]:
+    """Say where a value lies outside what the data sheet allows at the board's full scale."""
     if profile is None:
         return []
     out = []
@@ -83,11 +85,12 @@ def profile_warnings(fit: GyroFit, profile: SensorProfile | None) -> list[str]:
                     f"1 ± {profile.scale_tolerance:g}: check the full scale that the board "
                     "says it is set to"
                 )
-    if profile.zero_rate_dps is not None:
+    zero_rate_dps = profile.zero_rate_at(full_scale_dps)
+    if zero_rate_dps is not None:
         for axis, bias in zip("xyz", fit.bias_rad_s, strict=True):
-            if math.isfinite(bias) and abs(bias) * _DEG > profile.zero_rate_dps:
+            if math.isfinite(bias) and abs(bias) * _DEG > zero_rate_dps:
                 out.append(
                     f"bias.{axis} is {bias * _DEG:.1f} deg/s, outside the {profile.sensor}'s "
-                    f"±{profile.zero_rate_dps:g}: check that the rig stood still"
+                    f"±{zero_rate_dps:g}: check that the rig stood still"
                 )
     return out

@@ -40,6 +40,13 @@ VERDICTS = {
     "refused": ("Refused", "Do not use it before what follows is mended."),
 }
 
+# What a terminal says next; a report has a section of its own for it.
+NEXT = {
+    "good": "put it to use with `gyrorig apply` or `gyrorig export`; look at the report.",
+    "limited": "do what the lines with ! say, record again and solve both recordings together.",
+    "refused": "do what the lines with ! say, and record again.",
+}
+
 
 def nothing_text(calibration: Calibration) -> str:
     """Return what to say in the place of a value that is null."""

@@ -1,4 +1,4 @@
-"""What is in a recording, and what is wrong with it, in numbers and in words."""
+"""What is in a recording, and what is wrong with it, in numbers; `remarks` has the words."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -7,16 +7,15 @@ import numpy as np
 
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.losses import Loss
 from gyrorig_protocol.recording.messages import EventKind, PtuStatus, imu_topic
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.calibration.wording import collapsed
 from gyrorig_solver.check.capability import capability
 from gyrorig_solver.estimate.result import Observability
+from gyrorig_solver.on_unit import PTU_WORDS
 from gyrorig_solver.reference.ptu_recording import OUT_OF_STEP, ptu_reference
 from gyrorig_solver.samples import GyroSamples, load_samples
-from gyrorig_solver.solve import PTU_WORDS, solve_recordings
-
-_LOST_SHARE = 0.02  # more than this and a calibration is limited
+from gyrorig_solver.solve import solve_recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +60,7 @@ class Health:
 
     name: str
     complete: bool
-    losses: tuple[str, ...]
+    losses: tuple[Loss, ...]
     notes: tuple[str, ...]
     duration_s: float
     topics: dict[str, int]
@@ -70,24 +69,6 @@ class Health:
     faults: tuple[str, ...]  # that the daemon noted
     unit: UnitHealth | None
     boards: tuple[BoardHealth, ...]
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """What is wrong, each with its remedy; empty for a sound recording."""
-        out = [f"{text}" for text in self.losses]
-        for topic, count in self.dropped.items():
-            out.append(f"{count} messages of {topic} were dropped by the daemon: free its disk")
-        out += [f"fault noted while recording: {text}" for text in self.faults]
-        if not self.boards:
-            out.append("there is no board in it: was it connected?")
-        for board in self.boards:
-            out += _board_problems(board)
-        if self.unit is not None and self.unit.unsynchronised:
-            out.append(
-                f"{self.unit.unsynchronised} positions were read out of step with the unit: "
-                "they are left out; check the cable"
-            )
-        return tuple(out)
 
     @property
     def identifiable(self) -> bool:
@@ -104,7 +85,7 @@ def examine(recording: Recording, wanted: tuple[BoardId, ...]) -> Health:
     return Health(
         name=recording.path.name,
         complete=recording.complete,
-        losses=tuple(loss.text for loss in recording.losses),
+        losses=tuple(recording.losses),
         notes=recording.notes,
         duration_s=(recording.end_ns - recording.start_ns) * 1e-9,
         topics={name: len(topic) for name, topic in sorted(recording.topics.items())},
@@ -154,7 +135,7 @@ def _board(recording: Recording, board: BoardId) -> BoardHealth:
         count = len(recording.topics[imu_topic(board)])
         return BoardHealth(
             str(board), sensor, count, *(0.0, 0.0), *(0, 0, 0, 0), *(0.0, 0.0, 0.0), 0, None,
-            fault=str(fault),
+            fault=_told(fault),
         )  # fmt: skip
     seen, no_reference = _observability(recording, samples)
     duration_s = float(samples.time_s[-1] - samples.time_s[0])
@@ -187,37 +168,9 @@ def _observability(recording: Recording, samples: GyroSamples) -> tuple[Observab
             return capability(samples, reference, PTU_WORDS), ""
         return solve_recordings([recording], samples.board).observability, ""
     except GyrorigError as fault:
-        return None, str(fault)
+        return None, _told(fault)
 
 
-def _why(seen: Observability) -> str:
-    return "; ".join(seen.reasons) or "turn it about every axis"
-
-
-def _board_problems(board: BoardHealth) -> list[str]:
-    name = board.board
-    if board.fault:
-        return [f"{name} cannot be used, {board.fault}"]
-    out = []
-    if board.lost > _LOST_SHARE * (board.samples + board.lost):
-        out.append(f"{name} lost {board.lost} samples: lower its output rate or raise its baud")
-    if board.saturated > 0:
-        out.append(
-            f"{name} has {board.saturated} saturated samples: "
-            "use a larger full scale, or turn slower"
-        )
-    if board.repeated > _LOST_SHARE * board.samples:
-        out.append(f"{name} repeats {board.repeated} samples: it is read faster than it measures")
-    if board.restarts:
-        out.append(f"{name} started anew {board.restarts} times: check its supply and its cable")
-    if board.clock_steps:
-        out.append(
-            f"{name}'s clock or the host's jumped {board.clock_steps} times: "
-            "do not suspend the host, check the board's firmware"
-        )
-    if board.observability is None:
-        out.append(f"{name} cannot be calibrated by this alone, {board.no_reference}")
-    elif board.observability.unobservable:
-        hidden = ", ".join(collapsed(board.observability.unobservable))
-        out.append(f"{name} cannot show {hidden}: {_why(board.observability)}")
-    return out
+def _told(fault: GyrorigError) -> str:
+    """Return what an error says, always with what to do."""
+    return str(fault) if fault.remedy else f"{fault}: record again"

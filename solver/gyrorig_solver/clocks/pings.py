@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray, IntArray
+from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.clocks.envelope import Envelope, hull_line, piecewise_envelope
 from gyrorig_solver.clocks.mapping import ClockMap
 
@@ -165,6 +165,19 @@ def floor_of(
     high_s = float(np.min(clock.time_s[near] + rate * received_s - send_s))
     # Bounds that cross by more than the mapping can err say that the stamps are not one clock's.
     return LinkFloor(low_s, high_s) if low_s <= high_s else None
+
+
+def asked_s(
+    pings: Pings, nearest: Nearest, clock: ClockMap, tick_hz: float, counter_bits: int
+) -> tuple[BoolArray, FloatArray]:
+    """Return which pings a board's samples can date, and when it received those, (p',).
+
+    By the times in `clock`, whatever has been taken off them; see `link_floor`.
+    """
+    ahead_s = _ahead_s(pings.device_receive, nearest.ticks, tick_hz, counter_bits)
+    known = (np.abs(nearest.host_s - pings.host_send_s) < NEAR_S) & (np.abs(ahead_s) < 2.0 * NEAR_S)
+    rate = 1.0 / (1.0 + 1e-6 * clock.skew_ppm)
+    return known, clock.time_s[nearest.index[known]] + rate * ahead_s[known]
 
 
 def _ahead_s(device: IntArray, ticks: IntArray, tick_hz: float, counter_bits: int) -> FloatArray:

@@ -280,6 +280,7 @@ def _plain(summary: Summary, code: int) -> dict[str, Any]:
         "ended": dict(summary.ended),
         "boards": dict(summary.boards),
         "put_off": summary.put_off,
+        "put_off_why": summary.put_off_why,
         "not_begun": summary.not_begun,
         "wrong": [
             {"names": row.names, "board": row.board, "status": row.status, "reason": row.reason}

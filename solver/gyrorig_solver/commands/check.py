@@ -9,6 +9,7 @@ import click
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.check.health import BoardHealth, Health, UnitHealth, examine
+from gyrorig_solver.check.remarks import problems, verdict
 from gyrorig_solver.commands.boards import chosen_boards
 from gyrorig_solver.commands.terminal import (
     IN_PART,
@@ -26,8 +27,9 @@ from gyrorig_solver.commands.terminal import (
 def check_command(terminal: Terminal, recordings: tuple[Path, ...], board: str | None) -> int:
     r"""Say whether recordings are sound, what is lost, and what they can calibrate.
 
-    Leaves with 4 when a parameter cannot be shown by the motion in it, with 3 when a
-    file is no recording.
+    The first line is the verdict: sound, usable with remarks, not usable, or that it cannot
+    calibrate all. Lines with `!` say what is wrong and what to do about it. Leaves with 4 when
+    a parameter cannot be shown by the motion in it, with 3 when a file is no recording.
 
     \b
     Example:
@@ -65,9 +67,7 @@ def check_command(terminal: Terminal, recordings: tuple[Path, ...], board: str |
 
 def words(health: Health) -> str:
     """Return a recording's health as lines for a terminal."""
-    problems = health.problems
-    whole = "sound" if health.complete and not problems else "usable, with remarks"
-    lines = [f"{health.name}: {whole}, {health.duration_s:.1f} s"]
+    lines = [f"{health.name}: {verdict(health)}; {health.duration_s:.1f} s"]
     if health.phases:
         phases = ", ".join(f"{count} x {name}" for name, count in health.phases.items())
         lines.append(f"  phases      {phases}")
@@ -75,8 +75,8 @@ def words(health: Health) -> str:
         lines += _unit_words(health.unit)
     for board in health.boards:
         lines += _board_words(board)
-    lines += [f"  ! {text}" for text in problems]
-    lines += [f"  remark: {text}" for text in health.notes]
+    lines += [f"  ! {text}" for text in problems(health)]
+    lines += [f"  note: {text}" for text in health.notes]
     return "\n".join(lines)
 
 
@@ -112,6 +112,8 @@ def _board_words(board: BoardHealth) -> list[str]:
 
 def _plain(health: Health) -> dict[str, Any]:
     plain = asdict(health)
-    plain["problems"] = list(health.problems)
+    plain["losses"] = [loss.text for loss in health.losses]
+    plain["verdict"] = verdict(health)
+    plain["problems"] = list(problems(health))
     plain["identifiable"] = health.identifiable
     return plain

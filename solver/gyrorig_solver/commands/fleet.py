@@ -6,6 +6,8 @@ from typing import Any
 import click
 
 from gyrorig_solver.commands.terminal import Terminal, json_option
+from gyrorig_solver.fleet.constants import Constancy, in_words
+from gyrorig_solver.fleet.groups import plain_groups
 from gyrorig_solver.fleet.overview import PARAMETERS, Overview, overview, read_origins
 from gyrorig_solver.fleet.page import write_page
 from gyrorig_solver.fleet.shelf import opened
@@ -70,6 +72,7 @@ def _said(found: Overview, told: list[Worry]) -> str:
         lines += [f"    {text}" for text in (one.why, one.do) if text]
     if len(told) > _SHOWN:
         lines.append(f"and {len(told) - _SHOWN} more, on the page")
+    lines += in_words(found.constants)
     return "\n".join(lines)
 
 
@@ -93,6 +96,8 @@ def _plain(found: Overview, told: list[Worry], page: str) -> dict[str, Any]:
             }
             for (sensor, name), one in found.populations.items()
         ],
+        "constants": [_constancy(one) for one in found.constants],
+        "groups": plain_groups(found.groups),
         "drifting": [
             {
                 "board": found.boards.board[at],
@@ -102,4 +107,21 @@ def _plain(found: Overview, told: list[Worry], page: str) -> dict[str, Any]:
             if row.any()
         ],
         "page": page,
+    }
+
+
+def _constancy(one: Constancy) -> dict[str, Any]:
+    told = one.told
+    return {
+        "kind": one.kind,
+        "name": one.name,
+        "parameter": told.parameter,
+        "boards": told.boards,
+        "answer": told.answer,
+        "offset": told.offset,
+        "spread": told.spread,
+        "share": told.share,
+        "p_value": told.p_value,
+        "equal_p": told.equal_p,
+        "hides_truncation": one.hides_truncation,
     }

@@ -21,6 +21,8 @@ from gyrorig_solver.plan.search import AIMS, Found, find_program
 from gyrorig_solver.plan.words import hidden, table
 
 SHORTEST_S, LONGEST_S = 5.0, 900.0  # for more, carry a program out again
+PROFILE = "a profile with --sensor, such as config/boards/L3G4200D.yaml"
+PROGRAM = "a program with --program, such as config/programs/quick.yaml"
 
 
 @click.command("plan")
@@ -138,24 +140,25 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
 def _profile(named: str) -> SensorProfile:
     path = Path(named)
     if path.suffix in (".yaml", ".yml"):
-        return parse_profile(_read(path), path.name)
+        return parse_profile(_read(path, PROFILE), path.name)
     profile = find_profile(named)
     if profile is None:
         raise UsageError(
-            f"no profile of {named!r:.60} in config/boards", "name another with --sensor"
+            f"no profile of {named!r:.60} in config/boards",
+            "name one that is there with --sensor, such as L3G4200D, or a file of your own",
         )
     return profile
 
 
 def _program(path: Path) -> MotionProgram:
-    return parse_program(_read(path), path.name)
+    return parse_program(_read(path, PROGRAM), path.name)
 
 
-def _read(path: Path) -> bytes:
+def _read(path: Path, wanted: str) -> bytes:
     try:
         return path.read_bytes()
     except OSError as fault:
-        raise UsageError(f"{path} cannot be read", f"{fault.strerror}") from fault
+        raise UsageError(f"{path} cannot be read, {fault.strerror}", f"name {wanted}") from fault
 
 
 def _write(terminal: Terminal, found: Found, rig: Rig, options: dict[str, Any]) -> None:

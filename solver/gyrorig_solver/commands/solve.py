@@ -11,7 +11,13 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.document import to_plain
-from gyrorig_solver.calibration.solving import AUTO, Solved, fits_together, solve_into
+from gyrorig_solver.calibration.solving import (
+    AUTO,
+    Ready,
+    Solved,
+    fits_together,
+    solve_into,
+)
 from gyrorig_solver.calibration.store import CalibrationStore
 from gyrorig_solver.calibration.summary import summary
 from gyrorig_solver.commands.boards import chosen_boards
@@ -21,7 +27,6 @@ from gyrorig_solver.commands.terminal import (
     Terminal,
     json_option,
 )
-from gyrorig_solver.estimate.result import GyroFit
 
 
 @click.command("solve")
@@ -63,9 +68,9 @@ def solve_command(
 
     All recordings of one board are solved together and make one version: static and moving
     ones, of different days, each with its own bias and time offset. Boards that were on one
-    unit at once are solved together too: its motion is one. With --board, one is solved by
-    itself. Leaves with 4 when a parameter could not be shown: the calibration says which, and
-    why.
+    unit at once are solved together too: its motion is one, and so is the size of a cause that
+    is the unit's; those of a bus have one time. With --board, one is solved by itself. Leaves
+    with 4 when a parameter could not be shown: the calibration says which, and why.
 
     \b
     Example:
@@ -160,7 +165,7 @@ def _solved(
     board: BoardId,
     method: str,
     causes: Sequence[str],
-    ready: GyroFit | GyrorigError | None,
+    ready: Ready | GyrorigError | None,
 ) -> Solved:
     """Solve one board, or write what was solved with the boards beside it."""
     if isinstance(ready, GyrorigError):

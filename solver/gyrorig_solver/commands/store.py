@@ -8,9 +8,10 @@ from typing import Any
 
 import click
 
-from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration.document import Calibration, parse_calibration, to_plain
+from gyrorig_solver.calibration.store import StoredVersion
 from gyrorig_solver.calibration.summary import summary
 from gyrorig_solver.commands.terminal import Terminal, json_option
 from gyrorig_solver.fleet.manifest import public_key_of, signer_of
@@ -18,6 +19,7 @@ from gyrorig_solver.fleet.rows import parameter_columns, parameters_of
 from gyrorig_solver.fleet.shelf import (
     Chosen,
     gone_wrong,
+    in_time,
     newest,
     opened,
     rebuild_index,
@@ -92,12 +94,33 @@ def ls_command(
 @store_command.command("show")
 @_folder
 @click.argument("board")
-@click.option("--version", type=click.IntRange(1), help="Without it: the newest.")
+@click.option("--version", type=click.IntRange(1), help="Without it: that of the last recording.")
+@click.option("--at", type=click.DateTime(_DATES), help="Without --version: as it was then, UTC.")
+@click.option("--config", "config_hash", help="Without --version: set so, by its digest.")
 @json_option
 @click.pass_obj
-def show_command(terminal: Terminal, folder: Place, board: str, version: int | None) -> int:
-    """Show one calibration, and where it came from."""
-    path, made = _version(folder, BoardId(board), version)
+def show_command(
+    terminal: Terminal,
+    folder: Place,
+    board: str,
+    version: int | None,
+    at: datetime | None,
+    config_hash: str | None,
+) -> int:
+    """Show one calibration, and where it came from.
+
+    Without a version the one whose recording is the last; that before a date with --at, that
+    of boards set so with --config.
+
+    Example: gyrorig store show calibrations GY80-1 --at 2026-01-31
+    """
+    if version is not None and (at, config_hash) != (None, None):
+        raise UsageError("--version names one already", "leave out --at and --config")
+    path, made = (
+        _version(folder, BoardId(board), version)
+        if version is not None
+        else _read(_last(folder, BoardId(board), at, config_hash)[-1])
+    )
     terminal.say(summary(made))
     for one in made.inputs:
         terminal.say(f"  from                  {one.name}, {one.start}, sha256 {one.sha256}")
@@ -121,14 +144,19 @@ def show_command(terminal: Terminal, folder: Place, board: str, version: int | N
 def diff_command(
     terminal: Terminal, folder: Place, board: str, old: int | None, new: int | None
 ) -> int:
-    r"""Compare two versions of a board: without numbers, the newest with the one before.
+    r"""Compare two versions of a board: without numbers, the last measured with the one before.
 
     Each difference is given in combined standard deviations. The bias of a gyroscope moves
     from day to day by much more than its deviation within one.
     """
     name = BoardId(board)
+    if old is None or new is None:
+        numbers = [one.number for one in _last(folder, name)]
+        new = numbers[-1] if new is None else new
+        before = numbers[: numbers.index(new)] if new in numbers else []
+        old = (before or [new])[-1] if old is None else old
+    _, earlier = _version(folder, name, old)
     _, later = _version(folder, name, new)
-    _, earlier = _version(folder, name, old if old is not None else later.version - 1 or 1)
     rows = list(_differences(earlier, later))
     terminal.say(f"{board}: version {earlier.version} to {later.version}")
     terminal.say(_table(rows, ("parameter", "before", "after", "change", "sigma")))
@@ -179,20 +207,52 @@ def rebuild_command(terminal: Terminal, folder: Place, sign: Path | None) -> int
     return 0
 
 
-def _version(folder: Place, board: BoardId, number: int | None) -> tuple[Path, Calibration]:
+def _version(folder: Place, board: BoardId, number: int) -> tuple[Path, Calibration]:
     """Return one version of a board.
 
     Raises:
         InputError: there is no such board or version, or it is damaged.
     """
     versions = opened(folder).versions(board)
-    chosen = [one for one in versions if number in (None, one.number)]
-    if not chosen:
-        there = f"it has 1 to {versions[-1].number}" if versions else "see gyrorig store ls"
-        what = f"version {number} of board {board}" if number else f"board {board}"
-        raise InputError(f"{folder.text} holds no {what}", there)
-    path = chosen[-1].path
-    return path, parse_calibration(chosen[-1].data(), str(path))
+    for one in versions:
+        if one.number == number:
+            return _read(one)
+    there = f"it has 1 to {versions[-1].number}" if versions else "see gyrorig store ls"
+    raise InputError(f"{folder.text} holds no version {number} of board {board}", there)
+
+
+def _last(
+    folder: Place, board: BoardId, at: datetime | None = None, config_hash: str | None = None
+) -> list[StoredVersion]:
+    """Return the versions of a board by when they were measured, the last one last.
+
+    Args:
+        folder: the store.
+        board: which one.
+        at: none that was measured later, None for all.
+        config_hash: those of a board set so, None for all.
+
+    Raises:
+        InputError: there is none.
+    """
+    versions = in_time(folder, board)
+    found = [
+        one.stored
+        for one in versions
+        if (at is None or one.start <= at) and config_hash in (None, one.config_hash)
+    ]
+    if not versions:
+        raise InputError(f"{folder.text} holds no board {board}", "see gyrorig store ls")
+    if not found:
+        raise InputError(
+            f"{folder.text} holds no version of board {board} so old, or of one set so",
+            f"see gyrorig store ls --all --board {board}",
+        )
+    return found
+
+
+def _read(stored: StoredVersion) -> tuple[Path, Calibration]:
+    return stored.path, parse_calibration(stored.data(), str(stored.path))
 
 
 def _differences(earlier: Calibration, later: Calibration) -> Any:

@@ -53,7 +53,7 @@ from gyrorig_solver.model.terms.protocol import (
     value_names,
     value_parameters,
 )
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 SCATTERED = ("moving", "acceleration_scatter", "line", "wandering")  # no shape of a mean
 GROUPS_ALPHA = 0.001  # as `search.ALPHA`, of what is odd without a name

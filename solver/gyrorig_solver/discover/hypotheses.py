@@ -21,6 +21,7 @@ from gyrorig_solver.discover.scores import sights
 from gyrorig_solver.discover.search import best_fit
 from gyrorig_solver.discover.together import Together
 from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.estimate.ties import is_of_unit
 from gyrorig_solver.model.terms.bound import label
 from gyrorig_solver.model.terms.protocol import Term
 
@@ -58,7 +59,7 @@ def owner(term: Term) -> Owner:
     A clock is either: the unit's and the host's are common to all boards, each board has
     its own.
     """
-    if term.scope == "unit" or term.part == "ptu":
+    if is_of_unit(term):
         return "unit"
     return "either" if term.part == "clock" else "board"
 

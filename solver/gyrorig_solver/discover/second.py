@@ -30,8 +30,8 @@ from gyrorig_solver.estimate.noise import NoiseModel, binned, fit_levels
 from gyrorig_solver.estimate.observability import PRIOR_STD
 from gyrorig_solver.estimate.session import SessionFit
 from gyrorig_solver.estimate.whitening import OWN, whitened
+from gyrorig_solver.on_unit import unit_session
 from gyrorig_solver.samples import GyroSamples
-from gyrorig_solver.solve import unit_session
 
 MOST_LAG_S = 0.05  # of one step
 

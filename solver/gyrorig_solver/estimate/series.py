@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.fft import next_fast_len
 
+from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.columns import CountArray
 from gyrorig_solver.estimate.noise import Sampling
@@ -132,6 +133,16 @@ def grids(rate_hz: float, bandwidth_hz: float | None, sharp: bool = False) -> tu
     least_hz = max(FINE_HZ, 5.0 * (bandwidth_hz or 0.0))
     fine = max(1, int(np.ceil(least_hz / rate_hz)))
     return block, fine + 1 - fine % 2
+
+
+def too_short(sampling: Sampling) -> InputError:
+    """Return the error of a recording without any series, with how long one has to be."""
+    least_s = SHORTEST_SERIES / sampling.rate_hz
+    return InputError(
+        f"no stretch of samples without a gap lasts {least_s:.2g} s",
+        f"record for longer; a gap above {LONGEST_GAP_S:g} s or a restart ends a stretch, and "
+        "`gyrorig check` counts them",
+    )
 
 
 def build_series(samples: GyroSamples, common_std_s: float = 0.0) -> tuple[list[Series], Sampling]:

@@ -25,7 +25,7 @@ from gyrorig_solver.estimate.predict import (
 )
 from gyrorig_solver.estimate.pulses import axis_motions, made_by_the_rig
 from gyrorig_solver.estimate.quiet import Stretch, periodograms
-from gyrorig_solver.estimate.series import PART_BLOCKS, Series
+from gyrorig_solver.estimate.series import PART_BLOCKS, Series, too_short
 from gyrorig_solver.estimate.spikes import spikes, spread
 from gyrorig_solver.estimate.start import Rough, correlation_lag, speeds
 from gyrorig_solver.estimate.whitening import PartModel, WhitePart
@@ -111,7 +111,7 @@ class SessionFit:
             InputError: there is no series.
         """
         if not series:
-            raise InputError("no stretch of samples is long enough", "record for longer")
+            raise too_short(sampling)
         self.sampling = replace(sampling, differentiated=reference.differentiated)
         self.reference = reference
         self.bias_rad_s, self.lag_s = np.zeros(3), 0.0
@@ -306,7 +306,7 @@ class SessionFit:
             if len(residuals) == len(parts) == 1 and total is not None:
                 self._frozen = _Frozen(part, total, noise)
         if total is None:
-            raise InputError("no stretch of samples is long enough", "record for longer")
+            raise too_short(self.sampling)
         return total
 
     def periodograms(self, gain: FloatArray) -> tuple[list[Periodogram], str]:

@@ -45,6 +45,11 @@ def exported(source: Source, kind: str, wishes: Wishes | None = None) -> str:
         raise UsageError(f"{kind} has no gyro {asked.slot}", remedy)
     if asked.device_id is not None and kind != "px4":
         raise UsageError(f"{kind} has no place for a device's number", "leave out --device-id")
+    if source.frame == "sensor" and kind in _SLOTTED:
+        raise UsageError(
+            f"{kind} turns no rates: its offsets are always in the sensor's own axes",
+            "leave out --frame",
+        )
     match kind:
         case "c":
             return c_header(source, asked.name)

@@ -58,7 +58,10 @@ def ros_parameters(source: Source, name: str | None = None) -> str:
     if band_hz and len(density) == 3:
         inverse = correction.inverse
         covariance = inverse @ np.diag(np.square(density) * band_hz) @ inverse.T
-        lines.append(f"      angular_velocity_covariance: {yaml_list(covariance.ravel())}")
+        lines.append(
+            f"      angular_velocity_covariance: {yaml_list(covariance.ravel())}"
+            "  # (rad/s)^2, rows first"
+        )
     return "\n".join(lines) + "\n"
 
 

@@ -28,6 +28,7 @@ from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
 from gyrorig_solver.findings.document import FindingsDocument, Input, Subject, to_yaml
 from gyrorig_solver.findings.plain import findings_of_fit
 from gyrorig_solver.findings.writing import PAGE, figure_name, write_findings
+from gyrorig_solver.on_unit import level_of, rests_throughout, unit_solution
 from gyrorig_solver.raw.checks import look_at
 from gyrorig_solver.raw.gain import look_at_gain
 from gyrorig_solver.raw.result import Look
@@ -35,7 +36,7 @@ from gyrorig_solver.report.course import Course, course_of, course_of_attitudes,
 from gyrorig_solver.report.drawing import alone
 from gyrorig_solver.report.explain_html import figures_of, render_findings
 from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import level_of, rests_throughout, solve_recordings, unit_solution
+from gyrorig_solver.solve import solve_recordings
 
 UNJUDGED = "nothing here judges the residual over time: the reference has angles, no motion"
 NOTHING = "no cause was named, so {} had nothing to measure"

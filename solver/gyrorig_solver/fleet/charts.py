@@ -7,8 +7,9 @@ what a group is found to have moved is taken off its boards before they are aske
 Each board has a baseline, the mean of its first nights. The chart is an exponentially
 weighted mean of what comes after (EWMA; Roberts 1959) with lambda = 0.2, and its variance
 is computed, not assumed: of the calibrations, of the ordinary scatter from night to night,
-and of the baseline, which every night after it shares. So the first night after a baseline
-and the hundredth have the same chance of a false alarm.
+of the baseline, which every night after it shares, and of what the board's own slope with
+temperature differs from its kind's (`temperature`). So the first night after a baseline and
+the hundredth have the same chance of a false alarm, in any season.
 
 Boards are judged together by false-discovery rate (Benjamini and Hochberg 1995) over all
 boards and parameters of a night: at a million boards the usual three sigma would raise
@@ -24,18 +25,17 @@ import numpy.typing as npt
 from scipy import special
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
+from gyrorig_solver.fleet.temperature import MIDDLE_OF_SQUARES, levelled, slope_spread
 
 LAMBDA = 0.2  # reference: reliability.md section 5, drift charts
 BASELINE_NIGHTS = 10
 LEAST_BASELINE = 3
 GROUP_ALPHA = 1e-4  # a night, over all groups and parameters of one kind of group
 DISCOVERY_RATE = 0.01
-# Less than this says nothing of a slope. A board's own cubic needs 10 degrees (reference:
-# peers.md section 1); a line common to many boards needs no more than that it can be seen.
-TEMPERATURE_SPAN_C = 2.0
-MIDDLE_OF_SQUARES = 0.4549  # the median of chi-squared with one degree
+HISTORY_NIGHTS = 60  # the latest, which are drawn: all nights of many boards take gigabytes
 
 IntArray = npt.NDArray[np.intp]
+HistoryArray = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +46,7 @@ class Nights:
     value: FloatArray  # (nights, boards)
     variance: FloatArray  # (nights, boards), of the calibrations
     temperature_c: FloatArray | None = None  # (nights, boards)
+    kind: IntArray | None = None  # (boards,): which kind of sensor each is; None: all of one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,12 +55,18 @@ class Chart:
 
     parameter: str
     scatter: float  # ordinary, from night to night, beside the calibrations' own
-    slope_per_c: float | None  # taken off; None where temperatures say nothing of it
-    slope_variance: float  # of that slope, whose error all boards share
+    slope_per_c: FloatArray  # (boards,): of its kind, taken off; NaN where nothing is known of it
+    slope_spread: FloatArray  # (boards,): how much boards' own slopes differ from it
+    slopes: list[tuple[BoolArray, float]]  # boards of a kind; variance of its slope, all share it
     lever_c: FloatArray  # (boards,): how much warmer than in its baseline the EWMA is
     moved: FloatArray  # (boards,): the EWMA, in the parameter's unit
     variance: FloatArray  # (boards,), inf where there is no chart yet
-    history: FloatArray  # (nights, boards): the EWMA of every night, NaN within baselines
+    base: FloatArray  # (boards,): the mean of the first nights, at `warm_c`
+    warm_c: FloatArray  # (boards,): to which temperature values are brought, NaN for none
+    # Of the last nights, (at most HISTORY_NIGHTS, boards), float32, NaN within baselines:
+    history: HistoryArray  # the EWMA
+    history_std: HistoryArray  # its standard deviation
+    history_lever_c: HistoryArray  # `lever_c` of that night
 
     @property
     def z(self) -> FloatArray:
@@ -114,13 +121,15 @@ def chart(nights: Nights) -> Chart:
 
     Boards with fewer than `LEAST_BASELINE` nights before the last have none.
     """
-    value, warmth, slope, slope_variance = _without_temperature(nights)
+    level = levelled(nights.value, nights.variance, nights.temperature_c, nights.kind)
+    value, warmth = level.value, level.warmth_c
     measured = np.isfinite(value)
     count = np.cumsum(measured, axis=0)
     base_length = np.clip(count[-1] - 1, 0, BASELINE_NIGHTS)
     in_base = measured & (count <= base_length)
     scatter2 = _scatter2(value, nights.variance, in_base)
     noise = np.where(measured, nights.variance + scatter2, np.inf)
+    spread = slope_spread(level, scatter2)
     weight = np.where(in_base, 1.0 / noise, 0.0)
     total = weight.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -132,7 +141,8 @@ def chart(nights: Nights) -> Chart:
     moved, lever = np.zeros(value.shape[1]), np.zeros(value.shape[1])
     own = np.zeros(value.shape[1])  # variance of the nights after the baseline
     share = np.zeros(value.shape[1])  # how much of the baseline's error is in it
-    history = np.full(value.shape, np.nan)
+    first = max(len(value) - HISTORY_NIGHTS, 0)
+    history = np.full((3, len(value) - first, value.shape[1]), np.nan, dtype=np.float32)
     for night in range(len(value)):
         takes = measured[night] & ~in_base[night] & charted
         step = np.where(takes, LAMBDA, 0.0)
@@ -141,17 +151,25 @@ def chart(nights: Nights) -> Chart:
         lever += step * (np.where(takes, warmth[night] - base_warmth, 0.0) - lever)
         own = (1.0 - step) ** 2 * own + np.where(takes, LAMBDA**2 * noise[night], 0.0)
         share += step * (1.0 - share)
-        history[night] = np.where(takes, moved, np.nan)
-    variance = np.where(charted & (share > 0.0), own + share**2 * base_variance, np.inf)
+        if night >= first:
+            here = (moved, np.sqrt(_variance(own, share, base_variance, lever, spread)), lever)
+            history[:, night - first] = np.where(takes, here, np.nan)
+    total = _variance(own, share, base_variance, lever, spread)
+    variance = np.where(charted & (share > 0.0), total, np.inf)
     return Chart(
         parameter=nights.parameter,
         scatter=float(np.sqrt(scatter2)),
-        slope_per_c=slope,
-        slope_variance=slope_variance,
+        slope_per_c=level.slope_per_c,
+        slope_spread=spread,
+        slopes=level.kinds,
         lever_c=lever,
         moved=moved,
         variance=variance,
-        history=history,
+        base=base,
+        warm_c=level.warm_c,
+        history=history[0],
+        history_std=history[1],
+        history_lever_c=history[2],
     )
 
 
@@ -211,7 +229,7 @@ def _moves(
 ) -> Iterator[tuple[GroupMove, BoolArray]]:
     """Yield the groups that have moved by more than the limit, with their boards.
 
-    What the common slope with temperature is wrong by does not average out over boards: it
+    What a kind's slope with temperature is wrong by does not average out over its boards: it
     counts as much as the group's nights were warmer than its baseline.
     """
     variance = one.variance
@@ -222,14 +240,15 @@ def _moves(
     boards = np.bincount(group, charted, count)
     total = np.bincount(group, weight, count)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean, lever = (
-            np.bincount(group, weight * np.where(charted, each, 0.0), count) / total
-            for each in (moved, one.lever_c)
-        )
-        z = mean / np.sqrt(1.0 / total + lever**2 * one.slope_variance)
+        mean = np.bincount(group, weight * np.where(charted, moved, 0.0), count) / total
+        common = np.zeros(count)
+        for here, slope_variance in one.slopes:
+            warmer = np.where(charted & here, weight * one.lever_c, 0.0)
+            common += (np.bincount(group, warmer, count) / total) ** 2 * slope_variance
+        z = mean / np.sqrt(1.0 / total + common)
     for index in np.flatnonzero((boards >= 2) & (np.abs(np.nan_to_num(z)) > limit)):
-        here: BoolArray = charted & (grouping.of == index)
-        middle = float(np.median(moved[here] / np.sqrt(variance[here]))) * np.sign(z[index])
+        members: BoolArray = charted & (grouping.of == index)
+        middle = float(np.median(moved[members] / np.sqrt(variance[members]))) * np.sign(z[index])
         # the mean of n boards' scores is z / sqrt(n); their middle must be near it
         if middle > abs(z[index]) / np.sqrt(boards[index]) / 3.0:
             score = float(z[index])
@@ -243,7 +262,7 @@ def _moves(
                 score,
                 p,
             )
-            yield move, here
+            yield move, members
 
 
 def discoveries(p_value: FloatArray, rate: float = DISCOVERY_RATE) -> BoolArray:
@@ -271,52 +290,11 @@ def board_p_values(charts: Sequence[Chart]) -> FloatArray:
     return np.stack(columns, axis=1)
 
 
-def _without_temperature(nights: Nights) -> tuple[FloatArray, FloatArray, float | None, float]:
-    """Take off what the boards' common slope with temperature explains.
-
-    The slope is that within boards (each has its own level), and only where the boards'
-    own temperatures span enough: a slope from less is noise times a lever. It is the weighted
-    median of the boards' own slopes: a rig that drifts while the season turns would pull a
-    mean, and then all other boards would be called moved.
-
-    Returns:
-        The values, how warm each was, the slope and its variance.
-    """
-    value, temperature = nights.value, nights.temperature_c
-    none = np.zeros_like(value)
-    if temperature is None:
-        return value, none, None, 0.0
-    both = np.isfinite(value) & np.isfinite(temperature)
-    if not both.any():
-        return value, none, None, 0.0
-    weight = np.where(both, 1.0 / nights.variance, 0.0)
-    off, left = (_about_own_mean(one, weight) for one in (temperature, value))
-    span = off.max(axis=0) - off.min(axis=0)
-    several = both.sum(axis=0) > 1
-    if not several.any() or np.median(span[several]) < TEMPERATURE_SPAN_C:
-        return value, none, None, 0.0
-    information = (weight * off * off).sum(axis=0)
-    told = information > 0.0
-    own = (weight * off * left).sum(axis=0)[told] / information[told]
-    slope = _weighted_median(own, information[told])
-    # how much more boards' own slopes scatter than calibrations alone would make them
-    more = float(np.median((own - slope) ** 2 * information[told])) / MIDDLE_OF_SQUARES
-    variance = 0.5 * np.pi * more / float(information.sum())  # a median's, of normal values
-    return value - slope * off, off, slope, variance
-
-
-def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
-    order = np.argsort(values)
-    half = np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())
-    return float(values[order[min(int(half), order.size - 1)]])
-
-
-def _about_own_mean(table: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return each board's values about its own weighted mean, 0 where they do not count."""
-    counted = np.where(weight > 0.0, table, 0.0)
-    mean = (weight * counted).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
-    about: FloatArray = np.where(weight > 0.0, counted - mean, 0.0)
-    return about
+def _variance(
+    own: FloatArray, share: FloatArray, base: FloatArray, lever_c: FloatArray, spread: FloatArray
+) -> FloatArray:
+    """Return the variance of an EWMA: of its nights, its baseline and the board's own slope."""
+    return own + share**2 * base + (lever_c * spread) ** 2
 
 
 def _scatter2(value: FloatArray, variance: FloatArray, in_base: BoolArray) -> float:

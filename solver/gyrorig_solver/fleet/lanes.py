@@ -38,13 +38,14 @@ class Lane:
     """Where work is done: an executor, made anew when its workers are gone.
 
     `deaths` are what its futures raise when a worker died. `holds` is how many pieces are
-    given to it at once: one where a death would be told to all of them.
+    given to it at once. Where that is more than one, a death may be told to pieces that only
+    waited beside the one that caused it: such are tried once more at the end, each alone.
     """
 
     make: Callable[[], Executor]
     holds: int = 1
     deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
-    tries: int = DEATHS_ALLOWED + 1  # how often work is given to it; 1 where it tries by itself
+    tries: int = DEATHS_ALLOWED + 1  # how often work is given to it
     work: Callable[[Order], Outcome] = carry_out
     forsake: Callable[[Executor], None] = _shut_down
     is_gone: Callable[[], bool] = _never  # its futures will never come to an end
@@ -138,7 +139,7 @@ def _fill(lanes: list[Lane], again: list[Order], waiting: Iterator[Order]) -> li
     """Give each lane what it holds; return what could not be given."""
     for lane in lanes:
         while len(lane.held) < lane.holds:
-            order = again.pop() if again else next(waiting, None)
+            order = _next(lane, again, waiting)
             if order is None:
                 break
             try:
@@ -146,6 +147,16 @@ def _fill(lanes: list[Lane], again: list[Order], waiting: Iterator[Order]) -> li
             except Exception:  # a scheduler that has gone, a machine that starts no process
                 return [order]
     return []
+
+
+def _next(lane: Lane, again: list[Order], waiting: Iterator[Order]) -> Order | None:
+    """Return what a lane is to do now; None: nothing, or nothing beside what it holds."""
+    if again and lane.holds == 1:
+        return again.pop()
+    order = next(waiting, None)
+    if order is None and again and not lane.held:  # alone: its death is its own
+        return again.pop()
+    return order
 
 
 def _told(

@@ -1,6 +1,7 @@
 """How much of this machine one piece of work may take.
 
-What to use when: `limit_memory` once in each worker, `deadline` around each piece of work.
+What to use when: `limit_memory` once in each worker of one's own, `memory_limited` around a
+piece of work in a process that others have begun, `deadline` around each piece of work.
 """
 
 import contextlib
@@ -22,6 +23,17 @@ def limit_memory(memory_bytes: int) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     if hard == resource.RLIM_INFINITY or hard > memory_bytes:
         resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, hard))
+
+
+@contextlib.contextmanager
+def memory_limited(memory_bytes: int) -> Iterator[None]:
+    """Let this process have no more memory than that in the block, then as much as before."""
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    limit_memory(memory_bytes)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 @contextlib.contextmanager

@@ -1,16 +1,15 @@
 """The fleet's page: files that a browser opens from a disk or a server alike.
 
-    STORE/fleet/index.html  app.js  style.css  data.js  history/00.js ... ff.js
+    STORE/fleet/index.html  *.js  style.css  data.js  history/00.js ... ff.js
 
 What to use when: `write_page` after `overview`. A page from a disk may not fetch files, so
-data are scripts that call one function; the histories of boards are in 256 of them, loaded
-when a board is opened. Links go to the calibrations and reports beside it in the store.
+data are scripts that call one function; the histories of boards and groups are in 256 of them,
+loaded when one is opened. Links go to the calibrations and reports beside it in the store.
 """
 
-import hashlib
 import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
@@ -19,7 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from gyrorig_solver.fleet.index import Index
+from gyrorig_solver.fleet.groups import plain_groups
+from gyrorig_solver.fleet.histories import (
+    GroupChart,
+    drawn,
+    group_charts,
+    group_key,
+    histories,
+    shard_of,
+)
 from gyrorig_solver.fleet.ledger import index_at
 from gyrorig_solver.fleet.overview import KINDS, PARAMETERS, Overview
 from gyrorig_solver.fleet.worries import Worry, unit_of, worries
@@ -28,11 +35,8 @@ from gyrorig_solver.places.folder import Folder
 from gyrorig_solver.places.place import Place
 
 FOLDER = "fleet"
-_COPIED = ("index.html", "app.js", "style.css")
-_SHARDS = 256
-HISTORY_POINTS = 60  # the latest of each board
+_COPIED = ("index.html", "drifts.js", "groups.js", "app.js", "style.css")
 _DIGITS = 7
-_MEASURED = ("temperature_degc", *PARAMETERS)
 _BINS = 41
 
 
@@ -55,18 +59,14 @@ def write_page(store: Path | Place, found: Overview, out: Path | None = None) ->
     for name in _COPIED:
         to.put(below + name, (here / name).read_bytes())
     up = "../" if out is None else _way_up(place, out)
-    to.put(f"{below}data.js", _call("FLEET", _data(found, up)))
-    for name, text in _histories(index_at(place), found):
-        to.put(f"{below}history/{name}.js", text)
+    groups = group_charts(found)
+    to.put(f"{below}data.js", _call("FLEET", _data(found, groups, up)))
+    for name, text in histories(index_at(place), found, groups):
+        to.put(f"{below}history/{name}.js", _script("HISTORY", f'"{name}",{{{text}}}'))
     return f"{to.text}/{below}index.html"
 
 
-def shard_of(board: str) -> str:
-    """Return the two digits that name the file with a board's history."""
-    return hashlib.sha256(board.encode()).hexdigest()[:2]
-
-
-def _data(found: Overview, up: str) -> dict[str, Any]:
+def _data(found: Overview, groups: dict[str, GroupChart], up: str) -> dict[str, Any]:
     boards = found.boards
     return {
         "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
@@ -79,6 +79,8 @@ def _data(found: Overview, up: str) -> dict[str, Any]:
         "units": [_spaced(unit_of(name)) for name in PARAMETERS],
         "worries": [_worry(one) for one in worries(found)],
         "kinds": _kinds(found),
+        "groups": _groups(found, groups),
+        **drawn(found),
         "boards": {
             "id": boards.board,
             "shard": [shard_of(one) for one in boards.board],
@@ -102,6 +104,16 @@ def _data(found: Overview, up: str) -> dict[str, Any]:
             "prior": (found.prior_dominated @ (1 << np.arange(len(PARAMETERS)))).tolist(),
         },
     }
+
+
+def _groups(found: Overview, charts: dict[str, GroupChart]) -> list[dict[str, Any]]:
+    """Return what lots, rigs and sites are like, how far each moved, and where its history is."""
+    told: list[dict[str, Any]] = []
+    for one in plain_groups(found.groups):
+        key = group_key(one["kind"], one["name"])
+        moved = charts[key].z if key in charts else {}
+        told.append({**one, "moved": moved, "shard": shard_of(key)})
+    return told
 
 
 def _kinds(found: Overview) -> list[dict[str, Any]]:
@@ -147,54 +159,6 @@ def _spaced(unit: str) -> str:
 
 def _worry(one: Worry) -> dict[str, Any]:
     return {"what": one.what, "why": one.why, "do": one.do, "kind": one.kind, "find": one.find}
-
-
-def _histories(index: Index, overview: Overview) -> Iterator[tuple[str, bytes]]:
-    """Yield what only an opened board shows, put together by the database: millions of points."""
-    sql = f"""
-        WITH latest AS (
-            SELECT board, version, epoch(start) AS seconds, {", ".join(_MEASURED)} FROM rows
-            WHERE status = 'ok' QUALIFY
-            row_number() OVER (PARTITION BY board ORDER BY version DESC) <= {HISTORY_POINTS}
-        ), points AS (
-            SELECT board, version, '[' || version || ',' || {_joined("seconds", *_MEASURED)} || ']'
-            AS point FROM latest
-        ), boards AS (
-            SELECT board, string_agg(point, ',' ORDER BY version) AS points FROM points
-            GROUP BY board
-        ), whole AS (
-            SELECT board, to_json(board)::VARCHAR || ':{{"points":[' || points || '],"std":['
-            || {_joined(*(f"{name}_std" for name in PARAMETERS))} || '],"shrunk":['
-            || {_joined(*(f"{name}_shrunk" for name in PARAMETERS))} || ']}}' AS text
-            FROM boards JOIN newest USING (board)
-        )
-        SELECT substr(sha256(board), 1, 2), string_agg(text, ',' ORDER BY board)
-        FROM whole GROUP BY 1
-    """  # noqa: S608 - ours
-    boards = overview.boards
-    newest: dict[str, Any] = {"board": np.array(boards.board, dtype=object)}
-    for at, name in enumerate(PARAMETERS):
-        newest[f"{name}_std"] = boards.std[name]
-        newest[f"{name}_shrunk"] = overview.shrunk[:, at]
-    found: dict[str, str] = {}
-    if boards.board:
-        with index.connect() as database:
-            database.register("newest", newest)
-            found = dict(database.execute(sql).fetchall())
-    for name in (f"{n:02x}" for n in range(_SHARDS)):
-        yield name, _script("HISTORY", f'"{name}",{{{found.get(name, "")}}}')
-
-
-def _joined(*columns: str) -> str:
-    """Return numbers of the database as the inside of a list of JSON."""
-    return f"concat_ws(',', {', '.join(_number(name) for name in columns)})"
-
-
-def _number(column: str) -> str:
-    """Return a number of the database as JSON has it."""
-    digits = {"seconds": 10}.get(column, _DIGITS)
-    text = f"format('{{:.{digits}g}}', {column}::DOUBLE)"
-    return f"CASE WHEN isfinite({column}) THEN {text} ELSE 'null' END"
 
 
 def _call(function: str, value: Any) -> bytes:

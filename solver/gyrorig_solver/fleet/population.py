@@ -1,8 +1,9 @@
 """What the boards of one kind are like: mean, true spread, the odd ones, and shrunk values.
 
-What to use when: `population` for one parameter of boards of one kind; `between` to ask
-whether lots, rigs or sites differ; `common_constant` whether what is off is off on every
-unit alike. Only raw values come in here; shrunk ones go out and never come back.
+What to use when: `population` for one parameter of boards of one kind; `spread_of` for mean
+and spread alone; `between` to ask whether lots, rigs or sites differ, `group_means` for how
+far each is off; `constants` for what is off on every unit alike. Only raw values come in
+here; shrunk ones go out and never come back.
 
 Model: board i has theta_i ~ N(mu, tau^2), its calibration says y_i ~ N(theta_i, s_i^2).
 mu and tau^2 by restricted maximum likelihood (Patterson and Thompson 1971; the scatter
@@ -17,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.chance import chi2_tail, normal_tail
+from gyrorig_solver.chance import chi2_tail
 
 IntArray = npt.NDArray[np.intp]
 
@@ -27,6 +28,17 @@ PRIOR_DOMINATED = 0.5  # less than half of a shrunk value is the board's own dat
 _ROUNDS = 60
 _QUADRATURE = 48
 _TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Mean and true spread of one parameter over some boards, in its unit."""
+
+    boards: int
+    mean: float
+    mean_std: float
+    spread: float  # tau: how much boards truly differ, one standard deviation
+    spread_std: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +51,7 @@ class Population:
     mean_std: float
     spread: float  # tau: how much boards truly differ, one standard deviation
     spread_std: float
+    equal_p: float  # how likely boards without any spread would scatter so
     odd: BoolArray  # (n,): further from the mean than chance allows
     z: FloatArray  # (n,): how far, in deviations of spread and calibration together
     shrunk: FloatArray  # (n,)
@@ -49,6 +62,17 @@ class Population:
     def prior_dominated(self) -> BoolArray:
         """Boards whose shrunk value is more the fleet's than their own."""
         return self.weight < PRIOR_DOMINATED
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupMeans:
+    """How far groups of boards are from each other, by the spread within them."""
+
+    names: list[str]  # of those with a sound board
+    mean: FloatArray  # (groups,), in the parameter's unit
+    z: FloatArray  # (groups,), of each mean against that of all other groups
+    centre: float
+    statistic: float  # Cochran's Q
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,22 +88,6 @@ class Between:
     most_z: float
 
 
-@dataclass(frozen=True, slots=True)
-class CommonConstant:
-    """How much of what is off the nominal value is the same on every unit."""
-
-    parameter: str
-    offset: float  # of the fleet's mean from nominal
-    z: float
-    p_value: float
-    share: float  # of the mean square deviation from nominal that is common to all
-
-    @property
-    def is_common(self) -> bool:
-        """One number explains it better than the parts' own spread: look at constants."""
-        return self.p_value < 1e-6 and self.share > 0.9
-
-
 def population(parameter: str, value: FloatArray, std: FloatArray) -> Population:
     """Return what boards of one kind are like.
 
@@ -91,33 +99,79 @@ def population(parameter: str, value: FloatArray, std: FloatArray) -> Population
     Raises:
         ValueError: fewer than `LEAST_BOARDS`, or a deviation that is none.
     """
-    if len(value) < LEAST_BOARDS:
-        raise ValueError(f"{len(value)} boards are too few for a spread")
-    if not (np.all(np.isfinite(value)) and np.all(std > 0.0)):
-        raise ValueError("values must be numbers and deviations above zero")
-    variance = std * std
-    kept = _sound(value, variance)
-    tau2 = _spread(value[kept], variance[kept])
-    weight = 1.0 / (tau2 + variance[kept])
-    mean = float(np.average(value[kept], weights=weight))
-    mean_variance = 1.0 / float(weight.sum())
-    total = tau2 + variance
-    z = (value - mean) / np.sqrt(total)
-    information = 0.5 * float((weight * weight).sum())  # of tau^2, Fisher's
-    spread = float(np.sqrt(tau2))
-    shrunk, shrunk_std, own = _shrunk(value, variance, kept, tau2, information**-0.5)
+    variance = _variance(value, std)
+    kept, tau2 = _kept(value, variance)
+    found = _spread_over(value, variance, kept, tau2)
+    z = (value - found.mean) / np.sqrt(tau2 + variance)
+    tau2_std = _information(variance[kept], tau2) ** -0.5
+    shrunk, shrunk_std, own = _shrunk(value, variance, kept, tau2, tau2_std)
     return Population(
         parameter=parameter,
-        boards=len(value),
-        mean=mean,
-        mean_std=float(np.sqrt(mean_variance)),
-        spread=spread,
-        spread_std=float(1.0 / np.sqrt(information) / (2.0 * spread)) if spread else np.inf,
+        boards=found.boards,
+        mean=found.mean,
+        mean_std=found.mean_std,
+        spread=found.spread,
+        spread_std=found.spread_std,
+        equal_p=_equal_p(value[kept], variance[kept]),
         odd=np.abs(z) > ODD_SIGMA,
         z=z,
         shrunk=shrunk,
         shrunk_std=shrunk_std,
         weight=own,
+    )
+
+
+def spread_of(value: FloatArray, std: FloatArray) -> Spread:
+    """Return mean and true spread of some boards, those beyond `ODD_SIGMA` left out.
+
+    Args:
+        value: one of each board, shape (n,).
+        std: their standard deviations, shape (n,), above zero.
+
+    Raises:
+        ValueError: as `population`.
+    """
+    variance = _variance(value, std)
+    return _spread_over(value, variance, *_kept(value, variance))
+
+
+def group_means(
+    value: FloatArray, std: FloatArray, group: Sequence[str], odd: BoolArray
+) -> GroupMeans | None:
+    """Return how far groups are from each other; None with fewer than two of them.
+
+    Boards that are odd do not count: within their own group where that has `LEAST_BOARDS`,
+    for a lot that is off as a whole is no heap of odd boards; else as `odd` has them.
+
+    Args:
+        value: one of each board, shape (n,).
+        std: their standard deviations, shape (n,), above zero.
+        group: which each belongs to.
+        odd: those unlike all boards of their kind, shape (n,).
+    """
+    names, index = np.unique(np.asarray(group), return_inverse=True)
+    if len(names) < 2:
+        return None
+    variance = std * std
+    sound = _sound_within(value, variance, index, ~odd)
+    # Within the groups: a bad lot widens the spread of all, and would hide in it.
+    _, held_index = np.unique(index[sound], return_inverse=True)
+    tau2 = _spread(value[sound], variance[sound], held_index)
+    weight = np.where(sound, 1.0 / (tau2 + variance), 0.0)
+    total = np.bincount(index, weight, len(names))
+    held = total > 0.0
+    if held.sum() < 2:
+        return None
+    means = np.bincount(index, weight * value, len(names))[held] / total[held]
+    centre = float(np.average(means, weights=total[held]))
+    # the variance of a difference from a mean of which it is a part
+    own = 1.0 / total[held] - 1.0 / total[held].sum()
+    return GroupMeans(
+        names=[str(name) for name in names[held]],
+        mean=means,
+        z=(means - centre) / np.sqrt(own),
+        centre=centre,
+        statistic=float((total[held] * (means - centre) ** 2).sum()),
     )
 
 
@@ -129,51 +183,18 @@ def between(
     The statistic is Cochran's Q over the groups' means with the spread within: chi-squared
     with one degree less than there are groups where they do not differ.
     """
-    names, index = np.unique(np.asarray(group), return_inverse=True)
-    if len(names) < 2:
+    told = group_means(value, std, group, found.odd)
+    if told is None:
         return None
-    # Within the groups: a bad lot widens the spread of all, and would hide in it.
-    sound = ~found.odd
-    _, held_index = np.unique(index[sound], return_inverse=True)
-    tau2 = _spread(value[sound], std[sound] ** 2, held_index)
-    weight = np.where(found.odd, 0.0, 1.0 / (tau2 + std * std))
-    total = np.bincount(index, weight, len(names))
-    held = total > 0.0
-    if held.sum() < 2:
-        return None
-    means = np.bincount(index, weight * value, len(names))[held] / total[held]
-    centre = float(np.average(means, weights=total[held]))
-    squares = total[held] * (means - centre) ** 2
-    statistic = float(squares.sum())
-    # the variance of a difference from a mean of which it is a part
-    own = 1.0 / total[held] - 1.0 / total[held].sum()
-    z = (means - centre) / np.sqrt(own)
-    most = int(np.argmax(np.abs(z)))
+    most = int(np.argmax(np.abs(told.z)))
     return Between(
         parameter=found.parameter,
-        groups=int(held.sum()),
-        statistic=statistic,
-        p_value=chi2_tail(statistic, float(held.sum() - 1)),
-        most=str(names[held][most]),
-        most_by=float(means[most] - centre),
-        most_z=float(z[most]),
-    )
-
-
-def common_constant(found: Population, nominal: float) -> CommonConstant:
-    """Ask whether a deviation from nominal is the same on every unit.
-
-    The same on every unit points at a constant of the program, a truncation or the host's
-    clock; different per unit at the parts (reference: peers.md section 2, last row).
-    """
-    offset = found.mean - nominal
-    z = offset / found.mean_std
-    return CommonConstant(
-        parameter=found.parameter,
-        offset=offset,
-        z=float(z),
-        p_value=2.0 * normal_tail(abs(z)),
-        share=offset**2 / (offset**2 + found.spread**2),
+        groups=len(told.names),
+        statistic=told.statistic,
+        p_value=chi2_tail(told.statistic, float(len(told.names) - 1)),
+        most=told.names[most],
+        most_by=float(told.mean[most] - told.centre),
+        most_z=float(told.z[most]),
     )
 
 
@@ -208,6 +229,45 @@ def mahalanobis(z: FloatArray) -> FloatArray:
     )
 
 
+def _variance(value: FloatArray, std: FloatArray) -> FloatArray:
+    if len(value) < LEAST_BOARDS:
+        raise ValueError(f"{len(value)} boards are too few for a spread")
+    if not (np.all(np.isfinite(value)) and np.all(std > 0.0)):
+        raise ValueError("values must be numbers and deviations above zero")
+    return std * std
+
+
+def _kept(value: FloatArray, variance: FloatArray) -> tuple[BoolArray, float]:
+    """Return which boards count, and tau^2 of those."""
+    kept = _sound(value, variance)
+    return kept, _spread(value[kept], variance[kept])
+
+
+def _spread_over(value: FloatArray, variance: FloatArray, kept: BoolArray, tau2: float) -> Spread:
+    weight = 1.0 / (tau2 + variance[kept])
+    spread = float(np.sqrt(tau2))
+    tau2_std = _information(variance[kept], tau2) ** -0.5
+    return Spread(
+        boards=len(value),
+        mean=float(np.average(value[kept], weights=weight)),
+        mean_std=float(weight.sum() ** -0.5),
+        spread=spread,
+        spread_std=tau2_std / (2.0 * spread) if spread else np.inf,
+    )
+
+
+def _information(variance: FloatArray, tau2: float) -> float:
+    """Return Fisher's information of tau^2."""
+    return 0.5 * float((1.0 / (tau2 + variance) ** 2).sum())
+
+
+def _equal_p(value: FloatArray, variance: FloatArray) -> float:
+    """Return how likely boards that all are the same scatter so (Cochran 1954)."""
+    weight = 1.0 / variance
+    left = value - np.average(value, weights=weight)
+    return chi2_tail(float((weight * left * left).sum()), float(len(value) - 1))
+
+
 def _sound(value: FloatArray, variance: FloatArray) -> BoolArray:
     """Return which boards count for mean and spread: found from the middle of all."""
     centre = float(np.median(value))
@@ -218,6 +278,28 @@ def _sound(value: FloatArray, variance: FloatArray) -> BoolArray:
     if far.sum() > len(value) // 2:  # no middle to speak of
         far[:] = False
     kept: BoolArray = ~far
+    return kept
+
+
+def _sound_within(
+    value: FloatArray, variance: FloatArray, index: IntArray, sound: BoolArray
+) -> BoolArray:
+    """Return which boards count beside others of their group, `sound` where those are few.
+
+    From the middle of each group, by one spread for all: a group's own quartiles are too rough.
+    """
+    large = (np.bincount(index) >= LEAST_BOARDS)[index]
+    if not large.any():
+        return sound
+    off = np.zeros_like(value)
+    for at in np.unique(index[large]):
+        here = index == at
+        off[here] = value[here] - np.median(value[here])
+    # half of a normal distribution lies within 0.6745 deviations
+    spread2 = (float(np.median(np.abs(off[large]))) / 0.6745) ** 2
+    spread2 = max(spread2 - float(np.median(variance[large])), 0.0)
+    near = np.abs(off) <= ODD_SIGMA * np.sqrt(spread2 + variance)
+    kept: BoolArray = np.where(large, near, sound)
     return kept
 
 

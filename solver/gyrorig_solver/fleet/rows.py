@@ -25,6 +25,9 @@ ENTRIES: dict[str, tuple[str, ...]] = {
     "time_offset": (),
 }
 MAX_TEXT = 8_000  # of a trace
+# What of a board is newest: what was measured last. Versions count up as they are solved, and
+# a backlog is solved after the nights that followed it.
+NEWEST_FIRST = "start DESC NULLS LAST, version DESC"
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -60,6 +63,8 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     trust: str = ""
     findings: str = ""
     reduced_chi2: float | None = None
+    clock_skew_ppm: float | None = None  # of the board's clock against its host's
+    gyro_scale_rad_s: float | None = None  # what a count is worth
     seconds: float = 0.0  # processor time of the whole session's work
     parameters: dict[str, float] = {}
 
@@ -154,6 +159,8 @@ def row_of_calibration(
         trust=made.trust.verdict,
         findings="" if made.findings is None else made.findings.verdict,
         reduced_chi2=made.quality.reduced_chi2,
+        clock_skew_ppm=made.quality.clock_skew_ppm,
+        gyro_scale_rad_s=made.board.config.gyro_scale_rad_s,
         parameters=parameters_of(made),
     )
 

@@ -6,9 +6,14 @@ reach without a certificate is refused: loopback, or TLS with an authority of on
 
 The workers read the recordings and write the store by the same paths as the machine that
 calls: they need the same file system. Start them with one thread and a nanny each, so that
-a worker that dies is replaced and takes nobody else's work with it:
+a worker that dies is replaced:
 
     dask worker tls://head:8786 --nworkers 16 --nthreads 1 --no-dashboard
+
+A scheduler gives work whose worker died to another one by itself, four times as it is set
+(`distributed.scheduler.allowed-failures`, 3), and counts a death against all that waited on
+that worker. So what it gives up is tried once more alone before it is quarantined. With that
+setting at 0 it is quarantined after it has killed two.
 """
 
 import contextlib
@@ -26,6 +31,7 @@ from distributed.security import Security
 
 from gyrorig_protocol.errors import BusyError, UsageError
 from gyrorig_solver.fleet.lanes import Lane
+from gyrorig_solver.fleet.task import carry_out_within
 
 # 1 000 000 pending pieces would take 5 to 6 GB in the scheduler (reliability.md section 5).
 MOST_PENDING = 10_000
@@ -86,7 +92,7 @@ def dask_lanes(address: str, certificates: Certificates | None = None) -> Iterat
                 make,
                 holds=holds,
                 deaths=(KilledWorker,),
-                tries=1,
+                work=carry_out_within,
                 forsake=_cancel,
                 is_gone=is_gone,
             )

@@ -1,6 +1,7 @@
 """A fleet's store looked at: what is in it, and its index made anew.
 
-What to use when: `newest` and `versions_of` for lists, `rebuild_index` where the index was
+What to use when: `newest` and `versions_of` for lists, `in_time` for one board's versions as
+they were measured, `rebuild_index` where the index was
 lost, `verifying.verify` for what is damaged, missing or unknown. The calibrations are what
 counts; the index can always be made from them.
 """
@@ -14,8 +15,14 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from gyrorig_protocol.errors import BusyError, GyrorigError, UsageError
+from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration.document import Calibration, parse_calibration
-from gyrorig_solver.calibration.store import STORE_FILE, VERSION_FILE, CalibrationStore
+from gyrorig_solver.calibration.store import (
+    STORE_FILE,
+    VERSION_FILE,
+    CalibrationStore,
+    StoredVersion,
+)
 from gyrorig_solver.fleet.bucket_store import store_at
 from gyrorig_solver.fleet.ledger import index_at, others_write
 from gyrorig_solver.fleet.manifest import (
@@ -23,7 +30,7 @@ from gyrorig_solver.fleet.manifest import (
     seal,
     unseal,
 )
-from gyrorig_solver.fleet.rows import Row, row_of_calibration
+from gyrorig_solver.fleet.rows import NEWEST_FIRST, Row, row_of_calibration
 from gyrorig_solver.fleet.task import key_of
 from gyrorig_solver.places.choose import place_at
 from gyrorig_solver.places.place import Entry, Place
@@ -76,11 +83,11 @@ def opened(store: Path | Place) -> CalibrationStore:
 
 
 def newest(store: Path | Place, chosen: Chosen, limit: int) -> list[dict[str, Any]]:
-    """Return the newest version of each board, at most `limit`, by name."""
+    """Return the newest version of each board, that of the last recording, at most `limit`."""
     where, values = chosen.clause()
     sql = (
         f"SELECT {', '.join(LISTED)} FROM rows WHERE status = 'ok' AND {where} "  # noqa: S608
-        "QUALIFY row_number() OVER (PARTITION BY board ORDER BY version DESC) = 1 "
+        f"QUALIFY row_number() OVER (PARTITION BY board ORDER BY {NEWEST_FIRST}) = 1 "
         "ORDER BY board LIMIT ?"
     )
     return _named(LISTED, index_at(place_at(store)).ask(sql, [*values, limit]))
@@ -94,6 +101,41 @@ def versions_of(store: Path | Place, chosen: Chosen, limit: int) -> list[dict[st
         "ORDER BY board, version LIMIT ?"
     )
     return _named(LISTED, index_at(place_at(store)).ask(sql, [*values, limit]))
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One version of a board, and when and how the board was when it was measured."""
+
+    stored: StoredVersion
+    start: datetime  # UTC, of the first recording
+    config_hash: str
+
+
+def in_time(store: Place, board: BoardId) -> list[Measured]:
+    """Return the versions of a board in the order in which they were measured.
+
+    From the index; a version that it does not know, written by `gyrorig solve`, is opened.
+
+    Raises:
+        UsageError: there is no store.
+        InputError: the index is damaged, or a version that it does not know.
+    """
+    versions = opened(store).versions(board)
+    sql = "SELECT version, start, config_hash FROM rows WHERE status = 'ok' AND board = ?"
+    known = {
+        version: (start, config_hash or "")
+        for version, start, config_hash in index_at(store).ask(sql, [board])
+        if start is not None
+    }
+    found: list[Measured] = []
+    for stored in versions:
+        if stored.number not in known:
+            made = parse_calibration(stored.data(), str(stored.path))
+            begun = datetime.fromisoformat(made.inputs[0].start).replace(tzinfo=None)
+            known[stored.number] = (begun, made.board.config.config_hash or "")
+        found.append(Measured(stored, *known[stored.number]))
+    return sorted(found, key=lambda one: (one.start, one.stored.number))
 
 
 def gone_wrong(store: Path | Place, limit: int) -> list[dict[str, Any]]:

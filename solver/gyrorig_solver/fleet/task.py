@@ -23,11 +23,15 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.build import settings_sha256
 from gyrorig_solver.calibration.document import Calibration, parse_calibration
-from gyrorig_solver.calibration.solving import fits_together, likelihood_settings, solve_into
+from gyrorig_solver.calibration.solving import (
+    Ready,
+    fits_together,
+    likelihood_settings,
+    solve_into,
+)
 from gyrorig_solver.calibration.store import CalibrationStore, StoredVersion
-from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.fleet.bucket_store import store_at
-from gyrorig_solver.fleet.limits import TooLongError, deadline
+from gyrorig_solver.fleet.limits import TooLongError, deadline, memory_limited
 from gyrorig_solver.fleet.rows import MAX_TEXT, Row, Status, row_of_calibration, utc_now_text
 from gyrorig_solver.places.place import Place
 
@@ -104,6 +108,16 @@ def carry_out(order: Order) -> Outcome:
     return Outcome(order.key, tuple(msgspec.structs.replace(row, seconds=spent_s) for row in rows))
 
 
+def carry_out_within(order: Order) -> Outcome:
+    """Do `carry_out` within the order's memory, in a process that others have begun.
+
+    Raises:
+        MachineError: as `carry_out`.
+    """
+    with memory_limited(order.settings.memory_bytes):
+        return carry_out(order)
+
+
 def row_of(
     order: Order,
     status: Status,
@@ -158,7 +172,7 @@ def _solve(order: Order) -> Iterator[Row]:
 
 def _together(
     order: Order, store: CalibrationStore, recordings: Sequence[Recording], boards: list[BoardId]
-) -> dict[str, GyroFit | GyrorigError]:
+) -> dict[str, Ready | GyrorigError]:
     """Return the fits of boards that were on one unit at once; empty where they go one by one."""
     everywhere = [one for one in boards if all(one in each.board_ids for each in recordings)]
     try:
@@ -181,7 +195,7 @@ def _solve_board(
     store: CalibrationStore,
     recordings: Sequence[Recording],
     board: BoardId,
-    ready: GyroFit | GyrorigError | None,
+    ready: Ready | GyrorigError | None,
 ) -> Row:
     """Solve one board; what is wrong with it does not keep the others."""
     holding = [recording for recording in recordings if board in recording.board_ids]
@@ -192,7 +206,7 @@ def _solve_board(
         if isinstance(ready, GyrorigError):
             raise ready
         extend = order.settings.extend
-        solved = solve_into(store, holding, board, extend=extend, fit=ready, before=before)
+        solved = solve_into(store, holding, board, extend=extend, ready=ready, before=before)
         made, stored = solved.calibration, solved.stored
     except _DoneError as found:
         made, stored = found.made, found.stored

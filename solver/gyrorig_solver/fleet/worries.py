@@ -9,9 +9,16 @@ from itertools import islice
 
 import numpy as np
 
+from gyrorig_solver.fleet.constants import (
+    CLOCK,
+    CommonConstant,
+    Constancy,
+)
+from gyrorig_solver.fleet.constants import parameter_words as _words
 from gyrorig_solver.fleet.overview import PARAMETERS, Overview
 
 BOARDS_NAMED = 20  # the page lists all of them
+CRYSTAL_PPM = 50.0  # what crystals keep to, host's and board's; a clock within it is in order
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,20 +47,80 @@ def worries(found: Overview) -> list[Worry]:
 
 
 def _constants(found: Overview) -> list[Worry]:
-    told: list[Worry] = []
-    for sensor, one in found.constants:
-        told.append(
-            Worry(
-                "constant",
-                f"{_words(one.parameter)} is off by {_sized(one.parameter, one.offset)} "
-                f"on every {sensor}",
-                f"{one.z:+.0f} standard deviations of the fleet's mean, and {one.share:.0%} of it "
-                "is the same on all units: parts do not do that",
-                _constant_remedy(one.parameter),
-                f"sensor:{sensor}",
-            )
+    common = [one for one in found.constants if one.told.is_common]
+    clocks = [one for one in common if one.told.parameter == CLOCK]
+    biases = [one for one in common if one.told.parameter.startswith("bias")]
+    return [
+        *(_number(one) for one in common if one not in clocks and one not in biases),
+        *(
+            _offset([one for one in biases if one.name == sensor])
+            for sensor in dict.fromkeys(one.name for one in biases)
+        ),
+        *(_clock(one) for one in clocks if abs(one.told.offset) > CRYSTAL_PPM),
+    ]
+
+
+def _number(one: Constancy) -> Worry:
+    told = one.told
+    return Worry(
+        "constant",
+        f"{_words(told.parameter)} is off by {_sized(told.parameter, told.offset)} "
+        f"on every {one.name}",
+        _same(told),
+        _constant_remedy(told.parameter),
+        f"sensor:{one.name}",
+    )
+
+
+def _offset(axes: list[Constancy]) -> Worry:
+    """Say by how much the biases of every unit are off, in counts where all count alike."""
+    names = " and ".join(_words(one.told.parameter) for one in axes)
+    sizes = ", ".join(f"{one.told.offset:+.3g}" for one in axes)
+    count = axes[0].count_rad_s
+    counts = "" if count is None else ", ".join(f"{one.told.offset / count:+.2f}" for one in axes)
+    return Worry(
+        "constant",
+        f"{names} are off by {sizes} rad/s on every {axes[0].name}"
+        if len(axes) > 1
+        else f"{names} is off by {sizes} rad/s on every {axes[0].name}",
+        (f"that is {counts} of a count; " if counts else "") + _same(axes[0].told),
+        "counts that are cut off instead of rounded are half a count low on every axis: look at "
+        "shifts and casts in the firmware; one axis alone is an offset that somebody takes off, or "
+        "the Earth's turning (at most 7.3e-5 rad/s)",
+        f"sensor:{axes[0].name}",
+    )
+
+
+def _clock(one: Constancy) -> Worry:
+    told = one.told
+    if one.kind == "rig":
+        what = f"the clocks of all boards of {_named('rig', one.name)} are off by"
+        counts = "; every scale measured there is off by as much"
+        do = (
+            "boards' own clocks differ: it is the host's, so compare it with another; with one rig "
+            "and one kind of board it may be the profile's tick rate too"
         )
-    return told
+    else:
+        what, counts, do = (
+            f"the clock of every {one.name} is off by",
+            "; scales are not: rates count by the host's clock",
+            "on several rigs, so no host's: the tick rate in the profile or the firmware is not "
+            "what the part counts by",
+        )
+    return Worry(
+        "constant",
+        f"{what} {told.offset:+.3g} ppm",
+        _same(told) + counts,
+        do,
+        find_group(one.kind, one.name),
+    )
+
+
+def _same(told: CommonConstant) -> str:
+    return (
+        f"{told.z:+.0f} standard deviations of the fleet's mean, and {told.share:.0%} of it "
+        "is the same on all units: parts do not do that"
+    )
 
 
 def _constant_remedy(parameter: str) -> str:
@@ -85,7 +152,7 @@ def _moved(found: Overview) -> list[Worry]:
                 f"its {one.boards} boards together, {one.z:+.1f} standard deviations: what moves "
                 "on all boards at once is not the boards",
                 do,
-                "" if whole else f"{one.kind}:{one.group}",
+                "" if whole else find_group(one.kind, one.group),
             )
         )
     return told
@@ -102,7 +169,7 @@ def _differing(found: Overview) -> list[Worry]:
             f"{one.most_z:+.1f} standard deviations from the {one.groups} {kind}s' mean, beyond "
             "what boards differ by",
             "a lot: ask its maker; a rig or site: let one board be measured on two of them",
-            f"{kind}:{one.most}",
+            find_group(kind, one.most),
         )
         for sensor, kind, one in found.differing
         if (kind, one.most, one.parameter) not in moved
@@ -199,6 +266,11 @@ def unit_of(parameter: str) -> str:
     return {"bias": "rad/s", "misalignment": "rad", "time": "s"}.get(family, "")
 
 
+def find_group(kind: str, name: str) -> str:
+    """Return what to put into the page's search to see the boards of a group."""
+    return f'{kind}:"{name}"' if " " in name else f"{kind}:{name}"
+
+
 def _many(p: float) -> str:
     """Return how many boards one such comes on; tails further out mean nothing."""
     return f"{1.0 / p:.2g}" if p > 1e-12 else "more than a million million"
@@ -212,8 +284,3 @@ def _sized(parameter: str, size: float) -> str:
 def _named(kind: str, group: str) -> str:
     """Return a group's name with its kind, once."""
     return group if group.startswith(kind) else f"{kind} {group}"
-
-
-def _words(parameter: str) -> str:
-    name, _, entry = parameter.rpartition("_")
-    return f"{name} {entry}" if name and name != "time" else parameter.replace("_", " ")

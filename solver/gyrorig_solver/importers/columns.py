@@ -9,8 +9,9 @@ import csv
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
+from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
@@ -111,41 +112,77 @@ class _Table:
             use = [names.index(key) for key in unique]
             blocks = []
             rows = 0
-            while True:
-                block = self._block(lines, delimiter, use)
-                if block.shape[0] == 0:
-                    break
-                rows += block.shape[0]
+            while block := list(islice(lines, ROWS_AT_A_TIME)):
+                try:
+                    blocks.append(_numbers(block, delimiter, use))
+                except (ValueError, IndexError) as error:
+                    cells = {at: key for key, at in zip(unique, use, strict=True)}
+                    raise _no_number(path.name, block, delimiter, cells, rows) from error
+                rows += len(block)
                 if rows > MAX_ROWS:
                     raise InputError(f"{path.name} has more than {MAX_ROWS} rows", "split it")
-                blocks.append(block)
-        if not blocks:
+        if not sum(len(block) for block in blocks):
             raise InputError(f"{path.name} has a header and no rows", "there is nothing to import")
         data = np.concatenate(blocks)
         self._columns = {key: data[:, i] for i, key in enumerate(unique)}
 
-    def _block(self, lines: Iterable[str], delimiter: str, use: list[int]) -> FloatArray:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # loadtxt warns at the end of the file
-            try:
-                return np.loadtxt(
-                    lines,
-                    delimiter=delimiter,
-                    usecols=use,
-                    ndmin=2,
-                    max_rows=ROWS_AT_A_TIME,
-                    comments=None,
-                    quotechar='"',
-                    dtype=np.float64,
-                )
-            except (ValueError, IndexError) as error:
-                raise InputError(
-                    f"{self._name} holds something else than numbers", _line(error)
-                ) from error
-
     def matrix(self, keys: Sequence[str], width: int) -> FloatArray:
         data = np.stack([self._columns[key] for key in keys], axis=1)
         return _checked(data, keys, width, self._name)
+
+
+def _numbers(rows: Sequence[str], delimiter: str, use: Sequence[int]) -> FloatArray:
+    """Return the wanted columns of some rows, shape (n, k); empty rows are left out.
+
+    Raises:
+        ValueError: a cell is no number.
+        IndexError: a row is cut.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # loadtxt warns where all rows are empty
+        found = np.loadtxt(
+            rows,
+            delimiter=delimiter,
+            usecols=use,
+            ndmin=2,
+            comments=None,
+            quotechar='"',
+            dtype=np.float64,
+        )
+    return found.reshape(-1, len(use))
+
+
+def _no_number(
+    name: str, rows: Sequence[str], delimiter: str, cells: Mapping[int, str], before: int
+) -> InputError:
+    """Return the error of the first cell that is no number.
+
+    Args:
+        name: of the file.
+        rows: in which it is.
+        delimiter: between cells.
+        cells: place and name of each wanted column.
+        before: rows between the header and these.
+    """
+    for number, line in enumerate(rows, start=before + 1):
+        try:
+            row = next(csv.reader([line], delimiter=delimiter), [])
+        except csv.Error:
+            return InputError(f"{name}: row {number} is no row of a table", "correct or remove it")
+        if row and max(cells) >= len(row):
+            return InputError(
+                f"{name}: row {number} has {len(row)} columns",
+                "it may be cut off: correct it or remove it",
+            )
+        for at, column in cells.items():
+            try:
+                float(row[at] if row else "nan")
+            except ValueError:
+                return InputError(
+                    f"{name}: row {number}: {row[at][:40]!r} in column {column[:40]} is no number",
+                    "correct it, or write nan where there is none",
+                )
+    return InputError(f"{name} holds something else than numbers", "write them as 0.25 or -2.5e-3")
 
 
 def _checked(data: FloatArray, keys: Sequence[str], width: int, name: str) -> FloatArray:

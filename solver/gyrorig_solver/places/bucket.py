@@ -121,7 +121,8 @@ class Bucket:
                     _system(self.protocol).get_file(f"{self.prefix}/{name}", str(path))
                 except FileNotFoundError as fault:
                     raise InputError(
-                        f"there is no {self.text}/{name}", "it was there a moment ago"
+                        f"there is no {self.text}/{name} any more",
+                        "it was removed meanwhile: run again",
                     ) from fault
             yield path
 

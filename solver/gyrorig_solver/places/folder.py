@@ -71,7 +71,9 @@ class Folder:
         """See `Place`."""
         path = self.path / name
         if not path.is_file():
-            raise InputError(f"there is no file {path}", "it was there a moment ago")
+            raise InputError(
+                f"there is no file {path} any more", "it was removed meanwhile: run again"
+            )
         yield path
 
     def _made(self, name: str) -> Path:

@@ -17,13 +17,13 @@ from gyrorig_solver.estimate.observability import Concluded, Decision, conclude,
 from gyrorig_solver.estimate.result import Observability
 from gyrorig_solver.estimate.series import SHORTEST_SERIES, Series, grids
 from gyrorig_solver.model.gain import FACTOR_NAMES, factor_jacobian, factorise
+from gyrorig_solver.on_unit import PTU_WORDS
 from gyrorig_solver.plan.sensor import MOUNT, SensorModel
 from gyrorig_solver.plan.timeline import Timeline, lay_out
 from gyrorig_solver.plan.unit import ARCSEC_PER_DEG, UnitModel
 from gyrorig_solver.reference.moves import MotionReader
 from gyrorig_solver.reference.polls import fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
-from gyrorig_solver.solve import PTU_WORDS
 
 ORDINARY = np.concatenate([MOUNT.ravel(), np.zeros(4)])
 PARAMETERS = (*FACTOR_NAMES, *NAMES[9:])

@@ -116,7 +116,10 @@ def load_rig(path: Path) -> Rig:
     try:
         text = path.read_bytes()
     except OSError as fault:
-        raise UsageError(f"{path} cannot be read", f"{fault.strerror}") from fault
+        raise UsageError(
+            f"{path} cannot be read, {fault.strerror}",
+            "name a rig's file, such as config/rig.yaml, with --rig",
+        ) from fault
     document = read_as(parse_yaml(text, path.name), _Rig, path.name)
     unit, board, emulator = document.ptu, document.boards[0], document.emulator
     emulated = unit.port == EMULATED

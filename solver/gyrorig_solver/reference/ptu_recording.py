@@ -156,8 +156,8 @@ def _polls(
     kept = np.flatnonzero(raw["status"] & OUT_OF_STEP == 0)
     if kept.size < 2:
         raise InputError(
-            f"{recording.path.name} has {kept.size} positions of the unit",
-            "record with polling on",
+            f"{recording.path.name} has {kept.size} positions of the unit, and two are needed",
+            "leave out ptu.poll.rate_hz in the rig file, so that the daemon asks often",
         )
     request_ns = times_ns(raw["request_time"])[kept]
     if np.any(request_ns[1:] < request_ns[:-1]):

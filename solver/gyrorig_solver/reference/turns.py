@@ -15,6 +15,8 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_solver.arrays import FloatArray
 
+ABORTED = "aborted"  # what ends a phase that a fault broke off: nobody knows what it came to
+
 
 @dataclass(frozen=True, slots=True)
 class Interval:
@@ -43,7 +45,7 @@ class TurnReference:
 
 
 def read_turns(events: Iterable[SessionEvent], origin_ns: int) -> TurnReference:
-    """Return the turns and rests that a recording's events tell of.
+    """Return the turns and rests that a recording's events tell of, but for broken-off ones.
 
     Args:
         events: in the order of the recording.
@@ -67,7 +69,7 @@ def read_turns(events: Iterable[SessionEvent], origin_ns: int) -> TurnReference:
                 continue
             begin_ns = open_ns.pop(begun)
             over = Interval((begin_ns - origin_ns) * 1e-9, (event.host_time_ns - origin_ns) * 1e-9)
-            if over.end_s <= over.begin_s:
+            if over.end_s <= over.begin_s or event.text == ABORTED:
                 continue
             if event.phase == "static":
                 rests.append(over)

@@ -124,7 +124,7 @@ def _tiles(document: FindingsDocument) -> list[dict[str, str]]:
     silent = [d for d in document.minimal_detectable if d.by_sigma is not None]
     if silent:
         worst = max(silent, key=lambda d: d.by_sigma or 0.0)
-        note = f"by {_lower(worst.cause)}{place(worst.where)}, below what shows"
+        note = f"too little to show here: {_lower(worst.cause)}{place(worst.where)}"
         out.append(_tile("could be off unseen by", "", f"{short(worst.by_sigma or 0.0)} sd", note))
     return out
 

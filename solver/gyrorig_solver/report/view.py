@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.calibration.document import Calibration
 from gyrorig_solver.calibration.wording import (
@@ -25,6 +24,7 @@ from gyrorig_solver.calibration.wording import (
 )
 from gyrorig_solver.estimate.result import Clock, FitDiagnostics
 from gyrorig_solver.report.data import ReportData
+from gyrorig_solver.report.data_sheet import allowed, noise_said
 
 SINGULAR = 1e6  # condition of a gain matrix that undoes nothing; the paper's method makes such
 _NO_SECOND_CLOCK_S = 1e-9  # stamps that agree to rounding are one and the same clock
@@ -35,6 +35,7 @@ _NOISE = (  # name in the document, words, factor, unit
     ("rate_random_walk", "rate random walk", _DEG, "deg/s²/√Hz"),
 )
 _AXIS_COLOURS = ("var(--x)", "var(--y)", "var(--z)")
+Limits = tuple[float, float]  # what the data sheet allows, in the unit that is shown
 _LEFT, _RIGHT = 30.0, 170.0  # of the allowed range in a bar that is 200 wide
 
 
@@ -110,20 +111,21 @@ def tiles(data: ReportData) -> list[Tile]:
 def groups(data: ReportData) -> list[RowGroup]:
     """Return every parameter of the document as rows of a table."""
     calibration = data.calibration
+    full_scale_dps = calibration.board.config.gyro_full_scale_dps
     return [
         RowGroup(
             f"{group.name.replace('_', ' ')} ({group.unit})",
-            group.meaning + _allowed(group, data.profile),
-            tuple(_rows(calibration, group, data.profile)),
+            group.meaning + _allowed(group, limits),
+            tuple(_rows(calibration, group, limits)),
         )
         for group in (*GROUPS, *other_groups(calibration))
         if group.name in calibration.parameters
+        for limits in [allowed(group.name, data.profile, full_scale_dps)]
     ]
 
 
-def _allowed(group: Group, profile: SensorProfile | None) -> str:
+def _allowed(group: Group, limits: Limits | None) -> str:
     """Return what the data sheet allows of a group, as words behind its meaning."""
-    limits = _limits(group.name, profile)
     if limits is None:
         return ""
     unit = "" if group.unit == "1" else f" {group.unit}"
@@ -138,8 +140,7 @@ def noise_rows(data: ReportData) -> list[dict[str, str]]:
         if figure is None:
             continue
         axes = ["not seen" if v is None else short(v * factor) for v in figure.value]
-        sheet = data.profile.noise_density_dps_rthz if data.profile is not None else None
-        said = short(sheet) if sheet is not None and name == "angle_random_walk" else ""
+        said = noise_said(name, data.profile)
         rows.append({"name": words, "axes": ", ".join(axes), "unit": unit, "sheet": said})
     return rows
 
@@ -261,12 +262,12 @@ def _gain_tile(calibration: Calibration) -> Iterator[Tile]:
         yield Tile(
             "scale error",
             f"{short(100 * worst)} %",
-            f"± {short(100 * left)} %",
+            f"±\u00a0{short(100 * left)}\u00a0%",
             "worst axis; after: 95 % interval",
         )
 
 
-def _rows(calibration: Calibration, group: Group, profile: SensorProfile | None) -> Iterator[Row]:
+def _rows(calibration: Calibration, group: Group, limits: Limits | None) -> Iterator[Row]:
     parameter = calibration.parameters[group.name]
     for axis, (label, (value, std)) in enumerate(
         zip(group.labels, entries(parameter), strict=True)
@@ -281,16 +282,11 @@ def _rows(calibration: Calibration, group: Group, profile: SensorProfile | None)
         if error is not None and error > 0.0:
             low, high = (quantity(shown + k * 1.96 * error, error)[0] for k in (-1.0, 1.0))
             interval = f"{low} … {high}"
-        bar = _bar(group, axis, shown, error or 0.0, profile)
+        bar = None if limits is None else _bar(limits, group.unit, axis, shown, error or 0.0)
         yield Row(name, text, error_text, interval, group.unit, bar)
 
 
-def _bar(
-    group: Group, axis: int, value: float, std: float, profile: SensorProfile | None
-) -> Bar | None:
-    limits = _limits(group.name, profile)
-    if limits is None:
-        return None
+def _bar(limits: Limits, unit: str, axis: int, value: float, std: float) -> Bar:
     low, high = limits
 
     def place(x: float) -> str:
@@ -299,22 +295,9 @@ def _bar(
 
     inside = low <= value <= high
     side = "inside" if inside else "outside"
-    words = f"{side} the data sheet's {short(low)} to {short(high)} {group.unit}"
-    colour = _AXIS_COLOURS[axis] if inside else "var(--refused)"
+    words = f"{side} the data sheet's {short(low)} to {short(high)} {unit}"
+    colour = _AXIS_COLOURS[axis % 3] if inside else "var(--refused)"
     return Bar(place(value - 1.96 * std), place(value), place(value + 1.96 * std), colour, words)
-
-
-def _limits(name: str, profile: SensorProfile | None) -> tuple[float, float] | None:
-    """Return what the data sheet allows, in the unit that is shown."""
-    if profile is None:
-        return None
-    if name == "bias" and profile.zero_rate_dps:
-        return -profile.zero_rate_dps, profile.zero_rate_dps
-    if name == "scale" and profile.scale_tolerance:
-        return 1.0 - profile.scale_tolerance, 1.0 + profile.scale_tolerance
-    if name == "nonorthogonality" and profile.cross_axis:
-        return -1e3 * profile.cross_axis, 1e3 * profile.cross_axis
-    return None
 
 
 def _window_error(data: FitDiagnostics, gain: FloatArray) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from tests.bench.accuracy.unit import carry_out
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_solver.estimate.motion import fit_motion
 from gyrorig_solver.estimate.result import GyroFit
-from gyrorig_solver.solve import PTU_WORDS
+from gyrorig_solver.on_unit import PTU_WORDS
 
 PROGRAMS = File(__file__).resolve().parents[3] / "config" / "programs"
 HEAD_S, TAIL_S = 0.5, 0.4  # of polls without samples at both ends

@@ -22,7 +22,7 @@ from gyrorig_solver.estimate.motion import fit_motion
 from gyrorig_solver.estimate.observability import decide
 from gyrorig_solver.estimate.paper import AS_TABLED, PaperReading, calibrate_as_printed
 from gyrorig_solver.estimate.paper_matrices import gain_by_pseudoinverse
-from gyrorig_solver.solve import PTU_WORDS
+from gyrorig_solver.on_unit import PTU_WORDS
 
 STILL_RAD_S = 1e-3
 ROUNDS = 3  # of Gauss-Newton; two are enough

@@ -78,7 +78,7 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
         ("gx,gy\n1,2\n", "no column 'gz'"),
         ("gx,gy,gz\n", "a header and no rows"),
         ("gx,gy,gz\n1,2\n", "row 1 has 2 columns"),
-        ("gx,gy,gz\n1,2,3\n1,x,3\n", "row 2 holds something else than numbers"),
+        ("gx,gy,gz\n1,2,3\n1,x,3\n", "row 2: 'x' in column gy is no number: correct it or leave"),
         ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "has a column rate_x_rad_s already"),
         ("", "no column 'gx'"),
     ],

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from pymavlink.mavparm import MAVParmDict  # type: ignore[import-untyped]
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver import cli
@@ -209,38 +210,6 @@ def test_ros_parameters_applied_to_a_drivers_rates(document: Made) -> None:
     ]
 
 
-def kalibr(text: str) -> dict[str, Any]:
-    """Check a file as Kalibr's ImuParameters does: keys, types, and that all are above zero."""
-    data: dict[str, Any] = yaml.safe_load(text)
-    assert isinstance(data["rostopic"], str)
-    for key in ("update_rate", "gyroscope_noise_density", "gyroscope_random_walk"):
-        assert isinstance(data[key], float), key
-        assert data[key] > 0.0
-    return data
-
-
-def test_kalibrs_file_in_its_own_convention(document: Made) -> None:
-    found = document()
-    data = kalibr(exported(Source.of(found), "kalibr", Wishes("/board/imu")))
-    assert data["rostopic"] == "/board/imu"
-    assert data["gyroscope_noise_density"] == 0.00075  # the noisiest axis
-    own = data["gyroscopes"]
-    low, turn = np.array(own["M"]), np.array(own["C_gyro_i"])
-    assert np.all(np.triu(low, 1) == 0.0)
-    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
-    rate = np.random.default_rng(1).normal(size=(40, 3))
-    read = rate @ (low @ turn).T + own["bias"]
-    np.testing.assert_allclose(true_rates(found, read), rate, atol=1e-12)
-    assert "accelerometer_noise_density" not in data  # not ours to tell: Kalibr asks for it
-
-
-def test_kalibr_takes_the_noise_of_a_calibration_without_a_gain(document: Made) -> None:
-    data = kalibr(exported(Source.of(document("limited")), "kalibr"))
-    assert "gyroscopes" not in data
-    with pytest.raises(InputError, match="does not know the noise"):
-        exported(Source.of(document(noise={})), "kalibr")
-
-
 def px4(text: str) -> dict[str, float]:
     """Read a file as QGroundControl does: five columns between tabs, MAV_PARAM_TYPE last."""
     found = {}
@@ -296,6 +265,18 @@ def test_ardupilot_subtracts_the_bias_and_its_drift(document: Made) -> None:
     assert "INS_GYR2OFFS_X,0.0078125" in second
 
 
+def test_ardupilots_own_library_reads_the_file(
+    document: Made, tmp_path: Path, capsys: Captured
+) -> None:
+    path = tmp_path / "gyro.parm"
+    path.write_text(exported(Source.of(document(parameters=WARM)), "ardupilot"))
+    found = MAVParmDict()
+    assert found.load(str(path))
+    assert [found[f"INS_GYROFFS_{a}"] for a in "XYZ"] == BIAS
+    assert "Invalid line" not in capsys.readouterr().out  # it goes on behind what it cannot read
+    assert len(found) == sum(not line.startswith("#") for line in path.read_text().splitlines())
+
+
 def test_temperatures_without_a_zero_are_no_vehicles(document: Made) -> None:
     """Where a sensor's temperature counts from anywhere, TMIN and TREF would be wrong."""
     found = document(parameters=WARM, validity={"rate_rad_s": [-1.0, 1.0]})
@@ -346,13 +327,21 @@ def test_what_a_format_cannot_hold_is_said_or_refused(document: Made, kind: str)
 
 
 def test_every_frame_says_which_it_is(document: Made) -> None:
-    for kind in ("c", "ros", "json"):
+    for kind in ("c", "ros", "kalibr", "json"):
         stage, sensor = (
             exported(Source.of(document(), frame), kind) for frame in ("stage", "sensor")
         )
         assert "the stage's axes" in stage
         assert "the sensor's own axes" in sensor
         assert stage != sensor
+    assert "rows first, columns in" in exported(Source.of(document()), "kalibr")
+    assert "# (rad/s)^2, rows first" in exported(Source.of(document()), "ros")
+
+
+@pytest.mark.parametrize("kind", ["px4", "ardupilot"])
+def test_a_frame_that_changes_nothing_is_refused(document: Made, kind: str) -> None:
+    with pytest.raises(UsageError, match=r"turns no rates.*leave out --frame"):
+        exported(Source.of(document(), "sensor"), kind)
 
 
 def test_wishes_that_make_no_sense_are_refused(document: Made) -> None:

@@ -56,11 +56,11 @@ def test_ports_and_settings_of_a_rig_with_buses() -> None:
     [
         (('"socketcan:can0"', '"can0"'), "write socketcan"),
         (('"socketcan:can0"', '"socketcan:../x"'), "write socketcan"),
-        (("id: lab", "id: can0"), "a bus twice"),
+        (("id: lab", "id: can0"), "bus can0 twice"),
         (("id: lab", "id: ../lab"), "board name"),
         (("bus: can0, node: 1", "bus: can9, node: 1"), "'can9'"),
         (("bus: can0, node: 1", "bus: can0"), "no node"),
-        (("node: 2", "node: 1"), "one node"),
+        (("node: 2", "node: 1"), "on bus can0 have one node, 1"),
         (("node: 2", "node: 128"), "node"),
         (("bus: can0, node: 2", "bus: can0, node: 2, port: /dev/x"), "a port and a bus"),
         (("bus: can0, node: 2", "bus: can0, node: 2, format: text"), "text on a CAN bus"),
@@ -87,7 +87,7 @@ def test_an_emulated_bus_must_carry_its_boards() -> None:
     with pytest.raises(UsageError, match="loaded by"):
         parse_rig(text + "emulator: {odr_hz: 400}\n", "rig.yaml")
     signals = text.replace('"udp_multicast:239.74.163.2:43113"', "emulated")
-    with pytest.raises(UsageError, match="sends gcb1"):
+    with pytest.raises(UsageError, match=r"board M-1 is emulated, .* sends gcb1"):
         parse_rig(signals, "rig.yaml")
 
 

@@ -16,6 +16,7 @@ ptu: {port: emulated, baud: 115200}
 boards:
   - {id: A-1, port: emulated}
 """
+ONE = "- {id: A-1, port: emulated}"
 
 
 def test_the_shipped_files_are_taken() -> None:
@@ -53,8 +54,8 @@ def test_defaults() -> None:
         (("boards:", "boards: []\nboard:"), "board"),
         (("rig: desk", "rig: [desk"), "YAML"),
         (("baud: 115200", "limits: {pan_min_deg: 3.0, pan_max_deg: 1.0}"), "pan_min_deg"),
-        (("- {id: A-1, port: emulated}", "- {id: A, port: x}\n  - {id: A, port: y}"), "twice"),
-        (("- {id: A-1, port: emulated}", "- {id: A, port: x}\n  - {id: B, port: x}"), "twice"),
+        ((ONE, "- {id: A, port: x}\n  - {id: A, port: y}"), "names board A twice"),
+        ((ONE, "- {id: A, port: x}\n  - {id: B, port: x}"), "names port x twice"),
     ],
 )
 def test_what_is_wrong_is_named(change: tuple[str, str], word: str) -> None:

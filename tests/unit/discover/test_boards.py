@@ -23,7 +23,7 @@ from gyrorig_solver.estimate.likelihood import Solution
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.findings.explaining import Explanation, explain_together
 from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 BOARDS = ("GY80-1", "GY80-2", "GY80-3", "GY80-4")
 FAR = 4.0  # standard deviations

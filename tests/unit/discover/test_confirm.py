@@ -18,7 +18,7 @@ from gyrorig_solver.estimate.likelihood import Solution, solve_again
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.catalogue import term
 from gyrorig_solver.model.terms.protocol import indices
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 Fit = Callable[[str], Solution]
 

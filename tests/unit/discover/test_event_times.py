@@ -12,7 +12,7 @@ from gyrorig_solver.discover.scores import sights
 from gyrorig_solver.discover.search import best_fit
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.catalogue import term
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 
 @pytest.fixture(scope="module")

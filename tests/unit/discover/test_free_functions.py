@@ -9,7 +9,7 @@ import pytest
 from gyrorig_solver.discover.free_shapes import families
 from gyrorig_solver.discover.groups import SIZES, evidence, judge, signatures
 from gyrorig_solver.estimate.projection import Looked, Projection
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 N, DRAWS = 200, 1500
 

@@ -8,7 +8,7 @@ from tests.unit.discover.conftest import Hidden
 from gyrorig_solver.discover.finder import explain_fit
 from gyrorig_solver.discover.jitter import find_jitter
 from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 ALPHA, TESTS = 0.005, 60
 

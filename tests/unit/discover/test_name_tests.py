@@ -22,7 +22,7 @@ from gyrorig_solver.discover.search import Found, best_fit, standing_of
 from gyrorig_solver.estimate.likelihood import Solution, solve_again
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 Base = Callable[..., Solution]
 

@@ -10,7 +10,7 @@ import pytest
 from gyrorig_solver.arrays import FloatArray
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.scene import Scene
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from gyrorig_solver.discover.ramps import look_for_ramps
 from gyrorig_solver.discover.search import ALPHA
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 TESTS = 45
 

@@ -11,7 +11,7 @@ from gyrorig_solver.discover.banks import quick_rows
 from gyrorig_solver.discover.scores import Seen, sights
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 CAUSES = ("backlash", "clock_step", "warm_up", "saturation", "low_pass_lag")
 

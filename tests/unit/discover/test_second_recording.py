@@ -11,8 +11,8 @@ from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.discover.finder import explain
 from gyrorig_solver.discover.gain import held_out_by
 from gyrorig_solver.discover.second import Other
+from gyrorig_solver.on_unit import unit_solution
 from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import unit_solution
 
 BEND = "scale_quadratic:0.004"
 

@@ -10,7 +10,7 @@ from gyrorig_solver.discover.finder import explain
 from gyrorig_solver.discover.walks import leaps, look_for_walk
 from gyrorig_solver.discover.wandering import CALM, calmed, is_calm, wandering
 from gyrorig_solver.estimate.noise import ordinary_levels
-from gyrorig_solver.solve import unit_solution
+from gyrorig_solver.on_unit import unit_solution
 
 
 def test_where_flicker_says_it_as_well_there_is_no_name(hidden: Callable[..., Any]) -> None:

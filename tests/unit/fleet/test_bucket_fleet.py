@@ -19,7 +19,7 @@ from gyrorig_solver.fleet.bucket_index import BucketIndex
 from gyrorig_solver.fleet.bucket_ledger import BucketClaims
 from gyrorig_solver.fleet.bucket_store import make_store, store_at
 from gyrorig_solver.fleet.lanes import Lane
-from gyrorig_solver.fleet.shelf import Chosen, newest, rebuild_index
+from gyrorig_solver.fleet.shelf import Chosen, newest, rebuild_index, versions_of
 from gyrorig_solver.fleet.task import Settings
 from gyrorig_solver.fleet.verifying import verify
 from gyrorig_solver.places.bucket import Bucket
@@ -62,7 +62,9 @@ def test_a_night_from_a_bucket_into_a_bucket(bucket: Bucket, recorded: list[Path
     assert len(store_at(store).versions(BOARD)) == 2
     found = verify(store)
     assert (found.faults, found.sealed) == ((), 4)
-    assert [one["version"] for one in newest(store, Chosen(), 10)] == [2]
+    # Two workers: which of the two nights got the second version is chance; the later is newest.
+    starts = {one["version"]: one["start"] for one in versions_of(store, Chosen(), 10)}
+    assert [one["version"] for one in newest(store, Chosen(), 10)] == [max(starts, key=starts.get)]  # type: ignore[arg-type]
     assert not list(store.entries("journal"))
     assert not list(store.entries("alive"))
     again = night(spool, store)

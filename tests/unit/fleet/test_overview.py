@@ -11,8 +11,9 @@ from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.cli import run
+from gyrorig_solver.fleet.histories import shard_of
 from gyrorig_solver.fleet.overview import PARAMETERS, overview, read_origins
-from gyrorig_solver.fleet.page import shard_of, write_page
+from gyrorig_solver.fleet.page import write_page
 from gyrorig_solver.fleet.worries import worries
 
 SLOPES = {"bias_x": 1e-3, "bias_z": -4e-4}

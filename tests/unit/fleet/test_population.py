@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from gyrorig_solver.fleet.population import between, common_constant, mahalanobis, population
+from gyrorig_solver.fleet.constants import common_constant
+from gyrorig_solver.fleet.population import between, mahalanobis, population, spread_of
 
 RNG = np.random.default_rng(20261121)
 
@@ -118,3 +119,42 @@ def test_odd_over_all_parameters_is_a_chi_squared() -> None:
 def test_too_few_boards_are_refused() -> None:
     with pytest.raises(ValueError, match="too few"):
         population("scale_x", np.ones(3), np.ones(3))
+
+
+def test_mean_and_spread_are_the_plain_ones_where_all_say_as_much() -> None:
+    y = np.random.default_rng(8).normal(1.0, 2e-3, 40)
+    found = spread_of(y, np.full(40, 1e-3))
+    assert found.mean == pytest.approx(np.mean(y), rel=1e-12)
+    assert found.spread == pytest.approx(np.sqrt(np.var(y, ddof=1) - 1e-6), rel=1e-6)
+    assert found.mean_std == pytest.approx(np.std(y, ddof=1) / np.sqrt(40), rel=1e-6)
+
+
+def test_boards_that_are_all_the_same_are_not_called_different() -> None:
+    rng = np.random.default_rng(9)
+    p = [population("scale_x", *fleet(60, 0.0, rng=rng)).equal_p for _ in range(200)]
+    assert 0.01 < np.mean(np.array(p) < 0.05) < 0.1
+    assert population("scale_x", *fleet(60, 3e-3, rng=rng)).equal_p < 1e-6
+
+
+def test_a_lot_that_is_far_off_as_a_whole_is_a_bad_lot() -> None:
+    """One of five: each of its boards is odd beside the others, and together they are a lot."""
+    rng = np.random.default_rng(10)
+    lots = [lot for lot in "abcde" for _ in range(20)]
+    y, s = fleet(100, 2e-3, rng=rng)
+    y[20:40] += 0.2
+    found = population("scale_x", y, s)
+    assert found.odd[20:40].all()
+    told = between(found, y, s, lots)
+    assert told is not None
+    assert (told.most, told.p_value < 1e-6) == ("b", True)
+    assert told.most_by == pytest.approx(0.2 * 4 / 5, rel=0.05)
+
+
+def test_an_odd_board_is_not_its_lot() -> None:
+    rng = np.random.default_rng(11)
+    lots = [lot for lot in "abcde" for _ in range(20)]
+    y, s = fleet(100, 2e-3, rng=rng)
+    y[25] += 0.2
+    told = between(population("scale_x", y, s), y, s, lots)
+    assert told is not None
+    assert told.p_value > 1e-3

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ import yaml
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver import cli
+from gyrorig_solver.calibration.document import parse_calibration
+from gyrorig_solver.check.truth import compare
 from gyrorig_solver.importers.android import read_log
 from gyrorig_solver.importers.phone import import_phone
 from gyrorig_solver.importers.phone_clock import GRID_S, find_clock
@@ -144,7 +148,7 @@ def test_motions_that_are_not_the_same_or_repeat() -> None:
 
 
 @pytest.fixture(scope="module")
-def on_a_unit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str, object]]:
+def on_a_unit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str, Any]]:
     """A recording of a unit, the log of a phone on it, and what the emulator hid."""
     folder = tmp_path_factory.mktemp("unit")
     done = subprocess.run(
@@ -167,7 +171,7 @@ def on_a_unit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dic
 
 
 def test_a_phone_on_a_unit_becomes_one_more_board(
-    on_a_unit: tuple[Path, Path, dict[str, object]], tmp_path: Path
+    on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     unit, log, _ = on_a_unit
     done = import_phone(log, tmp_path / "phone.mcap", "NEXUS5", "MPU-6515", unit)
@@ -186,8 +190,38 @@ def test_a_phone_on_a_unit_becomes_one_more_board(
     assert not list(tmp_path.glob("again*"))
 
 
+FARTHEST_SIGMA, ALL_SIGMA = 4.0, 2.0
+
+
+def test_a_phone_is_solved_to_within_what_is_stated(
+    on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    """The log is GY80-1's samples by a clock of its own: what the emulator hid in that board holds.
+
+    Its lag is in the clock's offset, so its time offset is no board's; nor is `odr_hz` known, for
+    a log does not say it.
+    """
+    unit, log, truth = on_a_unit
+    phone = import_phone(log, tmp_path / "phone.mcap", "NEXUS5", "MPU-6515", unit).path
+    out = tmp_path / "calibrations"
+    assert cli.run(["solve", str(phone), "--board", "NEXUS5", "--out", str(out)]) == 0
+    document = out / "NEXUS5" / "v0001.yaml"
+    found = parse_calibration(document.read_bytes(), document.name)
+    assert found.trust.verdict != "refused"
+    assert found.observability.rank == 12
+    hidden = truth | {"boards": {"NEXUS5": truth["boards"]["GY80-1"]}}
+    off = {
+        one.name: one.sigmas for one in compare(found, hidden) if not one.name.startswith("time")
+    }
+    assert len(off) == 12
+    sigmas = np.array([abs(one) for one in off.values() if one is not None])
+    assert sigmas.size == 12
+    assert sigmas.max() < FARTHEST_SIGMA, off
+    assert np.sqrt(np.mean(sigmas**2)) < ALL_SIGMA, off
+
+
 def test_a_phone_by_itself_counts_from_zero(
-    on_a_unit: tuple[Path, Path, dict[str, object]], tmp_path: Path
+    on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     _, log, _ = on_a_unit
     done = import_phone(log, tmp_path / "alone.mcap", "PHONE", "android")

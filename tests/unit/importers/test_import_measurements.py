@@ -215,8 +215,8 @@ def test_hostile_archives_are_refused_in_one_line(
         (b"", "is empty"),
         (b"t,gx,gy,gz\n", "header and no rows"),
         (b"t,gx,gy\n1,2,3\n", "no column 'gz'"),
-        (b"t,gx,gy,gz\n1,2,3,x\n", "something else than numbers"),
-        (b"t,gx,gy,gz\n1,2,3\n", "something else than numbers"),
+        (b"t,gx,gy,gz\n0,2,3,4\n\n1,2,3,x\n", r"row 3: 'x' in column gz is no number: correct it"),
+        (b"t,gx,gy,gz\n1,2,3\n", "row 1 has 3 columns: it may be cut off"),
         (b"\xff\xfe\x00\x01" * 30, "no column"),
     ],
 )

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -118,6 +119,13 @@ def test_values_outside_the_data_sheet_are_remarked(
         fit, provenance, version=1, previous=None, created="2026-01-31T02:30:00Z", profile=profile
     )
     assert [w.split(" ")[0] for w in document.quality.warnings] == ["scale.x", "bias.z"]
+    assert "±25" in document.quality.warnings[1]
+    config = msgspec.structs.replace(provenance.board.config, gyro_full_scale_dps=2000.0)
+    wide = replace(provenance, board=msgspec.structs.replace(provenance.board, config=config))
+    document = calibration_of(
+        fit, wide, version=1, previous=None, created="2026-01-31T02:30:00Z", profile=profile
+    )
+    assert [w.split(" ")[0] for w in document.quality.warnings] == ["scale.x"]  # ±187.5 there
 
 
 @pytest.mark.parametrize(
@@ -164,3 +172,15 @@ def test_digits_follow_the_uncertainty(
     value: float, std: float | None, texts: tuple[str, str]
 ) -> None:
     assert quantity(value, std) == texts
+
+
+@pytest.mark.parametrize(
+    ("skew_ppm", "said"), [(-31.5, -31.5), (0.02, 0.02), (2e-5, None), (math.nan, None)]
+)
+def test_a_clock_of_its_own_is_told_and_a_tables_one_column_is_none(
+    good_fit: GyroFit, provenance: Provenance, skew_ppm: float, said: float | None
+) -> None:
+    assert good_fit.clock is not None
+    fit = replace(good_fit, clock=replace(good_fit.clock, skew_ppm=skew_ppm))
+    assert made(fit, provenance).quality.clock_skew_ppm == said
+    assert made(replace(good_fit, clock=None), provenance).quality.clock_skew_ppm is None

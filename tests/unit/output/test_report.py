@@ -9,11 +9,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from gyrorig_protocol.profile import parse_profile
+from gyrorig_protocol.profile import SensorProfile, parse_profile
 from gyrorig_solver.calibration.build import Provenance, calibration_of
-from gyrorig_solver.calibration.document import Calibration, Findings, Level, OwnOfRecording
+from gyrorig_solver.calibration.document import (
+    Calibration,
+    Findings,
+    Level,
+    OwnOfRecording,
+    Parameter,
+)
 from gyrorig_solver.clocks.course import ClockCourse
 from gyrorig_solver.estimate.result import GyroFit
+from gyrorig_solver.report import html
 from gyrorig_solver.report.data import ReportData
 from gyrorig_solver.report.html import render
 
@@ -167,6 +174,59 @@ def test_every_part_that_people_look_for_is_there(
     ):
         assert part in words, part
     assert page.tags.count("figure") == 8
+
+
+def sheet(name: str) -> SensorProfile:
+    return parse_profile((BOARDS / f"{name}.yaml").read_text(), name)
+
+
+def test_the_bias_is_held_against_the_range_of_its_full_scale(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    document = made(good_fit, provenance)
+    config = msgspec.structs.replace(document.board.config, gyro_full_scale_dps=500.0)
+    board = msgspec.structs.replace(document.board, config=config)
+    wide = msgspec.structs.replace(document, board=board)
+    page = page_of(render(ReportData(wide, None, None, sheet("L3G4200D"), "")))
+    assert "the data sheet allows -37.5 to 37.5 deg/s" in " ".join(page.words)
+
+
+def test_causes_and_noise_are_held_against_the_data_sheet(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    more = {
+        "thermal_bias.slope": Parameter([1e-4, -2e-4, 9e-4], [1e-5] * 3, "rad/s/K"),
+        "thermal_scale": Parameter([1e-5, 0.0, 0.0], [1e-6] * 3, "1/K"),
+        "g_sensitivity": Parameter([None, 1e-5, 9e-3] * 3, [None, 1e-6, 1e-6] * 3, "rad/s/(m/s^2)"),
+    }
+    document = made(good_fit, provenance)
+    document = msgspec.structs.replace(document, parameters=document.parameters | more)
+    page = page_of(render(ReportData(document, None, None, sheet("BMI088"), "")))
+    words = " ".join(page.words)
+    # 0.015 deg/s/K; 0.03 %/K; 0.1 deg/s of 1 g
+    assert "the data sheet allows -0.000262 to 0.000262 rad/s/K" in words
+    assert "the data sheet allows -0.000300 to 0.000300 1/K" in words
+    assert "the data sheet allows -0.000178 to 0.000178 rad/s/(m/s^2)" in words
+    labels = [v for n, v in page.attributes if n == "aria-label" and "data sheet" in v]
+    assert [v.split(" ")[0] for v in labels if "rad/s/K" in v] == ["inside", "inside", "outside"]
+    assert [v.split(" ")[0] for v in labels if "(m/s^2)" in v] == ["inside", "outside"] * 3
+    best = page_of(render(ReportData(document, None, None, sheet("ADIS16470"), "")))
+    assert "12.0 (Allan floor 8.00)" in best.words  # 8 deg/h in run
+
+
+def test_a_phone_shows_each_interval_under_its_value(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    """The column of intervals has no room there; the same text stands under each value."""
+    text = report(good_fit, provenance)
+    column = re.findall(r'<td class="n wide">([^<]+)</td>', text)
+    under = re.findall(r'<td class="n">[^<]+<small class="under">([^<]+)</small></td>', text)
+    assert len(column) == 13
+    assert under == column
+    style = (Path(html.__file__).parent / "page.css").read_text()
+    narrow = style[style.index("@media (max-width: 40rem)") :]
+    assert ".under { display:none }" in style[: style.index("@media (max-width")]
+    assert ".wide { display:none } .under { display:block" in narrow
 
 
 def test_what_a_recording_does_not_have_is_left_out(

@@ -16,11 +16,12 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
+from docs import man
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[3]
-EXTRAS = ("", "solver", "fleet", "live")
+EXTRAS = ("", "solver", "fleet", "live", "docs")  # dev and fuzz are for a checkout
 SHORT = """
 schema: gyrorig/program/1
 name: short
@@ -33,14 +34,21 @@ RUNNER = """
 import json, sys
 allowed, folder, program, *arguments = json.loads(sys.argv[1])
 allowed = set(allowed) | set(sys.stdlib_module_names)
-class Absent:
+class Allowed:
+    def __init__(self, finder):
+        self.finder = finder
     def find_spec(self, name, path=None, target=None):
         top = name.partition(".")[0]
-        if top not in allowed and not top.startswith("_sysconfigdata"):  # Python's own
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-sys.meta_path.insert(0, Absent())
+        if top in allowed or top.startswith("_sysconfigdata"):  # Python's own
+            return self.finder.find_spec(name, path, target)
+    def __getattr__(self, name):
+        return getattr(self.finder, name)
+sys.meta_path[:] = map(Allowed, sys.meta_path)
 sys.path.insert(0, folder)
 sys.argv = [program, *arguments]
+if program == "python":
+    exec(arguments[0])
+    sys.exit()
 module = {"gyrorig": "gyrorig_solver.cli", "gyrorigd": "gyrorig_daemon.cli"}[program]
 __import__(module)
 sys.modules[module].main()
@@ -166,6 +174,81 @@ def test_what_an_extra_would_bring_is_named(installed: Path) -> None:
         assert done.returncode == 2
         assert done.stderr.count("\n") == 1
         assert wanted in done.stderr
+
+
+def test_live_alone_makes_a_live_view(installed: Path) -> None:
+    code = (
+        "from gyrorig_daemon.live import live_view\n"
+        "view = live_view('127.0.0.1:0', print)\n"
+        "view.status({'state': 'ready'})\n"
+        "view.close()\n"
+    )
+    done = run(installed, "live", "python", code)
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(r"live view at ws://127\.0\.0\.1:\d+\n", done.stdout)
+    without = run(installed, "", "python", code)
+    assert without.returncode == 1
+    assert "pip install 'gyrorig[live]'" in without.stderr
+
+
+def test_fleet_alone_has_its_libraries_and_asks_for_the_solver(installed: Path) -> None:
+    code = "import duckdb, s3fs, cryptography, distributed; print(duckdb.sql('SELECT 42'))"
+    done = run(installed, "fleet", "python", code)
+    assert done.returncode == 0, done.stderr
+    assert "42" in done.stdout
+    done = run(installed, "fleet", "gyrorig", "store", "ls", "store")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "pip install 'gyrorig[solver]'" in done.stderr
+
+
+def test_docs_alone_can_make_a_site(installed: Path, tmp_path: Path) -> None:
+    """A site of anything: this project's own is made in a checkout."""
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "index.md").write_text("# One page\n")
+    (tmp_path / "mkdocs.yml").write_text("site_name: one\ntheme: material\n")
+    code = (
+        "import os; os.environ['NO_MKDOCS_2_WARNING'] = '1'\n"
+        "from mkdocs.commands.build import build\n"
+        "from mkdocs.config import load_config\n"
+        f"build(load_config({str(tmp_path / 'mkdocs.yml')!r}))\n"
+    )
+    done = run(installed, "docs", "python", code)
+    assert done.returncode == 0, done.stderr
+    assert "One page" in (tmp_path / "site" / "index.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "wanted"),
+    [
+        ("gyrorig", ["so"], ["solve"]),
+        ("gyrorig", ["store", "ver"], ["verify"]),
+        ("gyrorig", ["solve", "--meth"], ["--method"]),
+        ("gyrorigd", ["sta"], ["status"]),
+    ],
+)
+def test_a_shell_completes(
+    installed: Path, program: str, words: list[str], wanted: list[str]
+) -> None:
+    """What the wheel brings for bash, in bash, against the installed command."""
+    script = installed / "share" / "bash-completion" / "completions" / program
+    line = " ".join([program, *words])
+    asks = (
+        f"source {script}; COMP_WORDS=({line}); COMP_CWORD={len(words)}; "
+        f'_{program}_completion {program}; printf "%s\\n" "${{COMPREPLY[@]}}"'
+    )
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", asks], capture_output=True, text=True, check=False,
+        env={**os.environ, "PATH": path},
+    )  # fmt: skip
+    assert done.stdout.split() == wanted, done.stderr
+
+
+@pytest.mark.parametrize("program", sorted(man.ABOUT))
+def test_the_manual_is_of_todays_commands(program: str) -> None:
+    kept = (man.PAGES / f"{program}.1").read_text(encoding="utf-8")
+    assert kept == man.page(program), "make docs writes it anew"
 
 
 def test_the_solver_alone_imports_a_recording_with_the_wheels_own_map(

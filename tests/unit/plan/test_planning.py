@@ -161,8 +161,8 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
         (["--seconds", "25", "--for", "causes"], "that tells causes apart: give --seconds 39"),
         (["--out", "x.yaml", "--program", PAPER], "give --seconds"),
         (["--sensor", "../../etc"], "no profile of"),
-        (["--sensor", "missing.yaml"], "cannot be read"),
-        (["--program", "missing.yaml"], "cannot be read"),
+        (["--sensor", "missing.yaml"], "cannot be read, No such file or directory: name a profile"),
+        (["--program", "missing.yaml"], "cannot be read, No such file or directory: name a pro"),
         (["--criterion", "best"], "criterion"),
     ],
 )

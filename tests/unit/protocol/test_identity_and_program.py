@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gyrorig_protocol.documents import dump_yaml
@@ -97,10 +97,10 @@ def test_a_program_is_unrolled_in_order() -> None:
     [
         ("", "Expected `array`"),
         ("  []", "no steps"),
-        ("- {}", "names 0 things"),
-        ("- {rest: {seconds: 1}, home: {}}", "names 2 things"),
-        ("- {move: {}}", "no target"),
-        ("- {move: {speed_deg_s: 5}}", "no target"),
+        ("- {}", "step 1 of p.yaml is empty"),
+        ("- {rest: {seconds: 1}, home: {}}", "step 1 of p.yaml is rest and home"),
+        ("- {home: {}}\n- {move: {}}", "step 2 of p.yaml moves nowhere"),
+        ("- {repeat: {times: 2, steps: [{home: {}}, {move: {speed_deg_s: 5}}]}}", "step 1.2 of"),
         ("- {move: {pan_deg: 5, speed: 5}}", "unknown field `speed`"),
         ("- {move: {pan_deg: 5, speed_deg_s: 0}}", "speed_deg_s"),
         ("- {move: {pan_deg: 5, speed_deg_s: -1}}", "speed_deg_s"),
@@ -162,6 +162,7 @@ def test_any_text_is_a_program_or_a_usage_error(text: str) -> None:
     times=st.integers(1, 10_000),
     name=st.text(max_size=20),
 )
+@settings(deadline=None)  # ten thousand steps, on a machine that may have other work
 def test_a_dumped_program_is_read_back(
     seconds: float, pan_deg: float, times: int, name: str
 ) -> None:

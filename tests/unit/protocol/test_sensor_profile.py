@@ -23,11 +23,21 @@ def test_a_profile() -> None:
     assert profile.noise_density_dps_rthz is None
 
 
+def test_the_zero_rate_goes_with_the_full_scale() -> None:
+    profile = parse_profile((BOARDS / "L3G4200D.yaml").read_bytes(), "L3G4200D")
+    assert [profile.zero_rate_at(dps) for dps in (250.0, 500.0, 2000.0)] == [25.0, 37.5, 187.5]
+    assert profile.zero_rate_at(None) == profile.zero_rate_at(1000.0) == 25.0  # the part's
+    alike = parse_profile((BOARDS / "BMI088.yaml").read_bytes(), "BMI088")
+    assert alike.zero_rate_at(2000.0) == alike.zero_rate_dps == 1.0
+    assert parse_profile(GOOD, "l3g.yaml").zero_rate_at(250.0) is None
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
         ("8.75", "0.0", "sensitivity_mdps"),
         ("8.75", ".inf", "finite"),
+        ("8.75", "8.75, zero_rate_dps: -1.0", "zero_rate_dps"),
         ("gyrorig/sensor/1", "gyrorig/sensor/2", "schema"),
         ("low_pass", "lowpass", "unknown field"),
         ("[12.5, 25.0]", "12.5", "bandwidth_hz"),

@@ -138,6 +138,23 @@ def test_turns_that_are_none_are_refused(text: str) -> None:
         read_turns(events, 0)
 
 
+def test_what_a_fault_broke_off_is_no_turn_and_no_rest() -> None:
+    text = '{"axis": [0, 0, 1], "angle_rad": 6.28, "std_rad": 0.1}'
+    second = 10**9
+    events = [
+        event(0, EventKind.PHASE_BEGIN, "static"),
+        event(5 * second, EventKind.PHASE_END, "static"),
+        event(5 * second, EventKind.PHASE_BEGIN, "turn", text),
+        event(8 * second, EventKind.FAULT, "", "it hung up"),
+        event(8 * second, EventKind.PHASE_END, "turn", "aborted"),
+        event(9 * second, EventKind.PHASE_BEGIN, "static"),
+        event(12 * second, EventKind.PHASE_END, "static", "aborted"),
+    ]
+    found = read_turns(events, 0)
+    assert found.turns == ()
+    assert found.rests == (Interval(0.0, 5.0),)
+
+
 @given(
     st.lists(
         st.tuples(

@@ -12,6 +12,7 @@ import pytest
 from websocket import WebSocket, create_connection
 
 from gyrorig_daemon.live import NO_VIEW, STATUS_TOPIC, FoxgloveView, Thinning, live_view
+from gyrorig_daemon.service.watch import picture
 from gyrorig_protocol.errors import BusyError, UsageError
 from gyrorig_protocol.recording.messages import ImuRaw, Message, SessionEvent
 from gyrorig_protocol.recording.schemas import SCHEMAS
@@ -184,3 +185,35 @@ def test_the_status_tells_place_time_left_and_latency(make_bench: Callable[..., 
     ]
     assert left_s == sorted(left_s, reverse=True)
     assert bench.state_at(11.0)["session"] is None
+
+
+AWAY = """
+name: away
+steps:
+  - move: {pan_deg: 20.0, tilt_deg: -5.0, speed_deg_s: 40.0}
+"""
+
+
+def test_between_sessions_the_status_tells_where_the_unit_stands(
+    make_bench: Callable[..., Any],
+) -> None:
+    bench = make_bench()
+    bench.at(6.0, lambda: bench.put(AWAY))
+    bench.serve(30.0)
+    # what a step is worth the unit says in a session: before the first nothing is guessed
+    assert bench.state_at(5.0)["unit"]["pan_deg"] is None
+    assert len(bench.results("done")) == 1
+    after = bench.state_at(29.0)
+    assert after["session"] is None
+    assert after["unit"]["pan_deg"] == pytest.approx(20.0, abs=0.06)  # a step is 185 arc seconds
+    assert after["unit"]["tilt_deg"] == pytest.approx(-5.0, abs=0.06)
+    assert ", pan +" in picture(after)
+
+
+def test_how_long_polls_take_is_told_apart_from_motions(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench()
+    bench.put(home=True)
+    bench.serve(60.0)
+    unit = bench.state_at(59.0)["unit"]
+    assert unit["reply_wait_max_ms"] > 1000.0  # a homing answers when both axes have been swept
+    assert 0.0 < unit["poll_wait_max_ms"] < 200.0

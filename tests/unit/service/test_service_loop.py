@@ -153,7 +153,8 @@ def test_a_fault_of_the_motion_holds_everything_until_cleared(make_bench: Make) 
     assert json.loads(result.read_text())["session"] == "bad"
     assert second.metadata["gyrorig"]["session"] == "waits"
     assert bench.parts.counts.motion_faults == 1
-    assert "cleared: synchrony lost: the pan axis met its limit" in bench.log
+    why = "the unit no longer knows where it stands: its pan axis met its limit"
+    assert f"cleared: {why}" in bench.log
 
 
 def test_ports_that_are_lost_after_a_fault_leave_a_closed_recording(make_bench: Make) -> None:

@@ -1,6 +1,7 @@
 """Readiness, watchdog, locks, whole files, the wall clock, the metrics: each on its own."""
 
 import os
+import re
 import socket
 import stat
 from collections.abc import Callable
@@ -232,6 +233,8 @@ def test_a_person_can_read_it(make_bench: Make) -> None:
     assert "lost  nothing" in running
     assert "board B-1  sends samples, " in running
     after = picture(bench.state_at(11.0))
+    assert re.search(r", clock [+-]\d+\.\d ppm ± \d+ us\n", after)
+    assert ", says where within " in after
     assert "queue  empty" in after
     assert "done" in after
     bad = bench.state_at(11.0)

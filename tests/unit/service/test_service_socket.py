@@ -210,6 +210,6 @@ def test_a_stranger_behind_the_socket() -> None:
 
             thread = threading.Thread(target=speak)
             thread.start()
-            with pytest.raises(MachineError, match="no daemon of ours"):
+            with pytest.raises(MachineError, match="is no gyrorigd"):
                 next(answers)
             thread.join()

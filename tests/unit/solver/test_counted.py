@@ -9,6 +9,7 @@ from scipy import signal
 from gyrorig_solver.clocks import map_clock
 from gyrorig_solver.estimate.motion import fit_motion
 from gyrorig_solver.model.gain import factorise
+from gyrorig_solver.on_unit import PTU_WORDS
 from gyrorig_solver.reference.counted import CountedReference, counted_reference
 from gyrorig_solver.reference.course import Instruction, Limits, lay
 from gyrorig_solver.reference.kinematics import stage_rate
@@ -17,7 +18,6 @@ from gyrorig_solver.reference.polls import Polls
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.reference.ptu_recording import explained_reference
 from gyrorig_solver.samples import GyroSamples
-from gyrorig_solver.solve import PTU_WORDS
 
 STEP_RAD = float(np.radians(185.142857 / 3600.0))
 LAW = Limits(1200.0, 4000.0, 60.0)

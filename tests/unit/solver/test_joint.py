@@ -17,9 +17,9 @@ from gyrorig_solver.model.terms.earth_rotation import EARTH_RATE_RAD_S
 from gyrorig_solver.model.terms.scene import Setting, Site
 from gyrorig_solver.model.terms.temperature import Temperature
 from gyrorig_solver.model.terms.thermal_bias import ThermalBias
+from gyrorig_solver.on_unit import PTU_WORDS
 from gyrorig_solver.reference.rest import RestReference
 from gyrorig_solver.reference.turns import Interval
-from gyrorig_solver.solve import PTU_WORDS
 
 G_M_S2 = 9.80665
 Simulate = Callable[..., Any]

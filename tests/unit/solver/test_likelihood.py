@@ -10,7 +10,7 @@ from tests.unit.solver.made import reference_of, samples_of
 from gyrorig_solver.estimate.motion import fit_motion
 from gyrorig_solver.estimate.result import GyroFit
 from gyrorig_solver.model.gain import factorise
-from gyrorig_solver.solve import PTU_WORDS
+from gyrorig_solver.on_unit import PTU_WORDS
 
 LOW_PASS_DELAY_S = np.sqrt(2.0) / (2.0 * np.pi * 25.0)  # Butterworth, second order, 25 Hz
 

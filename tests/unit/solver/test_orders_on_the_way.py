@@ -16,12 +16,12 @@ from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_solver.clocks import map_clock
 from gyrorig_solver.estimate.motion import fit_motion
 from gyrorig_solver.model.gain import factorise
+from gyrorig_solver.on_unit import PTU_WORDS
 from gyrorig_solver.reference.counter import counter_instants
 from gyrorig_solver.reference.moves import Exchange, MotionReader
 from gyrorig_solver.reference.polls import Polls, fit_starts
 from gyrorig_solver.reference.ptu import PtuReference
 from gyrorig_solver.samples import GyroSamples
-from gyrorig_solver.solve import PTU_WORDS
 
 ORIGIN_NS = 7_000_000_000
 ANSWER = re.compile(rb"\* P\((-?\d+),(-?\d+)\) S\((-?\d+),(-?\d+)\) (\d+)")

@@ -9,7 +9,7 @@ from tests.unit.solver.made import reference_of, samples_of
 
 from gyrorig_solver.clocks import map_clock
 from gyrorig_solver.estimate.motion import fit_motion
-from gyrorig_solver.solve import PTU_WORDS
+from gyrorig_solver.on_unit import PTU_WORDS
 
 
 def _solved(rig: Any, skew: float) -> Any:

@@ -5,6 +5,7 @@ the terms have closed forms.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from gyrorig_solver.model.terms.axis_nonorthogonality import AxisNonOrthogonalit
 from gyrorig_solver.model.terms.catalogue import term
 from gyrorig_solver.model.terms.earth_rotation import EARTH_RATE_RAD_S, earth_in_base
 from gyrorig_solver.model.terms.scene import Site
+from gyrorig_solver.model.terms.temperature import Temperature
 from gyrorig_solver.model.terms.thermal_bias import ThermalBias
 from gyrorig_solver.model.terms.tilt_zero import TiltZero
 
@@ -92,6 +94,15 @@ def test_thermal_causes_need_a_thermometer(rig: Any) -> None:
     for cause in ("thermal_bias", "thermal_scale"):
         assert "no temperature" in str(term(cause).missing(cold))
         assert not term(cause).effect(cold, np.full(4, 1e-4)[: 4 if "bias" in cause else 3]).any()
+
+
+def test_a_thermometer_that_is_stuck_is_no_thermometer(rig: Any) -> None:
+    grid_s = np.arange(-1.0, 32.0)
+    stuck = Temperature(grid_s, np.full(grid_s.size, 25.0), 25.0)
+    scene = replace(rig.scene, setting=replace(rig.scene.setting, temperature=stuck))
+    for cause in ("thermal_bias", "thermal_scale"):
+        assert "the temperature changed by 0.0 K only" in str(term(cause).missing(scene))
+        assert term(cause).missing(rig.scene) is None  # that one's temperature does change
 
 
 @pytest.mark.parametrize(("latitude", "heading"), [(52.0, 30.0), (-34.0, 250.0)])

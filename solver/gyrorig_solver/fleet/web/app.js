@@ -1,4 +1,5 @@
-// The fleet's page. data.js calls FLEET(data) once; history/NN.js calls HISTORY(nn, boards).
+// The fleet's page: boards. drifts.js draws charts, groups.js lots and rigs. data.js calls FLEET(data)
+// once; history/NN.js calls HISTORY(nn, boards and groups).
 "use strict";
 
 const ROW_PX = 27, SPARE = 12;
@@ -18,7 +19,8 @@ function element(name, attributes = {}, ...children) {
 
 const text = (coded, at) => coded.names[coded.of[at]];
 const day = (seconds) => seconds === null ? "–" : new Date(seconds * 1000).toISOString().slice(0, 10);
-const number = (value, digits = 5) => value === null || value === undefined ? "–" : Number(value).toPrecision(digits);
+const number = (value, digits = 5) => value === null || value === undefined ? "–"
+  : value !== 0 && Math.abs(value) < 1e-5 ? Number(value).toExponential(digits - 1) : Number(value).toPrecision(digits);
 
 // key, heading, what is shown, whether it is a number, what it is sorted by: names come sorted
 const COLUMNS = [
@@ -34,7 +36,7 @@ window.FLEET = (given) => {
   data = given; boards = given.boards;
   by("made").textContent = `${boards.id.length.toLocaleString("en")} boards, ${data.versions.toLocaleString("en")} versions, ` +
     `${data.nights} nights; made ${data.made} by Gyrorig ${data.software}`;
-  drawTiles(); drawWorries(); drawKinds(); drawHead();
+  drawTiles(); drawWorries(); drawGroups(); drawKinds(); drawHead();
   const choice = by("column");
   for (const name of data.parameters) choice.append(element("option", { value: name }, name.replace(/_/g, " ")));
   choice.value = column;
@@ -105,9 +107,11 @@ function drawHead() {
   }, name + (order.key === key ? (order.down ? " ↓" : " ↑") : ""))));
 }
 
-// Words are joined by "and"; a word with a colon asks one column, the others any of the texts.
+// Words are joined by "and"; a word with a colon asks one column, the others any of the texts. What is
+// in quotes is one word: lot:"lot 3".
 function filter(words) {
-  const tests = words.toLowerCase().split(/\s+/).filter(Boolean).map((word) => {
+  const tests = (words.toLowerCase().match(/(?:[^\s"]|"[^"]*")+/g) || []).map((quoted) => {
+    const word = quoted.replace(/"/g, "");
     const [key, wanted] = word.includes(":") ? [word.slice(0, word.indexOf(":")), word.slice(word.indexOf(":") + 1)] : ["", word];
     if (key === "is") return wanted === "drifting" ? (at) => boards.drift[at] !== null : wanted === "odd" ? (at) => boards.odd[at] : wanted === "prior" ? (at) => boards.prior[at] !== 0 : () => false;
     if (key === "board") return (at) => boards.id[at].toLowerCase() === wanted;
@@ -131,6 +135,7 @@ function refresh() {
   shown.sort((a, b) => keys[a] < keys[b] ? -1 : keys[a] > keys[b] ? 1 : a - b);  // unknown ones last
   by("count").textContent = shown.length === boards.id.length ? "" : `${shown.length.toLocaleString("en")} of ${boards.id.length.toLocaleString("en")}`;
   by("space").style.height = `${shown.length * ROW_PX}px`;
+  by("rows").style.height = `${Math.max(3, shown.length) * ROW_PX + 2}px`;  // no more than the style allows
   by("rows").scrollTop = 0;
   drawRows();
 }
@@ -169,11 +174,11 @@ function open(at) {
     element("button", { class: "link close", onclick: close, "aria-label": "close" }, "close"),
     element("h3", {}, boards.id[at]),
     element("p", {}, element("span", { class: text(boards.trust, at) }, text(boards.trust, at)), `, version ${boards.version[at]}, measured ${day(boards.start[at])}`),
-    element("p", {}, element("a", { href: `${file}.report.html` }, "report"), " · ", element("a", { href: `${file}.yaml` }, "calibration"), " · ",
-      element("a", { href: `${file.slice(0, file.lastIndexOf("/") + 1)}` }, "all versions")),
+    element("p", {}, element("a", { href: `${file}.report.html` }, "report"), " · ", element("a", { href: `${file}.yaml` }, "calibration")),
+    element("p", { id: "versions" }),
     element("p", { class: "soft", id: "loading" }, "loading its history …"));
   if (matchMedia("(max-width:60rem)").matches) panel.scrollIntoView({ block: "start" });  // it is below the table
-  load(boards.shard[at], (found) => { if (opened === at) drawHistory(at, found[boards.id[at]] || { points: [], std: [], shrunk: [] }); });
+  load(boards.shard[at], (found) => { if (opened === at) drawBoard(at, found[boards.id[at]] || { points: [], std: [], shrunk: [] }); }, "loading");
 }
 
 function close() {
@@ -182,37 +187,13 @@ function close() {
   drawRows();
 }
 
-function load(shard, done) {
+function load(shard, done, words) {
   if (histories.has(shard)) { done(histories.get(shard)); return; }
   if (waiting.has(shard)) { waiting.get(shard).push(done); return; }
   waiting.set(shard, [done]);
   const script = element("script", { src: `history/${shard}.js` });
-  script.addEventListener("error", () => { waiting.delete(shard); const word = by("loading"); if (word) word.textContent = "Its history is not there: make the page again."; });
+  script.addEventListener("error", () => { waiting.delete(shard); const word = by(words); if (word) word.textContent = "Its history is not there: make the page again."; });
   document.head.append(script);
-}
-
-// points: [version, seconds, temperature, parameters ...]; std and shrunk: one a parameter, of the newest
-function drawHistory(at, { points, std, shrunk }) {
-  by("loading").remove();
-  const worst = boards.drift[at] ? boards.drift[at][1] : -1;  // drawn first
-  [...data.parameters.keys()].sort((a, b) => (b === worst) - (a === worst) || a - b).forEach((which) => {
-    const name = data.parameters[which];
-    const line = points.map((one) => [one[1], one[3 + which]]).filter(([x, y]) => x !== null && y !== null);
-    if (!line.length) return;
-    const [x0, x1] = span(line.map(([x]) => x)), [y0, y1] = span(line.map(([, y]) => y));
-    const place = ([x, y]) => [2 + 96 * (x - x0) / (x1 - x0), 28 - 26 * (y - y0) / (y1 - y0)];
-    const dots = line.map(place), here = which === worst, drift = boards.drift[at];
-    const drawing = element("div");
-    drawing.innerHTML = `<svg viewBox="0 0 100 30" preserveAspectRatio="none" height="44" role="img" aria-label="history"><polyline class="line" points="${dots.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ")}"/></svg>`;
-    by("board").append(element("figure", {}, element("figcaption", {}, element("span", { class: here ? "flag" : null }, name.replace(/_/g, " ") + (here ? `, drifts ${drift[0]} sd` : "")),
-      element("span", {}, `${number(boards.value[name][at])} ± ${number(std[which], 2)}${data.units[which]}`)), drawing,
-      shrunk[which] === null || shrunk[which] === undefined ? "" : element("figcaption", {}, element("span", {}, boards.prior[at] >> which & 1 ? "more the fleet's than its own" : "with the fleet's help"), element("span", {}, number(shrunk[which])))));
-  });
-}
-
-function span(values) {
-  const low = Math.min(...values), high = Math.max(...values);
-  return high > low ? [low, high] : [low - 1, high + 1];
 }
 
 function openFromHash() {

@@ -1,0 +1,148 @@
+"""A store and a spool of any number of boards, and what a night costs where nothing is new.
+
+What to use when: `fill` makes them, `costs` measures; both for bench_fleet's table of growth.
+"""
+
+import hashlib
+import os
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from tests.bench.fleet.parts import ERROR, SPREAD
+from tests.bench.fleet_machine import timed
+from tests.unit.fleet.conftest import row
+
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
+from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.calibration.store import make_sharded
+from gyrorig_solver.fleet.batch import HEADS_FILE
+from gyrorig_solver.fleet.heads import Heads
+from gyrorig_solver.fleet.index import Index
+from gyrorig_solver.fleet.journal import Journal
+from gyrorig_solver.fleet.manifest import seal
+from gyrorig_solver.fleet.overview import PARAMETERS
+from gyrorig_solver.fleet.rows import Row
+from gyrorig_solver.fleet.shelf import Chosen, newest
+from gyrorig_solver.fleet.spool import look, read_all, sessions
+from gyrorig_solver.fleet.task import Settings, key_of
+from gyrorig_solver.fleet.verifying import verify
+from gyrorig_solver.places.folder import Folder
+
+
+def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path, Path]:
+    """Make a spool and a store of so many boards, each with one recording that is done."""
+    spool, store = folder / "spool", folder / "store"
+    spool.mkdir(parents=True)
+    made = make_sharded(store)
+    head = one_head(folder)
+    page = folder / "report.html"
+    page.write_bytes(report)
+    settings, rng = Settings(solver_version="0.1.0"), np.random.default_rng(1)
+    with Journal(store, "night") as journal:
+        rows: list[Row] = []
+        for number in range(boards):
+            data = head.replace(b"n000000", b"n%06d" % number)
+            path = spool / f"{number:06d}.mcap"
+            path.write_bytes(data)
+            digest = hashlib.sha256(data).hexdigest()
+            board = BoardId(f"B{number:06d}")
+            text = document.replace("B000000", board).encode()
+            home = made.folder_of(board)
+            home.mkdir(parents=True)
+            (home / "v0001.yaml").write_bytes(text)
+            os.link(page, home / "v0001.report.html")  # as many names as files, one time the room
+            rows.append(
+                row(
+                    key_of([digest], settings.solver_version, settings.config_sha256),
+                    board=str(board),
+                    inputs=[digest],
+                    file=str((home / "v0001.yaml").relative_to(store)),
+                    file_sha256=hashlib.sha256(text).hexdigest(),
+                    beside=[f"{hashlib.sha256(report).hexdigest()}  v0001.report.html"],
+                    **as_measured(number, rng),
+                )
+            )
+        journal.add(rows)
+    Index(store).fold_left_behind()
+    seal(Folder(store), None)
+    return spool, store
+
+
+def as_measured(number: int, rng: np.random.Generator) -> dict[str, object]:
+    """Return what a row of a real night holds beside its keys: no two boards have the same."""
+    families = [(name, name.split("_", maxsplit=1)[0]) for name in PARAMETERS]
+    told = {
+        name: float(rng.normal(1.0 if family == "scale" else 0.0, SPREAD[family]))
+        for name, family in families
+    }
+    told |= {
+        f"{name}_std": ERROR[family] * float(rng.uniform(0.7, 1.5)) for name, family in families
+    }
+    start = datetime(2026, 1, 1, 2, tzinfo=UTC) + timedelta(seconds=200.0 * number)
+    return {
+        "parameters": told,
+        "session": f"n{number:06d}",
+        "rig": f"rig-{number % 64}",
+        "uid": f"{rng.integers(1 << 62):024x}",
+        "sensor": "L3G4200D",
+        "start": f"{start:%Y-%m-%dT%H:%M:%SZ}",
+        "clock_skew_ppm": float(rng.normal(0.0, 20.0)),
+        "gyro_scale_rad_s": 1.2217e-3,
+        "duration_s": 75.0 + float(rng.normal(0.0, 0.01)),
+        "temperature_degc": float(rng.normal(25.0, 2.0)),
+        "solver_version": "0.1.0",
+        "config_sha256": Settings(solver_version="0.1.0").config_sha256,
+        "trust": "good",
+        "reduced_chi2": float(rng.normal(1.0, 0.02)),
+        "seconds": float(rng.normal(0.43, 0.02)),
+    }
+
+
+def one_head(folder: Path) -> bytes:
+    """Return a recording that holds its head and a note."""
+    path = folder / "head.mcap"
+    own = {"session": "n000000", "rig": "r", "part": "0"}
+    own |= {"anchor_utc_ns": "1", "anchor_monotonic_raw_ns": "1"}
+    with RecordingWriter(path, {"gyrorig": own}) as writer:
+        writer.write(SESSION_EVENT_TOPIC, SessionEvent(1, int(EventKind.NOTE), "", "note"))
+    return path.read_bytes()
+
+
+def costs(spool: Path, store: Path, boards: int) -> str:
+    """Return one line of the table of growth."""
+    found = look(spool)
+    list_s = timed(lambda: look(spool))
+    begun_s = time.process_time()
+    with Heads(store / HEADS_FILE, found.place.text) as heads:
+        list(heads.keep(read_all(found.place, found.recordings)))
+    heads_s = time.process_time() - begun_s
+    resume_s = timed(lambda: resume(spool, store))
+    ls_s = timed(lambda: newest(store, Chosen(), 1000))
+    begun_s = time.process_time()
+    faults = verify(store).faults
+    verify_s = time.process_time() - begun_s
+    if faults:
+        raise SystemExit(str(faults[:3]))
+    size = sum(path.stat().st_size for path in (store / "index").glob("*.parquet"))
+    return (
+        f"{list_s:.3f} | {heads_s:.2f} | {resume_s:.2f} | {ls_s:.3f} | {verify_s:.2f} "
+        f"| {size / boards:.0f}"
+    )
+
+
+def resume(spool: Path, store: Path) -> None:
+    """Do what a batch does before its first piece of work, where none is new."""
+    found = look(spool)
+    with Heads(store / HEADS_FILE, found.place.text) as heads:
+        known, unread = heads.split(found)
+    done = Index(store).done()
+    settings = Settings(solver_version="0.1.0")
+    keys = {
+        key_of(one.digests, settings.solver_version, settings.config_sha256)
+        for one in sessions(known)
+    }
+    if unread or keys - done:
+        raise SystemExit("something is new")

@@ -1,0 +1,55 @@
+"""What several whole-system tests begin from: a browser, and a scheduler in a process."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.bench.fleet.browser import chromium
+
+Clusters = Callable[..., AbstractContextManager[tuple[subprocess.Popen[str], str]]]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Chromium without a window."""
+    one = chromium(tmp_path_factory.mktemp("profile"))
+    if one is None:
+        pytest.skip("no Chromium to drive: apt-get install chromium chromium-driver, selenium")
+    yield one
+    one.quit()
+
+
+@pytest.fixture
+def clusters(tmp_path: Path) -> Clusters:
+    """Return what runs a script that says a scheduler's address, and kills it with its workers."""
+
+    @contextmanager
+    def running(
+        script: str, words: Sequence[str] = (), more: Mapping[str, str] | None = None
+    ) -> Iterator[tuple[subprocess.Popen[str], str]]:
+        path = tmp_path / "cluster.py"
+        path.write_text(script, encoding="utf-8")
+        process = subprocess.Popen(
+            [sys.executable, str(path), *words],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
+            cwd=tmp_path,
+            env={**os.environ, **(more or {})},
+        )
+        assert process.stdout is not None
+        yield process, process.stdout.readline().strip()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+    return running

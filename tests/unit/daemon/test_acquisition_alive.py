@@ -1,0 +1,64 @@
+"""Whether the acquisition process lives is judged by what it does, not by how late we are.
+
+A daemon that is behind has its answer lying behind all that was read before: taken for a
+process that hangs, it was not fed to the watchdog any more and killed with what it had.
+"""
+
+import os
+import pty
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.raw_clock import raw_ns
+
+BEHIND_S = 1.5
+SECOND_NS = 1_000_000_000
+
+
+@contextmanager
+def talking() -> Iterator[str]:
+    """Yield a pty on which somebody says something a hundred times a second."""
+    device, held = pty.openpty()
+    os.set_blocking(device, False)
+    ended = threading.Event()
+
+    def talk() -> None:
+        while not ended.wait(0.01):
+            os.write(device, b"0123456789")
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    try:
+        yield os.ttyname(held)
+    finally:
+        ended.set()
+        thread.join()
+        os.close(held)
+        os.close(device)
+
+
+def test_a_daemon_that_is_behind_does_not_take_the_acquisition_for_dead() -> None:
+    with talking() as path, AcquisitionHub({"board": PortSettings(path, 115200)}) as hub:
+        hub.ping()
+        time.sleep(BEHIND_S)  # its answer lies in the pipe all the while
+        assert hub.read(raw_ns() + SECOND_NS) is not None
+        assert raw_ns() - hub.answered_ns < BEHIND_S / 2 * SECOND_NS
+        behind_ns = hub.at_hand[0].received_ns if hub.at_hand else 0
+        assert behind_ns < hub.answered_ns
+
+
+def test_what_says_nothing_is_not_taken_for_alive() -> None:
+    device, held = pty.openpty()
+    settings = {"board": PortSettings(os.ttyname(held), 115200)}
+    with AcquisitionHub(settings) as hub:
+        before_ns = hub.answered_ns
+        assert hub.read(raw_ns() + SECOND_NS // 5) is None
+        assert hub.answered_ns == before_ns
+        hub.ping()
+        assert hub.read(raw_ns() + SECOND_NS // 2) is None  # an answer is no chunk
+        assert hub.answered_ns > before_ns
+    os.close(held)
+    os.close(device)
