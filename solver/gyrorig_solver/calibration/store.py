@@ -30,14 +30,6 @@ STORE_FILE = "gyrorig-store.yaml"
 STORE_SCHEMA = "gyrorig/store/1"
 MARK = f'schema: "{STORE_SCHEMA}"\n'.encode()
 VERSION_FILE = re.compile(r"v(\d{4,9})\.yaml")
-_MADE_AT_ONCE = {
-    STORE_FILE,
-    "journal",
-    "claims",
-    "index",
-    "manifest",
-    "calib",
-}  # by another, a moment ago
 MOST_TRIES = 100  # each lost race means that another solver wrote a version
 
 
@@ -190,20 +182,23 @@ def make_sharded(folder: Path) -> CalibrationStore:
         UsageError: it holds something else.
         MachineError: it cannot be made.
     """
-    if not (folder / STORE_FILE).exists():
+    mark = folder / STORE_FILE
+    if not mark.exists():
+        making = f".{STORE_FILE}."  # by another, at this moment: see write_whole
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            others = [p.name for p in folder.iterdir() if p.name not in _MADE_AT_ONCE]
+            others = [p.name for p in folder.iterdir() if not p.name.startswith(making)]
         except OSError as fault:
             raise MachineError(
                 f"cannot make the store {folder}, {fault.strerror}", "choose another with --store"
             ) from fault
-        if others:
+        # Looked at again after the rest: whoever makes a store writes its mark before all else.
+        if others and not mark.exists():
             raise UsageError(
                 f"{folder} is no store of a fleet: it holds {sorted(others)[0]}",
                 "name an empty or a new folder with --store",
             )
-        write_whole(folder / STORE_FILE, MARK, replace=False)
+        write_whole(mark, MARK, replace=False)
     return CalibrationStore(folder)
 
 

@@ -149,7 +149,7 @@ def run_batch(
             if one_more or not summary.put_off or summary.gave_up or gone:
                 break
             work = _once_more(work, claims, summary)
-    _close(place, index, signer, summary)
+    _close(place, index, claims, signer, summary)
     return summary
 
 
@@ -166,10 +166,12 @@ def _once_more(
     return again
 
 
-def _close(place: Place, index: Index, signer: Signer | None, summary: Summary) -> None:
+def _close(
+    place: Place, index: Index, claims: ClaimsLike, signer: Signer | None, summary: Summary
+) -> None:
     """Fold what was written into the index and seal it; the next batch does what is not."""
     try:
-        index.fold_left_behind()
+        claims.end(index)
         seal(place, signer)
     except MachineError as fault:
         summary.unfolded_why = str(fault)

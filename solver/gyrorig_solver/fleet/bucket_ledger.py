@@ -181,6 +181,15 @@ class BucketClaims:
             raise
         return BucketJournal(self._place, self._batch, sign)
 
+    def end(self, index: Index) -> None:
+        """Fold what this batch has written, and others left behind; its sign of life is gone.
+
+        Raises:
+            MachineError: the bucket refuses.
+            InputError: a journal left behind is damaged.
+        """
+        index.fold_left_behind()
+
     def take(self, key: str) -> bool:
         """Return True if the work of that key is now this batch's.
 

@@ -49,6 +49,16 @@ class Claims:
                     shutil.rmtree(old, ignore_errors=True)
         return journal
 
+    def end(self, index: Index) -> None:
+        """Fold what this batch has written, and others left behind; its journal is closed.
+
+        Raises:
+            MachineError: the store cannot be written.
+            InputError: a journal left behind is damaged.
+        """
+        with self._locked():  # whoever begins now would sweep away what is half folded
+            index.fold_left_behind()
+
     def take(self, key: str) -> bool:
         """Return True if the work of that key is now this batch's.
 

@@ -12,6 +12,7 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import duckdb
 import msgspec
@@ -55,7 +56,10 @@ class Index:
             InputError: the journal is damaged; it stays.
         """
         final = self._folder / (journal.name.removesuffix(SUFFIX) + ".parquet")
-        text = whole_lines(journal)
+        try:
+            text = whole_lines(journal)
+        except FileNotFoundError:  # folded by another, a moment ago
+            return
         if text and not final.exists():
             self._write(text, journal, final)
         journal.unlink(missing_ok=True)
@@ -140,18 +144,12 @@ class Index:
         """
         database = _database()
         try:
-            rows = _no_rows(database)
-            files = sorted(self._folder.glob("*.parquet"))
+            files = self._take_journals(database)
+            rows = _no_rows(database).union(database.table("fresh"))
             if files:
                 # Files of an older version lack columns, those of a newer one have more.
                 named = [str(file) for file in files]
                 rows = rows.union(_ordered(database.read_parquet(named, union_by_name=True)))
-            # Their last line may be in the making: what is no whole line is passed over.
-            folded = {path.stem for path in files}
-            journals = sorted((self._store / JOURNALS).glob(f"*{SUFFIX}"))
-            fresh = [p for p in journals if p.stem not in folded and p.stat().st_size]
-            if fresh:
-                rows = rows.union(_lines(database, fresh, torn=True))
             rows.create_view("all_rows")
             database.execute(_ONE_A_BOARD)
         except duckdb.Error as fault:
@@ -159,8 +157,30 @@ class Index:
             raise _damaged(self._folder, fault) from fault
         return database
 
+    def _take_journals(self, database: duckdb.DuckDBPyConnection) -> list[Path]:
+        """Copy what is not folded yet into the table `fresh`; return the files of the index.
+
+        Batches fold meanwhile. Journals are listed before files, so that each row is in one of
+        the lists; a journal that is gone when it is read is in a file by then.
+        """
+        while True:
+            journals = sorted((self._store / JOURNALS).glob(f"*{SUFFIX}"))
+            files = sorted(self._folder.glob("*.parquet"))
+            folded = {path.stem for path in files}
+            fresh = [path for path in journals if path.stem not in folded]
+            try:
+                begun = [path for path in fresh if path.stat().st_size]
+                # Their last line may be in the making: what is no whole line is passed over.
+                rows = _lines(database, begun, torn=True) if begun else _no_rows(database)
+                rows.create("fresh")
+            except (duckdb.Error, FileNotFoundError):
+                if all(path.exists() for path in fresh):
+                    raise
+            else:
+                return files
+
     def _write(self, text: bytes, journal: Path, final: Path) -> None:
-        whole = journal.with_name(f".{journal.name}.{os.getpid()}")
+        whole = journal.with_name(f".{journal.name}.{uuid4().hex}")
         try:
             with told_of_disk(whole):
                 whole.write_bytes(text)
@@ -171,7 +191,7 @@ class Index:
 
     def _put(self, rows: duckdb.DuckDBPyRelation, final: Path) -> None:
         """Write a file of the index, whole and synced, or not at all."""
-        temporary = final.with_name(f".{final.name}.{os.getpid()}")
+        temporary = final.with_name(f".{final.name}.{uuid4().hex}")
         try:
             with told_of_disk(final):
                 self._folder.mkdir(exist_ok=True)

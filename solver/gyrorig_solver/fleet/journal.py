@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+from uuid import uuid4
 
 import msgspec
 
@@ -78,11 +79,15 @@ class Journal:
         return self.rows >= ROWS_A_PART
 
     def next_part(self) -> Path:
-        """Begin another part and return the one before, which may be folded now."""
-        done = self._path
-        self.close()
+        """Begin another part and return the one before, which may be folded now.
+
+        Raises:
+            MachineError: the disk refuses; the part before goes on.
+        """
+        done, held = self._path, self._fd
         self._part += 1
-        self._begin()
+        self._begin()  # before the old one is let go: the batch is seen to run all the time
+        os.close(held)
         return done
 
     def close(self) -> None:
@@ -92,12 +97,23 @@ class Journal:
             self._fd = -1
 
     def _begin(self) -> None:
-        self._path = self._folder / f"{self._batch}-{self._part:04d}{SUFFIX}"
-        self.rows = 0
-        with told_of_disk(self._path):
-            flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
-            self._fd = os.open(self._path, flags, 0o644)
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        """Begin a part, locked before it has its name: nobody finds it without its holder.
+
+        Raises:
+            MachineError: the disk refuses; the part before goes on.
+        """
+        path = self._folder / f"{self._batch}-{self._part:04d}{SUFFIX}"
+        unnamed = path.with_name(f".{path.name}.{uuid4().hex}")
+        with told_of_disk(path):
+            fd = os.open(unnamed, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                unnamed.rename(path)
+            except OSError:
+                os.close(fd)
+                unnamed.unlink(missing_ok=True)
+                raise
+        self._path, self._fd, self.rows = path, fd, 0
 
 
 @contextlib.contextmanager

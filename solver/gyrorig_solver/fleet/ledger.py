@@ -52,6 +52,9 @@ class ClaimsLike(Protocol):
     def begin(self, index: Index) -> JournalLike:
         """Begin the batch."""
 
+    def end(self, index: Index) -> None:
+        """Fold what was written, once the journal is closed."""
+
     def take(self, key: str) -> bool:
         """Return True if the work of that key is now this batch's."""
 
