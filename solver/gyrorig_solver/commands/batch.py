@@ -41,18 +41,22 @@ _RETRIED = ("rejected", "failed", "quarantined")
 @click.option(
     "--workers",
     type=click.IntRange(1, 512),
-    help="Processes on this machine. Without it: one a core.",
+    help="Processes on this machine.  [default: one a core]",
 )
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
-    help="Workers of a dask.distributed scheduler: tls://HOST:PORT, or tcp://127.0.0.1:PORT. "
-    "They need the same file system.",
+    help="Use the workers of a dask.distributed scheduler in place of this machine's: "
+    "tls://HOST:PORT, or tcp://127.0.0.1:PORT. They need the same file system.",
 )
-@click.option("--tls-ca", type=_FILE, help="The authority that signed the scheduler's.")
-@click.option("--tls-cert", type=_FILE, help="One's own certificate.")
-@click.option("--tls-key", type=_FILE, help="The key of it.")
-@click.option("--shard", metavar="K/N", help="Only the K-th of N parts of the work, K from 1.")
+@click.option("--tls-ca", type=_FILE, help="With tls://: the certificate (PEM) of the authority that signed all.")
+@click.option("--tls-cert", type=_FILE, help="With tls://: this batch's own certificate (PEM).")
+@click.option("--tls-key", type=_FILE, help="With tls://: the private key (PEM) of --tls-cert.")
+@click.option(
+    "--shard",
+    metavar="K/N",
+    help="Do only the K-th of N parts of the work, K from 1.  [default: all of it]",
+)
 @click.option(
     "--extend",
     type=click.Choice(["none", "auto"]),
@@ -64,26 +68,28 @@ _RETRIED = ("rejected", "failed", "quarantined")
     "--retry",
     multiple=True,
     type=click.Choice(_RETRIED),
-    help="Do such work again that ended so before. May be given several times.",
+    help="Do work again that ended so before; can be given several times.  [default: none]",
 )
 @click.option(
     "--sign",
     type=_FILE,
-    help="A private Ed25519 key (PEM): signs the manifests of what is written.",
+    help="A private Ed25519 key (PEM) to sign the manifests with of what is written.",
 )
 @click.option(
     "--deadline",
     type=click.FloatRange(min=1.0),
     default=300.0,
     show_default=True,
-    help="Seconds for one session's work.",
+    metavar="SECONDS",
+    help="How long the work of one session may take, in seconds.",
 )
 @click.option(
     "--memory",
     type=click.IntRange(min=256),
     default=4096,
     show_default=True,
-    help="Megabytes for one worker.",
+    metavar="MB",
+    help="How much memory one worker may take, in MB.",
 )
 @json_option
 @click.pass_obj
@@ -162,7 +168,10 @@ def _remote(
     from gyrorig_solver.fleet.scheduler import Certificates, dask_lanes  # noqa: PLC0415
 
     if workers is not None:
-        raise UsageError("--workers are of this machine", "a scheduler has its own: leave it out")
+        raise UsageError(
+            "--workers counts processes of this machine, and --scheduler brings its own",
+            "leave out --workers",
+        )
     if authority and certificate and key:
         return dask_lanes(address, Certificates(authority, certificate, key))
     if authority or certificate or key:
@@ -207,9 +216,14 @@ def _shard(text: str | None) -> Shard:
         return Shard()
     number, _, of = text.partition("/")
     if not (number.isascii() and number.isdigit() and of.isascii() and of.isdigit()):
-        raise UsageError(f"--shard is no {text!r}", "write it as 3/16")
+        raise UsageError(
+            f"--shard {text!r:.40} is no part of the work", "write it as K/N, such as 3/16"
+        )
     if not 1 <= int(number) <= int(of) <= 1_000_000:
-        raise UsageError(f"there is no shard {text}", "write it as 3/16: from 1 to 16")
+        raise UsageError(
+            f"--shard {text[:40]}: there is no part {number[:20]} of {of[:20]}",
+            "write it as K/N, K from 1 to N, such as 3/16",
+        )
     return Shard(int(number), int(of))
 
 
@@ -221,7 +235,8 @@ def _told(summary: Summary, store: str) -> str:
     ]
     if summary.spool.unfinished:
         lines.append(
-            f"  {summary.spool.unfinished} recordings are still being written{_left(summary)}"
+            f"  {summary.spool.unfinished} recordings are still being written"
+            f"{_waiting(summary)}{_left(summary)}"
         )
     for status in ("ok", *_RETRIED):
         if summary.ended[status]:
@@ -245,6 +260,12 @@ def _told(summary: Summary, store: str) -> str:
         f"the store: {store}"
     )
     return "\n".join(lines)
+
+
+def _waiting(summary: Summary) -> str:
+    """Return how many whole parts are left for the batch that finds their session whole."""
+    waiting = summary.spool.waiting
+    return f", {waiting} parts of the same sessions wait for them" if waiting else ""
 
 
 def _left(summary: Summary) -> str:
@@ -274,6 +295,7 @@ def _plain(summary: Summary, code: int) -> dict[str, Any]:
         "sessions": summary.sessions,
         "recordings": len(summary.spool.recordings),
         "unfinished": summary.spool.unfinished,
+        "waiting": summary.spool.waiting,
         "left": summary.spool.left,
         "done_before": summary.done_before,
         "others": summary.others,

@@ -5,11 +5,13 @@ A spool is a folder or a bucket; a recording of a bucket is fetched for as long 
 What to use when: `look` once, at the beginning of a batch; `sessions` for what is new.
 The parts of one session are solved together, so they are one piece of work. Files still
 being written (`.mcap.part`) are counted and left alone: the daemon finishes or recovers
-them. Names and sizes are of no use as identity: the digest is what a recording is.
+them; until then, or for a day, the parts before them wait too. Names and sizes are of no
+use as identity: the digest is what a recording is.
 """
 
 import hashlib
 import json
+import re
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +28,7 @@ from gyrorig_solver.places.place import Entry, Place
 UNREAD = "unread:"  # instead of a digest
 SET_ASIDE = "unclean"  # where the daemon keeps what it has recovered a recording from
 READERS = 4  # digests are computed outside of Python's lock
+_PART = re.compile(r"(_p\d{3,})?\.mcap(\.part)?$")  # as the daemon's recorder names them
 LEFT_AFTER_S = 86_400.0  # a part of a recording is an hour at most: nobody writes this one any more
 
 
@@ -67,6 +70,7 @@ class Spool:
     place: Place
     recordings: tuple[Entry, ...]
     unfinished: int = 0
+    waiting: int = 0  # of recordings: whole parts of sessions that are still being written
     left: int = 0  # of them, not touched for a day: their writer is gone
 
 
@@ -83,17 +87,27 @@ def look(spool: Path | Place) -> Spool:
             f"there is no folder {place.text}", "name a folder of recordings with --spool"
         )
     found: list[Entry] = []
+    going_on: set[str] = set()
     unfinished = left = 0
     for entry in place.entries():
         if SET_ASIDE in entry.name.split("/")[:-1]:
             continue
         if entry.name.endswith(".mcap.part"):
             unfinished += 1
-            left += 0.0 < entry.changed_s < time.time() - LEFT_AFTER_S
+            if 0.0 < entry.changed_s < time.time() - LEFT_AFTER_S:
+                left += 1
+            else:
+                going_on.add(_stem(entry.name))
         elif entry.name.endswith(".mcap"):
             found.append(entry)
-    found.sort(key=lambda entry: PurePosixPath(entry.name))
-    return Spool(place, tuple(found), unfinished, left)
+    whole = [entry for entry in found if _stem(entry.name) not in going_on]
+    whole.sort(key=lambda entry: PurePosixPath(entry.name))
+    return Spool(place, tuple(whole), unfinished, len(found) - len(whole), left)
+
+
+def _stem(name: str) -> str:
+    """Return what the names of all parts of a session have in common."""
+    return _PART.sub("", name)
 
 
 def sessions(found: Iterable[Spooled]) -> list[Session]:

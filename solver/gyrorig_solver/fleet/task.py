@@ -96,10 +96,12 @@ def carry_out(order: Order) -> Outcome:
     except GyrorigError as fault:
         rows = (row_of(order, "rejected", reason=str(fault)),)
     except TooLongError:
-        reason = f"it took longer than {order.settings.deadline_s:g} s"
+        reason = f"it took longer than {order.settings.deadline_s:g} s: --retry failed, and more "
+        reason += "with --deadline"
         rows = (row_of(order, "failed", reason=reason, trace=traceback.format_exc()),)
     except MemoryError:
-        reason = f"it needs more than {order.settings.memory_bytes >> 20} MB of memory"
+        reason = f"it needs more than {order.settings.memory_bytes >> 20} MB of memory: --retry "
+        reason += "failed, and more with --memory"
         rows = (row_of(order, "failed", reason=reason),)
     except Exception as fault:  # a fault of this program must not stop a fleet
         reason = f"a fault of the program, {type(fault).__name__}: {fault}"
@@ -162,7 +164,8 @@ def _solve(order: Order) -> Iterator[Row]:
     boards = sorted({board for recording in recordings for board in recording.board_ids})
     if not boards:
         raise InputError(
-            f"{order.paths[0].name} holds no board's samples", "look at it with gyrorig check"
+            f"{order.paths[0].name} holds no board's samples",
+            "`gyrorig check` says what it holds; connect the board and record again",
         )
     store = store_at(order.store)
     ready = _together(order, store, recordings, boards)
@@ -177,7 +180,7 @@ def _together(
     everywhere = [one for one in boards if all(one in each.board_ids for each in recordings)]
     try:
         for board in everywhere:
-            _look_again(order, store, recordings[0], board)
+            _look_again(order, store, recordings, board)
     except _DoneError:  # a batch was cut off among them: the others are few
         return {}
     except InputError:  # said where that board is solved
@@ -200,7 +203,7 @@ def _solve_board(
     """Solve one board; what is wrong with it does not keep the others."""
     holding = [recording for recording in recordings if board in recording.board_ids]
     first = holding[0]
-    before = partial(_look_again, order, store, first, board)
+    before = partial(_look_again, order, store, holding, board)
     try:
         before()
         if isinstance(ready, GyrorigError):
@@ -242,16 +245,24 @@ class _DoneError(Exception):
 
 
 def _look_again(
-    order: Order, store: CalibrationStore, recording: Recording, board: BoardId
+    order: Order, store: CalibrationStore, holding: Sequence[Recording], board: BoardId
 ) -> None:
     """Look at the board's newest versions: before the work, and before each try to write.
+
+    Args:
+        order: the work.
+        store: where they are.
+        holding: all recordings of the order that hold the board. A version of fewer of them
+            was made before the others were there, and is not this work's.
+        board: whose versions.
 
     Raises:
         _DoneError: one of them is this work's.
         InputError: they are another board's.
     """
     newest = store.versions(board)[-LOOKED_BACK:]
-    uid = recording.metadata.get(f"gyrorig.board.{board}", {}).get("uid", "")
+    digests = {recording.sha256 for recording in holding}
+    uid = holding[0].metadata.get(f"gyrorig.board.{board}", {}).get("uid", "")
     config = order.settings.config_sha256
     for stored in reversed(newest):
         made = parse_calibration(stored.data(), str(stored.path))
@@ -261,7 +272,7 @@ def _look_again(
                 "the store: two boards have one name",
                 "give one of them another id in its rig's configuration",
             )
-        same_inputs = {one.sha256 for one in made.inputs} <= set(order.digests)
+        same_inputs = {one.sha256 for one in made.inputs} == digests
         same_solver = made.solver.version == order.settings.solver_version
         if same_inputs and same_solver and made.solver.config_sha256 == config:
             raise _DoneError(made, stored)

@@ -71,6 +71,20 @@ def test_unfinished_recordings_are_left_alone_and_counted(tmp_path: Path) -> Non
     assert look(tmp_path).left == 1
 
 
+def test_whole_parts_wait_for_the_one_that_is_being_written(tmp_path: Path) -> None:
+    for name in ("a.mcap", "a_p001.mcap", "ab.mcap", "b_p001.mcap", "deep/a.mcap"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "a_p002.mcap.part").write_bytes(b"x")
+    found = look(tmp_path)
+    assert [entry.name for entry in found.recordings] == ["ab.mcap", "b_p001.mcap", "deep/a.mcap"]
+    assert (found.waiting, found.unfinished, found.left) == (2, 1, 0)
+    os.utime(tmp_path / "a_p002.mcap.part", (1, 1))  # its writer is gone
+    found = look(tmp_path)
+    assert len(found.recordings) == 5
+    assert (found.waiting, found.unfinished, found.left) == (0, 1, 1)
+
+
 def test_loops_of_links_end(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to(tmp_path)
     write(tmp_path / "a.mcap")

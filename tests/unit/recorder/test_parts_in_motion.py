@@ -43,15 +43,17 @@ steps:
 """
 
 
-def recorded(folder: Path, part_s: float) -> tuple[EmulatedRig, list[Recording]]:
+def recorded(
+    folder: Path, part_s: float, program: bytes = PROGRAM
+) -> tuple[EmulatedRig, list[Recording]]:
     config = parse_rig(RIG, "rig.yaml")
     rig = EmulatedRig(rig_settings(config, 3), ORIGIN_NS)
     hub, capture = VirtualHub(rig), CaptureClock(UTC_NS, ORIGIN_NS)
     order = SessionOrder(
         config=config,
         config_text=RIG.encode(),
-        program=parse_program(PROGRAM, "program.yaml"),
-        program_text=PROGRAM,
+        program=parse_program(program, "program.yaml"),
+        program_text=program,
         out_dir=folder,
         session="t",
         home=False,
