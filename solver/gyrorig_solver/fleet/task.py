@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import PurePosixPath
 
 import msgspec
@@ -265,7 +265,7 @@ def _look_again(
     uid = holding[0].metadata.get(f"gyrorig.board.{board}", {}).get("uid", "")
     config = order.settings.config_sha256
     for stored in reversed(newest):
-        made = parse_calibration(stored.data(), str(stored.path))
+        made = _parsed(stored.data(), str(stored.path))
         if stored is newest[-1] and uid and made.board.uid not in ("", uid):
             raise InputError(
                 f"board {board} has the uid {uid[:40]!r} here and {made.board.uid[:40]!r} in "
@@ -276,3 +276,8 @@ def _look_again(
         same_solver = made.solver.version == order.settings.solver_version
         if same_inputs and same_solver and made.solver.config_sha256 == config:
             raise _DoneError(made, stored)
+
+
+@lru_cache(maxsize=16)  # one board's newest versions are looked at three times
+def _parsed(data: bytes, named: str) -> Calibration:
+    return parse_calibration(data, named)

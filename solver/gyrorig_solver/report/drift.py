@@ -48,8 +48,9 @@ def angle_error(error_rad_s: FloatArray, step_s: float) -> tuple[FloatArray, Flo
         step_s: of the grid.
     """
     lengths, angles = [], []
+    sums = _Sums(error_rad_s)
     for m in spans(error_rad_s.shape[0]):
-        means, there = _window_means(error_rad_s, m)
+        means, there = sums.window_means(m)
         if np.any(there):
             lengths.append(m * step_s)
             turned = means[there] * m * step_s
@@ -60,8 +61,9 @@ def angle_error(error_rad_s: FloatArray, step_s: float) -> tuple[FloatArray, Flo
 def allan_deviation(rate_rad_s: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
     """Return averaging times in s and the Allan deviation of each axis, shape (k, 3)."""
     taus, deviations = [], []
+    sums = _Sums(rate_rad_s)
     for m in spans(rate_rad_s.shape[0]):
-        means, there = _window_means(rate_rad_s, m, behind=m)
+        means, there = sums.window_means(m, behind=m)
         if np.any(there):
             taus.append(m * step_s)
             deviations.append(np.sqrt(0.5 * np.mean(means[there] ** 2, axis=0)))
@@ -76,27 +78,36 @@ def noise_says(
     return np.asarray(np.sqrt(variance + (walk or 0.0) ** 2 * tau_s / 3.0), dtype=np.float64)
 
 
-def _window_means(values: FloatArray, m: int, behind: int = 0) -> tuple[FloatArray, BoolArray]:
-    """Return windows' means, or each one's difference to the one behind it; and which are whole.
+class _Sums:
+    """Running sums of a signal, out of which the means of any windows come."""
 
-    Args:
-        values: shape (n, 3), nan where there are none.
-        m: blocks in a window.
-        behind: how far behind the other begins; 0: no difference.
-    """
-    known = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(np.where(known[:, None], values, 0.0), 0)])
-    count = np.concatenate([[0], np.cumsum(known)])
-    last = values.shape[0] - m - behind
-    starts = np.arange(0, last + 1, max(1, last // _STARTS)) if last >= 0 else np.zeros(0, int)
+    def __init__(self, values: FloatArray) -> None:
+        """Sum up.
 
-    def mean(at: IntArray) -> tuple[FloatArray, BoolArray]:
-        many = count[at + m] - count[at]
-        found = (total[at + m] - total[at]) / np.maximum(many, 1)[:, None]
+        Args:
+            values: shape (n, 3), nan where there are none.
+        """
+        known = np.isfinite(values).all(axis=1)
+        self._total = np.zeros((values.shape[0] + 1, 3))
+        np.cumsum(np.where(known[:, None], values, 0.0), axis=0, out=self._total[1:])
+        self._count = np.concatenate([[0], np.cumsum(known)])
+
+    def window_means(self, m: int, behind: int = 0) -> tuple[FloatArray, BoolArray]:
+        """Return windows' means, or each one's difference to another; and which are whole.
+
+        Args:
+            m: blocks in a window.
+            behind: how far behind the other begins; 0: no difference.
+        """
+        last = self._count.size - 1 - m - behind
+        starts = np.arange(0, last + 1, max(1, last // _STARTS)) if last >= 0 else np.zeros(0, int)
+        first, there = self._means(starts, m)
+        if not behind:
+            return first, there
+        second, too = self._means(starts + behind, m)
+        return second - first, there & too
+
+    def _means(self, at: IntArray, m: int) -> tuple[FloatArray, BoolArray]:
+        many = self._count[at + m] - self._count[at]
+        found = (self._total[at + m] - self._total[at]) / np.maximum(many, 1)[:, None]
         return np.asarray(found, dtype=np.float64), np.asarray(many >= _WHOLE * m, dtype=np.bool_)
-
-    first, there = mean(starts)
-    if not behind:
-        return first, there
-    second, too = mean(starts + behind)
-    return second - first, there & too

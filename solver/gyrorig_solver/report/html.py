@@ -4,6 +4,7 @@ What to use when: `render` for the text; the caller writes it. Everything that c
 outside is escaped, and the page forbids scripts and every outside resource.
 """
 
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
@@ -23,16 +24,20 @@ def render(data: ReportData) -> str:
 
 def placed(template: str, view: Any) -> str:
     """Return a page: a template of this package filled with a view of the same name."""
+    style = files("gyrorig_solver.report").joinpath("page.css").read_text(encoding="utf-8")
+    return _compiled(template).render(view=view, style=style)
+
+
+@cache  # a batch makes thousands of reports; to compile a template takes as long as to fill it
+def _compiled(template: str) -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    here = files("gyrorig_solver.report")
-    source = here.joinpath(template).read_text(encoding="utf-8")
-    style = here.joinpath("page.css").read_text(encoding="utf-8")
-    return environment.from_string(source).render(view=view, style=style)
+    source = files("gyrorig_solver.report").joinpath(template).read_text(encoding="utf-8")
+    return environment.from_string(source)
 
 
 def _page(data: ReportData) -> dict[str, Any]:
