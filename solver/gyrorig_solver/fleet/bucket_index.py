@@ -58,9 +58,13 @@ class BucketIndex(Index):
         """
         part = journal.name.removesuffix(SUFFIX)
         pieces = [entry.name for entry in self._place.entries(f"{JOURNAL}/{part}/")]
-        if not pieces:
-            return
         text = b"".join(self._place.read(piece) or b"" for piece in pieces)
+        if text:  # else it has no row, or another has folded it while we looked
+            self._put_part(journal, part, text)
+        self._place.remove(pieces)
+
+    def _put_part(self, journal: Path, part: str, text: bytes) -> None:
+        """Write a file of the index of what a part of a journal holds."""
         here = self._store / JOURNAL / journal.name
         with told_of_disk(here):
             here.parent.mkdir(exist_ok=True)
@@ -74,7 +78,6 @@ class BucketIndex(Index):
             # count once, and none is lost.
             digest = hashlib.sha256(data).hexdigest()[:8]
             self._place.put_new(f"{FOLDER}/{part}-{digest}.parquet", data)
-        self._place.remove(pieces)
 
     def fold_left_behind(self) -> int:
         """Fold the journals of batches that have ended; return how many parts."""
@@ -115,17 +118,19 @@ class BucketIndex(Index):
             folder.mkdir(exist_ok=True)
             for path in folder.glob("[!.]*"):
                 path.unlink()
-        pieces: dict[str, list[str]] = {}
-        for entry in self._place.entries(JOURNAL):
-            pieces.setdefault(entry.name.split("/")[1], []).append(entry.name)
-        # Journals were listed first: what is folded in between is seen in both, and counts once.
-        listed = [entry.name for entry in self._place.entries(FOLDER)]
+        while True:
+            pieces = [entry.name for entry in self._place.entries(JOURNAL)]
+            # Listed second: what is folded in between is seen in both, and counts once.
+            listed = [entry.name for entry in self._place.entries(FOLDER)]
+            read = [(name.split("/")[1], self._place.read(name)) for name in pieces]
+            if all(text is not None for _, text in read):
+                break  # else it is in a file by now, which may not be in the list
         for name in listed:
             kept = self._keep(name)
             (self._folder / kept.name).symlink_to(kept)
-        for part, names in pieces.items():
-            text = b"".join(self._place.read(name) or b"" for name in names)
-            (self._store / JOURNAL / (part + SUFFIX)).write_bytes(text)
+        for part, text in read:
+            with (self._store / JOURNAL / (part + SUFFIX)).open("ab") as journal:
+                journal.write(text or b"")
 
     def _keep(self, name: str) -> Path:
         """Return this machine's copy of a file of the index."""

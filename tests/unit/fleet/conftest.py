@@ -1,14 +1,50 @@
-"""Two recordings of an emulated board, and rows as a worker makes them."""
+"""Two recordings of an emulated board, rows as a worker makes them, and a bucket in memory."""
 
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import fsspec  # type: ignore[import-untyped] # it has no types
 import pytest
 
 from gyrorig_solver.fleet.rows import Row
+from gyrorig_solver.places import bucket as buckets
 
 ROOT = Path(__file__).resolve().parents[3]
+
+
+class OneByOne:
+    """fsspec's memory, whose calls come one after another, as those of an object store do.
+
+    By itself it lets two threads take one name, and read one file from each other's place.
+    """
+
+    def __init__(self) -> None:
+        self.inner = fsspec.filesystem("memory")
+        self._lock = threading.RLock()
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self.inner, name)
+        if not callable(found):
+            return found
+
+        def alone(*arguments: Any, **more: Any) -> Any:
+            with self._lock:
+                return found(*arguments, **more)
+
+        return alone
+
+
+@pytest.fixture(autouse=True)
+def memory(monkeypatch: pytest.MonkeyPatch) -> Iterator[OneByOne]:
+    """What is below `memory://` in a test, and gone after it."""
+    one = OneByOne()
+    monkeypatch.setitem(buckets._systems, "memory", one)
+    yield one
+    one.inner.store.clear()
 
 
 @pytest.fixture(scope="session")

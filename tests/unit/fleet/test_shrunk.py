@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import duckdb
-import fsspec  # type: ignore[import-untyped] # it has no types
 import numpy as np
 import pytest
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
@@ -98,4 +97,3 @@ def test_a_fleet_in_a_bucket_has_its_page_and_its_shrunk_values_there(
     assert tuple(shrunk_of(bucket, "B000007")) == PARAMETERS
     assert run(["fleet", bucket.text, "--out", str(tmp_path / "page")]) == 0
     assert (tmp_path / "page" / "data.js").read_bytes().count(bucket.text.encode()) == 1
-    fsspec.filesystem("memory").store.clear()
