@@ -37,7 +37,7 @@ def test_a_recording_of_the_firmware_has_no_gap(tmp_path: Path, gapless_board: P
         ended = subprocess.run(
             [*GYRORIGD, "record", "--config", "rig.yaml", "--program", "program.yaml",
              "--out", "out", "--json"],
-            cwd=tmp_path, capture_output=True, text=True, check=False, timeout=90,
+            cwd=tmp_path, capture_output=True, text=True, check=False,
         )  # fmt: skip
     finally:
         board.terminate()

@@ -47,9 +47,11 @@ def clusters(tmp_path: Path) -> Clusters:
             env={**os.environ, **(more or {})},
         )
         assert process.stdout is not None
-        yield process, process.stdout.readline().strip()
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+        try:
+            yield process, process.stdout.readline().strip()
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
 
     return running

@@ -92,7 +92,6 @@ def batch(tmp_path: Path, address: str, files: list[str]) -> "subprocess.Complet
     return subprocess.run(words, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.timeout(300)
 def test_who_has_our_certificate_and_who_has_not(
     tmp_path: Path, contracts: Path, ours: list[str], address: str
 ) -> None:

@@ -5,12 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from gyrorig_solver.calibration.document import parse_calibration
 
 
-@pytest.mark.timeout(300)
 def test_demo_goes_the_whole_way(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     done = subprocess.run(
@@ -31,7 +28,6 @@ def test_demo_goes_the_whole_way(tmp_path: Path) -> None:
     assert not list(out.glob("*.part"))
 
 
-@pytest.mark.timeout(300)
 def test_what_the_demo_wrote_keeps_the_contracts(tmp_path: Path, contract_judge: Path) -> None:
     program = tmp_path / "short.yaml"
     program.write_text(

@@ -67,7 +67,6 @@ def judged(judge: Path, *files: Path) -> str:
     return done.stdout if done.returncode else ""
 
 
-@pytest.mark.timeout(240)
 def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
     tmp_path: Path, contract_judge: Path
 ) -> None:
@@ -100,7 +99,6 @@ def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
     assert judged(contract_judge, file, own, Path(solved["file"])) == ""
 
 
-@pytest.mark.timeout(240)
 @pytest.mark.parametrize(
     ("hide", "cause"),
     [
@@ -123,7 +121,6 @@ def test_faults_of_the_link_are_named_from_the_stream(
     assert [(one.cause, one.score) for one in score(document, truth)] == [(cause, "right")]
 
 
-@pytest.mark.timeout(240)
 def test_a_rig_as_it_should_be_has_no_findings(tmp_path: Path) -> None:
     path, _ = recorded(tmp_path, "--seed", "8")
     done = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"))
@@ -140,7 +137,6 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.timeout(300)
 def test_the_demo_opens_the_seal_at_the_end(tmp_path: Path) -> None:
     """In real time: a short motion, so that whatever is hidden may as well not show."""
     program = tmp_path / "short.yaml"

@@ -15,7 +15,7 @@ WORDS = (
     "disable-sync",
     "hide-scrollbars",
 )
-PATIENCE_S = 60.0
+PATIENCE_S = 300.0  # for what hangs; a page takes a second on a quiet machine
 
 
 def chromium(profile: Path, width: int = 1300, height: int = 1400) -> Any | None:

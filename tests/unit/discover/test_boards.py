@@ -111,7 +111,6 @@ def test_boards_are_put_together_by_their_recordings(
         assert one.findings.verdict == "adequate"
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("boards", [2, pytest.param(4, marks=pytest.mark.bench)])
 def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
     found = explain_boards(bases("low_pass_lag@GY80-2:0.3", boards=boards))
@@ -130,7 +129,6 @@ def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
         )
 
 
-@pytest.mark.timeout(600)
 @FEW_OR_ALL
 def test_boards_with_nothing_have_no_findings(bases: Bases, boards: int, program: str) -> None:
     for explained in explain_boards(bases(boards=boards, program=program)).values():
@@ -201,7 +199,6 @@ def test_a_board_that_is_told_the_rest_ends_where_all_do() -> None:
 
 
 @pytest.mark.bench
-@pytest.mark.timeout(900)
 def test_what_no_board_sees_alone_all_of_them_see(hidden: Callable[..., Any], config: Path) -> None:
     """Corners rounded over 6.5 ms are below what one board can be sure of in 40 s."""
     session = hidden("s_curve:0.0065", seed=5, program="survey-40", config=config)

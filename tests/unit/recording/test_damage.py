@@ -149,7 +149,10 @@ def test_bit_flips_in_an_unfinished_file(tmp_path: Path, script: Any, tail: str)
         assert isinstance(found, InputError) or is_stated(found, first, wanted), bit
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    deadline=None,
+)
 @given(data=st.data())
 def test_any_damage_never_raises_anything_else(
     tmp_path: Path, script: Any, data: st.DataObject

@@ -87,7 +87,10 @@ steps = st.lists(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    deadline=None,
+)
 @given(steps=steps)
 def test_any_order_of_messages_and_flushes(
     tmp_path_factory: pytest.TempPathFactory, contract_metadata: Any, steps: Any

@@ -20,7 +20,7 @@ from gyrorig_solver.solve import solve_recordings
 
 DECIMAL = re.compile(r"\d+\.\d+")
 # The first of them runs every command.
-pytestmark = [pytest.mark.pages, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.pages, pytest.mark.timeout(1800)]
 CAN_SHOW_ALL, NOT_IDENTIFIABLE, REFUSED = 0, 4, 3
 
 
