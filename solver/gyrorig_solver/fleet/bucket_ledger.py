@@ -170,12 +170,12 @@ class BucketClaims:
         try:
             old = [entry.name for entry in self._place.entries(CLAIMS)]
             index.fold_left_behind()
+            mine = f"{ALIVE}/{self._batch}"
+            old += [entry.name for entry in self._place.entries(ALIVE) if entry.name != mine]
+            # What is listed by now is of batches that are seen here, or have ended.
             if living(self._place, self._batch) == {self._batch}:
                 index.sweep()
                 self._place.remove(old)
-                signs = [entry.name for entry in self._place.entries(ALIVE)]
-                mine = f"{ALIVE}/{self._batch}"
-                self._place.remove([name for name in signs if name != mine])
         except BaseException:
             sign.end()
             raise

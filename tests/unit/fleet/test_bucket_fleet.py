@@ -15,7 +15,7 @@ from gyrorig_solver.calibration.store import STORE_FILE
 from gyrorig_solver.fleet import bucket_ledger
 from gyrorig_solver.fleet.batch import Summary, run_batch
 from gyrorig_solver.fleet.bucket_index import BucketIndex
-from gyrorig_solver.fleet.bucket_ledger import BucketClaims
+from gyrorig_solver.fleet.bucket_ledger import BucketClaims, BucketJournal
 from gyrorig_solver.fleet.bucket_store import make_store, store_at
 from gyrorig_solver.fleet.lanes import Lane
 from gyrorig_solver.fleet.shelf import Chosen, newest, rebuild_index, versions_of
@@ -98,6 +98,27 @@ def test_claims_outlive_nobody_but_a_living_batch(
         "claims/aa/aa4.0000",
         "claims/aa/aa4.0001",
     ]
+
+
+def test_a_batch_that_begins_beside_another_keeps_its_sign_of_life(
+    bucket: Bucket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_store(bucket)
+    living, late = bucket_ledger.living, BucketClaims(bucket, "late")
+    journals: list[BucketJournal] = []
+
+    def asked(place: Place, probe: str) -> set[str]:
+        found = living(place, probe)
+        monkeypatch.setattr(bucket_ledger, "living", living)
+        journals.append(late.begin(BucketIndex(bucket)))
+        assert late.take("aa1")
+        return found
+
+    monkeypatch.setattr(bucket_ledger, "living", asked)
+    early = BucketClaims(bucket, "early")
+    with early.begin(BucketIndex(bucket)), journals[0]:
+        assert living(bucket, "early") == {"early", "late"}
+        assert not early.take("aa1")
 
 
 def test_a_dead_batchs_rows_are_folded_and_a_sleepers_later_ones_too(bucket: Bucket) -> None:
