@@ -28,6 +28,11 @@ def run(arguments: Sequence[str]) -> int:
 
             name, rest = "gyrorigd halt", list(arguments[1:])
             returned = halt_command.main(rest, prog_name=name, standalone_mode=False)
+        elif arguments[:1] == ["doctor"]:  # also where NumPy does not start, to say why
+            from gyrorig_daemon.doctor.command import doctor_command  # noqa: PLC0415
+
+            name, rest = "gyrorigd doctor", list(arguments[1:])
+            returned = doctor_command.main(rest, prog_name=name, standalone_mode=False)
         else:
             from gyrorig_daemon.commands import cli  # noqa: PLC0415 - see above
 

@@ -1,4 +1,4 @@
-"""This computer: power, heat, memory, load, and whether anything starts the daemon.
+"""This computer: processor, power, heat, memory, load, and whether anything starts the daemon.
 
 What to use when: `examine_machine`. What is not there to be read is passed over: a laptop
 has no undervoltage alarm, a container no thermal zone.
@@ -8,22 +8,43 @@ import contextlib
 import os
 import re
 
-from gyrorig_daemon.doctor.finding import Finding, note, ok, warning
+from gyrorig_daemon.doctor.finding import Finding, fault, note, ok, warning
 from gyrorig_daemon.doctor.system import System
 
 SUBJECT = "computer"
 UNIT = "gyrorigd.service"
 HOT_C = 80.0  # a Raspberry Pi slows its clock down from 80 degC on
 LITTLE_MEMORY_MB = 200  # the daemon takes 60 to 120 MB
+# x86-64-v2 (System V ABI for x86-64, 3.1.1), less what every x86-64 has, as /proc/cpuinfo
+# spells it. NumPy's wheels are built for it, and nothing that imports them starts without.
+X86_64_V2 = ("cx16", "lahf_lm", "popcnt", "pni", "sse4_1", "sse4_2", "ssse3")
 
 
 def examine_machine(system: System) -> list[Finding]:
     """Return what is to be said of the computer itself."""
-    found = [*_power(system), *_heat(system), *_memory(system), *_load(system)]
-    found += [*_service(system), *_reboots(system)]
+    found = [*_processor(system), *_power(system), *_heat(system), *_memory(system)]
+    found += [*_load(system), *_service(system), *_reboots(system)]
     if not any(finding.level for finding in found):
         found.insert(0, ok(SUBJECT, "computer", "power, heat, memory and load are fine"))
     return found
+
+
+def _processor(system: System) -> list[Finding]:
+    told = re.search(r"^flags\s*:(.*)", system.text("/proc/cpuinfo") or "", re.MULTILINE)
+    flags = set(told[1].split()) if told else set()
+    missing = [flag for flag in X86_64_V2 if flag not in flags]
+    if "lm" not in flags or not missing:  # no x86-64 at all: an ARM has no such line
+        return []
+    return [
+        fault(
+            SUBJECT,
+            "processor",
+            f"this processor lacks {', '.join(missing)}: NumPy's wheels are for x86-64-v2, "
+            "and neither the daemon nor the solver starts without NumPy",
+            "use a computer with an x86-64-v2 processor (most since 2009); "
+            "give a virtual machine its host's (qemu: -cpu host)",
+        )
+    ]
 
 
 def _power(system: System) -> list[Finding]:

@@ -81,6 +81,37 @@ def test_a_computer_with_a_flaw(
     assert finding.remedy
 
 
+def cpuinfo(flags: str) -> str:
+    core = f"processor\t: {{}}\nmodel name\t: some\nflags\t\t: {flags}\nbugs\t\t: spectre_v1\n"
+    return "\n".join(core.format(number) for number in range(2))
+
+
+# The first is what /proc/cpuinfo says of qemu's default processor (qemu64).
+@pytest.mark.parametrize(
+    ("text", "missing"),
+    [
+        (
+            cpuinfo("fpu sse sse2 syscall nx lm rep_good nopl pni cx16 hypervisor lahf_lm"),
+            "popcnt, sse4_1, sse4_2, ssse3",
+        ),
+        (cpuinfo("fpu sse2 lm pni ssse3 cx16 sse4_1 sse4_2 lahf_lm"), "popcnt"),
+        (cpuinfo("fpu sse2 lm pni ssse3 cx16 sse4_1 sse4_2 popcnt lahf_lm avx2"), ""),
+        (cpuinfo("fpu sse sse2 pni"), ""),  # of 32 bits: no such wheels, and other news
+        ("processor\t: 0\nFeatures\t: fp asimd evtstrm crc32 cpuid\n", ""),  # a Raspberry Pi
+        ("", ""),
+    ],
+    ids=["qemu64", "one flag", "v2", "32 bits", "arm", "nothing"],
+)
+def test_a_processor_on_which_numpy_does_not_start(system: System, text: str, missing: str) -> None:
+    put(system, "/proc/cpuinfo", text)
+    found = [f for f in examine_machine(system) if f.level > Level.OK]
+    assert [f.code for f in found] == ["processor"] * bool(missing)
+    for finding in found:
+        assert finding.level is Level.FAULT
+        assert f"lacks {missing}: " in finding.what
+        assert "-cpu host" in finding.remedy
+
+
 def test_the_pi_s_own_alarm_of_its_supply(system: System) -> None:
     put(system, "/sys/class/hwmon/hwmon3/name", "rpi_volt")
     put(system, "/sys/class/hwmon/hwmon3/in0_lcrit_alarm", "0")
