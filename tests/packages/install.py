@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 MINORS = (11, 12, 13)
-EXTRAS = ("", "solver", "solver,fleet", "live", "docs")
+EXTRAS = ("", "solver", "fleet", "live", "docs")
 SHORT = """schema: gyrorig/program/1
 name: short
 description: 2 s at rest
@@ -111,7 +111,7 @@ def _use(folder: Path, extra: str) -> None:
         str(config / "rig.yaml"), "--program", "short.yaml", "--out", "recordings",
     )  # fmt: skip
     (recording,) = map(str, (folder / "recordings").glob("*.mcap"))
-    if extra in ("solver", "solver,fleet"):
+    if extra in ("solver", "fleet"):
         run("gyrorig", "check", recording, code=4)  # says that rest shows no more
         run("gyrorig", "solve", recording, code=4)  # at rest: only the bias and the noise
     else:
@@ -120,7 +120,7 @@ def _use(folder: Path, extra: str) -> None:
         run("python", "-c", VIEW)
     if extra == "docs":
         run("mkdocs", "--version")  # the site itself is made in a checkout
-    if extra == "solver,fleet":
+    if extra == "fleet":
         run("gyrorig", "batch", "--spool", "recordings", "--store", "store")
         run("gyrorig", "store", "verify", "store")
 

@@ -136,7 +136,10 @@ class Bucket:
 
     def _refused(self, doing: str, fault: BaseException) -> MachineError:
         said = " ".join(str(fault).split())[:160] or type(fault).__name__
-        return MachineError(f"cannot {doing}, {said}", "see whether the bucket can be reached")
+        return MachineError(
+            f"cannot {doing}, {said}",
+            "check the bucket's name, the network, and the keys (AWS_ENDPOINT_URL, AWS_PROFILE)",
+        )
 
 
 def bucket_at(text: str) -> Bucket:
@@ -147,14 +150,18 @@ def bucket_at(text: str) -> Bucket:
     """
     protocol, _, rest = text.partition("://")
     if protocol not in PROTOCOLS:
-        raise UsageError(f"{text} is of a kind that is not known", "name a folder, or s3://BUCKET")
+        raise UsageError(
+            f"{text} is neither a folder nor a bucket", "name a folder, or s3://BUCKET/FOLDER"
+        )
     prefix = rest.strip("/")
     if not prefix or ".." in prefix.split("/"):
         raise UsageError(f"{text} names no bucket", "write it as s3://BUCKET/FOLDER")
     try:
         _system(protocol)
     except ImportError as fault:
-        raise UsageError(f"{text} needs s3fs", "pip install 'gyrorig[solver,fleet]'") from fault
+        raise UsageError(
+            f"{text} needs s3fs, which is not installed", "pip install 'gyrorig[fleet]'"
+        ) from fault
     return Bucket(protocol, prefix)
 
 

@@ -191,15 +191,26 @@ def test_live_alone_makes_a_live_view(installed: Path) -> None:
     assert "pip install 'gyrorig[live]'" in without.stderr
 
 
-def test_fleet_alone_has_its_libraries_and_asks_for_the_solver(installed: Path) -> None:
+def test_fleet_alone_takes_recordings_through_a_batch(installed: Path, tmp_path: Path) -> None:
+    """`fleet` brings `solver`: what a batch does is solving."""
     code = "import duckdb, s3fs, cryptography, distributed; print(duckdb.sql('SELECT 42'))"
     done = run(installed, "fleet", "python", code)
     assert done.returncode == 0, done.stderr
     assert "42" in done.stdout
-    done = run(installed, "fleet", "gyrorig", "store", "ls", "store")
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "pip install 'gyrorig[solver]'" in done.stderr
+    config = installed / "share" / "gyrorig" / "config"
+    recordings, store = tmp_path / "recordings", str(tmp_path / "store")
+    program = tmp_path / "short.yaml"
+    program.write_text(SHORT)
+    for line in (
+        ("gyrorigd", "record", "--simulated-time", "--config", str(config / "rig.yaml"),
+         "--program", str(program), "--out", str(recordings)),
+        ("gyrorig", "batch", "--spool", str(recordings), "--store", store, "--workers", "1"),
+        ("gyrorig", "store", "ls", store),
+        ("gyrorig", "store", "verify", store),
+    ):  # fmt: skip
+        done = run(installed, "fleet", *line)
+        assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "store").rglob("v0001.yaml"))) == 1
 
 
 def test_docs_alone_can_make_a_site(installed: Path, tmp_path: Path) -> None:
