@@ -107,3 +107,14 @@ class Claims:
                 f"cannot write {self._folder}, {fault.strerror}",
                 "make room for the store, or mend its rights",
             ) from fault
+
+
+@contextlib.contextmanager
+def kept_quiet(store: Path) -> Iterator[bool]:
+    """Keep batches from beginning while the block runs; give whether none is running.
+
+    Raises:
+        MachineError: the store cannot be written.
+    """
+    with Claims(store, "")._locked():
+        yield not others_run(store, "")

@@ -114,6 +114,8 @@ class Index:
         """
         old = [*self._folder.glob("*.parquet"), *(self._store / JOURNALS).glob(f"*{SUFFIX}")]
         lines = self._store / JOURNALS / f".{name}{SUFFIX}"
+        with told_of_disk(lines):
+            lines.parent.mkdir(exist_ok=True)
         with told_of_disk(lines), lines.open("wb") as file:
             file.writelines(msgspec.json.encode(flat(row)) + b"\n" for row in rows)
         try:

@@ -5,17 +5,18 @@ store. In a folder they rest upon locks of the system (`claims`, `journal`), in 
 puts that replace nothing and a sign of life (`bucket_ledger`).
 """
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 from uuid import uuid4
 
+from gyrorig_protocol.errors import BusyError
 from gyrorig_solver.fleet.bucket_index import BucketIndex
 from gyrorig_solver.fleet.bucket_ledger import BucketClaims, others_live
-from gyrorig_solver.fleet.claims import Claims
+from gyrorig_solver.fleet.claims import Claims, kept_quiet
 from gyrorig_solver.fleet.index import Index
-from gyrorig_solver.fleet.journal import others_run
 from gyrorig_solver.fleet.rows import Row
 from gyrorig_solver.places.folder import Folder
 from gyrorig_solver.places.place import Place
@@ -70,15 +71,22 @@ def index_at(place: Place) -> Index:
     return Index(place.path) if isinstance(place, Folder) else BucketIndex(place)
 
 
-def others_write(place: Place) -> bool:
-    """Return whether a batch is running on a store.
+@contextlib.contextmanager
+def alone(place: Place) -> Iterator[None]:
+    """Do what no batch may write beside. In a folder none begins meanwhile; a bucket has no locks.
 
     Raises:
-        MachineError: the bucket does not answer.
+        BusyError: a batch is running.
+        MachineError: the store does not answer, or cannot be written.
     """
-    if isinstance(place, Folder):
-        return others_run(place.path, "")
-    return bool(others_live(place, f"probe-{uuid4().hex[:12]}"))
+    with kept_quiet(place.path) if isinstance(place, Folder) else _none_lives(place) as quiet:
+        if not quiet:
+            raise BusyError(f"a batch writes to {place.text}", "wait until it has ended")
+        yield
+
+
+def _none_lives(bucket: Place) -> contextlib.nullcontext[bool]:
+    return contextlib.nullcontext(not others_live(bucket, f"probe-{uuid4().hex[:12]}"))
 
 
 def ledger_at(place: Place, batch: str) -> tuple[Index, ClaimsLike]:

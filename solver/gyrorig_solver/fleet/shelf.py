@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from gyrorig_protocol.errors import BusyError, GyrorigError, UsageError
+from gyrorig_protocol.errors import GyrorigError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration.document import Calibration, parse_calibration
 from gyrorig_solver.calibration.store import (
@@ -24,7 +24,7 @@ from gyrorig_solver.calibration.store import (
     StoredVersion,
 )
 from gyrorig_solver.fleet.bucket_store import store_at
-from gyrorig_solver.fleet.ledger import index_at, others_write
+from gyrorig_solver.fleet.ledger import alone, index_at
 from gyrorig_solver.fleet.manifest import (
     Signer,
     seal,
@@ -164,8 +164,6 @@ def rebuild_index(store: Path | Place, signer: Signer | None = None) -> int:
     """
     calibrations = opened(store)
     place = place_at(store)
-    if others_write(place):
-        raise BusyError(f"a batch writes to {place.text}", "wait until it has ended")
     written = 0
 
     def counted() -> Iterator[Row]:
@@ -175,9 +173,10 @@ def rebuild_index(store: Path | Place, signer: Signer | None = None) -> int:
             yield row
 
     now = datetime.now(UTC)
-    index_at(place).rebuild(counted(), f"{now:%Y%m%dT%H%M%S%fZ}-rebuilt")
-    unseal(place)
-    seal(place, signer)
+    with alone(place):
+        index_at(place).rebuild(counted(), f"{now:%Y%m%dT%H%M%S%fZ}-rebuilt")
+        unseal(place)
+        seal(place, signer)
     return written
 
 

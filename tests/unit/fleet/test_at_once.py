@@ -3,19 +3,21 @@
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
-from threading import Barrier, Event
+from threading import Barrier, Event, Semaphore
 
 import pytest
 from tests.unit.fleet.conftest import row
 
-from gyrorig_protocol.errors import MachineError, UsageError
+from gyrorig_protocol.errors import BusyError, MachineError, UsageError
 from gyrorig_solver.calibration.store import STORE_FILE, make_sharded
 from gyrorig_solver.fleet.batch import run_batch
 from gyrorig_solver.fleet.claims import Claims
 from gyrorig_solver.fleet.index import Index
 from gyrorig_solver.fleet.journal import Journal, is_running
 from gyrorig_solver.fleet.lanes import local_lanes
+from gyrorig_solver.fleet.shelf import rebuild_index
 from gyrorig_solver.fleet.task import Settings
 
 
@@ -101,6 +103,28 @@ def test_batches_that_begin_and_end_beside_each_other_lose_no_row(tmp_path: Path
     Index(tmp_path).fold_left_behind()
     rows = Index(tmp_path).ask("SELECT key FROM all_rows")
     assert len(rows) == len(set(rows)) == batches * nights * 2
+
+
+def test_an_index_made_anew_beside_batches_loses_no_row(tmp_path: Path) -> None:
+    make_sharded(tmp_path)
+    nights, turn = 10, Semaphore(0)  # a rebuilding a night: more would keep the nights waiting
+
+    def write() -> None:
+        for night in range(nights):
+            turn.release()
+            index, claims = Index(tmp_path), Claims(tmp_path, f"night{night}")
+            with claims.begin(index) as journal:
+                journal.add([row(f"k{night}", board="", status="rejected", reason="no MCAP")])
+            claims.end(index)
+
+    def make_anew() -> None:
+        for _ in range(nights):
+            turn.acquire()
+            with suppress(BusyError):
+                rebuild_index(tmp_path)
+
+    together(2, lambda number: make_anew() if number else write())
+    assert Index(tmp_path).done() == {f"k{night}" for night in range(nights)}
 
 
 def test_whole_batches_at_once_do_everything_once(tmp_path: Path) -> None:
