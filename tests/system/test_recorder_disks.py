@@ -2,13 +2,16 @@
 
 import os
 import subprocess
-from collections.abc import Iterator
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecorderState, RecordingPlan
 from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
+from gyrorig_daemon.service.jobs import put
 from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.recording.messages import ImuRaw
 from gyrorig_protocol.recording.reader import read_recording
@@ -17,6 +20,16 @@ METADATA = {"gyrorig": {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_
 TOPIC = "/board/B-1/imu_raw"
 SECOND = 1_000_000_000
 PER_SECOND = 100
+
+
+GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + 90.0
+    while not condition():
+        assert time.monotonic() < end_s, "it did not come true"
+        time.sleep(0.05)
 
 
 def run(*command: str) -> bool:
@@ -156,6 +169,37 @@ def test_a_card_that_dies(card: Card) -> None:
     assert sorted(set(found)) == list(range(session.k))
     # What had reached the card all the same is there twice: at most what one sync covers.
     assert len(found) - session.k <= 2 * PER_SECOND
+
+
+RIG = "rig: card\nptu: {port: emulated}\nboards: [{id: B-1, port: emulated}]\n"
+REST = b"name: rest\nsteps:\n  - rest: {seconds: 3600.0}\n"
+
+
+def degraded(metrics: Path) -> str:
+    """What the metrics say of the disk, "" where they say nothing yet."""
+    found = metrics / "gyrorig.prom"
+    lines = found.read_text().splitlines() if found.exists() else []
+    return next((line for line in lines if line.startswith("gyrorig_recorder_degraded ")), "")
+
+
+def test_a_service_whose_card_dies_says_so_in_its_metrics(tmp_path: Path, card: Card) -> None:
+    (tmp_path / "rig.yaml").write_text(RIG + "service: {reserve_mb: 0}\n")
+    state, runtime = card.folder / "state", tmp_path / "run"
+    with subprocess.Popen(
+        [*GYRORIGD, "run", "--config", "rig.yaml", "--state", state, "--socket", "sock"],
+        env=os.environ | {"RUNTIME_DIRECTORY": str(runtime)},
+        cwd=tmp_path,
+    ) as daemon:
+        try:
+            wait_for((state / "queue" / "done").is_dir)
+            put(state / "queue", REST, "rest.yaml")
+            wait_for(lambda: any((state / "recordings").glob("*.part")))
+            wait_for(lambda: degraded(runtime / "metrics") == "gyrorig_recorder_degraded 0")
+            card.fail()
+            wait_for(lambda: degraded(runtime / "metrics") == "gyrorig_recorder_degraded 1")
+        finally:
+            daemon.terminate()
+            daemon.wait(60)
 
 
 def test_one_shot_says_at_once_that_the_disk_is_full(small_disk: Path) -> None:

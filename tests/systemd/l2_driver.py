@@ -23,6 +23,7 @@ from tests.systemd.rig_on_ptys import FAR, RigOnPtys  # noqa: E402
 SERVICE = "gyrorigd.service"
 STATE = Path("/var/lib/gyrorig")
 SOCKET = Path("/run/gyrorig/gyrorigd.sock")
+METRICS = Path("/run/gyrorig/metrics/gyrorig.prom")
 KILLS = 6  # systemd by itself gives up at the sixth start within 10 s
 CHUNK_BYTES = 2000  # of a second: what was killed has something to be recovered
 DROP_IN = """
@@ -52,7 +53,7 @@ def show(unit: str, name: str) -> str:
     return say("systemctl", "show", unit, "-p", name, "--value")
 
 
-def until(holds: Callable[[], bool], limit_s: float = 30.0) -> float:
+def until(holds: Callable[[], bool], limit_s: float = 60.0) -> float:
     """Wait for a condition; return how long that took, or raise."""
     begun_s = time.monotonic()
     while not holds():
@@ -109,6 +110,7 @@ def ready(rig: RigOnPtys) -> dict[str, Any]:
     began_s = time.monotonic()
     said = say("systemctl", "restart", SERVICE)
     pid = show(SERVICE, "MainPID")
+    until(METRICS.exists)
     return {
         "said": said,
         "took_s": round(time.monotonic() - began_s, 2),
@@ -117,6 +119,7 @@ def ready(rig: RigOnPtys) -> dict[str, Any]:
         "user": say("ps", "-o", "user=", "-p", pid),
         "socket": say("stat", "-c", "%A %U %G", str(SOCKET)),
         "socket_folder": say("stat", "-c", "%A %U %G", str(SOCKET.parent)),
+        "metrics": say("stat", "-c", "%A %U %G", str(METRICS)),
         "status": say("/usr/local/bin/gyrorigd", "status", "--once"),
         "stranger": say("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups",
                         "/usr/local/bin/gyrorigd", "status", "--once"),
@@ -130,7 +133,7 @@ def killed(rig: RigOnPtys) -> dict[str, Any]:
     in_motion(rig)
     halts, pid = rig.halts, show(SERVICE, "MainPID")
     say("systemctl", "kill", "--signal=KILL", SERVICE)
-    stands_s = until(lambda: not rig.turns and rig.halts > halts, 12.0)
+    stands_s = until(lambda: not rig.turns and rig.halts > halts)
     back_s = until(lambda: is_active(pid))
     return {"stands_s": stands_s, "back_s": back_s, "turns": rig.turns}
 
@@ -140,7 +143,7 @@ def hung(rig: RigOnPtys) -> dict[str, Any]:
     in_motion(rig)
     halts, pid = rig.halts, show(SERVICE, "MainPID")
     os.kill(int(pid), 19)
-    stands_s = until(lambda: not rig.turns and rig.halts > halts, 12.0)
+    stands_s = until(lambda: not rig.turns and rig.halts > halts)
     back_s = until(lambda: is_active(pid))
     return {"stands_s": stands_s, "back_s": back_s, "log": (OUT / "daemon.log").read_text()}
 
@@ -154,7 +157,7 @@ def crash_loop() -> dict[str, Any]:
         until(lambda pid=pid: show(SERVICE, "MainPID") not in ("0", pid))  # type: ignore[misc]
     until(is_active)
     recovered = STATE / "recordings" / "unclean"
-    until(lambda: recovered.is_dir() and not written(), 60.0)
+    until(lambda: recovered.is_dir() and not written())
     return {
         "kills": KILLS,
         "restarts": int(show(SERVICE, "NRestarts")),
@@ -173,6 +176,7 @@ def stopped(rig: RigOnPtys) -> dict[str, Any]:
         "result": show(SERVICE, "Result"),
         "recordings": sorted(path.name for path in (STATE / "recordings").iterdir()),
         "mode": say("stat", "-c", "%A %U", str(STATE / "recordings")),
+        "metrics_stay": METRICS.exists(),
     }
 
 

@@ -32,7 +32,7 @@ mount -t overlay overlay -o lowerdir=/,upperdir={work}/up,workdir={work}/wk {wor
 rm -f {work}/m/etc/machine-id
 rm -rf {work}/m/opt/gyrorig {work}/m/etc/gyrorig {work}/m/var/lib/gyrorig
 cp -a {made}/. {work}/m/
-timeout {limit} systemd-nspawn -D {work}/m --register=no --keep-unit -M gyrorig-l2 \
+timeout {limit} systemd-nspawn -D {work}/m --register=no --keep-unit -M gyrorig-l2-{pid} \
   --private-network -b --console=pipe --bind={out}:/out --bind-ro={repo}:/repo \
   systemd.unit=multi-user.target </dev/null >{out}/boot.log 2>&1 || true
 for name in payload supervisor init.scope; do
@@ -111,7 +111,9 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     (units / "multi-user.target.wants").mkdir(parents=True)
     (units / "driver.service").write_text(_DRIVER)
     (units / "multi-user.target.wants" / "driver.service").symlink_to("../driver.service")
-    script = _OVERLAY.format(work=work, made=made, out=out, repo=ROOT, limit=TIMEOUT_S)
+    script = _OVERLAY.format(
+        work=work, made=made, out=out, repo=ROOT, limit=TIMEOUT_S, pid=os.getpid()
+    )
     ended = subprocess.run(
         ["unshare", "--mount", "--propagation", "private", "bash", "-c", script],
         capture_output=True, text=True, check=False,
@@ -143,6 +145,7 @@ def test_ready_as_its_own_user(found: dict[str, Any]) -> None:
     assert ready["halted"]
     assert ready["socket"] == "srw-rw---- gyrorig gyrorig"
     assert ready["socket_folder"] == "drwxr-x--- gyrorig gyrorig"
+    assert ready["metrics"] == "-rw-r----- gyrorig gyrorig"  # its group may read them
     assert "rig l1" in ready["status"]
     assert "rig l1" not in ready["stranger"]  # who is not in its group
 
@@ -173,7 +176,7 @@ def test_the_sandbox(found: dict[str, Any]) -> None:
 
 def test_killed_and_hung_in_motion(found: dict[str, Any]) -> None:
     for how in ("killed", "hung"):
-        assert found[how]["stands_s"] < 12.0  # of 15 s that it would have turned
+        assert found[how]["stands_s"] < 12.0  # of 37 s that it would have turned
     assert not found["killed"]["turns"]
     assert "ended by signal" in found["hung"]["log"]
     assert "ended by watchdog" in found["hung"]["log"]
@@ -191,6 +194,7 @@ def test_stopped_in_motion(found: dict[str, Any]) -> None:
     assert (stopped["result"], stopped["turns"]) == ("success", False)
     assert stopped["took_s"] < 30.0
     assert stopped["mode"] == "drwxr-x--- gyrorig"
+    assert stopped["metrics_stay"]  # whoever reads them sees how old they are
     assert "unclean" in stopped["recordings"]  # of the sessions that were killed
     assert not [name for name in stopped["recordings"] if name.endswith(".part")]
     assert len([name for name in stopped["recordings"] if name.endswith(".mcap")]) == 3

@@ -33,6 +33,11 @@ def _default_socket() -> Path:
     return Path(folder) / wire.SOCKET_NAME if folder else Path(wire.DEFAULT_SOCKET)
 
 
+def _default_metrics() -> Path | None:
+    folder = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
+    return Path(folder) / "metrics" if folder else None
+
+
 _state = click.option(
     "--state",
     type=_FOLDER,
@@ -60,11 +65,24 @@ _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON obj
     is_flag=False,
     flag_value=LIVE_DEFAULT,
     metavar="[HOST:PORT]",
-    help=f"Show it in Foxglove while it happens, at {LIVE_DEFAULT} if nothing else is said.",
+    help=f"Show it in Foxglove while it happens, at {LIVE_DEFAULT} if nothing else is said.  "
+    "[default: not shown]",
+)
+@click.option(
+    "--metrics",
+    type=_FOLDER,
+    default=_default_metrics,
+    show_default="$RUNTIME_DIRECTORY/metrics, else metrics in --state",
+    help="Where gyrorig.prom goes, for Prometheus; best not on the disk of the recordings.",
 )
 @click.option("--check", is_flag=True, help="Only say whether the configuration can be used.")
 def run_command(
-    config_path: Path, state: Path, socket_path: Path, live: str | None, check: bool
+    config_path: Path,
+    state: Path,
+    socket_path: Path,
+    live: str | None,
+    metrics: Path | None,
+    check: bool,
 ) -> None:
     """Serve a rig until stopped: sessions from the queue and the schedule, for months.
 
@@ -84,7 +102,7 @@ def run_command(
         return
     orders = Orders()
     with _signals(orders):
-        call = Call(config_path, state, socket_path, live)
+        call = Call(config_path, state, socket_path, live, metrics)
         Service(call, orders, Notifier.from_environment()).run()
 
 

@@ -1,8 +1,9 @@
 """The status as a text file for Prometheus, by a node exporter's textfile collector.
 
 What to use when: `MetricsWriter` as one of those that a status is published to. The file is
-replaced in one step, from a thread of its own: a slow disk holds up nothing. Names end as
-Prometheus wants them: `_total` only grows, everything else is as of now.
+replaced in one step, from a thread of its own: a slow disk holds up nothing. It belongs on
+another disk than the recordings, best in memory: one that fails could not say so. Names end
+as Prometheus wants them: `_total` only grows, everything else is as of now.
 """
 
 import math
@@ -13,11 +14,13 @@ from typing import Any
 
 from gyrorig_daemon.service.files import write_whole
 from gyrorig_daemon.service.keeping import is_sum
+from gyrorig_protocol.errors import MachineError
 
 FILE_NAME = "gyrorig.prom"
 STATES = ("starting", "waiting", "ready", "running", "fault", "stopping")
 KEPT_NOW = ("kept_for_calibrations",)
 MODE = 0o644  # the node exporter is another user
+ENDING_S = 2.0
 _ESCAPES = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 
 
@@ -28,16 +31,27 @@ class MetricsWriter:
         """Begin to write.
 
         Args:
-            folder: where the file goes.
+            folder: where the file goes; made where it is missing.
             every: each how many-th status is written. They come a second apart, meters are
                 read each 15 s or so, and a memory card wears.
+
+        Raises:
+            MachineError: the folder cannot be made.
         """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            raise MachineError(
+                f"no metrics can be written to {folder}: {fault.strerror}",
+                "name another folder with --metrics",
+            ) from fault
         self.path = folder / FILE_NAME
         self.failures = 0
         self._every = every
         self._seen = 0
+        self._turn = threading.Condition()  # held for a moment, never while the disk is waited for
         self._status: dict[str, Any] | None = None
-        self._wanted = threading.Event()
+        self._is_writing = False
         self._ended = False
         self._thread = threading.Thread(target=self._run, name="metrics", daemon=True)
         self._thread.start()
@@ -46,26 +60,42 @@ class MetricsWriter:
         """Take note of a status."""
         self._seen += 1
         if self._seen % self._every == 1 or self._every == 1:
-            self._status = status
-            self._wanted.set()
+            with self._turn:
+                if not self._ended:
+                    self._status = status
+                self._turn.notify_all()
+
+    def settle(self, limit_s: float) -> bool:
+        """Wait until nothing is left to be written; return False where that takes too long."""
+        with self._turn:
+            return self._turn.wait_for(
+                lambda: self._status is None and not self._is_writing, limit_s
+            )
 
     def close(self) -> None:
-        """Write no more; the file stays."""
-        self._ended = True
-        self._wanted.set()
-        self._thread.join(2.0)
+        """Write what it was given, and no more; the file stays."""
+        with self._turn:
+            self._ended = True
+            self._turn.notify_all()
+        self._thread.join(ENDING_S)
 
     def _run(self) -> None:
-        while not self._ended:
-            self._wanted.wait()
-            self._wanted.clear()
-            status, self._status = self._status, None
-            if status is None:
-                continue
+        while (status := self._next()) is not None:
             try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
                 write_whole(self.path, exposition(status).encode(), MODE, durable=False)
             except OSError:
                 self.failures += 1
+
+    def _next(self) -> dict[str, Any] | None:
+        """Wait for a status that is to be written; None at the end."""
+        with self._turn:
+            self._is_writing = False
+            self._turn.notify_all()
+            self._turn.wait_for(lambda: self._status is not None or self._ended)
+            status, self._status = self._status, None
+            self._is_writing = status is not None
+            return status
 
 
 def exposition(status: dict[str, Any]) -> str:

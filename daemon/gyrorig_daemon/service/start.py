@@ -54,6 +54,7 @@ class Call:
     state: Path
     socket: Path
     live: str | None = None  # HOST:PORT for Foxglove
+    metrics: Path | None = None  # the folder of the metrics' file, else one in `state`
     emulation: Emulation = field(default_factory=lambda: Emulation(session_s=EMULATED_USE_S))
 
 
@@ -116,7 +117,7 @@ class Service:
         with ExitStack() as stack:
             state = stack.enter_context(StateFolder(call.state))
             server = stack.enter_context(StatusServer(call.socket, self._handle, self._counts))
-            metrics = MetricsWriter(state.metrics)
+            metrics = MetricsWriter(call.metrics or state.metrics)
             stack.callback(metrics.close)
             keeper = Keeper(state, lambda: self._sound.config.service, self._clock_is_sound, log)
             stack.callback(keeper.close)

@@ -3,7 +3,7 @@
     lock               held while a daemon runs
     recordings/        what was recorded; unfinished files end in .part
     queue/             jobs: a file dropped here is carried out (see `jobs`)
-    metrics/           gyrorig.prom, for a Prometheus node exporter
+    metrics/           gyrorig.prom, for a Prometheus node exporter, unless told otherwise
     schedule.json      when each entry of the schedule was last begun
     rig.json           a hold on all motion, and doubt about the unit's steps
 
@@ -40,7 +40,7 @@ class StateFolder:
         """
         lock = self.root / "lock"
         try:
-            for folder in (self.root, self.recordings, self.queue, self.metrics):
+            for folder in (self.root, self.recordings, self.queue):
                 folder.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -7,7 +7,6 @@ rig sees them: the status on the socket, the metrics, and a halt.
 import errno
 import os
 import tempfile
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -55,11 +54,7 @@ class Failing(Disk):
 
 def metric(writer: MetricsWriter, name: str) -> float:
     """The value in the metrics' file once it is written: a thread of its own does that."""
-    end_s = time.monotonic() + 20.0
-    while writer._wanted.is_set() or writer._status is not None or not writer.path.exists():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-    time.sleep(0.05)  # the last one's replacing
+    assert writer.settle(60.0)
     lines = writer.path.read_text().splitlines()
     (line,) = [line for line in lines if line.startswith(f"{name} ")]
     return float(line.split()[1])

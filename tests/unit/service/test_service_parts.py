@@ -30,7 +30,7 @@ def test_what_systemd_is_told(tmp_path: Path) -> None:
     path = tmp_path / "n"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(path))
-        systemd.settimeout(5.0)
+        systemd.settimeout(60.0)
         environment = {
             "NOTIFY_SOCKET": str(path),
             "WATCHDOG_USEC": "10000000",
@@ -56,7 +56,7 @@ def test_an_abstract_address_and_somebody_elses_watchdog() -> None:
     name = f"gyrorig-test-{os.getpid()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind("\0" + name)
-        systemd.settimeout(5.0)
+        systemd.settimeout(60.0)
         environment = {"NOTIFY_SOCKET": f"@{name}", "WATCHDOG_USEC": "5", "WATCHDOG_PID": "1"}
         notifier = Notifier.from_environment(environment)
         assert notifier.watchdog_s is None
@@ -213,10 +213,25 @@ def test_the_metrics_are_what_prometheus_reads(make_bench: Make, tmp_path: Path)
 def test_a_disk_that_refuses_metrics_is_counted(make_bench: Make, tmp_path: Path) -> None:
     bench = make_bench()
     bench.serve(2.0)
-    writer = MetricsWriter(tmp_path / "none", every=1)
+    folder = tmp_path / "metrics"
+    writer = MetricsWriter(folder, every=1)  # it makes its folder
+    folder.rmdir()
+    folder.touch()  # root writes to any folder
     writer.publish(bench.statuses[-1])
-    writer.close()
+    assert writer.settle(60.0)
     assert writer.failures == 1
+    folder.unlink()
+    writer.publish(bench.statuses[-1])
+    writer.close()  # what it was given is written first
+    assert writer.failures == 1
+    assert writer.path.read_text() == exposition(bench.statuses[-1])
+
+
+def test_metrics_that_have_no_place(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(MachineError, match="no metrics can be written") as caught:
+        MetricsWriter(tmp_path / "file")
+    assert "--metrics" in caught.value.remedy
 
 
 def test_a_person_can_read_it(make_bench: Make) -> None:
