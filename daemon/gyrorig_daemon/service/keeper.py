@@ -121,6 +121,8 @@ class Keeper:
             if self._child is not None:
                 self._child.kill()
             if not self._ended.is_set():
+            if self._ended.is_set():  # `close` came a moment ago, and saw no child to end
+                self._child.kill()
                 self.counts.not_recovered += 1
                 self._log(f"the recovery of unfinished recordings broke off: {fault}")
         finally:
