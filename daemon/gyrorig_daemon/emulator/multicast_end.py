@@ -25,7 +25,7 @@ class MulticastEnd:
             OSError: there is no multicast here.
         """
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind((LOOPBACK, 0))
+            probe.bind((GROUP, 0))  # of the group: another emulator's bus is never joined
             self._destination = (GROUP, int(probe.getsockname()[1]))
         self._line = MulticastLine(*self._destination, LOOPBACK)
         self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
