@@ -15,7 +15,7 @@ from gyrorig_daemon.links.raw_clock import raw_ns
 from gyrorig_daemon.links.serial_port import RefusedError
 from gyrorig_protocol.can import CanFrame, pack_frames, unpack_frames
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 @pytest.fixture

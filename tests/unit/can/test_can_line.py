@@ -18,22 +18,22 @@ from gyrorig_daemon.links.can_multicast import (
     multicast_datagram,
     multicast_record,
 )
-from gyrorig_daemon.links.port_kinds import PortSettings
+from gyrorig_daemon.links.port_kinds import Line, PortSettings
 from gyrorig_daemon.links.raw_clock import raw_ns
 from gyrorig_daemon.links.serial_port import RefusedError
 from gyrorig_protocol.can import CanFrame, FrameFlag, pack_frames, unpack_frames
 
 GROUP, LOOPBACK = "239.74.163.7", "127.0.0.1"
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind((LOOPBACK, 0))
+        probe.bind((GROUP, 0))
         return int(probe.getsockname()[1])
 
 
-def read_frames(line: MulticastLine, count: int) -> list[CanFrame]:
+def read_frames(line: Line, count: int) -> list[CanFrame]:
     frames: list[CanFrame] = []
     poll = select.poll()
     poll.register(line.fd, select.POLLIN)
@@ -85,10 +85,10 @@ def test_python_can_understands_us_and_we_python_can() -> None:
         ]
         line.write(pack_frames([CanFrame(0x123, b"xyz")]))
         end_s = time.monotonic() + PATIENCE_S
-        message = bus.recv(1.0)
+        message = bus.recv(PATIENCE_S)
         while message is not None and message.arbitration_id != 0x123:
             assert time.monotonic() < end_s
-            message = bus.recv(1.0)
+            message = bus.recv(PATIENCE_S)
         assert message is not None
         assert (bytes(message.data), message.is_extended_id) == (b"xyz", False)
     finally:
@@ -104,13 +104,15 @@ def test_what_the_kernel_had_no_room_for_is_counted() -> None:
         for number in range(sent):
             line.write(pack_frames([CanFrame(1, struct.pack("<H", number))]))
         heard = read_frames(line, 1)
-        # the count comes with the next frame that found room
-        line.write(pack_frames([CanFrame(2, b"")]))
-        heard += read_frames(line, 1)
+        # The count comes with the next frame that found room; others may still be on their way.
+        while not any(f.flags == 0 and f.identifier == 2 for f in heard):
+            line.write(pack_frames([CanFrame(2, b"")]))
+            sent += 1
+            heard += read_frames(line, 1)
     finally:
         line.close()
     lost = sum(f.identifier for f in heard if f.flags == FrameFlag.LOST)
-    came = sum(f.flags == 0 and f.identifier == 1 for f in heard)
+    came = sum(f.flags == 0 for f in heard)
     assert lost > 0
     assert lost + came == sent
 
@@ -194,7 +196,7 @@ def test_an_interface_of_the_kernel() -> None:
         pytest.skip(f"no vcan0 here: {fault}")
     try:
         line.write(pack_frames([CanFrame(0x123, b"ab")]))
-        (frame,) = unpack_frames(line.read(), 0)
+        (frame,) = read_frames(line, 1)
     finally:
         line.close()
     assert (frame.identifier, frame.data) == (0x123, b"ab")

@@ -7,6 +7,8 @@ import pty
 import select
 import signal
 import socket
+import subprocess
+import sys
 import termios
 import time
 from collections.abc import Iterator
@@ -27,6 +29,8 @@ from gyrorig_protocol.can import CanFrame, pack_frames, unpack_frames
 from gyrorig_protocol.errors import BusyError, DeviceError, MachineError, UsageError
 
 SECOND_NS = 1_000_000_000
+PATIENCE_S = 60.0
+PATIENCE_NS = 60 * SECOND_NS
 TIOCGEXCL = 0x80045440  # <asm-generic/ioctls.h>
 
 
@@ -38,7 +42,7 @@ class Line:
         self.path = os.ttyname(held)
         self.held = held
 
-    def read(self, seconds: float = 5.0) -> bytes:
+    def read(self, seconds: float = PATIENCE_S) -> bytes:
         ready, _, _ = select.select([self.fd], [], [], seconds)
         return os.read(self.fd, 4096) if ready else b""
 
@@ -62,7 +66,7 @@ def test_bytes_pass_unchanged_and_are_stamped(line: Line) -> None:
         os.write(line.fd, every)
         got = b""
         while len(got) < len(every):
-            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            chunk = hub.read(raw_ns() + PATIENCE_NS)
             assert chunk is not None
             assert chunk.port == "a"
             assert before_ns < chunk.received_ns < raw_ns()
@@ -123,7 +127,7 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
 def test_a_hang_up_is_an_empty_chunk_and_writes_fail(line: Line) -> None:
     with AcquisitionHub({"a": PortSettings(line.path, 9600)}) as hub:
         line.close()
-        chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+        chunk = hub.read(raw_ns() + PATIENCE_NS)
         assert chunk is not None
         assert (chunk.data, chunk.change) == (b"", PortChange.GONE)
         assert not hub.is_up("a")
@@ -157,9 +161,9 @@ def cable(tmp_path: Path) -> Iterator[Cable]:
     made.pull()
 
 
-def next_change(hub: AcquisitionHub, change: PortChange, seconds: float = 10.0) -> Chunk:
+def next_change(hub: AcquisitionHub, change: PortChange) -> Chunk:
     """Read on until a port changes so."""
-    end_ns = raw_ns() + int(seconds * SECOND_NS)
+    end_ns = raw_ns() + PATIENCE_NS
     while (chunk := hub.read(end_ns)) is not None:
         if chunk.change is change:
             return chunk
@@ -191,24 +195,25 @@ def test_a_port_that_is_pulled_and_plugged_again_and_again(line: Line, cable: Ca
             gone = next_change(hub, PortChange.GONE)
             assert (gone.port, gone.text) == ("b", "it hung up")
             os.write(line.fd, b"goes on")
-            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            chunk = hub.read(raw_ns() + PATIENCE_NS)
             assert chunk is not None
             assert (chunk.port, chunk.data) == ("a", b"goes on")
             device = cable.plug()
             back = next_change(hub, PortChange.BACK)
             assert back.received_ns > gone.received_ns
             os.write(device.fd, b"here")
-            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            chunk = hub.read(raw_ns() + PATIENCE_NS)
             assert chunk is not None
             assert (chunk.port, chunk.data) == ("b", b"here")
 
 
 def test_a_port_can_be_opened_anew(line: Line) -> None:
-    with AcquisitionHub({"a": PortSettings(line.path, 9600)}) as hub:
+    # At once: the pause of a port that is lost would outlast every patience here.
+    with AcquisitionHub({"a": PortSettings(line.path, 9600)}, retry_s=3600.0) as hub:
         hub.reopen("a")
         assert next_change(hub, PortChange.GONE).text == "it is opened anew"
         assert not hub.is_up("a")
-        next_change(hub, PortChange.BACK, 1.0)  # at once, not after the pause of a lost port
+        next_change(hub, PortChange.BACK)
         hub.write("a", b"x")
         assert line.read() == b"x"
 
@@ -219,7 +224,7 @@ def test_a_stuck_port_can_be_opened_anew(line: Line, monkeypatch: pytest.MonkeyP
         with pytest.raises(DeviceError, match="does not take bytes"):
             hub.write("a", bytes(200_000))
         hub.reopen("a")
-        next_change(hub, PortChange.BACK, 5.0)
+        next_change(hub, PortChange.BACK)
 
 
 def test_whoever_waits_does_not_wait_for_a_busy_port(line: Line) -> None:
@@ -248,14 +253,17 @@ def test_a_port_that_takes_nothing_is_given_up(line: Line, monkeypatch: pytest.M
         hub.write("a", bytes(200_000))
 
 
+KILLED = """
+import os, signal, sys
+from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+hub = AcquisitionHub({"a": PortSettings(sys.argv[1], 9600, " H ")})
+os.kill(os.getpid(), signal.SIGKILL)  # a daemon that is killed without a word
+"""
+
+
 def test_when_the_daemon_dies_the_unit_is_halted(line: Line) -> None:
-    child = os.fork()
-    if child == 0:  # a daemon that is killed without a word
-        with suppress(BaseException):
-            AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")})
-            os.kill(os.getpid(), signal.SIGKILL)
-        os._exit(1)
-    os.waitpid(child, 0)
+    ended = subprocess.run([sys.executable, "-c", KILLED, line.path], check=False)
+    assert ended.returncode == -signal.SIGKILL
     assert line.read() == b" H "
 
 
@@ -263,14 +271,13 @@ def test_when_the_acquisition_dies_the_daemon_halts_the_unit(line: Line) -> None
     with AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")}) as hub:
         hub._child.kill()
         with pytest.raises(MachineError, match="acquisition process ended"):
-            hub.read(raw_ns() + 5 * SECOND_NS)
+            hub.read(raw_ns() + PATIENCE_NS)
     assert line.read() == b" H "
 
 
 def test_closing_says_no_farewell(line: Line) -> None:
     with AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")}) as hub:
         hub.write("a", b"V ")
-        time.sleep(0)
     assert line.read() == b"V "
     assert line.read(0.05) == b""
 
@@ -330,19 +337,20 @@ def test_chunks_are_gathered_with_a_stamp_each_and_answers_are_not_kept_waiting(
             time.sleep(0.0005)
         got = b""
         while len(got) < 40:
-            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            chunk = hub.read(raw_ns() + PATIENCE_NS)
             assert chunk is not None
             got += chunk.data
             stamps.append(chunk.received_ns)
         assert got == b"".join(b"%02d" % number for number in range(20))
         assert stamps == sorted(set(stamps))
-        waits_ns = []
-        for _ in range(20):
+        # On a machine with other work most of them come late; kept waiting, every one would.
+        waits_ns = [GATHER_NS]
+        while min(waits_ns) >= GATHER_NS // 2:
+            assert len(waits_ns) < 2_000
             os.write(unit.fd, b"*\r\n")
-            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+            chunk = hub.read(raw_ns() + PATIENCE_NS)
             assert chunk is not None
             waits_ns.append(raw_ns() - chunk.received_ns)
-        assert min(waits_ns) < GATHER_NS // 2
 
 
 def test_nothing_is_lost_while_the_daemon_does_not_read(line: Line) -> None:
@@ -356,36 +364,51 @@ def test_nothing_is_lost_while_the_daemon_does_not_read(line: Line) -> None:
                     rest = rest[os.write(line.fd, rest) :]
             got = 0
             while got < pieces * len(piece):
-                chunk = hub.read(raw_ns() + 5 * SECOND_NS)
+                chunk = hub.read(raw_ns() + PATIENCE_NS)
                 assert chunk is not None
                 assert chunk.data[0] == got % 256
                 got += len(chunk.data)
         assert hub.dropped_bytes == 0
 
 
+def windows(stamps_ns: list[int], length_ns: int) -> int:
+    """How many readings take all that came, if each takes what came within so long."""
+    count, first_ns = 0, -length_ns
+    for stamp_ns in stamps_ns:
+        if stamp_ns - first_ns >= length_ns:
+            count, first_ns = count + 1, stamp_ns
+    return count
+
+
 def test_frames_of_a_bus_are_read_together_with_a_stamp_each() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
+        probe.bind(("239.74.163.8", 0))
         port = probe.getsockname()[1]
     path = f"udp_multicast:239.74.163.8:{port}@127.0.0.1"
     sender = MulticastLine("239.74.163.8", port, "127.0.0.1")
     with AcquisitionHub({"bus": PortSettings(path, 1_000_000, kind="can")}) as hub:
-        for number in range(40):
-            sender.write(pack_frames([CanFrame(0x80, bytes([number]))]))
-            time.sleep(0.0005)
-        frames: list[CanFrame] = []
-        chunks = 0
-        while len(frames) < 40:
-            chunk = hub.read(raw_ns() + 5 * SECOND_NS)
-            assert chunk is not None
-            chunks += 1
-            frames += unpack_frames(chunk.data, 0)
+        for _ in range(100):  # until the sender was not kept from its turn too often
+            for number in range(40):
+                sender.write(pack_frames([CanFrame(0x80, bytes([number]))]))
+                time.sleep(0.0005)
+            frames: list[CanFrame] = []
+            chunks = 0
+            while len(frames) < 40:
+                chunk = hub.read(raw_ns() + PATIENCE_NS)
+                assert chunk is not None
+                chunks += 1
+                frames += unpack_frames(chunk.data, 0)
+            assert [frame.data[0] for frame in frames] == list(range(40))
+            stamps = [frame.stamp_ns for frame in frames]
+            assert stamps == sorted(stamps)
+            # when they came, not when they were read
+            assert stamps[-1] - stamps[0] > 39 * 500_000 * 0.8
+            # a reading begins when its first frame has come, and the clocks' pairs scatter
+            assert chunks <= windows(stamps, GATHER_NS * 9 // 10)
+            if chunks < 30:
+                break
+        assert chunks < 30
     sender.close()
-    assert [frame.data[0] for frame in frames] == list(range(40))
-    stamps = [frame.stamp_ns for frame in frames]
-    assert stamps == sorted(stamps)
-    assert stamps[-1] - stamps[0] > 39 * 500_000 * 0.8  # when they came, not when they were read
-    assert chunks < 30
 
 
 def test_chunks_that_came_together_are_handed_out_together(line: Line) -> None:
@@ -395,7 +418,7 @@ def test_chunks_that_came_together_are_handed_out_together(line: Line) -> None:
         pump.attach("a", lambda chunk: taken.append(chunk.data))
         for number in range(200):
             os.write(line.fd, b"%03d" % number)
-        end_ns = raw_ns() + 5 * SECOND_NS
+        end_ns = raw_ns() + PATIENCE_NS
         assert pump.run_until(end_ns, lambda: b"".join(taken)[:9] == b"000001002")
         assert pump.run_until(end_ns, lambda: len(b"".join(taken)) == 600)
         assert not hub.at_hand

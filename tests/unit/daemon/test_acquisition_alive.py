@@ -16,6 +16,7 @@ from gyrorig_daemon.links.raw_clock import raw_ns
 
 BEHIND_S = 1.5
 SECOND_NS = 1_000_000_000
+PATIENCE_NS = 60 * SECOND_NS
 
 
 @contextmanager
@@ -44,7 +45,7 @@ def test_a_daemon_that_is_behind_does_not_take_the_acquisition_for_dead() -> Non
     with talking() as path, AcquisitionHub({"board": PortSettings(path, 115200)}) as hub:
         hub.ping()
         time.sleep(BEHIND_S)  # its answer lies in the pipe all the while
-        assert hub.read(raw_ns() + SECOND_NS) is not None
+        assert hub.read(raw_ns() + PATIENCE_NS) is not None
         assert raw_ns() - hub.answered_ns < BEHIND_S / 2 * SECOND_NS
         behind_ns = hub.at_hand[0].received_ns if hub.at_hand else 0
         assert behind_ns < hub.answered_ns
@@ -58,7 +59,9 @@ def test_what_says_nothing_is_not_taken_for_alive() -> None:
         assert hub.read(raw_ns() + SECOND_NS // 5) is None
         assert hub.answered_ns == before_ns
         hub.ping()
-        assert hub.read(raw_ns() + SECOND_NS // 2) is None  # an answer is no chunk
-        assert hub.answered_ns > before_ns
+        end_ns = raw_ns() + PATIENCE_NS
+        while hub.answered_ns == before_ns:
+            assert raw_ns() < end_ns
+            assert hub.read(raw_ns() + SECOND_NS // 10) is None  # an answer is no chunk
     os.close(held)
     os.close(device)

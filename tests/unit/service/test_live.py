@@ -37,7 +37,7 @@ class Viewer:
 
     def __init__(self, port: int) -> None:
         self.socket: WebSocket = create_connection(
-            f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], timeout=20.0
+            f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], timeout=60.0
         )
         self.info: dict[str, Any] = json.loads(self.socket.recv())
         self.channels: dict[str, dict[str, Any]] = {}
@@ -63,7 +63,7 @@ class Viewer:
 
 def until_watched(view: FoxgloveView, topic: str) -> None:
     """Wait until the subscription has arrived: it comes on a thread of the library's."""
-    end_s = time.monotonic() + 20.0
+    end_s = time.monotonic() + 60.0
     while not view._channels[topic].has_sinks():
         assert time.monotonic() < end_s
         time.sleep(0.005)

@@ -36,7 +36,7 @@ class Served:
 
     def connect(self) -> socket.socket:
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        connection.settimeout(5.0)
+        connection.settimeout(60.0)
         connection.connect(str(self.path))
         return connection
 
