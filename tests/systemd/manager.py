@@ -115,7 +115,7 @@ class Manager:
         text = self.say(f"systemctl --user show {unit} -p {','.join(names)}")
         return dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
 
-    def until(self, holds: Callable[[], bool], limit_s: float = 30.0) -> None:
+    def until(self, holds: Callable[[], bool], limit_s: float = 60.0) -> None:
         """Wait for a condition; raises with the units' log when it does not come."""
         end_s = time.monotonic() + limit_s
         while not holds():

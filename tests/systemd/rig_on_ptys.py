@@ -11,7 +11,7 @@ from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
 from gyrorig_daemon.emulator.rig import EmulatedRig
 from gyrorig_daemon.emulator.settings import BoardSettings, PtuSettings, RigSettings
 
-FAR = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n"  # 15 s
+FAR = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 4.0}\n"  # 37.5 s
 
 
 class RigOnPtys:

@@ -30,7 +30,7 @@ def run(*command: str | Path) -> subprocess.CompletedProcess[str]:
         stderr=subprocess.STDOUT,
         text=True,
         check=False,
-        timeout=30,
+        timeout=100,
     )
 
 
@@ -125,7 +125,7 @@ def complaints(udevadm: str, rules: str) -> list[str]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=30,
+        timeout=100,
     )
     said = [line for line in ended.stdout.splitlines() if "70-gyrorig.rules" in line]
     if not said:
