@@ -14,7 +14,7 @@ SECONDS ?= 180
 PIP    := $(VENV)/bin/python -m pip install --disable-pip-version-check --progress-bar on -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check docs pictures first-steps test-docs test-pages test-packages bench hidden fuzz kill test-qemu install-service clean
+.PHONY: help demo test test-long check docs pictures first-steps test-docs test-pages test-packages bench hidden fuzz kill test-qemu install-service clean
 
 help:  ## this text
 	@echo "Gyrorig: what a gyroscope really does, and how far to believe it."
@@ -26,8 +26,11 @@ help:  ## this text
 demo: $(VENV)/.solver  ## the whole way on an emulated rig; writes demo/ (SEED=7 is another rig)
 	@$(VENV)/bin/gyrorig demo --out $(OUT) $(if $(SEED),--seed $(SEED))
 
-test: $(VENV)/.dev  ## every test
-	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile --no-loadscope-reorder -m "not bench and not pages"
+test: $(VENV)/.dev  ## the tests; test-long, test-pages, test-docs and test-packages have the rest
+	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile --no-loadscope-reorder -m "not bench and not pages and not long"
+
+test-long: $(VENV)/.dev  ## searches for causes over several boards or recordings; minutes
+	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile -m long
 
 check: $(VENV)/.dev  ## style, types and import contracts
 	$(VENV)/bin/ruff check

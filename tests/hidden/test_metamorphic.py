@@ -17,6 +17,8 @@ from gyrorig_solver.discover.finder import explain
 from gyrorig_solver.discover.result import Findings, NamedCause
 from gyrorig_solver.samples import GyroSamples, load_samples
 
+pytestmark = pytest.mark.long
+
 FAR = 4.0  # standard deviations: one in 16 000
 TURNED = {"x": "y", "y": "z", "z": "x"}
 HIDDEN: Line = {"cause": "scale_quadratic", "place": "x", "seed": 301, "kind": "one"}

@@ -10,6 +10,8 @@ from types import ModuleType
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 
 def _pairs() -> ModuleType:
     path = Path(__file__).with_name("pairs.py")

@@ -105,6 +105,7 @@ def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
     assert 10.0 < begin_s < end_s < begin_s + 60.0
 
 
+@pytest.mark.long
 def test_a_rung_is_met_by_the_session_that_comes_of_it(tmp_path: Path) -> None:
     # nearly all of it is absorbed: what is left hangs on how the samples fall on the edges
     told = sizer_of(RIG).size_of_cause("s_curve", "", 2.0, 1.0)

@@ -25,6 +25,8 @@ from gyrorig_solver.findings.explaining import Explanation, explain_together
 from gyrorig_solver.model.terms.catalogue import catalogue
 from gyrorig_solver.on_unit import unit_solution
 
+pytestmark = pytest.mark.long
+
 BOARDS = ("GY80-1", "GY80-2", "GY80-3", "GY80-4")
 FAR = 4.0  # standard deviations
 

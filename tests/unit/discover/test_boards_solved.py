@@ -10,6 +10,8 @@ import pytest
 from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration.solving import AUTO, Ready, fits_together
 
+pytestmark = pytest.mark.long
+
 BOARDS = [BoardId("GY80-1"), BoardId("GY80-2")]
 LENGTH_S = 0.03
 FAR = 4.0  # standard deviations

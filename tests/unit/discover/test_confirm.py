@@ -44,6 +44,7 @@ def beside(solution: Solution, cause: str) -> Extension:
     return best[0].extension
 
 
+@pytest.mark.long
 def test_what_the_fit_can_do_without_is_refused(base: Fit) -> None:
     plain = base("backlash@tilt:0.0012")
     gap = beside(plain, "backlash")

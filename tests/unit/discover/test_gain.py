@@ -11,6 +11,8 @@ from gyrorig_solver.discover.gain import held_out
 from gyrorig_solver.discover.result import Explained
 from gyrorig_solver.estimate.projection import Projection
 
+pytestmark = pytest.mark.long
+
 TWO = ("backlash@tilt:0.0012", "scale_quadratic:0.004")
 
 

@@ -45,6 +45,7 @@ def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., Hidden]) ->
     assert found.detectable_s < 5e-4
 
 
+@pytest.mark.long
 def test_a_smooth_misfit_is_no_jitter(hidden: Callable[..., Hidden]) -> None:
     found = find_jitter(_looked(hidden("s_curve:0.05", program="survey-40")), TESTS, ALPHA, 0.8)
     assert found is not None

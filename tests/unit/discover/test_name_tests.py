@@ -97,6 +97,7 @@ def test_chances_are_uniform_at_most_where_the_name_is_right(base: Base) -> None
     assert chances.min() > LEVEL / chances.size
 
 
+@pytest.mark.long
 def test_a_slip_of_less_than_a_step_is_no_lost_step(base: Base) -> None:
     right = _named(base("lost_steps:1"), "lost_steps")
     assert kept(base("lost_steps:1"), right)[1] == ()

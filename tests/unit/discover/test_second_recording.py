@@ -14,6 +14,8 @@ from gyrorig_solver.discover.second import Other
 from gyrorig_solver.on_unit import unit_solution
 from gyrorig_solver.samples import load_samples
 
+pytestmark = pytest.mark.long
+
 BEND = "scale_quadratic:0.004"
 
 

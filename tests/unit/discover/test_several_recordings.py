@@ -10,6 +10,8 @@ from gyrorig_solver.discover.result import NamedCause
 from gyrorig_solver.findings.build import Origin, document_of
 from gyrorig_solver.findings.document import Subject
 
+pytestmark = pytest.mark.long
+
 FAR = 4.0  # standard deviations
 
 

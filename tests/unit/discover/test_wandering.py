@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from gyrorig_solver.discover.finder import explain
 from gyrorig_solver.discover.walks import leaps, look_for_walk
@@ -13,6 +14,7 @@ from gyrorig_solver.estimate.noise import ordinary_levels
 from gyrorig_solver.on_unit import unit_solution
 
 
+@pytest.mark.long
 def test_where_flicker_says_it_as_well_there_is_no_name(hidden: Callable[..., Any]) -> None:
     """Over 40 s the two are nearly alike: what is odd is told, and by what it depends on."""
     session = hidden("bias_random_walk:0.001")
