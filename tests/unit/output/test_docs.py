@@ -40,9 +40,9 @@ PRINTED = sorted({tuple(c) for page in PAGES for c in commands_of(page)})
 
 
 @cache
-def help_of(program: str, command: str) -> str:
+def help_of(program: str, *command: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-m", MODULES[program], command, "--help"],
+        [sys.executable, "-m", MODULES[program], *command, "--help"],
         capture_output=True,
         text=True,
         check=False,
@@ -73,6 +73,8 @@ def test_printed_commands_exist(printed: tuple[str, ...]) -> None:
         text = "--traceback --version --help"
     else:
         text = help_of(program, command)
+        if "\nCommands:\n" in text and rest and not rest[0].startswith("-"):  # a group
+            command, text = f"{command} {rest[0]}", help_of(program, command, rest.pop(0))
     assert text, f"there is no {program} {command}"
     for word in rest:
         if word.startswith("--"):

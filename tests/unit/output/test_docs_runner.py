@@ -1,9 +1,12 @@
 """What `make test-docs` takes for a command, and what it does not let pass."""
 
+import re
 from pathlib import Path
 
 import pytest
-from tests.docs.run import REASONS, DocumentError, Reader, Tally, blocks, pages
+from tests.docs.blocks import DocumentError, blocks, pages
+from tests.docs.places import CannotBeHereError, Place, Places
+from tests.docs.run import Reader, Tally
 
 ENDS_WELL = (
     'python3 -c "import pathlib, signal, sys; signal.signal(15, lambda *_: sys.exit(CODE)); '
@@ -16,7 +19,8 @@ def followed(folder: Path, text: str) -> Tally:
     page.write_text(text)
     place = folder / "place"
     place.mkdir()
-    return Reader(place, folder / "no-data").follow(page)
+    with Places(folder / "no-data") as places:
+        return Reader(place, places, has_data=False).follow(page)
 
 
 @pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
@@ -38,10 +42,39 @@ def test_a_page_is_run_from_the_top(tmp_path: Path) -> None:
 def test_what_is_only_looked_at_is_counted_by_its_reason(tmp_path: Path) -> None:
     tally = followed(
         tmp_path,
-        '<!-- test: look: root -->\n```sh\nexit 1\nexit 2\n```\n```sh\nls "$GYRORIG_DATA"\n```\n',
+        "<!-- test: look: elsewhere -->\n```sh\nexit 1\nexit 2\n```\n"
+        '```sh\nls "$GYRORIG_DATA"\n```\n',
     )
-    assert (tally.failure, tally.ran, tally.looked) == ("", 0, {"root": 2, "data": 1})
-    assert tally.said() == "0 run, 3 looked at (data 1, root 2)"
+    assert (tally.failure, tally.ran, tally.looked) == ("", 0, {"elsewhere": 2, "data": 1})
+    assert tally.said() == "0 run, 3 looked at (data 1, elsewhere 2)"
+
+
+def test_what_a_page_takes_for_done_is_done_before(tmp_path: Path) -> None:
+    tally = followed(
+        tmp_path,
+        "<!-- test: after echo NAME=3 > name -->\n<!-- test: after . ./name -->\n"
+        "```sh\ntest $NAME = 3\n```\n"
+        "<!-- test: after echo 2 > two -->\n```python\nassert open('two').read() == '2\\n'\n```\n",
+    )
+    assert (tally.failure, tally.ran) == ("", 2)
+
+
+def test_where_a_place_cannot_be_its_commands_are_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nowhere(places: Places, word: str, folder: Path) -> Place:
+        raise CannotBeHereError("a container needs root")
+
+    monkeypatch.setattr(Places, "place", nowhere)
+    tally = followed(tmp_path, "<!-- test: in rig -->\n```sh\nfalse\nfalse\n```\n")
+    assert tally.said() == "0 run, 2 looked at (rig: a container needs root 2)"
+    assert tally.failure == ""
+
+
+def test_a_program_that_is_brought_elsewhere(tmp_path: Path) -> None:
+    """What a place puts before a command, and the folder and words that it stands in there."""
+    place = Place(tmp_path, {}, ("nsenter", "--net"))
+    assert place.argv("ls") == ["nsenter", "--net", "env", f"--chdir={tmp_path}", "ls"]
 
 
 @pytest.mark.parametrize("how", ["look", "look:", "look: laziness", "skip", "serve", "save"])
@@ -50,7 +83,6 @@ def test_no_block_is_passed_over_without_a_reason(tmp_path: Path, how: str) -> N
     page.write_text(f"# x\n\n<!-- test: {how} -->\n```sh\ntrue\n```\n")
     with pytest.raises(DocumentError, match=r"page\.md:5"):
         list(blocks(page))
-    assert REASONS
 
 
 def test_what_fails_is_named_by_page_and_line(tmp_path: Path) -> None:
@@ -81,3 +113,37 @@ def test_four_is_done_with_something_left_open(tmp_path: Path) -> None:
         folder.mkdir()
         refused = followed(folder, f"```sh\n{ours}{program} leave 3\n```\n")
         assert refused.failure.startswith("page.md:2: left with 3")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("```\ngyrorig solve a.mcap\n```\n", "commands stand in ```sh"),
+        ("```text\n$ sudo make install-service\n```\n", "commands stand in ```sh"),
+        ("<!-- test: look: no time -->\n```sh\nmake\n```\n", "look 'no time': say one of"),
+        ("<!-- test: in a dream -->\n```sh\nmake\n```\n", "in 'a dream': say one of"),
+        ("<!-- test: serve -->\n```sh\nmake\n```\n", "how is it to be taken: 'serve'?"),
+        ("<!-- test: later -->\n```sh\nmake\n```\n", "how is it to be taken: 'later'?"),
+    ],
+)
+def test_a_block_that_nobody_would_run_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(f"# A page\n\n```text\nrig  running\n```\n\n{text}")
+    with pytest.raises(DocumentError, match=re.escape(said)) as refused:
+        list(blocks(page))
+    assert str(refused.value).startswith("page.md:")
+
+
+def test_marks_of_a_block(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "<!-- test: in rig -->\n<!-- test: after one --out a -->\n<!-- test: after two -->\n"
+        "```sh\nls\n\nsudo ls\n```\n<!-- test: save a.yaml -->\n```yaml\na: 1\n```\n"
+        "```yaml\nb: 1\n```\n```python\nprint(1)\nprint(2)\n```\n"
+    )
+    rig, save, python = blocks(page)
+    assert (rig.how, rig.place, rig.before, rig.count) == (
+        "run", "rig", ("one --out a", "two"), 2,
+    )  # fmt: skip
+    assert (save.how, save.told, save.body, save.count) == ("save", "a.yaml", "a: 1\n", 0)
+    assert (python.kind, python.count, python.line) == ("python", 1, 17)
