@@ -1,6 +1,7 @@
 """A rig with boards on CAN buses, from the bus to the calibration."""
 
 import json
+import socket
 import struct
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from gyrorig_solver.calibration.store import CalibrationStore
 from gyrorig_solver.check.truth import compare
 
 ROOT = Path(__file__).parents[2]
-GROUP, PORT = "239.74.163.11", 43117
+GROUP = "239.74.163.11"
 RIG = """
 rig: can-1
 site: {gravity_m_s2: 9.80665}
@@ -31,25 +32,25 @@ boards:
   - {id: C-2, bus: can0, node: 2}
 emulator: {seed: 5, command_time_ms: 5.0, odr_hz: 100, bandwidth_hz: 25.0}
 """
-MIXED = f"""
+MIXED = """
 rig: can-2
-ptu: {{port: emulated, baud: 115200}}
+ptu: {port: emulated, baud: 115200}
 buses:
-  - {{id: can0, port: emulated}}
-  - {{id: lab, port: "udp_multicast:{GROUP}:{PORT}"}}
+  - {id: can0, port: emulated}
+  - {id: lab, port: "udp_multicast:GROUP:PORT"}
 boards:
-  - {{id: C-1, bus: can0, node: 1}}
+  - {id: C-1, bus: can0, node: 1}
   - id: J-1
     bus: lab
     format: signals
-    signals: {{preset: j1939, source_address: 128}}
-    facts: {{uid: J1939-128, odr_hz: 100.0}}
+    signals: {preset: j1939, source_address: 128}
+    facts: {uid: J1939-128, odr_hz: 100.0}
   - id: D-1
     bus: lab
     format: signals
-    signals: {{dbc: imu.dbc, gyro: [Rates.X, null, null], counter: Rates.Count}}
-    facts: {{uid: by-hand, sensor: one axis}}
-emulator: {{odr_hz: 100}}
+    signals: {dbc: imu.dbc, gyro: [Rates.X, null, null], counter: Rates.Count}
+    facts: {uid: by-hand, sensor: one axis}
+emulator: {odr_hz: 100}
 """
 DBC = """\
 BO_ 801 Rates: 8 IMU
@@ -102,12 +103,13 @@ def test_a_board_on_a_bus_is_calibrated(tmp_path: Path) -> None:
 class Sender(threading.Thread):
     """A J1939 IMU of 100 Hz, and one of a single axis, by python-can itself."""
 
-    def __init__(self) -> None:
+    def __init__(self, port: int) -> None:
         super().__init__(daemon=True)
+        self.port = port
         self.over = threading.Event()
 
     def run(self) -> None:
-        bus = can.Bus(interface="udp_multicast", channel=GROUP, port=PORT)
+        bus = can.Bus(interface="udp_multicast", channel=GROUP, port=self.port)
         count = 0
         while not self.over.wait(0.01):
             count += 1
@@ -120,20 +122,29 @@ class Sender(threading.Thread):
         bus.shutdown()
 
 
+def free_port() -> int:
+    """A port on which nobody else is in the group."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind((GROUP, 0))
+        return int(probe.getsockname()[1])
+
+
 def test_two_buses_in_real_time_one_of_them_with_other_peoples_imus(
     tmp_path: Path, contract_judge: Path
 ) -> None:
+    port = free_port()
     try:
-        can.Bus(interface="udp_multicast", channel=GROUP, port=PORT).shutdown()
+        can.Bus(interface="udp_multicast", channel=GROUP, port=port).shutdown()
     except can.CanError as fault:
         pytest.skip(f"python-can needs a network interface with multicast: {fault}")
     (tmp_path / "imu.dbc").write_text(DBC)
     program = tmp_path / "short.yaml"
     program.write_text(PROGRAM)
-    sender = Sender()
+    sender = Sender(port)
     sender.start()
     try:
-        path = record(tmp_path, MIXED, program)
+        rig = MIXED.replace("GROUP", GROUP).replace("PORT", str(port))
+        path = record(tmp_path, rig, program)
     finally:
         sender.over.set()
         sender.join()

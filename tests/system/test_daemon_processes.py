@@ -40,7 +40,8 @@ steps:
   - move: {pan_deg: -10.0, speed_deg_s: 45.0}
   - home: {}
 """
-LONG = "name: long\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 15.0}\n"
+LONG = "name: long\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 4.0}\n"  # 37.5 s
+PATIENCE_S = 60.0
 TARGET_STEPS = 2917  # 150 deg
 
 
@@ -70,12 +71,12 @@ def emulator(folder: Path) -> Iterator[dict[str, str]]:
         raise AssertionError
     with process.stdout, process.stdin:
         yield json.loads(process.stdout.readline())["ports"]
-    assert process.wait(20) == 0
+    assert process.wait(PATIENCE_S) == 0
 
 
 def pan_steps(path: str) -> int:
     """Ask the unit itself; wait while a dying process still holds the port."""
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + PATIENCE_S
     while True:
         try:
             hub = AcquisitionHub({"ptu": PortSettings(path, BAUD)})
@@ -93,7 +94,7 @@ def pan_steps(path: str) -> int:
 
 def wait_for_motion(folder: Path) -> Path:
     """Wait until the growing file says that pan is on its way."""
-    deadline = time.monotonic() + 40.0
+    deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         with suppress(GyrorigError, ValueError, KeyError):
             for path in folder.glob("*.mcap.part"):
@@ -132,7 +133,7 @@ def test_a_signal_in_motion_halts_and_keeps(tmp_path: Path, number: signal.Signa
         daemon = subprocess.Popen([*GYRORIGD, *arguments], stderr=subprocess.PIPE, text=True)
         wait_for_motion(tmp_path / "out")
         daemon.send_signal(number)
-        _, told = daemon.communicate(timeout=30)
+        _, told = daemon.communicate(timeout=PATIENCE_S)
         assert daemon.returncode == 1
         assert told.startswith(f"gyrorigd: stopped by {number.name}: the unit is halted")
         assert told.count("\n") == 1
@@ -330,6 +331,6 @@ def test_emulate_ends_on_a_signal(tmp_path: Path, number: signal.Signals) -> Non
         raise AssertionError
     names = {process.stdout.readline().split("\t")[0] for _ in range(2)}
     process.send_signal(number)
-    assert process.wait(20) == 0
+    assert process.wait(PATIENCE_S) == 0
     _, told = process.communicate()
     assert (names, told) == ({"ptu", "board:B-1"}, "")

@@ -52,7 +52,7 @@ def bridged(path: str) -> Iterator[int]:
     line = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     tty.setraw(line)
     ended, listener = os.pipe(), socket.create_server(("127.0.0.1", 0))
-    listener.settimeout(30.0)
+    listener.settimeout(60.0)
 
     def serve() -> None:
         with listener.accept()[0] as client:
@@ -83,7 +83,7 @@ def bridged(path: str) -> Iterator[int]:
 @pytest.mark.parametrize(("echo", "baud"), [(True, 9600), (False, 9600), (True, 115200)])
 def test_a_whole_script(echo: bool, baud: int, command_time_ms: float) -> None:
     with served(PtuSettings(echo=echo, command_time_ms=command_time_ms)) as path:
-        unit = PTU(path, baud=baud, timeout=10)
+        unit = PTU(path, baud=baud, timeout=60)
         assert unit.echo is echo
         assert unit.panResolution == unit.tiltResolution == 185.142857
         assert (unit.minPan, unit.maxPan) == (-3090, 3090)

@@ -34,8 +34,9 @@ boards:
   - {{id: B-1, port: {first}, baud: 460800}}
   - {{id: B-2, port: {second}, baud: 460800}}
 """
-REST = "name: rest\nsteps:\n  - rest: {seconds: 5.5, phase: static}\n"
-MOVE = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n"
+# Long enough for all that happens meanwhile to be seen in the file also on a busy machine.
+REST = "name: rest\nsteps:\n  - rest: {seconds: 15.0, phase: static}\n"
+MOVE = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 4.0}\n"
 
 
 class Cable:
@@ -130,7 +131,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     made.close()
 
 
-def wait_for(done: Callable[[], bool], seconds: float = 40.0) -> None:
+def wait_for(done: Callable[[], bool], seconds: float = 60.0) -> None:
     end_s = time.monotonic() + seconds
     while not done():
         assert time.monotonic() < end_s
@@ -214,7 +215,7 @@ def child_of(pid: int) -> int:
 def test_a_process_that_was_stopped_catches_nothing_up(bench: Bench) -> None:
     daemon = bench.record(REST)
     wait_for(lambda: growing(bench) > 50)
-    with stopped(child_of(daemon.pid), 0.8):
+    with stopped(child_of(daemon.pid), 0.6):  # a poll has a second's patience
         pass
     wait_for(lambda: growing(bench) > 200)
     with stopped(daemon.pid, 1.2):
@@ -227,7 +228,7 @@ def test_a_process_that_was_stopped_catches_nothing_up(bench: Bench) -> None:
     assert any(text.startswith("the daemon") for text in stalls)
     for board in ("B-1", "B-2"):
         sequence = recording.array(f"/board/{board}/imu_raw")["sequence"].astype(np.int64)
-        assert np.all(np.diff(sequence) == 1)  # the kernel kept 0.8 s of it
+        assert np.all(np.diff(sequence) == 1)  # the kernel kept 0.6 s of it
     positions = recording.array("/ptu/position")
     asked = positions["request_time"]
     asked_ns = asked["sec"].astype(np.int64) * 1_000_000_000 + asked["nanosec"]

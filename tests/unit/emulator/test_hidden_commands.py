@@ -181,7 +181,7 @@ def test_the_emulator_alone_keeps_its_seal_closed_while_it_runs(tmp_path: Path) 
         assert set(closed) == {"seal"}
         assert closed["seal"]["sha256"] == announced["seal"]
         process.stdin.close()
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
     opened = json.loads(truth.read_text())
     assert opened["hidden"]["causes"][1]["where"] == "pan"
     assert opened["seal"] == closed["seal"]

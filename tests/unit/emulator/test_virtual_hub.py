@@ -227,9 +227,9 @@ def test_a_pty_gives_the_bytes_of_the_virtual_hub() -> None:
     thread = threading.Thread(target=server.run, args=(stop.is_set,))
     thread.start()
     try:
-        with serial.Serial(server.paths["ptu"], 115200, timeout=5.0) as port:
+        with serial.Serial(server.paths["ptu"], 115200, timeout=60.0) as port:
             # Opened, so that from now on it is delivered to.
-            deadline = time.monotonic() + 5.0
+            deadline = time.monotonic() + 60.0
             got = b""
             for command in script:
                 port.write(command)
