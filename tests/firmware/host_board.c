@@ -88,6 +88,7 @@ int main(int count, char **arguments) {
             } else {
                 take(&board, due);
             }
+            gyb_poll(&board); /* after a standstill there are more than its queue holds */
             due += PERIOD_US;
         }
         gyb_poll(&board);

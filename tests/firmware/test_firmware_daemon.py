@@ -19,7 +19,7 @@ from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.recording.messages import ClockPing, ImuRaw, ImuStatus
 
-RUN_NS = 1_000_000_000
+PATIENCE_NS = 60_000_000_000
 PERIOD_US = 5_000  # of host_board.c
 GAP_EVERY = 100
 
@@ -35,7 +35,7 @@ def port(request: pytest.FixtureRequest, host_board: Path) -> Iterator[str]:
         yield os.ttyname(held)
     finally:
         program.terminate()
-        program.wait(10)
+        program.wait(60)
         with suppress(OSError):
             os.close(held)
 
@@ -55,7 +55,8 @@ def test_every_sample_arrives_as_it_was_taken(port: str) -> None:
         pump = Pump(hub)
         link = BoardLink(pump, config, anchor_now(), sinks, random.Random(1))
         link.identify()
-        pump.run_until(pump.now_ns() + RUN_NS)
+        end_ns = pump.now_ns() + PATIENCE_NS
+        assert pump.run_until(end_ns, lambda: len(samples) > 200 and len(pings) > 0)
         said = link.metadata()
         broken = {cause: count for cause, count in link.faults().items() if count}
         counts = link.counts
@@ -64,7 +65,7 @@ def test_every_sample_arrives_as_it_was_taken(port: str) -> None:
         "L3G4200D",
         "200.0",
     )
-    assert len(samples) > 150
+    assert len(samples) > 200
     numbers = [message.sequence for message, _ in samples]
     # all but those that the firmware says were lost
     gaps = [n + 1 for n, after in pairwise(numbers) if after != n + 1]
