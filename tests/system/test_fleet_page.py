@@ -19,6 +19,7 @@ import pytest
 from tests.bench.fleet.parts import ERROR
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
+from gyrorig_solver.fleet.constants import in_words
 from gyrorig_solver.fleet.overview import PARAMETERS, Overview, overview, read_origins
 from gyrorig_solver.fleet.page import write_page
 
@@ -158,6 +159,13 @@ def test_it_says_first_what_was_hidden(opened: Any) -> None:
     assert first[0].startswith("rig-3 has moved misalignment x")
     assert any("B000033 is unlike" in one for one in first)
     assert texts(opened, ".tile b")[0] == "5,000"
+
+
+def test_it_says_what_is_the_same_on_every_unit(opened: Any, fleet: Fleet) -> None:
+    lines = texts(opened, "#same li")
+    told = in_words(fleet[1].constants)
+    assert told
+    assert [line.lower() for line in lines] == [f"{line.lower()}." for line in told]
 
 
 def test_only_rows_in_sight_are_drawn(opened: Any) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from gyrorig_solver.fleet.constants import in_words
 from gyrorig_solver.fleet.groups import plain_groups
 from gyrorig_solver.fleet.histories import (
     GroupChart,
@@ -79,6 +80,7 @@ def _data(found: Overview, groups: dict[str, GroupChart], up: str) -> dict[str, 
         "units": [_spaced(unit_of(name)) for name in PARAMETERS],
         "worries": [_worry(one) for one in worries(found)],
         "kinds": _kinds(found),
+        "same": in_words(found.constants),
         "groups": _groups(found, groups),
         **drawn(found),
         "boards": {

@@ -96,6 +96,8 @@ function drawKinds() {
       element("small", {}, `${one.boards.toLocaleString("en")} boards` + (one.odd ? `, ${one.odd} odd` : "") + (one.prior ? `, ${one.prior} say less than the fleet` : ""))));
   }
   if (!data.kinds.length) by("kinds").append(element("p", { class: "soft" }, "Eight boards of one sensor are needed."));
+  by("same-section").hidden = !data.same.length;
+  for (const line of data.same) by("same").append(element("li", {}, line[0].toUpperCase() + line.slice(1) + "."));
 }
 
 function drawHead() {
