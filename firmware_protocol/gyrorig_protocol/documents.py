@@ -15,6 +15,7 @@ import msgspec
 import yaml
 
 from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
+from gyrorig_protocol.misfits import first_misfit
 
 T = TypeVar("T")
 
@@ -52,7 +53,10 @@ def parse_yaml(text: str | bytes, name: str, error: type[GyrorigError] = UsageEr
         GyrorigError: of the given class; the text is not such a document.
     """
     if len(text) > MAX_DOCUMENT_BYTES:
-        raise error(f"{name} is larger than {MAX_DOCUMENT_BYTES // 1_000_000} MB", "refused")
+        raise error(
+            f"{name} is larger than {MAX_DOCUMENT_BYTES // 1_000_000} MB",
+            "no document of this project is: name the right file",
+        )
     try:
         objection = _objection_to_text(text)
         value = None if objection else _construct(text)
@@ -72,14 +76,21 @@ def read_as(value: object, kind: type[T], name: str, error: type[GyrorigError] =
 
     Raises:
         GyrorigError: of the given class; a key is unknown or missing, or a type is wrong.
-            The text names the place as a path such as `$.ptu.port`.
+            The text names the place, as in `rig.yaml: ptu: baud`, and what belongs there.
     """
     if value is None or isinstance(value, str | int | float | list):
-        raise error(f"{name} is no such document", "it holds no names with values, `key: value`")
+        raise error(
+            f"{name} holds no keys with values, `key: value`",
+            "name the right file, or see config/ and the documentation for examples",
+        )
     try:
         return msgspec.convert(value, type=kind, strict=True)
     except (msgspec.ValidationError, ValueError) as fault:
-        raise error(f"{name}", _one_line(fault)) from fault
+        found = first_misfit(value, kind)
+        if found is None:
+            raise error(name, _one_line(fault)) from fault
+        place = f"{name}: {found.place}" if found.place else name
+        raise error(f"{place} {found.what}", found.remedy) from fault
 
 
 def parse_schema(text: str | bytes, name: str, kind: type[T], schema: str, what: str) -> T:
@@ -98,7 +109,8 @@ def parse_schema(text: str | bytes, name: str, kind: type[T], schema: str, what:
     value = parse_yaml(text, name, InputError)
     found = value.get("schema") if isinstance(value, dict) else None
     if found != schema:
-        raise InputError(f"{name} {what}", f"its schema is {found!r}, not {schema!r}")
+        said = "it has no key schema" if found is None else f"its schema is {str(found)[:40]!r}"
+        raise InputError(f"{name} {what}: {said}", f"name one whose schema is {schema!r}")
     return read_as(value, kind, name, InputError)
 
 
@@ -163,7 +175,7 @@ def _objection_to_text(text: str | bytes) -> tuple[str, str] | None:
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         if depth > MAX_DEPTH:
-            return f"is nested deeper than {MAX_DEPTH} levels", "refused"
+            return f"is nested deeper than {MAX_DEPTH} levels", "take levels out"
     return None
 
 

@@ -203,7 +203,11 @@ def test_a_silent_unit(tmp_path: Path) -> None:
     [
         ("rig: x\nptus: {}\n", QUICK, "rig.yaml"),
         (RIG.format(ptu="emulated", board="emulated"), "name: x\nsteps: [{jump: {}}]\n", "jump"),
-        (RIG.format(ptu="emulated", board="emulated"), "name: x\nsteps: 3\n", "$.steps"),
+        (
+            RIG.format(ptu="emulated", board="emulated"),
+            "name: x\nsteps: 3\n",
+            "steps is 3: give a list",
+        ),
         ("a: *b\n", QUICK, "rig.yaml"),
     ],
 )

@@ -69,7 +69,7 @@ def identifier(kind: FrameType, node: int) -> int:
         UsageError: there is no such node.
     """
     if not 0 <= node <= MAX_NODE:
-        raise UsageError(f"there is no CAN node {node}", f"nodes are 1 to {MAX_NODE}")
+        raise UsageError(f"there is no CAN node {node}", f"give one from 1 to {MAX_NODE}")
     return int(kind) << NODE_BITS | node
 
 

@@ -104,7 +104,10 @@ def parse_dbc(text: str, name: str) -> dict[str, Message]:
         UsageError: it is too large, has no message, or a line that cannot be read.
     """
     if len(text) > MAX_TEXT_BYTES:
-        raise UsageError(f"{name} is larger than {MAX_TEXT_BYTES >> 20} MB", "give only the IMU's")
+        raise UsageError(
+            f"{name} is larger than {MAX_TEXT_BYTES >> 20} MB",
+            "keep the IMU's messages alone in it",
+        )
     messages: dict[str, Message] = {}
     by_id: dict[int, Message] = {}
     current: Message | None = None
@@ -113,7 +116,10 @@ def parse_dbc(text: str, name: str) -> dict[str, Message]:
         if line.startswith("BO_ "):
             current = _message(line, where)
             if current.name in messages or current.key in by_id:
-                raise UsageError(f"{where}: a second message {current.name}", "name each once")
+                raise UsageError(
+                    f"{where}: a second message of the name {current.name} or its identifier",
+                    "take one of them out",
+                )
             messages[current.name] = by_id[current.key] = current
         elif line.lstrip().startswith("SG_ ") and current is not None:
             signal = _signal(line, where)
@@ -124,7 +130,9 @@ def parse_dbc(text: str, name: str) -> dict[str, Message]:
         elif line.strip():
             current = None  # SG_ elsewhere belongs to no message
     if not messages:
-        raise UsageError(f"{name} describes no CAN message", "give a DBC file")
+        raise UsageError(
+            f"{name} describes no CAN message", "give one with lines that begin with BO_"
+        )
     for message in messages.values():
         _check_bits(message, name)
     return messages
@@ -133,7 +141,9 @@ def parse_dbc(text: str, name: str) -> dict[str, Message]:
 def _message(line: str, where: str) -> Message:
     match = _MESSAGE.match(line)
     if match is None:
-        raise UsageError(f"{where} is no message of a DBC file", "see Vector's description")
+        raise UsageError(
+            f"{where} is no message of a DBC file", "write it as BO_ 291 NAME: 8 SENDER"
+        )
     key, length = int(match[1]), int(match[3])
     identifier = key & ~_EXTENDED
     if identifier >= 1 << (29 if key & _EXTENDED else 11):
@@ -145,13 +155,19 @@ def _message(line: str, where: str) -> Message:
 def _signal(line: str, where: str) -> Signal | None:
     match = _SIGNAL.match(line.strip())
     if match is None:
-        raise UsageError(f"{where} is no signal of a DBC file", "see Vector's description")
+        raise UsageError(
+            f"{where} is no signal of a DBC file",
+            'write it as SG_ NAME : 0|16@1- (0.01,0) [0|0] "deg/s" RECEIVER',
+        )
     if match[2] is not None:
         return None  # multiplexed: an IMU's samples are not
     factor, offset, minimum, maximum = (float(match[at]) for at in (7, 8, 9, 10))
     length = int(match[4])
     if not 1 <= length <= 64 or factor == 0.0:
-        raise UsageError(f"{where}: a signal of {length} bits, factor {factor:g}", "mend the file")
+        raise UsageError(
+            f"{where}: a signal of {length} bits and factor {factor:g}",
+            "give it 1 to 64 bits and a factor that is not 0",
+        )
     return Signal(
         name=match[1],
         start=int(match[3]),
@@ -175,7 +191,10 @@ def _mark_float(line: str, where: str, by_id: dict[int, Message]) -> None:
     if signal is None:
         return
     if signal.length != (32 if match[3] == "1" else 64):
-        raise UsageError(f"{where}: a float of {signal.length} bits", "mend the file")
+        raise UsageError(
+            f"{where}: signal {signal.name} is a floating-point number of {signal.length} bits",
+            "give it 32 bits with the type 1, or 64 with the type 2",
+        )
     message.signals[signal.name] = replace(signal, is_float=True)
 
 
@@ -183,6 +202,7 @@ def _check_bits(message: Message, name: str) -> None:
     for signal in message.signals.values():
         if signal.last_byte >= message.length:
             raise UsageError(
-                f"{name}: signal {signal.name} lies outside of message {message.name}",
-                "mend the file",
+                f"{name}: signal {signal.name} ends in byte {signal.last_byte + 1} of message "
+                f"{message.name}, which has {message.length}",
+                "correct its start and length, or the message's length",
             )

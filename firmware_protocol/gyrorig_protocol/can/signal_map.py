@@ -10,6 +10,7 @@ contract, format 1, "Imported measurements").
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -149,12 +150,14 @@ def _preset(chosen: SignalMap, name: str) -> Preset:
     if chosen.preset is not None:
         if chosen.dbc is not None or chosen.gyro is not None or chosen.accel is not None:
             raise UsageError(
-                f"board {name} has a preset and signals of its own", "leave out one of them"
+                f"board {name} has a preset and signals of its own",
+                "leave out preset, or dbc, gyro and accel",
             )
         preset = PRESETS[chosen.preset]
         if preset.by_source and chosen.source_address is None:
             raise UsageError(
-                f"board {name} has no source_address", "give the sensor's J1939 address"
+                f"board {name} has no source_address",
+                "give the sensor's J1939 address under signals: source_address, 0 to 253",
             )
         return preset
     if chosen.dbc is None or chosen.gyro is None:
@@ -165,7 +168,10 @@ def _preset(chosen: SignalMap, name: str) -> Preset:
     if chosen.dbc_file is not None:
         raise UsageError(f"the DBC file {chosen.dbc_file!r} has not been read", "give its text")
     if all(axis is None for axis in chosen.gyro):
-        raise UsageError(f"board {name} has no axis of a gyro", "name at least one")
+        raise UsageError(
+            f"board {name} has no axis of a gyro",
+            "name at least one under signals: gyro, as MESSAGE.SIGNAL",
+        )
     accel: Axes | None = chosen.accel
     return Preset(
         chosen.dbc, chosen.gyro, accel, chosen.temperature, check_range=chosen.check_range
@@ -185,13 +191,13 @@ class _Finder:
         if message is None:
             raise UsageError(
                 f"board {self.board}: the DBC file has no message {message_name}",
-                f"it has {', '.join(sorted(self.messages)[:12])}",
+                f"name one that it has: {_some(self.messages)}",
             )
         signal = message.signals.get(signal_name)
         if signal is None:
             raise UsageError(
                 f"board {self.board}: message {message_name} has no signal {signal_name}",
-                f"it has {', '.join(sorted(message.signals)[:12])}",
+                f"name one that it has: {_some(message.signals)}",
             )
         return message.key, signal
 
@@ -238,7 +244,9 @@ class _Finder:
         tick_hz = chosen.tick_hz or (unit_hz and unit_hz / bound.signal.factor)
         if not tick_hz:
             raise UsageError(
-                f"board {self.board}: time has the unit {bound.signal.unit!r}", "give tick_hz"
+                f"board {self.board}: the signal of time has the unit {bound.signal.unit!r}, which "
+                "is none of time",
+                "give its ticks a second under signals: tick_hz",
             )
         return bound, tick_hz
 
@@ -249,8 +257,8 @@ class _Finder:
         key, signal = self.find(reference)
         if signal.is_float or signal.is_signed:
             raise UsageError(
-                f"board {self.board}: {what} {reference} is no unsigned number",
-                "choose another signal",
+                f"board {self.board}: {reference}, named as its {what}, is no unsigned number",
+                "choose another signal, or leave it out",
             )
         return BoundSignal(key, signal, 1.0, 0.0)
 
@@ -260,10 +268,17 @@ class _Finder:
         factor = units.get(chosen or signal.unit.strip())
         if factor is None:
             raise UsageError(
-                f"board {self.board}: signal {signal.name} has the unit {signal.unit!r}",
-                f"give {key}",
+                f"board {self.board}: signal {signal.name} has the unit {signal.unit!r}, which is "
+                "not known",
+                f"say what it is in under signals: {key}",
             )
         return factor
+
+
+def _some(names: Iterable[str], most: int = 12) -> str:
+    known = sorted(names)
+    more = f" and {len(known) - most} more" if len(known) > most else ""
+    return ", ".join(known[:most]) + more
 
 
 def _is_raw(signal: Signal, first: Signal) -> bool:

@@ -113,7 +113,9 @@ def parse_program(text: str | bytes, name: str) -> MotionProgram:
     for _ in unrolled(program.steps, name):
         count += 1
         if count > MAX_STEPS:
-            raise UsageError(f"{name} has more than {MAX_STEPS} steps", "repeat less")
+            raise UsageError(
+                f"{name} has more than {MAX_STEPS} steps, repeats counted", "repeat less"
+            )
     if not count:
         raise UsageError(f"{name} has no steps", "give it at least one rest or move")
     return program

@@ -17,7 +17,7 @@ class RefusalKind(Enum):
     SPEED = "stay inside the unit's speed bounds"
     ACCELERATION = "choose an acceleration that the unit can do"
     ILLEGAL_COMMAND = "this controller does not know the command: check the dialect"
-    ILLEGAL_VALUE = "the value is outside what the command takes"
+    ILLEGAL_VALUE = "choose a value that the command takes: see the unit's manual"
     UNKNOWN = "see the unit's manual"
 
 

@@ -118,7 +118,8 @@ def copy_with(
     for channel in known.channels.values():
         if channel.topic in {one.topic for one in topics}:
             raise InputError(
-                f"{source.name} holds {channel.topic} already", "apply to the recording itself"
+                f"{source.name} holds {channel.topic} already: a calibration was applied to it",
+                "apply to the recording that it was made of",
             )
     copy = _Copy(Copying(source, data, found), found, known)
     try:
@@ -171,7 +172,7 @@ class _Copy:
         if records.get("gyrorig", {}).get("format") != FORMAT:
             raise InputError(
                 f"{source} is MCAP, but no recording of Gyrorig of format {FORMAT}",
-                "make one of it with `gyrorig import`",
+                "make a recording of its data with `gyrorig import`",
             )
         records |= {name: dict(record) for name, record in metadata.items()}
         out = Assembly(file)
@@ -195,7 +196,9 @@ class _Copy:
         for writer in writers:
             writer.write_until(None)
         if not chunks:
-            raise InputError(f"{source} holds no whole message", "there is nothing to apply to")
+            raise InputError(
+                f"{source} holds no whole message", "copy it again from the rig, or record anew"
+            )
         out.finish()
         added = {one.topic: writer.written for one, writer in zip(topics, writers, strict=True)}
         return Copied(chunks, added, tuple(self._own.losses))

@@ -29,16 +29,20 @@ def map_file(path: Path) -> memoryview:
             raise InputError(f"{path} is no file", "name one recording")
         if status.st_size == 0:
             raise InputError(
-                f"{path} is empty", "its writer died within its first moments: record again"
+                f"{path} is empty: its writer ended within its first moments", "record again"
             )
         with path.open("rb") as file:
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(f"{path} does not exist", "name a recording that does") from error
     except ValueError as error:  # mmap of a file that has been emptied meanwhile
-        raise InputError(f"{path} is empty", "something else empties it") from error
+        raise InputError(
+            f"{path} was emptied while it was being opened", "end the program that writes to it"
+        ) from error
     except OSError as error:
-        raise MachineError(f"cannot read {path}: {error.strerror}") from error
+        raise MachineError(
+            f"cannot read {path}: {error.strerror}", "mend its rights, or look at its disk"
+        ) from error
 
 
 class Passage:

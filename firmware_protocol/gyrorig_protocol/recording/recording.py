@@ -220,11 +220,14 @@ class Recording:
         """
         found = self.topics.get(topic)
         if found is None:
-            raise InputError(f"{self.path} holds no {topic}")
+            raise InputError(f"{self.path} holds no {topic}", self._topics_here())
         if found.columns is not None:
             found = self.read_again(topic, ())
         if found.array is None:
-            raise InputError(f"{self.path}: {topic} holds {found.type}, which is no array")
+            raise InputError(
+                f"{self.path}: {topic} holds {found.type}, whose messages vary in size",
+                "take its messages one by one: stamped()",
+            )
         return found.array
 
     def stamped(self, topic: str) -> list[Stamped[Message]]:
@@ -235,10 +238,13 @@ class Recording:
         """
         found = self.topics.get(topic)
         if found is None:
-            raise InputError(f"{self.path} holds no {topic}")
+            raise InputError(f"{self.path} holds no {topic}", self._topics_here())
         kind = MESSAGE_TYPES.get(found.type)
         if kind is None:
-            raise InputError(f"{self.path}: {topic} holds {found.type}, not of format 1")
+            raise InputError(
+                f"{self.path}: {topic} holds {found.type}, which is not of format 1",
+                "read it with a program that knows it",
+            )
         if found.array is None and found.columns is None:
             return list(found.stamped)
         array = self.array(topic)
@@ -323,11 +329,17 @@ class Recording:
             kept = again.take() if again is not None else None
         return kept or Columns(names, 0)
 
+    def _topics_here(self) -> str:
+        there = sorted(self.topics)
+        return f"name one of {', '.join(there)}" if there else "nothing was recorded in it"
+
     def _samples_of(self, board_id: BoardId) -> Topic:
         topic = imu_topic(board_id)
         if topic not in self.topics:
             known = ", ".join(self.board_ids) or "no board at all"
-            raise InputError(f"{self.path} holds no samples of {board_id}", f"it holds {known}")
+            raise InputError(
+                f"{self.path} holds no samples of {board_id}", f"name one that it holds: {known}"
+            )
         self._check_type(topic, ImuRaw)
         return self.topics[topic]
 
@@ -347,4 +359,7 @@ class Recording:
     def _check_type(self, topic: str, kind: type[Message]) -> None:
         found = self.topics[topic].type
         if found != kind.TYPE:
-            raise InputError(f"{self.path}: {topic} holds {found}, not {kind.TYPE}")
+            raise InputError(
+                f"{self.path}: {topic} holds {found}, not {kind.TYPE}",
+                "another program wrote it: copy it from the rig again, or record anew",
+            )

@@ -53,6 +53,7 @@ from gyrorig_protocol.recording.summary import MAGIC, read_summary
 RECOVERED = "gyrorig.recovered"  # the metadata record that links a file to what it was made of
 _LOG_TIME_AT = 15  # in a message record: behind opcode, length, channel and sequence
 _FRAME_BYTES = 9
+_AGAIN = "the disk may be failing: copy its folder elsewhere and run gyrorigd recover there"
 _QOS = {"offered_qos_profiles": ""}
 _FREE_NUMBERS = 60_000  # of schemas that no chunk declares: above all that a writer gives
 
@@ -82,14 +83,20 @@ def salvage(source: Path, target: Path, about: Mapping[str, str], disk: Disk = D
     """
     data = map_file(source)
     if data[: len(MAGIC)] != MAGIC:
-        raise InputError(f"{source} is no MCAP file", "there is nothing to recover in it")
+        raise InputError(
+            f"{source} is no MCAP file, so nothing in it can be recovered", "move it away"
+        )
     found = walk(data, read_summary(data))
     metadata = read_metadata(found.attachments) or dict(found.metadata)
     if metadata.get("gyrorig", {}).get("format") != FORMAT:
-        raise InputError(f"{source} holds no metadata of format {FORMAT}", "it cannot be used")
+        raise InputError(
+            f"{source} holds no metadata of format {FORMAT}, so it cannot be used", "record again"
+        )
     worker = Copying(source, data, found)
     if not any(True for _ in worker.sound_chunks()):
-        raise InputError(f"{source} holds no whole message", "there is nothing to recover in it")
+        raise InputError(
+            f"{source} holds no whole message, so there is nothing to recover in it", "record again"
+        )
     worker = Copying(source, data, found)
     try:
         file = disk.create(target)
@@ -103,7 +110,8 @@ def salvage(source: Path, target: Path, about: Mapping[str, str], disk: Disk = D
             file.close()
     except OSError as fault:
         raise MachineError(
-            f"cannot write {target}: {fault.strerror}", f"{source} is as it was"
+            f"cannot write {target}: {fault.strerror}",
+            f"make room, or look at the disk, and recover again: {source.name} is as it was",
         ) from fault
     return result
 
@@ -292,19 +300,21 @@ def read_strictly(path: Path) -> dict[str, int]:
             reader = make_reader(file, validate_crcs=True)
             summary = reader.get_summary()
             if summary is None or summary.statistics is None or not summary.chunk_indexes:
-                raise InputError(f"{path} has no summary", "it was not finished")
+                raise InputError(f"{path} has no summary: it was not finished", _AGAIN)
             for _, channel, _ in reader.iter_messages(log_time_order=False):
                 counts[channel.topic] += 1
             attached = sum(1 for _ in reader.iter_attachments())
             records = sum(1 for _ in reader.iter_metadata())
     except (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeError) as fault:
-        raise InputError(f"{path} is not sound: {fault}", "it was not finished") from fault
+        raise InputError(f"{path} is not sound: {fault}", _AGAIN) from fault
     except OSError as fault:
-        raise MachineError(f"cannot read {path}: {fault.strerror}") from fault
+        raise MachineError(
+            f"cannot read {path}: {fault.strerror}", "mend its rights, or look at its disk"
+        ) from fault
     told = summary.statistics
     said = (told.message_count, told.attachment_count, told.metadata_count)
     if said != (sum(counts.values()), attached, records):
-        raise InputError(f"{path} holds not what its summary counts", "it was not finished")
+        raise InputError(f"{path} holds not what its summary counts", _AGAIN)
     return dict(counts)
 
 

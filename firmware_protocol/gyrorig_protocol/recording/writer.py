@@ -30,6 +30,8 @@ from gyrorig_protocol.recording.imu_array import pack_imu
 from gyrorig_protocol.recording.messages import ImuRaw, Message, imu_topic
 from gyrorig_protocol.recording.part_file import PartFile
 
+_NEVER_OVERWRITTEN = "a recording is never overwritten: name another, or move that one away"
+
 __all__ = ["Attachment", "RecordingWriter", "software", "unfinished"]
 
 T = TypeVar("T")
@@ -372,13 +374,16 @@ class RecordingWriter:
     def _create(self) -> PartFile:
         for path in (self._final, self._part):
             if self._disk.exists(path):
-                raise UsageError(f"{path} exists", "a recording is never overwritten")
+                raise UsageError(f"{path} exists", _NEVER_OVERWRITTEN)
         try:
             return PartFile(self._final, self._part, self._disk)
         except FileExistsError as error:
-            raise UsageError(f"{self._part} exists", "a recording is never overwritten") from error
+            raise UsageError(f"{self._part} exists", _NEVER_OVERWRITTEN) from error
         except OSError as error:
-            raise MachineError(f"cannot create {self._part}: {error.strerror}") from error
+            raise MachineError(
+                f"cannot create {self._part}: {error.strerror}",
+                "make room, mend the folder's rights, or name another",
+            ) from error
 
     def _check_open(self) -> None:
         if not self._open:

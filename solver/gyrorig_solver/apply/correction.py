@@ -104,7 +104,7 @@ class Correction:
         if self.needs_temperature and temperature_degc is None:
             raise UsageError(
                 "this calibration depends on the temperature",
-                "give the board's temperature too, or solve without thermal causes",
+                "give the board's temperature too, or solve without thermal_bias and thermal_scale",
             )
         if self.needs_force and specific_force_m_s2 is None:
             raise UsageError(
@@ -227,7 +227,10 @@ def correction_of_bias(calibration: Calibration) -> Correction:
     """
     name = f"{calibration.board.id} version {calibration.version}"
     if calibration.trust.verdict == "refused" and calibration.observability.rank == 0:
-        raise InputError(f"the calibration of {name} shows nothing", "its report says why")
+        raise InputError(
+            f"the calibration of {name} shows nothing, so there is nothing to apply",
+            "its report says why; record a motion about all three axes and solve again",
+        )
     nothing = np.zeros(3)
     return Correction(
         frame="sensor",
@@ -298,7 +301,7 @@ def _known(calibration: Calibration, parameter: str, name: str) -> FloatArray:
     if any(v is None for v in values):
         raise InputError(
             f"the calibration of {name} leaves open its {parameter}",
-            "its report says what shows it",
+            "its report says what motion shows it: record that, and solve again",
         )
     return np.array(values, dtype=np.float64)
 

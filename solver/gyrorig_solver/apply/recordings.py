@@ -65,12 +65,13 @@ def apply_to_recording(
     samples = load_samples(recording, name)
     if calibration.correction.needs_temperature and samples.temperature is None:
         raise UsageError(
-            f"{source.name} does not hold the board's temperature",
-            "the calibration depends on it: solve without thermal causes",
+            f"{source.name} lacks the board's temperature, on which the calibration depends",
+            "record the board's thermometer, or solve without thermal_bias and thermal_scale",
         )
     if calibration.correction.needs_force and column_of(samples, "accel_m_s2") is None:
         raise UsageError(
-            f"{source.name} has no accelerometer", "solve the calibration without g_sensitivity"
+            f"{source.name} has no accelerometer, on which the calibration depends",
+            "record the board's accelerometer, or solve without g_sensitivity",
         )
     work = _Work(calibration, samples)
     topic = f"/board/{name}/imu"
@@ -207,8 +208,9 @@ def _die(samples: GyroSamples, correction: Correction) -> Temperature | None:
     found = Temperature.of(samples.time_s, readings, correction.reference_degc)
     if found is None:
         raise InputError(
-            f"the recording has hardly a temperature of {samples.board}",
-            "the calibration depends on it: solve without thermal causes",
+            f"the recording has too few temperatures of {samples.board}, on which the calibration "
+            "depends",
+            "record the board's thermometer, or solve without thermal_bias and thermal_scale",
         )
     return found
 

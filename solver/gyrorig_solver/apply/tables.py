@@ -80,7 +80,9 @@ def apply_to_table(
     try:
         lines = source.open(encoding="utf-8", errors="surrogateescape", newline="")
     except OSError as fault:
-        raise InputError(f"cannot read {source}, {fault.strerror}", "name a table") from fault
+        raise InputError(
+            f"cannot read {source}, {fault.strerror}", "name a table (CSV) that can be read"
+        ) from fault
     with lines:
         try:
             handle, name = tempfile.mkstemp(prefix=f".{out.name}.", dir=out.parent)
@@ -120,7 +122,8 @@ class _Table:
         taken = [name for name in added if name in names]
         if taken:
             raise InputError(
-                f"{self._name} has a column {taken[0]} already", "apply to the readings themselves"
+                f"{self._name} has a column {taken[0]} already: a calibration was applied to it",
+                "apply to the table that it was made of",
             )
         target.write(header.rstrip("\r\n") + delimiter + delimiter.join(added) + "\n")
         rows = outside = without = 0
@@ -142,9 +145,7 @@ class _Table:
             )
             rows += len(block)
         if not rows:
-            raise InputError(
-                f"{self._name} has a header and no rows", "there is nothing to apply to"
-            )
+            raise InputError(f"{self._name} has a header and no rows", "name a table with readings")
         return TableApplied(rows, outside, without)
 
     def _places(self, names: Sequence[str]) -> list[int]:
@@ -152,7 +153,9 @@ class _Table:
         for name in self._columns.names:
             if name not in names:
                 some = ", ".join(n[:40] for n in names[:12]) or "nothing"
-                raise InputError(f"{self._name} has no column {name!r}", f"it has {some}")
+                raise InputError(
+                    f"{self._name} has no column {name!r}", f"name one that it has: {some}"
+                )
         return [names.index(name) for name in self._columns.names]
 
     def _numbers(

@@ -67,7 +67,7 @@ def read_log(path: Path) -> PhoneLog:
         InputError: no file, no log that is known, or no gyroscope in it.
     """
     if not path.is_file():
-        raise InputError(f"{path} is no file", "name one log of a phone")
+        raise InputError(f"{path} is no file", "name the log of a phone")
     notes: list[str] = []
     first = _first_line(path)
     if _is_tagged(path):
@@ -102,7 +102,9 @@ def _lines(path: Path) -> Iterator[str]:
                 return
             yield line
             if count == 4 * MAX_ROWS:
-                raise InputError(f"{path.name} has more than {count} lines", "split it")
+                raise InputError(
+                    f"{path.name} has more than {count} lines", "split it, and import each part"
+                )
 
 
 def _is_tagged(path: Path) -> bool:
@@ -152,7 +154,10 @@ def _tagged(path: Path, notes: list[str]) -> tuple[str, _Pair, _Pair | None]:
         notes.append(f"{unread} lines with a sensor's tag could not be read")
     gyro = _chosen(streams, UNCALIBRATED, GYRO, notes)
     if gyro is None:
-        raise InputError(f"{path.name} holds no gyroscope", f"it holds {', '.join(streams)}")
+        raise InputError(
+            f"{path.name} holds no gyroscope, only {', '.join(streams)[:120]}",
+            "have the app log the gyroscope, uncalibrated if it can",
+        )
     accel = _chosen(streams, UNCALIBRATED_ACCEL, ACCEL, [])
     return "tagged lines", gyro, accel
 
@@ -230,7 +235,9 @@ def _axes(names: Sequence[str], of: str) -> list[str] | None:
 def _as_ns(stamps: FloatArray, name: str, where: str) -> IntArray:
     """Return stamps in ns; their unit is said by the column's name, or by how far they step."""
     if stamps.size < 3:
-        raise InputError(f"{where} holds {stamps.size} samples of the gyroscope", "log more")
+        raise InputError(
+            f"{where} holds {stamps.size} samples of the gyroscope", "log for a minute or more"
+        )
     steps = np.diff(stamps)
     steps = steps[steps > 0.0]
     step = float(np.median(steps)) if steps.size else 0.0
@@ -243,7 +250,9 @@ def _as_ns(stamps: FloatArray, name: str, where: str) -> IntArray:
         if said or STEP_S[0] <= step * worth < STEP_S[1]:
             times = stamps * (worth * NS)
             if np.any(~np.isfinite(times)) or np.abs(times).max() > MAX_STAMP_NS:
-                raise InputError(f"{where}: a stamp is no time", "look at the time column")
+                raise InputError(
+                    f"{where}: a stamp is no time", "correct the time column, or log again"
+                )
             return np.asarray(np.rint(times), dtype=np.int64)
     raise InputError(
         f"{where}: stamps step by {step:g}, in no unit a rate of 4 to 2000 Hz",
@@ -269,6 +278,7 @@ def _sorted(stamp_ns: IntArray, values: FloatArray, what: str, notes: list[str])
         notes.append(f"{what}: {int((~new).sum())} samples with the stamp of another left out")
     if new.sum() < 3:
         raise InputError(
-            f"the {what} has {int(new.sum())} samples with stamps of their own", "log more"
+            f"the {what} has {int(new.sum())} samples with stamps of their own",
+            "log for a minute or more, with an app that writes every sample's own stamp",
         )
     return stamp_ns[new], values[new]

@@ -25,6 +25,8 @@ MAX_ROWS = 10_000_000
 MAX_ARCHIVE_BYTES = 4_000_000_000
 ROWS_AT_A_TIME = 200_000
 MAX_HEADER_CHARS = 100_000
+MANY = 12  # names that an error lists
+_NUMBERS = "save it as an array of numbers: numpy.savez with float or integer arrays"
 
 
 class Columns(Protocol):
@@ -48,13 +50,15 @@ def open_columns(path: Path, wanted: Sequence[str]) -> Columns:
     if not path.is_file():
         raise InputError(f"{path} is no file", "name one measurement file")
     if path.stat().st_size == 0:
-        raise InputError(f"{path.name} is empty", "there is nothing to import")
+        raise InputError(f"{path.name} is empty", "name a file with measurements")
     try:
         if path.suffix == ".npz":
             return _Archive(path, wanted)
         return _Table(path, wanted)
     except (OSError, zipfile.BadZipFile, zlib.error, EOFError, MemoryError) as error:
-        raise InputError(f"cannot read {path.name}", _line(error)) from error
+        raise InputError(
+            f"cannot read {path.name}, {_line(error)}", "copy it again from where it was made"
+        ) from error
 
 
 class _Archive:
@@ -65,9 +69,14 @@ class _Archive:
             size = {i.filename.removesuffix(".npy"): i.file_size for i in archive.infolist()}
         missing = [key for key in wanted if key not in size]
         if missing:
-            raise InputError(f"{path.name} has no {missing[0]!r}", f"it has {_some(size)}")
+            raise InputError(
+                f"{path.name} has no {missing[0]!r}",
+                f"name one in the map that it has: {_some(size)}",
+            )
         if sum(size[key] for key in set(wanted)) > MAX_ARCHIVE_BYTES:
-            raise InputError(f"{path.name} unpacks to more than 4 GB", "split it")
+            raise InputError(
+                f"{path.name} unpacks to more than 4 GB", "split it, and import each part"
+            )
         self._arrays: dict[str, FloatArray] = {}
         with np.load(path, allow_pickle=False) as loaded:
             for key in dict.fromkeys(wanted):
@@ -75,11 +84,11 @@ class _Archive:
                     found = loaded[key]
                 except ValueError as error:  # objects: pickles are never opened
                     raise InputError(
-                        f"{path.name}: {key} holds no numbers", _line(error)
+                        f"{path.name}: {key} holds no numbers but objects", _NUMBERS
                     ) from error
                 if found.dtype.kind not in "biuf":
                     raise InputError(
-                        f"{path.name}: {key} holds no numbers", f"it holds {found.dtype}"
+                        f"{path.name}: {key} holds no numbers but {found.dtype}", _NUMBERS
                     )
                 self._arrays[key] = found.astype(np.float64)
         self._name = path.name
@@ -88,7 +97,11 @@ class _Archive:
         parts = [self._arrays[key] for key in keys]
         columns = [part.reshape(-1, 1) if part.ndim < 2 else part for part in parts]
         if len({part.shape[0] for part in columns}) != 1 or any(p.ndim != 2 for p in columns):
-            raise InputError(f"{self._name}: {_some(keys)} differ in length", "check the map")
+            sizes = " and ".join(str(part.shape[0]) for part in columns)
+            raise InputError(
+                f"{self._name}: {_some(keys)} differ in length ({sizes}), or are no columns",
+                "name columns of one length in the map",
+            )
         return _checked(np.concatenate(columns, axis=1), keys, width, self._name)
 
 
@@ -106,7 +119,8 @@ class _Table:
             missing = [key for key in wanted if key not in names]
             if missing:
                 raise InputError(
-                    f"{path.name} has no column {missing[0]!r}", f"it has {_some(names)}"
+                    f"{path.name} has no column {missing[0]!r}",
+                    f"name one in the map that it has: {_some(names)}",
                 )
             unique = list(dict.fromkeys(wanted))
             use = [names.index(key) for key in unique]
@@ -120,9 +134,14 @@ class _Table:
                     raise _no_number(path.name, block, delimiter, cells, rows) from error
                 rows += len(block)
                 if rows > MAX_ROWS:
-                    raise InputError(f"{path.name} has more than {MAX_ROWS} rows", "split it")
+                    raise InputError(
+                        f"{path.name} has more than {MAX_ROWS} rows",
+                        "split it, and import each part",
+                    )
         if not sum(len(block) for block in blocks):
-            raise InputError(f"{path.name} has a header and no rows", "there is nothing to import")
+            raise InputError(
+                f"{path.name} has a header and no rows", "name a file with measurements"
+            )
         data = np.concatenate(blocks)
         self._columns = {key: data[:, i] for i, key in enumerate(unique)}
 
@@ -188,16 +207,18 @@ def _no_number(
 def _checked(data: FloatArray, keys: Sequence[str], width: int, name: str) -> FloatArray:
     if data.shape[1] != width:
         raise InputError(
-            f"{name}: {_some(keys)} has {data.shape[1]} columns, not {width}", "check the map"
+            f"{name}: {_some(keys)} has {data.shape[1]} columns, not {width}",
+            f"name an array of {width} columns, or {width} of one, in the map's keys",
         )
     if data.shape[0] > MAX_ROWS:
-        raise InputError(f"{name} has more than {MAX_ROWS} rows", "split it")
+        raise InputError(f"{name} has more than {MAX_ROWS} rows", "split it, and import each part")
     return np.ascontiguousarray(data, dtype=np.float64)
 
 
 def _some(names: Iterable[str]) -> str:
-    found = [name[:40] for name in names][:12]
-    return ", ".join(found) or "nothing"
+    found = [name[:40] for name in names]
+    more = f" and {len(found) - MANY} more" if len(found) > MANY else ""
+    return (", ".join(found[:MANY]) or "nothing") + more
 
 
 def _line(error: BaseException) -> str:

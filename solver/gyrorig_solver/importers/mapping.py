@@ -142,7 +142,10 @@ def load_import_map(path: Path) -> ImportMap:
     try:
         text = path.read_bytes()
     except OSError as error:
-        raise UsageError(f"cannot read the import map {path}", error.strerror or "") from error
+        raise UsageError(
+            f"cannot read the import map {path}, {error.strerror}",
+            "name one with --map, such as those in config/imports",
+        ) from error
     return check_import_map(read_as(parse_yaml(text, path.name), ImportMap, path.name), path.name)
 
 
@@ -153,26 +156,53 @@ def check_import_map(found: ImportMap, name: str) -> ImportMap:
         UsageError: they do not; the text says which.
     """
     BoardId(found.board)
-    for part in (found, found.accel, found.temperature, found.attitude):
+    for where, part in (
+        ("time", found),
+        ("accel: time", found.accel),
+        ("temperature: time", found.temperature),
+        ("attitude: time", found.attitude),
+    ):
         if part is not None and part.time is not None:
-            _check_time(part.time, name)
+            _check_time(part.time, f"{name}: {where}")
     if found.gyro.unit == "counts" and found.gyro.scale_rad_s is None:
-        raise UsageError(f"{name}: gyro counts without scale_rad_s", "give a count's nominal worth")
+        raise UsageError(
+            f"{name}: gyro counts without scale_rad_s",
+            "give what a count is worth by the data sheet, in rad/s",
+        )
     if found.accel and found.accel.unit == "counts" and found.accel.scale_m_s2 is None:
-        raise UsageError(f"{name}: accel counts without scale_m_s2", "give a count's nominal worth")
-    for columns, width in ((found.gyro, 3), (found.accel, 3), (found.attitude, 4)):
+        raise UsageError(
+            f"{name}: accel counts without scale_m_s2",
+            "give what a count is worth by the data sheet, in m/s^2",
+        )
+    for where, columns, width in (
+        ("gyro", found.gyro, 3),
+        ("accel", found.accel, 3),
+        ("attitude", found.attitude, 4),
+    ):
         if columns is not None and len(columns.keys) not in (1, width):
-            raise UsageError(f"{name}: {len(columns.keys)} keys", f"give one array or {width} keys")
+            raise UsageError(
+                f"{name}: {where} has {len(columns.keys)} keys",
+                f"give one array of {width} columns, or {width} keys",
+            )
     turns = [*found.turns, *(found.sections.turns.values() if found.sections else ())]
     for turn in turns:
         if not math.isclose(math.hypot(*turn.axis), 1.0, abs_tol=1e-6):
-            raise UsageError(f"{name}: turn axis {turn.axis}", "give a vector of length 1")
+            raise UsageError(
+                f"{name}: the turn axis {turn.axis} has not the length 1",
+                "divide it by its length, such as [0.0, 0.0, 1.0]",
+            )
     return found
 
 
 def _check_time(time: TimeBase, name: str) -> None:
     if time.stamp == "arrival":
         if time.key is None or time.rate_hz is None:
-            raise UsageError(f"{name}: arrival times want key and rate_hz", "give both")
+            raise UsageError(
+                f"{name}: arrival times want key and rate_hz",
+                "give the column of arrivals and the sensor's nominal rate",
+            )
     elif sum(given is not None for given in (time.key, time.rate_hz, time.rate_key)) != 1:
-        raise UsageError(f"{name}: a time base wants one of key, rate_hz, rate_key", "give one")
+        raise UsageError(
+            f"{name} wants one of key, rate_hz, rate_key",
+            "give one: a column of times, a rate, or an array that holds the rate",
+        )

@@ -175,7 +175,10 @@ def _copied(unit: Recording) -> list[_Dated]:
 def _counts(values: FloatArray, count: float, what: str) -> IntArray:
     whole = np.rint(values / count)
     if np.any(np.abs(whole) > np.iinfo(np.int32).max):
-        raise InputError(f"the {what} is beyond any sensor", "check the log's unit")
+        raise InputError(
+            f"the {what} is beyond any sensor",
+            "look whether the log is in rad/s and m/s^2; else import it as csv with a column map",
+        )
     return np.asarray(whole, dtype=np.int64)
 
 

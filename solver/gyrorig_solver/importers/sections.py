@@ -58,14 +58,20 @@ def _phase(name: str, span: Span, imu: ImuStream, text: str = "") -> Phase:
         first = int(np.searchsorted(imu.row, span.start))
     if span.end is not None:
         if span.end > imu.row[-1] + 1:
-            raise InputError(f"a section ends at row {span.end}", f"there are {imu.row[-1] + 1}")
+            raise InputError(
+                f"a {name} section ends at row {span.end}, and there are {imu.row[-1] + 1}",
+                "correct its end in the map",
+            )
         end = int(np.searchsorted(imu.row, span.end))
     if span.begin_s is not None:
         first = max(first, int(np.searchsorted(imu.time_s, span.begin_s)))
     if span.end_s is not None:
         end = min(end, int(np.searchsorted(imu.time_s, span.end_s)))
     if end - first < 2:
-        raise InputError(f"a {name} section from sample {first} to {end} is empty", "check the map")
+        raise InputError(
+            f"a {name} section from sample {first} to {end} is empty",
+            "correct its start and end in the map",
+        )
     return Phase(name, first, end - 1, text)
 
 
@@ -73,12 +79,20 @@ def _listed(sections: SectionFile, imu: ImuStream, folder: Path) -> list[Phase]:
     path = folder / sections.name
     try:
         if path.stat().st_size > MAX_SECTION_FILE_BYTES:
-            raise InputError(f"{path.name} is larger than 1 MB", "it should be a list of sections")
+            raise InputError(
+                f"{path.name} is larger than 1 MB, and no list of sections is",
+                "name the right file under sections: name in the map",
+            )
         found = json.loads(path.read_bytes())
     except OSError as error:
-        raise InputError(f"cannot read the section list {path}", error.strerror or "") from error
+        raise InputError(
+            f"cannot read the section list {path}, {error.strerror}",
+            "put it beside the input, under the name that the map gives (sections: name)",
+        ) from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path.name} is no JSON", " ".join(str(error).split())[:160]) from error
+        raise InputError(
+            f"{path.name} is no JSON, {' '.join(str(error).split())[:160]}", "mend it there"
+        ) from error
     phases = [_phase("static", _span(found, key, path.name), imu) for key in sections.static]
     for key, turn in sections.turns.items():
         phases.append(_phase("turn", _span(found, key, path.name), imu, turn_text(turn)))
@@ -89,13 +103,19 @@ def _span(found: object, key: str, name: str) -> Span:
     entry = found.get(key) if isinstance(found, dict) else None
     start, end = (entry.get("start"), entry.get("end")) if isinstance(entry, dict) else (None, None)
     if not isinstance(start, int) or not isinstance(end, int) or not 0 <= start < end:
-        raise InputError(f"{name} has no section {key!r} with start and end", "check the list")
+        raise InputError(
+            f"{name} has no section {key!r} with start and end",
+            "name one in the map that it has, with start below end",
+        )
     return Span(start=start, end=end)
 
 
 def _masked(mask: FloatArray, value: float, shortest_s: float, imu: ImuStream) -> list[Phase]:
     if mask.size <= int(imu.row[-1]):
-        raise InputError(f"the static mask has {mask.size} rows", "it needs one for each sample")
+        raise InputError(
+            f"the static mask has {mask.size} rows, and the gyro {int(imu.row[-1]) + 1}",
+            "name a column with a row for each sample under static_mask: key",
+        )
     still = np.concatenate([[False], mask[imu.row] == value, [False]])
     edges = np.flatnonzero(np.diff(still.astype(np.int8)))
     phases = []

@@ -88,7 +88,10 @@ def read_streams(columns: Columns, mapping: ImportMap) -> tuple[ImuStream, Attit
     notes: list[str] = []
     there = np.all(np.isfinite(gyro), axis=1)
     if there.sum() < 2:
-        raise InputError("the gyro columns hold no numbers", "check the map's gyro keys")
+        raise InputError(
+            f"the gyro columns {', '.join(mapping.gyro.keys)} hold no numbers",
+            "correct gyro: keys in the map",
+        )
     if not there.all():
         notes.append(f"{int((~there).sum())} rows without a gyro value left out")
     row = np.flatnonzero(there)
@@ -180,12 +183,16 @@ def _attitude(columns: Columns, part: AttitudeColumns, time_s: FloatArray) -> At
         base_s = time_s
     else:
         raise InputError(
-            f"attitude has {len(values)} rows, the gyro {time_s.size}", "give it a time base"
+            f"attitude has {len(values)} rows, the gyro {time_s.size}",
+            "give it times of its own in the map, attitude: time",
         )
     there = np.all(np.isfinite(values), axis=1)
     length = np.linalg.norm(values[there], axis=1)
     if not there.any() or np.any(np.abs(length - 1.0) > 0.01):
-        raise InputError("the attitude columns hold no unit quaternions", "check keys and order")
+        raise InputError(
+            "the attitude columns hold no quaternions of length 1",
+            "correct attitude: keys and order in the map",
+        )
     std_rad = float(np.radians(part.std_deg)) if part.std_deg else float("nan")
     return AttitudeStream(
         nanoseconds(base_s[there]), values[there] / length[:, None], std_rad, int((~there).sum())
@@ -194,7 +201,7 @@ def _attitude(columns: Columns, part: AttitudeColumns, time_s: FloatArray) -> At
 
 def _whole(values: FloatArray, what: str) -> IntArray:
     if np.any(values != np.rint(values)):
-        raise InputError(f"{what} counts are not whole numbers", "check the map's unit")
+        raise InputError(f"{what} counts are not whole numbers", f"correct {what}: unit in the map")
     return _fitting(values, what)
 
 
@@ -203,5 +210,7 @@ def _fitting(counts: FloatArray, what: str) -> IntArray:
     bad = ~((whole >= INT32.min) & (whole <= INT32.max))
     if bad.any():
         at = int(np.argmax(bad.any(axis=1)))
-        raise InputError(f"{what} of row {at} is beyond any sensor", "check the map's unit")
+        raise InputError(
+            f"{what} of sample {at + 1} is beyond any sensor", f"correct {what}: unit in the map"
+        )
     return np.asarray(whole, dtype=np.int64)

@@ -24,19 +24,23 @@ def read_times(columns: Columns, base: TimeBase, rows: int, of: str) -> FloatArr
         time_s = np.arange(rows) / _rate(columns, base)
     time_s = time_s + base.origin_s
     if time_s.size != rows:
-        raise InputError(f"{of}: {time_s.size} times for {rows} rows", "check the map's time key")
+        raise InputError(
+            f"{of}: {time_s.size} times for {rows} rows", "correct the key of its time in the map"
+        )
     bad = ~np.isfinite(time_s) | (time_s < 0.0) | (time_s >= LATEST_S)
     if bad.any():
         at = int(np.argmax(bad))
         raise InputError(
-            f"{of}: row {at} has the time {time_s[at]} s", "check the unit, or set origin_s"
+            f"{of}: row {at + 1} has the time {time_s[at]:g} s",
+            "correct time: unit in the map, or set time: origin_s so that no time is below 0",
         )
     step = np.diff(time_s)
     back = step < 0.0 if base.stamp == "arrival" else step <= 0.0
     if back.any():
         at = int(np.argmax(back)) + 1
         raise InputError(
-            f"{of}: time stands still or runs back at row {at}", "sort the rows, or repair them"
+            f"{of}: time stands still or runs back at row {at + 1}",
+            "sort the rows, take those out that come twice, or say stamp: arrival",
         )
     return np.asarray(time_s, dtype=np.float64)
 
@@ -46,7 +50,10 @@ def _rate(columns: Columns, base: TimeBase) -> float:
     if base.rate_key is not None:
         rate = float(columns.matrix([base.rate_key], 1)[0, 0])
     if rate is None or not np.isfinite(rate) or rate <= 0.0:
-        raise InputError(f"the sample rate is {rate}", "it must be a positive number")
+        raise InputError(
+            f"the sample rate is {rate}",
+            "give time: rate_hz above 0 in the map, or a column of times",
+        )
     return rate
 
 
@@ -91,7 +98,8 @@ def at_samples(
     if base_s is None:
         if len(values) != time_s.size:
             raise InputError(
-                f"{what} has {len(values)} rows, the gyro {time_s.size}", "give it a time base"
+                f"{what} has {len(values)} rows, the gyro {time_s.size}",
+                f"give it times of its own in the map, {what}: time",
             )
         return values[row]
     if base_s.size == time_s.size and np.array_equal(base_s, time_s):

@@ -273,6 +273,6 @@ def test_the_command_says_what_it_did(
     assert math.isclose(told["left_out"], 2)
     args = ["apply", str(golden), str(source), "-o", str(tmp_path / "b.mcap"), "--columns", "a,b,c"]
     assert cli.run(args) == 2
-    assert "leave out the options of a table" in capsys.readouterr().err
+    assert "--temperature, --time are of tables: leave them out" in capsys.readouterr().err
     assert cli.run(["apply", str(golden), str(source), "-o", str(tmp_path / "b.bag")]) == 2
     assert "end it in .mcap" in capsys.readouterr().err

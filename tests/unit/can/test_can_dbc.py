@@ -138,13 +138,16 @@ def test_presets_are_read_as_cantools_reads_them(name: str) -> None:
     [
         ("", "no CAN message"),
         ("BO_ x M: 8 A\n", "no message"),
-        ('BO_ 1 M: 8 A\n SG_ S : 60|16@1+ (1,0) [0|0] "" A\n', "outside"),
+        (
+            'BO_ 1 M: 8 A\n SG_ S : 60|16@1+ (1,0) [0|0] "" A\n',
+            "ends in byte 10 of message M",
+        ),
         ('BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (0,0) [0|0] "" A\n', "factor 0"),
         ("BO_ 1 M: 8 A\n SG_ S : what\n", "no signal"),
         ("BO_ 1 M: 8 A\nBO_ 1 M: 8 A\n", "second message"),
         (
             'BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (1,0) [0|0] "" A\nSIG_VALTYPE_ 1 S : 1;\n',
-            "a float of 16 bits",
+            "floating-point number of 16 bits",
         ),
     ],
 )

@@ -36,8 +36,8 @@ def test_defaults() -> None:
     ("change", "word"),
     [
         (("baud: 115200", "bauds: 115200"), "bauds"),
-        (("baud: 115200", "baud: '115200'"), "$.ptu.baud"),
-        (("baud: 115200", "baud: 115201"), "$.ptu.baud"),
+        (("baud: 115200", "baud: '115200'"), "ptu: baud is the text '115200'"),
+        (("baud: 115200", "baud: 115201"), "ptu: baud is 115201: give one of 600, 1200,"),
         (("baud: 115200", "pan_sign: 0"), "pan_sign"),
         (("rig: desk", "rig: ../../etc"), "board name"),
         (("id: A-1", "id: ../x"), "board name"),
@@ -74,7 +74,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("port", ['"a\\0b"', '"a\\nb"', '""'])
 def test_a_port_is_a_path(port: str) -> None:
-    with pytest.raises(UsageError, match=r"\$\.ptu\.port"):
+    with pytest.raises(UsageError, match=r"ptu: port is the text"):
         parse_rig(GOOD.replace("port: emulated, baud", f"port: {port}, baud"), "rig.yaml")
 
 

@@ -4,7 +4,7 @@ import enum
 import math
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from gyrorig_protocol.documents import dump_yaml, parse_yaml, read_as
 from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
+from gyrorig_protocol.misfits import first_misfit
 
 BOMB = "a0: &a0 [x, x]\n" + "".join(
     f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 10)
@@ -218,21 +219,87 @@ class _Outer(msgspec.Struct, forbid_unknown_fields=True):
 @pytest.mark.parametrize(
     ("value", "path"),
     [
-        ({"ptu": {"port": 5}}, r"\$\.ptu\.port"),
-        ({"ptu": {"port": "x", "bauds": 5}}, "bauds"),
-        ({"ptu": {"port": "x", "baud": True}}, r"\$\.ptu\.baud"),
-        ({"ptu": {"port": "x", "baud": "9600"}}, r"\$\.ptu\.baud"),
-        ({"ptu": {"port": "x"}, "speed": "1e5"}, r"\$\.speed"),
-        ({"ptu": {}}, "port"),
-        ({"ptu": [1]}, r"\$\.ptu"),
-        ({1: 2}, "it"),
-        (None, "it"),
-        ([], "it"),
+        ({"ptu": {"port": 5}}, "it: ptu: port is 5: give a text"),
+        (
+            {"ptu": {"port": "x", "bauds": 5}},
+            "it: ptu has the unknown key 'bauds': did you mean baud\\? the keys there are port, b",
+        ),
+        ({"ptu": {"port": "x", "baud": True}}, "it: ptu: baud is true: give a whole number"),
+        ({"ptu": {"port": "x", "baud": "9600"}}, "ptu: baud is the text '9600': give a whole"),
+        ({"ptu": {"port": "x"}, "speed": "1e5"}, "speed is the text '1e5': give a number"),
+        ({"ptu": {}}, "it: ptu lacks the key port: give it a text"),
+        ({"ptu": [1]}, "it: ptu is a list of 1: give keys with values: port, baud"),
+        ({"pt": {}}, "it has the unknown key 'pt': did you mean ptu"),
+        ({1: 2}, "it has 1 for a key: the keys there are ptu, speed"),
+        (None, "it holds no keys"),
+        ([], "it holds no keys"),
     ],
 )
 def test_values_of_another_shape_are_refused_with_their_place(value: object, path: str) -> None:
     with pytest.raises(InputError, match=path):
         read_as(value, _Outer, "it", InputError)
+
+
+class _Part(msgspec.Struct, forbid_unknown_fields=True):
+    of: Literal["pan", "tilt"]
+    deg: Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)] = 0.0
+    many: Annotated[int, msgspec.Meta(gt=0)] = 1
+    parts: "tuple[_Part, ...]" = ()
+
+
+class _Whole(msgspec.Struct, forbid_unknown_fields=True):
+    parts: Annotated[list[_Part], msgspec.Meta(min_length=1, max_length=3)]
+    sizes: Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)] | None = None
+    named: dict[str, _Part] = {}
+    kind: Literal["whole/1"] = "whole/1"
+    name: Annotated[str, msgspec.Meta(max_length=3, pattern="^[a-z]+$")] = "a"
+    either: float | list[float | None] | None = None
+
+
+_PAN = {"of": "pan"}
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ({"parts": []}, "parts is a list of 0: give a list of 1 to 3 entries, each keys with"),
+        ({"parts": [_PAN, {"of": "roll"}]}, "parts, entry 2: of is the text 'roll': give one of p"),
+        ({"parts": [{"of": "pan", "deg": 91}]}, "deg is 91: give a number from -90 to 90"),
+        ({"parts": [{"of": "pan", "many": 0}]}, "many is 0: give a whole number above 0"),
+        ({"parts": [{"of": "pan", "parts": [{}]}]}, "entry 1: parts, entry 1 lacks the key of"),
+        ({"parts": [_PAN], "sizes": [1, 2]}, "sizes is a list of 2: give a list of 3 entries"),
+        ({"parts": [_PAN], "sizes": [1, None, 2]}, "sizes, entry 2 is empty: give a number"),
+        ({"parts": [_PAN], "named": {"a": _PAN, "b": 1}}, "named: b is 1: give keys with values"),
+        ({"parts": [_PAN], "kind": "whole/2"}, "kind is the text 'whole/2': give whole/1"),
+        ({"parts": [_PAN], "name": "A"}, "'A': give a text of at most 3 characters of the form"),
+        ({"parts": [_PAN], "either": "x"}, "either is the text 'x': give a number or a list, each"),
+    ],
+)
+def test_what_does_not_fit_is_said_with_what_does(value: object, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        read_as(value, _Whole, "it")
+
+
+_LIKELY = st.sampled_from(
+    ["parts", "of", "deg", "many", "sizes", "named", "kind", "name", "either"]
+)
+_LIKE_WHOLE = st.recursive(
+    _SCALARS | st.sampled_from(["pan", "tilt", "whole/1", 1, 2.5, [1, 2.0, 3]]),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(_LIKELY, inner, max_size=5),
+    max_leaves=12,
+)
+
+
+@given(value=st.dictionaries(_LIKELY, _LIKE_WHOLE, max_size=5) | DOCUMENTS)
+def test_a_misfit_is_found_where_msgspec_refuses_and_nowhere_else(value: object) -> None:
+    found = first_misfit(value, _Whole)
+    try:
+        msgspec.convert(value, type=_Whole, strict=True)
+    except msgspec.ValidationError:
+        assert found is not None
+        assert found.remedy
+    else:
+        assert found is None
 
 
 def test_a_long_unknown_key_does_not_make_a_long_error() -> None:

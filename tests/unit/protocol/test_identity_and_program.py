@@ -95,13 +95,13 @@ def test_a_program_is_unrolled_in_order() -> None:
 @pytest.mark.parametrize(
     ("steps", "says"),
     [
-        ("", "Expected `array`"),
+        ("", "steps is empty: give a list"),
         ("  []", "no steps"),
         ("- {}", "step 1 of p.yaml is empty"),
         ("- {rest: {seconds: 1}, home: {}}", "step 1 of p.yaml is rest and home"),
         ("- {home: {}}\n- {move: {}}", "step 2 of p.yaml moves nowhere"),
         ("- {repeat: {times: 2, steps: [{home: {}}, {move: {speed_deg_s: 5}}]}}", "step 1.2 of"),
-        ("- {move: {pan_deg: 5, speed: 5}}", "unknown field `speed`"),
+        ("- {move: {pan_deg: 5, speed: 5}}", "unknown key 'speed': did you mean speed_deg_s"),
         ("- {move: {pan_deg: 5, speed_deg_s: 0}}", "speed_deg_s"),
         ("- {move: {pan_deg: 5, speed_deg_s: -1}}", "speed_deg_s"),
         ("- {move: {pan_deg: .nan}}", "finite"),
@@ -116,7 +116,7 @@ def test_a_program_is_unrolled_in_order() -> None:
         ("- {repeat: {times: 10001, steps: [{home: {}}]}}", "times"),
         ("- {repeat: {times: 1.5, steps: [{home: {}}]}}", "times"),
         ("- {repeat: {times: 2, steps: []}}", "steps"),
-        ("- {jump: {}}", "unknown field `jump`"),
+        ("- {jump: {}}", "unknown key 'jump': the keys there are rest, move, repeat, home"),
     ],
 )
 def test_what_is_no_program(steps: str, says: str) -> None:

@@ -39,7 +39,7 @@ def test_the_zero_rate_goes_with_the_full_scale() -> None:
         ("8.75", ".inf", "finite"),
         ("8.75", "8.75, zero_rate_dps: -1.0", "zero_rate_dps"),
         ("gyrorig/sensor/1", "gyrorig/sensor/2", "schema"),
-        ("low_pass", "lowpass", "unknown field"),
+        ("low_pass", "lowpass", "unknown key 'lowpass': did you mean low_pass"),
         ("[12.5, 25.0]", "12.5", "bandwidth_hz"),
     ],
 )

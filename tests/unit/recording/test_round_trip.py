@@ -70,7 +70,7 @@ def test_shortcuts(tmp_path: Path, script: Any) -> None:
     assert len(recording.clock_pings(BoardId("B-2"))) == 0
     assert recording.host_clock()["ntp_status"].tolist() == [64] * 4
     assert recording.reference_attitude()["orientation"].shape == (4, 4)
-    with pytest.raises(InputError, match="it holds B-1, B-2"):
+    with pytest.raises(InputError, match="name one that it holds: B-1, B-2"):
         recording.imu(BoardId("B-3"))
 
 
