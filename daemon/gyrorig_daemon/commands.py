@@ -31,8 +31,8 @@ from gyrorig_protocol.recording.writer import software
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 _HIDE = (
-    "An imperfection of the emulated rig to hide: a cause, after @ its place, "
-    "after : its size; or random. Can be given several times."
+    "An imperfection of the emulated rig to hide: a cause, after @ its place, after : its size, in "
+    "the unit that `gyrorigd causes` lists; or random. Can be given several times."
 )
 
 Command = Callable[..., None]
@@ -42,16 +42,27 @@ def _emulation_options(command: Command) -> Command:
     """Add what can be wanted of an emulated rig."""
     for option in reversed(
         (
-            click.option("--seed", type=click.IntRange(min=0), help="Another rig and noise."),
-            click.option("--truth", type=_FILE, help="Write what the emulated rig hides here."),
+            click.option(
+                "--seed",
+                type=click.IntRange(min=0),
+                help="Of an emulated rig: another number is another rig and noise.  "
+                "[default: the configuration's, emulator: seed]",
+            ),
+            click.option(
+                "--truth",
+                type=_FILE,
+                help="Of an emulated rig: write what it hides to this file, as YAML, or as JSON "
+                "where it is named .json.",
+            ),
             click.option("--hide", multiple=True, metavar="CAUSE[@PLACE][:SIZE]", help=_HIDE),
             click.option("--noise-free", is_flag=True, help="Emulated sensors without noise."),
             click.option(
                 "--soak",
                 type=click.FloatRange(-60.0, 60.0),
                 default=0.0,
+                show_default=True,
                 metavar="KELVIN",
-                help="Warm the emulated room by this and cool it again within the session.",
+                help="Warm the emulated room by so many kelvin and cool it again in the session.",
             ),
         )
     ):
@@ -96,7 +107,10 @@ for _command in SERVICE_COMMANDS:
     is_flag=True,
     help="Emulated rigs only: faster than time, straight into the recording.",
 )
-@click.option("--session", help="The session's name; otherwise drawn.")
+@click.option(
+    "--session",
+    help="The session's name: letters, digits and dashes, at most 32.  [default: drawn]",
+)
 @click.option(
     "--rates",
     type=_FILE,
@@ -127,7 +141,7 @@ def record_command(**options: Any) -> None:
     default=0.0,
     show_default=True,
     metavar="SECONDS",
-    help="When it begins to be used.",
+    help="When it begins to be used, in s after it was switched on.",
 )
 @click.option(
     "--until",
@@ -136,12 +150,12 @@ def record_command(**options: Any) -> None:
     default=60.0,
     show_default=True,
     metavar="SECONDS",
-    help="How long it will be used: what happens once happens in between.",
+    help="Until when it will be used, in s: what happens once happens in between.",
 )
 @click.option(
     "--links",
     type=click.Path(path_type=Path, file_okay=False),
-    help="A folder for links with the ports' names.",
+    help="A folder to make links in that bear the ports' names.  [default: none]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the ports as one JSON object.")
 @click.option("--until-eof", is_flag=True, help="End when standard input ends.")
@@ -253,7 +267,9 @@ def _emulate(options: dict[str, Any]) -> None:
 
     begin_s, end_s = options["begin_s"], options["end_s"]
     if end_s <= begin_s:
-        raise UsageError(f"--until {end_s:g} is not after --from {begin_s:g}", "give it later")
+        raise UsageError(
+            f"--until {end_s:g} s is not after --from {begin_s:g} s", "give --until a later time"
+        )
     told = _emulation(options, (begin_s, end_s))
     record.emulate(config, told, announce, ended, options["links"])
 

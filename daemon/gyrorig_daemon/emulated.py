@@ -97,7 +97,10 @@ def check_hidden(config: RigConfig, told: Emulation) -> None:
     """
     settings = rig_settings(config, more=told)
     if told.truth is None and any(order.cause == RANDOM for order in settings.hide):
-        raise UsageError("--hide random has to be opened at the end", "say where: --truth")
+        raise UsageError(
+            "what --hide random draws stands in the truth file alone, and none is named",
+            "name a file to write with --truth",
+        )
     draw_hidden(settings)
 
 
@@ -178,7 +181,8 @@ class EmulatorProcess:
             )
         except OSError as fault:
             raise MachineError(
-                f"the emulated rig cannot be started: {fault.strerror}", "make room for it"
+                f"the emulated rig cannot be started: {fault.strerror}",
+                "free memory, or end other processes, and start again",
             ) from fault
         line = b"" if self._process.stdout is None else self._process.stdout.readline()
         announced = json.loads(line) if line else {}
@@ -186,7 +190,7 @@ class EmulatorProcess:
             self.close()
             raise MachineError(
                 f"the emulated rig did not start: {announced.get('error', 'it says nothing')}",
-                "run gyrorigd emulate to see more",
+                f"see what `gyrorigd emulate --config {config_path}` says",
             )
         self.paths: Mapping[str, str] = announced["ports"]
         self.seal: str | None = announced.get("seal")

@@ -24,8 +24,15 @@ _ENTRY = r"(?:^|[\s{,])%s[ \t]*:[ \t]*[\"']?([^\s\"',{}#]+)"
 
 
 @click.command("halt", context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--config", "config_path", type=click.Path(path_type=Path), help="The rig (YAML).")
-@click.option("--port", help="The unit's port, whatever the configuration says.")
+@click.option(
+    "--config",
+    "config_path",
+    type=click.Path(path_type=Path),
+    help="The rig (YAML).  [default: none; then --port is needed]",
+)
+@click.option(
+    "--port", help="The unit's port, such as /dev/ttyUSB0.  [default: that of the configuration]"
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def halt_command(config_path: Path | None, port: str | None, as_json: bool) -> None:
     """Halt the pan-tilt unit and see it stand, whatever has become of the daemon.
@@ -38,7 +45,10 @@ def halt_command(config_path: Path | None, port: str | None, as_json: bool) -> N
     named, baud = (None, None) if config_path is None else _unit_of(config_path, port is not None)
     where = port or named
     if where is None:
-        raise UsageError("no port is known to halt a unit on", "give --config or --port")
+        raise UsageError(
+            "no port is known to halt a unit on",
+            "give --config with the rig's file, or --port, such as --port /dev/ttyUSB0",
+        )
     if where == EMULATED:
         _say("the unit of this rig is emulated: nothing to halt", {"halted": False}, as_json)
         return
@@ -75,10 +85,14 @@ def _unit_of(path: Path, port_is_told: bool) -> tuple[str | None, int | None]:
     except OSError as fault:
         if port_is_told:
             return None, None
-        raise UsageError(f"{path} cannot be read: {fault.strerror}", "give --port") from fault
+        raise UsageError(
+            f"{path} cannot be read: {fault.strerror}", "name the unit's port with --port"
+        ) from fault
     port, baud = _told(text, path.name)
     if port is None and not port_is_told:
-        raise UsageError(f"{path} does not say on which port the unit is", "give --port")
+        raise UsageError(
+            f"{path} does not say on which port the unit is", "name the unit's port with --port"
+        )
     return port, baud
 
 

@@ -70,11 +70,11 @@ def in_real_time(call: Call) -> Path:
     if not emulated:
         if told.truth is not None:
             raise UsageError(
-                "this rig is not emulated: its truth is not known", "leave out --truth"
+                "this rig is not emulated: what it hides is not known", "leave out --truth"
             )
         if told.hide or told.noise_free or told.soak_k:
             raise UsageError(
-                "this rig is not emulated: it is as it is",
+                "this rig is not emulated: nothing can be hidden in it or taken from it",
                 "leave out --hide, --noise-free and --soak",
             )
     ending: Callable[[], str] = str  # how the emulated rig has ended, "" if it has not
@@ -196,7 +196,10 @@ def emulate(
     from gyrorig_daemon.emulator.serve import serve  # noqa: PLC0415
 
     if EMULATED not in config.ports().values():
-        raise UsageError("no port of this rig is emulated", "write `emulated` as a port")
+        raise UsageError(
+            "no port of this rig is emulated",
+            "write `emulated` as the port of the unit or of a board, as in config/rig.yaml",
+        )
     check_hidden(config, told)
     begin_ns = raw_ns()
     rig = EmulatedRig(rig_settings(config, more=told, is_instant=True), begin_ns)

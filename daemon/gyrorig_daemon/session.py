@@ -290,7 +290,7 @@ class Session:
                 metadata = {f"gyrorig.board.{board.board_id}": board.metadata()}
             except DeviceError as fault:
                 self._unfit.append(board)
-                self.fault(f"it cannot take part: {fault.what}")
+                self.fault(f"it cannot take part: {fault}")
                 continue
             self._named.add(board.board_id)
             self.boards.append(board)

@@ -215,8 +215,8 @@ def test_killed_with_everything_it_halts_first_when_it_is_started_again(
     wait_for(lambda: service.said.count("READY=1") == 2)
     wait_for(lambda: service.status()["state"] == "ready")
     (result,) = service.results("failed")  # not begun again: it may be what it died of
-    assert result["reason"] == "the daemon ended while it ran"
-    wait_for(lambda: service.status()["kept"]["recovered"] == 1)
+    assert result["reason"].startswith("the daemon ended while it ran: look at the rig")
+    wait_for(lambda: service.counted("kept", "recovered") == 1)
     (path,) = service.recordings()
     assert len(read_recording(path).array("/board/B-1/imu_raw")) > 10
     assert len(list((service.state / "recordings" / "unclean").glob("*.part"))) == 1

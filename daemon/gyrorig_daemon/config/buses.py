@@ -109,18 +109,28 @@ def _check_board(board: "BoardPort", name: str) -> None:
     if board.port:
         raise UsageError(f"{name}: board {board.id} has a port and a bus", "leave out one of them")
     if board.format == "text":
-        raise UsageError(f"{name}: board {board.id} sends text on a CAN bus", "use signals")
+        raise UsageError(
+            f"{name}: board {board.id} has format: text, which no CAN bus carries",
+            "give it format: signals, and which signals, or format: gcb1 and its node",
+        )
     if board.format == "gcb1":
         if board.node is None:
             raise UsageError(f"{name}: board {board.id} has no node", f"give node: 1 to {MAX_NODE}")
         if board.signals is not None:
-            raise UsageError(f"{name}: board {board.id} has signals", "give format: signals too")
+            raise UsageError(
+                f"{name}: board {board.id} has signals, and its format is gcb1",
+                "give it format: signals, or leave signals out",
+            )
         return
     if board.signals is None:
-        raise UsageError(f"{name}: board {board.id} has no signals", "give preset, or dbc and gyro")
+        raise UsageError(
+            f"{name}: board {board.id} has format: signals and does not say which",
+            "give it signals: preset, or dbc and gyro",
+        )
     if not board.facts.uid or not (board.facts.sensor or board.signals.preset):
         raise UsageError(
-            f"{name}: board {board.id} cannot say what it is", "give facts: uid and sensor"
+            f"{name}: board {board.id} cannot say what it is",
+            "give it facts: uid (any name of its own) and sensor",
         )
     if board.signals.dbc_file is None:
         bind(board.signals, board.id)
@@ -141,6 +151,7 @@ def _check_emulated(rig: "RigConfig", name: str) -> None:
         load = len(there) * 2 * rig.emulator.odr_hz * _FRAME_BITS / bus.bitrate
         if load > _LOAD:
             raise UsageError(
-                f"{name}: bus {bus.id} would be loaded by {load:.0%}",
-                "use a higher bitrate, fewer boards or a lower odr_hz",
+                f"{name}: its boards would fill bus {bus.id} by {load:.0%}, and beyond {_LOAD:.0%} "
+                "frames wait for each other",
+                "give a higher bitrate, fewer boards or a lower emulator: odr_hz",
             )

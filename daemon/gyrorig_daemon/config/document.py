@@ -255,7 +255,7 @@ def _check_board(board: BoardPort, name: str) -> None:
     if board.format == "gcb1":
         if board.columns is not None:
             raise UsageError(
-                f"{name}: board {board.id} has columns, and only text lines have them",
+                f"{name}: board {board.id} has columns, and its format is gcb1, which has none",
                 "give it format: text, or leave out columns",
             )
         return

@@ -64,8 +64,9 @@ def check_schedule(entries: tuple[ScheduleEntry, ...], name: str) -> None:
             raise UsageError(f"{name}: schedule: {fault.what}", fault.remedy) from fault
         if (entry.every_h is None) == (entry.at_utc is None):
             raise UsageError(
-                f"{name}: {entry.name} of the schedule has to say when",
-                "give it every_h or at_utc, one of them",
+                f"{name}: schedule: {entry.name} says "
+                + ("not when" if entry.every_h is None else "twice when"),
+                "give it every_h, or at_utc, not both",
             )
         if entry.at_utc is not None and entry.minute_of_day is None:
             raise UsageError(

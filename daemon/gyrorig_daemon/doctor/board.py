@@ -232,7 +232,10 @@ def _rate(subject: str, config: BoardPort, heard: Heard) -> list[Finding]:
     says = f"{rate_hz:.0f} samples a second, {share:.0%} of the line"
     if said_hz and rate_hz and abs(rate_hz / said_hz - 1.0) > RATE_TOLERANCE:
         what = f"{says}; it should be {said_hz:g}"
-        remedy = "a line that is too slow, a bus at 100 kHz, or a busy board: lower rate, or batch"
+        remedy = (
+            "raise the baud rate and the sensor bus' rate (100 kHz is slow), batch samples, or "
+            "lower the rate"
+        )
         return [warning(subject, "rate", what, remedy)]
     if share > LINE_FULL:
         remedy = "raise the baud rate, or send several samples in a frame (batch)"
@@ -256,6 +259,6 @@ def _losses(subject: str, heard: Heard) -> list[Finding]:
             f"since its start the board has lost {slow.sensor_overruns} samples to its sensor's "
             f"queue and {slow.frames_dropped} frames to its line, with {slow.bus_errors} bus errors"
         )
-        remedy = "bus errors: its wires and pull-ups; dropped frames: a faster line"
+        remedy = "of bus errors check its wires and pull-ups, of dropped frames raise the baud rate"
         found.append(warning(subject, "board_losses", what, remedy))
     return found

@@ -86,7 +86,8 @@ def _controller(subject: str, bus: BusPort, name: str, told: dict[str, Any]) -> 
         found.append(warning(subject, "errors", what, "check terminations, wires and the bit rate"))
     if not data.get("restart_ms"):
         what = f"{name} does not come back by itself after bus-off"
-        found.append(warning(subject, "no_restart", what, f"restart-ms 100; see {NETWORK_FILE}"))
+        remedy = f"ip link set {name} type can restart-ms 100, while it is down, or {NETWORK_FILE}"
+        found.append(warning(subject, "no_restart", what, remedy))
     return found or [ok(subject, "controller", f"{name}: {state.lower()}, {bitrate} bit/s")]
 
 
@@ -100,7 +101,7 @@ def _losses(subject: str, name: str, system: System) -> list[Finding]:
     if not lost:
         return []
     what = f"since it is up {name} has lost frames: {lost}"
-    remedy = "mcp2515 has room for two frames: use an mcp251xfd, or fewer boards on the bus"
+    remedy = "put fewer boards on the bus, or use an mcp251xfd (an mcp2515 has room for two frames)"
     return [warning(subject, "frames_lost", what, remedy)]
 
 
@@ -112,5 +113,5 @@ def _buffer(subject: str, system: System) -> list[Finding]:
         f"net.core.rmem_max is {allowed}: of a bus in full use {allowed / 1.3e6:.2f} s fit, and a "
         "daemon that stands still for longer loses frames"
     )
-    remedy = "systemd/sysctl.d/80-gyrorig.conf (sudo make install-service ARGS=--can)"
+    remedy = "install systemd/sysctl.d/80-gyrorig.conf (sudo make install-service ARGS=--can)"
     return [warning(subject, "small_buffer", what, remedy)]

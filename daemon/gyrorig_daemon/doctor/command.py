@@ -31,7 +31,7 @@ STATE_FOLDER = Path("/var/lib/gyrorig/recordings")  # systemd/tmpfiles.d
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    help=f"Where recordings go; left out: {STATE_FOLDER} where it is, else ./recordings.",
+    help=f"Where recordings go.  [default: {STATE_FOLDER} where it is, else ./recordings]",
 )
 @click.option(
     "--no-open", is_flag=True, help="Open no port: only what can be seen without touching."
@@ -42,7 +42,7 @@ STATE_FOLDER = Path("/var/lib/gyrorig/recordings")  # systemd/tmpfiles.d
     type=click.Path(path_type=Path, dir_okay=False),
     default=Path(wire.DEFAULT_SOCKET),
     show_default=True,
-    help="Where a running daemon is asked.",
+    help="The socket at which a running daemon is asked.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def doctor_command(
@@ -51,9 +51,9 @@ def doctor_command(
     """Examine the computer, its disk and clocks, every port and every device of a rig.
 
     Nothing moves and nothing is set; ports in use are left alone, and a running daemon is
-    asked instead. Each finding that needs
-    something done says what. Exit codes: 0 nothing to do; 4 it works, and some night will
-    not; 1 something does not work; 2 the configuration is no rig.
+    asked instead. Each finding that needs something done says what. Exit codes: 0 nothing to
+    do; 4 it works, and some night will not; 1 something does not work; 2 the configuration is
+    no rig.
 
     Example: gyrorigd doctor --config config/rig-raspberrypi.yaml
     """

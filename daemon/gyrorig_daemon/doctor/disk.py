@@ -42,22 +42,25 @@ def examine_disk(folder: Path, system: System) -> tuple[list[Finding], Disk | No
         return [_read_only(place)], None
     if not os.access(place, os.W_OK):
         why = f"this user may not write in {place}"
-        return [fault(SUBJECT, "not_writable", why, f"chown it, or name another than {folder}")], (
-            None
-        )
+        remedy = f"sudo chown $USER {place}, or name another than {folder} with --out"
+        return [fault(SUBJECT, "not_writable", why, remedy)], None
     room = os.statvfs(place)
     free_bytes = room.f_bavail * room.f_frsize
     try:
         spent_s = [_trial(place) for _ in range(TRIALS)]
     except OSError as failure:
         why = f"a trial of {TRIAL_BYTES // 1024} kB in {place} failed: {failure.strerror}"
-        return [fault(SUBJECT, "trial_failed", why, "free space, or look at dmesg")], None
+        remedy = "move recordings away to make room; where there is room, dmesg says what is wrong"
+        return [fault(SUBJECT, "trial_failed", why, remedy)], None
     disk = Disk(place, free_bytes, TRIAL_BYTES * TRIALS / max(sum(spent_s), 1e-9))
     found = [*_kind(place, kind), *_speed(disk, spent_s)]
     if room.f_files > 0 and room.f_favail < FEW_INODES:
         found.append(
             fault(
-                SUBJECT, "inodes", f"{place} takes only {room.f_favail} more files", "remove some"
+                SUBJECT,
+                "inodes",
+                f"{place} takes only {room.f_favail} more files",
+                f"move old recordings and results away; at least {FEW_INODES} should be free",
             )
         )
     return found, disk
@@ -137,7 +140,7 @@ def _speed(disk: Disk, spent_s: list[float]) -> list[Finding]:
         return [fault(SUBJECT, "too_slow", says, "use another disk: this one loses data")]
     if slowest_s > SLOW_SYNC_S:
         return [
-            warning(SUBJECT, "slow", says, "nothing is lost, but a power cut may cost more: an SSD")
+            warning(SUBJECT, "slow", says, "use an SSD: until then a power cut costs more data")
         ]
     return [ok(SUBJECT, "speed", says)]
 

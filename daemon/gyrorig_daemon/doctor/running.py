@@ -51,7 +51,8 @@ def _state(status: dict[str, Any]) -> Finding:
         remedy = "look at the rig, then: gyrorigd clear"
         return fault(SUBJECT, "held", f"nothing moves: {reason}", remedy)
     if state == "waiting":
-        return warning(SUBJECT, "waiting", f"no session begins: {reason}", "see to what it names")
+        remedy = "mend what it names; sessions begin by themselves then"
+        return warning(SUBJECT, "waiting", f"no session begins: {reason}", remedy)
     hours = status["uptime_s"] / 3600.0
     return ok(SUBJECT, "running", f"it runs, {state}, for {hours:.1f} h, process {status['pid']}")
 
@@ -66,7 +67,8 @@ def _unit(status: dict[str, Any]) -> list[Finding]:
     found = [ok("unit", "seen", f"{unit['text']} ({unit['port']})")]
     if not unit["steps_are_sure"]:
         what = "it may have lost steps: sessions without --home are refused"
-        found.append(warning("unit", "lost_steps", what, "clear the rig; hand one in with --home"))
+        remedy = "clear the rig, then: gyrorigd enqueue --home --program PROGRAM.yaml"
+        found.append(warning("unit", "lost_steps", what, remedy))
     return found
 
 
@@ -83,7 +85,8 @@ def _board(board: dict[str, Any]) -> list[Finding]:
     told = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in lost.items() if count)
     if told:
         what = f"since the daemon's start: {told}"
-        found.append(note(subject, "losses", what, "when it grows: cable, ground, baud rate"))
+        remedy = "if it grows, check cable and ground, or lower the baud rate"
+        found.append(note(subject, "losses", what, remedy))
     return found
 
 
@@ -92,7 +95,12 @@ def _recorder(status: dict[str, Any]) -> list[Finding]:
     if not degraded:
         return []
     return [
-        fault("disk", "degraded", f"recording goes on in memory: {degraded}", "see to the disk")
+        fault(
+            "disk",
+            "degraded",
+            f"recording goes on in memory, which is soon full: {degraded}",
+            "make room on the disk; where there is room, dmesg says what is wrong with it",
+        )
     ]
 
 
@@ -101,4 +109,5 @@ def _last(status: dict[str, Any]) -> list[Finding]:
     if last is None or last["result"] == "done":
         return []
     what = f"the last session, {last['session']}, {last['result']}: {last['reason']}"
-    return [note(SUBJECT, "last_session", what, "see queue/failed for the others")]
+    remedy = "earlier ones: queue/failed in the daemon's state folder, a .result.json for each"
+    return [note(SUBJECT, "last_session", what, remedy)]

@@ -42,7 +42,8 @@ def examine_room(disk: Disk | None, night: Night, service: ServiceSettings) -> l
     free_bytes = disk.free_bytes - service.reserve_mb * 1_000_000 - night.boards * BYTES_PER_BOARD
     if night.samples_hz <= 0.0:
         what = f"{_size(disk.free_bytes)} are free; no board is heard, so nothing can be reckoned"
-        return [note(SUBJECT, "no_rate", what)]
+        remedy = "do what stands with the boards above, then ask again"
+        return [note(SUBJECT, "no_rate", what, remedy)]
     found = []
     lasts_s = free_bytes / rate_bytes_s
     says = (
@@ -50,10 +51,11 @@ def examine_room(disk: Disk | None, night: Night, service: ServiceSettings) -> l
         f"{_size(disk.free_bytes)} are free in {disk.folder}, {service.reserve_mb} MB stay so"
     )
     if lasts_s <= 0.0 and not service.delete_when_full:
-        found.append(fault(SUBJECT, "full", f"{says}: nothing can be recorded", "free space"))
+        remedy = f"move recordings away from {disk.folder}, or service: delete_when_full: true"
+        found.append(fault(SUBJECT, "full", f"{says}: nothing can be recorded", remedy))
     elif lasts_s < NIGHT_S and not service.delete_when_full:
         what = f"{says}: full in {lasts_s / 3600.0:.1f} h, and recording waits then"
-        remedy = "free space, or service: delete_when_full in the rig's document"
+        remedy = f"move recordings away from {disk.folder}, or service: delete_when_full: true"
         found.append(warning(SUBJECT, "fills_up", what, remedy))
     elif lasts_s < NIGHT_S:
         what = f"{says}: full in {max(lasts_s, 0.0) / 3600.0:.1f} h; then the oldest are deleted"
@@ -65,7 +67,8 @@ def examine_room(disk: Disk | None, night: Night, service: ServiceSettings) -> l
             f"{_size(rate_bytes_s)} a second have to be written, and the disk takes "
             f"{_size(disk.write_bytes_s)} a second"
         )
-        found.append(fault(SUBJECT, "disk_too_slow", what, "record to a faster disk"))
+        remedy = "record to a faster disk: --out of record, --state of run"
+        found.append(fault(SUBJECT, "disk_too_slow", what, remedy))
     return found
 
 

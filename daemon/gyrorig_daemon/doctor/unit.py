@@ -99,7 +99,7 @@ def _nobody(line: HaltLine, config: PtuPort, bauds: Sequence[int]) -> Finding:
             SUBJECT,
             "echo_only",
             f"what is on {config.port} only sends back what it is sent",
-            "a unit that homes after power-up does so until it stands; otherwise a loop-back",
+            "wait if the unit homes after power-up; if nothing turns, look for a loop-back plug",
         )
     return fault(
         SUBJECT,
@@ -176,11 +176,11 @@ def _bounds(line: HaltLine) -> list[Finding]:
 def _power(line: HaltLine) -> list[Finding]:
     power = _ask(line, QUERY_POWER)
     if not isinstance(power, PowerState):
-        return [note(SUBJECT, "no_power", "it does not tell its supply and temperatures")]
+        return [note(SUBJECT, "no_power", "it does not tell its supply and its temperatures")]
     hottest_c = max(power.temperatures_c, default=0.0)
     says = f"supply {power.supply_v:.1f} V, {hottest_c:.0f} degC at the hottest"
     if power.supply_v < LOW_SUPPLY_V:
-        remedy = "12 to 30 V at the unit's plug while it moves: thicker or shorter wires"
+        remedy = "give it 12 to 30 V at its plug while it moves: thicker or shorter wires"
         return [warning(SUBJECT, "low_supply", f"{says}: it will lose steps", remedy)]
     if hottest_c > HOT_MOTOR_C:
         return [warning(SUBJECT, "hot", says, "lower the holding current, or let it rest")]

@@ -38,7 +38,8 @@ def board_metadata(config: BoardPort, hello: Hello | None) -> dict[str, str]:
     for key in ("uid", "sensor", "gyro_scale_rad_s"):
         if not values.get(key):
             raise UsageError(
-                f"board {config.id} does not say its {key}", f"give boards: facts: {key}"
+                f"board {config.id} does not say its {key}, which a recording needs",
+                f"give it in the rig's configuration, boards: facts: {key}",
             )
     return {key: _text(value) for key, value in values.items() if value not in (None, "")}
 

@@ -118,7 +118,7 @@ class BoardLink:
             next_ns = self._pump.now_ns() + int(HELLO_EVERY_S * 1e9)
             self._pump.run_until(min(next_ns, end_ns), self._is_settled)
         if self.gone:
-            raise DeviceError(f"{self._where()} hung up", "check the cable")
+            raise DeviceError(f"{self._where()} hung up", "check its cable and its power")
         if self.state is LinkState.FOREIGN:
             raise DeviceError(self._foreign(), "check the ports in the rig's configuration")
         if not self.known:

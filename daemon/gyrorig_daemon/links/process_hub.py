@@ -286,15 +286,23 @@ class AcquisitionHub:
 def refusal(port: str, path: str, reason: str, text: str) -> GyrorigError:
     """Return the error for a port that could not be opened, by who must act."""
     if reason == "busy":
-        return BusyError(f"{path} ({port}) is busy: {text}", "end that program, or wait")
+        return BusyError(
+            f"{path} ({port}) is busy: {text}",
+            "end that program (`gyrorigd doctor` names it), or wait until it has ended",
+        )
     if reason == "denied":
         return MachineError(
-            f"{path} ({port}) may not be opened: {text}", "add this user to the group dialout"
+            f"{path} ({port}) may not be opened: {text}",
+            "sudo usermod -aG dialout $USER, and log in again; `gyrorigd doctor` names the group",
         )
     if reason == "broken":
         return DeviceError(
             f"{path} ({port}) does not answer its driver: {text}", "plug the adapter in again"
         )
     there = candidates()
-    hint = f"ports here: {', '.join(there)}" if there else "this machine shows no serial port"
+    hint = (
+        f"name another in the rig's configuration; ports here: {', '.join(there)}"
+        if there
+        else "check the cable and the adapter: this computer shows no serial port"
+    )
     return UsageError(f"{path} ({port}) cannot be used: {text}", hint)

@@ -104,7 +104,7 @@ class Executor:
                 raise DeviceError(
                     f"the unit stands at {last} instead of "
                     f"{', '.join(f'{axis.word} {at}' for axis, at in targets.items())} steps",
-                    "something is in its way, or it lost power",
+                    "clear what is in its way, check its power, then start again with --home",
                 )
 
     def _poll_for(self, seconds: float) -> None:

@@ -52,6 +52,11 @@ from gyrorig_protocol.ptu.commands import (
 
 BOTH = (Axis.PAN, Axis.TILT)
 _BOUNDS = (Quantity.MINIMUM, Quantity.MAXIMUM)
+_IN_DEG = {
+    Quantity.UPPER_SPEED: "deg/s",
+    Quantity.BASE_SPEED: "deg/s",
+    Quantity.ACCELERATION: "deg/s^2",
+}
 
 
 class Homing(Enum):
@@ -222,13 +227,14 @@ def _set(client: PtuClient, axis: Axis, quantity: Quantity, steps: int, value_de
     reply = client.ask(assign(axis, quantity, steps))
     if not reply.ok:
         raise UsageError(
-            f"the unit refuses a {name} of {value_deg:g} deg: {reply.text}",
-            "change the program's settings",
+            f"the unit refuses a {name} of {value_deg:g} {_IN_DEG[quantity]}: {reply.text}",
+            "choose another in the program's settings",
         )
     answered = read_integer(client, query(axis, quantity))
     if answered != steps:
         raise UsageError(
-            f"the unit took a {name} of {answered} instead of {steps} steps",
+            f"asked for a {name} of {value_deg:g} {_IN_DEG[quantity]}, {steps} in its steps, the "
+            f"unit took {answered}",
             "choose one that it can do in the program's settings",
         )
 

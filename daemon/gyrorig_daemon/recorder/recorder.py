@@ -24,7 +24,7 @@ from gyrorig_daemon.recorder.settings import (
     RecorderSettings,
     RecordingPlan,
 )
-from gyrorig_daemon.recorder.spool import Spool
+from gyrorig_daemon.recorder.spool import REPORT, Spool
 from gyrorig_protocol.errors import GyrorigError, MachineError
 from gyrorig_protocol.recording.disk_file import DISK, Disk
 from gyrorig_protocol.recording.messages import Message
@@ -318,7 +318,9 @@ class Recorder:
             while self._serve(spool):
                 self.progress_ns = time.monotonic_ns()
         except Exception as fault:  # a fault of this program must not pass unseen
-            self._fault = MachineError(f"the recording broke off: {fault!r}", "report this")
+            self._fault = MachineError(
+                f"the recording broke off by a fault of the program: {fault!r}", REPORT
+            )
             while self._queue.get() is not None:
                 self.progress_ns = time.monotonic_ns()
 

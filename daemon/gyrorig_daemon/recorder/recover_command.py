@@ -18,7 +18,7 @@ from gyrorig_protocol.errors import MachineError
     default=0,
     show_default=True,
     metavar="BYTES",
-    help="What must stay free on the disk.",
+    help="How many bytes must stay free on the disk.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def recover_command(folder: Path, reserve_bytes: int, as_json: bool) -> None:
@@ -51,5 +51,5 @@ def recover_command(folder: Path, reserve_bytes: int, as_json: bool) -> None:
     if failed:
         raise MachineError(
             f"{len(failed)} of {len(found)} files could not be recovered",
-            "the lines above say why, each; what is left is as it was: mend that and run it again",
+            "do what the lines above say of each, and run this again: nothing of them was changed",
         )

@@ -100,7 +100,8 @@ def _recover_one(part: Path, reserve_bytes: int, disk: Disk) -> Recovery | None:
     except GyrorigError as fault:
         return Recovery(part, Outcome.FAILED, None, 0, 0, f"{part.name}: {fault}")
     except OSError as fault:
-        text = f"{part.name}: {fault.strerror or fault}"
+        why = f"{fault.strerror or fault}: mend the disk or its rights; {_again(part)}"
+        text = f"{part.name}: {why}"
         return Recovery(part, Outcome.FAILED, None, 0, 0, text)
 
 
@@ -117,8 +118,8 @@ def _recover(part: Path, reserve_bytes: int, disk: Disk) -> Recovery:
         return Recovery(final, Outcome.RENAMED, final, 0, 0, text)
     if size + reserve_bytes > disk.free_bytes(part.parent):
         raise MachineError(
-            f"too little room to recover it: {size + reserve_bytes} bytes have to be free",
-            "make room; the next start tries again",
+            f"too little room to recover it: {(size + reserve_bytes) / 1e6:.1f} MB have to be free",
+            f"make room; {_again(part)}",
         )
     half = final.with_name(final.name + _HALF)
     about = {"original": part.name, "original_sha256": digest}
@@ -131,14 +132,14 @@ def _recover(part: Path, reserve_bytes: int, disk: Disk) -> Recovery:
         if read_strictly(half) != salvaged.messages:
             raise InputError(
                 f"{half.name}, read back, holds not what was copied from {part.name}",
-                "the disk may be failing: copy the folder elsewhere and run gyrorigd recover there",
+                "the disk may be failing: copy its folder elsewhere and run gyrorigd recover there",
             )
         if disk.exists(final):
             final = final.with_name(f"{final.stem}_recovered.mcap")
             if disk.exists(final):
                 raise MachineError(
                     f"not recovered: {final} is there already and holds something else",
-                    "move that away; the next start tries again",
+                    f"move that away; {_again(part)}",
                 )
         disk.rename(half, final)
     except BaseException:
@@ -147,6 +148,10 @@ def _recover(part: Path, reserve_bytes: int, disk: Disk) -> Recovery:
         raise
     disk.sync_directory(final.parent)
     return _report(_set_aside(part, digest, final, disk), final)
+
+
+def _again(part: Path) -> str:
+    return f"the daemon's next start, or gyrorigd recover {part.parent}, tries again"
 
 
 def _report(original: Path, final: Path) -> Recovery:

@@ -154,15 +154,17 @@ class _Cited:
         for store in stores:
             if not store.is_dir():
                 raise MachineError(
-                    f"the store {store} is not there", "nothing is deleted without it"
+                    f"the store {store} is not there, and nothing is deleted without it",
+                    "mount it, or take it out of service: stores in the rig's configuration",
                 )
             try:
                 for document in _documents(store):
                     self._take(document)
             except OSError as fault:
                 raise MachineError(
-                    f"cannot read {fault.filename or store}: {fault.strerror}",
-                    "nothing is deleted without it",
+                    f"cannot read {fault.filename or store}: {fault.strerror}, and nothing is "
+                    "deleted without it",
+                    "mend its rights, or take it out of service: stores in the rig's configuration",
                 ) from fault
 
     def protects(self, path: Path) -> bool:
@@ -172,7 +174,9 @@ class _Cited:
     def _take(self, document: Path) -> None:
         if document.stat().st_size > _LARGEST_DOCUMENT_BYTES:
             raise MachineError(
-                f"{document} is too large to be a calibration", "move it out of the store"
+                f"{document} is too large to be a calibration "
+                f"(beyond {_LARGEST_DOCUMENT_BYTES / 1e6:.0f} MB)",
+                "move it out of the store",
             )
         text = document.read_bytes()
         self._digests.update(found.decode() for found in _DIGEST.findall(text))
@@ -219,7 +223,7 @@ def _delete(path: Path, disk: Disk) -> None:
     except OSError as fault:
         raise MachineError(
             f"cannot delete {path}: {fault.strerror}",
-            "its folder has to belong to whom the daemon runs as; recording goes on meanwhile",
+            "give its folder to the user that the daemon runs as (chown); recording goes on",
         ) from fault
 
 

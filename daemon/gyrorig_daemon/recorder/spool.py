@@ -53,6 +53,7 @@ RETRY_NS = 5_000_000_000  # between attempts to open a part where the last one f
 ROOM_NS = 1_000_000_000  # between looks at the free space
 TURN_RECORDS = 2_000  # taken out of memory in one turn: 20 ms of work
 CLOSE_ATTEMPTS = 2
+REPORT = "report it with this line; what was written before is kept"
 _MS_NS = 1_000_000
 
 
@@ -237,7 +238,9 @@ class Spool:
         """One message that is none, or comes too late on its topic, must not end a recording."""
         self._counts.refused += 1
         if not self._settings.survive:
-            raise MachineError(f"{topic}: the recording broke off: {fault}", "report this")
+            raise MachineError(
+                f"{topic}: the recording broke off by a fault of the program: {fault}", REPORT
+            )
 
     def _guarded(self, writer: RecordingWriter, step: Callable[[], None]) -> bool:
         """Do a step of `writer`; False where that was its last."""

@@ -52,7 +52,7 @@ def listen(path: Path, command: str) -> Iterator[dict[str, Any]]:
         except OSError as fault:
             raise MachineError(
                 f"no daemon answers at {path}: {fault.strerror or fault}",
-                "is `gyrorigd run` running, and are you in its group? else give --socket",
+                "start `gyrorigd run`, join its group, or name its socket with --socket",
             ) from fault
     raise MachineError(f"the daemon at {path} went away", LOG)
 

@@ -43,7 +43,7 @@ _state = click.option(
     type=_FOLDER,
     default=_default_state,
     show_default=f"$STATE_DIRECTORY or {DEFAULT_STATE}",
-    help="The daemon's folder: recordings, queue.",
+    help="The daemon's folder: recordings, queue, calibrations.",
 )
 _socket = click.option(
     "--socket",
@@ -51,7 +51,7 @@ _socket = click.option(
     type=_FILE,
     default=_default_socket,
     show_default=f"$RUNTIME_DIRECTORY/{wire.SOCKET_NAME} or {wire.DEFAULT_SOCKET}",
-    help="Where the daemon is asked.",
+    help="The socket at which the daemon is asked.",
 )
 _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 
@@ -108,7 +108,10 @@ def run_command(
 
 @click.command("enqueue")
 @click.option("--program", "program_path", type=_FILE, required=True, help="The motion (YAML).")
-@click.option("--session", help="The session's name; otherwise drawn.")
+@click.option(
+    "--session",
+    help="The session's name: letters, digits and dashes, at most 32.  [default: drawn]",
+)
 @click.option("--home", is_flag=True, help="Home the unit first: both axes sweep their range.")
 @_state
 @_json

@@ -140,7 +140,9 @@ class Daemon:
         if hold is not None:
             return f"{hold.reason}; look at the rig, then: gyrorigd clear"
         if self.unit.state is not UnitState.STANDS:
-            return f"the unit: {self.unit.why or self.unit.state.value}"
+            return (
+                f"the unit: {self.unit.why or self.unit.state.value}: check its cable and its power"
+            )
         lack = self._parts.keeper.lack()
         if lack:
             return lack
@@ -154,7 +156,7 @@ class Daemon:
         patience_s = self._rig.config.service.board_patience_s
         if len(missing) < len(self._rig.boards) and waited_s >= patience_s:
             return ""
-        return f"no word from board {', '.join(missing)}"
+        return f"no word from board {', '.join(missing)}: check its cable and its power"
 
     def _next_job(self) -> Job | None:
         """Return what is to be carried out now: what people asked for goes first."""
@@ -171,7 +173,7 @@ class Daemon:
             program = parse_program(text, entry.program)
         except UsageError as fault:
             parts.counts.sessions_failed += 1
-            parts.log(f"{entry.name} of the schedule: {fault}")
+            parts.log(f"{entry.name} of the schedule is left out this time: {fault}")
             return None
         session = f"{entry.name[:20]}-{int(clocks.utc_s()):x}"[:32]
         return Job(entry.name, program, text, session, entry.home)

@@ -34,6 +34,7 @@ from gyrorig_protocol.program import MotionProgram, parse_program
 
 SCHEMA = "gyrorig/job/1"
 MAX_JOB_BYTES = 1_000_000
+ENDED = "the daemon ended while it ran: look at the rig and the log, then hand it in again"
 KEPT_RESULTS = 1_000  # of done and of failed jobs each
 FOLDER_MODE = 0o2770  # whoever is in the daemon's group may hand in jobs
 JOB_MODE = 0o660
@@ -152,7 +153,7 @@ class JobQueue:
                 f"{folder} cannot be used: {fault.strerror}", "name another folder with --state"
             ) from fault
         for path in self._files(folder / "running"):
-            self._end(path, "failed", {"reason": "the daemon ended while it ran"})
+            self._end(path, "failed", {"reason": ENDED})
 
     def waiting(self) -> list[str]:
         """Return the names of the jobs that wait, the next one first."""
@@ -174,7 +175,9 @@ class JobQueue:
                 self._end(running, "failed", {"reason": str(fault)})
             except (OSError, ValueError) as fault:
                 self.refused += 1
-                self._end(running, "failed", {"reason": f"it cannot be read: {fault}"})
+                words = getattr(fault, "strerror", None) or fault
+                remedy = "let the daemon's group read it, and hand it in again"
+                self._end(running, "failed", {"reason": f"it cannot be read, {words}: {remedy}"})
         return None
 
     def finish(self, job: Job, done: bool, result: Mapping[str, Any]) -> None:
@@ -228,9 +231,14 @@ def _read_regular(path: Path) -> bytes:
     try:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
-            raise UsageError(f"{path.name} is no file", "drop a job's file into the queue")
+            raise UsageError(
+                f"{path.name} is no regular file", "hand a program in with `gyrorigd enqueue`"
+            )
         if status.st_size > MAX_JOB_BYTES:
-            raise UsageError(f"{path.name} is larger than 1 MB", "drop a job's file into the queue")
+            raise UsageError(
+                f"{path.name} is larger than 1 MB, and no job is",
+                "hand a program in with `gyrorigd enqueue`",
+            )
         data = bytearray()
         while piece := os.read(handle, MAX_JOB_BYTES + 1 - len(data)):
             data += piece

@@ -89,12 +89,18 @@ class Keeper:
         settings = self._settings()
         needed, free = recorder_settings(settings).resume_bytes, self._state.free_bytes()
         if not os.access(self._state.recordings, os.W_OK):
-            return f"{self._state.recordings} cannot be written to"
+            return (
+                f"{self._state.recordings} cannot be written to: give it to the daemon's user "
+                "(chown), or look at its disk"
+            )
         if free is None or free >= needed:
             return ""
         if settings.delete_when_full:
             self._wanted.set()
-        return f"{free / 1e9:.2f} GB are free for recordings, less than {needed / 1e9:.2f}"
+        return (
+            f"{free / 1e9:.2f} GB are free for recordings, less than {needed / 1e9:.2f}: make "
+            "room, and sessions begin by themselves"
+        )
 
     def make_room(self) -> None:
         """Delete what may go, because less than the reserve is free."""
@@ -115,16 +121,19 @@ class Keeper:
         command += ["--reserve", str(reserve), str(self._state.recordings)]
         try:
             self._child = subprocess.Popen(command, stdout=subprocess.PIPE)  # noqa: S603 - ourselves
+            if self._ended.is_set():  # `close` came a moment ago, and saw no child to end
+                self._child.kill()
             told, _ = self._child.communicate(timeout=RECOVERY_LIMIT_S)
             self._take_report(json.loads(told))
         except (OSError, ValueError, KeyError, TypeError, subprocess.TimeoutExpired) as fault:
             if self._child is not None:
                 self._child.kill()
             if not self._ended.is_set():
-            if self._ended.is_set():  # `close` came a moment ago, and saw no child to end
-                self._child.kill()
                 self.counts.not_recovered += 1
-                self._log(f"the recovery of unfinished recordings broke off: {fault}")
+                self._log(
+                    f"the recovery of unfinished recordings broke off: {fault}: the next start "
+                    f"tries again; by hand: gyrorigd recover {self._state.recordings}"
+                )
         finally:
             self._child = None
 
@@ -159,7 +168,10 @@ class Keeper:
         self.counts.deleted += len(done.deleted)
         self.counts.deleted_bytes += done.deleted_bytes
         if done.deleted:
-            self._log(f"{len(done.deleted)} recordings deleted, {done.deleted_bytes} bytes")
+            self._log(
+                f"{len(done.deleted)} recordings deleted by the rules of the rig's configuration, "
+                f"{done.deleted_bytes / 1e6:.1f} MB"
+            )
 
     def _stores(self, settings: ServiceSettings) -> list[Path]:
         """Return the folders of calibrations; one that was named must be there."""

@@ -210,7 +210,10 @@ class StatusServer:
         command = decode_request(line) if len(line) <= MAX_REQUEST_BYTES else None
         self._counts.requests += 1
         if command is None:
-            return self._refuse(client, "unknown request; see docs/service.md")
+            return self._refuse(
+                client,
+                "unknown request: send status, watch, halt, clear or reload (docs/service.md)",
+            )
         if command in COMMANDING and not client.peer.may_command:
             return self._refuse(
                 client, f"{command} is for root and the daemon's own user; try sudo"
@@ -281,7 +284,9 @@ def _listen(path: Path) -> socket.socket:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_socket():
             if _answers(path):
-                raise BusyError(f"another daemon serves {path}", "end it, or give --socket")
+                raise BusyError(
+                    f"another daemon serves {path}", "end it, or name another socket with --socket"
+                )
             path.unlink()  # left by one that died
         before = os.umask(0o777 & ~SOCKET_MODE)
         try:
@@ -293,7 +298,9 @@ def _listen(path: Path) -> socket.socket:
     except OSError as fault:
         listener.close()
         words = fault.strerror or str(fault)
-        raise MachineError(f"no socket can be made at {path}: {words}", "give --socket") from fault
+        raise MachineError(
+            f"no socket can be made at {path}: {words}", "name another place with --socket"
+        ) from fault
     except BusyError:
         listener.close()
         raise

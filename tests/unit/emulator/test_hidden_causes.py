@@ -244,7 +244,7 @@ def test_drawn_jitter_fits_the_rate() -> None:
 
 
 def test_a_rig_without_boards_cannot_hide_a_boards_cause() -> None:
-    with pytest.raises(UsageError, match="none is emulated"):
+    with pytest.raises(UsageError, match="no board of this rig is emulated"):
         draw_hidden(replace(settings("warm_up"), boards=()))
     assert draw_hidden(replace(settings("backlash"), boards=()))[0].board is None
 

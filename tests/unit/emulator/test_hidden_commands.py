@@ -205,7 +205,7 @@ def test_the_causes_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
         (("--hide", "wobble"), "name one of: acceleration_error"),
         (("--hide", "backlash:wide"), "a number in rad"),
         (("--hide", "backlash@z"), "name one of: pan, tilt"),
-        (("--hide", "random"), "say where: --truth"),
+        (("--hide", "random"), "name a file to write with --truth"),
     ],
 )
 def test_what_cannot_be_hidden_ends_with_2_and_one_line(
@@ -232,4 +232,4 @@ def test_a_real_rig_hides_nothing_on_demand(
     arguments.remove("--simulated-time")
     arguments[2] = str(rig)
     assert run(arguments) == 2
-    assert "it is as it is" in capsys.readouterr().err
+    assert "nothing can be hidden in it" in capsys.readouterr().err

@@ -60,7 +60,7 @@ def test_the_oldest_go_and_what_is_cited_stays(keeper_of: Maker) -> None:
     assert there == ["r1.mcap", "r4.mcap", "r5.mcap"]
     assert (keeper.counts.deleted, keeper.counts.deleted_bytes) == (3, 3_000_000)
     assert keeper.counts.kept_for_calibrations == 1
-    assert told == ["3 recordings deleted, 3000000 bytes"]
+    assert told == ["3 recordings deleted by the rules of the rig's configuration, 3.0 MB"]
 
 
 def test_a_store_that_is_not_mounted_stops_all_deleting(keeper_of: Maker) -> None:

@@ -252,7 +252,7 @@ service: {board_patience_s: 5.0}
     bench.hub.unplug("board:B-2", bench.hub.now_ns(), bench.hub.now_ns() + 14_000_000_000)
     bench.put("name: p\nsteps:\n  - rest: {seconds: 20.0}\n  - move: {pan_deg: 5.0}\n", session="s")
     bench.serve(60.0)
-    assert bench.state_at(4.0)["reason"] == "no word from board B-2"
+    assert bench.state_at(4.0)["reason"] == "no word from board B-2: check its cable and its power"
     assert bench.state_at(9.0)["state"] == "running"
     recording = read_recording(*bench.recordings())
     assert "gyrorig.board.B-2" in recording.metadata  # it came while the session ran

@@ -156,8 +156,8 @@ def test_the_longest_waiting_goes_first_and_a_disk_that_refuses_is_lived_with(
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("{name: a, program: p}", "has to say when"),
-        ('{name: a, program: p, every_h: 1.0, at_utc: "01:00"}', "has to say when"),
+        ("{name: a, program: p}", "schedule: a says not when: give it every_h, or"),
+        ('{name: a, program: p, every_h: 1.0, at_utc: "01:00"}', "schedule: a says twice when"),
         ('{name: a, program: p, at_utc: "25:00"}', "is no time of day"),
         ("{name: ../a, program: p, every_h: 1.0}", "is no board name"),
         ("{name: a, program: p, every_h: 1.0}, {name: a, program: p, every_h: 2.0}", "twice"),

@@ -65,7 +65,8 @@ def _drawn(order: HideOrder, settings: RigSettings) -> Hidden:
         size = order.size
     if abs(size) > most:
         raise UsageError(
-            f"{cause.name} of {size:g} is too much on this board", f"at most {most:.3g}"
+            f"{cause.name} of {size:g} {cause.unit} is too much on board {board.name}",
+            f"give at most {most:.3g}",
         )
     draw = Draw(size=size, place=place, rng=rng, rig=settings, board=board)
     return Hidden(
@@ -93,7 +94,10 @@ def _place(
     """Return the board and the axis that a place names, drawn where it does not."""
     boards = {board.name: board for board in settings.boards}
     if cause.on_board and not boards:
-        raise UsageError(f"{cause.name} needs a board, and none is emulated", "emulate a board")
+        raise UsageError(
+            f"{cause.name} is a board's, and no board of this rig is emulated",
+            "write `emulated` as the port of a board, or hide a cause of the unit",
+        )
     board = settings.boards[int(rng.integers(len(boards)))] if boards else BoardSettings()
     drawn = str(rng.choice(cause.places)) if cause.places and not cause.together else ""
     head, _, axis = text.rpartition(".")
