@@ -128,7 +128,8 @@ class StatusServer:
         self._wake()
 
     def _wake(self) -> None:
-        with contextlib.suppress(BlockingIOError):
+        # full: it will look anyway; broken: its thread has seen the end already
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(self._wake_w, b"\0")
 
     def _run(self) -> None:

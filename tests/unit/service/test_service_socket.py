@@ -187,6 +187,17 @@ def test_a_socket_of_a_daemon_that_lives_and_of_one_that_died(served: Served) ->
     assert not other.exists()
 
 
+def test_a_thread_that_sees_the_end_first_does_not_make_it_a_fault() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "s"
+        with StatusServer(path, lambda *_: "", ServiceCounts()) as server:
+            server._ended = True
+            server._thread.join(60.0)
+            assert not server._thread.is_alive()
+            server.publish({"state": "ready"})  # the loop goes on without it
+        assert not path.exists()
+
+
 def test_nobody_there(tmp_path: Path) -> None:
     with pytest.raises(MachineError, match="no daemon answers"):
         ask(tmp_path / "none", "status")
