@@ -168,7 +168,9 @@ def _check_unit(recordings: Sequence[Recording]) -> None:
     """
     if not any("/ptu/position" in r.topics for r in recordings):
         raise UsageError(
-            "what a model gets wrong is looked for on a pan-tilt unit", "record the board on one"
+            f"no recording of {', '.join(r.path.name for r in recordings)[:120]} has a pan-tilt "
+            "unit in it, on which what a model gets wrong is looked for",
+            "record the board on one",
         )
 
 

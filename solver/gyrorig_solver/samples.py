@@ -138,7 +138,7 @@ def number(metadata: Mapping[str, str], key: str) -> float | None:
         value = np.nan
     if not np.isfinite(value) or value <= 0.0:
         raise InputError(
-            f"metadata {key} is {text[:40]!r}, and no positive number",
+            f"the recording says {key} {text[:40]!r}, which is no positive number",
             "correct it in the rig file, or the map of gyrorig import, and make it again",
         )
     return value
@@ -153,7 +153,9 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     """
     if board not in recording.board_ids:
         there = ", ".join(recording.board_ids) or "none"
-        raise InputError(f"no board {board!r} in {recording.path.name}", f"boards in it: {there}")
+        raise InputError(
+            f"no board {board!r} in {recording.path.name}", f"name one that is in it: {there}"
+        )
     metadata = recording.metadata.get(f"gyrorig.board.{board}", {})
     scale = number(metadata, "gyro_scale_rad_s")
     if scale is None:
@@ -163,7 +165,10 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
         )
     raw = recording.imu_columns(BoardId(board))
     if raw.sequence.size < 16:
-        raise InputError(f"board {board} has {raw.sequence.size} samples", "record for longer")
+        raise InputError(
+            f"board {board} has {raw.sequence.size} samples, and 16 are the least",
+            "record for longer; `gyrorigd doctor` says whether it sends",
+        )
     origin_ns = int(raw.host_time_ns[0])
     host_s = _seconds(raw.host_time_ns, origin_ns)
     pings = _pings(recording, board, origin_ns)

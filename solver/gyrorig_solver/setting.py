@@ -54,7 +54,10 @@ def _angle(said: Mapping[str, str], key: str, most: float) -> float | None:
     except ValueError:
         value = np.nan
     if not abs(value) <= most:
-        raise InputError(f"site {key} is {text[:40]!r}", f"it lies between -{most:g} and {most:g}")
+        raise InputError(
+            f"the recording says {key} {text[:40]!r} of its site",
+            f"give it from -{most:g} to {most:g} under site in the rig file, and record again",
+        )
     return value
 
 

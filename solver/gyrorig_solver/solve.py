@@ -70,7 +70,8 @@ def _by_best_reference(
         return _by_unit(loaded, extend, named)
     if extend:
         raise UsageError(
-            "causes beyond the base model need a pan-tilt unit", "leave --extend out, or record one"
+            "causes beyond the base model need a recording of a pan-tilt unit",
+            "leave out --extend, or record the board on a unit",
         )
     attitudes = [(s, _attitude(r, s)) for r, s in loaded if "/reference/attitude" in r.topics]
     if attitudes:

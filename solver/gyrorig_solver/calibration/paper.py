@@ -58,7 +58,10 @@ def solve_as_printed(recording: Recording, board: BoardId, samples: GyroSamples)
             _static(recording, samples)[inside],
         )
     except ValueError as fault:
-        raise InputError(f"the paper's method cannot use board {board}", str(fault)) from fault
+        raise InputError(
+            f"the paper's method cannot use board {board}, {fault}",
+            "record a program with rests and moves, such as survey-40, or use --method likelihood",
+        ) from fault
 
 
 def paper_calibration_of(
@@ -176,7 +179,8 @@ def _angles(
         if int(has.sum()) < 2:
             raise InputError(
                 f"{recording.path.name} has fewer than two {axis} positions",
-                "leave out ptu.poll.rate_hz in the rig file, so that the daemon asks often",
+                "leave out ptu: poll: rate_hz in the rig file, so that the daemon asks often, and "
+                "record again",
             )
         out.append(np.interp(samples.time_s, middle_s[has], polls[axis][has]))
         low, high = max(low, float(middle_s[has][0])), min(high, float(middle_s[has][-1]))

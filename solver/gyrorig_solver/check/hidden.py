@@ -43,7 +43,8 @@ def open_seal(truth: Mapping[str, Any], told: str | None) -> None:
     text = json.dumps(truth.get("hidden"), sort_keys=True, separators=(",", ":"))
     if hashlib.sha256(text.encode()).hexdigest() != told:
         raise InputError(
-            "the truth is not the one that was sealed", "it was changed since, or is another's"
+            "the truth is not the one that was sealed: it was changed since, or is another's",
+            "give the file that --truth wrote with this recording",
         )
 
 
@@ -62,7 +63,10 @@ def score(document: FindingsDocument, truth: Mapping[str, Any]) -> list[Scored]:
         ]
         return [*(_of(one, document) for one in hidden), *_wrong(document, hidden)]
     except (KeyError, TypeError, AttributeError, ValueError) as fault:
-        raise InputError("the truth cannot be read", "it is not that of this recording") from fault
+        raise InputError(
+            "the truth cannot be read: it is not that of this recording",
+            "give the file that --truth wrote with it",
+        ) from fault
 
 
 def words(document: FindingsDocument, scored: list[Scored]) -> str:

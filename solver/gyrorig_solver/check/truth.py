@@ -52,7 +52,7 @@ def compare(calibration: Calibration, truth: Mapping[str, Any]) -> list[Compared
     except (KeyError, TypeError, ValueError, IndexError) as fault:
         raise InputError(
             f"the truth says nothing usable of board {calibration.board.id}",
-            "it is not the truth of this recording",
+            "give the file that --truth wrote with this recording",
         ) from fault
     return [row for group in GROUPS for row in _rows(calibration, group, true_values[group.name])]
 

@@ -38,18 +38,24 @@ _RECORDINGS = (".mcap", ".part")
     "--columns", metavar="X,Y,Z", help="Of a table: the columns of the gyro, in the sensor's axes."
 )
 @click.option(
-    "--unit", type=click.Choice(UNITS), default="counts", show_default=True, help="Of those."
+    "--unit",
+    type=click.Choice(UNITS),
+    default="counts",
+    show_default=True,
+    help="Of a table: the unit of --columns.",
 )
 @click.option("--temperature", metavar="COLUMN", help="Of a table: the board's temperature, degC.")
 @click.option(
-    "--time", metavar="COLUMN", help="Of a table: the samples' times; adds those of the motion."
+    "--time",
+    metavar="COLUMN",
+    help="Of a table: the samples' times; those of the motion are written beside, in s.",
 )
 @click.option(
     "--time-unit",
     type=click.Choice(tuple(TIME_UNITS_S)),
     default="s",
     show_default=True,
-    help="Of that column.",
+    help="Of a table: the unit of --time.",
 )
 @json_option
 @click.pass_obj
@@ -83,11 +89,16 @@ def apply_command(
     terminal.progress(f"applying {calibration.name} to {source.name}")
     if source.suffix in _RECORDINGS:
         if columns or temperature or time:
-            raise UsageError(f"{source.name} is a recording", "leave out the options of a table")
+            raise UsageError(
+                f"{source.name} is a recording, and --columns, --temperature, --time are of tables",
+                "leave them out",
+            )
         plain = _recording(terminal, found, source, out, board)
     else:
         if board:
-            raise UsageError(f"{source.name} is a table", "leave out --board")
+            raise UsageError(
+                f"{source.name} is a table, and --board is of recordings", "leave it out"
+            )
         asked = _columns(source, columns, unit, temperature, time, time_unit)
         plain = _table(terminal, found, source, out, asked)
     left = [

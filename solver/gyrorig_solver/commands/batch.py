@@ -47,9 +47,13 @@ _RETRIED = ("rejected", "failed", "quarantined")
     "--scheduler",
     metavar="ADDRESS",
     help="Use the workers of a dask.distributed scheduler in place of this machine's: "
-    "tls://HOST:PORT, or tcp://127.0.0.1:PORT. They need the same file system.",
+    "tls://HOST:PORT, or tcp://127.0.0.1:PORT. They need the same file system.  [default: none]",
 )
-@click.option("--tls-ca", type=_FILE, help="With tls://: the certificate (PEM) of the authority that signed all.")
+@click.option(
+    "--tls-ca",
+    type=_FILE,
+    help="With tls://: the certificate (PEM) of the authority that signed all.",
+)
 @click.option("--tls-cert", type=_FILE, help="With tls://: this batch's own certificate (PEM).")
 @click.option("--tls-key", type=_FILE, help="With tls://: the private key (PEM) of --tls-cert.")
 @click.option(
@@ -73,7 +77,7 @@ _RETRIED = ("rejected", "failed", "quarantined")
 @click.option(
     "--sign",
     type=_FILE,
-    help="A private Ed25519 key (PEM) to sign the manifests with of what is written.",
+    help="A private Ed25519 key (PEM) to sign with what is written.  [default: not signed]",
 )
 @click.option(
     "--deadline",
@@ -253,7 +257,7 @@ def _told(summary: Summary, store: str) -> str:
         lines.append(f"  {count:>5} x {reason}")
     if len(reasons) > _REASONS_SHOWN:
         lines.append(
-            f"  and {len(reasons) - _REASONS_SHOWN} reasons more: gyrorig store ls --wrong"
+            f"  and {len(reasons) - _REASONS_SHOWN} reasons more: gyrorig store ls {store} --wrong"
         )
     lines.append(
         f"  {_duration(summary.elapsed_s)}, {summary.sessions_a_second:.1f} sessions a second; "

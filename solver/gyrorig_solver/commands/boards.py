@@ -14,12 +14,14 @@ def chosen_boards(recording: Recording, wanted: str | None) -> tuple[BoardId, ..
     there = recording.board_ids
     if not there:
         raise InputError(
-            f"{recording.path.name} holds no board", "was the board connected when it was recorded?"
+            f"{recording.path.name} holds no board",
+            "connect one, see with `gyrorigd doctor` that it answers, and record again",
         )
     if wanted is None:
         return there
     if wanted not in there:
         raise InputError(
-            f"board {wanted!r} is not in {recording.path.name}", f"in it: {', '.join(there)}"
+            f"board {wanted!r:.50} is not in {recording.path.name}",
+            f"name one with --board that is: {', '.join(there)}",
         )
     return (BoardId(wanted),)

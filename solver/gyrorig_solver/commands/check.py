@@ -21,7 +21,7 @@ from gyrorig_solver.commands.terminal import (
 
 @click.command("check")
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--board", help="Only this board. Without it: every board in the recordings.")
+@click.option("--board", help="Only this board.  [default: every board in the recordings]")
 @json_option
 @click.pass_obj
 def check_command(terminal: Terminal, recordings: tuple[Path, ...], board: str | None) -> int:

@@ -55,19 +55,20 @@ class DaemonFailedError(GyrorigError):
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
-    help="Another rig, board and noise. [default: the one in config/rig.yaml]",
+    help="Another number is another rig, board and noise.  [default: that of config/rig.yaml, 1]",
 )
 @click.option(
     "--program",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="The motion. [default: config/programs/quick.yaml, 40 s]",
+    help="The motion.  [default: config/programs/quick.yaml, 40 s]",
 )
 @click.option(
     "--hide",
     multiple=True,
     metavar="CAUSE[@PLACE][:SIZE]",
     help="Let the emulated rig have an imperfection, to be found and named; or random: drawn, and "
-    "sealed until the end. Can be given several times.",
+    "sealed until the end. `gyrorigd causes` lists causes, places and units of sizes. Can be given "
+    "several times.",
 )
 @json_option
 @click.pass_obj
@@ -90,7 +91,9 @@ def demo_command(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
-        raise MachineError(f"cannot make the folder {out}, {fault.strerror}", "--out") from fault
+        raise MachineError(
+            f"cannot make the folder {out}, {fault.strerror}", "name another with --out"
+        ) from fault
     which = "" if seed is None else f", seed {seed}"
     terminal.say(f"1  recording on an emulated rig{which}, program {program.stem}")
     made = _record(out, seed, program, hide)
@@ -190,7 +193,10 @@ def _record(out: Path, seed: int | None, program: Path, hide: tuple[str, ...]) -
         told = json.loads(said)
         return Recorded(Path(told["recording"]), truth_path, str(told.get("seal", "")))
     except (json.JSONDecodeError, KeyError, TypeError) as fault:
-        raise InputError("the daemon did not name its recording", "run it alone to see") from fault
+        raise InputError(
+            "the daemon did not name its recording",
+            "see what `gyrorigd record` says with the same --config and --program",
+        ) from fault
 
 
 def _run(command: list[str]) -> str:

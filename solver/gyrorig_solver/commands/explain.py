@@ -24,7 +24,7 @@ from gyrorig_solver.findings.wording import summary
 
 @click.command("explain")
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--board", help="Only this board. Without it: every board in the recordings.")
+@click.option("--board", help="Only this board.  [default: every board in the recordings]")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -35,7 +35,8 @@ from gyrorig_solver.findings.wording import summary
 @click.option(
     "--held-out",
     type=click.Path(path_type=Path),
-    help="A recording on which to measure what the causes are worth; they are not fitted to it.",
+    help="A recording on which to measure what the causes are worth; they are not fitted to it.  "
+    "[default: none]",
 )
 @json_option
 @click.pass_obj

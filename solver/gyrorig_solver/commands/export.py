@@ -16,12 +16,14 @@ from gyrorig_solver.export.numbers import Source
 
 @click.command("export")
 @click.argument("calibration", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--format", "kind", type=click.Choice(FORMATS), required=True, help="Which words.")
+@click.option(
+    "--format", "kind", type=click.Choice(FORMATS), required=True, help="For which program."
+)
 @click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="The file to write, which must not exist; without it: standard output.",
+    help="The file to write, which must not exist.  [default: standard output]",
 )
 @click.option(
     "--frame",
@@ -30,9 +32,19 @@ from gyrorig_solver.export.numbers import Source
     show_default=True,
     help="Axes of the rates: the stage's, as on the rig, or the sensor's own made orthogonal.",
 )
-@click.option("--name", help="c: what names begin with; ros: the node; kalibr: the topic.")
-@click.option("--slot", type=int, help="px4, ardupilot: which gyro of the vehicle, from 0.")
-@click.option("--device-id", type=int, help="px4: the gyro's number, as CAL_GYRO0_ID has it.")
+@click.option(
+    "--name",
+    help="c: what names begin with [default: the board's name]; ros: the node [default: all]; "
+    "kalibr: the topic [default: /imu0].",
+)
+@click.option(
+    "--slot", type=int, help="px4, ardupilot: which gyro of the vehicle, from 0.  [default: 0]"
+)
+@click.option(
+    "--device-id",
+    type=int,
+    help="px4: the gyro's number, as CAL_GYRO0_ID has it.  [default: left out of the file]",
+)
 @json_option
 @click.pass_obj
 def export_command(

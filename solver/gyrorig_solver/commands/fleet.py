@@ -24,12 +24,13 @@ _SHOWN = 15
 @click.option(
     "--boards",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="A table (CSV) with the columns board, lot, site: no recording knows lots and sites.",
+    help="A table (CSV) with the columns board, lot, site: no recording knows lots and sites.  "
+    "[default: none]",
 )
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    help="The page's folder. Without it: STORE/fleet.",
+    help="The page's folder.  [default: STORE/fleet]",
 )
 @json_option
 @click.pass_obj

@@ -21,7 +21,7 @@ _PHONE = "android"
     "--map",
     "map_path",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Which column is what (YAML). With FORMAT csv or npz.",
+    help="With FORMAT csv or npz: which column is what (YAML), as in config/imports.",
 )
 @click.option(
     "--out",
@@ -29,8 +29,12 @@ _PHONE = "android"
     required=True,
     help="The recording to write; it must not exist.",
 )
-@click.option("--board", help="The board's name, in place of the map's; a phone's is PHONE.")
-@click.option("--sensor", help="With FORMAT android: the gyroscope's part; a Nexus 5 has MPU-6515.")
+@click.option("--board", help="The board's name.  [default: the map's; of a phone PHONE]")
+@click.option(
+    "--sensor",
+    help="With FORMAT android: the gyroscope's part, such as MPU-6515 of a Nexus 5.  "
+    "[default: android]",
+)
 @click.option(
     "--beside",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -63,14 +67,18 @@ def import_command(
     terminal.progress(f"importing {source.name}")
     if kind == _PHONE:
         if map_path is not None:
-            raise UsageError("android knows the columns itself", "leave out --map, or say csv")
+            raise UsageError(
+                "FORMAT android knows the columns of a phone's log itself",
+                "leave out --map, or give FORMAT csv",
+            )
         from gyrorig_solver.importers.phone import import_phone  # noqa: PLC0415 - loads scipy
 
         result = import_phone(source, out, board or "PHONE", sensor or "android", beside)
     else:
         if sensor is not None or beside is not None:
             raise UsageError(
-                "--sensor and --beside go with FORMAT android", "the map says the sensor"
+                f"--sensor and --beside go with FORMAT android, not {kind}",
+                "leave them out: the map says the sensor",
             )
         mapping = load_import_map(_map_of(kind, map_path))
         result = import_measurements(source, mapping, out, board)
@@ -91,12 +99,17 @@ def _map_of(kind: str, map_path: Path | None) -> Path:
     """
     if kind in _WITH_MAP:
         if map_path is None:
-            raise UsageError(f"{kind} needs a column map", "name one with --map")
+            raise UsageError(
+                f"FORMAT {kind} needs to be told which column is what",
+                "name a column map with --map, such as one of config/imports",
+            )
         return map_path
     if map_path is not None:
-        raise UsageError(f"{kind} has its own column map", "leave out --map, or say csv or npz")
+        raise UsageError(
+            f"FORMAT {kind} has its own column map", "leave out --map, or give FORMAT csv or npz"
+        )
     names = project_names("imports")
     if kind not in names:
         known = ", ".join((*_WITH_MAP, _PHONE, *names))
-        raise UsageError(f"no format {kind!r}", f"there are {known}")
+        raise UsageError(f"there is no FORMAT {kind!r:.40}", f"give one of {known}")
     return project_file("imports", f"{kind}.yaml")

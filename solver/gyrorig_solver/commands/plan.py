@@ -33,12 +33,16 @@ PROGRAM = "a program with --program, such as config/programs/quick.yaml"
     required=True,
     help="The rig (YAML): its limits and speeds.",
 )
-@click.option("--seconds", type=float, help="How long a recording may last.  [default: 75]")
+@click.option(
+    "--seconds",
+    type=float,
+    help="How long a recording may last, in seconds, 5 to 900.  [default: 75; with --program none]",
+)
 @click.option(
     "--program",
     "program_path",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Predict this program. Without --seconds nothing is searched.",
+    help="Predict this program; without --seconds nothing is searched.  [default: none]",
 )
 @click.option(
     "--criterion",
@@ -55,11 +59,14 @@ PROGRAM = "a program with --program, such as config/programs/quick.yaml"
     show_default=True,
     help="Least standard deviations, or causes of an error told apart.",
 )
-@click.option("--sensor", help="A profile: a name in config/boards, or a file.")
+@click.option(
+    "--sensor",
+    help="A sensor profile: a name in config/boards, or a file.  [default: the rig's own]",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write the program here, for gyrorigd record.",
+    help="A file to write the program to, for gyrorigd record.  [default: none]",
 )
 @click.option(
     "--causes/--no-causes",
@@ -67,7 +74,13 @@ PROGRAM = "a program with --program, such as config/programs/quick.yaml"
     show_default=True,
     help="Say what the program shows of the causes of an error.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, help="Of the programs drawn.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Another number draws other programs to choose from.",
+)
 @json_option
 @click.pass_obj
 def plan_command(terminal: Terminal, /, **options: Any) -> int:
@@ -95,7 +108,8 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     if seconds is not None:
         if not SHORTEST_S <= seconds <= LONGEST_S:
             raise UsageError(
-                f"--seconds {seconds:g} is out of reach", f"give {SHORTEST_S:g} to {LONGEST_S:g}"
+                f"--seconds {seconds:g} is out of reach",
+                f"give {SHORTEST_S:g} to {LONGEST_S:g} s; for more, carry a program out again",
             )
         found = find_program(
             rig.unit,

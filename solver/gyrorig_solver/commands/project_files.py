@@ -16,7 +16,10 @@ def project_file(*parts: str) -> Path:
         path = folder.joinpath(*parts)
         if path.is_file():
             return path
-    raise UsageError(f"no file config/{'/'.join(parts)}", "run this in the project's own folder")
+    raise UsageError(
+        f"there is no file config/{'/'.join(parts)}",
+        "run this in a clone of the project, or install its wheel again",
+    )
 
 
 def project_names(folder: str) -> list[str]:

@@ -22,7 +22,7 @@ from gyrorig_solver.report.html import render
     "-o",
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="The page to write, replaced if it is there; without it: beside the calibration.",
+    help="The page to write, replaced if it is there.  [default: beside the calibration]",
 )
 @json_option
 @click.pass_obj

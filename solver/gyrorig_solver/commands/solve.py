@@ -31,13 +31,13 @@ from gyrorig_solver.commands.terminal import (
 
 @click.command("solve")
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--board", help="Only this board. Without it: every board in the recordings.")
+@click.option("--board", help="Only this board.  [default: every board in the recordings]")
 @click.option(
     "--method",
     type=click.Choice(["likelihood", "paper"]),
     default="likelihood",
     show_default=True,
-    help="paper: eq. 6 to 12 as printed, for comparison only.",
+    help="likelihood: this project's; paper: equations 6 to 12 as printed, for comparison only.",
 )
 @click.option(
     "--extend",
@@ -125,7 +125,10 @@ def _causes(extend: str, method: str) -> tuple[str, ...]:
     """
     causes = tuple(name.strip() for name in extend.split(",") if name.strip() not in ("", "none"))
     if causes and method == "paper":
-        raise UsageError("the paper's method has no causes", "leave --extend out")
+        raise UsageError(
+            "the paper's method fits no causes beside its model",
+            "leave out --extend, or use --method likelihood",
+        )
     return causes
 
 

@@ -26,7 +26,7 @@ from gyrorig_solver.fleet.shelf import (
     versions_of,
 )
 from gyrorig_solver.fleet.shrunk import shrunk_of
-from gyrorig_solver.fleet.verifying import verify
+from gyrorig_solver.fleet.verifying import REMEDIES, verify
 from gyrorig_solver.places.choose import PlaceOption
 from gyrorig_solver.places.place import Place
 
@@ -55,11 +55,19 @@ def store_command() -> None:
 @click.option("--sensor", help="Only boards with this sensor.")
 @click.option("--rig", help="Only what this rig recorded.")
 @click.option("--config", "config_hash", help="Only boards set so: the configuration's digest.")
-@click.option("--since", type=click.DateTime(_DATES), help="Only what was made then or later.")
-@click.option("--until", type=click.DateTime(_DATES), help="Only what was made before.")
+@click.option(
+    "--since", type=click.DateTime(_DATES), help="Only what was calibrated then (UTC) or later."
+)
+@click.option("--until", type=click.DateTime(_DATES), help="Only what was calibrated before (UTC).")
 @click.option("--all", "every", is_flag=True, help="Every version, not only the newest.")
 @click.option("--wrong", is_flag=True, help="What has no calibration, and why.")
-@click.option("--limit", type=click.IntRange(1), default=1000, show_default=True)
+@click.option(
+    "--limit",
+    type=click.IntRange(1),
+    default=1000,
+    show_default=True,
+    help="At most so many lines.",
+)
 @json_option
 @click.pass_obj
 def ls_command(
@@ -86,7 +94,7 @@ def ls_command(
         shown = ("board", "version", "trust", "created", "start", "sensor", "rig")
     terminal.say(_table(found, shown))
     if len(found) == limit:
-        terminal.say(f"the first {limit}: see --limit")
+        terminal.say(f"the first {limit}; for more give a larger --limit")
     terminal.emit({"rows": [{key: _plain(row[key]) for key in row} for row in found]})
     return 0
 
@@ -94,9 +102,21 @@ def ls_command(
 @store_command.command("show")
 @_folder
 @click.argument("board")
-@click.option("--version", type=click.IntRange(1), help="Without it: that of the last recording.")
-@click.option("--at", type=click.DateTime(_DATES), help="Without --version: as it was then, UTC.")
-@click.option("--config", "config_hash", help="Without --version: set so, by its digest.")
+@click.option(
+    "--version",
+    type=click.IntRange(1),
+    help="The version's number, from 1.  [default: that of the last recording]",
+)
+@click.option(
+    "--at",
+    type=click.DateTime(_DATES),
+    help="In place of --version: the last one measured by then (UTC).",
+)
+@click.option(
+    "--config",
+    "config_hash",
+    help="In place of --version: the last one of the board set so, by its configuration's digest.",
+)
 @json_option
 @click.pass_obj
 def show_command(
@@ -115,7 +135,9 @@ def show_command(
     Example: gyrorig store show calibrations GY80-1 --at 2026-01-31
     """
     if version is not None and (at, config_hash) != (None, None):
-        raise UsageError("--version names one already", "leave out --at and --config")
+        raise UsageError(
+            f"--version {version} names one calibration already", "leave out --at and --config"
+        )
     path, made = (
         _version(folder, BoardId(board), version)
         if version is not None
@@ -166,7 +188,7 @@ def diff_command(
 
 @store_command.command("verify")
 @_folder
-@click.option("--key", type=_SIGN, help="A public key: all must be signed with its private one.")
+@click.option("--key", type=_SIGN, help="With it all must be signed: a public Ed25519 key (PEM).")
 @json_option
 @click.pass_obj
 def verify_command(terminal: Terminal, folder: Place, key: Path | None) -> int:
@@ -188,6 +210,8 @@ def verify_command(terminal: Terminal, folder: Place, key: Path | None) -> int:
     if len(found.faults) > _FAULTS_SHOWN:
         terminal.say(f"and {len(found.faults) - _FAULTS_SHOWN} more")
     terminal.say(f"{said}: {f'{len(found.faults)} faults' if found.faults else 'all as written'}")
+    for kind in dict.fromkeys(fault.kind for fault in found.faults):
+        terminal.say(f"  {kind:<11} {REMEDIES[kind].replace('STORE', folder.text)}")
     code = _DAMAGED if found.faults else 0
     faults = [{"kind": f.kind, "file": f.file, "text": f.text} for f in found.faults]
     terminal.emit({"versions": found.versions, "faults": faults, "exit_code": code})
@@ -196,7 +220,9 @@ def verify_command(terminal: Terminal, folder: Place, key: Path | None) -> int:
 
 @store_command.command("rebuild-index")
 @_folder
-@click.option("--sign", type=_SIGN, help="A private key, to sign the new manifest with.")
+@click.option(
+    "--sign", type=_SIGN, help="With it the manifest is signed: a private Ed25519 key (PEM)."
+)
 @json_option
 @click.pass_obj
 def rebuild_command(terminal: Terminal, folder: Place, sign: Path | None) -> int:
@@ -217,8 +243,19 @@ def _version(folder: Place, board: BoardId, number: int) -> tuple[Path, Calibrat
     for one in versions:
         if one.number == number:
             return _read(one)
-    there = f"it has 1 to {versions[-1].number}" if versions else "see gyrorig store ls"
-    raise InputError(f"{folder.text} holds no version {number} of board {board}", there)
+    if not versions:
+        raise _no_board(folder, board)
+    raise InputError(
+        f"{folder.text} holds no version {number} of board {board}",
+        f"give one from {versions[0].number} to {versions[-1].number}",
+    )
+
+
+def _no_board(folder: Place, board: BoardId) -> InputError:
+    return InputError(
+        f"{folder.text} holds no board {board}",
+        f"see which it has: gyrorig store ls {folder.text}",
+    )
 
 
 def _last(
@@ -242,11 +279,15 @@ def _last(
         if (at is None or one.start <= at) and config_hash in (None, one.config_hash)
     ]
     if not versions:
-        raise InputError(f"{folder.text} holds no board {board}", "see gyrorig store ls")
+        raise _no_board(folder, board)
     if not found:
+        asked = [
+            *([] if at is None else [f"measured by {at:%Y-%m-%d %H:%M} UTC"]),
+            *([] if config_hash is None else [f"with the configuration {config_hash[:20]}"]),
+        ]
         raise InputError(
-            f"{folder.text} holds no version of board {board} so old, or of one set so",
-            f"see gyrorig store ls --all --board {board}",
+            f"{folder.text} holds no version of board {board} {' and '.join(asked)}",
+            f"see which it has: gyrorig store ls {folder.text} --all --board {board}",
         )
     return found
 

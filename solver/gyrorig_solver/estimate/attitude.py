@@ -35,6 +35,10 @@ LOWER_BAND = 0.2
 BAND_SIGMA = 4.0
 MOVING_RAD_S = 0.05  # for pictures
 HELD_OUT_WINDOW_S = 10.0
+_UNSETTLED = (
+    "the fit did not settle: look whether gyro and attitudes were recorded at once and share a "
+    "clock, and record again"
+)
 WORDS = {
     "x": "the stage hardly turned about its x axis; turn it about all three",
     "y": "the stage hardly turned about its y axis; turn it about all three",
@@ -132,7 +136,7 @@ def conclude(
         terms=("bias", "scale", "nonorthogonality", "misalignment", "time_offset"),
         warnings=_warnings([reference for _, reference in recordings]),
         distrust=(
-            *(() if work.converged else ("the fit did not settle; look at the residual",)),
+            *(() if work.converged else (_UNSETTLED,)),
             *bands.distrust,
         ),
         diagnostics=_diagnostics(work),

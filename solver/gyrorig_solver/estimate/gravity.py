@@ -36,6 +36,7 @@ CONVERGED_SIGMA = 1e-4
 HUBER_SIGMA = 2.5
 # A move shorter than this turn tells nothing and may be a knock at rest.
 SMALLEST_TURN_RAD = 0.05
+_UNSETTLED = "the fit did not settle: turn slower, rest for some seconds in each pose, record again"
 WORDS = {
     "x": "too few moves turned about the board's x axis; tumble it about all axes",
     "y": "too few moves turned about the board's y axis; tumble it about all axes",
@@ -99,7 +100,7 @@ def fit_gravity(
             f"a move leaves {np.degrees(sigma_rad):.2f} deg (one direction); standard deviations "
             "are scaled to that",
         ),
-        distrust=() if converged else ("the fit did not settle; look at the moves",),
+        distrust=() if converged else (_UNSETTLED,),
         extra={
             "moves": float(len(moves)),
             "poses": float(len(poses.rests)),

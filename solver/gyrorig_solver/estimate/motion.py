@@ -282,7 +282,10 @@ def _levels(solution: Solution) -> NoiseLevels:
 def _distrust(solution: Solution, chi2: float) -> tuple[str, ...]:
     reasons = []
     if not solution.converged:
-        reasons.append("the fit did not settle: a part of the model is wrong; look at the residual")
+        reasons.append(
+            "the fit did not settle, so the model of the rig lacks something: `gyrorig explain` "
+            "looks for it"
+        )
     if chi2 > CHI2_LIMIT:
         reasons.append(
             f"while moving the residual is {chi2:.2f} times the noise at rest: the model of the "

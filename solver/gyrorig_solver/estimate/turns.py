@@ -69,7 +69,10 @@ def fit_turns(
     turned = [_integrate(samples, turn) for samples, found in recordings for turn in found.turns]
     rests = [_rest(samples, over) for samples, found in recordings for over in found.rests]
     if not turned:
-        raise InputError("no recording has a turn by a known angle", "mark it with a turn phase")
+        raise InputError(
+            "no recording has a turn by a known angle",
+            "give its axis and angle under turns in the map of gyrorig import",
+        )
     if not rests:
         raise InputError(
             "there is no rest to take the bias from", "add a recording of this board at rest"
@@ -122,7 +125,8 @@ def _integrate(samples: GyroSamples, turn: KnownTurn) -> _Turned:
         )
     if np.any(np.diff(samples.segment[index]) != 0):
         raise InputError(
-            f"the board began anew in the turn at {turn.over.begin_s:.1f} s", "repeat the turn"
+            f"the board restarted in the turn at {turn.over.begin_s:.1f} s",
+            "check its supply and its cable, and record the turn again",
         )
     time_s, rate = samples.time_s[index], samples.rate_rad_s[index]
     # Half a period more at both ends: n samples stand for n periods.

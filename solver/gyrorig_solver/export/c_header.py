@@ -83,11 +83,15 @@ def c_header(source: Source, name: str | None = None) -> str:
     if scale is None:
         raise UsageError(
             "the calibration does not say what a count is worth, and C reads counts",
-            "record with gyro_scale_rad_s in the board's metadata",
+            "give gyro_scale_rad_s among the board's facts (or in the import map), record and "
+            "solve again",
         )
     stem = name or _identifier(source.found.board.id)
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,40}", stem):
-        raise UsageError(f"{stem[:40]!r} is no name in C", "give another with --name")
+        raise UsageError(
+            f"{stem[:40]!r} is no name in C",
+            "give another with --name: up to 41 letters, digits and _, no digit first",
+        )
     matrix, offset = scale * correction.inverse, correction.offset()
     limit = count_limit(scale, source.found.board.config.gyro_full_scale_dps)
     fixed = FixedPoint.of(matrix, offset, limit)

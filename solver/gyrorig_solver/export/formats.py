@@ -36,12 +36,12 @@ def exported(source: Source, kind: str, wishes: Wishes | None = None) -> str:
     """
     asked = wishes or Wishes()
     if kind not in FORMATS:
-        raise UsageError(f"no format {kind!r}", f"there are {', '.join(FORMATS)}")
+        raise UsageError(f"there is no format {kind!r:.40}", f"give one of {', '.join(FORMATS)}")
     if asked.name is not None and kind not in _NAMED:
         raise UsageError(f"{kind} has no place for a name", "leave out --name")
     if asked.slot is not None and not 0 <= asked.slot < _SLOTTED.get(kind, 0):
         most = _SLOTTED.get(kind)
-        remedy = "leave out --slot" if most is None else f"give 0 to {most - 1}"
+        remedy = "leave out --slot" if most is None else f"give --slot 0 to {most - 1}"
         raise UsageError(f"{kind} has no gyro {asked.slot}", remedy)
     if asked.device_id is not None and kind != "px4":
         raise UsageError(f"{kind} has no place for a device's number", "leave out --device-id")

@@ -38,10 +38,14 @@ def kalibr_imu(source: Source, name: str | None = None) -> str:
     density = source.worst_noise("angle_random_walk")
     rate_hz = source.found.board.config.odr_hz
     if density is None or rate_hz is None:
-        lacks = "the noise of the gyro" if density is None else "the board's output rate"
+        lacks, remedy = (
+            ("the noise of the gyro", "record the board at rest for a minute, and solve again")
+            if density is None
+            else ("the board's output rate", "give odr_hz among its facts, and record again")
+        )
         raise InputError(
-            f"the calibration of {source.found.board.id} does not know {lacks}",
-            "record the board at rest, with odr_hz in its metadata",
+            f"the calibration of {source.found.board.id} does not know {lacks}, which Kalibr wants",
+            remedy,
         )
     walk = source.worst_noise("rate_random_walk")
     lines = [f"# {line}" for line in source.head()]

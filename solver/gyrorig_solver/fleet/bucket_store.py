@@ -90,7 +90,10 @@ class BucketStore(CalibrationStore):
     def _read(self, path: Path) -> bytes:
         data = self.place.read(path.as_posix())
         if data is None:
-            raise MachineError(f"{self.place.text}/{path} is gone", "see gyrorig store verify")
+            raise MachineError(
+                f"{self.place.text}/{path} is gone",
+                f"see what else is: gyrorig store verify {self.place.text}",
+            )
         return data
 
 

@@ -167,7 +167,7 @@ def _text(place: Place, index_file: str) -> bytes:
         except duckdb.Error as fault:
             raise InputError(
                 f"{index_file} of {place.text} cannot be read",
-                "`gyrorig store rebuild-index` makes it anew from the calibrations",
+                f"`gyrorig store rebuild-index {place.text}` makes it anew from the calibrations",
             ) from fault
     for file, digest, beside in found:
         lines.append(f"{digest}  {file}")

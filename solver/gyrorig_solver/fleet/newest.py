@@ -79,12 +79,18 @@ def read_origins(path: Path) -> Origins:
     """
     try:
         if path.stat().st_size > MAX_TABLE_BYTES:
-            raise InputError(f"{path} is larger than a table of boards", "name another")
+            raise InputError(
+                f"{path} is larger than {MAX_TABLE_BYTES >> 20} MB, and no table of boards is",
+                "name a table with the columns board, lot, site",
+            )
         text = path.read_text(encoding="utf-8-sig")
     except OSError as fault:
-        raise UsageError(f"{path} cannot be read, {fault.strerror}", "name a table") from fault
+        raise UsageError(
+            f"{path} cannot be read, {fault.strerror}",
+            "name a table with the columns board, lot, site",
+        ) from fault
     except UnicodeDecodeError as fault:
-        raise InputError(f"{path} is no text in UTF-8", "save it so") from fault
+        raise InputError(f"{path} is no text in UTF-8", "save it as UTF-8") from fault
     rows = csv.DictReader(text.splitlines())
     if rows.fieldnames is None or "board" not in rows.fieldnames:
         raise InputError(f"{path} has no column board", "begin it with the line: board,lot,site")
@@ -142,7 +148,7 @@ def columns_of(index: Index, sql: str) -> dict[str, npt.NDArray[Any]]:
         except duckdb.Error as fault:
             raise InputError(
                 f"the index cannot be read, {' '.join(str(fault).split())[:200]}",
-                "`gyrorig store rebuild-index` makes it anew from the calibrations",
+                "`gyrorig store rebuild-index STORE` makes it anew from the calibrations",
             ) from fault
     return found
 

@@ -76,7 +76,10 @@ def dask_lanes(address: str, certificates: Certificates | None = None) -> Iterat
     try:
         threads = sum(client.nthreads().values())  # type: ignore[no-untyped-call]
         if not threads:
-            raise BusyError(f"the scheduler at {address} has no workers", "start some, or wait")
+            raise BusyError(
+                f"the scheduler at {address} has no workers",
+                f"start one with: dask worker {address} --nthreads 1 --no-dashboard",
+            )
 
         def make() -> Executor:
             executor: Executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]

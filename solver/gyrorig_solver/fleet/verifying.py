@@ -30,6 +30,16 @@ class Fault:
     text: str
 
 
+REMEDIES = {
+    "damaged": "bring the file back from a copy; without one remove it, and do as for missing",
+    "missing": "bring the file back from a copy; without one: gyrorig store rebuild-index STORE",
+    "unknown": "gyrorig store rebuild-index STORE takes it in; or remove it",
+    "chain": "a version was changed or taken away: bring it back from a copy",
+    "unreadable": "bring the file back from a copy; without one remove it, and do as for missing",
+    "unsigned": "if it is yours: gyrorig store rebuild-index STORE --sign KEY; else bring it back",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Verified:
     """What `verify` looked at, and what is wrong."""

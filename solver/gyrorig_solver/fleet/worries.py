@@ -168,7 +168,7 @@ def _differing(found: Overview) -> list[Worry]:
             f"by {_sized(one.parameter, one.most_by)}",
             f"{one.most_z:+.1f} standard deviations from the {one.groups} {kind}s' mean, beyond "
             "what boards differ by",
-            "a lot: ask its maker; a rig or site: let one board be measured on two of them",
+            "of a lot ask its maker; of a rig or site have one board measured on two of them",
             find_group(kind, one.most),
         )
         for sensor, kind, one in found.differing
@@ -178,9 +178,10 @@ def _differing(found: Overview) -> list[Worry]:
 
 def _work(found: Overview) -> list[Worry]:
     remedies = {
-        "quarantined": "each killed its worker twice: send us one of them",
-        "failed": "`gyrorig store ls --wrong` shows reasons and traces",
-        "rejected": "`gyrorig store ls --wrong` says why; `gyrorig check` looks at one",
+        "quarantined": "each killed its worker twice: run `gyrorig solve` on one of them alone, "
+        "and report what it says",
+        "failed": "`gyrorig store ls STORE --wrong` shows reasons; `--json` has their traces too",
+        "rejected": "`gyrorig store ls STORE --wrong` says why; `gyrorig check` looks at one",
     }
     return [
         Worry("work", f"{count} recordings {status}", "they gave no calibration", remedies[status])
@@ -215,7 +216,7 @@ def _odd(found: Overview) -> list[Worry]:
             "odd",
             f"board {found.boards.board[at]} is unlike all others of its kind",
             f"by chance in one of {_many(float(found.odd_p[at]))} boards",
-            "a damaged part, another part under that name, or set otherwise: open it",
+            "look whether the part is damaged, is another one under that name, or is set otherwise",
             f"board:{found.boards.board[at]}",
         )
         for at in islice(order, BOARDS_NAMED)
@@ -232,7 +233,7 @@ def _refused(found: Overview) -> list[Worry]:
             "trust",
             f"{refused} boards' newest calibrations are refused",
             "their reasons and remedies stand in each document",
-            "open them",
+            "open the reports of these boards, and do what they say",
             "trust:refused",
         )
     ]

@@ -27,7 +27,9 @@ def write_new(path: Path, text: str) -> None:
     if path.exists():
         raise UsageError(f"{path} is there already", "give --out another name")
     if not path.parent.is_dir():
-        raise UsageError(f"there is no folder {path.parent}", "make it first")
+        raise UsageError(
+            f"there is no folder {path.parent}", "make it first, or give --out another name"
+        )
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     written = Path(name)
     try:

@@ -119,7 +119,11 @@ def _series(duration_s: float, sensor: SensorModel, name: str) -> Series:
     block, fine = grids(sensor.odr_hz, sensor.bandwidth_hz)
     count = int(duration_s * sensor.odr_hz)
     if count < SHORTEST_SERIES * block:
-        raise UsageError(f"{name} lasts {duration_s:.1f} s", "a calibration needs longer")
+        least_s = SHORTEST_SERIES * block / sensor.odr_hz
+        raise UsageError(
+            f"{name} lasts {duration_s:.1f} s, and a calibration needs {least_s:.1f} s",
+            "give it more rests and moves",
+        )
     return Series(
         time_s=np.asarray((np.arange(count) + 0.5) / sensor.odr_hz, dtype=np.float64),
         raw=np.zeros((count, 3)),

@@ -162,7 +162,11 @@ def _limited(unit: UnitModel, limits: _Limits, name: str) -> UnitModel:
         high = of.high_deg if high_deg is None else min(of.high_deg, high_deg)
         fastest = min(of.fastest_deg_s, limits.speed_deg_s or of.fastest_deg_s)
         if not low < high or fastest <= of.slowest_deg_s:
-            raise UsageError(f"{name}: the limits of {word} allow no motion", "widen them")
+            raise UsageError(
+                f"{name}: the limits of {word} allow no motion: {low:g} to {high:g} deg at up to "
+                f"{fastest:g} deg/s",
+                f"widen {word}_min_deg, {word}_max_deg or speed_deg_s under ptu: limits",
+            )
         return replace(of, low_deg=low, high_deg=high, fastest_deg_s=fastest)
 
     return replace(

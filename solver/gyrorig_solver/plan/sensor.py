@@ -68,8 +68,9 @@ def sensor_model(
     """
     if profile.noise_density_dps_rthz is None:
         raise UsageError(
-            f"the profile of {profile.sensor} has no noise_density_dps_rthz",
-            "without noise nothing can be predicted; add it",
+            f"the profile of {profile.sensor} has no noise_density_dps_rthz, without which nothing "
+            "can be predicted",
+            "add it from the data sheet, in deg/s/sqrt(Hz)",
         )
     if odr_hz is None:
         odr_hz = min((entry.odr_hz for entry in profile.low_pass), default=100.0)
@@ -97,6 +98,7 @@ def _range(profile: SensorProfile, full_scale_dps: float | None) -> Range:
     if chosen is None:
         there = ", ".join(f"{r.full_scale_dps:g}" for r in profile.ranges)
         raise UsageError(
-            f"the profile of {profile.sensor} has no range of {wanted:g} deg/s", f"it has {there}"
+            f"the profile of {profile.sensor} has no range of {wanted:g} deg/s",
+            f"set the rig's full scale to one that it has: {there}",
         )
     return chosen

@@ -157,7 +157,8 @@ def _polls(
     if kept.size < 2:
         raise InputError(
             f"{recording.path.name} has {kept.size} positions of the unit, and two are needed",
-            "leave out ptu.poll.rate_hz in the rig file, so that the daemon asks often",
+            "leave out ptu: poll: rate_hz in the rig file, so that the daemon asks often, and "
+            "record again",
         )
     request_ns = times_ns(raw["request_time"])[kept]
     if np.any(request_ns[1:] < request_ns[:-1]):
@@ -180,7 +181,10 @@ def _polls(
     for axis, name in enumerate(AXES):
         answered = np.flatnonzero(polls.valid[:, axis])
         if answered.size == 0:
-            raise InputError(f"the unit never answered its {name} position", "record again")
+            raise InputError(
+                f"the unit never answered its {name} position",
+                "`gyrorigd doctor` says whether it does now; then record again",
+            )
         at_rest.append(int(polls.steps[answered[0], axis]))
     return polls, (at_rest[0], at_rest[1])
 
@@ -199,7 +203,10 @@ def _number(metadata: Mapping[str, str], key: str) -> float | None:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise InputError(f"metadata {key} is {text[:40]!r}", "it must be a finite number")
+        raise InputError(
+            f"the recording says {key} {text[:40]!r} of the unit, which is no finite number",
+            "copy it again from the rig, or record again",
+        )
     return value
 
 
@@ -207,7 +214,10 @@ def _byte_s(metadata: Mapping[str, str]) -> float:
     """Return how long a byte takes on the unit's line."""
     baud = _number(metadata, "baud") or FACTORY_BAUD
     if baud < 0.0:
-        raise InputError(f"metadata baud is {baud}", "it must be positive")
+        raise InputError(
+            f"the recording says baud {baud:g} of the unit, which is below 0",
+            "copy it again from the rig, or record again",
+        )
     return BITS_PER_BYTE / baud
 
 
@@ -231,7 +241,10 @@ def _resolution(recording: Recording, metadata: Mapping[str, str], axis: str) ->
         return angle / steps
     arcsec = _number(metadata, f"{axis}_resolution_arcsec")
     if not arcsec:
-        raise InputError(f"metadata lack {axis}_resolution_arcsec", "record again")
+        raise InputError(
+            f"the recording lacks the unit's {axis}_resolution_arcsec, and {axis} never left 0",
+            "record again with gyrorigd, which asks the unit",
+        )
     return float(np.radians(arcsec / 3600.0))
 
 

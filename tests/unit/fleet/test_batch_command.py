@@ -44,16 +44,16 @@ def test_a_shard_is_read(text: str | None, shard: Shard) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("0/3", "there is no shard 0/3"),
-        ("4/3", "there is no shard 4/3"),
-        ("1/1000001", "there is no shard"),
-        ("x", "no 'x'"),
-        ("", "no ''"),
-        ("3", "no '3'"),
-        ("3/", "no '3/'"),
-        ("-1/3", "no '-1/3'"),
-        ("1/2/3", "no '1/2/3'"),
-        ("\u0661/\u0663", "--shard is no"),  # digits, of another script
+        ("0/3", "there is no part 0 of 3"),
+        ("4/3", "there is no part 4 of 3"),
+        ("1/1000001", "there is no part 1 of 1000001"),
+        ("x", "'x' is no part of the work: write it as K/N"),
+        ("", "'' is no part"),
+        ("3", "'3' is no part"),
+        ("3/", "'3/' is no part"),
+        ("-1/3", "'-1/3' is no part"),
+        ("1/2/3", "'1/2/3' is no part"),
+        ("\u0661/\u0663", "is no part of the work"),  # digits, of another script
     ],
 )
 def test_what_is_no_shard_is_refused(text: str, words: str) -> None:
@@ -136,5 +136,5 @@ def test_the_table_counts_every_end_and_names_the_commonest_reasons(summary: Sum
         ["not", "begun", "4998", "sessions", "given", "up;", "start", "again"],
     ]
     assert lines[6].split() == ["20", "x", "rejected:", "reason", "00"]
-    assert lines[-2] == "  and 2 reasons more: gyrorig store ls --wrong"
+    assert lines[-2] == "  and 2 reasons more: gyrorig store ls fleet --wrong"
     assert lines[-1].startswith("  17 min, 5.0 sessions a second; the store: fleet")

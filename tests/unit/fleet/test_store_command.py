@@ -123,7 +123,9 @@ def test_each_filter_leaves_what_it_says(
 
 
 def test_a_list_that_was_cut_says_so(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, "ls", store, "--limit", 2).endswith("the first 2: see --limit\n")
+    assert said(capsys, "ls", store, "--limit", 2).endswith(
+        "the first 2; for more give a larger --limit\n"
+    )
     assert "--limit" not in said(capsys, "ls", store)
 
 
@@ -165,11 +167,15 @@ def test_show_takes_the_last_measured_or_what_is_asked_for(
 @pytest.mark.parametrize(
     ("command", "code", "words"),
     [
-        (("GY-1", "--version", "4"), 3, "no version 4 of board GY-1: it has 1 to 3"),
+        (("GY-1", "--version", "4"), 3, "no version 4 of board GY-1: give one from 1 to 3"),
         (("GY-9",), 3, "holds no board GY-9"),
-        (("GY-1", "--at", "2026-01-01"), 3, "no version of board GY-1 so old"),
-        (("GY-1", "--config", "none"), 3, "or of one set so"),
-        (("GY-1", "--version", "1", "--config", "beef"), 2, "names one already"),
+        (
+            ("GY-1", "--at", "2026-01-01"),
+            3,
+            "no version of board GY-1 measured by 2026-01-01 00:00",
+        ),
+        (("GY-1", "--config", "none"), 3, "no version of board GY-1 with the configuration none"),
+        (("GY-1", "--version", "1", "--config", "beef"), 2, "names one calibration already"),
     ],
 )
 def test_show_says_what_is_not_there(

@@ -151,7 +151,7 @@ def test_saturated_and_repeated_samples_are_not_good(written: Write) -> None:
 
 
 def test_a_board_that_is_not_there(written: Write) -> None:
-    with pytest.raises(InputError, match=r"no board .C. in r\.mcap: boards in it: B"):
+    with pytest.raises(InputError, match=r"no board .C. in r\.mcap: name one that is in it: B"):
         written(asked="C")
 
 

@@ -1,0 +1,106 @@
+"""Every text of the product's code that somebody may read, by place: the source is asked.
+
+What to use when: `errors` for what is raised, with its remedy; `findings` for what `gyrorigd
+doctor` says; `texts` for all strings of more than a word, these among them.
+"""
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[3]
+PARTS = ("firmware_protocol", "daemon", "solver")
+ERRORS = ("UsageError", "InputError", "DeviceError", "MachineError", "BusyError", "PortsGoneError")
+FINDINGS = ("fault", "warning", "note")
+
+
+class Said(NamedTuple):
+    """One text; what is put into it stands in braces, as its source."""
+
+    place: str  # path:line
+    kind: str
+    text: str
+    remedy: str | None = None
+
+
+def errors() -> Iterator[Said]:
+    """Yield every error of the tree that is made in the product."""
+    for path, tree in trees():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and _name(node.func) in ERRORS and node.args:
+                remedy = rendered(node.args[1]) if len(node.args) > 1 else None
+                yield Said(_place(path, node), _name(node.func), rendered(node.args[0]), remedy)
+
+
+def findings() -> Iterator[Said]:
+    """Yield every finding of the doctor: subject, code, what, remedy."""
+    for path, tree in trees():
+        if "/doctor/" not in path:
+            continue
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and _name(node.func) in FINDINGS and len(node.args) > 2:
+                remedy = rendered(node.args[3]) if len(node.args) > 3 else None
+                yield Said(_place(path, node), _name(node.func), rendered(node.args[2]), remedy)
+
+
+def texts() -> Iterator[Said]:
+    """Yield every string of more than a word that is no docstring."""
+    for path, tree in trees():
+        docstrings = {
+            id(body[0].value)
+            for body in (getattr(node, "body", None) for node in ast.walk(tree))
+            if isinstance(body, list) and body and isinstance(body[0], ast.Expr)
+        }
+        inside: set[int] = set()
+        for node in ast.walk(tree):
+            if id(node) in docstrings or id(node) in inside:
+                continue
+            if isinstance(node, ast.JoinedStr):
+                inside |= {id(part) for part in ast.walk(node)}
+            if not isinstance(node, ast.JoinedStr | ast.Constant):
+                continue
+            if isinstance(node, ast.Constant) and not isinstance(node.value, str):
+                continue
+            if " " in (text := rendered(node)).strip():
+                yield Said(_place(path, node), "text", text)
+
+
+@cache
+def trees() -> tuple[tuple[str, ast.Module], ...]:
+    """Return the product's modules by their paths."""
+    return tuple(
+        (path.relative_to(ROOT).as_posix(), ast.parse(path.read_text(encoding="utf-8")))
+        for part in PARTS
+        for path in sorted((ROOT / part).rglob("*.py"))
+    )
+
+
+def rendered(node: ast.expr) -> str:
+    """Return a text as it will be read, as far as the source tells."""
+    match node:
+        case ast.Constant(value=str() as text):
+            return text
+        case ast.JoinedStr(values=parts):
+            return "".join(
+                rendered(part) if isinstance(part, ast.Constant) else f"{{{_source(part)}}}"
+                for part in parts
+            )
+        case ast.BinOp(left=left, right=right):
+            return rendered(left) + rendered(right)
+        case ast.IfExp(body=one, orelse=other):
+            return f"{rendered(one)} | {rendered(other)}"
+    return f"{{{ast.unparse(node)}}}"
+
+
+def _source(part: ast.expr) -> str:
+    return ast.unparse(part.value) if isinstance(part, ast.FormattedValue) else ast.unparse(part)
+
+
+def _name(function: ast.expr) -> str:
+    return function.id if isinstance(function, ast.Name) else getattr(function, "attr", "")
+
+
+def _place(path: str, node: ast.expr) -> str:
+    return f"{path}:{node.lineno}"

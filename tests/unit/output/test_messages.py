@@ -1,0 +1,163 @@
+"""What every message names exists: options, commands, files, keys; and every error has a remedy."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import click
+import msgspec
+import pytest
+from tests.unit.output.spoken import ROOT, Said, errors, findings, texts
+
+from gyrorig_daemon.commands import cli as gyrorigd
+from gyrorig_daemon.config.document import RigConfig
+from gyrorig_solver.cli import cli as gyrorig
+
+# Of other programs, which messages tell people to run.
+OTHERS = {"--host", "--no-dashboard", "--nthreads", "--can", "--now"}
+# After a program's name, and no command: words about it.
+PROSE = {"metadata", "lacks", "unknown"}
+# Why a schema or a message is refused: `recording/collect.py` says whose, and what to do.
+REASONS = ("recording/cdr.py", "recording/cdr_stream.py", "recording/ros2msg.py",
+           "recording/messages.py", "recording/collect.py")  # fmt: skip
+# The process of the ports is gone: `_lose_ports` has said what to do when it went.
+SAID_BEFORE = ("{self._gone}",)
+
+_OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
+_COMMAND = re.compile(r"\b(gyrorigd?) ([a-z]+(?:-[a-z]+)*)(?: ([a-z]+(?:-[a-z]+)*))?([^`;,.:()|]*)")
+_FILE = re.compile(r"\b(?:config|systemd|docs)/[\w./-]*\w")
+_TARGET = re.compile(r"\bmake ([a-z]+-[a-z-]+)")
+_KEYS = re.compile(
+    r"(?<![\w/])(ptu|boards|service|site|emulator|buses)(?:: |\.)(?!md)([a-z_]+(?:: [a-z_]+)*)"
+)
+NO_KEYS = {("boards", "can"), ("site", "no")}  # a colon of prose
+
+
+def _walk(command: click.Command, name: str) -> Iterator[tuple[str, click.Command]]:
+    yield name, command
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for inner in command.list_commands(context):
+            found = command.get_command(context, inner)
+            assert found is not None
+            yield from _walk(found, f"{name} {inner}")
+
+
+COMMANDS = dict([*_walk(gyrorig, "gyrorig"), *_walk(gyrorigd, "gyrorigd")])
+
+
+def _options(command: click.Command) -> set[str]:
+    words = (word for one in command.params for word in (*one.opts, *one.secondary_opts))
+    return {"--help", *words}
+
+
+# `gyrorig record` and `emulate` hand their words on to gyrorigd, which reads them.
+OPTIONS = {name: _options(command) for name, command in COMMANDS.items()}
+for _word in ("record", "emulate"):
+    OPTIONS[f"gyrorig {_word}"] |= OPTIONS[f"gyrorigd {_word}"]
+ALL = set().union(*OPTIONS.values())
+TEXTS = tuple(texts())
+
+
+def test_there_is_much_to_look_at() -> None:
+    assert len(TEXTS) > 1500
+    assert len(list(errors())) > 450
+    assert len(list(findings())) > 60
+
+
+def test_every_option_that_a_message_names_exists() -> None:
+    wrong = {
+        (one.place, option)
+        for one in TEXTS
+        for option in _OPTION.findall(one.text)
+        if option not in ALL | OTHERS
+    }
+    assert not wrong
+
+
+def test_every_command_that_a_message_names_exists_with_its_options() -> None:
+    wrong = set()
+    for one in TEXTS:
+        for program, command, below, rest in _COMMAND.findall(one.text):
+            name = f"{program} {command}"
+            if command in PROSE:
+                continue
+            if f"{name} {below}" in COMMANDS:
+                name = f"{name} {below}"
+            if name not in COMMANDS:
+                wrong.add((one.place, name))
+                continue
+            wrong |= {
+                (one.place, f"{name} {option}")
+                for option in _OPTION.findall(rest)
+                if option not in OPTIONS[name]
+            }
+    assert not wrong
+
+
+def test_every_file_and_target_that_a_message_names_exists() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    wrong = {
+        (one.place, name) for one in TEXTS for name in _FILE.findall(one.text)
+        if not (ROOT / name).exists()
+    }  # fmt: skip
+    wrong |= {
+        (one.place, target) for one in TEXTS for target in _TARGET.findall(one.text)
+        if not re.search(rf"^{target}:", makefile, re.MULTILINE)
+    }  # fmt: skip
+    assert not wrong
+
+
+def _fields(kind: msgspec.inspect.Type) -> Iterator[msgspec.inspect.Field]:
+    match kind:
+        case msgspec.inspect.StructType():
+            yield from kind.fields
+        case msgspec.inspect.UnionType():
+            for one in kind.types:
+                yield from _fields(one)
+        case msgspec.inspect.ListType() | msgspec.inspect.VarTupleType():
+            yield from _fields(kind.item_type)
+
+
+def test_every_key_of_a_rig_that_a_message_names_exists() -> None:
+    wrong = set()
+    for one in TEXTS:
+        for first, rest in _KEYS.findall(re.sub(r"{[^}]*}", "", one.text)):
+            kind: Any = msgspec.inspect.type_info(RigConfig)
+            for key in [first, *rest.split(": ")]:
+                inside = {field.encode_name: field.type for field in _fields(kind)}
+                if not inside or (first, key) in NO_KEYS:
+                    break
+                if key not in inside:
+                    wrong.add((one.place, f"{first}: {rest}"))
+                    break
+                kind = inside[key]
+    assert not wrong
+
+
+def _without_remedy(said: Iterator[Said]) -> set[tuple[str, str]]:
+    return {(one.place, one.text) for one in said if not one.remedy}
+
+
+def test_every_error_says_what_to_do() -> None:
+    lacking = {
+        (place, text) for place, text in _without_remedy(errors())
+        if not any(name in place for name in REASONS) and text not in SAID_BEFORE
+    }  # fmt: skip
+    assert not lacking
+
+
+def test_every_finding_says_what_to_do() -> None:
+    assert not _without_remedy(one for one in findings() if one.kind in ("fault", "warning"))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_says_what_it_is_and_what_holds_without_it(name: str) -> None:
+    for one in COMMANDS[name].params:
+        if not isinstance(one, click.Option):
+            continue
+        assert one.help, one.opts
+        if one.is_flag or one.required or one.show_default or one.opts == ["--version"]:
+            continue
+        says = "default" in one.help or one.multiple
+        assert says or one.help.startswith(("Only ", "Of ", "With ", "In place of ")), one.opts
