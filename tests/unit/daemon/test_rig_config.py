@@ -1,5 +1,6 @@
 """Rig configurations: what is taken, and what is refused with a place."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,15 @@ def test_the_shipped_files_are_taken() -> None:
     assert not load_rig(ROOT / "config" / "rig-raspberrypi.yaml").is_emulated
     for path in (ROOT / "config" / "programs").glob("*.yaml"):
         assert parse_program(path.read_bytes(), path.name).name == path.stem
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "config").glob("rig*.yaml")), ids=lambda p: p.stem)
+def test_shipped_programs_are_not_too_fast_for_a_shipped_rig(path: Path) -> None:
+    limit_deg_s = load_rig(path).ptu.limits.speed_deg_s
+    for program in (ROOT / "config" / "programs").glob("*.yaml"):
+        asked_deg_s = map(float, re.findall(r"speed_deg_s: ([\d.]+)", program.read_text()))
+        # A unit counts speeds in steps: at its limit it may be less by one.
+        assert limit_deg_s is None or max(asked_deg_s) < limit_deg_s - 0.1, program.name
 
 
 def test_defaults() -> None:
