@@ -32,6 +32,7 @@ _TYPED = re.compile(
 )
 REASONS = {
     "bench": "takes minutes and has a test that does less of it: tests/unit/fleet/test_fleet_maker",
+    "ci": "takes minutes, and .ci/run begins with it in a fresh clone",
     "data": "measured data that are not here",
     "elsewhere": "another computer",
 }

@@ -5,7 +5,6 @@ of a block's word and the reader's folder. The container with a rig is in `conta
 """
 
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -25,8 +24,6 @@ _FOUR_IS_DONE = "".join(
     f'{name}() {{ command {name} "$@" || {{ local code=$?; [ $code = 4 ] || return $code; }}; }}\n'
     for name in ("gyrorig", "gyrorigd")
 )
-# `make test` is CI's own: here it starts, collects all tests and runs those of one file.
-_FEW_TESTS = "-k test_doctor_computer"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,12 +106,8 @@ class Places:
         return Place(fresh, {**self._environment, **store.environment}, store.prefix)
 
     def _clone(self, fresh: Path) -> Place:
-        clone = _cloned(fresh / "gyrorig")
-        # What mypy knows of these files already; a stranger's first check takes longer.
-        if (ROOT / ".mypy_cache").is_dir():
-            shutil.copytree(ROOT / ".mypy_cache", clone / ".mypy_cache")
         path = _path_without(Path(sys.executable).parent)
-        return Place(clone, {**self._environment, "PATH": path, "PYTEST_ADDOPTS": _FEW_TESTS})
+        return Place(_cloned(fresh / "gyrorig"), {**self._environment, "PATH": path})
 
     def _wheel(self, fresh: Path) -> Place:
         for words in (f"hatchling build -t wheel -d {fresh}/dist", f"venv {fresh}/venv"):

@@ -8,6 +8,7 @@ from tests.docs.blocks import DocumentError, blocks, pages
 from tests.docs.places import CannotBeHereError, Place, Places
 from tests.docs.run import Reader, Tally
 
+ROOT = Path(__file__).parents[3]
 ENDS_WELL = (
     'python3 -c "import pathlib, signal, sys; signal.signal(15, lambda *_: sys.exit(CODE)); '
     "pathlib.Path('there').touch(); signal.pause()\""
@@ -26,6 +27,14 @@ def followed(folder: Path, text: str) -> Tally:
 @pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
 def test_every_page_says_how_its_blocks_are_taken(page: Path) -> None:
     list(blocks(page))
+
+
+def test_what_is_left_to_ci_is_run_there() -> None:
+    ran = set(re.findall(r"^make PYTHON=\S+ (\S+)", (ROOT / ".ci" / "run").read_text(), re.M))
+    left = [block for page in pages() for block in blocks(page) if block.told == "ci"]
+    asked = {line for block in left for line in block.body.splitlines()}
+    assert asked == {"make check", "make test"}
+    assert {line.removeprefix("make ") for line in asked} <= ran
 
 
 def test_a_page_is_run_from_the_top(tmp_path: Path) -> None:
