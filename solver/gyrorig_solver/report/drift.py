@@ -87,7 +87,7 @@ class _Sums:
         Args:
             values: shape (n, 3), nan where there are none.
         """
-        known = np.isfinite(values).all(axis=1)
+        known = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
         self._total = np.zeros((values.shape[0] + 1, 3))
         np.cumsum(np.where(known[:, None], values, 0.0), axis=0, out=self._total[1:])
         self._count = np.concatenate([[0], np.cumsum(known)])
