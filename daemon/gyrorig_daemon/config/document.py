@@ -223,7 +223,13 @@ def _with_dbc(board: BoardPort, folder: Path) -> BoardPort:
     """Return a board whose DBC file, beside the rig's document, has been read."""
     if board.signals is None or board.signals.dbc_file is None:
         return board
-    content = read_document(folder / board.signals.dbc_file)
+    try:
+        content = read_document(folder / board.signals.dbc_file)
+    except UsageError as fault:
+        raise UsageError(
+            f"board {board.id}: its DBC file {fault.what}",
+            "put it beside the rig's file, under the name that signals: dbc gives",
+        ) from fault
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError:  # Windows tools write their own letters, a degree sign at most
@@ -296,6 +302,6 @@ def _check_limits(limits: CommandLimits, name: str) -> None:
     ):
         if low is not None and high is not None and low >= high:
             raise UsageError(
-                f"{name}: {axis}_min_deg {low:g} is not below {axis}_max_deg {high:g}",
-                "the lesser angle is the minimum, whatever the signs",
+                f"{name}: limits: {axis}_min_deg {low:g} is not below {axis}_max_deg {high:g}",
+                "give the lesser angle as the minimum, whatever the signs",
             )

@@ -303,6 +303,6 @@ def refusal(port: str, path: str, reason: str, text: str) -> GyrorigError:
     hint = (
         f"name another in the rig's configuration; ports here: {', '.join(there)}"
         if there
-        else "check the cable and the adapter: this computer shows no serial port"
+        else "check the cable and the adapter (this computer shows no serial port)"
     )
     return UsageError(f"{path} ({port}) cannot be used: {text}", hint)

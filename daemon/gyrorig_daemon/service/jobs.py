@@ -92,7 +92,7 @@ def put(
     except OSError as fault:
         raise MachineError(
             f"{queue} takes no job: {fault.strerror}",
-            "name the folder by --state; its owner and root may write to it",
+            "name the daemon's folder with --state; who is in the daemon's group may write to it",
         ) from fault
     return path
 

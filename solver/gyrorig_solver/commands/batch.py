@@ -131,6 +131,11 @@ def batch_command(
         deadline_s=deadline,
         memory_bytes=memory << 20,
     )
+    if scheduler is None and (tls_ca or tls_cert or tls_key):
+        raise UsageError(
+            "--tls-ca, --tls-cert and --tls-key are of a scheduler, and none is named",
+            "give --scheduler tls://HOST:8786 too, or leave them out",
+        )
     bar, part = _Bar(), _shard(shard)
     signer = None if sign is None else signer_of(sign)
     with ExitStack() as stack:

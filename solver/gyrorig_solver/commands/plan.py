@@ -14,7 +14,7 @@ from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_op
 from gyrorig_solver.plan.cause_words import causes_plain, causes_remarks, causes_table
 from gyrorig_solver.plan.causes import Outlook, foresee
 from gyrorig_solver.plan.criterion import CRITERIA, Criterion, cost
-from gyrorig_solver.plan.document import program_text, write_new
+from gyrorig_solver.plan.document import check_new, program_text, write_new
 from gyrorig_solver.plan.predict import Prediction, predict
 from gyrorig_solver.plan.rig import Rig, load_rig
 from gyrorig_solver.plan.search import AIMS, Found, find_program
@@ -95,6 +95,8 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     Example:
       gyrorig plan --rig config/rig.yaml --seconds 75 --out planned.yaml
     """
+    if options["out"] is not None:
+        check_new(options["out"])
     rig = load_rig(options["rig_path"])
     sensor = rig.sensor(_profile(options["sensor"] or rig.sensor_name))
     seconds: float | None = options["seconds"]

@@ -67,7 +67,8 @@ def read_log(path: Path) -> PhoneLog:
         InputError: no file, no log that is known, or no gyroscope in it.
     """
     if not path.is_file():
-        raise InputError(f"{path} is no file", "name the log of a phone")
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise InputError(f"{path} {what}", "name one log of a phone")
     notes: list[str] = []
     first = _first_line(path)
     if _is_tagged(path):

@@ -48,7 +48,8 @@ def open_columns(path: Path, wanted: Sequence[str]) -> Columns:
         InputError: not such a file, a column is missing, or it is too large.
     """
     if not path.is_file():
-        raise InputError(f"{path} is no file", "name one measurement file")
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise InputError(f"{path} {what}", "name one file of measurements")
     if path.stat().st_size == 0:
         raise InputError(f"{path.name} is empty", "name a file with measurements")
     try:

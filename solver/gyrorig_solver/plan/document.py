@@ -18,8 +18,8 @@ def program_text(program: MotionProgram) -> str:
     return dump_yaml({"schema": SCHEMA, **_set(program)})
 
 
-def write_new(path: Path, text: str) -> None:
-    """Write a file whole, under a name that is not taken.
+def check_new(path: Path) -> None:
+    """Refuse a name that cannot be written to, before the minutes that a search takes.
 
     Raises:
         UsageError: there is such a file already, or its folder is not there.
@@ -30,6 +30,15 @@ def write_new(path: Path, text: str) -> None:
         raise UsageError(
             f"there is no folder {path.parent}", "make it first, or give --out another name"
         )
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a file whole, under a name that is not taken.
+
+    Raises:
+        UsageError: as `check_new`.
+    """
+    check_new(path)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     written = Path(name)
     try:

@@ -74,6 +74,16 @@ def test_the_command_refuses_it_in_one_line_before_it_writes(
     assert not (tmp_path / "s").exists()
 
 
+def test_certificates_without_a_scheduler_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "ca.pem").touch()
+    words = ["batch", "--spool", str(tmp_path), "--store", str(tmp_path / "s")]
+    assert run([*words, "--tls-ca", str(tmp_path / "ca.pem")]) == 2
+    assert "are of a scheduler, and none is named: give --scheduler" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
+
+
 class Screen(io.StringIO):
     """Standard error of a terminal."""
 

@@ -68,7 +68,11 @@ def test_a_listing_has_the_names_below(place: Place) -> None:
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("http://x/y", "neither a folder nor a bucket"), ("s3://", "no bucket"), ("s3://b/../c", "no bucket")],
+    [
+        ("http://x/y", "neither a folder nor a bucket"),
+        ("s3://", "no bucket"),
+        ("s3://b/../c", "no bucket"),
+    ],
 )
 def test_what_is_no_place_is_refused(text: str, words: str) -> None:
     with pytest.raises(UsageError, match=words):

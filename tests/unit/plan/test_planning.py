@@ -194,6 +194,15 @@ def test_bad_rigs_are_one_line(text: str, tmp_path: Path, capsys: Captured) -> N
     assert error.count("\n") == 1
 
 
+def test_a_place_that_cannot_be_written_is_refused_before_the_search(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gyrorig_solver.commands.plan.find_program", None)  # would raise
+    out = tmp_path / "none" / "p.yaml"
+    assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--out", str(out)]) == 2
+    assert f"there is no folder {out.parent}: make it first" in capsys.readouterr().err
+
+
 def test_never_overwrites(planned: Path, capsys: Captured) -> None:
     before = planned.read_bytes()
     assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--out", str(planned)]) == 2

@@ -45,8 +45,8 @@ def _size(cause: Cause, text: str) -> float:
     if size < 0.0 and not cause.signed:
         raise UsageError(f"{cause.name} cannot have the negative size {size:g}", shown)
     if not cause.least <= abs(size) <= cause.most:
-        limits = f"{cause.least:g} to {cause.most:g}"
-        raise UsageError(f"{cause.name} of {size:g} is out of bounds", f"{shown}; {limits}")
+        limits = f"from {cause.least:g} to {cause.most:g}"
+        raise UsageError(f"{cause.name} of {size:g} is out of bounds", f"{shown}, {limits}")
     if cause.whole and size != round(size):
         raise UsageError(f"{cause.name} of {size:g} is no whole number", shown)
     return size
