@@ -97,7 +97,9 @@ def _refusal(port: str, fault: RefusedError) -> GyrorigError:
     if fault.reason == "busy":
         holder = lock_holder(port)
         who = f" ({holder})" if holder else ""
-        remedy = f"end that program{who}: it halts the unit itself; or cut the unit's power"
+        ours = holder is not None and holder.is_ours
+        then = "it halts the unit itself" if ours else "then halt again"
+        remedy = f"end that program{who}: {then}; or cut the unit's power"
         return BusyError(f"not halted: {error.what}", remedy)
     return type(error)(f"not halted: {error.what}", error.remedy)
 

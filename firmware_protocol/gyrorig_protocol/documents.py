@@ -15,7 +15,6 @@ import msgspec
 import yaml
 
 from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
-from gyrorig_protocol.misfits import first_misfit
 
 T = TypeVar("T")
 
@@ -86,6 +85,8 @@ def read_as(value: object, kind: type[T], name: str, error: type[GyrorigError] =
     try:
         return msgspec.convert(value, type=kind, strict=True)
     except (msgspec.ValidationError, ValueError) as fault:
+        from gyrorig_protocol.misfits import first_misfit  # noqa: PLC0415 - msgspec.inspect, seldom
+
         found = first_misfit(value, kind)
         if found is None:
             raise error(name, _one_line(fault)) from fault

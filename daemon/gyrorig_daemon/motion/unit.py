@@ -146,7 +146,7 @@ def _identify(client: PtuClient) -> Version:
             "otherwise check the ports in the rig's configuration",
         )
     raise DeviceError(
-        f"what is on {client.where} is no pan-tilt unit: to V it says {heard[:40]!r}",
+        f"what is on {client.where} is no pan-tilt unit: asked who it is, it says {heard[:32]!r}",
         "check the ports in the rig's configuration; it was not moved",
     )
 

@@ -33,6 +33,7 @@ from gyrorig_solver.places.place import Place
 _DAMAGED = 3
 _FAULTS_SHOWN = 50
 _DATES = ["%Y-%m-%d", "%Y-%m-%dT%H:%M:%SZ"]
+_DATE = "YYYY-MM-DD[THH:MM:SSZ]"
 
 _folder = click.argument("folder", metavar="STORE", type=PlaceOption())
 _SIGN = click.Path(path_type=Path, dir_okay=False, exists=True)
@@ -56,9 +57,17 @@ def store_command() -> None:
 @click.option("--rig", help="Only what this rig recorded.")
 @click.option("--config", "config_hash", help="Only boards set so: the configuration's digest.")
 @click.option(
-    "--since", type=click.DateTime(_DATES), help="Only what was calibrated then (UTC) or later."
+    "--since",
+    type=click.DateTime(_DATES),
+    metavar=_DATE,
+    help="Only what was calibrated then (UTC) or later.",
 )
-@click.option("--until", type=click.DateTime(_DATES), help="Only what was calibrated before (UTC).")
+@click.option(
+    "--until",
+    type=click.DateTime(_DATES),
+    metavar=_DATE,
+    help="Only what was calibrated before (UTC).",
+)
 @click.option("--all", "every", is_flag=True, help="Every version, not only the newest.")
 @click.option("--wrong", is_flag=True, help="What has no calibration, and why.")
 @click.option(
@@ -110,6 +119,7 @@ def ls_command(
 @click.option(
     "--at",
     type=click.DateTime(_DATES),
+    metavar=_DATE,
     help="In place of --version: the last one measured by then (UTC).",
 )
 @click.option(
