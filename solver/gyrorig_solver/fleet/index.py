@@ -247,7 +247,7 @@ def _lines(
 def _damaged(path: Path, fault: duckdb.Error) -> InputError:
     return InputError(
         f"the index of {path} cannot be read, {_line(fault)}",
-        "`gyrorig store rebuild-index` makes it anew from the calibrations",
+        "`gyrorig store rebuild-index STORE` makes it anew from the calibrations",
     )
 
 
