@@ -26,8 +26,9 @@ help:  ## this text
 demo: $(VENV)/.solver  ## the whole way on an emulated rig; writes demo/ (SEED=7 is another rig)
 	@$(VENV)/bin/gyrorig demo --out $(OUT) $(if $(SEED),--seed $(SEED))
 
+# Three at a time on two cores: tests in real time wait most of theirs.
 test: $(VENV)/.dev  ## the tests; test-long, test-pages, test-docs and test-packages have the rest
-	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile --no-loadscope-reorder -m "not bench and not pages and not long"
+	@$(VENV)/bin/python -m pytest -q -rs -n 3 --dist loadfile --no-loadscope-reorder -m "not bench and not pages and not long"
 
 test-long: $(VENV)/.dev  ## searches for causes over several boards or recordings; minutes
 	@$(VENV)/bin/python -m pytest -q -rs -n 2 --dist loadfile -m long
