@@ -138,7 +138,9 @@ def test_work_that_needs_too_much_memory_fails_and_the_others_go_on(
     (folder / "spool" / "foreign.mcap").write_bytes(b"x")
     monkeypatch.setattr(task, "solve_into", greedy)
     assert night(folder).ended == Counter(failed=1, rejected=1)
-    assert why(folder)["a.mcap"] == "failed: it needs more than 4096 MB of memory"
+    assert why(folder)["a.mcap"] == (
+        "failed: it needs more than 4096 MB of memory: --retry failed, and more with --memory"
+    )
 
 
 def test_a_board_whose_newest_version_is_of_a_newer_program_keeps_no_other(

@@ -126,7 +126,10 @@ def test_a_borrowed_process_is_limited_for_the_work_alone(
     assert seen == [64 << 30]
     assert resource.getrlimit(resource.RLIMIT_AS) == before
     (row,) = told.rows
-    assert (row.status, row.reason) == ("failed", "it needs more than 65536 MB of memory")
+    assert (row.status, row.reason) == (
+        "failed",
+        "it needs more than 65536 MB of memory: --retry failed, and more with --memory",
+    )
 
 
 class DiedError(Exception):
