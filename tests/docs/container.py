@@ -20,7 +20,7 @@ from gyrorig_daemon.config import load_rig
 
 ROOT = Path(__file__).resolve().parents[2]
 CHECKOUT = Path("/root/gyrorig")  # inside
-STARTED_WITHIN_S = 90.0
+STARTED_WITHIN_S = 180.0
 ENDED_WITHIN_S = 30.0
 SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"  # as sudo's own
 _OVERLAY = """
@@ -49,6 +49,10 @@ for pair in ptu={ptu} board-{board}={port}; do
 done
 ln -s $(readlink /run/rig/ptu) /dev/ttyUSB0
 """
+
+
+class DoesNotBootError(Exception):
+    """This computer has all that a container needs, and none comes up."""
 
 
 class RigsComputer:
@@ -93,7 +97,8 @@ class RigsComputer:
         """Boot, and plug the rig in.
 
         Raises:
-            RuntimeError: it does not come up.
+            DoesNotBootError: it does not come up.
+            RuntimeError: the emulated rig does not.
         """
         try:
             self._boot()
@@ -173,7 +178,7 @@ class RigsComputer:
         end_s = time.monotonic() + STARTED_WITHIN_S
         while not holds():
             if self._running[0].poll() is not None or time.monotonic() > end_s:
-                raise RuntimeError(f"no container comes up here: {self._words()}")
+                raise DoesNotBootError(f"no container comes up here: {self._words()}")
             time.sleep(0.1)
 
     def _end(self) -> None:

@@ -16,7 +16,7 @@ from types import TracebackType
 
 from tests.docs.blocks import ROOT
 from tests.docs.bucket import ObjectStore
-from tests.docs.container import RigsComputer
+from tests.docs.container import DoesNotBootError, RigsComputer
 
 # 4 is "done, but something cannot be told from this data", and of the doctor "it works, and
 # some night will not": what some pages are about.
@@ -55,6 +55,7 @@ class Places:
         """
         self._kept = ExitStack()
         self._made: dict[str, Place] = {}
+        self._refused: dict[str, str] = {}  # words of what was tried, and why there is none
         programs = Path(sys.executable).parent
         self._environment = {
             **{name: value for name, value in os.environ.items() if name != "VIRTUAL_ENV"},
@@ -88,6 +89,8 @@ class Places:
         """
         if not word:
             return Place(folder, self._environment)
+        if word in self._refused:
+            raise CannotBeHereError(self._refused[word])
         if word not in self._made:
             make: dict[str, Callable[[Path], Place]] = {
                 "bucket": self._bucket, "clone": self._clone, "wheel": self._wheel,
@@ -129,7 +132,11 @@ class Places:
     def _rig(self, fresh: Path) -> Place:
         if why := RigsComputer.why_not():
             raise CannotBeHereError(why)
-        computer = self._kept.enter_context(RigsComputer(fresh, _cloned(fresh / "gyrorig")))
+        try:
+            computer = self._kept.enter_context(RigsComputer(fresh, _cloned(fresh / "gyrorig")))
+        except DoesNotBootError as fault:
+            self._refused["rig"] = str(fault)
+            raise CannotBeHereError(str(fault)) from fault
         return Place(
             computer.checkout, computer.environment, computer.prefix,
             _FOUR_IS_DONE + computer.shell,
