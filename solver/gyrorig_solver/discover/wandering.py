@@ -35,6 +35,7 @@ from gyrorig_solver.estimate.projection import Projection
 WILD = 5.0  # times an ordinary part's wandering: that is odd in itself
 CALM = 4.0  # times the power of an ordinary part's wandering
 COVARIATE = "wandering"
+LEVELS = 2  # of an axis: flicker and walk
 SAME_LEVELS = 0.2  # relative: nothing hides behind levels that are an ordinary part's
 
 
@@ -108,7 +109,9 @@ def wandering(solution: Solution) -> Wandering:
     worst = int(np.argmax(ratios))
     ratio = float(ratios[worst])
     words = f"on the time: the bias wanders {ratio:.1f} times as much as an ordinary part's"
-    p_value = chi2_tail(rise, capped) if capped else 1.0
+    # Any of the levels could have been the one: all were looked at (Bonferroni).
+    looked = LEVELS * sum(len(n.levels) for n in solution.noises)
+    p_value = min(1.0, looked * chi2_tail(rise, capped)) if capped else 1.0
     return Wandering(
         ratio,
         "xyz"[worst],

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gyrorig_solver.chance import chi2_tail
 from gyrorig_solver.discover.finder import explain
 from gyrorig_solver.discover.walks import leaps, look_for_walk
 from gyrorig_solver.discover.wandering import CALM, calmed, is_calm, wandering
@@ -32,6 +33,15 @@ def test_over_longer_it_is_named(hidden: Callable[..., Any]) -> None:
     assert cause is not None
     assert cause.candidates == ("bias_random_walk",)
     assert all(0.0 < one.std < one.value for one in cause.values[:2])  # hardly any on z
+
+
+def test_any_level_might_have_been_the_one(hidden: Callable[..., Any]) -> None:
+    """Flicker and walk of three axes are looked at: six chances to be odd."""
+    session = hidden("bias_random_walk:0.0003", program="survey-130")
+    one = wandering(unit_solution([session.recording], session.board)).signature
+    alone = chi2_tail(one.statistic, one.degrees_of_freedom)
+    assert 0.0 < alone < 0.1
+    assert one.p_value == pytest.approx(min(1.0, 6.0 * alone), rel=1e-9, abs=0.0)
 
 
 def test_leaps_are_no_random_walk() -> None:
