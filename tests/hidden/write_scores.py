@@ -15,13 +15,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from docs.blocks import write_or_check
 from docs.markdown import Block
-from tests.hidden.scoring import tables
+from tests.hidden.scoring import once, tables
 from tests.hidden.scoring.kept import Kept, read_kept
 from tests.hidden.scoring.picture import confusion_picture
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 DOCUMENT = DOCS / "discovery-scores.md"
 RESULTS = DOCS / "discovery" / "results.json"
+MULTIPLICITY = DOCS / "discovery" / "multiplicity.json"
 PICTURE = DOCS / "img" / "confusion.svg"
 
 
@@ -29,6 +30,12 @@ PICTURE = DOCS / "img" / "confusion.svg"
 def kept() -> Kept:
     """Return what the last run of the long tier left."""
     return read_kept(RESULTS)
+
+
+@cache
+def measured() -> list[once.Multiplicity]:
+    """Return what `multiplicity.py` left: the independent looks of a search."""
+    return once.read(MULTIPLICITY)
 
 
 def picture() -> str:
@@ -39,8 +46,10 @@ def picture() -> str:
 BLOCKS: dict[str, Block] = {
     "cases": lambda: tables.cases(kept().outcomes),
     "reached": lambda: tables.reached(kept().outcomes),
-    "goals": lambda: tables.goals(kept().outcomes, kept().gaps, kept().bounds),
+    "goals": lambda: tables.goals(kept().outcomes, kept().gaps, kept().bounds, measured()),
     "nulls": lambda: tables.nulls(kept().outcomes),
+    "looks": lambda: once.counted(measured()),
+    "once": lambda: once.said(measured()),
     "causes": lambda: tables.causes(kept().outcomes),
     "confused": lambda: tables.confused(kept().outcomes),
     "inseparable": lambda: tables.inseparable(kept().bounds),

@@ -19,6 +19,7 @@ from tests.hidden.scoring.goals import (
     SEEN,
     Goal,
 )
+from tests.hidden.scoring.once import Multiplicity, borne
 from tests.hidden.scoring.outcome import Outcome, is_sole
 from tests.hidden.scoring.possible import Bound
 from tests.hidden.scoring.shares import Share
@@ -50,9 +51,12 @@ class Gap:
 
 
 def figures(
-    outcomes: Sequence[Outcome], gaps: Sequence[Gap] = (), bounds: Sequence[Bound] = ()
+    outcomes: Sequence[Outcome],
+    gaps: Sequence[Gap] = (),
+    bounds: Sequence[Bound] = (),
+    measured: Sequence[Multiplicity] = (),
 ) -> dict[str, Figure]:
-    """Return each goal's figure by its name."""
+    """Return each goal's figure by its name; `measured`: what a search looks at by chance."""
     nulls = _share(_of_kind(outcomes, "null"), lambda one: one.alarmed)
     rungs = [one for one in _of_kind(outcomes, "one") if on_rung(one, 2.0) or on_rung(one, 3.0)]
     plain = [one for one in rungs if not one.soak]
@@ -69,7 +73,7 @@ def figures(
         "sole_right": _beside(_of(_share(plain, sole_right)), plain, bounds),
         "sole_right_soak": _beside(_of(_share(soaked, sole_right)), soaked, bounds),
         "wrong_names": _count(_share(bound, lambda one: one.misled)),
-        "detected_once": _of(_share(once, lambda one: one.alarmed)),
+        "detected_once": _beside_tests(_share(once, lambda one: one.alarmed), once, measured),
         "outside_wrong": _of(_share(outside, lambda one: one.wrong_sole)),
         "outside_group": _of(_share(outside, right_group)),
         "nearly_wrong": _of(_share(nearly, _nearly_wrong)),
@@ -184,6 +188,16 @@ def _beside(figure: Figure, some: Sequence[Outcome], bounds: Sequence[Bound]) ->
         return figure
     most = 100.0 * sum(each) / len(each)
     return Figure(figure.value, f"{figure.words}; the data bear {most:.1f} % at most")
+
+
+def _beside_tests(
+    share: Share, once: Sequence[Outcome], measured: Sequence[Multiplicity]
+) -> Figure:
+    """Say how often the causes' own tests find them, among as many as a search makes."""
+    if not once or not measured:
+        return _of(share)
+    most = 100.0 * borne(measured, [one.fates[0].cause for one in once])
+    return Figure(share.value, f"{share}; the causes' own tests {most:.1f} %")
 
 
 def _count(share: Share) -> Figure:

@@ -23,6 +23,7 @@ from tests.hidden.scoring.figures import (
     sole_right,
 )
 from tests.hidden.scoring.goals import BOUND, GOALS, HIDDEN, NULLS, RUNG_WIDTH, RUNGS, Goal
+from tests.hidden.scoring.once import Multiplicity
 from tests.hidden.scoring.outcome import AMONG, Outcome, is_sole
 from tests.hidden.scoring.possible import Bound, possible
 from tests.hidden.scoring.shares import Share
@@ -62,9 +63,14 @@ def reached(outcomes: Outcomes) -> str:
     return "\n".join(said)
 
 
-def goals(outcomes: Outcomes, gaps: Sequence[Gap], bounds: Sequence[Bound] = ()) -> str:
+def goals(
+    outcomes: Outcomes,
+    gaps: Sequence[Gap],
+    bounds: Sequence[Bound] = (),
+    measured: Sequence[Multiplicity] = (),
+) -> str:
     """Every goal beside its figure."""
-    found = figures(outcomes, gaps, bounds)
+    found = figures(outcomes, gaps, bounds, measured)
     failed = {(goal.number, goal.name) for goal in missed(found)}
     rows = []
     for goal in GOALS:

@@ -1,0 +1,166 @@
+"""Measure how many independent looks a search makes, by drawing noise beside a fit.
+
+Beside the base model's fit of a session, each row of each cause's bank is a few directions of the
+whitened residual. Where there is only noise their scores are normal with the directions' products
+as covariance: they are drawn from it, thousands of times, without a session. The looks of a cause
+are how much likelier the best of its rows is to pass a bar than one row is; the independent tests
+are how much likelier any cause is to pass its own than one test.
+
+Lost steps and lines are looked for wherever the residual shows them first; of these two the
+number that the search itself counts is taken.
+
+Run: python tests/hidden/multiplicity.py SESSION... [--out docs/discovery/multiplicity.json]
+where a session is a folder of a corpus that hides nothing.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import msgspec
+import numpy as np
+from scipy.stats import chi2
+from tests.hidden.scoring.answers import opened, sealed
+from tests.hidden.scoring.goals import FALSE_ALARMS
+from tests.hidden.scoring.once import Multiplicity
+
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.arrays import FloatArray, IntArray
+from gyrorig_solver.discover.banks import all_rows, quick_rows
+from gyrorig_solver.discover.scores import where
+from gyrorig_solver.discover.search import testable, tests_of
+from gyrorig_solver.discover.wandering import beside
+from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.model.terms.protocol import Term, indices
+from gyrorig_solver.model.terms.scene import Scene
+from gyrorig_solver.on_unit import unit_solution
+
+OUT = Path(__file__).resolve().parents[2] / "docs" / "discovery" / "multiplicity.json"
+BY_RESIDUAL = ("lost_steps", "supply_hum")
+BAR = 2e-3  # chance at which the looks of a cause are read: in the tail, and drawn often enough
+ROWS = 200  # of a bank, evenly: more are alike
+AT_ONCE = 10_000  # draws: memory counts
+VANISHED, ALIKE = 1e-9, 1e-7  # of energy beside the fit; of directions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bank:
+    """A cause's directions beside the fit, each of length one; those the fit follows are zero."""
+
+    term: Term
+    white: FloatArray  # (rows * sizes, n)
+    sizes: int
+
+    @classmethod
+    def of(cls, projection: Projection, term: Term) -> "Bank":
+        """Return the bank of a cause, at most `ROWS` of it."""
+        rows = all_rows(projection, term)
+        size = np.abs(rows[:, indices(term, role="size")]).max(axis=1)
+        rows = rows[size == 0.0] if (size == 0.0).any() else rows  # to first order, as searched
+        rows = rows[:: -(-len(rows) // ROWS)]
+        every = np.concatenate(
+            [projection.signals(partial(_directions, term, row), term=term) for row in rows]
+        )
+        left = np.array([projection.left(one) for one in every])
+        energy, raw = np.sum(left**2, axis=1), np.sum(every**2, axis=1)
+        some = energy > VANISHED * np.maximum(raw, 1e-300)
+        scale = np.where(some, np.sqrt(np.maximum(energy, 1e-300)), 1.0)
+        white = np.where(some[:, None], left, 0.0) / scale[:, None]
+        return cls(term, white, len(every) // len(rows))
+
+    def best(self, score: FloatArray, at: IntArray) -> tuple[FloatArray, int]:
+        """Return the best row's statistic in each draw (draws,), and its degrees of freedom.
+
+        Args:
+            score: of all directions, (rows * sizes, draws).
+            at: which sizes a place has.
+        """
+        best, degrees = np.zeros(score.shape[1]), 0
+        for first in range(0, len(self.white), self.sizes):
+            own = first + at
+            own = own[np.any(self.white[own] != 0.0, axis=1)]
+            if not own.size:
+                continue
+            strength, along = np.linalg.eigh(self.white[own] @ self.white[own].T)
+            keep = strength > ALIKE
+            root = along[:, keep] / np.sqrt(strength[keep])
+            best = np.maximum(best, np.sum((root.T @ score[own]) ** 2, axis=0))
+            degrees = max(degrees, int(keep.sum()))
+        return best, degrees
+
+
+def _directions(term: Term, row: FloatArray, scene: Scene) -> FloatArray:
+    return term.directions(scene, row)
+
+
+def drawn(white: FloatArray, draws: int, seed: int) -> Iterator[FloatArray]:
+    """Yield scores of directions where there is only noise, (k, some draws)."""
+    strength, along = np.linalg.eigh(white @ white.T)
+    keep = strength > 1e-12 * strength[-1]
+    root = along[:, keep] * np.sqrt(strength[keep])
+    rng = np.random.default_rng(seed)
+    for _ in range(0, draws, AT_ONCE):
+        yield root @ rng.standard_normal((root.shape[1], AT_ONCE))
+
+
+def measured(session: Path, draws: int) -> Multiplicity:
+    """Measure one session that hides nothing."""
+    recording = read_recording(session / "recording.mcap")
+    projection = beside(unit_solution([recording], recording.board_ids[0]), calm=True)
+    terms = testable(projection)
+    banks = [Bank.of(projection, t) for t in terms if t.cause not in BY_RESIDUAL]
+    ends = np.cumsum([len(bank.white) for bank in banks])
+    spots = [(k, np.array(at)) for k, bank in enumerate(banks) for _, at in where(bank.term)]
+    best: list[list[FloatArray]] = [[] for _ in spots]
+    degrees = [0] * len(spots)
+    for score in drawn(np.concatenate([bank.white for bank in banks]), draws, seed=1):
+        parts = np.split(score, ends[:-1])
+        for j, (k, at) in enumerate(spots):
+            some, degrees[j] = banks[k].best(parts[k], at)
+            best[j].append(some)
+    looks: dict[str, float] = {t.cause: quick_rows(projection, t)[1] for t in terms
+                               if t.cause in BY_RESIDUAL}  # fmt: skip
+    chance = np.ones(draws)
+    for j, (k, _) in enumerate(spots):
+        if not degrees[j]:
+            continue
+        all_draws = np.concatenate(best[j])[:draws]
+        own = 1.0
+        if len(banks[k].white) > banks[k].sizes:
+            bar = float(np.quantile(all_draws, 1.0 - BAR))
+            own = max(own, BAR / float(chi2.sf(bar, degrees[j])))
+        chance = np.minimum(chance, own * chi2.sf(all_draws, degrees[j]))
+        cause = banks[k].term.cause
+        looks[cause] = max(looks.get(cause, 1.0), own)
+    tests = tests_of(terms)
+    apart = tests_of([t for t in terms if t.cause in BY_RESIDUAL])
+    effective = FALSE_ALARMS / float(np.quantile(chance, FALSE_ALARMS)) + apart
+    answer = opened(session, sealed(session))
+    rounded = {cause: round(value, 2) for cause, value in sorted(looks.items())}
+    return Multiplicity(answer.program, answer.soak_k != 0.0, tests, round(effective, 1), rounded)
+
+
+def main() -> None:
+    """Measure sessions and write what was found."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("session", type=Path, nargs="+")
+    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--draws", type=int, default=200_000)
+    told = parser.parse_args()
+    found = []
+    for session in told.session:
+        found.append(measured(session, told.draws))
+        one = found[-1]
+        sys.stderr.write(f"{one.program}: {one.effective_tests} of {one.tests} tests\n")
+    told.out.write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n")
+
+
+if __name__ == "__main__":
+    main()
