@@ -19,7 +19,7 @@ from gyrorig_daemon.emulator.causes import CAUSES
 from gyrorig_daemon.emulator.noncentrality import Visibility
 from gyrorig_daemon.emulator.settings import HideOrder
 
-TIERS = ("mixed", "nulls", "ladder", "outside", "many", "nearly")  # at the end: they seed
+TIERS = ("mixed", "nulls", "ladder", "outside", "many", "nearly", "held")  # at the end: they seed
 KINDS = ("null", "one", "two", "outside", "nearly", "unobservable")
 SHARES = (0.30, 0.35, 0.15, 0.10, 0.05, 0.05)
 
@@ -127,7 +127,7 @@ def drawn(
 
     Args:
         seed: the session's number.
-        tier: one of `TIERS`.
+        tier: one of `TIERS`; of `held`, one cause each, all that can have a second session.
         rungs: of a ladder, in minimal detectable sizes.
         first: the first seed of a ladder, whose causes and rungs go round.
 
@@ -137,7 +137,7 @@ def drawn(
     rng = np.random.default_rng([seed, TIERS.index(tier), 0x5452])
     if tier == "ladder":
         return _ladder(rng, seed, rungs, first)
-    kind = {"nulls": "null", "mixed": ""}.get(tier, tier)
+    kind = {"nulls": "null", "mixed": "", "held": "one"}.get(tier, tier)
     kind = kind or str(rng.choice(KINDS, p=SHARES))
     programs = {"nulls": NULL_PROGRAMS, "many": MANY_PROGRAMS}.get(tier, PROGRAMS)
     program = str(rng.choice(list(programs), p=list(programs.values())))
@@ -290,8 +290,9 @@ def _ladder(
 
 
 def _held(drawing: _Drawing, *items: Item) -> RigDraw | None:
-    """Return a second session of the same rig, for one in ten where all causes stay."""
-    if drawing.rng.random() >= 0.1 or any(item.name in (*EVENTS, *COUNTED) for item in items):
+    """Return a second session of the same rig, for one in ten (or all) where all causes stay."""
+    share = 1.0 if drawing.tier == "held" else 0.1
+    if drawing.rng.random() >= share or any(i.name in (*EVENTS, *COUNTED) for i in items):
         return None
     program = {
         "survey-40": "quick", "survey-130": "planned-75", "full": "survey-130",
