@@ -28,6 +28,7 @@ LINES: list[Line] = [
     {**HIDDEN, "name": "nothing", "size": 0.0},
     # The same rig on another day: its noise is new.
     {**HIDDEN, "name": "again", "size": 0.004, "seed": 302, "rig_seed": 301},
+    {**HIDDEN, "name": "backwards", "size": 0.004, "program": "survey-40-backwards"},
 ]
 
 
@@ -65,6 +66,19 @@ def test_at_size_zero_nothing_is_found(there: Sessions) -> None:
     found = findings(there, 2)
     assert found.verdict == "adequate"
     assert found.causes == ()
+
+
+def test_a_program_run_backwards_has_the_same_names(there: Sessions) -> None:
+    forth, back = (only(findings(there, k)) for k in (0, 4))
+    assert "x" in forth.where
+    assert "x" in back.where
+    others = [v for v in back.values if v.name != "coefficient.x"]
+    assert all(abs(v.value) <= FAR * v.std for v in others)  # of another noise, and no more
+    was, now = size(forth, "x"), size(back, "x")
+    assert now[0] == pytest.approx(was[0], abs=FAR * np.hypot(was[1], now[1]))
+    # As much is seen of it: no speed is another, only what comes when.
+    slack = FAR * np.sqrt(2.0 * (2.0 * back.degrees_of_freedom + 4.0 * forth.statistic))
+    assert back.statistic == pytest.approx(forth.statistic, abs=slack)
 
 
 def test_a_board_mounted_otherwise_has_the_same_names(there: Sessions) -> None:

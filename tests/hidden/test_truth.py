@@ -23,13 +23,17 @@ from tests.hidden.truth.draws import (
     sizer_of,
 )
 from tests.hidden.truth.outside import SHAPES
+from tests.hidden.truth.programs import program_text, reversed_steps
 from tests.hidden.truth.session import ROOT, RigDraw, record, settings_of
 from tests.hidden.truth.sizing import COUNTED, Sizer
 
+from gyrorig_daemon.emulation import rough_session_s
 from gyrorig_daemon.emulator.causes import CAUSES
 from gyrorig_daemon.emulator.noncentrality import detectable
 from gyrorig_daemon.emulator.settings import HideOrder
 from gyrorig_daemon.emulator.truth import draw_rig_truth
+from gyrorig_protocol.documents import parse_yaml
+from gyrorig_protocol.program import parse_program
 
 RIG = RigDraw(77, "quick", 0.0, *LINES[3])
 TRUTH = Path(__file__).parent / "truth"
@@ -175,3 +179,12 @@ def test_sizes_are_counted_as_the_rig_draws_them(name: str) -> None:
     )
     # three of the nine of gravity's matrix never show: the stage tilts about one axis
     assert sizes_of(name) == drawn_sizes - (3 if name == "g_sensitivity" else 0)
+
+
+@pytest.mark.parametrize("name", ["survey-40", "survey-130", "quick"])
+def test_a_program_run_backwards_takes_as_long_and_back_again_is_itself(name: str) -> None:
+    steps = parse_yaml(program_text(name), name)["steps"]
+    back = parse_program(program_text(f"{name}-backwards"), name)
+    forth = parse_program(program_text(name), name)
+    assert rough_session_s(back) == pytest.approx(rough_session_s(forth))
+    assert reversed_steps(reversed_steps(steps)) == steps

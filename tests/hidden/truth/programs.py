@@ -1,0 +1,48 @@
+"""A program of motion run backwards: the same poses, speeds and rests in the opposite order.
+
+What to use when: `program_text` for a shipped program, by its name, or by its name and
+"-backwards"; for checks of what must not depend on the order of things.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from gyrorig_protocol.documents import dump_yaml, parse_yaml
+
+PROGRAMS = Path(__file__).resolve().parents[3] / "config" / "programs"
+BACKWARDS = "-backwards"
+Step = dict[str, dict[str, Any]]
+
+
+def program_text(name: str) -> bytes:
+    """Return a program as a file holds it."""
+    shipped = name.removesuffix(BACKWARDS)
+    text = (PROGRAMS / f"{shipped}.yaml").read_bytes()
+    if shipped == name:
+        return text
+    document = parse_yaml(text, name)
+    return dump_yaml(
+        {**document, "name": name, "steps": reversed_steps(document["steps"])}
+    ).encode()
+
+
+def reversed_steps(steps: list[Step]) -> list[Step]:
+    """Return steps in the opposite order, each move to where its axes came from.
+
+    Raises:
+        ValueError: the steps do not end where they begin, at zero, or do more than move and rest.
+    """
+    at = {"pan_deg": 0.0, "tilt_deg": 0.0}
+    found: list[Step] = []
+    for step in steps:
+        if set(step) == {"rest"}:
+            found.append(step)
+            continue
+        if set(step) != {"move"}:
+            raise ValueError(f"{set(step)} has no opposite")
+        back = {key: at.get(key, value) for key, value in step["move"].items()}
+        at |= {key: value for key, value in step["move"].items() if key in at}
+        found.append({"move": back})
+    if any(at.values()):
+        raise ValueError(f"it ends at {at}, not where it began")
+    return found[::-1]
