@@ -45,6 +45,7 @@ class GainChange(LinearTerm):
     cause = "gain_change"
     part: Part = "sensor"
     link: Link = "sensor"
+    as_if_shown: bool = True
     parameters = (
         TermParameter(
             name="gain",

@@ -11,18 +11,18 @@ beside those of a fit.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.model.terms.bound import label
-from gyrorig_solver.model.terms.protocol import CHAIN, OPERATORS, Term, value_parameters
+from gyrorig_solver.model.terms.protocol import CHAIN, OPERATORS, Link, Term, value_parameters
 from gyrorig_solver.model.terms.scene import Scene
 
 CUTTING = ("threshold", "limit")  # links of the chain at which rates are cut off
-GAIN_STEP = 1e-4
 READER_STEP = 1e-3  # of a typical size
 
 
@@ -93,44 +93,43 @@ def columns_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray:
     """Return the derivatives by all fitted values, (k, blocks, 3).
 
     To first order: what a value changes in the effect of causes further down is left out,
-    but for those that only filter or delay.
+    but for those that only filter or delay, and those that cut rates off.
     """
     chain = Chain(extensions, scene)
     found = []
     for one in extensions:
         if one.free.size:
-            columns = one.term.columns(chain.at(one.term), one.values)[one.free]
+            columns = one.term.slopes(chain.at(one.term), one.values)[one.free]
             if one.term.link in OPERATORS:
                 columns = columns + chain.unheld_columns(one)
-            found.append(columns)
+            found.append(chain.cut(one.term, columns))
     return np.concatenate(found) if found else np.zeros((0, scene.blocks, 3))
 
 
-def gain_columns_of(extensions: Sequence[Extension], scene: Scene) -> FloatArray | None:
-    """Return what each axis' row of G changes in the effect of causes that cut rates off.
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What still shows of a small change where causes cut rates off.
 
-    A rate below a threshold, or beyond a limit, does not show, and nor does what G makes of
-    it: without this a fit takes for measured what never was. By central differences.
-
-    Returns:
-        Shape (3, 3, blocks): axis, entry of its row; None where nothing is cut off.
+    A rate below a threshold, or beyond a limit, does not show, and nor does more or less of
+    it: without this a fit takes for measured what never was.
     """
-    cut = [one for one in extensions if one.acts and one.term.link in CUTTING]
-    if not cut:
-        return None
-    chain = Chain(extensions, scene)
-    found = np.zeros((3, 3, scene.blocks))
-    for one in cut:
-        here = chain.at(one.term)
-        for entry in range(3):
-            step = np.zeros((3, 3))
-            step[:, entry] = GAIN_STEP  # all rows at once: an axis has its own alone
-            more, less = (
-                one.term.effect(replace(here, gain=here.gain + by), one.values)
-                for by in (step, -step)
-            )
-            found[:, entry] += ((more - less) / (2.0 * GAIN_STEP)).T
-    return found
+
+    before: FloatArray  # (blocks, 3), share of what changes before any is cut off
+    after: FloatArray  # (blocks, 3), share of what changes behind the threshold
+    # (3, 3, blocks), what a row of G changes in the effect of the causes: axis, entry.
+    gain: FloatArray
+
+    def of(self, link: Link) -> FloatArray | None:
+        """Return the share of what a cause changes that shows, (blocks, 3), None: all."""
+        at = CHAIN.index(link)
+        if at < CHAIN.index("threshold"):
+            return self.before
+        return self.after if at < CHAIN.index("limit") else None
+
+
+def shown_of(extensions: Sequence[Extension], scene: Scene) -> Shown | None:
+    """Return what causes that cut rates off let pass, None where none is at work."""
+    return Chain(extensions, scene).shown
 
 
 class Chain:
@@ -162,6 +161,38 @@ class Chain:
         ]
         return self._after(signals, readers)
 
+    @cached_property
+    def shown(self) -> Shown | None:
+        """What the causes that cut rates off let pass; None where none is at work."""
+        after = np.ones((self.scene.blocks, 3))
+        before, gain = after, np.zeros((3, 3, self.scene.blocks))
+        some = False
+        for one in self._extensions:
+            here = self.at(one.term) if one.term.link in CUTTING else self.scene
+            passes = one.term.passes(here, one.values)
+            if passes is None:
+                continue
+            some = True
+            if one.term.link == "limit":
+                share = here.read(passes)
+                gain = share.T[:, None] * (gain + self._rate) - self._rate
+                before, after = before * share, after * share
+                continue
+            lost = np.moveaxis(here.rate_rad_s[:, :, None] * (passes - 1.0)[:, None, :], 1, 0)
+            gain = gain + here.seen(lost).transpose(2, 0, 1)
+            before = before + here.seen(passes - 1.0)
+        return Shown(before, after, gain) if some else None
+
+    @cached_property
+    def _rate(self) -> FloatArray:
+        """The stage's rates as the blocks show them, (3, blocks)."""
+        return self.scene.seen(self.scene.rate_rad_s).T
+
+    def cut(self, term: Term, columns: FloatArray) -> FloatArray:
+        """Return what of a cause's derivatives, (k, blocks, 3), other causes let pass."""
+        share = None if self.shown is None else self.shown.of(term.link)
+        return columns if share is None or term.as_if_shown else columns * share
+
     def effect(self, term: Term, values: FloatArray) -> FloatArray:
         """Return how a cause changes what the causes of the fit show together, (blocks, 3).
 
@@ -171,7 +202,7 @@ class Chain:
         here = self.at(term)
         total = term.effect(here, values)
         if term.link in OPERATORS:
-            return total + self._unheld(term, values) - self._unheld(term, None)
+            total = total + self._unheld(term, values) - self._unheld(term, None)
         later = [one for one in self._extensions if _key(one.term) > _key(term)]
         later = [one for one in later if one.term.link not in OPERATORS]
         last = max((k for k, one in enumerate(later) if one.term.reshapes), default=-1)

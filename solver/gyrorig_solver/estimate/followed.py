@@ -128,16 +128,8 @@ def _columns(
     model: PartModel, scene: Scene, gain: FloatArray, extensions: Sequence[Extension]
 ) -> FloatArray:
     """Return a part's derivatives by all but local unknowns, sensor frame, (q, n, 3)."""
-    n = model.used.size
-    own = np.zeros((GAINS + PER_SESSION, n, 3))
-    for axis in range(3):
-        own[3 * axis : 3 * axis + 3, :, axis] = model.rate.T
-        own[GAINS + axis, :, axis] = 1.0
-        if model.bent is not None:
-            own[3 * axis : 3 * axis + 3, :, axis] += model.bent[axis]
-    own[12] = -(gain @ model.columns.slope).T
-    shared = np.einsum("ij,gjn->gni", gain, model.columns.shared)
-    return np.concatenate([own, columns_of(extensions, scene), shared])
+    causes = columns_of(extensions, scene)
+    return np.concatenate([model.own(gain), causes, model.shared(gain)])
 
 
 def _locals(
@@ -150,7 +142,7 @@ def _locals(
         if lanes.count:
             deviation = np.sqrt(s.noise.variance(n))
             felt = idct(
-                np.tensordot(gain, model.lane_spectra(), axes=1) / deviation.T[:, None, :],
+                model.lane_signals(gain) / deviation.T[:, None, :],
                 axis=-1,
                 norm="ortho",
             )

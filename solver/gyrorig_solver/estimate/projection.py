@@ -12,7 +12,7 @@ Inference, 6e.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -21,7 +21,7 @@ from scipy.sparse import csc_array, csr_array
 
 from gyrorig_solver.arrays import FloatArray, IntArray
 from gyrorig_solver.arrow import factor
-from gyrorig_solver.estimate.chain import Chain, lost_without
+from gyrorig_solver.estimate.chain import CUTTING, Chain, lost_without, shown_of
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.followed import Prior, base_of
 from gyrorig_solver.estimate.likelihood import Solution
@@ -127,11 +127,13 @@ class Projection:
             noise = (noises or solution.noises)[number]
             left = session.residuals(solution.gain)
             series: dict[int, list[tuple[PartModel, Scene, Scene, FloatArray]]] = {}
-            for k, blocks, model, scene, exact in session.derivatives(solution.gain):
-                residual = left[k][blocks].copy()
+            for k, blocks, as_fitted, scene, exact in session.derivatives(solution.gain):
+                residual, model = left[k][blocks].copy(), as_fitted
                 if back:
                     given = lost_without(back, solution.extensions, exact)
                     residual += np.where(model.used[:, None], given, 0.0)
+                if any(one.term.link in CUTTING for one in back):
+                    model = replace(as_fitted, shown=shown_of(stay, exact))
                 series.setdefault(k, []).append((model, scene, exact, residual))
             for parts in series.values():
                 models, scenes, fine, residuals = zip(*parts, strict=True)
@@ -252,7 +254,10 @@ class Projection:
                 [[of(one) for one in (s.exact if exact else s.scenes)] for s in self.stretches]
             )
         return self.white(
-            [[of(one.at(term)) for one in part] for part in self._composed(term, exact)]
+            [
+                [one.cut(term, of(one.at(term))) for one in part]
+                for part in self._composed(term, exact)
+            ]
         )
 
     def fitted(self, term: Term, values: FloatArray, free: IntArray | Sequence[int]) -> FloatArray:
@@ -267,7 +272,7 @@ class Projection:
         for part in self._composed(term, exact=True):
             signals = []
             for one in part:
-                columns = term.columns(one.at(term), values)[free]
+                columns = one.cut(term, term.columns(one.at(term), values)[free])
                 signals.append(np.concatenate([columns, one.effect(term, values)[None]]))
             found.append(signals)
         return self.white(found)

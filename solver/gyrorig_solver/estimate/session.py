@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.chain import columns_of, effect_of, gain_columns_of, unsure_of
+from gyrorig_solver.estimate.chain import columns_of, effect_of, shown_of, unsure_of
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.noise import NoiseModel, Periodogram, Sampling
 from gyrorig_solver.estimate.normal import Normal, NormalSum, score_again
@@ -427,17 +427,17 @@ class SessionFit:
         s, key = self._stretches[k], (k, blocks.start)
         if key in self._models:
             return self._models[key]
-        terms, bent = np.zeros((0, blocks.stop - blocks.start, 3)), None
+        terms, shown = np.zeros((0, blocks.stop - blocks.start, 3)), None
         if any(one.free.size for one in self.extensions):
             scene = self.scene(s.series, blocks, gain, exact=True)
             terms = columns_of(self.extensions, scene)
-            bent = gain_columns_of(self.extensions, scene)
+            shown = shown_of(self.extensions, scene)
         model = PartModel(
             rate=s.rate[blocks].copy(),
             used=s.used[blocks].copy(),
             terms=terms,
             columns=predict_columns(s.series, blocks, self.reference, self.lag_s),
-            bent=bent,
+            shown=shown,
         )
         # Of a long series every part is made anew when it is needed: memory before time.
         if s.series.blocks <= 2 * PART_BLOCKS:

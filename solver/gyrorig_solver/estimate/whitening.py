@@ -15,6 +15,7 @@ import numpy as np
 from scipy.fft import dct, idct
 
 from gyrorig_solver.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.estimate.chain import Shown
 from gyrorig_solver.estimate.lanes import Lanes
 from gyrorig_solver.estimate.noise import NoiseModel
 from gyrorig_solver.estimate.predict import PartColumns
@@ -30,8 +31,7 @@ class PartModel:
     used: BoolArray  # (n,)
     terms: FloatArray  # (k, n, 3), derivatives by the terms' parameters, sensor frame
     columns: PartColumns
-    # (3, 3, n), what each axis' row of G changes in the causes' effect; None: nothing
-    bent: FloatArray | None = None
+    shown: Shown | None = None  # what causes that cut rates off let pass
     _kept: dict[str, FloatArray] = field(default_factory=dict)
 
     def spectra(self) -> FloatArray:
@@ -45,13 +45,35 @@ class PartModel:
             self._kept["everywhere"] = dct_of(stacked)
         return self._kept["everywhere"]
 
-    def bent_spectra(self) -> FloatArray | None:
-        """Return the DCT of what G changes in the causes' effect, (3, 3, n)."""
-        if self.bent is None:
-            return None
-        if "bent" not in self._kept:
-            self._kept["bent"] = dct_of(self.bent * self.used)
-        return self._kept["bent"]
+    def own(self, gain: FloatArray) -> FloatArray:
+        """Return the derivatives by G, b and tau, sensor frame, (13, n, 3).
+
+        Args:
+            gain: G, shape (3, 3).
+        """
+        found = np.zeros((OWN, self.used.size, 3))
+        for axis in range(3):
+            found[3 * axis : 3 * axis + 3, :, axis] = self.rate.T
+            found[9 + axis, :, axis] = 1.0
+        found[12] = -(gain @ self.columns.slope).T
+        if self.shown is not None:
+            for axis in range(3):
+                found[3 * axis : 3 * axis + 3, :, axis] += self.shown.gain[axis]
+            found[9:12] *= self.shown.after
+            found[12] *= self.shown.before
+        return found
+
+    def shared(self, gain: FloatArray) -> FloatArray:
+        """Return the derivatives by the reference's shared unknowns, sensor frame, (g, n, 3)."""
+        found: FloatArray = np.einsum("ij,gjn->gni", gain, self.columns.shared)
+        return found if self.shown is None else found * self.shown.before
+
+    def lane_signals(self, gain: FloatArray) -> FloatArray:
+        """Return the lanes' DCT in the sensor's frame, unused blocks zero, (3, lanes, n)."""
+        if self.shown is None:
+            return np.tensordot(gain, self.lane_spectra(), axes=1)
+        lanes = np.tensordot(gain, self.columns.lanes.values.transpose(1, 0, 2), axes=1)
+        return dct_of(lanes * (self.shown.before.T * self.used)[:, None, :])
 
     def lane_spectra(self) -> FloatArray:
         """Return the DCT of the lanes, unused blocks zero, (3, lanes, n), kept once made."""
@@ -92,14 +114,12 @@ class WhitePart:
                 _sensor(everywhere, gain[axis], axis, shared) / deviation[:, axis]
                 for axis in range(3)
             ]
+            if part.shown is None
+            else [_cut(part, gain, axis) / deviation[:, axis] for axis in range(3)]
         )
-        bent = part.bent_spectra()
-        if bent is not None:
-            columns[:, :3] += bent / deviation.T[:, None, :]
         felt = np.zeros((3, lanes.values.shape[0], n))
         if lanes.count:
-            spectra = np.tensordot(gain, part.lane_spectra(), axes=1)
-            felt = idct(spectra / deviation.T[:, None, :], axis=-1, norm="ortho")
+            felt = idct(part.lane_signals(gain) / deviation.T[:, None, :], axis=-1, norm="ortho")
         return cls(columns, lanes, np.asarray(felt, dtype=np.float64), deviation)
 
     def index(self, axis: int) -> IntArray:
@@ -141,6 +161,13 @@ def _sensor(stage: FloatArray, row: FloatArray, axis: int, shared: int) -> Float
         "a,gan->gn", row, stage[7:after].reshape(shared, 3, n)
     )
     return columns
+
+
+def _cut(part: PartModel, gain: FloatArray, axis: int) -> FloatArray:
+    """Return one axis' columns as `_sensor`, of what the causes that cut rates off let pass."""
+    own = part.own(gain)[[3 * axis, 3 * axis + 1, 3 * axis + 2, 9 + axis, 12], :, axis]
+    rows = np.concatenate([own, part.terms[:, :, axis], part.shared(gain)[:, :, axis]])
+    return dct_of(rows * part.used)
 
 
 def whitened(residuals: Sequence[FloatArray], noise: NoiseModel) -> FloatArray:

@@ -73,7 +73,7 @@ def test_every_cause_has_its_place() -> None:
 def test_a_single_cause_is_what_it_is_alone(cause: str, rig: Any) -> None:
     one = some(cause, rig.scene)
     assert np.array_equal(effect_of([one], rig.scene), one.term.effect(rig.scene, one.values))
-    columns = one.term.columns(rig.scene, one.values)[one.free]
+    columns = one.term.slopes(rig.scene, one.values)[one.free]
     assert np.array_equal(columns_of([one], rig.scene), columns)
     assert np.array_equal(
         Chain([], rig.scene).effect(one.term, one.values), effect_of([one], rig.scene)

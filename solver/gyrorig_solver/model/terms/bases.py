@@ -33,6 +33,7 @@ class BaseTerm(ABC):
     kind: Kind = "effect"
     link: Link = "sensor"
     reshapes: bool = False
+    as_if_shown: bool = False
     scope: Scope = "board"
     parameters: tuple[TermParameter, ...]
     confused_with: tuple[str, ...] = ()
@@ -89,6 +90,14 @@ class BaseTerm(ABC):
         for k in range(values.size):
             found[k] = self._difference(scene, values, k)
         return found
+
+    def slopes(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return the columns: no step changes them much."""
+        return self.columns(scene, values)
+
+    def passes(self, scene: Scene, values: FloatArray) -> FloatArray | None:
+        """Return None: it cuts nothing off."""
+        return None
 
     def bank(self, scene: Scene) -> FloatArray:
         """Return one row: where a fit begins."""

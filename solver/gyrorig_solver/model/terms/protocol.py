@@ -102,6 +102,11 @@ class Term(Protocol):
         ...
 
     @property
+    def as_if_shown(self) -> bool:
+        """Whether its derivatives are wanted as if nothing cut rates off."""
+        ...
+
+    @property
     def scope(self) -> Scope:
         """Whose it is."""
         ...
@@ -162,6 +167,14 @@ class Term(Protocol):
 
     def columns(self, scene: Scene, values: FloatArray) -> FloatArray:
         """Return its derivative by the values, (k, blocks, 3)."""
+        ...
+
+    def slopes(self, scene: Scene, values: FloatArray) -> FloatArray:
+        """Return the same at these very values, without what a step of them would bring."""
+        ...
+
+    def passes(self, scene: Scene, values: FloatArray) -> FloatArray | None:
+        """Return what of a small change of the rate it lets pass, (n, 3), None: all of it."""
         ...
 
     def bank(self, scene: Scene) -> FloatArray:

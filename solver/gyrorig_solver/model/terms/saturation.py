@@ -36,6 +36,14 @@ class Saturation(CurvedTerm):
         rate = scene.filtered_rad_s + scene.bias_rad_s
         return scene.read(np.clip(rate, -limit, limit) - rate)
 
+    def passes(self, scene: Scene, values: FloatArray) -> FloatArray | None:
+        """Return 1 where the rate is inside the limits, else 0: more of it does not show."""
+        full = scene.setting.full_scale_rad_s
+        if full is None or values[0] == 0.0:
+            return None
+        limit = full * (1.0 - float(values[0]))
+        return np.asarray(np.abs(scene.filtered_rad_s + scene.bias_rad_s) < limit, np.float64)
+
     def bank(self, scene: Scene) -> FloatArray:
         """Look from limits an eighth apart, down to a fiftieth of the range."""
         return scanned(self, shortfall=1.0 - np.geomspace(0.02, 0.98, 30))
