@@ -111,6 +111,7 @@ def conclude(
     first = Projection.of(base) if found.standings else found.last
     tests = tests_of(testable(found.last))
     jitter = look_for_jitter(found.last, tests, ALPHA)
+    fallen += jitter.fallen
     every = _nameless(found.solution, found.last)
     walk = look_for_walk(found.solution, tests, ALPHA, found.doubts)
     if walk is not None:

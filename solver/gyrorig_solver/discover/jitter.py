@@ -29,6 +29,7 @@ from scipy.fft import dct
 from gyrorig_solver.arrays import BoolArray, FloatArray
 from gyrorig_solver.chance import chi2_tail, normal_limit
 from gyrorig_solver.discover.growth import Growth, by_speed, grown
+from gyrorig_solver.discover.jitter_swells import Swell, Where, against
 from gyrorig_solver.estimate.noise import NoiseModel
 from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.sample_jitter import SampleJitter
@@ -56,6 +57,7 @@ class Jitter:
     agree: bool  # slow and fast coefficients say the same
     detectable_s: float  # deviation that shows 4 times in 5, of as many tests as were given
     beside: Growth  # whether the scatter grows with motion, and how fast, beside it
+    swell: Swell | None  # what its size hangs on most, which jitter's must not
 
     @property
     def named(self) -> bool:
@@ -110,7 +112,7 @@ def find_jitter(projection: Projection, tests: int, alpha: float, power: float) 
     blocks = _blocks(projection)
     if blocks is None:
         return None
-    values, slopes, speeds, weights = blocks
+    values, slopes, speeds, weights, places = blocks
     rises = speeds[0]
     covariance = slopes[:, None] * weights[None, :, :, None] * weights[None, :, None, :]
     strength, along = np.linalg.eigh(covariance)
@@ -142,7 +144,9 @@ def find_jitter(projection: Projection, tests: int, alpha: float, power: float) 
         agree=_agree(jitter, size, strength.shape),
         detectable_s=float(np.sqrt(needed / np.sqrt(information))),
         beside=_beside(jitter, size, speeds, turned.shape),
-    )
+        swell=against(turned.reshape(len(turned), -1) ** 2, jitter.shape.reshape(len(turned), -1),
+                      size, places),
+    )  # fmt: skip
 
 
 def _std(size: float, information: float) -> float:
@@ -191,14 +195,14 @@ def _weights(noise: NoiseModel) -> FloatArray:
 
 def _blocks(
     projection: Projection,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-    """Return blocks' coefficients, slopes, shapes of motion, and weights.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Where] | None:
+    """Return blocks' coefficients, slopes, shapes of motion, weights, and what moved in them.
 
     Returns:
-        (b, 3, BLOCK) in units of the noise, (b, 3, 3), (k, b), (BLOCK, 3); None without blocks.
+        (b, 3, BLOCK) in units of the noise, (b, 3, 3), (k, b), (BLOCK, 3), of b; None without.
     """
     left = projection.left(projection.residual)
-    values, slopes, moving, weights, start = [], [], [], [], 0
+    values, slopes, moving, weights, places, start = [], [], [], [], [], 0
     rates = [model.rate for s in projection.stretches for model in s.models]
     fastest = max(float(np.linalg.norm(rate, axis=1).max(initial=0.0)) for rate in rates)
     for s in projection.stretches:
@@ -209,12 +213,14 @@ def _blocks(
             start += 3 * n
             whole = n // BLOCK
             inside = slice(0, whole * BLOCK)
-            used = model.used[inside].reshape(whole, BLOCK).all(axis=1)
+            used: BoolArray = np.all(model.used[inside].reshape(whole, BLOCK), axis=1)
             cut = white[:, inside].reshape(3, whole, BLOCK).transpose(1, 0, 2)[used]
             shape = SampleJitter().shape(scene)[inside].reshape(whole, BLOCK, 3)[used]
             values.append(dct(cut, axis=-1, norm="ortho"))
             slopes.append(np.einsum("bti,btk->bik", shape, shape) / BLOCK)
-            speed = by_speed(np.linalg.norm(model.rate[inside], axis=1), fastest)
+            rate = np.linalg.norm(model.rate, axis=1)
+            places.append(Where.of(scene, rate, BLOCK, used))
+            speed = by_speed(rate[inside], fastest)
             moving.append(speed.reshape(-1, whole, BLOCK).mean(axis=2)[:, used])
     value, slope = np.concatenate(values), np.concatenate(slopes)
     strength = np.einsum("bii->b", slope)
@@ -228,4 +234,5 @@ def _blocks(
     slope = np.where(still[:, None, None], 0.0, slope)
     # Recordings of one board are sampled alike; their levels are nearly the same.
     weight = np.mean(weights, axis=0) / level
-    return value / level[None, :, None], slope, np.concatenate(moving, axis=1), weight
+    moved = np.concatenate(moving, axis=1)
+    return value / level[None, :, None], slope, moved, weight, Where.joined(places)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_solver.discover.growth import NONE, Growth
-from gyrorig_solver.discover.jitter import find_jitter
+from gyrorig_solver.discover.jitter import Jitter, find_jitter
 from gyrorig_solver.discover.name_tests import LEVEL, LITTLE
 from gyrorig_solver.discover.result import Limit, NamedCause, Signature, Value
 from gyrorig_solver.estimate.extension import Extension
@@ -33,6 +33,7 @@ class LookedAt:
     named: NamedCause | None
     absent: Limit | None
     beside: Growth  # whether the scatter grows with motion, and how fast, beside it
+    fallen: tuple[Signature, ...] = ()  # what speaks against its name, where it would have one
 
     def of(self, left: Sequence[Signature]) -> list[Signature]:
         """Return the nameless tests without those that the jitter, where named, accounts for."""
@@ -69,6 +70,8 @@ def look_for_jitter(projection: Projection, tests: int, alpha: float) -> LookedA
     # What jitter does not explain of its own scatter, a free function of the speed may.
     more = found.beside.statistic - found.beside.degrees_of_freedom
     odd = found.beside.p_value < LEVEL and more > LITTLE * found.statistic
+    if p_value < alpha and (against := _hangs_on(found)) is not None:
+        return LookedAt(None, None, NONE, (against,))
     if p_value >= alpha or odd or not found.named:
         size = found.detectable_s
         absent = Limit(term.cause, None, size, own.unit, own.typical, "time_offset", 0.0)
@@ -89,6 +92,16 @@ def look_for_jitter(projection: Projection, tests: int, alpha: float) -> LookedA
         gain=None,
     )
     return LookedAt(named, None, found.beside)
+
+
+def _hangs_on(found: Jitter) -> Signature | None:
+    """Return what the scatter's size hangs on, which jitter's must not; None where nothing."""
+    one = found.swell
+    if one is None or one.p_value >= LEVEL:
+        return None
+    if one.statistic - one.degrees_of_freedom <= LITTLE * found.statistic:
+        return None
+    return Signature(one.covariate, one.words, one.statistic, one.degrees_of_freedom, one.p_value)
 
 
 def wandering(projection: Projection) -> str:
