@@ -16,6 +16,7 @@ from gyrorig_solver.discover.gain import held_out
 from gyrorig_solver.discover.groups import signatures
 from gyrorig_solver.discover.limits import limits
 from gyrorig_solver.discover.name_tests import fillers, kept, without
+from gyrorig_solver.discover.outdone import outdone
 from gyrorig_solver.discover.ramps import RAMPS, look_for_ramps
 from gyrorig_solver.discover.result import (
     Explained,
@@ -124,8 +125,11 @@ def conclude(
     shown = _nameless(base, first) if found.standings else every
     left = jitter.of(every)
     unexplained = _unexplained(found, left, fallen)
-    if unexplained is not None and found.standings and unexplained.named_share < FILLS:
-        gone = fillers(found, (unexplained.best, *unexplained.others), FILLS)
+    if unexplained is not None and found.standings:
+        odd = (unexplained.best, *unexplained.others)
+        gone = outdone(found, odd, tests, FILLS)
+        if unexplained.named_share < FILLS:
+            gone = [a or b for a, b in zip(gone, fillers(found, odd, FILLS), strict=True)]
         if any(gone):
             found = without(base, found, gone)
             jitter = look_for_jitter(found.last, tests, ALPHA)
