@@ -37,7 +37,7 @@ from gyrorig_solver.discover.free_shapes import Family, families, swells
 from gyrorig_solver.discover.groups import evidence, judge
 from gyrorig_solver.discover.refit import Weighed
 from gyrorig_solver.discover.result import Signature
-from gyrorig_solver.discover.search import Found, Standing
+from gyrorig_solver.discover.search import UNTRUE, Found, Standing
 from gyrorig_solver.estimate.extension import Extension
 from gyrorig_solver.estimate.likelihood import Solution, solve_again
 from gyrorig_solver.estimate.projection import Projection
@@ -45,9 +45,7 @@ from gyrorig_solver.model.terms.protocol import indices
 from gyrorig_solver.model.terms.scene import Scene
 
 LEVEL = 0.005  # share of right names that may be dropped: a quarter of what names may be lost
-# Share of a cause's own statistic: twice what its form may leave of its effect without any
-# noise (discovery notes, section 0, item 7: 0.2 %).
-LITTLE = 0.004
+LITTLE = UNTRUE  # share of a cause's own statistic
 DECISIVE = 4.6  # nats, odds of a hundred: Jeffreys, Theory of Probability, appendix B
 
 _EDGES = ("pan_transient", "tilt_transient", "move_gain", "move_delay")
