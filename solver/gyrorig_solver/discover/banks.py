@@ -13,6 +13,7 @@ from gyrorig_solver.model.terms.bases import BaseTerm, start_values
 from gyrorig_solver.model.terms.bound import acts_in
 from gyrorig_solver.model.terms.lost_steps import pulses
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
+from gyrorig_solver.model.terms.supply_hum import FEWEST_WAVES, waves
 
 QUICK = 20  # rows to a cause in the pass over all
 BEST = 12  # of the moments or lines that a residual shows
@@ -75,11 +76,12 @@ def _lines(projection: Projection, term: Term) -> tuple[FloatArray, int]:
     scene, weighed = projection.scenes[own[0]], projection.weighed()[own[0]]
     bank = term.bank(scene)
     frequency = indices(term, role="shape")[0]
-    rate_hz = weighed.shape[0] / float(scene.edges_s[-1] - scene.edges_s[0])
+    length_s = float(scene.edges_s[-1] - scene.edges_s[0])
+    rate_hz = weighed.shape[0] / length_s
+    shown = waves(bank[:, frequency], rate_hz, length_s)
+    bank, shown = bank[shown >= FEWEST_WAVES], shown[shown >= FEWEST_WAVES]
     power = np.abs(np.fft.rfft(weighed, FINER * weighed.shape[0], axis=0)) ** 2
-    # What is above half the rate shows folded.
-    folded = np.abs((bank[:, frequency] + rate_hz / 2.0) % rate_hz - rate_hz / 2.0)
-    at = np.minimum(np.round(folded / rate_hz * FINER * weighed.shape[0]), power.shape[0] - 1)
+    at = np.minimum(np.round(shown * FINER), power.shape[0] - 1)
     relative = power / np.mean(power, axis=0)
     order = np.argsort(-relative[at.astype(np.int64)].sum(axis=1), kind="stable")
     return bank[order[:BEST]], len(bank)

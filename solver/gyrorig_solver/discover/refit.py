@@ -24,6 +24,7 @@ from gyrorig_solver.estimate.projection import Projection
 from gyrorig_solver.model.terms.bound import acts_in
 from gyrorig_solver.model.terms.protocol import Term, indices, value_parameters
 from gyrorig_solver.model.terms.scene import Scene, Setting
+from gyrorig_solver.model.terms.supply_hum import FEWEST_WAVES, waves
 
 ROUNDS = 12
 ENOUGH = 1e-2  # nats won by a step: less is no reason for another
@@ -357,7 +358,8 @@ def _weighed(
         taken=state.taken,
         impossible=outside
         or _at_an_end(projection, term, state.values)
-        or _parted(term, value, free, std),
+        or _parted(term, value, free, std)
+        or _drifting(projection, term, state.values),
     )
 
 
@@ -368,6 +370,16 @@ def _at_an_end(projection: Projection, term: Term, values: FloatArray) -> bool:
         return False
     during = _during(projection, term)
     return any(float(values[k]) in during for k in events)
+
+
+def _drifting(projection: Projection, term: Term, values: FloatArray) -> bool:
+    """Return whether a line is so slow where it is folded to that any drift passes for it."""
+    if term.cause != "supply_hum":
+        return False
+    setting = _setting(projection, term)
+    rate_hz = projection.stretches[0].noise.sampling.rate_hz
+    line = values[indices(term, role="shape")]
+    return bool(np.all(waves(line, rate_hz, setting.end_s - setting.begin_s) < FEWEST_WAVES))
 
 
 def _parted(term: Term, value: FloatArray, free: IntArray, std: FloatArray) -> bool:

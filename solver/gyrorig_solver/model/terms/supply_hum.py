@@ -16,6 +16,19 @@ from gyrorig_solver.model.terms.wording import DEG, XYZ, listed
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0)
 MAINS_SPREAD_HZ = 0.1  # at 50 and 60 Hz; grids keep to +-0.2 and mostly to +-0.05
 MOST_LINES = 400
+FEWEST_WAVES = 3.0  # of a recording: less of one is a drift, whatever made it
+
+
+def waves(frequency_hz: FloatArray, rate_hz: float, length_s: float) -> FloatArray:
+    """Return how many waves of lines a recording shows, folded by its sampling.
+
+    Args:
+        frequency_hz: true ones.
+        rate_hz: of the sampling.
+        length_s: of the recording.
+    """
+    folded = np.abs((frequency_hz + rate_hz / 2.0) % rate_hz - rate_hz / 2.0)
+    return np.asarray(folded * length_s, dtype=np.float64)
 
 
 class SupplyHum(LinearTerm):
