@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from docs.blocks import write_or_check
 from docs.markdown import Block
-from tests.hidden.scoring import once, tables
+from tests.hidden.scoring import complete, once, tables
 from tests.hidden.scoring.kept import Kept, read_kept
 from tests.hidden.scoring.picture import confusion_picture
 
@@ -23,6 +23,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 DOCUMENT = DOCS / "discovery-scores.md"
 RESULTS = DOCS / "discovery" / "results.json"
 MULTIPLICITY = DOCS / "discovery" / "multiplicity.json"
+COMPLETENESS = DOCS / "discovery" / "completeness.json"
 PICTURE = DOCS / "img" / "confusion.svg"
 
 
@@ -57,6 +58,7 @@ BLOCKS: dict[str, Block] = {
     "blind": lambda: tables.blind(kept().outcomes),
     "many": lambda: tables.many(kept().outcomes),
     "gaps": lambda: tables.gaps(kept().gaps),
+    "complete": lambda: complete.said(complete.read(COMPLETENESS)),
     "covered": lambda: tables.covered(kept().outcomes),
     "harm": lambda: tables.harm(kept().outcomes),
     "seconds": lambda: tables.seconds(kept().outcomes),
