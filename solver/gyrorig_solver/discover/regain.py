@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.discover.refit import refit
+from gyrorig_solver.discover.refit import Weighed, refit
 from gyrorig_solver.discover.scores import Seen
 from gyrorig_solver.discover.wandering import log_likelihood
 from gyrorig_solver.estimate.chain import CUTTING
@@ -36,6 +36,7 @@ WORTH_NATS = 2.0  # less is no other place, but the same one better found
 # From where: what is best to first order, or by damped steps from next to none; where much is
 # swallowed the former is wild, where little is the latter may stay on the plain it began on.
 STARTS = (0.0, 1e-9)
+SHOWN_SIGMA = 2.0  # deviations of an entry of the gain: then the data show that it changes
 MOST = 0.2  # of a gain: a board that is turned by more was put on another way
 
 
@@ -91,15 +92,27 @@ def regained(solution: Solution) -> Solution:
             one = refit(beside, GainChange(), None, [np.full(GAINS, start)])
             if one is None or one.won < WORTH_NATS:
                 continue
-            estimate = solution.estimate.copy()
-            estimate[:GAINS] += one.extension.values
-            there = solve_again(replace(solution, estimate=estimate), solution.extensions)
-            if log_likelihood(there) > nats:
-                nats, better = log_likelihood(there), there
+            for change in _steps(one):
+                estimate = solution.estimate.copy()
+                estimate[:GAINS] += change
+                there = solve_again(replace(solution, estimate=estimate), solution.extensions)
+                if log_likelihood(there) > nats:
+                    nats, better = log_likelihood(there), there
         if better is None:
             break
         solution = better
     return solution
+
+
+def _steps(one: Weighed) -> list[FloatArray]:
+    """Return the whole change of the gain, and what of it the data show.
+
+    An entry that hardly any motion shows may be found anywhere within its deviation, and a fit
+    that began from there would settle at another place.
+    """
+    whole = one.extension.values
+    shown = np.where(np.abs(whole) > SHOWN_SIGMA * one.std, whole, 0.0)
+    return [whole, shown] if 0 < np.count_nonzero(shown) < GAINS else [whole]
 
 
 def _asks(beside: Projection) -> bool:
