@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import click
 
-from gyrorig_daemon.commands import cli as gyrorigd
+from gyrorig_daemon.commands.command_group import cli as gyrorigd
 from gyrorig_solver.cli import cli as gyrorig
 
 PROGRAMS: dict[str, click.Group] = {"gyrorig": gyrorig, "gyrorigd": gyrorigd}
@@ -16,10 +16,11 @@ EXIT_CODES = (
     (0, "done"),
     (1, "failed: a fault of the program or of the machine"),
     (2, "wrong usage or configuration"),
-    (3, "input refused: damaged, empty, or no recording"),
-    (4, "done, but something asked for cannot be told from this data"),
-    (5, "done in part: some inputs failed, the counts are printed"),
-    (75, "busy: a port or a store is in use, try again"),
+    (3, "input refused: damaged, empty, or not a recording"),
+    (4, "done, but something is not identifiable from this data"),
+    (5, "done in part: some inputs failed; the counts are printed"),
+    (75, "busy: a port or a store is in use; try again"),
+    (130, "stopped by Ctrl-C"),
 )
 
 
@@ -75,8 +76,8 @@ def _help_of(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
             for line in [first, *lines[1:]]:
                 if line.startswith(("gyrorig", "sudo")) or (line and not examples):
                     examples.append(line)
-                elif line:  # a long line goes on
-                    examples[-1] += f" {line}"
+                elif line:  # a continued line
+                    examples[-1] = f"{examples[-1].removesuffix(chr(92)).rstrip()} {line}"
         elif lines:
             paragraphs.append(" ".join(lines))
     return tuple(paragraphs), tuple(example for example in examples if example)

@@ -12,8 +12,8 @@ from docs.commands import EXIT_CODES, PROGRAMS, Described, described
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "share" / "man" / "man1"
 ABOUT = {
-    "gyrorig": "what a gyroscope really does, and how far to believe it",
-    "gyrorigd": "drive a calibration rig, record everything, or emulate one",
+    "gyrorig": "calibrate gyroscopes from pan-tilt recordings",
+    "gyrorigd": "drive a calibration rig and record it, or emulate one",
 }
 SEE = {"gyrorig": "gyrorigd", "gyrorigd": "gyrorig"}
 

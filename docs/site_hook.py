@@ -20,14 +20,6 @@ from docs import site_pages  # noqa: E402 - the checkout is not on the path befo
 LINK = re.compile(r"\[([^\]]+)\]\((?!https?://|#)([^)\s#]+)(#[^)\s]*)?\)")
 
 
-def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Put every decision into the navigation, by number."""
-    records = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
-    pages = ["decisions/index.md", *(f"decisions/{record.name}" for record in records)]
-    config.nav = [*(config.nav or []), {"Decisions": pages}]
-    return config
-
-
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made of the code."""
     for name, page in site_pages.PAGES.items():

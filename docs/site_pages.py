@@ -16,30 +16,49 @@ from docs.commands import EXIT_CODES, PROGRAMS, described
 
 from gyrorig_daemon.emulator.causes import CAUSES
 from gyrorig_protocol.profile import SensorProfile, parse_profile
-from gyrorig_protocol.recording.schemas import SCHEMAS, SEPARATOR
-from gyrorig_solver.model.terms.catalogue import catalogue
+from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS, SEPARATOR
+from gyrorig_solver.model.catalogue import catalogue
 
 ROOT = Path(__file__).resolve().parents[1]
 # documents: title, module, the structure at the top of it
 DOCUMENTS = (
-    ("Calibration, `gyrorig/calibration/1`", "gyrorig_solver.calibration.document", "Calibration"),
-    ("Findings, `gyrorig/findings/1`", "gyrorig_solver.findings.document", "FindingsDocument"),
-    ("Motion program, `gyrorig/program/1`", "gyrorig_protocol.program.document", "MotionProgram"),
-    ("Sensor profile, `gyrorig/sensor/1`", "gyrorig_protocol.profile.document", "SensorProfile"),
-    ("Rig, `gyrorig/rig/1`", "gyrorig_daemon.config.document", "RigConfig"),
-    ("Import map, `gyrorig/import/1`", "gyrorig_solver.importers.mapping", "ImportMap"),
+    (
+        "Calibration, `gyrorig/calibration/1`",
+        "gyrorig_solver.calibration.calibration_document",
+        "CalibrationDocument",
+    ),
+    (
+        "Findings, `gyrorig/findings/1`",
+        "gyrorig_solver.findings.findings_document",
+        "FindingsDocument",
+    ),
+    (
+        "Motion program, `gyrorig/program/1`",
+        "gyrorig_protocol.program.program_document",
+        "MotionProgram",
+    ),
+    (
+        "Sensor profile, `gyrorig/sensor/1`",
+        "gyrorig_protocol.profile.sensor_profile",
+        "SensorProfile",
+    ),
+    ("Rig, `gyrorig/rig/1`", "gyrorig_daemon.config.rig_document", "RigConfig"),
+    ("Import map, `gyrorig/import/1`", "gyrorig_solver.importers.import_map", "ImportMap"),
 )
 # What a program may rely on: module and names.
 PYTHON = (
-    ("gyrorig_solver.apply.calibration", ("Calibration",)),
-    ("gyrorig_protocol.recording.reader", ("read_recording", "read_head")),
+    ("gyrorig_solver.apply.board_calibration", ("Calibration",)),
+    ("gyrorig_protocol.recording.reader", ("read_recording", "read_recording_metadata")),
     ("gyrorig_protocol.recording.recording", ("Recording", "times_ns")),
     ("gyrorig_protocol.recording.writer", ("RecordingWriter",)),
-    ("gyrorig_solver.samples", ("load_samples", "GyroSamples")),
-    ("gyrorig_solver.solve", ("solve_recordings",)),
-    ("gyrorig_solver.estimate.result", ("GyroFit", "Observability", "NoiseLevels")),
-    ("gyrorig_solver.calibration.document", ("parse_calibration", "to_yaml")),
-    ("gyrorig_solver.calibration.store", ("CalibrationStore",)),
+    ("gyrorig_solver.data.samples", ("load_samples", "GyroSamples")),
+    ("gyrorig_solver.pipeline.fit_board", ("solve_recordings",)),
+    ("gyrorig_solver.estimate.gyro_fit", ("GyroFit", "ObservabilityReport", "NoiseLevels")),
+    (
+        "gyrorig_solver.calibration.calibration_document",
+        ("parse_calibration", "calibration_as_yaml"),
+    ),
+    ("gyrorig_solver.calibration.calibration_store", ("CalibrationStore",)),
     ("gyrorig_solver.importers", ("import_measurements", "load_import_map")),
     ("gyrorig_protocol.errors", ("GyrorigError", "UsageError", "InputError", "DeviceError")),
 )
@@ -78,13 +97,13 @@ def causes() -> str:
     known = catalogue()
     for name, term in known.items():
         hidden = CAUSES.get(name)
-        places = ", ".join(hidden.places) if hidden is not None and hidden.places else ""
-        hide = "no" if hidden is None else f"`{name}{'@' + hidden.places[0] if places else ''}`"
+        places = ", ".join(hidden.components) if hidden is not None and hidden.components else ""
+        hide = "no" if hidden is None else f"`{name}{'@' + hidden.components[0] if places else ''}`"
         out.append(f"| [{name}](#{name}) | {term.part} | {term.scope} | {term.kind} | {hide} |")
     for name, term in known.items():
         out += ["", f"## {name}", "", f"Part: {term.part}. Scope: {term.scope}.", ""]
         out += [f"Needs: {_text(term.excitation)}.", ""]
-        out.append(f"Unknown to a calibration: {_text(term.harm)}.")
+        out.append(f"Unknown to a calibration: {_text(term.effect_if_ignored)}.")
         if term.confused_with:
             out += ["", f"Looks like, under some programs: {', '.join(term.confused_with)}."]
         if term.parameters:
@@ -94,13 +113,14 @@ def causes() -> str:
                 "|---|---|---|---|---|",
             ]
             out += [
-                f"| {p.name} | {', '.join(p.parts) or '-'} | {p.unit} | {p.typical:.3g} | "
+                f"| {p.name} | {', '.join(p.components) or '-'} | {p.unit} "
+                f"| {p.typical_size:.3g} | "
                 f"{p.lower:.3g} to {p.upper:.3g} |"
                 for p in term.parameters
             ]
         hidden = CAUSES.get(name)
         if hidden is not None:
-            out += ["", f"Hidden by the emulator: {_text(hidden.size_is)}, "
+            out += ["", f"Hidden by the emulator: {_text(hidden.size_meaning)}, "
                     f"in {hidden.unit if hidden.unit != '1' else 'parts'}."]  # fmt: skip
     return "\n".join([*out, ""])
 

@@ -1,4 +1,4 @@
-"""`python -m gyrorig_daemon` is `gyrorigd`."""
+"""`python -m gyrorig_daemon` runs `gyrorigd`."""
 
 from gyrorig_daemon.cli import main
 

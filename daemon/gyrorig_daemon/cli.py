@@ -1,8 +1,9 @@
-"""The entrance of `gyrorigd`: every error becomes one line and an exit code.
+"""The entry point of `gyrorigd`: an error becomes one line and an exit status.
 
-0 done; 1 failed, or stopped by a signal (the unit is halted and the recording closed
-then); 2 wrong usage or configuration; 75 a port is busy. Nothing large is imported before
-signals are taken care of: an impatient Ctrl-C ends the process without a traceback.
+Exit status: 0 done; 1 failed, or stopped by SIGTERM or SIGHUP; 2 wrong usage or
+configuration; 75 a port is busy; 130 stopped by Ctrl-C. After a stop the unit is halted and
+the recording is closed. Nothing large is imported before the signal handler is set, so that
+an early Ctrl-C ends the process without a traceback.
 """
 
 import os
@@ -10,74 +11,93 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-TRACEBACK = "GYRORIG_TRACEBACK"  # set to anything: show where a fault comes from
+if TYPE_CHECKING:
+    from gyrorig_daemon.commands.terminal import Terminal
+
+TRACEBACK_VARIABLE = "GYRORIG_TRACEBACK"  # set to anything: the same as --traceback
+INTERRUPTED = 130  # 128 + SIGINT, as in shells
+_GROUP_FLAGS = ("--traceback", "-q", "--quiet", "-v", "--verbose")
 
 
 def main() -> None:
-    """Run `gyrorigd` and leave with its exit code."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until a command takes it
+    """Run `gyrorigd` and exit with its status."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until a command handles it
     sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Carry out a command line and return its exit code."""
+    """Run one command line and return its exit status."""
+    from gyrorig_daemon.commands.terminal import Terminal  # noqa: PLC0415
+
+    terminal = Terminal()
     try:
-        if arguments[:1] == ["halt"]:  # at once, and when little else works: not all commands
-            from gyrorig_daemon.halt_command import halt_command  # noqa: PLC0415
-
-            name, rest = "gyrorigd halt", list(arguments[1:])
-            returned = halt_command.main(rest, prog_name=name, standalone_mode=False)
-        elif arguments[:1] == ["doctor"]:  # also where NumPy does not start, to say why
-            from gyrorig_daemon.doctor.command import doctor_command  # noqa: PLC0415
-
-            name, rest = "gyrorigd doctor", list(arguments[1:])
-            returned = doctor_command.main(rest, prog_name=name, standalone_mode=False)
-        else:
-            from gyrorig_daemon.commands import cli  # noqa: PLC0415 - see above
-
-            returned = cli.main(list(arguments), prog_name="gyrorigd", standalone_mode=False)
-        if sys.stdout is not None:  # closed by whoever started us
+        returned = _run_command(list(arguments), terminal)
+        if sys.stdout is not None:  # None if the parent process closed it
             sys.stdout.flush()
     except BrokenPipeError:
-        # Whoever read our words went away; what is left of them goes nowhere, silently.
+        # The reader of standard output is gone: discard the rest, without an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except Exception as fault:  # noqa: BLE001, RUF100 - the edge: every error becomes one line
-        if os.environ.get(TRACEBACK):
+    except Exception as error:  # noqa: BLE001, RUF100 - the edge: every error becomes one line
+        if terminal.traceback or os.environ.get(TRACEBACK_VARIABLE):
             traceback.print_exc()
-        return _report(fault, "--json" in arguments)
+        return _report_error(error, "--json" in arguments)
     return returned if isinstance(returned, int) else 0
 
 
-def _report(fault: Exception, as_json: bool) -> int:
-    """Say in one line what `fault` is, and return the exit code for it."""
+def _run_command(arguments: list[str], terminal: "Terminal") -> object:
+    name, words = "gyrorigd", list(arguments)
+    while words and words[0] in _GROUP_FLAGS:
+        terminal.traceback |= words.pop(0) == "--traceback"
+    # Two commands must start quickly, and also where most of the program cannot be loaded.
+    if words[:1] == ["halt"]:
+        from gyrorig_daemon.commands.halt_command import halt_command as command  # noqa: PLC0415
+    elif words[:1] == ["doctor"]:
+        from gyrorig_daemon.doctor.doctor_command import (  # noqa: PLC0415
+            doctor_command as command,
+        )
+    else:
+        from gyrorig_daemon.commands.command_group import cli  # noqa: PLC0415
+
+        return cli.main(arguments, prog_name=name, standalone_mode=False, obj=terminal)
+    from gyrorig_daemon.commands.terminal import keep_example_lines  # noqa: PLC0415
+
+    command = keep_example_lines(command)
+    return command.main(words[1:], prog_name=f"{name} {words[0]}", standalone_mode=False)
+
+
+def _report_error(error: Exception, as_json: bool) -> int:
+    """Print an error as one line and return the exit status for it."""
     import json  # noqa: PLC0415
 
     import click  # noqa: PLC0415
 
-    from gyrorig_protocol.errors import GyrorigError  # noqa: PLC0415
+    from gyrorig_protocol.errors import GyrorigError, sentence  # noqa: PLC0415
 
-    if isinstance(fault, click.exceptions.NoArgsIsHelpError):
-        click.echo(fault.format_message(), err=True)
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        click.echo(error.format_message(), err=True)
         return 2
-    code = 1
-    if isinstance(fault, GyrorigError):
-        text, code = str(fault), fault.exit_code
-    elif isinstance(fault, click.ClickException):
-        context = getattr(fault, "ctx", None)
-        where = "gyrorigd" if context is None else context.command_path
-        text, code = f"{fault.format_message().rstrip('.')} (see {where} --help)", 2
-    elif isinstance(fault, OSError):
-        text = f"{fault.filename or 'this computer'}: {fault.strerror or fault}"
+    status = 1
+    if isinstance(error, GyrorigError):
+        text, status = str(error), error.exit_code
+    elif isinstance(error, click.Abort):
+        text, status = "stopped by Ctrl-C", INTERRUPTED
+    elif isinstance(error, click.ClickException):
+        context = getattr(error, "ctx", None)
+        command_path = "gyrorigd" if context is None else context.command_path
+        text, status = f"{sentence(error.format_message())} See {command_path} --help.", 2
+    elif isinstance(error, OSError):
+        text = f"{error.filename or 'this computer'}: {error.strerror or error}"
     else:
         text = (
-            f"a fault of the program, {type(fault).__name__}: {fault}; "
-            f"with {TRACEBACK}=1 it shows where"
+            f"internal error {type(error).__name__}: {error}. "
+            "`gyrorigd --traceback ...` shows where. Report it."
         )
     text = " ".join(text.split())
     if as_json:
-        click.echo(json.dumps({"error": text, "exit_code": code}))
-    over_progress = "\r\x1b[K" if sys.stderr.isatty() else ""
-    click.echo(f"{over_progress}gyrorigd: {text}", err=True)
-    return code
+        click.echo(json.dumps({"error": text, "exit_code": status}))
+    clear_progress = "\r\x1b[K" if sys.stderr.isatty() else ""
+    click.echo(f"{clear_progress}gyrorigd: {text}", err=True)
+    return status

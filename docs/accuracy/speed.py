@@ -21,26 +21,27 @@ def steps() -> str:
     """What each step of a board of 75 s at 800 Hz takes."""
     found = _read("speed.json")
     rows = [(step, f"{value:.1f}") for step, value in found["ms"].items()]
-    rows.append(("together", f"{found['total_ms']:.1f}"))
-    return table(["step", "ms of one core"], rows)
+    rows.append(("all steps", f"{found['total_ms']:.1f}"))
+    return table(["step", "processor time, ms"], rows)
 
 
 def boards() -> str:
-    """Boards a second and core, and beside two other solvers."""
+    """Boards per second and core, compared with two other solvers."""
     found = _read("speed.json")
     lines = [
-        f"{found['samples']} samples. {found['boards_s']:.1f} boards a second and core (goal: 10, "
-        f"aim: 20); {found['peak_mb']:.0f} MB at most."
+        f"The recording has {found['samples']} samples. The solver processes "
+        f"{found['boards_s']:.1f} boards "
+        f"per second and core (goal: 10, aim: 20), with a peak of {found['peak_mb']:.0f} MB."
     ]
     for name, text in (
-        ("eq. 7", "Eq. 7 of the paper, one pseudo-inverse over the same samples,"),
-        ("imucal", "imucal's Ferraris of as many samples"),
+        ("eq. 7", "Eq. 7 of the paper (one pseudo-inverse over the same samples)"),
+        ("imucal", "The Ferraris calibration of imucal with as many samples"),
     ):
         if name in found["peers_ms"]:
             lines.append(
-                f"{text} takes {found['peers_ms'][name]:.2f} ms: all that follows reading takes "
-                f"{found['after_reading_to'][name]:.0f} times as long, the fit alone "
-                f"{found['solve_to'][name]:.0f} times."
+                f"{text} takes {found['peers_ms'][name]:.2f} ms. All our steps after reading take "
+                f"{found['after_reading_to'][name]:.0f} times as long, and our fit alone takes "
+                f"{found['solve_to'][name]:.0f} times as long."
             )
     return "\n".join(lines)
 
@@ -62,8 +63,15 @@ def growth() -> str:
                 f"{row['peak_mb']:.0f}",
             )
         )
-    head = ["length", "samples", "reading, s", "clocks, s", "reference, s", "solve, s", "all, s"]
-    return table([*head, "µs a sample", "peak MB"], rows)
+    head = [
+        "length",
+        "samples",
+        "reading, s",
+        "clocks, s",
+        "reference, s",
+        "solve, s",
+    ]
+    return table([*head, "all steps, s", "µs per sample", "peak memory, MB"], rows)
 
 
 BLOCKS: dict[str, Block] = {

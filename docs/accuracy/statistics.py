@@ -58,13 +58,23 @@ def cases() -> str:
         )
         for case, found in _cases()
     ]
-    return table(("case", "program", "samples, low-pass", "reference", "runs", "refused"), rows)
+    return table(
+        (
+            "case",
+            "motion program, duration",
+            "sample rate, low-pass",
+            "reference",
+            "runs",
+            "rejected runs",
+        ),
+        rows,
+    )
 
 
 def _reference(case: Case) -> str:
     if case.baud is None:
-        return "given exactly"
-    asked = "BT with its counter" if case.counter else "PP and TP in turn"
+        return "known exactly"
+    asked = "BT with counter" if case.counter else "PP and TP alternately"
     return f"{asked}, {case.baud:.0f} baud"
 
 
@@ -91,28 +101,28 @@ def goals() -> str:
                 f"{_span(named[worst])}, `{worst}`; ≥ {goal:.2f}",
                 f"{100 * one['together']['cover_68']['value']:.1f} %",
                 f"{100 * one['together']['cover_95']['value']:.1f} %",
-                f"{_span(one['chi2']['mean'], 1)}; best {one['chi2']['best_mean']['value']:.1f}",
+                f"{_span(one['chi2']['mean'], 1)}; {one['chi2']['best_mean']['value']:.1f}",
                 f"{one['chi2']['p_value']:.2f}",
             )
         )
     head = (
         "case",
-        "least efficiency; goal",
-        f"68 % intervals hold; {100 * COVER_68[0]:.0f} to {100 * COVER_68[1]:.0f} %",
-        f"95 % intervals hold; {100 * COVER_95[0]:.0f} to {100 * COVER_95[1]:.0f} %",
-        "χ² of 13, mean",
-        "KS p",
+        "lowest efficiency (95 % interval), its parameter; goal",
+        f"coverage of 68 % intervals; goal {100 * COVER_68[0]:.0f} to {100 * COVER_68[1]:.0f} %",
+        f"coverage of 95 % intervals; goal {100 * COVER_95[0]:.0f} to {100 * COVER_95[1]:.0f} %",
+        "mean joint χ²; mean of the best estimate",
+        "p-value of the χ² distribution",
     )
     return table(head, rows)
 
 
 def offsets() -> str:
-    """The time offset, whole and with what no answer can show taken out."""
+    """The time offset, whole and with without the constant that no reply can show."""
     rows = []
     for case, one in _cases():
-        parts = [("", one["parameters"]["time_offset"])]
+        parts = [("whole offset", one["parameters"]["time_offset"])]
         if case.baud is not None:
-            parts = [("whole", parts[0][1]), ("constant apart", one["offset_apart"])]
+            parts = [parts[0], ("without the constant", one["offset_apart"])]
         for words, figures in parts:
             bound_us = figures.get("bound_us", 1e6 * figures["bound"])
             achieved = figures["efficiency"]
@@ -132,22 +142,24 @@ def offsets() -> str:
             )
     head = (
         "case",
-        "",
+        "part",
         "bound",
-        f"achieved / bound; ≤ {OFFSET_RATIO}",
-        "stated / bound",
-        f"2 sigma hold; {100 * OFFSET_COVER[0]:.0f} to {100 * OFFSET_COVER[1]:.0f} %",
+        f"achieved std / bound; goal ≤ {OFFSET_RATIO}",
+        "stated std / bound",
+        "coverage of 2 sigma intervals; "
+        f"goal {100 * OFFSET_COVER[0]:.0f} to {100 * OFFSET_COVER[1]:.0f} %",
     )
     return table(head, rows)
 
 
 def outliers() -> str:
-    """What spikes cost."""
+    """The efficiency with outliers."""
     rows = []
     for name, cost in results()["outliers"].items():
         rows.append((name, *(_span(cost[group], 3) for group in cost)))
     groups: dict[str, Any] = next(iter(results()["outliers"].values()), {})
-    head = (f"case; efficiency with spikes over without, ≥ {1 - OUTLIER_LOSS:.2f}", *groups)
+    goal = 1 - OUTLIER_LOSS
+    head = (f"case (goal for each ratio ≥ {goal:.2f})", *groups)
     return table(head, rows)
 
 
@@ -159,7 +171,7 @@ def misses() -> str:
     if not missed:
         return said
     return f"{said}\n\n" + table(
-        ("goal not met", "wanted", "measured", ""),
+        ("case and quantity", "goal", "measured (95 % interval)", "met"),
         [_cells(row) for row in missed],
     )
 

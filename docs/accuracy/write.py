@@ -4,7 +4,9 @@
     python docs/accuracy/write.py --check    change nothing; 1 if a block differs
 
 Nothing is measured here: `python tests/bench/bench_accuracy.py --out docs/accuracy/results.json`
-does that (half an hour on two free cores), and this page says what it found.
+does that (half an hour on two free cores), and `python tests/bench/bench_coverage.py --out
+docs/accuracy/coverage.json` (ten minutes on one); `bench_motor_noise.py` measures noise in motion.
+This page states what they found.
 """
 
 import argparse
@@ -13,12 +15,17 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from docs.accuracy import speed, statistics
+from docs.accuracy import coverage, motor_noise, speed, statistics
 from docs.blocks import write_or_check
 from docs.markdown import Block
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "accuracy.md"
-BLOCKS: dict[str, Block] = {**statistics.BLOCKS, **speed.BLOCKS}
+BLOCKS: dict[str, Block] = {
+    **statistics.BLOCKS,
+    **coverage.BLOCKS,
+    **motor_noise.BLOCKS,
+    **speed.BLOCKS,
+}
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""`broad` and `car_imu_can`: gyros beside a reference attitude."""
+"""`broad` and `car_imu_can`: gyros with a reference attitude."""
 
 from itertools import combinations
 
@@ -7,8 +7,8 @@ from docs.markdown import number, table
 from docs.measured.sessions import Loaded, Measured, gain_and_std, value_and_std
 from docs.measured.tables import MILLI, findings, reasons, refusals
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.calibration.document import Calibration
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.data.arrays import FloatArray
 
 # trial: (board, version) as the page's commands make them
 VERSIONS = {
@@ -22,19 +22,19 @@ VERSIONS = {
 SAME_UNIT = (("02", "05", "07"), ("24", "03"))
 
 
-def trial(measured: Measured, name: str) -> Calibration:
+def trial(measured: Measured, name: str) -> CalibrationDocument:
     """The calibration made of one trial."""
     return measured.calibration(*VERSIONS[name])
 
 
 def broad_found(measured: Measured) -> str:
     """What each trial gives by itself."""
-    return findings({name: trial(measured, name) for name in VERSIONS})
+    return findings({f"trial {name}": trial(measured, name) for name in VERSIONS})
 
 
 def broad_doubts(measured: Measured) -> str:
     """What the solver says against its own results."""
-    return reasons({name: trial(measured, name) for name in VERSIONS})
+    return reasons({f"trial {name}": trial(measured, name) for name in VERSIONS})
 
 
 def broad_gains(measured: Measured) -> str:
@@ -49,19 +49,24 @@ def broad_gains(measured: Measured) -> str:
             i, j = np.unravel_index(np.argmax(np.abs(apart)), apart.shape)
             rows.append(
                 [
-                    f"{other} - {one}",
+                    f"trial {other} minus trial {one}",
                     f"{'xyz'[i]}{'xyz'[j]}",
                     f"{number(MILLI * float(apart[i, j]), 2)}"
                     f" ± {number(MILLI * float(std[i, j]), 2)}",
                     number(float(np.sqrt(np.mean((apart / std) ** 2))), 2),
                 ]
             )
-    head = ["gains of", "entry furthest apart", "apart by, 1e-3", "rms of the nine / std"]
+    head = [
+        "gains of",
+        "entry with the largest difference",
+        "difference, 1e-3",
+        "rms of the nine differences / std",
+    ]
     return table(head, rows)
 
 
 def broad_bias(measured: Measured) -> str:
-    """The fitted bias beside the mean of the rests of the same trial."""
+    """The fitted bias and the mean of the rests of the same trial."""
     rows = []
     for name in VERSIONS:
         bias, std = value_and_std(trial(measured, name), "bias")
@@ -90,8 +95,8 @@ def fit_of(measured: Measured, name: str) -> tuple[float, FloatArray, FloatArray
 
 
 def car_found(measured: Measured) -> str:
-    """The phone's gyro beside the camera's pose."""
-    return findings({"beside the pose": measured.calibration("COMMA-PHONE")})
+    """The phone's gyro with the camera's pose as the reference."""
+    return findings({"with the pose": measured.calibration("COMMA-PHONE")})
 
 
 def car_doubts(measured: Measured) -> str:

@@ -17,10 +17,10 @@ import numpy as np
 from docs.markdown import number, table
 from docs.measured.attitude_sets import SAME_UNIT, fit_of, rest_bias
 from docs.measured.sessions import Loaded, Measured
+from tests.support.rotation_error import window_rotation_error
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.attitude import fit_attitude
-from gyrorig_solver.estimate.rotation import window_rotation_error
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
 
 WINDOW_S = 1.0
 BLOCK_S = 10.0
@@ -31,22 +31,22 @@ PERCENT = (2.5, 97.5)
 SEED = 20260131  # so that the same errors give the same interval
 DISTURBED = {"24": "tapping", "33": "magnet"}  # by the names of the files
 RAW, OFFSET, GAIN, ALL, OWN = (
-    "nothing (raw)",
-    "time offset",
-    "time offset, gain",
-    "all: calibrated",
-    "(its own fit)",
+    "raw gyro",
+    "time offset only",
+    "time offset and gain",
+    "full calibration",
+    "fit of the tested trial",
 )
-WAYS = (RAW, OFFSET, GAIN, ALL, OWN)
+PARAMETER_SETS = (RAW, OFFSET, GAIN, ALL, OWN)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """Rotation errors on one trial, with what each way takes from the fit of another."""
+    """Rotation errors on one trial, per set of parameters from the fit of another."""
 
     train: str
     test: str
-    angle_rad: dict[str, FloatArray]  # by way, one value a window
+    angle_rad: dict[str, FloatArray]  # by parameter set, one value per window
     block: FloatArray  # (n,), which block each window is in
 
     @property
@@ -54,43 +54,54 @@ class Pair:
         """`02 → 05`, a disturbed trial with its disturbance."""
         return " → ".join(_titled(name) for name in (self.train, self.test))
 
-    def rms_deg(self, way: str) -> tuple[float, float, float]:
+    def rms_deg(self, parameter_set: str) -> tuple[float, float, float]:
         """The rms and its 95 % interval."""
-        whole = float(np.sqrt(np.mean(self.angle_rad[way] ** 2)))
-        low, high = np.percentile(np.sqrt(self._means(way)), PERCENT)
+        whole = float(np.sqrt(np.mean(self.angle_rad[parameter_set] ** 2)))
+        low, high = np.percentile(np.sqrt(self._means(parameter_set)), PERCENT)
         return float(np.degrees(whole)), float(np.degrees(low)), float(np.degrees(high))
 
     def factor(self, before: str, after: str) -> tuple[float, float, float]:
-        """The rms of one way over that of another, and its 95 % interval: the same blocks."""
-        squares = [float(np.mean(self.angle_rad[way] ** 2)) for way in (before, after)]
+        """The ratio of two rms errors and its 95 % interval, with the same blocks."""
+        squares = [
+            float(np.mean(self.angle_rad[parameter_set] ** 2)) for parameter_set in (before, after)
+        ]
         drawn = np.sqrt(self._means(before) / self._means(after))
         low, high = np.percentile(drawn, PERCENT)
         return float(np.sqrt(squares[0] / squares[1])), float(low), float(high)
 
     def closer_percent(self, before: str, after: str) -> float:
-        """In how many windows `after` is nearer to the reference."""
+        """The share of windows in which `after` is closer to the reference."""
         return 100.0 * float(np.mean(self.angle_rad[after] < self.angle_rad[before]))
 
-    def _means(self, way: str) -> FloatArray:
+    def _means(self, parameter_set: str) -> FloatArray:
         """Mean squares of the bootstrap's draws; every call draws the same blocks."""
         _, at = np.unique(self.block, return_inverse=True)
-        sums = np.bincount(at, self.angle_rad[way] ** 2)
+        sums = np.bincount(at, self.angle_rad[parameter_set] ** 2)
         counts = np.bincount(at)
         drawn = np.random.default_rng(SEED).integers(0, sums.size, (BOOTSTRAPS, sums.size))
         return np.asarray(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), np.float64)
 
 
 def held_out(measured: Measured) -> str:
-    """Rotation error of every ordered pair, one column for each way."""
+    """Rotation error of every ordered pair, one column per set of parameters."""
     rows = []
     for pair in pairs(measured):
-        cells = [_with_interval(*pair.rms_deg(way), 3) for way in WAYS]
+        cells = [
+            _with_interval(*pair.rms_deg(parameter_set), 3) for parameter_set in PARAMETER_SETS
+        ]
         rows.append([pair.title, *cells, str(pair.block.size)])
-    return table(["fitted → judged on", *(f"{way}, °" for way in WAYS), "windows"], rows)
+    return table(
+        [
+            "fitted trial → tested trial",
+            *(f"{parameter_set}, °" for parameter_set in PARAMETER_SETS),
+            "windows",
+        ],
+        rows,
+    )
 
 
 def factors(measured: Measured) -> str:
-    """By how much each pair's error shrinks, beside raw and beside the time offset alone."""
+    """Error ratios of each pair, compared with raw and with the time offset alone."""
     rows = []
     for pair in pairs(measured):
         rows.append(
@@ -104,45 +115,48 @@ def factors(measured: Measured) -> str:
             ]
         )
     head = [
-        "fitted → judged on",
-        "raw / calibrated",
-        "time offset only / calibrated",
-        "windows closer, %",
-        "calibrated / its own fit",
-        "beside the time offset",
+        "fitted trial → tested trial",
+        "raw / full calibration",
+        "time offset only / full calibration",
+        "windows improved, %",
+        "full calibration / fit of the tested trial",
+        "calibration compared with the time offset only",
     ]
     return table(head, rows)
 
 
 def summary(measured: Measured) -> str:
-    """In how many pairs the calibration helps, by what, and where it does not."""
-    found = pairs(measured)
-    whole = [pair.factor(RAW, ALL) for pair in found]
-    lines = [_counted("Beside the raw gyro", whole, found)]
-    beside = [pair.factor(OFFSET, ALL) for pair in found]
-    lines.append(_counted("Beside the time offset alone", beside, found))
+    """The number of pairs in which the calibration helps, and by how much."""
+    all_pairs = pairs(measured)
+    whole = [pair.factor(RAW, ALL) for pair in all_pairs]
+    lines = [_counted("Compared with the raw gyro,", whole, all_pairs)]
+    with_offset = [pair.factor(OFFSET, ALL) for pair in all_pairs]
+    lines.append(_counted("Compared with the time offset alone,", with_offset, all_pairs))
     return "\n".join(lines)
 
 
-def _counted(said: str, factor: list[tuple[float, float, float]], found: tuple[Pair, ...]) -> str:
+def _counted(
+    comparison: str, factor: list[tuple[float, float, float]], all_pairs: tuple[Pair, ...]
+) -> str:
     """One line of the summary."""
     verdicts = [_verdict(one) for one in factor]
     helped = [one[0] for one, verdict in zip(factor, verdicts, strict=True) if verdict == "helps"]
-    line = f"- {said} the calibration helps in {len(helped)} of {len(found)} pairs"
+    line = f"- {comparison} the calibration helps in {len(helped)} of {len(all_pairs)} pairs"
     if helped:
         line += f", by {number(min(helped), 2)} to {number(max(helped), 2)} times"
-    for verdict in ("no difference", "harms"):
-        there = [
+    for verdict, words in (("no difference", "makes no difference in"), ("harms", "harms in")):
+        titles = [
             f"{pair.title} ({number(one[0], 2)})"
-            for pair, one, its in zip(found, factor, verdicts, strict=True)
+            for pair, one, its in zip(all_pairs, factor, verdicts, strict=True)
             if its == verdict
         ]
-        line += f"; {verdict}: {', '.join(there) or 'none'}"
+        if titles or verdict == "harms":
+            line += f". It {words} {', '.join(titles) or 'no pair'}"
     return f"{line}."
 
 
 def _verdict(factor: tuple[float, float, float]) -> str:
-    """What the interval of a factor allows to be said."""
+    """The verdict that the interval of a ratio allows."""
     _, low, high = factor
     if low > 1.0:
         return "helps"
@@ -166,7 +180,7 @@ def pairs(measured: Measured) -> tuple[Pair, ...]:
 
 
 def bands(measured: Measured) -> str:
-    """The fast trial fitted on frequencies up to several limits, judged on its unit's trials."""
+    """The fast trial fitted up to several frequency limits, tested on trials of its unit."""
     fast = measured.load(FAST)
     if fast.attitude is None:
         raise ValueError(f"{FAST} has no reference attitude")
@@ -183,8 +197,8 @@ def bands(measured: Measured) -> str:
             angle, _ = _errors(loaded, fit.time_offset_s, rest_bias(loaded), fit.gain)
             judged.append(number(float(np.degrees(np.sqrt(np.mean(angle**2)))), 3))
         rows.append([number(band_hz, 0), *scales, *judged])
-    head = ["up to, Hz", *(f"scale {axis}" for axis in "xyz")]
-    return table([*head, *(f"judged on {name}, °" for name in (*SLOW, FAST))], rows)
+    head = ["frequencies up to, Hz", *(f"scale {axis}" for axis in "xyz")]
+    return table([*head, *(f"tested on trial {name}, °" for name in (*SLOW, FAST))], rows)
 
 
 def _pair(measured: Measured, train: str, test: str) -> Pair:
@@ -194,7 +208,7 @@ def _pair(measured: Measured, train: str, test: str) -> Pair:
     for words, offset_s, bias, gain in _ways(measured, train, test, loaded):
         angles[words], begin = _errors(loaded, offset_s, bias, gain)
     if len({angle.size for angle in angles.values()}) != 1:
-        raise ValueError(f"{train} and {test}: the ways have different windows")
+        raise ValueError(f"{train} and {test}: the parameter sets have different windows")
     return Pair(train, test, angles, np.floor((begin - begin[0]) / BLOCK_S))
 
 
@@ -215,7 +229,7 @@ def _errors(
 def _ways(
     measured: Measured, train: str, test: str, loaded: Loaded
 ) -> Iterator[tuple[str, float, FloatArray, FloatArray]]:
-    """What each way takes of the fit: its name, time offset, bias and gain."""
+    """The parameter sets: name, time offset, bias and gain."""
     offset_s, bias, gain = fit_of(measured, train)
     own_offset_s, own_bias, own_gain = fit_of(measured, test)
     rest, nominal = rest_bias(loaded), np.eye(3)

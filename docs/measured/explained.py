@@ -7,13 +7,20 @@ from docs.markdown import number, table
 from docs.measured.sessions import EXPLAINED, Measured
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.discover.attitude import space_beside
-from gyrorig_solver.discover.attitude_terms import MovingBias, ReferenceSmoothing
-from gyrorig_solver.estimate.extension import fitted
-from gyrorig_solver.findings.document import Cause, FindingsDocument, Gain, parse_findings
-from gyrorig_solver.findings.wording import size_text, verdict_words
-from gyrorig_solver.model.terms.bases import start_values
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.attitude.attitude_terms import MovingBias, ReferenceSmoothing
+from gyrorig_solver.discover.attitude.explain_attitudes import fit_base_space
+from gyrorig_solver.estimate.fitted_term import free_term
+from gyrorig_solver.findings.findings_document import (
+    CauseEntry,
+    FindingsDocument,
+    GainEntry,
+    parse_findings,
+)
+from gyrorig_solver.findings.findings_wording import size_text, verdict_words
+from gyrorig_solver.model.term import start_values
+from gyrorig_solver.pipeline.board_data import load_board
+from gyrorig_solver.pipeline.explain_board import load_attitude_recordings
 
 TRIALS = ("02", "05", "07", "24", "03", "33")
 MOST = 3  # sizes of one cause that are written out
@@ -31,7 +38,7 @@ def names(measured: Measured) -> list[str]:
 
 
 def causes(measured: Measured) -> str:
-    """Verdict, causes and what is left, one row a command."""
+    """Verdict, causes and unexplained dependence, one row per command."""
     rows = []
     for name in names(measured):
         found = findings_of(measured, name)
@@ -45,11 +52,11 @@ def causes(measured: Measured) -> str:
                 "; ".join(dict.fromkeys(left)) or "nothing",
             ]
         )
-    return table(["recordings", "verdict", "causes", "what is left depends"], rows)
+    return table(["recordings", "verdict", "causes", "residual depends"], rows)
 
 
 def gains(measured: Measured) -> str:
-    """What the named causes are worth on data that they were not fitted to."""
+    """The gain of the named causes on data that they were not fitted to."""
     rows = []
     for name in names(measured):
         found = findings_of(measured, name)
@@ -65,12 +72,18 @@ def gains(measured: Measured) -> str:
                 "-" if found.elsewhere is None else _nats(found.elsewhere),
             ]
         )
-    head = ["recordings", "windows left out, nats", "rms, mdeg/s", "other recording", "there, nats"]
+    head = [
+        "recordings",
+        "held-out windows, nats",
+        "rms, mdeg/s",
+        "other recording",
+        "its gain, nats",
+    ]
     return table(head, rows)
 
 
 def smoothing(measured: Measured) -> str:
-    """Over what time each trial's attitudes are means."""
+    """The averaging time of each trial's attitudes."""
     rows = []
     for name in TRIALS:
         for cause in findings_of(measured, name).causes:
@@ -81,11 +94,11 @@ def smoothing(measured: Measured) -> str:
                 rows.append(
                     [name, f"{number(width_ms, 2)} ± {number(width_ms * std / value / 2.0, 2)}"]
                 )
-    return table(["trial", "attitudes are means over, ms rms"], rows)
+    return table(["trial", "averaging time of attitudes, ms rms"], rows)
 
 
 def moving(measured: Measured) -> str:
-    """The bias of the moving board less that of the resting one, as each trial shows it."""
+    """The bias in motion minus the bias at rest, per trial."""
     rows = []
     for name in TRIALS:
         value, std = moving_bias(measured, name)
@@ -99,18 +112,21 @@ def moving(measured: Measured) -> str:
 
 @cache
 def moving_bias(measured: Measured, name: str) -> tuple[FloatArray, FloatArray]:
-    """That difference of one trial and its deviation, rad/s, the reference's smoothing fitted."""
+    """Bias in motion minus bias at rest and its standard deviation, rad/s."""
     recording = read_recording(measured.folder / f"{name}.mcap")
-    space = space_beside([recording], recording.board_ids[0])
-    beside = space.with_causes([fitted(ReferenceSmoothing())])
+    data = load_board([recording], recording.board_ids[0])
+    space, _ = fit_base_space(load_attitude_recordings(data))
+    beside = space.with_terms([free_term(ReferenceSmoothing())])
     term = MovingBias()
-    looked = beside.look(beside.signals(lambda scene: term.directions(scene, start_values(term))))
+    looked = beside.score_statistics(
+        beside.evaluate_signals(lambda scene: term.tangent_signals(scene, start_values(term)))
+    )
     covariance = np.linalg.inv(looked.information)
     return covariance @ looked.score, np.sqrt(np.diag(covariance))
 
 
 def untold(measured: Measured) -> str:
-    """Where nothing but the samples themselves could be looked at, and why."""
+    """The recordings in which only the raw samples can be checked, with the reason."""
     lines = []
     for name in names(measured):
         found = findings_of(measured, name)
@@ -121,14 +137,14 @@ def untold(measured: Measured) -> str:
     return "\n".join(lines)
 
 
-def _named(cause: Cause) -> str:
+def _named(cause: CauseEntry) -> str:
     sizes = list(cause.parameters.items())
     said = ", ".join(f"{name} {size_text(size)}" for name, size in sizes[:MOST])
     also = "".join(f" or `{one}`" for one in cause.one_of)
     return f"`{cause.cause}`{also} ({said}{', ...' if len(sizes) > MOST else ''})"
 
 
-def _nats(gain: Gain) -> str:
+def _nats(gain: GainEntry) -> str:
     low, high = gain.interval or (None, None)
     value = gain.held_out_log_likelihood
     if value is None or low is None or high is None:
@@ -136,7 +152,7 @@ def _nats(gain: Gain) -> str:
     return f"{value:+.1f} ({low:+.1f} to {high:+.1f})"
 
 
-def _where(gain: Gain) -> str:
+def _where(gain: GainEntry) -> str:
     return (gain.how or "").removeprefix("the recording ").partition(",")[0].partition(";")[0]
 
 

@@ -1,4 +1,4 @@
-"""`imu_tk_xsens` and `mpu6050_raw_counts`: gravity between rests, no other reference."""
+"""`imu_tk_xsens` and `mpu6050_raw_counts`: gravity between rests as the only reference."""
 
 import numpy as np
 from docs.markdown import number, table
@@ -11,30 +11,31 @@ from docs.measured.printed import (
 from docs.measured.sessions import Measured, gain_and_std, value_and_std
 from docs.measured.tables import AXES, findings, gains_beside, reasons, untold
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.calibration.wording import GROUPS, entries, quantity
-from gyrorig_solver.model.gain import factorise
+from gyrorig_solver.calibration.calibration_wording import value_std_pairs
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, format_quantity
 
 
 def xsens_found(measured: Measured) -> str:
-    """The result beside imu_tk's own, in the same factors."""
+    """The result and that of imu_tk, in the same factors."""
     calibration = measured.calibration("XSENS-MTI")
     scale_rad_s = _scale_rad_s(measured, "xsens")
     theirs = _factors(IMU_TK.gain(scale_rad_s))
     spread = IMU_TK.spread(_factors, scale_rad_s)
     rows, at = [], 0
-    for group in GROUPS:
+    for group in PARAMETER_GROUPS:
         if group.name not in ("scale", "nonorthogonality", "misalignment"):
             continue
         for label, (value, std) in zip(
-            group.labels, entries(calibration.parameters[group.name]), strict=True
+            group.labels, value_std_pairs(calibration.parameters[group.name]), strict=True
         ):
             if value is None or std is None:
                 raise ValueError(f"{group.name} {label} has no value")
             other, other_std = float(theirs[at]), float(spread[at])
             at += 1
-            ours = " ± ".join(quantity(value * group.factor, std * group.factor))
-            its = " ± ".join(quantity(other * group.factor, other_std * group.factor))
+            ours = " ± ".join(format_quantity(value * group.factor, std * group.factor))
+            its = " ± ".join(format_quantity(other * group.factor, other_std * group.factor))
             unit = "" if group.unit == "1" else f", {group.unit}"
             off = number((value - other) / float(np.hypot(std, other_std)), 2)
             rows.append([f"{group.name} {label}{unit}", ours, its, off])
@@ -42,20 +43,20 @@ def xsens_found(measured: Measured) -> str:
 
 
 def _factors(gain: FloatArray) -> FloatArray:
-    """Scale, non-orthogonality and misalignment in a row."""
+    """Scale, non-orthogonality and misalignment in one vector."""
     found = factorise(gain)
     return np.concatenate([found.scale, found.nonorthogonality, found.misalignment_rad])
 
 
 def xsens_gains(measured: Measured) -> str:
-    """The nine gains beside imu_tk's."""
+    """The nine gains and those of imu_tk."""
     ours = gain_and_std(measured.calibration("XSENS-MTI"))
     theirs = IMU_TK.gain(_scale_rad_s(measured, "xsens"))
     return gains_beside(ours, theirs, ("gyrorig", "imu_tk"), 5)
 
 
 def xsens_bias(measured: Measured) -> str:
-    """The bias beside imu_tk's two."""
+    """The bias and the two biases of imu_tk."""
     scale = _scale_rad_s(measured, "xsens")
     bias, std = value_and_std(measured.calibration("XSENS-MTI"), "bias")
     held = np.degrees((IMU_TK.b_counts - OFFSET_COUNTS) * scale)
@@ -83,7 +84,7 @@ def xsens_bias(measured: Measured) -> str:
 
 
 def xsens_doubts(measured: Measured) -> str:
-    """What this session does not tell."""
+    """What this session does not determine."""
     return reasons({"session": measured.calibration("XSENS-MTI")})
 
 
@@ -98,7 +99,7 @@ def raw_counts_found(measured: Measured) -> str:
 
 
 def raw_counts_untold(measured: Measured) -> str:
-    """Which parameters are refused."""
+    """The parameters without a value."""
     rows = [
         [title, untold(measured.calibration("MPU6050-RAW", version))]
         for title, version in (("at rest", 1), ("poses", 2))
@@ -107,7 +108,7 @@ def raw_counts_untold(measured: Measured) -> str:
 
 
 def raw_counts_doubts(measured: Measured) -> str:
-    """Why they are refused."""
+    """The reasons."""
     return reasons(
         {
             "at rest": measured.calibration("MPU6050-RAW", 1),
@@ -117,22 +118,22 @@ def raw_counts_doubts(measured: Measured) -> str:
 
 
 def raw_counts_beside(measured: Measured) -> str:
-    """The poses beside what the authors' own program left in their repository."""
+    """The result of the poses and that in the authors' repository."""
     scale = _scale_rad_s(measured, "poses")
     calibration = measured.calibration("MPU6050-RAW", 2)
     theirs_bias = np.degrees(IMU_CALIBRATION_BIAS_COUNTS * scale)
     theirs_scale = scale / IMU_CALIBRATION_SCALE_RAD_S
     rows = []
-    for group in GROUPS:
+    for group in PARAMETER_GROUPS:
         if group.name not in ("bias", "scale"):
             continue
         theirs = theirs_bias if group.name == "bias" else theirs_scale
         for label, (value, std), other in zip(
-            group.labels, entries(calibration.parameters[group.name]), theirs, strict=True
+            group.labels, value_std_pairs(calibration.parameters[group.name]), theirs, strict=True
         ):
             ours, apart = "-", "-"
             if value is not None and std is not None:
-                text, spread = quantity(value * group.factor, std * group.factor)
+                text, spread = format_quantity(value * group.factor, std * group.factor)
                 ours = f"{text} ± {spread}"
                 apart = number((value * group.factor - float(other)) / (std * group.factor), 2)
             unit = "" if group.unit == "1" else f", {group.unit}"

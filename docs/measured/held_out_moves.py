@@ -15,12 +15,12 @@ from docs.measured.printed import IMU_TK
 from docs.measured.sessions import Measured
 from scipy.optimize import least_squares
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.gravity import SMALLEST_TURN_RAD, fit_gravity
-from gyrorig_solver.reference.gravity import Poses, find_poses
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.gravity_fit import MIN_TURN_RAD, fit_gravity
+from gyrorig_solver.reference.gravity_reference import StaticPoses, find_poses
+from gyrorig_solver.reference.known_turns import TimeInterval
 from gyrorig_solver.reference.rotations import total_rotation, turn_vectors
-from gyrorig_solver.reference.turns import Interval
-from gyrorig_solver.samples import GyroSamples
 
 GRAVITY_M_S2 = 9.81744  # of imu_tk's example; only the accelerometer's scale rests on it
 OFFSET_COUNTS = 32768  # of the Xsens' offset binary, as config/imports/imu-tk-xsens.yaml has it
@@ -29,7 +29,7 @@ PERCENT = (2.5, 97.5)
 SEED = 20260131  # so that the same errors give the same interval
 
 Use = Callable[["Move"], tuple[FloatArray, FloatArray]]
-"""The bias and the gain that a move is judged with."""
+"""The bias and the gain that a move is tested with."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ class Move:
 
 
 def held_out(measured: Measured) -> str:
-    """Angle errors of the moves, for each way of using a gyro."""
+    """Angle errors of the moves, per set of parameters."""
     loaded = measured.load("xsens")
     samples, quiet = loaded.samples, loaded.rests[0]
     moves, poses = find_moves(samples, quiet)
@@ -60,7 +60,7 @@ def held_out(measured: Measured) -> str:
         words: np.array([move.error_rad(samples, *use(move)) for move in moves])
         for words, use in _ways(samples, quiet, moves, poses)
     }
-    ours = errors["gyrorig, of the other half"]
+    ours = errors["gyrorig, fitted to the other half"]
     rows = []
     for words, error in errors.items():
         low, high = _interval(error)
@@ -78,7 +78,13 @@ def held_out(measured: Measured) -> str:
                 str(error.size),
             ]
         )
-    head = ["gain and bias", "rms, °", "median, °", "rms / that of gyrorig, held out", "moves"]
+    head = [
+        "gain and bias",
+        "rms, °",
+        "median, °",
+        "rms / rms of gyrorig fitted to the other half",
+        "moves",
+    ]
     return table(head, rows)
 
 
@@ -97,7 +103,7 @@ def _interval(error: FloatArray, beside: FloatArray | None = None) -> tuple[floa
 
 
 def _ways(
-    samples: GyroSamples, quiet: Interval, moves: list[Move], poses: Poses
+    samples: GyroSamples, quiet: TimeInterval, moves: list[Move], poses: StaticPoses
 ) -> Iterator[tuple[str, Use]]:
     halves = [_fit(samples, quiet, poses, moves, half) for half in (0, 1)]
     every = _fit(samples, quiet, poses, moves, None)
@@ -108,33 +114,47 @@ def _ways(
         gain_as_imu_tk(samples, [m for m in moves if m.half == half], first, one[half])
         for half in (0, 1)
     ]
-    yield "nominal scale (a guess), bias of the rests", lambda m: (m.rest_bias_rad_s, np.eye(3))
     yield (
-        "one scale for three axes, of the other half, bias of the rests",
+        "nominal scale factor (a guess), bias of the neighbouring rests",
+        lambda m: (m.rest_bias_rad_s, np.eye(3)),
+    )
+    yield (
+        "one scale factor for all axes from the other half, bias of the neighbouring rests",
         lambda m: (m.rest_bias_rad_s, one[1 - m.half]),
     )
-    yield "imu_tk, of all moves, its bias of the first rest", lambda _: (first, theirs)
-    yield "imu_tk, of all moves, bias of the rests", lambda m: (m.rest_bias_rad_s, theirs)
-    yield "imu_tk's method, of the other half", lambda m: (first, plain[1 - m.half])
-    yield "gyrorig, of the other half", lambda m: (m.rest_bias_rad_s, halves[1 - m.half])
-    yield "(gyrorig, of all moves)", lambda m: (m.rest_bias_rad_s, every)
+    yield "gain of imu_tk from all moves, its bias from the first rest", lambda _: (first, theirs)
+    yield (
+        "gain of imu_tk from all moves, bias of the neighbouring rests",
+        lambda m: (m.rest_bias_rad_s, theirs),
+    )
+    yield "method of imu_tk, fitted to the other half", lambda m: (first, plain[1 - m.half])
+    yield "gyrorig, fitted to the other half", lambda m: (m.rest_bias_rad_s, halves[1 - m.half])
+    yield "(gyrorig, fitted to all moves)", lambda m: (m.rest_bias_rad_s, every)
 
 
 def _fit(
-    samples: GyroSamples, quiet: Interval, poses: Poses, moves: list[Move], half: int | None
+    samples: GyroSamples,
+    quiet: TimeInterval,
+    poses: StaticPoses,
+    moves: list[Move],
+    half: int | None,
 ) -> FloatArray:
     """Return the gain of one half of the moves, of all with None.
 
     A move is left out by one bad sample in its middle, as a saturated one would leave it out.
     """
-    good = samples.good.copy()
+    good = samples.usable.copy()
     for move in moves:
         if half is not None and move.half != half:
             good[(move.part.start + move.part.stop) // 2] = False
-    fit = fit_gravity(replace(samples, good=good), GRAVITY_M_S2, quiet)
+    fit = fit_gravity(replace(samples, usable=good), GRAVITY_M_S2, quiet)
     wanted = sum(half is None or move.half == half for move in moves)
-    if int(fit.extra["moves"]) != wanted or int(fit.extra["poses"]) != len(poses.rests):
-        raise ValueError(f"the fit used {fit.extra['moves']:.0f} moves, meant were {wanted}")
+    if int(fit.extra_numbers["moves"]) != wanted or int(fit.extra_numbers["poses"]) != len(
+        poses.rests
+    ):
+        raise ValueError(
+            f"the fit used {fit.extra_numbers['moves']:.0f} moves, meant were {wanted}"
+        )
     return fit.gain
 
 
@@ -166,7 +186,7 @@ def gain_as_imu_tk(
     return np.asarray(least_squares(missing, start.ravel()).x.reshape(3, 3), np.float64)
 
 
-def find_moves(samples: GyroSamples, quiet: Interval) -> tuple[list[Move], Poses]:
+def find_moves(samples: GyroSamples, quiet: TimeInterval) -> tuple[list[Move], StaticPoses]:
     """Return the moves that turn, and the rests between them."""
     if samples.accel_m_s2 is None:
         raise ValueError("the set has an accelerometer")
@@ -174,16 +194,16 @@ def find_moves(samples: GyroSamples, quiet: Interval) -> tuple[list[Move], Poses
     bias = np.array(
         [
             samples.rate_rad_s[first : last + 1].mean(axis=0)
-            for first, last in zip(poses.first, poses.last, strict=True)
+            for first, last in zip(poses.first_sample, poses.last_sample, strict=True)
         ]
     )
     moves: list[Move] = []
     for k in range(len(poses.rests) - 1):
-        part = slice(poses.last[k], poses.first[k + 1] + 1)
+        part = slice(poses.last_sample[k], poses.first_sample[k + 1] + 1)
         between = 0.5 * (bias[k] + bias[k + 1])
         rate = samples.rate_rad_s[part] - between
         step_s = np.diff(samples.time_s[part])
-        if float(np.sum(np.linalg.norm(rate[1:], axis=1) * step_s)) < SMALLEST_TURN_RAD:
+        if float(np.sum(np.linalg.norm(rate[1:], axis=1) * step_s)) < MIN_TURN_RAD:
             continue
         half = len(moves) % 2
         moves.append(Move(part, half, between, poses.direction[k], poses.direction[k + 1]))

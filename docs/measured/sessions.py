@@ -18,14 +18,14 @@ import numpy as np
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import times_ns
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.calibration.document import Calibration, parse_calibration
-from gyrorig_solver.calibration.store import CalibrationStore
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
+from gyrorig_solver.calibration.calibration_store import CalibrationStore
 from gyrorig_solver.cli import run
-from gyrorig_solver.model.gain import FACTOR_NAMES, GainFactors, factor_jacobian
-from gyrorig_solver.reference.attitude import AttitudeReference, read_attitude
-from gyrorig_solver.reference.turns import Interval, KnownTurn, read_turns
-from gyrorig_solver.samples import GyroSamples, load_samples
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.model.gain_matrix import FACTOR_NAMES, GainFactors, factor_jacobian
+from gyrorig_solver.reference.attitude_reference import AttitudeReference, read_attitude
+from gyrorig_solver.reference.known_turns import KnownTurn, TimeInterval, read_turns
 
 ROOT = Path(__file__).resolve().parents[2]
 VARIABLE = "GYRORIG_DATA"
@@ -144,7 +144,7 @@ class Loaded:
 
     samples: GyroSamples
     turns: tuple[KnownTurn, ...]
-    rests: tuple[Interval, ...]
+    rests: tuple[TimeInterval, ...]
     attitude: AttitudeReference | None
 
     def at_rest(self, time_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -163,7 +163,7 @@ class Measured:
     folder: Path
     done: Mapping[str, tuple[Done, ...]]
 
-    def calibration(self, board: str, version: int = 1) -> Calibration:
+    def calibration(self, board: str, version: int = 1) -> CalibrationDocument:
         """A version that `gyrorig solve` wrote."""
         path = CalibrationStore(self.folder / STORE).versions(BoardId(board))[version - 1].path
         return parse_calibration(path.read_bytes(), path.name)
@@ -218,13 +218,13 @@ def numbers_of(values: list[float | None] | float | None) -> FloatArray:
     return np.array([np.nan if v is None else v for v in listed], dtype=np.float64)
 
 
-def value_and_std(calibration: Calibration, name: str) -> tuple[FloatArray, FloatArray]:
+def value_and_std(calibration: CalibrationDocument, name: str) -> tuple[FloatArray, FloatArray]:
     """A parameter of a calibration document, and its standard deviation."""
     parameter = calibration.parameters[name]
     return numbers_of(parameter.value), numbers_of(parameter.std)
 
 
-def gain_and_std(calibration: Calibration) -> tuple[FloatArray, FloatArray]:
+def gain_and_std(calibration: CalibrationDocument) -> tuple[FloatArray, FloatArray]:
     """G = S T M and the standard deviation of each entry, from the document's covariance.
 
     For a calibration in which every factor is observable.

@@ -1,4 +1,4 @@
-"""What every set of the page shows alike: its commands, what was found, what is refused."""
+"""Tables that all sets of the page share: commands, results and rejected input."""
 
 from collections.abc import Iterable, Mapping
 
@@ -6,21 +6,22 @@ import numpy as np
 from docs.markdown import number, table
 from docs.measured.sessions import EXPLAINED, Done, Measured
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.calibration.document import Calibration
-from gyrorig_solver.calibration.wording import GROUPS, collapsed, entries, quantity
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.calibration.calibration_wording import collapse_groups, value_std_pairs
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, format_quantity
 
 MILLI = 1e3
 AXES = "xyz"
 
 
 def commands(done: Iterable[Done]) -> str:
-    """The lines a reader types."""
+    """The command lines."""
     return "\n".join(("```sh", *(one.line for one in done), "```"))
 
 
 def codes(measured: Measured) -> str:
-    """How each command of each set ended."""
+    """The exit status of each command of each set."""
     rows = []
     for name, done in measured.done.items():
         if name == EXPLAINED:
@@ -29,31 +30,31 @@ def codes(measured: Measured) -> str:
         for one in done:
             ended[one.line.split()[1]].append(str(one.exit_code))
         rows.append([f"`{name}`", *(", ".join(all_of) for all_of in ended.values())])
-    return table(["set", "import", "check", "solve"], rows)
+    return table(["data set", "exit codes of import", "of check", "of solve"], rows)
 
 
 def refusals(done: Iterable[Done]) -> str:
-    """The commands that refused their input, and the line that says why."""
+    """The commands that rejected their input, and their error messages."""
     rows = [
         [f"`{_short(one.line)}`", str(one.exit_code), one.complained.strip()]
         for one in done
         if one.exit_code == 3
     ]
-    return table(["command", "exit code", "said"], rows)
+    return table(["command", "exit code", "message"], rows)
 
 
 def _short(line: str) -> str:
-    """A command with its input's folders left out, and without --out."""
+    """A command without the folders of its input, and without --out."""
     words = line.split(" --out", maxsplit=1)[0].split()
     return " ".join(word.rpartition("/")[2] if word.startswith("$") else word for word in words)
 
 
-def findings(columns: Mapping[str, Calibration]) -> str:
-    """Every parameter with its standard deviation, one calibration a column; then the verdict."""
+def findings(columns: Mapping[str, CalibrationDocument]) -> str:
+    """Every parameter with its standard deviation, one column per calibration; then the verdict."""
     rows = []
-    for group in GROUPS:
+    for group in PARAMETER_GROUPS:
         values = {
-            title: entries(calibration.parameters[group.name])
+            title: value_std_pairs(calibration.parameters[group.name])
             for title, calibration in columns.items()
         }
         for at, label in enumerate(group.labels):
@@ -73,12 +74,12 @@ def findings(columns: Mapping[str, Calibration]) -> str:
 def _cell(value: float | None, std: float | None, factor: float) -> str:
     if value is None:
         return "-"
-    text, spread = quantity(value * factor, None if std is None else std * factor)
+    text, spread = format_quantity(value * factor, None if std is None else std * factor)
     return f"{text} ± {spread}"
 
 
-def reasons(calibrations: Mapping[str, Calibration]) -> str:
-    """Why each result is limited, and what to do, in the document's own words."""
+def reasons(calibrations: Mapping[str, CalibrationDocument]) -> str:
+    """The reasons and warnings of each result, with their remedies."""
     lines = []
     for title, calibration in calibrations.items():
         lines += [f"- {title}: {reason}" for reason in calibration.trust.reasons]
@@ -86,9 +87,9 @@ def reasons(calibrations: Mapping[str, Calibration]) -> str:
     return "\n".join(lines)
 
 
-def untold(calibration: Calibration) -> str:
+def untold(calibration: CalibrationDocument) -> str:
     """The parameters without a value."""
-    return ", ".join(collapsed(calibration.observability.unobservable)) or "none"
+    return ", ".join(collapse_groups(calibration.observability.unobservable)) or "none"
 
 
 def gains_beside(

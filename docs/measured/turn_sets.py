@@ -8,7 +8,7 @@ from docs.markdown import number, table
 from docs.measured.sessions import Loaded, Measured, gain_and_std, value_and_std
 from docs.measured.tables import AXES, findings, gains_beside, reasons, refusals, untold
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.data.arrays import FloatArray
 
 RATE_HZ = 102.4  # of the Ferraris session, by its repository's example
 
@@ -40,13 +40,13 @@ def ferraris_found(measured: Measured) -> str:
 
 
 def ferraris_gains(measured: Measured) -> str:
-    """The nine gains beside imucal's."""
+    """The nine gains and those of imucal."""
     ours = gain_and_std(measured.calibration("FERRARIS"))
     return gains_beside(ours, imucal_result(measured)[0], ("gyrorig", "imucal"), 5)
 
 
 def ferraris_bias(measured: Measured) -> str:
-    """The bias beside imucal's."""
+    """The bias and that of imucal."""
     bias, std = value_and_std(measured.calibration("FERRARIS"), "bias")
     theirs = imucal_result(measured)[1]
     rows = [

@@ -1,11 +1,11 @@
-"""Put the numbers of the measured sets into docs/measured-data.md, or check that they are there.
+"""Write the numbers of the measured sets to docs/measured-data.md, or check them.
 
     python docs/measured/write.py            write every block
     python docs/measured/write.py --check    change nothing; 1 if a block differs
 
-Imports, checks, solves and explains the six sets with the commands that the page shows, in a
-folder that is thrown away; two minutes. The measurements are not part of this repository:
-$GYRORIG_DATA is their folder, shared/data beside the checkout if it is not set.
+Imports, checks, solves and explains the six sets with the commands of the page, in a temporary
+folder; this takes two minutes. The measurements are not part of this repository: $GYRORIG_DATA
+is their folder, by default shared/data next to the checkout.
 """
 
 import argparse

@@ -28,7 +28,7 @@ from docs.paper.motion import (
 )
 from docs.paper.printed import GY80
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.data.arrays import FloatArray
 
 SEED = 20160202
 MOUNT_DEG = 8.8  # check_tables.py, table-3-mount
@@ -87,7 +87,7 @@ def _error(gain: FloatArray, rank: int) -> str:
     apart = np.abs(gain - true_gain())
     if rank == 3:
         return number(float(apart.max()))
-    return f"y undetermined; x, z: {number(float(apart[:, [0, 2]].max()))}"
+    return f"no column y; columns x and z: {number(float(apart[:, [0, 2]].max()))}"
 
 
 def chosen(pan: float, tilt: float) -> dict[str, Motion]:
@@ -117,7 +117,12 @@ def comparison() -> str:
                 _error(rate_gain(motion, rate), design_rank),
             ]
         )
-    head = ["path", "eq. 12, quasi-static bias", "eq. 12, static bias", "rates, least squares"]
+    head = [
+        "path",
+        "paper's method, quasi-static bias",
+        "paper's method, static bias",
+        "least squares on the rates",
+    ]
     return table(head, rows)
 
 
@@ -136,7 +141,12 @@ def sight() -> str:
             for hidden, s in zip(unseen[:3], sigma[:3], strict=True)
         ]
         rows.append([name, f"{3 * rate_rank(design)} of 12", *bounds])
-    head = ["path", "parameters seen", "column x (tilt), ppm", "y (roll), ppm", "z (pan), ppm"]
+    columns = [
+        "std of column x (tilt), ppm",
+        "std of column y (roll), ppm",
+        "std of column z (pan), ppm",
+    ]
+    head = ["path", "observable parameters", *columns]
     return table(head, rows)
 
 

@@ -14,15 +14,15 @@ import numpy as np
 from docs.markdown import Block, matrix, number, numbers, show, table
 from docs.paper.motion import Corners, Motion, along, calibrated, paths
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.paper import FAILURES, ONE_STEP_RAD, PaperReading
-from gyrorig_solver.estimate.paper_angles import (
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.paper.paper_angles import (
     Composition,
     composed_attitude,
     euler_angles_rad,
     ideal_integral_rad,
     mechanism_angles_rad,
 )
+from gyrorig_solver.estimate.paper.paper_method import FAILURES, ONE_STEP_RAD, PaperReading
 
 
 def rank_above_step(columns: FloatArray) -> int:
@@ -46,7 +46,10 @@ def composition_example() -> str:
         rows.append(
             [text, *(number(float(a), 1) for a in np.degrees(euler_angles_rad(attitude)[-1]))]
         )
-    return table(["eq. 12", "about x (tilt), °", "about y (roll), °", "about z (pan), °"], rows)
+    return table(
+        ["interpretation of eq. 12", "about x (tilt), °", "about y (roll), °", "about z (pan), °"],
+        rows,
+    )
 
 
 def ranks() -> str:
@@ -60,7 +63,12 @@ def ranks() -> str:
         ]
         roll_deg = np.degrees(np.abs(angles[1][:, 1]).max())
         rows.append([name, *(str(rank_above_step(a)) for a in angles), number(roll_deg, 1)])
-    head = ["path", "true angles", "eq. 12 as printed", "from the right"]
+    head = [
+        "path",
+        "rank with true angles",
+        "rank with eq. 12 as printed",
+        "rank with both increments from the right",
+    ]
     return table([*head, "largest roll in eq. 12 as printed, °"], rows)
 
 
@@ -86,7 +94,12 @@ def geometric_phase() -> str:
         rows.append(
             [name, numbers(end[1:], 1), numbers(most[1:], 1), numbers(false_bias_dps(motion), 3)]
         )
-    head = ["path", "offset at the end y, z, °", "largest y, z, °", "false bias x, y, z, °/s"]
+    head = [
+        "path",
+        "difference at the end about y, z, °",
+        "largest difference about y, z, °",
+        "false bias about x, y, z, °/s",
+    ]
     return table(head, rows)
 
 
@@ -97,11 +110,11 @@ def gains() -> str:
         motion = along(corners)
         result = calibrated(motion, motion.body_rate_rad_s(), "static")
         if result.S is None or result.T is None:
-            split = "Cholesky impossible"
+            split = "no Cholesky factor"
         else:
             split = f"S {numbers(np.diag(result.S), 2)}; T_zy {number(result.T[2, 1], 2)}"
         rows.append([name, str(result.rank), f"`{matrix(result.STM, 2)}`", split])
-    return table(["path", "rank of U", "STM (truth: I)", "eq. 8 to 10"], rows)
+    return table(["path", "rank of U", "STM (correct: identity)", "result of eq. 8 to 10"], rows)
 
 
 def both_biases() -> str:
@@ -118,7 +131,14 @@ def both_biases() -> str:
                 f"`{matrix(result.STM, 3)}`",
             ]
         )
-    return table(["bias", "value x, y, z, °/s", f"STM of path {name} (truth: I but y)"], rows)
+    return table(
+        [
+            "bias",
+            "bias value x, y, z, °/s",
+            f"STM of path {name} (correct: identity without column y)",
+        ],
+        rows,
+    )
 
 
 def rounding() -> str:
@@ -131,13 +151,13 @@ def rounding() -> str:
         roll_rms = result.singular_values_rad[-1] / np.sqrt(result.time_s.size)
         largest = np.abs(result.STM[:, 1]).max()
         rows.append([name, str(result.rank), f"{roll_rms:.0e}", f"{largest:.0e}"])
-    head = ["path", "rank of U by `pinv`", "its smallest direction, rad rms"]
+    head = ["path", "rank of U by `pinv`", "smallest motion along a direction, rad rms"]
     return table([*head, "largest entry of STM's roll column"], rows)
 
 
 def failures() -> str:
     """The names under which `PaperResult` reports what went wrong."""
-    return table(["name", "what it means"], [[f"`{name}`", FAILURES[name]] for name in FAILURES])
+    return table(["name", "meaning"], [[f"`{name}`", FAILURES[name]] for name in FAILURES])
 
 
 BLOCKS: dict[str, Block] = {

@@ -17,14 +17,14 @@ from docs.markdown import Block, number, show, table
 from docs.paper.motion import along, calibrated, paths
 from docs.paper.printed import GY80
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.paper import AS_TABLED, Bias, PaperResult
-from gyrorig_solver.estimate.paper_angles import Composition
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.paper.paper_angles import Composition
+from gyrorig_solver.estimate.paper.paper_method import READING_OF_TABLE_3, BiasSource, PaperResult
 
 PANS_DEG = (10.0, 20.0, 30.0, 45.0, 60.0, 90.0)
 TILTS_DEG = (-45.0, -30.0, -20.0, -10.0, -5.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 COMPOSITIONS: tuple[Composition, ...] = ("printed", "right", "mechanism")
-BIASES: tuple[Bias, ...] = ("static", "quasi_static")
+BIASES: tuple[BiasSource, ...] = ("static", "quasi_static")
 SEARCH_RATE_HZ = 20.0  # a leg of 2 s still has 40 samples
 
 
@@ -37,7 +37,7 @@ def results() -> list[PaperResult]:
                 motion = along(corners, rate_hz=SEARCH_RATE_HZ, static_s=1.0)
                 rate = motion.body_rate_rad_s()
                 for composition in COMPOSITIONS:
-                    reading = replace(AS_TABLED, composition=composition)
+                    reading = replace(READING_OF_TABLE_3, composition=composition)
                     found += [calibrated(motion, rate, bias, reading) for bias in BIASES]
     return found
 
@@ -63,22 +63,28 @@ def search() -> str:
     distance = min(float(np.linalg.norm(r.STM - GY80.STM)) for r in found)
     identity = float(np.linalg.norm(np.eye(3) - GY80.STM))
     rows = [
-        ["combinations", str(len(found))],
-        ["with S, T and M (the rest: Cholesky impossible)", str(t_zy.size)],
-        ["their median size of T_zy", number(float(np.median(np.abs(t_zy))), 2)],
+        ["simulated combinations", str(len(found))],
+        ["combinations that give S, T and M (for the others eq. 8 has no result)", str(t_zy.size)],
+        ["median absolute T_zy of these combinations", number(float(np.median(np.abs(t_zy))), 2)],
         [
-            "of these with S_x, S_y and S_z all within 0.85 to 1.05",
+            "those of them with S_x, S_y and S_z all between 0.85 and 1.05",
             str(np.count_nonzero(plausible)),
         ],
-        ["largest M_yz among those", number(float(np.abs(m_yz[plausible]).max()), 3)],
+        ["largest M_yz with such S", number(float(np.abs(m_yz[plausible]).max()), 3)],
         [
-            "of those with T_zy and M_yz both within 0.04 of 0.15 in size",
+            "combinations with such S, and with absolute T_zy and M_yz both within 0.04 of 0.15",
             str(np.count_nonzero(plausible & near)),
         ],
-        ["nearest STM to the GY80's, Frobenius distance", number(distance, 3)],
-        ["distance of the identity from it", number(identity, 3)],
+        [
+            "smallest Frobenius distance between a simulated STM and that of the GY80",
+            number(distance, 3),
+        ],
+        [
+            "Frobenius distance between the identity matrix and the STM of the GY80",
+            number(identity, 3),
+        ],
     ]
-    return table(["", "found"], rows)
+    return table(["quantity", "value"], rows)
 
 
 BLOCKS: dict[str, Block] = {"search": search}

@@ -17,12 +17,12 @@ from docs.markdown import Block, matrix, number, numbers, show, table
 from docs.paper.motion import rotation_about_tilt_axis
 from docs.paper.printed import BOARDS, GY80, MPU, PrintedBoard
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.paper_matrices import (
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.paper.paper_matrices import (
     Factors,
     lower_factor,
     misalignment,
-    rotation_fault,
+    orthogonality_error,
     split_lower,
 )
 
@@ -49,7 +49,13 @@ def sensitivities() -> str:
                     number(board.sensitivity / expected, 3),
                 ]
             )
-    head = ["board", "printed, °/s a digit", "range", "data sheet", "printed / data sheet"]
+    head = [
+        "board",
+        "printed sensitivity, °/s per count",
+        "full scale",
+        "data-sheet sensitivity, °/s per count",
+        "printed / data sheet",
+    ]
     return table(head, rows)
 
 
@@ -64,7 +70,9 @@ def biases() -> str:
         ]
         for board in BOARDS
     ]
-    return table(["board", "static x, y, z", "quasi-static", "change"], rows)
+    return table(
+        ["board", "static bias x, y, z", "quasi-static bias x, y, z", "change x, y, z"], rows
+    )
 
 
 def products() -> str:
@@ -73,15 +81,15 @@ def products() -> str:
     return table(["board", "STM = S T M"], rows)
 
 
-def mended_row(board: PrintedBoard) -> FloatArray:
+def corrected_row(board: PrintedBoard) -> FloatArray:
     """Row y that makes M a rotation with its printed rows x and z: z cross x."""
     row = np.cross(board.M[2], board.M[0])
     return np.asarray(row / np.linalg.norm(row))
 
 
-def mended(board: PrintedBoard) -> FloatArray:
-    """M with row y as `mended_row` gives it."""
-    return np.vstack((board.M[0], mended_row(board), board.M[2]))
+def corrected(board: PrintedBoard) -> FloatArray:
+    """M with row y as `corrected_row` gives it."""
+    return np.vstack((board.M[0], corrected_row(board), board.M[2]))
 
 
 def rotations() -> str:
@@ -92,24 +100,31 @@ def rotations() -> str:
         rows.append(
             [
                 board.name,
-                number(rotation_fault(M)),
+                number(orthogonality_error(M)),
                 number(float(np.linalg.norm(M[1])), 3),
                 number(float(M[0] @ M[1]), 3),
                 number(float(np.linalg.det(M))),
                 numbers(M[1]),
-                numbers(mended_row(board)),
+                numbers(corrected_row(board)),
             ]
         )
-    head = ["board", "max of M Mᵀ - I", "norm of row y", "x · y", "det M", "row y as printed"]
+    head = [
+        "board",
+        "largest entry of M Mᵀ - I",
+        "norm of row y",
+        "row x · row y",
+        "det M",
+        "row y as printed",
+    ]
     return table([*head, "row y that a rotation needs"], rows)
 
 
 def misprint() -> str:
     """What the misprinted row does to STM."""
-    mended_stm = MPU.S @ MPU.T @ mended(MPU)
+    corrected_stm = MPU.S @ MPU.T @ corrected(MPU)
     rows = [
         ["as printed", f"`{matrix(MPU.STM)}`"],
-        ["row y mended", f"`{matrix(mended_stm)}`"],
+        ["row y corrected", f"`{matrix(corrected_stm)}`"],
     ]
     return table(["MPU 6515", "STM"], rows)
 
@@ -126,7 +141,7 @@ def geometry() -> str:
     cases = [
         (GY80.name, GY80.STM),
         (MPU.name, MPU.STM),
-        (f"{MPU.name}, row y mended", MPU.S @ MPU.T @ mended(MPU)),
+        (f"{MPU.name}, row y corrected", MPU.S @ MPU.T @ corrected(MPU)),
     ]
     rows = []
     for name, stm in cases:
@@ -141,8 +156,8 @@ def factor_readings() -> str:
     if lower is None:
         raise ValueError("the printed STM of the GY80 has no Cholesky factor")
     readings: dict[Factors, str] = {
-        "by_shape": "LU factors, named by their shape",
-        "by_position": "LU factors, named by their place",
+        "by_shape": "LU factors, assigned to S and T by their shape",
+        "by_position": "LU factors, assigned to S and T by their position",
         "product": "S = diag(ST), T = S⁻¹ ST",
     }
     rows = []
@@ -154,11 +169,21 @@ def factor_readings() -> str:
                 words,
                 number(float(np.abs(S @ T - lower).max())),
                 number(float(T[2, 1])),
-                number(rotation_fault(M)),
+                number(orthogonality_error(M)),
             ]
         )
-    rows.append(["printed in Table 3", "", number(GY80.T[2, 1]), number(rotation_fault(GY80.M))])
-    return table(["reading of eq. 9", "max of S T - ST", "T_zy", "max of M Mᵀ - I"], rows)
+    rows.append(
+        ["printed in Table 3", "", number(GY80.T[2, 1]), number(orthogonality_error(GY80.M))]
+    )
+    return table(
+        [
+            "interpretation of eq. 9",
+            "largest entry of S T - ST",
+            "T_zy",
+            "largest entry of M Mᵀ - I",
+        ],
+        rows,
+    )
 
 
 def mount_angle_rad(board: PrintedBoard) -> float:
@@ -193,7 +218,7 @@ def one_angle() -> str:
         for name, (S, T, M) in predictions.items():
             entries = (S[1, 1], S[2, 2], T[2, 1], M[1, 2], M[2, 1])
             rows.append([board.name, name, *(number(float(e)) for e in entries)])
-    return table(["board", "", "S_y", "S_z", "T_zy", "M_yz", "M_zy"], rows)
+    return table(["board", "values", "S_y", "S_z", "T_zy", "M_yz", "M_zy"], rows)
 
 
 def one_entry() -> str:
@@ -220,10 +245,10 @@ def improvements() -> str:
         "1 - mean row norm of STM": lambda b: 1.0 - float(np.linalg.norm(b.STM, axis=1).mean()),
         "norm of the tilt column of STM - I": lambda b: _column_error(b, 0),
         "norm of the pan column of STM - I": lambda b: _column_error(b, 2),
-        "mean size of 1 - S": lambda b: float(np.abs(1.0 - np.diag(b.S)).mean()),
+        "mean absolute value of 1 - S": lambda b: float(np.abs(1.0 - np.diag(b.S)).mean()),
     }
     rows = [[name, *(number(100.0 * rule(b), 2) for b in BOARDS)] for name, rule in names.items()]
-    return table(["", *(f"{b.name}, %" for b in BOARDS)], rows)
+    return table(["quantity", *(f"{b.name}, %" for b in BOARDS)], rows)
 
 
 def _column_error(board: PrintedBoard, column: int) -> float:

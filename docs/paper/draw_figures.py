@@ -29,9 +29,9 @@ from docs.paper.printed import GY80, MPU, PrintedBoard
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.paper import Bias, PaperResult
-from gyrorig_solver.estimate.paper_angles import integrated_rad
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.paper.paper_angles import integrated_rad
+from gyrorig_solver.estimate.paper.paper_method import BiasSource, PaperResult
 
 FIGURES = Path(__file__).resolve().parent / "figures"
 AXES = ("x, tilt", "y, roll", "z, pan")
@@ -48,7 +48,7 @@ class Simulated:
     motion: Motion
     rate_rad_s: FloatArray  # (n, 3)
 
-    def by(self, bias: Bias) -> PaperResult:
+    def by(self, bias: BiasSource) -> PaperResult:
         """The paper's method with one of its biases."""
         return calibrated(self.motion, self.rate_rad_s, bias)
 
@@ -101,8 +101,10 @@ def table_of_errors() -> str:
                     number(float(seen), 3),
                 ]
             )
-    head = ["simulated board", "bias", "its value, °/s", "rms before x, y, z, °"]
-    return table([*head, "after, °", "error of STM, columns x and z"], rows)
+    head = ["simulated board", "bias", "bias value x, y, z, °/s", "rms error before x, y, z, °"]
+    return table(
+        [*head, "rms error after x, y, z, °", "largest error in columns x and z of STM"], rows
+    )
 
 
 def _three(axes: Axes, time_s: FloatArray, rows_rad: FloatArray, style: str = "-") -> None:

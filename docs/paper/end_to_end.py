@@ -24,10 +24,15 @@ import yaml
 from docs.markdown import Block, number, numbers, show, table
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.paper import AS_TABLED, Bias, PaperResult, calibrate_as_printed
-from gyrorig_solver.reference.ptu_recording import ptu_reference
-from gyrorig_solver.samples import load_samples
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data.samples import load_samples
+from gyrorig_solver.estimate.paper.paper_method import (
+    READING_OF_TABLE_3,
+    BiasSource,
+    PaperResult,
+    calibrate_as_printed,
+)
+from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 1
@@ -68,11 +73,11 @@ def _run(*command: str) -> None:
 def _arrays(recording_path: Path, moving: bool) -> Arrays:
     recording = read_recording(recording_path)
     samples = load_samples(recording, BOARD)
-    keep = samples.good.copy()
+    keep = samples.usable.copy()
     keep[1:] &= np.diff(samples.time_s) > 0.0
     time_s = samples.time_s[keep]
     if moving:
-        pan, tilt = ptu_reference(recording, samples.origin_ns).angles_rad(time_s)
+        pan, tilt = read_pan_tilt_reference(recording, samples.origin_ns).angles_rad(time_s)
     else:
         polled = recording.ptu_positions()
         pan, tilt = (np.full(time_s.size, np.median(polled[axis])) for axis in ("pan", "tilt"))
@@ -111,7 +116,7 @@ def sessions() -> dict[str, Session]:
         return {name: _session(name, Path(folder)) for name in ("static", "paper", "full")}
 
 
-def as_tabled(program: str, bias: Bias) -> PaperResult:
+def as_tabled(program: str, bias: BiasSource) -> PaperResult:
     """The paper's method on `program`, with the recording `static` before it."""
     rest, test = sessions()["static"].arrays, sessions()[program].arrays
     later_s = test.time_s - test.time_s[0] + rest.time_s[-1] + 1.0
@@ -122,7 +127,7 @@ def as_tabled(program: str, bias: Bias) -> PaperResult:
         np.concatenate((rest.pan_rad, test.pan_rad)),
         np.concatenate((rest.tilt_rad, test.tilt_rad)),
         static,
-        reading=replace(AS_TABLED, bias=bias),
+        reading=replace(READING_OF_TABLE_3, bias=bias),
     )
 
 
@@ -147,7 +152,7 @@ def recordings() -> str:
             for angle in (session.arrays.pan_rad, session.arrays.tilt_rad)
         ]
         rows.append([f"`{session.program}`", span, str(time_s.size), *reach])
-    return table(["program", "seconds", "samples", "pan, °", "tilt, °"], rows)
+    return table(["program", "duration, s", "samples", "range of pan, °", "range of tilt, °"], rows)
 
 
 def as_printed() -> str:
@@ -170,7 +175,7 @@ def gains() -> str:
             result = as_tabled(program, bias)
             seen = np.array([np.abs(row).max(initial=0.0) < 0.5 for row in result.unseen])
             off = np.degrees(result.bias_rad_s - np.array(session.truth["mean_bias_rad_s"]))
-            words = f"paper, {bias.replace('_', '-')} bias"
+            words = f"paper's method, {bias.replace('_', '-')} bias"
             errors = _column_errors(result.STM, truth, seen)
             rows.append([f"`{program}`", words, *errors, numbers(off, 3)])
         document = session.likelihood
@@ -181,8 +186,14 @@ def gains() -> str:
         )
         errors = _column_errors(gain, truth, np.isfinite(gain.sum(axis=0)))
         rows.append([f"`{program}`", "`gyrorig solve`", *errors, numbers(off, 3)])
-    head = ["program", "method", "column x, 1e-3", "y, 1e-3", "z, 1e-3"]
-    return table([*head, "bias minus truth x, y, z, °/s"], rows)
+    head = [
+        "program",
+        "method",
+        "error of column x, 1e-3",
+        "of column y, 1e-3",
+        "of column z, 1e-3",
+    ]
+    return table([*head, "bias minus true bias x, y, z, °/s"], rows)
 
 
 def _truths(session: Session) -> dict[str, FloatArray]:
@@ -219,8 +230,8 @@ def parameters() -> str:
                     paper.get(group, ["none"] * 3)[index],
                 ]
             )
-    head = ["parameter", "truth", "`gyrorig solve`", "deviations"]
-    return table([*head, "paper, static bias, Table 3's reading"], rows)
+    head = ["parameter", "true value", "`gyrorig solve`", "difference in standard deviations"]
+    return table([*head, "paper's method, static bias"], rows)
 
 
 def verdicts() -> str:
@@ -237,7 +248,7 @@ def verdicts() -> str:
                 ", ".join(seen["unobservable"]) or "none",
             ]
         )
-    return table(["program", "parameters seen", "verdict", "not said"], rows)
+    return table(["program", "observable parameters", "verdict", "unobservable"], rows)
 
 
 BLOCKS: dict[str, Block] = {

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.paper import (
-    AS_TABLED,
-    Bias,
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.estimate.paper.paper_method import (
+    READING_OF_TABLE_3,
+    BiasSource,
     PaperReading,
     PaperResult,
     calibrate_as_printed,
@@ -116,7 +116,10 @@ def white_noise_rad_s(count: int, seed: int, rate_hz: float = RATE_HZ) -> FloatA
 
 
 def calibrated(
-    motion: Motion, rate_rad_s: FloatArray, bias: Bias, reading: PaperReading = AS_TABLED
+    motion: Motion,
+    rate_rad_s: FloatArray,
+    bias: BiasSource,
+    reading: PaperReading = READING_OF_TABLE_3,
 ) -> PaperResult:
     """The paper's method on samples of `motion`, with one of its two biases."""
     return calibrate_as_printed(

@@ -1,8 +1,9 @@
-"""YAML documents: hostile text in, plain values out; and plain YAML out.
+"""YAML parser and writer for untrusted documents.
 
-What to use when: `parse_yaml` for any document that a person or another program
-wrote; `read_as` to turn its values into a typed structure with unknown keys and wrong
-types refused; `dump_yaml` for every document that this project writes.
+What to use when: `parse_yaml` for any document that a person or another program wrote;
+`convert_document` to convert its values to a typed structure, with unknown keys and wrong types
+rejected; `parse_result_document` for both, when the key `schema` is required; `dump_yaml` for
+every document that this project writes.
 """
 
 import datetime
@@ -15,6 +16,12 @@ import msgspec
 import yaml
 
 from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
+from gyrorig_protocol.file_kinds import (
+    HEAD_BYTES,
+    NEVER_YAML,
+    describe_file_kind,
+    explain_wrong_schema,
+)
 
 T = TypeVar("T")
 
@@ -22,8 +29,8 @@ MAX_DOCUMENT_BYTES = 4_000_000
 MAX_DEPTH = 20
 MAX_INTEGER_BITS = 64
 
-# Octal by a leading zero, base 60, underscores and the merge key: in YAML 1.1, not in 1.2.
-_TWO_MEANINGS = re.compile(
+# Octal by a leading zero, base 60, underscores and the merge key are in YAML 1.1, not in 1.2.
+_VERSION_DEPENDENT_SCALAR = re.compile(
     r"[-+]?(?:0[0-9_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?|[0-9]+_[0-9_]*(?:\.[0-9_]*)?)|<<"
 )
 
@@ -32,101 +39,121 @@ _Dumper: type[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 def parse_yaml(text: str | bytes, name: str, error: type[GyrorigError] = UsageError) -> Any:
-    """Return the value of one YAML document.
+    """Parse one YAML document and return its value.
 
-    Refused are: aliases, tags, several documents, more than 20 levels, more than 4 MB,
-    a key twice in one mapping, dates, numbers that are not finite or need more than 64
-    bits, and what YAML 1.1 and 1.2 read differently: `010` (8 or 10), `1:30` (90 or a
-    text), `1_000`, merge keys.
+    These are rejected: aliases, tags, several documents, more than 20 levels, more than 4 MB,
+    a key twice in one mapping, dates, numbers that are not finite or need more than 64 bits,
+    and values that YAML 1.1 and 1.2 read differently: `010` (8 or 10), `1:30` (90 or a text),
+    `1_000`, merge keys.
 
-    PyYAML's safe loader expands aliases without a limit: a bomb of 306 bytes has 3.9e8
-    leaves. A tag can make it raise what is no YAML error, and `1:1:1...` takes it a time
-    that grows with the square of the length.
+    Reason: PyYAML's safe loader expands aliases without a limit; a document of 306 bytes
+    can have 3.9e8 leaves. A tag can make it raise an error that is not a YAML error. The time
+    for `1:1:1...` grows with the square of its length.
 
     Args:
         text: the document.
-        name: what to call it in an error, usually its file name.
-        error: the class raised, by who must act.
+        name: the document's name in an error, usually its file name.
+        error: the class of error to raise, by who must act.
 
     Raises:
         GyrorigError: of the given class; the text is not such a document.
     """
+    head = text[:HEAD_BYTES]
+    kind = describe_file_kind(head.encode(errors="replace") if isinstance(head, str) else head)
+    if kind in NEVER_YAML:
+        raise error(f"{name} is {kind}. A YAML document is expected here", "give the right file")
     if len(text) > MAX_DOCUMENT_BYTES:
         raise error(
-            f"{name} is larger than {MAX_DOCUMENT_BYTES // 1_000_000} MB",
-            "no document of this project is: name the right file",
+            f"{name} is larger than {MAX_DOCUMENT_BYTES // 1_000_000} MB, the largest document "
+            "that can be read",
+            "give the right file",
         )
     try:
-        objection = _objection_to_text(text)
-        value = None if objection else _construct(text)
+        rejection = _find_unsupported_syntax(text)
+        value = None if rejection else _construct_value(text)
     except _RepeatedKeyError as fault:
-        objection = (f"has the key {fault} twice", "write it once")
+        rejection = (f"has the key {fault} twice", "write the key once")
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as fault:
-        raise error(f"{name} is not a YAML document{_where(fault)}", _said(fault)) from fault
-    objection = objection or _objection_to_value(value)
-    if objection:
-        what, remedy = objection
-        raise error(f"{name} {what}", remedy)
+        raise error(
+            f"{name} is not a YAML document{_error_position(fault)} ({_parser_message(fault)})",
+            "correct the document, or give the right file",
+        ) from fault
+    rejection = rejection or _find_unsupported_value(value)
+    if rejection:
+        problem, remedy = rejection
+        raise error(f"{name} {problem}", remedy)
     return value
 
 
-def read_as(value: object, kind: type[T], name: str, error: type[GyrorigError] = UsageError) -> T:
-    """Return `value` as a `kind`, a msgspec structure with `forbid_unknown_fields`.
+def convert_document(
+    value: object, kind: type[T], name: str, error: type[GyrorigError] = UsageError
+) -> T:
+    """Convert `value` to a `kind`, a msgspec structure with `forbid_unknown_fields`.
 
     Raises:
-        GyrorigError: of the given class; a key is unknown or missing, or a type is wrong.
-            The text names the place, as in `rig.yaml: ptu: baud`, and what belongs there.
+        GyrorigError: of the given class; a key is unknown or missing, or a type is wrong. The
+            text names the place, as in `rig.yaml: ptu: baud`, and the values allowed there.
     """
     if value is None or isinstance(value, str | int | float | list):
         raise error(
-            f"{name} holds no keys with values, `key: value`",
-            "name the right file, or see config/ and the documentation for examples",
+            f"{name} has no lines of the form `key: value`",
+            "give the right file; there are examples in config/ and in the documentation",
         )
     try:
         return msgspec.convert(value, type=kind, strict=True)
     except (msgspec.ValidationError, ValueError) as fault:
-        from gyrorig_protocol.misfits import first_misfit  # noqa: PLC0415 - msgspec.inspect, seldom
+        from gyrorig_protocol import schema_errors  # noqa: PLC0415 - msgspec.inspect, seldom
 
-        found = first_misfit(value, kind)
-        if found is None:
-            raise error(name, _one_line(fault)) from fault
-        place = f"{name}: {found.place}" if found.place else name
-        raise error(f"{place} {found.what}", found.remedy) from fault
+        expected = schema_errors.find_expected_schema(kind)
+        if isinstance(value, dict) and expected is not None and "schema" in value:
+            wrong_schema = explain_wrong_schema(name, value["schema"], expected)
+            if wrong_schema is not None:
+                raise error(*wrong_schema) from fault
+        schema_error = schema_errors.find_schema_error(value, kind)
+        if schema_error is None:
+            raise error(
+                f"{name} cannot be used ({_single_line(fault)})", "correct the document"
+            ) from fault
+        location = f"{name}: {schema_error.location}" if schema_error.location else name
+        raise error(f"{location} {schema_error.problem}", schema_error.remedy) from fault
 
 
-def parse_schema(text: str | bytes, name: str, kind: type[T], schema: str, what: str) -> T:
-    """Return the result document that hostile YAML holds.
+def parse_result_document(text: str | bytes, name: str, kind: type[T], schema: str) -> T:
+    """Parse a document whose key `schema` is required, such as a calibration.
 
     Args:
         text: the document.
-        name: what to call it in an error, usually its file name.
+        name: the document's name in an error, usually its file name.
         kind: a msgspec structure with `forbid_unknown_fields`.
-        schema: what its key `schema` has to say.
-        what: such a document in an error: "is no calibration".
+        schema: the required value of the key `schema`.
 
     Raises:
-        InputError: it is not YAML, of another schema, or does not keep the contract.
+        InputError: it is not YAML, has another schema, or does not keep the contract.
     """
     value = parse_yaml(text, name, InputError)
-    found = value.get("schema") if isinstance(value, dict) else None
-    if found != schema:
-        said = "it has no key schema" if found is None else f"its schema is {str(found)[:40]!r}"
-        raise InputError(f"{name} {what}: {said}", f"name one whose schema is {schema!r}")
-    return read_as(value, kind, name, InputError)
+    found_schema = value.get("schema") if isinstance(value, dict) else None
+    wrong_schema = explain_wrong_schema(name, found_schema, schema)
+    if wrong_schema is not None:
+        raise InputError(*wrong_schema)
+    return convert_document(value, kind, name, InputError)
 
 
 def dump_yaml(document: Mapping[str, Any]) -> str:
-    """Return `document` as YAML that version 1.1 and 1.2 readers take alike.
+    """Format `document` as YAML that readers of version 1.1 and of 1.2 read in the same way.
 
-    Strings are quoted, floats have a point, lists of numbers stand on one line, mappings
-    keep their order, and there are no aliases and no tags.
+    Strings are quoted, floats have a point, lists of numbers are on one line, mappings keep
+    their order, and there are no aliases and no tags.
 
     Raises:
         TypeError: a value is neither a mapping, sequence, string, number, bool nor None.
     """
     return str(
         yaml.dump(
-            _plain(document), Dumper=_PlainDumper, sort_keys=False, width=1000, allow_unicode=True
+            _to_plain_types(document),
+            Dumper=_PlainDumper,
+            sort_keys=False,
+            width=1000,
+            allow_unicode=True,
         )
     )
 
@@ -135,29 +162,28 @@ class _RepeatedKeyError(Exception):
     """A mapping has a key twice; the text is the key."""
 
 
-def _one_line(fault: Exception) -> str:
-    """Return what a library says, without line ends and without end."""
+def _single_line(fault: Exception) -> str:
+    """Return a library's message on one line, cut to 200 characters."""
     return " ".join(str(fault).split())[:200]
 
 
-def _where(fault: Exception) -> str:
-    """Return the place in a text that a parser stopped at, where it knows one."""
+def _error_position(fault: Exception) -> str:
     mark = fault.problem_mark if isinstance(fault, yaml.MarkedYAMLError) else None
     return "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
 
 
-def _said(fault: Exception) -> str:
-    """Return what a parser says is wrong, without its own name for the text."""
+def _parser_message(fault: Exception) -> str:
+    """Return a parser's message without its own name for the text."""
     if not isinstance(fault, yaml.MarkedYAMLError):
-        return _one_line(fault)
-    begun = ""
+        return _single_line(fault)
+    context = ""
     if fault.context and fault.context_mark is not None:
-        begun = f" {fault.context} that begins in line {fault.context_mark.line + 1}"
-    return _one_line(Exception(f"{fault.problem}{begun}; mend it there"))
+        context = f" {fault.context} that begins in line {fault.context_mark.line + 1}"
+    return _single_line(Exception(f"{fault.problem}{context}"))
 
 
-def _objection_to_text(text: str | bytes) -> tuple[str, str] | None:
-    """Return why a document is not even to be constructed, and what to do about it."""
+def _find_unsupported_syntax(text: str | bytes) -> tuple[str, str] | None:
+    """Return why a document is rejected before it is constructed, and the remedy."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.AliasEvent):
@@ -166,7 +192,7 @@ def _objection_to_text(text: str | bytes) -> tuple[str, str] | None:
         if tag is not None:
             return f"uses the YAML tag {tag[:40]}", "write the value without it"
         if isinstance(event, yaml.ScalarEvent) and event.implicit[0]:
-            if _TWO_MEANINGS.fullmatch(event.value):
+            if _VERSION_DEPENDENT_SCALAR.fullmatch(event.value):
                 return (
                     f"holds {event.value[:40]}, which YAML 1.1 and 1.2 read differently",
                     "write it in full as a plain decimal number, or put it in quotes",
@@ -176,57 +202,56 @@ def _objection_to_text(text: str | bytes) -> tuple[str, str] | None:
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         if depth > MAX_DEPTH:
-            return f"is nested deeper than {MAX_DEPTH} levels", "take levels out"
+            return f"is nested deeper than {MAX_DEPTH} levels", "remove levels"
     return None
 
 
-def _construct(text: str | bytes) -> Any:
-    """Return the value of a document; raises `_RepeatedKeyError`."""
+def _construct_value(text: str | bytes) -> Any:
     loader = _Loader(text)
     try:
         node = loader.get_single_node()
-        _refuse_repeated_keys(node)
+        _reject_repeated_keys(node)
         return None if node is None else loader.construct_document(node)
     finally:
         loader.dispose()
 
 
-def _refuse_repeated_keys(node: yaml.Node | None) -> None:
+def _reject_repeated_keys(node: yaml.Node | None) -> None:
     if isinstance(node, yaml.SequenceNode):
         for item in node.value:
-            _refuse_repeated_keys(item)
+            _reject_repeated_keys(item)
     elif isinstance(node, yaml.MappingNode):
-        seen = set()
+        seen_keys = set()
         for key, item in node.value:
             if isinstance(key, yaml.ScalarNode):
-                if (key.tag, key.value) in seen:
-                    raise _RepeatedKeyError(_one_line(Exception(key.value))[:40])
-                seen.add((key.tag, key.value))
-            _refuse_repeated_keys(item)
+                if (key.tag, key.value) in seen_keys:
+                    raise _RepeatedKeyError(_single_line(Exception(key.value))[:40])
+                seen_keys.add((key.tag, key.value))
+            _reject_repeated_keys(item)
 
 
-def _objection_to_value(value: object) -> tuple[str, str] | None:
-    """Return why a constructed value is refused, and what to do about it."""
+def _find_unsupported_value(value: object) -> tuple[str, str] | None:
+    """Return why a constructed value is rejected, and the remedy."""
     if isinstance(value, dict):
-        inner = (_objection_to_value(part) for item in value.items() for part in item)
-        return next((objection for objection in inner if objection), None)
+        rejections = (_find_unsupported_value(part) for item in value.items() for part in item)
+        return next((rejection for rejection in rejections if rejection), None)
     if isinstance(value, list):
-        return next(filter(None, map(_objection_to_value, value)), None)
+        return next(filter(None, map(_find_unsupported_value, value)), None)
     if isinstance(value, float) and not math.isfinite(value):
         return f"holds {value}", "write a finite number"
     if isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
-        return f"holds an integer of {value.bit_length()} bits", "write a smaller one"
+        return f"holds an integer of {value.bit_length()} bits", "write a smaller number"
     if isinstance(value, datetime.date):
         return f"holds the date {value}", "put it in quotes"
     return None
 
 
-class _Row(list[Any]):
-    """A list of numbers: written on one line, as a person reads a vector."""
+class _NumberList(list[Any]):
+    """A list of numbers, written on one line."""
 
 
-class _Quoted(str):
-    """A string that is written in quotes."""
+class _QuotedString(str):
+    """A string, written in quotes."""
 
 
 class _PlainDumper(_Dumper):  # type: ignore[misc] # PyYAML's C dumper has no stub
@@ -234,14 +259,14 @@ class _PlainDumper(_Dumper):  # type: ignore[misc] # PyYAML's C dumper has no st
         return True
 
 
-def _quoted(dumper: Any, text: _Quoted) -> Any:
+def _represent_string(dumper: Any, text: _QuotedString) -> Any:
     return dumper.represent_scalar("tag:yaml.org,2002:str", str(text), style='"')
 
 
-def _float(dumper: Any, number: float) -> Any:
+def _represent_float(dumper: Any, number: float) -> Any:
     text = repr(number)
     if not math.isfinite(number):
-        raise TypeError(f"{text} has no place in a document: use null")
+        raise TypeError(f"{text} cannot be written to a document; use null")
     if "e" in text and "." not in text:
         text = text.replace("e", ".0e", 1)
     if "e" in text and "e-" not in text and "e+" not in text:
@@ -249,27 +274,27 @@ def _float(dumper: Any, number: float) -> Any:
     return dumper.represent_scalar("tag:yaml.org,2002:float", text)
 
 
-def _row(dumper: Any, row: "_Row") -> Any:
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", list(row), flow_style=True)
+def _represent_number_list(dumper: Any, numbers: "_NumberList") -> Any:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", list(numbers), flow_style=True)
 
 
-_PlainDumper.add_representer(_Row, _row)
-_PlainDumper.add_representer(_Quoted, _quoted)
-_PlainDumper.add_representer(float, _float)
+_PlainDumper.add_representer(_NumberList, _represent_number_list)
+_PlainDumper.add_representer(_QuotedString, _represent_string)
+_PlainDumper.add_representer(float, _represent_float)
 
 
-def _plain(value: object) -> Any:
-    """Return `value` made of the dumper's own kinds, keys as they are, strings quoted."""
+def _to_plain_types(value: object) -> Any:
+    """Convert `value` to the dumper's types: keys unquoted, strings quoted."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _to_plain_types(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        items = [_plain(item) for item in value]
-        numbers = all(item is None or isinstance(item, int | float) for item in items)
-        return _Row(items) if numbers else items
+        items = [_to_plain_types(item) for item in value]
+        is_numeric = all(item is None or isinstance(item, int | float) for item in items)
+        return _NumberList(items) if is_numeric else items
     if isinstance(value, str):
-        return _Quoted(value)
+        return _QuotedString(value)
     if value is None or isinstance(value, bool):
         return value
     if isinstance(value, int | float):  # also enumerations and NumPy's float64
         return int(value) if isinstance(value, int) else float(value)
-    raise TypeError(f"{type(value).__name__} has no place in a document")
+    raise TypeError(f"{type(value).__name__} cannot be written to a document")

@@ -1,4 +1,4 @@
-"""The one tree of errors, sorted by who must act.
+"""The hierarchy of errors, sorted by who must act.
 
     GyrorigError                      exit code
     |-- UsageError                    2   the person at the command line, or the configuration
@@ -7,9 +7,27 @@
     |-- MachineError                  1   whoever runs this computer (disk, permissions)
     `-- BusyError                     75  nobody: try again later
 
-Each text is one line: what is wrong, and what to do about it. No caller decides
-anything by reading a text; where a decision needs a detail, it is a field.
+Each text is one line: what is wrong. What to do. No caller decides anything by reading a
+text; where a decision needs a detail, it is a field.
 """
+
+import re
+
+_COMMAND_WORDS = frozenset({"gyrorig", "gyrorigd", "sudo", "pip", "make", "systemctl", "apt"})
+_PLAIN_WORD = re.compile(r"[a-z]+(?=[ ,;:]|\.?(?: |$))")
+
+
+def sentence(text: str) -> str:
+    """Return `text` as a sentence: a capital letter and a full stop.
+
+    A command, a path or an identifier at the start keeps its spelling.
+    """
+    if not text:
+        return text
+    first_word = _PLAIN_WORD.match(text)
+    if first_word and first_word.group() not in _COMMAND_WORDS:
+        text = text[0].upper() + text[1:]
+    return text if text.endswith((".", "!", "?")) else text + "."
 
 
 class GyrorigError(Exception):
@@ -17,15 +35,20 @@ class GyrorigError(Exception):
 
     exit_code = 1
 
-    def __init__(self, what: str, remedy: str = "") -> None:
-        """Join what is wrong and what to do about it into one line."""
-        super().__init__(f"{what}: {remedy}" if remedy else what)
-        self.what = what
+    def __init__(self, problem: str, remedy: str = "") -> None:
+        """Join two sentences into one line: the problem, and the remedy if there is one.
+
+        Args:
+            problem: a clause without a final full stop, for example "the port is busy".
+            remedy: an imperative, for example "stop the other program".
+        """
+        super().__init__(f"{problem.rstrip('.')}. {sentence(remedy)}" if remedy else problem)
+        self.problem = problem
         self.remedy = remedy
 
 
 class UsageError(GyrorigError):
-    """A command, a configuration or a program asks for what cannot be done.
+    """A command, a configuration or a motion program requests something impossible.
 
     Examples: an unknown key in rig.yaml; a program that turns past the unit's limits.
     """
@@ -34,7 +57,7 @@ class UsageError(GyrorigError):
 
 
 class InputError(GyrorigError):
-    """An input file is damaged, empty, foreign, or does not hold what was asked of it.
+    """An input file is damaged, empty, of another kind, or lacks the requested data.
 
     Examples: a recording without a board of that name; a document of an unknown schema.
     """
@@ -43,7 +66,7 @@ class InputError(GyrorigError):
 
 
 class DeviceError(GyrorigError):
-    """A device did not answer, answered an error, or is not the one it should be.
+    """A device did not answer, answered with an error, or is not the expected one.
 
     Examples: a silent pan-tilt unit; a move refused; a limit reached.
     """
@@ -52,12 +75,12 @@ class DeviceError(GyrorigError):
 
 
 class MachineError(GyrorigError):
-    """This computer cannot do what it must. Examples: disk full, no permission."""
+    """This computer failed. Examples: disk full, no permission."""
 
     exit_code = 1
 
 
 class BusyError(GyrorigError):
-    """Another process holds the port or the store; the same call may work later."""
+    """Another process uses the port or the store; the same call can succeed later."""
 
     exit_code = 75

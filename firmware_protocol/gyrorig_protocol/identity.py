@@ -1,4 +1,4 @@
-"""Names that become paths and topics, checked once at the edge."""
+"""Board names, checked once on input, because they become paths and topics."""
 
 import re
 
@@ -10,8 +10,7 @@ _BOARD_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")
 class BoardId(str):
     """A board's name: letters, digits and dashes, at most 32, not beginning with a dash.
 
-    The only way to make a path or a topic out of what a board, a file or a person
-    says is through this type.
+    Text from a board, a file or a person becomes part of a path or a topic only through this type.
 
     Raises:
         InputError: the text is not such a name.
@@ -20,10 +19,10 @@ class BoardId(str):
     __slots__ = ()
 
     def __new__(cls, text: str) -> "BoardId":
-        """Check `text` and return it as a board's name."""
+        """Check `text`."""
         if not _BOARD_ID.fullmatch(text):
             raise InputError(
-                f"{text[:40]!r} is no board name",
-                "use letters, digits and dashes, at most 32 of them",
+                f"{text[:40]!r} is not a valid board name",
+                "use at most 32 letters, digits and dashes, and begin with a letter or digit",
             )
         return super().__new__(cls, text)

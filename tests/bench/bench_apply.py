@@ -23,8 +23,8 @@ import numpy as np
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver import Calibration
-from gyrorig_solver.apply.recordings import apply_to_recording
-from gyrorig_solver.apply.tables import TableColumns, apply_to_table
+from gyrorig_solver.apply.corrected_recording import apply_to_recording
+from gyrorig_solver.apply.corrected_table import TableColumns, apply_to_table
 
 GOLDEN = Path(__file__).resolve().parents[1] / "unit" / "output" / "golden" / "good.yaml"
 LEAST_M_PER_S = 50.0

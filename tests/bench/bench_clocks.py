@@ -1,9 +1,9 @@
-"""How well clocks are mapped offline, against clocks and links whose truth is known.
+"""Accuracy of the offline clock maps, on simulated clocks and links with known true times.
 
-Each line is one of the bars of the time synchronisation notes, section 10. "Wander" is
-the rms of (estimated minus true time) after its constant part, which no one-way stamp can
-show; e* = (mu/f)^0.6 q^0.4 is what an ideal envelope leaves. Everything is seeded and
-simulated; nothing here waits.
+Each line is one accuracy limit of docs/clocks.md. "Wander" is the rms of (estimated minus
+true time) after its constant part, which no one-way timestamp can show;
+e* = (mu/f)^0.6 q^0.4 is the error of an ideal envelope. Everything is seeded and simulated;
+nothing here waits.
 
 Run: python tests/bench/bench_clocks.py [--quick]
 """
@@ -13,16 +13,21 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gyrorig_solver.clocks import map_clock, unwrap_ticks
-from gyrorig_solver.clocks import simulated as sim
-from gyrorig_solver.clocks.envelope import hull_line
-from gyrorig_solver.clocks.floor import bound_s, find_floor
-from gyrorig_solver.clocks.pings import Pings, link_floor
-from gyrorig_solver.clocks.smoother import smooth
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from numpy.typing import NDArray
+from tests.support import simulated_clocks as sim
+from tests.support.simulated_clocks import latency_bounds_of_samples
+
+from gyrorig_solver.data.clocks import map_clock, unwrap_ticks
+from gyrorig_solver.data.clocks.clock_smoother import smooth_clock
+from gyrorig_solver.data.clocks.latency_bounds import PingExchanges
+from gyrorig_solver.data.clocks.latency_floor import find_latency_floor, wander_bound_s
+from gyrorig_solver.data.clocks.lower_envelope import hull_line
 
 FloatArray = NDArray[np.float64]
 US = 1e6
@@ -46,15 +51,15 @@ def grid(quick: bool) -> Iterator[Row]:
                 rng = np.random.default_rng([round(mean_s * US), int(rate_hz), round(walk * 1e9)])
                 true_s = np.arange(int(seconds * rate_hz)) / rate_hz
                 x = sim.device_clock(true_s, rng, 50e-6, walk)
-                y = sim.uart(true_s, rng, mean_s) - x
-                best_us = bound_s(mean_s, 1.0 / rate_hz, walk) * US
-                floor = find_floor(x, y)
-                if floor.method != "envelope" or floor.structured:
+                y = sim.uart_arrivals(true_s, rng, mean_s) - x
+                best_us = wander_bound_s(mean_s, 1.0 / rate_hz, walk) * US
+                floor = find_latency_floor(x, y)
+                if floor.method != "envelope" or floor.structure_reason:
                     raise SystemExit(f"{mean_s} {rate_hz} {walk}: {floor.method}")
-                second = smooth(x, y, hull_line(x, y), mean_s)
-                envelopes.append(wander(x + floor.envelope.at(x), true_s)[0] / best_us)
+                second = smooth_clock(x, y, hull_line(x, y), mean_s)
+                envelopes.append(wander(x + floor.envelope.delay_at(x), true_s)[0] / best_us)
                 if second is not None:
-                    smoothers.append(wander(x + second.floor.at(x), true_s)[0] / best_us)
+                    smoothers.append(wander(x + second.floor.delay_at(x), true_s)[0] / best_us)
     for name, ratios, goal in (("envelope", envelopes, 0.8), ("smoother", smoothers, 2.0)):
         yield (
             f"exp. jitter, wander, {seconds / 60:.0f} min, grid of 18: {name}",
@@ -71,7 +76,7 @@ def line(quick: bool) -> Iterator[Row]:
         rng = np.random.default_rng(seed)
         x = np.arange(30_000) / 400.0
         y = 20e-6 * x + rng.exponential(3e-4, x.size)
-        errors.append(wander(hull_line(x, y).at(x), 20e-6 * x)[0])
+        errors.append(wander(hull_line(x, y).delay_at(x), 20e-6 * x)[0])
     unit_us = 3e-4 / 30_000 * US
     rms = float(np.sqrt(np.mean(np.square(errors)))) / unit_us
     yield "75 s line, n = 30000", "<= 3 mu/n", f"{rms:.2f} mu/n rms of {len(errors)}", rms <= 3.0
@@ -86,7 +91,7 @@ def usb_frames(quick: bool) -> Iterator[Row]:
                 rng = np.random.default_rng([seed, int(seconds), round(skew * 1e7)])
                 true_s = sim.random_instants(seconds, 20.0, rng)
                 ticks = sim.raw_ticks(sim.device_clock(true_s, rng, skew, 1e-8))
-                clock = map_clock(ticks, sim.usb(true_s, rng), sim.TICK_HZ, 32)
+                clock = map_clock(ticks, sim.usb_arrivals(true_s, rng), sim.TICK_HZ, 32)
                 found.append(wander(clock.time_s, true_s)[0])
         rms = float(np.sqrt(np.mean(np.square(found))))
         yield (
@@ -116,7 +121,11 @@ def long_session(quick: bool) -> Iterator[Row]:
         shown_s = sim.device_clock(true_s, rng, 50e-6, 1e-8, 5e-6)
         ticks = sim.raw_ticks(shown_s, sim.WRAP - 10_000_000)
         del shown_s
-        host_s = sim.uart(true_s, rng, 3e-4) if name.startswith("UART") else sim.usb(true_s, rng)
+        host_s = (
+            sim.uart_arrivals(true_s, rng, 3e-4)
+            if name.startswith("UART")
+            else sim.usb_arrivals(true_s, rng)
+        )
         sequence = np.arange(n) % 65_536
         held_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         begun = time.process_time()
@@ -141,10 +150,10 @@ def faults(quick: bool) -> Iterator[Row]:
             trial = sim.fault_trial(fault, seed)
             clock = unwrap_ticks(trial.ticks, trial.host_s, sim.TICK_HZ, 32, trial.sequence)
             begins = tuple(found.index for found in clock.faults)
-            bad = sim.judged_wrong(trial, begins, clock.steps, np.flatnonzero(clock.late))
+            bad = sim.is_misclassified(trial, begins, clock.steps, np.flatnonzero(clock.late_mask))
             bad |= clock.wraps != trial.wraps
-            wrong += bad and bool(trial.begins)
-            false += bad and not trial.begins
+            wrong += bad and bool(trial.segment_starts)
+            false += bad and not trial.segment_starts
     yield (
         f"faults: {', '.join(sim.FAULTS[1:])}; {len(sim.FAULTS)} x {trials}",
         "0 wrong, 0 false",
@@ -162,10 +171,12 @@ def two_way(quick: bool) -> Iterator[Row]:
             for seed in range(5 if quick else 40):
                 trial = sim.ping_trial(link, seed, seconds)
                 clock = map_clock(trial.ticks, trial.host_s, sim.TICK_HZ, 32)
-                pings = Pings(
+                pings = PingExchanges(
                     trial.send_s, trial.receive_s, trial.device_receive, trial.device_send
                 )
-                floor = link_floor(pings, trial.ticks, trial.host_s, clock, sim.TICK_HZ, 32)
+                floor = latency_bounds_of_samples(
+                    pings, trial.ticks, trial.host_s, clock, sim.TICK_HZ, 32
+                )
                 if floor is None:
                     raise SystemExit(f"{link} {seconds} {seed}: no interval")
                 low, high = floor.bounds_at(clock.time_s)
@@ -174,7 +185,7 @@ def two_way(quick: bool) -> Iterator[Row]:
                 missed += int(np.sum((latency < low - 2e-6) | (latency > high + 2e-6)))
                 samples += latency.size
                 widths.append(float(np.mean(high - low)) * 1e3)
-                middle_s = clock.time_s - floor.middle_at(clock.time_s)
+                middle_s = clock.time_s - floor.midpoint_at(clock.time_s)
                 errors.append(float(np.mean(middle_s - trial.true_s)) * US)
                 wanders.append(wander(middle_s, trial.true_s)[0])
         yield (

@@ -21,9 +21,9 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.clocks.envelope import forget_envelopes
-from gyrorig_solver.discover import finder, search
-from gyrorig_solver.findings import explaining
+from gyrorig_solver.data.clocks.lower_envelope import _cached_envelope
+from gyrorig_solver.discover import cause_search, fit_explanation
+from gyrorig_solver.pipeline import explain_board
 
 ROOT = Path(__file__).resolve().parents[2]
 EIGHT = (
@@ -84,15 +84,15 @@ def steps(path: Path) -> tuple[dict[str, float], list[str]]:
         return call
 
     watched = [
-        (finder, "unit_solution", "base fit"),
-        (search, "sights", "score passes"),
-        (search, "refit", "exact fits"),
-        (search, "solve_again", "fits of all"),
-        (finder, "held_out", "held-out gain"),
-        (explaining, "write_explanation", "report"),
+        (explain_board, "fit_base", "base fit"),
+        (cause_search, "scan_catalogue", "score passes"),
+        (cause_search, "fit_candidate", "exact fits"),
+        (cause_search, "refit", "fits of all"),
+        (fit_explanation, "cross_validate_causes", "held-out gain"),
+        (explain_board, "write_explanation", "report"),
     ]
     before = [(module, name, getattr(module, name)) for module, name, _ in watched]
-    forget_envelopes()
+    _cached_envelope.cache_clear()
     begin = time.process_time()
     try:
         for module, name, step in watched:
@@ -100,7 +100,8 @@ def steps(path: Path) -> tuple[dict[str, float], list[str]]:
         recording = booked("read", read_recording)(path)
         board = recording.board_ids[0]
         with tempfile.TemporaryDirectory() as out:
-            written = explaining.explain_into(Path(out), [recording], board)
+            explanation = explain_board.explain_board([recording], board)
+            written = explain_board.write_explanation(Path(out), explanation)
     finally:
         for module, name, own in before:
             setattr(module, name, own)

@@ -29,9 +29,9 @@ from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration.store import CalibrationStore
-from gyrorig_solver.fleet.index import Index
-from gyrorig_solver.fleet.shelf import Chosen, newest
+from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store.store_queries import VersionFilter, newest_versions
 
 BIN = Path(sys.executable).parent
 GYRORIG = str(BIN / "gyrorig")
@@ -217,8 +217,8 @@ def index_of_a_million() -> None:
     with tempfile.TemporaryDirectory() as folder:
         store = Path(folder) / "store"
         write_fleet(store, FleetPlan(boards=MILLION_BOARDS, nights=MILLION_NIGHTS, measured=1.0))
-        index = Index(store)
-        (count,) = index.ask("SELECT count(*) FROM rows")[0]
+        index = StoreIndex(store)
+        (count,) = index.query("SELECT count(*) FROM rows")[0]
         size = sum(path.stat().st_size for path in (store / "index").glob("*.parquet"))
         say(
             f"\n{count} rows, {MILLION_BOARDS} boards: {size / 1e6:.0f} MB, "
@@ -227,14 +227,16 @@ def index_of_a_million() -> None:
         say("| question | on the clock, s | processor, s |")
         say("|---|---|---|")
         questions: dict[str, Callable[[], object]] = {
-            "all versions of one board": lambda: index.ask(
+            "all versions of one board": lambda: index.query(
                 "SELECT version, scale_z FROM rows WHERE board = 'B012345' ORDER BY version"
             ),
-            "the newest version of each board, 1000 of them": lambda: newest(store, Chosen(), 1000),
-            "mean and scatter of a parameter by sensor": lambda: index.ask(
+            "the newest version of each board, 1000 of them": lambda: newest_versions(
+                store, VersionFilter(), 1000
+            ),
+            "mean and scatter of a parameter by sensor": lambda: index.query(
                 "SELECT sensor, avg(scale_z), stddev(scale_z) FROM rows GROUP BY sensor"
             ),
-            "the keys of all work done (at each start of a batch)": index.done,
+            "the keys of all work done (at each start of a batch)": index.finished_keys,
         }
         for name, ask in questions.items():
             begun, cpu = time.monotonic(), time.process_time()
@@ -258,7 +260,7 @@ def peer(work: Path, boards: int) -> None:
         with tempfile.TemporaryDirectory() as folder:
             store = Path(folder) / "s"
             subprocess.run(batch(spool, store, "--workers", "1"), check=True, capture_output=True)
-            ((mine,),) = Index(store).ask("SELECT avg(seconds) FROM rows")
+            ((mine,),) = StoreIndex(store).query("SELECT avg(seconds) FROM rows")
         paths = sorted(spool.glob("*.mcap"))
         own = sum(timed(partial(read_recording, path)) for path in paths) / boards
         say(f"| {kind} | {each:.2f} | {reading:.2f} | {mine:.2f} | {own:.3f} | {each / mine:.1f} |")

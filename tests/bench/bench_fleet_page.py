@@ -21,8 +21,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.bench.fleet.browser import PATIENCE_S, chromium
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
-from gyrorig_solver.fleet.overview import overview, read_origins
-from gyrorig_solver.fleet.page import write_page
+from gyrorig_solver.fleet.drift.fleet_overview import build_overview, read_origins
+from gyrorig_solver.fleet.page.fleet_page import write_fleet_page
 
 FREEZE_MS = 500.0  # longer is felt as a stop
 LOAD_MS = 10_000.0
@@ -87,9 +87,9 @@ def made(folder: Path, plan: FleetPlan) -> tuple[Path, dict[str, float]]:
     store = folder / "store"
     table = write_fleet(store, plan)
     begun_s = time.process_time()
-    found = overview(store, read_origins(table))
+    found = build_overview(store, read_origins(table))
     asked_s = time.process_time()
-    page = Path(write_page(store, found))
+    page = Path(write_fleet_page(store, found))
     return page, {
         "overview, s of CPU": asked_s - begun_s,
         "page, s of CPU": time.process_time() - asked_s,

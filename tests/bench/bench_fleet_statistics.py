@@ -25,19 +25,19 @@ from tests.bench.fleet.parts import ERROR, SCATTER, SPREAD
 from tests.bench.fleet.shewhart import LIMIT, beyond, group_means
 from tests.bench.synthetic_fleet import FleetPlan, column_of, rooms_of
 
-from gyrorig_solver.fleet.charts import (
-    GROUP_ALPHA,
+from gyrorig_solver.fleet.drift.common_offsets import NOMINAL_VALUES
+from gyrorig_solver.fleet.drift.ewma_charts import (
+    GROUP_FALSE_ALARM_RATE,
     Grouping,
-    Nights,
+    ParameterHistory,
+    benjamini_hochberg,
     board_p_values,
-    chart,
-    discoveries,
-    moved_groups,
-    what_moved,
+    detect_drift,
+    ewma_chart,
+    shifted_groups,
 )
-from gyrorig_solver.fleet.comparing import compared
-from gyrorig_solver.fleet.constants import NOMINAL
-from gyrorig_solver.fleet.newest import PARAMETERS, Newest
+from gyrorig_solver.fleet.drift.fleet_overview import compare_groups
+from gyrorig_solver.fleet.drift.latest_calibrations import PARAMETER_COLUMNS, LatestCalibrations
 
 BOARDS, NIGHTS, RIGS, LOTS, BEGIN = 400, 40, 8, 4, 20
 TEMPERATURE = {"bias_x": 1e-4, "bias_y": -6e-5, "bias_z": 3e-5}
@@ -88,7 +88,7 @@ def plan_of(seed: int, kind: str, size: float) -> FleetPlan:
         temperature_per_c=TEMPERATURE,
         slope_spread=SLOPE_SPREAD,
     )
-    name = str(rng.choice([*NOMINAL] if kind == "constant" else PARAMETERS))
+    name = str(rng.choice([*NOMINAL_VALUES] if kind == "constant" else PARAMETER_COLUMNS))
     f, sign = family(name), float(rng.choice((-1.0, 1.0)))
     if kind == "rig":
         a_night = sign * size * float(np.hypot(SCATTER[f], ERROR[f]))
@@ -109,7 +109,7 @@ class Fleet:
         kept, self.temperature = rooms_of(plan, rng)
         self.value: dict[str, np.ndarray] = {}
         self.variance: dict[str, np.ndarray] = {}
-        for name in PARAMETERS:
+        for name in PARAMETER_COLUMNS:
             value, std = column_of(plan, name, rng, self.temperature)
             self.value[name] = np.where(kept, value, np.nan)
             self.variance[name] = np.where(kept, std**2, np.nan)
@@ -120,22 +120,22 @@ class Fleet:
             Grouping.by_name(kind, [f"{kind}-{n:05d}" for n in of]) for kind, of in groups.items()
         ]
 
-    def nights(self, name: str, until: int) -> Nights:
+    def nights(self, name: str, until: int) -> ParameterHistory:
         """Return one parameter's history up to and with a night."""
         upto = slice(0, until + 1)
-        return Nights(
+        return ParameterHistory(
             name, self.value[name][upto], self.variance[name][upto], self.temperature[upto]
         )
 
-    def newest(self, night: int) -> Newest:
+    def newest(self, night: int) -> LatestCalibrations:
         """Return what the index would say of the boards after a night."""
         board = np.arange(self.plan.boards)
         last = {}
-        for name in PARAMETERS:
+        for name in PARAMETER_COLUMNS:
             there = np.isfinite(self.value[name][: night + 1])
             last[name] = night - np.argmax(there[::-1], axis=0)
         none = [""] * len(board)
-        return Newest(
+        return LatestCalibrations(
             board=[str(n) for n in board],
             sensor=["L3G4200D"] * len(board),
             rig=[f"rig-{n:05d}" for n in self.groups["rig"]],
@@ -145,14 +145,14 @@ class Fleet:
             findings=none,
             file=none,
             version=[1] * len(board),
-            versions=[1] * len(board),
+            version_count=[1] * len(board),
             start_s=np.zeros(len(board)),
-            chi2=np.ones(len(board)),
+            reduced_chi2=np.ones(len(board)),
             temperature_c=np.full(len(board), 25.0),
-            skew_ppm=np.full(len(board), np.nan),
-            count_rad_s=np.full(len(board), np.nan),
-            value={n: self.value[n][last[n], board] for n in PARAMETERS},
-            std={n: np.sqrt(self.variance[n][last[n], board]) for n in PARAMETERS},
+            clock_skew_ppm=np.full(len(board), np.nan),
+            count_size_rad_s=np.full(len(board), np.nan),
+            value={n: self.value[n][last[n], board] for n in PARAMETER_COLUMNS},
+            std={n: np.sqrt(self.variance[n][last[n], board]) for n in PARAMETER_COLUMNS},
         )
 
 
@@ -160,13 +160,13 @@ def ours(fleet: Fleet, kind: str) -> Told:
     """Ask a fleet as `gyrorig fleet` does, night after night."""
     delay, wrong, board_nights = None, 0, 0
     for night in range(BEGIN, NIGHTS):
-        charts = [chart(fleet.nights(name, night)) for name in PARAMETERS]
-        moved = what_moved(charts, fleet.groupings)
-        told = [(one.kind, one.group, one.parameter) for one in moved.groups]
-        _, constants, differing = compared(fleet.newest(night))
-        common = [one.told.parameter for one in constants if one.told.is_common]
+        charts = [ewma_chart(fleet.nights(name, night)) for name in PARAMETER_COLUMNS]
+        moved = detect_drift(charts, fleet.groupings)
+        told = [(one.kind, one.group, one.parameter) for one in moved.group_shifts]
+        _, constants, differing = compare_groups(fleet.newest(night))
+        common = [one.result.parameter for one in constants if one.result.is_common]
         told += [("constant", "all", name) for name in common]
-        told += [(k, one.most, one.parameter) for _, k, one in differing]
+        told += [(k, one.extreme_group, one.parameter) for _, k, one in differing]
         right = hidden_in(fleet.plan, kind)
         if right in told and delay is None:
             delay = night - BEGIN + 1
@@ -185,11 +185,11 @@ def usual(fleet: Fleet, kind: str, limit: float) -> Told:
     """
     delay, wrong, board_nights = None, 0, 0
     right = hidden_in(fleet.plan, kind)
-    for name in PARAMETERS:
+    for name in PARAMETER_COLUMNS:
         value = fleet.value[name]
         board_nights += int(beyond(value, limit)[BEGIN:].sum())
         for grouping in fleet.groupings:
-            means = group_means(value, grouping.of, len(grouping.names))
+            means = group_means(value, grouping.group_index, len(grouping.names))
             for night, group in zip(*np.nonzero(beyond(means, limit)[BEGIN:]), strict=True):
                 if (grouping.kind, grouping.names[group], name) == right and kind == "rig":
                     delay = min(delay or NIGHTS, int(night) + 1)
@@ -204,18 +204,18 @@ def usual(fleet: Fleet, kind: str, limit: float) -> Told:
     return Told(delay, wrong, board_nights)
 
 
-def _of_newest(newest: Newest, limit: float) -> Iterator[tuple[str, str, str]]:
+def _of_newest(newest: LatestCalibrations, limit: float) -> Iterator[tuple[str, str, str]]:
     """Yield lots, and means against nominal, that far beyond deviations of their mean."""
     lots = np.array(newest.lot)
-    for name in PARAMETERS:
+    for name in PARAMETER_COLUMNS:
         value = newest.value[name]
         sigma, centre = float(np.nanstd(value, ddof=1)), float(np.nanmean(value))
         for lot in sorted(set(newest.lot)):
             here = value[lots == lot]
             if abs(float(np.nanmean(here)) - centre) > limit * sigma / np.sqrt(here.size):
                 yield "lot", lot, name
-        if name in NOMINAL:
-            off = abs(centre - NOMINAL[name])
+        if name in NOMINAL_VALUES:
+            off = abs(centre - NOMINAL_VALUES[name])
             if off > limit * sigma / np.sqrt(value.size):
                 yield "constant", "all", name
 
@@ -239,8 +239,8 @@ def cases(fleets: int, first_seed: int) -> Iterator[Case]:
         sizes = KINDS[kind]
         size = sizes[number // len(kinds) % len(sizes)]
         fleet = Fleet(plan_of(first_seed + number, kind, size))
-        tests = len(PARAMETERS) * sum(len(one.names) for one in fleet.groupings)
-        same = float(-ndtri(0.5 * GROUP_ALPHA / tests))
+        tests = len(PARAMETER_COLUMNS) * sum(len(one.names) for one in fleet.groupings)
+        same = float(-ndtri(0.5 * GROUP_FALSE_ALARM_RATE / tests))
         yield Case(
             kind, size, ours(fleet, kind), usual(fleet, kind, LIMIT), usual(fleet, kind, same)
         )
@@ -267,25 +267,25 @@ def raised(boards: int, asked: int, seed: int) -> dict[str, float]:
         Grouping.by_name(kind, [f"{kind}-{n:05d}" for n in of])
         for kind, of in (("rig", board % 64), ("lot", board % 20), ("fleet", board * 0))
     ]
-    tests = len(PARAMETERS) * sum(len(one.names) for one in groupings)
-    p = np.full((asked, boards, len(PARAMETERS)), np.nan, dtype=np.float32)
+    tests = len(PARAMETER_COLUMNS) * sum(len(one.names) for one in groupings)
+    p = np.full((asked, boards, len(PARAMETER_COLUMNS)), np.nan, dtype=np.float32)
     groups = usual_boards = usual_groups = 0
-    for at, name in enumerate(PARAMETERS):
+    for at, name in enumerate(PARAMETER_COLUMNS):
         value, std = column_of(plan, name, rng, temperature)
         value[~kept] = np.nan
         for night in range(asked):
             upto = slice(0, 12 + night + 1)
-            one = chart(Nights(name, value[upto], std[upto] ** 2, temperature[upto]))
-            moves, left = moved_groups(one, groupings, tests)
+            one = ewma_chart(ParameterHistory(name, value[upto], std[upto] ** 2, temperature[upto]))
+            moves, left = shifted_groups(one, groupings, tests)
             groups += len(moves)
             p[night, :, at] = board_p_values([left])[:, 0]
         usual_boards += int(beyond(value)[12:].sum())
         for grouping in groupings:
-            means = group_means(value, grouping.of, len(grouping.names))
+            means = group_means(value, grouping.group_index, len(grouping.names))
             usual_groups += int(beyond(means)[12:].sum())
         sys.stderr.write(f"\r{name:<24}")
     sys.stderr.write("\n")
-    told = [int(discoveries(night.astype(np.float64)).sum()) for night in p]
+    told = [int(benjamini_hochberg(night.astype(np.float64)).sum()) for night in p]
     return {
         "boards": boards,
         "nights": asked,

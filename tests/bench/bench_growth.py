@@ -76,7 +76,7 @@ class Clock:
 def solve_here(path: Path, out: Path) -> dict[str, Any]:
     """Solve in this process, and tell what it took."""
     # Only here: the parent stays small, and the clock finds what is imported.
-    importlib.import_module("gyrorig_solver.commands.solve")
+    importlib.import_module("gyrorig_solver.commands.solve_command")
     from gyrorig_solver.cli import run  # noqa: PLC0415
 
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3

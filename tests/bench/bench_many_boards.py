@@ -22,27 +22,28 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import parse_rig
-from gyrorig_daemon.description import SessionOrder
-from gyrorig_daemon.emulated import rig_settings
-from gyrorig_daemon.emulator.causes import parse_hide
-from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.causes import parse_injection
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
-from gyrorig_daemon.session import Surroundings, record_session
+from gyrorig_daemon.session.emulator_process import emulated_rig_settings
+from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session_description import SessionRequest
 from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.estimate.extension import Extension
-from gyrorig_solver.estimate.result import GyroFit
-from gyrorig_solver.findings.explaining import Explanation, explain_unit
-from gyrorig_solver.model.gain import FACTOR_NAMES, factorise
-from gyrorig_solver.samples import GyroSamples, load_samples
-from gyrorig_solver.solve import solve_recordings
-from gyrorig_solver.together import load_together, solve_on_one_unit
+from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.model.gain_matrix import FACTOR_NAMES, factorise
+from gyrorig_solver.pipeline.explain_board import BoardExplanation, explain_unit_boards
+from gyrorig_solver.pipeline.fit_board import solve_recordings
+from gyrorig_solver.pipeline.fit_jointly import JointFit, solve_jointly
+from gyrorig_solver.pipeline.joint_data import load_jointly
 
 ROOT = Path(__file__).resolve().parents[2]
 ORIGIN_NS = 5_000_000_000
@@ -72,19 +73,20 @@ def session(
     truth = {name: board.imu.gain for name, board in rig.truth.boards.items()}
     recording = read_recording(path)
     boards = recording.board_ids
-    found = explain_unit([recording], boards) if hide else {}
+    joint_data = load_jointly([recording], boards)
+    found = explain_unit_boards(joint_data) if hide else {}
     named = {
-        str(board): one.findings.extensions
+        str(board): one.findings.fitted_terms
         for board, one in found.items()
-        if isinstance(one, Explanation)
+        if isinstance(one, BoardExplanation)
     }
     begun_s = time.process_time()
     alone = {
-        board: solve_recordings([recording], board, named=_own(named.get(board, ())))
+        board: solve_recordings([recording], board, named_terms=_own(named.get(board, ())))
         for board in boards
     }
     half_s = time.process_time()
-    together = solve_on_one_unit([recording], boards, named=named)
+    together = solve_jointly(load_jointly([recording], boards), named_terms=named)
     cpu_s = half_s - begun_s, time.process_time() - half_s
     std, error = np.zeros((2, len(boards), 9)), np.zeros((2, len(boards), 9))
     taken = 0
@@ -93,11 +95,11 @@ def session(
         for way, fit in enumerate((alone[board], _fit(together[board]))):
             std[way, n] = [fit.std[name] for name in FACTOR_NAMES]
             error[way, n] = [fit.value(name) for name in FACTOR_NAMES] - true
-        taken += int("boards_together" in _fit(together[board]).extra)
+        taken += int("boards_together" in _fit(together[board]).extra_numbers)
     on_bus = [board for board in boards if board.startswith("C")]
     apart_s = (
         _apart_s(recording, rig, end_ns, {b: load_samples(recording, b) for b in on_bus}),
-        _apart_s(recording, rig, end_ns, load_together(recording, on_bus).samples),
+        _apart_s(recording, rig, end_ns, _shared_samples(recording, on_bus)),
     )
     values = np.array(
         [
@@ -108,9 +110,9 @@ def session(
     return Compared(std, error, cpu_s, taken, apart_s, values[..., 0], values[..., 1])
 
 
-def _own(named: Sequence[Extension]) -> list[Extension]:
+def _own(named: Sequence[FittedTerm]) -> list[FittedTerm]:
     """Return causes as one board knows them, not told of the others."""
-    return [replace(one, told=None) for one in named]
+    return [replace(one, other_boards_prior=None) for one in named]
 
 
 def _causes(fit: GyroFit) -> np.ndarray:
@@ -153,10 +155,16 @@ def _bus(board: str) -> int:
     return (int(board[1:]) - 1) // 4
 
 
-def _fit(found: GyroFit | GyrorigError) -> GyroFit:
-    if isinstance(found, GyrorigError):
-        raise found
-    return found
+def _shared_samples(recording: Recording, boards: Sequence[str]) -> dict[str, GyroSamples]:
+    """Return the samples of boards on one bus, on their common time base."""
+    loaded = load_jointly([recording], boards).boards
+    return {board: data.samples[0] for board, data in loaded.items()}
+
+
+def _fit(joint_fit: JointFit | GyrorigError) -> GyroFit:
+    if isinstance(joint_fit, GyrorigError):
+        raise joint_fit
+    return joint_fit.fit
 
 
 def _recorded(
@@ -168,7 +176,10 @@ def _recorded(
     config_text = dump_yaml(document).encode()
     config = parse_rig(config_text, "rig.yaml")
     program_text = (ROOT / "config" / "programs" / "quick.yaml").read_bytes()
-    settings = replace(rig_settings(config, seed), hide=tuple(parse_hide(text) for text in hide))
+    settings = replace(
+        emulated_rig_settings(config, seed),
+        injections=tuple(parse_injection(text) for text in hide),
+    )
     rig = EmulatedRig(settings, ORIGIN_NS)
     hub = VirtualHub(rig)
     capture = CaptureClock(1_767_232_800_000_000_000 + 10**12 * seed, hub.now_ns())
@@ -177,8 +188,10 @@ def _recorded(
         now_ns = hub.now_ns()
         return HostClocks(now_ns, now_ns, capture.utc_ns(now_ns), 0.0, 0.0, 0)
 
-    around = Surroundings(capture, read_host, threaded_writer=False, host="emulated", seed=seed)
-    order = SessionOrder(
+    around = SessionEnvironment(
+        capture, read_host, threaded_writer=False, host="emulated", seed=seed
+    )
+    order = SessionRequest(
         config=config,
         config_text=config_text,
         program=parse_program(program_text, "quick.yaml"),

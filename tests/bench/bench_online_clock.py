@@ -15,17 +15,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import RigConfig, parse_rig
-from gyrorig_daemon.description import SessionOrder
-from gyrorig_daemon.emulated import rig_settings
-from gyrorig_daemon.emulator.physics.clock import DeviceClock
-from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.physics.device_clock import DeviceClock
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
-from gyrorig_daemon.session import Surroundings, record_session
+from gyrorig_daemon.session.emulator_process import emulated_rig_settings
+from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session_description import SessionRequest
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import MotionProgram, Rest, Step
-from gyrorig_protocol.recording.messages import PTU_POSITION_TOPIC, imu_topic
+from gyrorig_protocol.recording.messages import PTU_POSITION_TOPIC, imu_raw_topic
 from gyrorig_protocol.recording.reader import read_recording
 
 ORIGIN_NS = 5_000_000_000
@@ -46,16 +46,16 @@ FloatArray = NDArray[np.float64]
 
 def record(config: RigConfig, seconds: float, folder: Path) -> tuple[Path, EmulatedRig]:
     """Record a rest and return the recording and the rig behind it."""
-    rig = EmulatedRig(rig_settings(config), ORIGIN_NS)
+    rig = EmulatedRig(emulated_rig_settings(config), ORIGIN_NS)
     hub = VirtualHub(rig)
     capture = CaptureClock(UTC_NS, ORIGIN_NS)
     program = MotionProgram("rest", (Step(rest=Rest(seconds, "static")),))
-    order = SessionOrder(config, b"", program, b"", folder, f"s{config.emulator.seed}")
+    order = SessionRequest(config, b"", program, b"", folder, f"s{config.emulator.seed}")
 
     def read_host() -> HostClocks:
         return HostClocks(hub.now_ns(), hub.now_ns(), capture.utc_ns(hub.now_ns()), 0.0, 0.0, 0)
 
-    around = Surroundings(capture, read_host, False, "bench", config.emulator.seed)
+    around = SessionEnvironment(capture, read_host, False, "bench", config.emulator.seed)
     return record_session(hub, order, around), rig
 
 
@@ -108,7 +108,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 path, rig = record(parse_rig(text, "bench"), given.seconds, Path(folder))
                 board = rig.boards["B"].clock
-                found["board"].append(errors(path, rig, imu_topic(BoardId("B")), board))
+                found["board"].append(errors(path, rig, imu_raw_topic(BoardId("B")), board))
                 if rig.ptu is not None:
                     unit = rig.ptu.unit.clock
                     found["unit"].append(errors(path, rig, PTU_POSITION_TOPIC, unit))

@@ -25,6 +25,7 @@ from tests.bench.peers import factor_graph, figures, measured, turns
 from tests.bench.peers.recording import CROSS, SWEEPS
 
 ALL, NO_ROLL = (0, 1, 2), (0, 2)
+PAPER_CYCLE = "The motion is the cycle of the paper: pan moves at tilt 0, and tilt moves at pan 0."
 
 
 def say(text: str) -> None:
@@ -35,20 +36,22 @@ def say(text: str) -> None:
 
 def simulated(seeds: int) -> None:
     """Print the tables of the simulated recordings."""
-    say(f"\nEach rms error is good to {figures.spread_percent(seeds):.0f} %, one sigma.")
+    say(f"\nThe standard uncertainty of each rms error is {figures.spread_percent(seeds):.0f} %.")
     for title, program, columns in (
-        ("Pan at tilts of both signs", SWEEPS, ALL),
-        ("The paper's cycle: pan at tilt 0, tilt at pan 0", CROSS, NO_ROLL),
+        ("Pan sweeps at positive and at negative tilts.", SWEEPS, ALL),
+        (PAPER_CYCLE, CROSS, NO_ROLL),
     ):
         for known in (True, False):
-            given = "the unit's angles given" if known else "the unit's answers only"
-            say(f"\n{title}; {given}; {seeds} runs\n")
+            given = "the true angles" if known else "only the position replies"
+            say(f"\n{title}")
+            say(f"Every method gets {given} of the unit. The table is from {seeds} runs.\n")
             errors, bounds = figures.runs(program, seeds, known, columns)
             say(figures.accuracy(errors, bounds, known))
             if columns != ALL and known:
-                say("")
+                say("\nThis motion does not determine the roll column of the gain.\n")
                 say(figures.hidden_column(errors))
-    say(f"\nSix rests and three whole turns, imucal's kind of session; {seeds} runs\n")
+    say("\nThe session has six rests and three full turns, as imucal expects.")
+    say(f"The table is from {seeds} runs.\n")
     say(figures.turned(seeds))
 
 
@@ -61,12 +64,15 @@ def others() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         found = measured.imported(data, Path(folder))
-        say("\nMotion capture (broad): one trial fitted, another of the same unit judged\n")
+        say("\nMotion capture (BROAD): each method is fitted to one trial and tested on another")
+        say("trial of the same sensor unit. The head gives fitted → tested trial, the cells the")
+        say("rms rotation error of windows of 1 s.\n")
         say(measured.motion_capture(found))
-        say("\nGravity (imu_tk_xsens): half of the moves fitted, the other half judged\n")
+        say("\nGravity (imu_tk_xsens): a fit to one half of the moves is tested on the other half,")
+        say('except in rows with "all moves".\n')
         say(measured.gravity(found))
         if turns.imucal_installed():
-            say("\nTurns by hand (imucal_ferraris), imucal beside ours\n")
+            say("\nTurns by hand (imucal_ferraris): our solver compared with imucal.\n")
             say(measured.hand_turns(found))
 
 
@@ -85,7 +91,7 @@ def main() -> int:
             say(f"left out, {name} is not installed here: pip install {name}")
     simulated(asked.seeds)
     others()
-    say("")
+    say("\nThe last table gives the processor time for a recording of 75 s at 800 Hz.\n")
     say(figures.times(asked.repeat))
     say(f"\n{time.monotonic() - begun:.0f} s")
     return 0

@@ -24,11 +24,11 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.framing import walk
-from gyrorig_protocol.recording.messages import PTU_POSITION_TOPIC, PtuPosition, imu_topic
+from gyrorig_protocol.recording.mcap.mcap_summary import read_summary
+from gyrorig_protocol.recording.mcap.record_scan import scan_records
+from gyrorig_protocol.recording.messages import PTU_POSITION_TOPIC, PtuPosition, imu_raw_topic
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import times_ns
-from gyrorig_protocol.recording.summary import read_summary
 from gyrorig_protocol.recording.writer import RecordingWriter
 
 BOARD = BoardId("BENCH-1")
@@ -76,7 +76,7 @@ def ours(path: Path) -> int:
     """Read all, and touch what a solver touches."""
     recording = read_recording(path)
     samples, positions = recording.imu(BOARD), recording.ptu_positions()
-    if not recording.complete:
+    if not recording.is_complete:
         raise SystemExit(f"losses in a whole file: {recording.losses}")
     return len(samples) + len(positions)
 
@@ -86,7 +86,7 @@ def floor(path: Path) -> int:
     data = memoryview(path.read_bytes())
     unpacker = zstandard.ZstdDecompressor()
     done = 0
-    for chunk in walk(data, read_summary(data)).chunks:
+    for chunk in scan_records(data, read_summary(data)).chunks:
         content = unpacker.decompress(data[chunk.data_start : chunk.data_end])
         if zlib.crc32(content) != chunk.crc:
             raise SystemExit("a wrong checksum")
@@ -138,7 +138,7 @@ def main() -> int:
         begin = time.process_time()
         digest = recording.sha256
         digest_s = time.process_time() - begin
-    print(f"{total} messages ({imu_topic(BOARD)}, {PTU_POSITION_TOPIC}), {megabytes:.1f} MB")  # noqa: T201
+    print(f"{total} messages ({imu_raw_topic(BOARD)}, {PTU_POSITION_TOPIC}), {megabytes:.1f} MB")  # noqa: T201
     for name, seconds in (("ours", ours_s), ("stock", stock_s), ("floor", floor_s)):
         print(f"{name:6} {seconds:8.3f} s CPU {total / seconds / 1e3:9.0f} k msg/s")  # noqa: T201
     print(f"with contiguous rates {gyro.shape} and stamps {stamps.shape}: {solver_s:.3f} s")  # noqa: T201

@@ -30,13 +30,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.bench.peers import turns
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration.document import to_yaml
-from gyrorig_solver.calibration.solving import document_of
-from gyrorig_solver.clocks.envelope import forget_envelopes
-from gyrorig_solver.estimate.motion import fit_motion
-from gyrorig_solver.on_unit import PTU_WORDS
-from gyrorig_solver.reference.ptu_recording import ptu_reference
-from gyrorig_solver.samples import load_samples
+from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
+from gyrorig_solver.data.clocks.lower_envelope import _cached_envelope
+from gyrorig_solver.estimate.motion_fit import fit_motion
+from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.pipeline.board_data import load_board
+from gyrorig_solver.pipeline.solve_board import document_builder
+from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = ROOT / "config" / "programs" / "paper.yaml"  # 75 s
@@ -73,7 +73,7 @@ def eq_7(rate: np.ndarray) -> np.ndarray:
 
 def turn(path: Path, spent: dict[str, list[float]]) -> None:
     """Solve once, booking the processor time of every step."""
-    forget_envelopes()
+    _cached_envelope.cache_clear()
     at = time.process_time()
 
     def book(step: str) -> None:
@@ -85,13 +85,14 @@ def turn(path: Path, spent: dict[str, list[float]]) -> None:
     recording = read_recording(path)
     board = recording.board_ids[0]
     book("read")
-    samples = load_samples(recording, board)
+    data = load_board([recording], board)
+    (samples,) = data.samples
     book("clocks and samples")
-    reference = ptu_reference(recording, samples.origin_ns)
+    reference = read_pan_tilt_reference(recording, samples.origin_ns)
     book("reference")
-    fit = fit_motion(samples, reference, PTU_WORDS, reference.warnings)
+    fit = fit_motion(samples, reference, UNIT_REMEDIES, reference.warnings)
     book("solve")
-    to_yaml(document_of(fit, [recording], board)(1, None, "2026-01-01T00:00:00Z"))
+    calibration_as_yaml(document_builder(fit, data)(1, None, "2026-01-01T00:00:00Z"))
     book("write")
 
 
@@ -105,7 +106,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         path = record(Path(folder))
         recording = read_recording(path)
-        rate = load_samples(recording, recording.board_ids[0]).rate_rad_s
+        rate = load_board([recording], recording.board_ids[0]).samples[0].rate_rad_s
         ready = turns.imucal_installed()
         peer = turns.Imucal(turns.session(0, 800.0, 110.0)).compute if ready else None
         turn(path, {})

@@ -26,9 +26,9 @@ from tests.bench.bench_fleet import GYRORIG, MAKE, batch, cluster, say
 from tests.bench.fleet_machine import adopt, below
 from tests.bench.s3_server import BUCKET, served
 
-from gyrorig_solver.fleet.ledger import index_at
-from gyrorig_solver.fleet.verifying import verify
-from gyrorig_solver.places.choose import place_at
+from gyrorig_solver.fleet.store.store_backend import open_index
+from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.storage.location import storage_at
 
 FOREIGN = 8  # files in the spool that are no recordings
 Popen = subprocess.Popen[str]
@@ -64,10 +64,10 @@ def kill(child: Popen) -> None:
 
 def judged(what: str, store: str, boards: int, begun_s: float) -> bool:
     """Count what a store holds, say it, and return whether all is as it should be."""
-    place = place_at(store)
-    index = index_at(place)
-    rows = Counter(one for (one,) in index.ask("SELECT status FROM rows"))
-    keys, written = index.ask("SELECT count(DISTINCT key), count(*) FROM all_rows")[0]
+    place = storage_at(store)
+    index = open_index(place)
+    rows = Counter(one for (one,) in index.query("SELECT status FROM rows"))
+    keys, written = index.query("SELECT count(DISTINCT key), count(*) FROM all_rows")[0]
     found = verify(place)
     whole = (
         rows == Counter(ok=boards, rejected=FOREIGN)

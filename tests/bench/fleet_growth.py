@@ -17,32 +17,32 @@ from tests.unit.fleet.conftest import row
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
 from gyrorig_protocol.recording.writer import RecordingWriter
-from gyrorig_solver.calibration.store import make_sharded
-from gyrorig_solver.fleet.batch import HEADS_FILE
-from gyrorig_solver.fleet.heads import Heads
-from gyrorig_solver.fleet.index import Index
-from gyrorig_solver.fleet.journal import Journal
-from gyrorig_solver.fleet.manifest import seal
-from gyrorig_solver.fleet.overview import PARAMETERS
-from gyrorig_solver.fleet.rows import Row
-from gyrorig_solver.fleet.shelf import Chosen, newest
-from gyrorig_solver.fleet.spool import look, read_all, sessions
-from gyrorig_solver.fleet.task import Settings, key_of
-from gyrorig_solver.fleet.verifying import verify
-from gyrorig_solver.places.folder import Folder
+from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.fleet.drift.fleet_overview import PARAMETER_COLUMNS
+from gyrorig_solver.fleet.jobs.batch_run import RECORDING_CACHE_FILE
+from gyrorig_solver.fleet.jobs.recording_cache import RecordingCache
+from gyrorig_solver.fleet.jobs.session_job import SolveSettings, job_key
+from gyrorig_solver.fleet.jobs.spool_scanner import group_into_sessions, read_recordings, scan_spool
+from gyrorig_solver.fleet.store.folder_journal import FolderJournal
+from gyrorig_solver.fleet.store.index_rows import IndexRow
+from gyrorig_solver.fleet.store.manifest import write_manifests
+from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store.store_queries import VersionFilter, newest_versions
+from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.storage.folder import Folder
 
 
 def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path, Path]:
     """Make a spool and a store of so many boards, each with one recording that is done."""
     spool, store = folder / "spool", folder / "store"
     spool.mkdir(parents=True)
-    made = make_sharded(store)
+    made = create_sharded_store(store)
     head = one_head(folder)
     page = folder / "report.html"
     page.write_bytes(report)
-    settings, rng = Settings(solver_version="0.1.0"), np.random.default_rng(1)
-    with Journal(store, "night") as journal:
-        rows: list[Row] = []
+    settings, rng = SolveSettings(solver_version="0.1.0"), np.random.default_rng(1)
+    with FolderJournal(store, "night") as journal:
+        rows: list[IndexRow] = []
         for number in range(boards):
             data = head.replace(b"n000000", b"n%06d" % number)
             path = spool / f"{number:06d}.mcap"
@@ -56,7 +56,7 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
             os.link(page, home / "v0001.report.html")  # as many names as files, one time the room
             rows.append(
                 row(
-                    key_of([digest], settings.solver_version, settings.config_sha256),
+                    job_key([digest], settings.solver_version, settings.config_sha256),
                     board=str(board),
                     inputs=[digest],
                     file=str((home / "v0001.yaml").relative_to(store)),
@@ -66,14 +66,14 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
                 )
             )
         journal.add(rows)
-    Index(store).fold_left_behind()
-    seal(Folder(store), None)
+    StoreIndex(store).merge_abandoned_journals()
+    write_manifests(Folder(store), None)
     return spool, store
 
 
 def as_measured(number: int, rng: np.random.Generator) -> dict[str, object]:
     """Return what a row of a real night holds beside its keys: no two boards have the same."""
-    families = [(name, name.split("_", maxsplit=1)[0]) for name in PARAMETERS]
+    families = [(name, name.split("_", maxsplit=1)[0]) for name in PARAMETER_COLUMNS]
     told = {
         name: float(rng.normal(1.0 if family == "scale" else 0.0, SPREAD[family]))
         for name, family in families
@@ -94,7 +94,7 @@ def as_measured(number: int, rng: np.random.Generator) -> dict[str, object]:
         "duration_s": 75.0 + float(rng.normal(0.0, 0.01)),
         "temperature_degc": float(rng.normal(25.0, 2.0)),
         "solver_version": "0.1.0",
-        "config_sha256": Settings(solver_version="0.1.0").config_sha256,
+        "config_sha256": SolveSettings(solver_version="0.1.0").config_sha256,
         "trust": "good",
         "reduced_chi2": float(rng.normal(1.0, 0.02)),
         "seconds": float(rng.normal(0.43, 0.02)),
@@ -113,14 +113,14 @@ def one_head(folder: Path) -> bytes:
 
 def costs(spool: Path, store: Path, boards: int) -> str:
     """Return one line of the table of growth."""
-    found = look(spool)
-    list_s = timed(lambda: look(spool))
+    found = scan_spool(spool)
+    list_s = timed(lambda: scan_spool(spool))
     begun_s = time.process_time()
-    with Heads(store / HEADS_FILE, found.place.text) as heads:
-        list(heads.keep(read_all(found.place, found.recordings)))
+    with RecordingCache(store / RECORDING_CACHE_FILE, found.storage.location) as heads:
+        list(heads.remember(read_recordings(found.storage, found.recordings)))
     heads_s = time.process_time() - begun_s
     resume_s = timed(lambda: resume(spool, store))
-    ls_s = timed(lambda: newest(store, Chosen(), 1000))
+    ls_s = timed(lambda: newest_versions(store, VersionFilter(), 1000))
     begun_s = time.process_time()
     faults = verify(store).faults
     verify_s = time.process_time() - begun_s
@@ -135,14 +135,14 @@ def costs(spool: Path, store: Path, boards: int) -> str:
 
 def resume(spool: Path, store: Path) -> None:
     """Do what a batch does before its first piece of work, where none is new."""
-    found = look(spool)
-    with Heads(store / HEADS_FILE, found.place.text) as heads:
-        known, unread = heads.split(found)
-    done = Index(store).done()
-    settings = Settings(solver_version="0.1.0")
+    found = scan_spool(spool)
+    with RecordingCache(store / RECORDING_CACHE_FILE, found.storage.location) as heads:
+        known, unread = heads.split_known(found)
+    done = StoreIndex(store).finished_keys()
+    settings = SolveSettings(solver_version="0.1.0")
     keys = {
-        key_of(one.digests, settings.solver_version, settings.config_sha256)
-        for one in sessions(known)
+        job_key(one.digests, settings.solver_version, settings.config_sha256)
+        for one in group_into_sessions(known)
     }
     if unread or keys - done:
         raise SystemExit("something is new")

@@ -33,8 +33,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.bench.standing import Witness
 
 from gyrorig_daemon import cli
-from gyrorig_daemon import commands as _imported_once  # noqa: F401
-from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
+from gyrorig_daemon.commands import command_group as _imported_once  # noqa: F401
+from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import times_ns
 from gyrorig_protocol.recording.salvage import read_strictly
@@ -176,7 +176,7 @@ class Rig:
         told = [report.outcome for report in reports]
         finished = sorted(out.glob("*.mcap"))
         outcome = told[0].value if told else "closed"
-        if Outcome.FAILED in told or (killed_ns is None and told):
+        if RecoveryOutcome.FAILED in told or (killed_ns is None and told):
             return Kill(outcome, None, 0, reports[0].text)
         lost_s = 0.0 if killed_ns is None else (killed_ns - opened_ns) * 1e-9
         if not finished:
@@ -184,7 +184,7 @@ class Rig:
         (path,) = finished
         read_strictly(path)
         recording = read_recording(path)
-        if not recording.complete:
+        if not recording.is_complete:
             return Kill(outcome, None, 0, f"losses: {recording.losses}")
         if IMU not in recording.topics:  # the first chunk: what the unit said before
             return Kill("no sample yet", lost_s, 0)

@@ -33,7 +33,7 @@ from gyrorig_protocol.recording.messages import (
     PtuPosition,
     PtuStatus,
     SessionEvent,
-    clock_topic,
+    clock_ping_topic,
 )
 from gyrorig_protocol.recording.writer import RecordingWriter
 
@@ -297,7 +297,7 @@ def write_long(path: Path, seconds: float, seed: int = 1) -> int:
                 waiting, count = next(positions, None), count + 1
             cells = np.arange(end_s, min(end_s + PIECE_S, seconds) - 0.2, 0.2)
             for at_s in (cells + rng.uniform(0.0, 0.15, cells.size)).tolist():
-                writer.write(clock_topic(BOARD), ping(at_s, board, nonce, rng))
+                writer.write(clock_ping_topic(BOARD), ping(at_s, board, nonce, rng))
                 nonce += 1
         end_ns = START_NS + round(seconds * 1e9)
         writer.write(SESSION_EVENT_TOPIC, SessionEvent(end_ns, EventKind.PHASE_END, "program", ""))

@@ -42,8 +42,8 @@ SHOWN = (
     ("report-good-phone", "Good", "phone"),
     ("report-limited", "Limited", "light"),
     ("report-refused", "Refused", "light"),
-    ("report-cause", "Explained", "dark"),
-    ("report-unexplained", "Not all explained", "light"),
+    ("report-cause", "Problem found", "dark"),
+    ("report-unexplained", "Not fully explained", "light"),
     ("status", "Status", "dark"),
 )
 COLOURS = 256  # of a picture's palette: a page is some 60 kB
@@ -78,27 +78,28 @@ def record_outside(folder: Path) -> Path:
 
 
 def made(out: Path, *command: str | Path) -> Path:
-    """Run a command that writes one page into `out`, and return the page."""
+    """Run a command that writes a page into `out`, and return it, not that of its findings."""
     words = [str(BIN / "gyrorig"), *map(str, command), "--out", str(out)]
     done = subprocess.run(words, check=False, capture_output=True, text=True)
     if done.returncode not in (DONE, NOT_IDENTIFIABLE, REFUSED):
         raise RuntimeError(f"{' '.join(words)}: left with {done.returncode}: {done.stderr}")
-    (page,) = out.rglob("*.html")
+    (page,) = (one for one in out.rglob("*.html") if not one.name.endswith(".findings.html"))
     return page
 
 
 def reports(folder: Path) -> dict[str, Path]:
     """Make one report of each verdict; the names are the words that stand first in them."""
-    sound = record(folder / "sound", "quick")
+    sound = record(folder / "sound", "survey-40")
+    short = record(folder / "short", "quick")
     worn = record(folder / "worn", "quick", "--hide", "backlash@tilt")
     still = record(folder / "still", "static")
     strange = record_outside(folder / "strange")
     return {
         "Good": made(folder / "good", "solve", sound),
         "Limited": made(folder / "limited", "solve", still),
-        "Refused": made(folder / "refused", "solve", sound, "--method", "paper"),
-        "Explained": made(folder / "explained", "explain", worn),
-        "Not all explained": made(folder / "unexplained", "explain", strange),
+        "Refused": made(folder / "refused", "solve", short, "--method", "paper"),
+        "Problem found": made(folder / "explained", "explain", worn),
+        "Not fully explained": made(folder / "unexplained", "explain", strange),
     }
 
 

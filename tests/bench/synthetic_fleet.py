@@ -12,9 +12,9 @@ import duckdb
 import numpy as np
 from tests.bench.fleet.parts import ERROR, SCATTER, SPREAD
 
-from gyrorig_solver.calibration.store import make_sharded
-from gyrorig_solver.fleet.overview import PARAMETERS
-from gyrorig_solver.fleet.rows import sql_columns
+from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.fleet.drift.fleet_overview import PARAMETER_COLUMNS
+from gyrorig_solver.fleet.store.index_rows import sql_columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ def skew_of(plan: FleetPlan) -> np.ndarray:
 
 def write_fleet(store: Path, plan: FleetPlan) -> Path:
     """Write a store's index and a table of its boards' lots and sites; return the table."""
-    make_sharded(store)
+    create_sharded_store(store)
     (store / "index").mkdir(exist_ok=True)
     rng = np.random.default_rng(plan.seed)
     kept, temperature = rooms_of(plan, rng)
@@ -101,7 +101,7 @@ def write_fleet(store: Path, plan: FleetPlan) -> Path:
         "temperature": temperature[kept],
         "skew": skew_of(plan)[board],
     }
-    for name in PARAMETERS:
+    for name in PARAMETER_COLUMNS:
         value, std = column_of(plan, name, rng, temperature)
         columns[name], columns[f"{name}_std"] = value[kept], std[kept]
     made = {

@@ -10,13 +10,14 @@ taken:
     <!-- test: save table.yaml -->   the reader saves it (```yaml blocks too)
     <!-- test: in clone -->          where it is run, one of `PLACES`; else an empty folder
     <!-- test: after COMMAND -->     what the page takes for done; several in their order
+    <!-- test: output -->            before a ```text block: what the block above it prints
 
 tests/unit/output/test_docs.py looks up all commands.
 """
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,7 +32,7 @@ _TYPED = re.compile(
     re.MULTILINE,
 )
 REASONS = {
-    "bench": "takes minutes and has a test that does less of it: tests/unit/fleet/test_fleet_maker",
+    "bench": "takes minutes; tests/unit/fleet/test_synthetic_fleet does less of it",
     "ci": "takes minutes, and .ci/run begins with it in a fresh clone",
     "data": "measured data that are not here",
     "elsewhere": "another computer",
@@ -64,6 +65,7 @@ class Block:
     told: str = ""  # the reason, the path, or the name
     place: str = ""  # "" is an empty folder
     before: tuple[str, ...] = ()  # commands
+    output: str | None = None  # what the page says that the commands print
 
     @property
     def where(self) -> str:
@@ -88,13 +90,25 @@ def blocks(page: Path) -> Iterator[Block]:
             block that nobody would run.
     """
     text = page.read_text(encoding="utf-8")
+    pending: Block | None = None
     for match in _BLOCK.finditer(text):
         line = text.count("\n", 0, match.start("body")) + 1
-        block = _block(page, line, match["kind"], match["body"], re.findall(_MARK, match["marks"]))
+        marks = re.findall(_MARK, match["marks"])
+        if marks == ["output"]:
+            if pending is None or pending.kind != "sh" or pending.output is not None:
+                raise DocumentError(f"{page.name}:{line}: output follows a block of commands")
+            pending = replace(pending, output=match["body"])
+            continue
+        if pending is not None:
+            yield pending
+            pending = None
+        block = _block(page, line, match["kind"], match["body"], marks)
         if block.kind in ("sh", "python") or block.how == "save":
-            yield block
+            pending = block
         elif block.kind != "yaml" and _TYPED.search(block.body):
             raise DocumentError(f"{block.where}: commands stand in ```sh, to be run")
+    if pending is not None:
+        yield pending
 
 
 def _block(page: Path, line: int, kind: str, body: str, marks: list[str]) -> Block:

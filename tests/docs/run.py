@@ -28,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from tests.docs.blocks import Block, DocumentError, blocks, pages  # noqa: E402
+from tests.docs.output import first_difference  # noqa: E402
 from tests.docs.places import CannotBeHereError, Place, Places  # noqa: E402
 
 PATIENCE_S = 600.0
@@ -113,6 +114,8 @@ class Reader:
             raise DocumentError(f"{block.where}: not done within {PATIENCE_S:.0f} s") from None
         if done.returncode:
             raise _left(block, done.returncode, done.stderr or done.stdout)
+        if block.output is not None and (fault := first_difference(block.output, done.stdout)):
+            raise DocumentError(f"{block.where}: {fault}")
 
     def _serve(self, block: Block, place: Place) -> None:
         """Begin what goes on beside the rest of the page: one command, its own process."""

@@ -18,10 +18,10 @@ Build = Callable[..., Path]
 
 
 def compiler(*names: str) -> str:
-    found = next((path for name in names if (path := shutil.which(name))), None)
-    if found is None:
+    actual = next((path for name in names if (path := shutil.which(name))), None)
+    if actual is None:
         pytest.skip(f"no {' or '.join(names)} here: install gcc (apt install build-essential)")
-    return found
+    return actual
 
 
 def run_compiler(*arguments: str | Path) -> None:
@@ -33,7 +33,7 @@ def run_compiler(*arguments: str | Path) -> None:
 
 @pytest.fixture(scope="session")
 def c_build(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """Build a program of a C file beside this one and the firmware."""
+    """Compile a C file of this folder together with the firmware."""
     gcc = compiler("gcc", "cc")
     folder = tmp_path_factory.mktemp("firmware")
 

@@ -85,9 +85,9 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "gy80.elf"
 
 
-def test_it_fits_into_an_uno(program: Path) -> None:
-    said = run("avr-size", "-C", "--mcu=atmega328p", program)
-    flash = int(re.findall(r"Program:\s+(\d+) bytes", said)[0])
-    memory = int(re.findall(r"Data:\s+(\d+) bytes", said)[0])
+def test_the_sketch_fits_into_an_uno(program: Path) -> None:
+    output = run("avr-size", "-C", "--mcu=atmega328p", program)
+    flash = int(re.findall(r"Program:\s+(\d+) bytes", output)[0])
+    memory = int(re.findall(r"Data:\s+(\d+) bytes", output)[0])
     assert flash <= FLASH_BYTES
     assert memory <= MEMORY_BYTES - STACK_BYTES, f"{memory} bytes: too little stack is left"

@@ -1,4 +1,4 @@
-"""The board on a virtual clock and line: stamps, numbers, losses, and answers."""
+"""The board with a virtual clock and line: timestamps, numbers, losses and answers."""
 
 import statistics
 from collections.abc import Iterator
@@ -76,9 +76,9 @@ class Board:
         size = self._lib.vb_out(data, begun, c_uint32(MOST))
         parser, frames = FrameParser(), []
         start = None
-        for at, byte in enumerate(data.raw[:size]):
+        for index, byte in enumerate(data.raw[:size]):
             if byte == 0 and start is None:
-                start = begun[at]
+                start = begun[index]
             for event in parser.feed(bytes([byte]), 0):
                 assert isinstance(event, FrameEvent)
                 assert start is not None
@@ -93,7 +93,7 @@ class Board:
         return (frame for frame in self.frames() if isinstance(frame, kind))
 
 
-def test_hello_comes_first_and_on_demand(library: CDLL) -> None:
+def test_hello_is_sent_first_and_on_request(library: CDLL) -> None:
     board = Board(library)
     board.run(20_000)
     board.hear(HelloRequest().encode())
@@ -104,33 +104,33 @@ def test_hello_comes_first_and_on_demand(library: CDLL) -> None:
     assert first.sensors[0].rate_hz == 100.0
 
 
-def test_clock_frames_have_the_stamp_of_their_first_byte(library: CDLL) -> None:
+def test_clock_frames_have_the_timestamp_of_their_first_byte(library: CDLL) -> None:
     board = Board(library, start=(1 << 32) - 2_000_000)  # the clock wraps on the way
     for _ in range(800):
         board.take()
         board.run(5_000)
-    slow = [(frame, at) for frame, at in board.sent() if isinstance(frame, Slow)]
+    slow = [(frame, index) for frame, index in board.sent() if isinstance(frame, Slow)]
     assert 30 < len(slow) < 50
-    for frame, at in slow:
-        assert frame.device_time == at
+    for frame, index in slow:
+        assert frame.device_time == index
     assert slow[-1][1] > 1 << 32
 
 
-def test_clock_frames_come_at_random_phase(library: CDLL) -> None:
+def test_clock_frames_are_sent_at_random_phase(library: CDLL) -> None:
     # Against the 1 ms frames of USB no phase may be preferred, although a fifth of the time
     # the line is busy with 200 Hz samples, and then a new moment is drawn.
     board = Board(library, seed=12345)
     for _ in range(10_000):
         board.take()
         board.run(5_000, step=25)
-    at = [frame.device_time for frame in board.of(Slow) if isinstance(frame, Slow)]
-    gaps = [after - before for before, after in pairwise(at)]
+    index = [frame.device_time for frame in board.of(Slow) if isinstance(frame, Slow)]
+    gaps = [after - before for before, after in pairwise(index)]
     assert 90_000 < statistics.mean(gaps) < 115_000
     assert min(gaps) > 45_000
-    phases = [time % 1000 / 1000.0 for time in at]
+    phases = [time % 1000 / 1000.0 for time in index]
     thirds = [sum(third <= 3 * phase < third + 1 for phase in phases) for third in range(3)]
     for count in thirds:  # binomial, 4 standard deviations
-        assert abs(count - len(at) / 3) < 4 * (len(at) * 2 / 9) ** 0.5
+        assert abs(count - len(index) / 3) < 4 * (len(index) * 2 / 9) ** 0.5
 
 
 def test_numbers_count_samples_not_frames(library: CDLL) -> None:
@@ -149,7 +149,7 @@ def test_numbers_count_samples_not_frames(library: CDLL) -> None:
     assert [s.device_time for s in samples] == [20_000 + 5_000 * k for k in range(20)]
 
 
-def test_a_full_queue_drops_frames_and_says_so(library: CDLL) -> None:
+def test_a_full_queue_drops_frames_and_reports_it(library: CDLL) -> None:
     board = Board(library)
     for _ in range(400):  # at once: 4096 bytes hold 178
         board.take()
@@ -190,7 +190,9 @@ def test_two_losses_in_a_row_leave_no_gap_within_a_batch(library: CDLL) -> None:
 
 
 @pytest.mark.parametrize(("accel", "size"), [(False, 8), (True, 8), (True, 39)])
-def test_batches_hold_the_stamp_of_their_last(library: CDLL, accel: bool, size: int) -> None:
+def test_batches_have_the_timestamp_of_their_last_sample(
+    library: CDLL, accel: bool, size: int
+) -> None:
     board = Board(library, clock_us=0)
     board.batch(size, accel)
     for number in range(57):
@@ -200,17 +202,17 @@ def test_batches_hold_the_stamp_of_their_last(library: CDLL, accel: bool, size: 
         board.run(1_250)
     board.run(100_000)
     batches = [frame for frame in board.of(Batch) if isinstance(frame, Batch)]
-    seen = []
+    received = []
     for frame in batches:
         assert (frame.accel is not None) == accel
         assert frame.device_time == 1_250 * frame.gyro[-1][0]
-        seen += [(frame.sequence + k, row[0]) for k, row in enumerate(frame.gyro)]
-    assert seen == [(n + (2 if n > 20 else 0), n) for n in range(len(seen))]
-    assert len(seen) >= 40
+        received += [(frame.sequence + k, row[0]) for k, row in enumerate(frame.gyro)]
+    assert received == [(n + (2 if n > 20 else 0), n) for n in range(len(received))]
+    assert len(received) >= 40
     assert [b.sequence for b in batches if b.flags & SampleFlag.OVERRUN] == [23]
 
 
-def test_time_requests_are_answered_with_both_stamps(library: CDLL) -> None:
+def test_time_requests_are_answered_with_both_times(library: CDLL) -> None:
     board = Board(library, start=(5 << 32) + 77, clock_us=0)
     board.run(20_000)
     for nonce in range(20):
@@ -219,14 +221,14 @@ def test_time_requests_are_answered_with_both_stamps(library: CDLL) -> None:
         asked = board.now
         board.hear(TimeRequest(nonce, 1 << 60).encode())
         board.run(10_000)
-        reply, at = board.sent()[-1]
+        reply, index = board.sent()[-1]
         assert isinstance(reply, TimeReply)
         assert (reply.nonce, reply.host_stamp) == (nonce, 1 << 60)
         assert reply.device_receive == asked
-        assert reply.device_send == at > asked
+        assert reply.device_send == index > asked
 
 
-def test_a_port_that_is_never_empty_does_not_silence_it(library: CDLL) -> None:
+def test_a_port_that_is_never_empty_does_not_stop_the_board(library: CDLL) -> None:
     board = Board(library)
     board.stick()
     for _ in range(200):
@@ -235,11 +237,11 @@ def test_a_port_that_is_never_empty_does_not_silence_it(library: CDLL) -> None:
         board.run(5_000)
     board.run(100_000)
     kinds = {type(frame) for frame in board.frames()}
-    assert kinds == {Hello, Sample}  # no stamp that would be wrong
+    assert kinds == {Hello, Sample}  # no wrong timestamp
     assert len(list(board.of(Sample))) == 200
 
 
-def test_set_is_done_and_acknowledged(library: CDLL) -> None:
+def test_set_is_executed_and_acknowledged(library: CDLL) -> None:
     board = Board(library, clock_us=0)
     board.run(20_000)
     before = next(f for f in board.frames() if isinstance(f, Hello))
@@ -273,7 +275,7 @@ JSON = st.text(alphabet='{}":,.0123456789odrbwfsatcheluru ', max_size=60).map(st
 
 @settings(max_examples=100, deadline=None)
 @given(noise=st.lists(st.binary(max_size=120), max_size=6), cuts=st.lists(st.integers(1, 9)))
-def test_noise_from_the_host_harms_nothing(
+def test_noise_from_the_host_has_no_effect(
     library: CDLL, noise: list[bytes], cuts: list[int]
 ) -> None:
     board = Board(library, clock_us=0)
@@ -287,9 +289,9 @@ def test_noise_from_the_host_harms_nothing(
 
 @settings(max_examples=200, deadline=None)
 @given(text=JSON | st.binary(max_size=60))
-def test_what_c_takes_as_a_set_is_one(library: CDLL, text: bytes) -> None:
-    wanted = create_string_buffer(32)
-    taken = library.gyb_read_set(text, c_uint8(len(text)), wanted)
+def test_c_accepts_only_valid_set_frames(library: CDLL, text: bytes) -> None:
+    expected = create_string_buffer(32)
+    taken = library.gyb_read_set(text, c_uint8(len(text)), expected)
     if taken:  # the other way does not hold: C refuses exponents and keys it does not know
         assert text.strip(b" \n").startswith(b"{")
         assert text.endswith(b"}")
@@ -302,14 +304,14 @@ def test_what_c_takes_as_a_set_is_one(library: CDLL, text: bytes) -> None:
     batch=st.none() | st.integers(1, 39),
     accel=st.none() | st.booleans(),
 )
-def test_every_set_of_python_is_read(
+def test_c_reads_every_set_frame_of_python(
     library: CDLL, rate: float | None, scale: float | None, batch: int | None, accel: bool | None
 ) -> None:
-    payload = Set(rate, None, scale, batch, accel).payload()[1:]
-    wanted = create_string_buffer(16)
-    assert library.gyb_read_set(payload, c_uint8(len(payload)), wanted) == 1
-    assert c_uint32.from_buffer(wanted, 0).value == round((rate or 0.0) * 10)
-    assert c_uint32.from_buffer(wanted, 8).value == (scale or 0.0)
-    assert c_uint8.from_buffer(wanted, 12).value == (batch or 0)
-    said = c_uint16.from_buffer(wanted, 12).value >> 8
-    assert said == (0xFF if accel is None else accel)
+    payload = Set(rate, None, scale, batch, accel).encode_payload()[1:]
+    expected = create_string_buffer(16)
+    assert library.gyb_read_set(payload, c_uint8(len(payload)), expected) == 1
+    assert c_uint32.from_buffer(expected, 0).value == round((rate or 0.0) * 10)
+    assert c_uint32.from_buffer(expected, 8).value == (scale or 0.0)
+    assert c_uint8.from_buffer(expected, 12).value == (batch or 0)
+    output = c_uint16.from_buffer(expected, 12).value >> 8
+    assert output == (0xFF if accel is None else accel)

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from gyrorig_daemon.clocks.capture_clock import anchor_now
 from gyrorig_daemon.config import BoardPort
-from gyrorig_daemon.links.board_link import BoardLink
-from gyrorig_daemon.links.board_samples import BoardSinks
-from gyrorig_daemon.links.capture_clock import anchor_now
-from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.boards.board_link import BoardLink
+from gyrorig_daemon.links.boards.sample_stream import BoardSinks
+from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.recording.messages import ClockPing, ImuRaw, ImuStatus
 
@@ -27,20 +27,20 @@ GAP_EVERY = 100
 @pytest.fixture(params=[1, 5], ids=["samples", "batches"])
 def port(request: pytest.FixtureRequest, host_board: Path) -> Iterator[str]:
     """The pty on which `host_board.c` speaks."""
-    device, held = pty.openpty()
+    device, received = pty.openpty()
     os.set_blocking(device, False)
     program = subprocess.Popen([host_board, str(device), str(request.param)], pass_fds=[device])
     os.close(device)
     try:
-        yield os.ttyname(held)
+        yield os.ttyname(received)
     finally:
         program.terminate()
         program.wait(60)
         with suppress(OSError):
-            os.close(held)
+            os.close(received)
 
 
-def test_every_sample_arrives_as_it_was_taken(port: str) -> None:
+def test_every_sample_arrives_unchanged(port: str) -> None:
     samples: list[tuple[ImuRaw, int]] = []
     pings: list[ClockPing] = []
     faults: list[str] = []
@@ -57,17 +57,17 @@ def test_every_sample_arrives_as_it_was_taken(port: str) -> None:
         link.identify()
         end_ns = pump.now_ns() + PATIENCE_NS
         assert pump.run_until(end_ns, lambda: len(samples) > 200 and len(pings) > 0)
-        said = link.metadata()
+        output = link.metadata()
         broken = {cause: count for cause, count in link.faults().items() if count}
         counts = link.counts
-    assert (said["uid"], said["sensor"], said["odr_hz"]) == (
+    assert (output["uid"], output["sensor"], output["odr_hz"]) == (
         "00112233aabbccdd",
         "L3G4200D",
         "200.0",
     )
     assert len(samples) > 200
     numbers = [message.sequence for message, _ in samples]
-    # all but those that the firmware says were lost
+    # all except those that the firmware reports as lost
     gaps = [n + 1 for n, after in pairwise(numbers) if after != n + 1]
     assert gaps == [n for n in range(numbers[0], numbers[-1]) if n % GAP_EVERY == GAP_EVERY - 1]
     assert counts.missing == len(gaps)
@@ -76,7 +76,7 @@ def test_every_sample_arrives_as_it_was_taken(port: str) -> None:
         assert message.gyro == tuple(_int16(value) for value in (n, -n, 3 * n))
         assert message.accel == (1, 2, 256)
         assert message.temperature == 215
-    # a first batch that comes before HELLO has no period yet: the daemon gives it one stamp
+    # a first batch that comes before HELLO has no period yet: the daemon gives it one timestamp
     stamps = [message.device_time for message, _ in samples[5:]]
     steps = {after - before for before, after in pairwise(stamps)}
     assert steps <= {PERIOD_US, 2 * PERIOD_US}

@@ -28,8 +28,8 @@ from gyrorig_protocol.board import (
     Slow,
     TimeReply,
 )
-from gyrorig_protocol.board.crc import crc16
-from gyrorig_protocol.board.wire import frame_bytes
+from gyrorig_protocol.board.crc import compute_crc16
+from gyrorig_protocol.board.frame_encoding import encode_frame
 
 VECTORS = Path(__file__).resolve().parents[2] / "firmware_protocol" / "vectors"
 CASES: list[dict[str, Any]] = json.loads((VECTORS / "board_frames.json").read_text())["vectors"]
@@ -121,7 +121,7 @@ def test_c_makes_the_bytes_of_the_vector(library: CDLL, case: dict[str, Any]) ->
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: str(case["name"]))
-def test_c_takes_apart_what_the_vector_holds(library: CDLL, case: dict[str, Any]) -> None:
+def test_c_decodes_the_vector(library: CDLL, case: dict[str, Any]) -> None:
     # A board knows faults of stuffing and check only; those of content are its host's.
     data = bytes.fromhex(case["wire_hex"])
     for piece in filter(None, data.split(b"\0")):
@@ -132,7 +132,7 @@ def test_c_takes_apart_what_the_vector_holds(library: CDLL, case: dict[str, Any]
         if case.get("fault") in ("CRC", "COBS", "OVERSIZE"):
             assert size == 0
         else:
-            assert frame_bytes(buffer.raw[1 : size + 1]) == data
+            assert encode_frame(buffer.raw[1 : size + 1]) == data
 
 
 def i16() -> st.SearchStrategy[int]:
@@ -185,10 +185,10 @@ def test_c_and_python_make_the_same_bytes(
 
 @settings(max_examples=150, deadline=None)
 @given(payload=st.binary(min_size=1, max_size=248))
-def test_any_payload_goes_both_ways(library: CDLL, payload: bytes) -> None:
+def test_any_payload_round_trips_between_c_and_python(library: CDLL, payload: bytes) -> None:
     buffer = create_string_buffer(b"\xff\xff" + payload, 253)
     size = library.gyb_seal(buffer, c_uint8(len(payload)))
-    assert buffer.raw[:size] == frame_bytes(payload)
+    assert buffer.raw[:size] == encode_frame(payload)
     stuffed = create_string_buffer(buffer.raw[1 : size - 1], size - 2)
     assert library.gyb_unstuff(stuffed, c_uint8(size - 2)) == len(payload)
     assert stuffed.raw[1 : len(payload) + 1] == payload
@@ -205,16 +205,16 @@ def test_c_and_python_agree_on_noise(library: CDLL, data: bytes) -> None:
     assert (size == 0) == bool({"COBS", "CRC"} & named.keys())
 
 
-def test_a_code_beyond_the_end_is_refused_although_the_check_holds(library: CDLL) -> None:
+def test_a_cobs_code_beyond_the_end_is_rejected_with_a_valid_checksum(library: CDLL) -> None:
     stuffed = bytearray(Edge(1, 2, True).encode()[1:-1])
-    at = 0
-    while at + stuffed[at] < len(stuffed):
-        at += stuffed[at]
-    stuffed[at] += 1  # the last code: what is unstuffed stays the same
+    index = 0
+    while index + stuffed[index] < len(stuffed):
+        index += stuffed[index]
+    stuffed[index] += 1  # the last code: what is unstuffed stays the same
     assert library.gyb_unstuff(create_string_buffer(bytes(stuffed)), c_uint8(len(stuffed))) == 0
 
 
-def test_what_is_too_long_is_no_frame(library: CDLL) -> None:
+def test_a_frame_that_is_too_long_is_rejected(library: CDLL) -> None:
     assert library.gyb_seal(create_string_buffer(260), c_uint8(249)) == 0
     assert library.gyb_seal(create_string_buffer(260), c_uint8(0)) == 0
     full = [0] * 120
@@ -233,6 +233,6 @@ def test_what_is_too_long_is_no_frame(library: CDLL) -> None:
             assert bool(made) == (count == most)
 
 
-def test_the_check_is_the_named_one(library: CDLL) -> None:
+def test_the_checksum_is_crc_16_ccitt_false(library: CDLL) -> None:
     library.gyb_crc16.restype = c_uint16
-    assert library.gyb_crc16(b"123456789", c_uint8(9)) == 0x29B1 == crc16(b"123456789")
+    assert library.gyb_crc16(b"123456789", c_uint8(9)) == 0x29B1 == compute_crc16(b"123456789")

@@ -27,9 +27,9 @@ PROGRAM = f"name: still\nsteps:\n  - rest: {{seconds: {REST_S}, phase: static}}\
 
 
 def test_a_recording_of_the_firmware_has_no_gap(tmp_path: Path, gapless_board: Path) -> None:
-    device, held = pty.openpty()
+    device, received = pty.openpty()
     os.set_blocking(device, False)
-    (tmp_path / "rig.yaml").write_text(RIG.format(board=os.ttyname(held)))
+    (tmp_path / "rig.yaml").write_text(RIG.format(board=os.ttyname(received)))
     (tmp_path / "program.yaml").write_text(PROGRAM)
     board = subprocess.Popen([gapless_board, str(device), "1"], pass_fds=[device])
     os.close(device)
@@ -43,10 +43,10 @@ def test_a_recording_of_the_firmware_has_no_gap(tmp_path: Path, gapless_board: P
         board.terminate()
         board.wait(10)
         with suppress(OSError):
-            os.close(held)
+            os.close(received)
     assert ended.returncode == 0, ended.stderr
     recording = read_recording(tmp_path / json.loads(ended.stdout)["recording"])
-    assert recording.complete
+    assert recording.is_complete
     assert recording.metadata["gyrorig.board.B-1"]["uid"] == "00112233aabbccdd"
     samples = recording.array("/board/B-1/imu_raw")
     numbers = samples["sequence"].astype(np.int64)

@@ -60,7 +60,7 @@ def samples_of(frames: list[BoardFrame]) -> list[Sample]:
     return [frame for frame in frames if isinstance(frame, Sample)]
 
 
-def test_it_says_who_it_is_and_counts_its_starts(gy80: Sketch) -> None:
+def test_the_board_identifies_itself_and_counts_its_starts(gy80: Sketch) -> None:
     boots = [next(f for f in gy80.run(0.2) if isinstance(f, Hello)) for _ in range(3)]
     assert [hello.boot for hello in boots] == [1, 2, 3]
     assert len({hello.uid for hello in boots}) == 1
@@ -98,14 +98,14 @@ def test_every_sample_has_the_time_of_its_edge(gy80: Sketch) -> None:
     assert slow.sensor_overruns == slow.frames_dropped == slow.bus_errors == 0
 
 
-def test_the_fifo_keeps_what_a_busy_loop_cannot_take(gy80: Sketch) -> None:
+def test_the_fifo_keeps_samples_while_the_loop_is_busy(gy80: Sketch) -> None:
     samples = samples_of(gy80.run(stall_us=250_000))  # 26 samples
     assert [s.sequence for s in samples] == [s.gyro[0] for s in samples] == [*range(len(samples))]
     derived = [s for s in samples if s.flags & SampleFlag.STAMP_FROM_FIFO]
     assert len(derived) == pytest.approx(25, abs=3)
     first = samples[0].device_time
     assert first is not None
-    for sample in samples:  # the derived stamps lie where the samples were taken
+    for sample in samples:  # the derived timestamps are those of the samples
         assert sample.device_time is not None
         expected = first + sample.gyro[0] * 1e6 / 105
         assert sample.device_time == pytest.approx(expected, abs=200)
@@ -118,13 +118,19 @@ def test_an_overrun_is_counted_and_numbers_skip_it(gy80: Sketch) -> None:
     lost = slow.sensor_overruns
     assert lost == pytest.approx(84 - 32, abs=2)
     off = {s.sequence - s.gyro[0] for s in samples}
-    assert off <= {-2, -1, 0, 1, 2}  # how many were lost is told by the clock, not by the chip
+    assert off <= {
+        -2,
+        -1,
+        0,
+        1,
+        2,
+    }  # by the clock, not by the chip
     (after,) = (s for s in samples if s.flags & SampleFlag.OVERRUN)
     before = next(s for s in reversed(samples) if s.sequence < after.sequence)
     assert after.sequence - before.sequence == lost + 1
 
 
-def test_a_bad_bus_is_counted_and_survived(gy80: Sketch) -> None:
+def test_bus_errors_are_counted_and_harmless(gy80: Sketch) -> None:
     frames = gy80.run(seconds=2.0, fail_every=97)
     slow = [f for f in frames if isinstance(f, Slow)][-1]
     assert slow.bus_errors > 5
@@ -132,8 +138,8 @@ def test_a_bad_bus_is_counted_and_survived(gy80: Sketch) -> None:
 
 
 def test_settings_reach_the_gyro(gy80: Sketch) -> None:
-    wanted = Set(rate_hz=200.0, bandwidth_hz=60.0, full_scale_dps=250.0, batch=4, accel=False)
-    frames = gy80.run(said=b"\0" + wanted.encode() + TimeRequest(5, 6).encode())
+    expected = Set(rate_hz=200.0, bandwidth_hz=60.0, full_scale_dps=250.0, batch=4, accel=False)
+    frames = gy80.run(said=b"\0" + expected.encode() + TimeRequest(5, 6).encode())
     ack = next(f for f in frames if isinstance(f, Ack))
     in_force = ack.rate_hz, ack.bandwidth_hz, ack.full_scale_dps, ack.batch, ack.accel
     assert in_force == (200.0, 50.0, 250.0, 4, False)

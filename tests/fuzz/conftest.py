@@ -1,4 +1,4 @@
-"""The targets are imported as `tests.fuzz`, by pytest as by the fuzzer itself."""
+"""Make the targets importable as `tests.fuzz`, for pytest and for the fuzzer."""
 
 import sys
 from pathlib import Path

@@ -4,27 +4,27 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz.target import Target, one_line, promise, refused
+from tests.fuzz.target import Target, check_single_line, expect_rejection, require
 
+from gyrorig_daemon.commands.halt_command import _port_and_baud
 from gyrorig_daemon.config import parse_rig
-from gyrorig_daemon.halt_command import _told
 from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.profile import parse_profile
 from gyrorig_protocol.program import parse_program
-from gyrorig_solver.calibration.document import parse_calibration
+from gyrorig_solver.calibration.calibration_document import parse_calibration
 
 ROOT = Path(__file__).resolve().parents[2]
 STATE = Path("/var/lib/gyrorig")
 
 
 def documents(data: bytes) -> None:
-    """A document is refused in one line, or is written and read again as the same."""
+    """A document is rejected with one line, or round-trips."""
     try:
         value = parse_yaml(data, "x")
     except UsageError as fault:
-        one_line(fault)
+        check_single_line(fault)
         return
     if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
         return
@@ -32,7 +32,7 @@ def documents(data: bytes) -> None:
         text = dump_yaml(value)
     except TypeError:
         return  # a kind that no document of ours holds
-    promise(_with_text_keys(parse_yaml(text, "x")) == _with_text_keys(value), "it is changed")
+    require(_with_text_keys(parse_yaml(text, "x")) == _with_text_keys(value), "it is changed")
 
 
 def _with_text_keys(value: Any) -> Any:
@@ -43,19 +43,19 @@ def _with_text_keys(value: Any) -> Any:
 
 def halt_config(data: bytes) -> None:
     """Of a configuration in ruins a halt takes a usable port and rate, or none."""
-    port, baud = _told(data, "x")
-    promise(port is None or (port.isprintable() and 0 < len(port) <= 200), "no port at all")
-    promise(baud is None or 600 <= baud <= 2_000_000, "no rate at all")
+    port, baud = _port_and_baud(data, "x")
+    require(port is None or (port.isprintable() and 0 < len(port) <= 200), "no port at all")
+    require(baud is None or 600 <= baud <= 2_000_000, "no rate at all")
 
 
 def board_id(data: bytes) -> None:
-    """A name is refused, or stays in its folder."""
+    """A name is rejected, or stays in its folder."""
     try:
         name = BoardId(data.decode("utf-8", errors="surrogateescape"))
     except InputError as fault:
-        one_line(fault)
+        check_single_line(fault)
         return
-    promise((STATE / name).resolve().parent == STATE.resolve(), "a name that leaves its folder")
+    require((STATE / name).resolve().parent == STATE.resolve(), "a name that leaves its folder")
 
 
 def _files(pattern: str) -> list[bytes]:
@@ -63,19 +63,19 @@ def _files(pattern: str) -> list[bytes]:
 
 
 def _rig(data: bytes) -> None:
-    refused(lambda text: parse_rig(text, "x"), UsageError, data)
+    expect_rejection(lambda text: parse_rig(text, "x"), UsageError, data)
 
 
 def _program(data: bytes) -> None:
-    refused(lambda text: parse_program(text, "x"), UsageError, data)
+    expect_rejection(lambda text: parse_program(text, "x"), UsageError, data)
 
 
 def _profile(data: bytes) -> None:
-    refused(lambda text: parse_profile(text, "x"), UsageError, data)
+    expect_rejection(lambda text: parse_profile(text, "x"), UsageError, data)
 
 
 def _calibration(data: bytes) -> None:
-    refused(lambda text: parse_calibration(text, "x"), InputError, data)
+    expect_rejection(lambda text: parse_calibration(text, "x"), InputError, data)
 
 
 TARGETS = (

@@ -1,4 +1,4 @@
-"""Files that strangers hand over: recordings, chunks with a right checksum, tables."""
+"""Untrusted files: recordings, chunks with a valid checksum, tables."""
 
 import functools
 import struct
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import zstandard
-from tests.fuzz.target import Target, one_line, refused
+from tests.fuzz.target import Target, check_single_line, expect_rejection
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
@@ -19,12 +19,12 @@ from gyrorig_protocol.recording.messages import (
     ImuRaw,
     PtuPosition,
     SessionEvent,
-    imu_topic,
+    imu_raw_topic,
 )
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
-from gyrorig_solver.importers.android import read_log
-from gyrorig_solver.importers.columns import open_columns
+from gyrorig_solver.importers.measurement_columns import open_columns
+from gyrorig_solver.importers.phone_log import read_phone_log
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK = 0x06
@@ -40,19 +40,19 @@ def folder() -> Path:
 
 
 def recording(data: bytes) -> None:
-    """A recording is refused in one line, or all of it that is there can be had."""
+    """A recording is rejected with one line, or all of its data can be read."""
     path = folder() / "fuzz.mcap"
     path.write_bytes(data)
-    refused(lambda _: _read_all(path), InputError, data)
+    expect_rejection(lambda _: _read_all(path), InputError, data)
 
 
 def _read_all(path: Path) -> None:
-    found = read_recording(path)
-    for topic in found.topics:
+    actual = read_recording(path)
+    for topic in actual.topics:
         try:
-            found.messages(topic)
+            actual.messages(topic)
         except InputError as fault:
-            one_line(fault)
+            check_single_line(fault)
 
 
 def chunk(data: bytes) -> None:
@@ -63,10 +63,12 @@ def chunk(data: bytes) -> None:
 
 
 def table(data: bytes) -> None:
-    """A table of numbers is refused in one line, or its columns can be had."""
+    """A table of numbers is rejected with one line, or its columns can be read."""
     path = folder() / "fuzz.csv"
     path.write_bytes(data)
-    refused(lambda _: open_columns(path, ["t", "x", "y"]).matrix(["x", "y"], 2), InputError, data)
+    expect_rejection(
+        lambda _: open_columns(path, ["t", "x", "y"]).matrix(["x", "y"], 2), InputError, data
+    )
 
 
 @functools.cache
@@ -91,11 +93,11 @@ def small_recording() -> bytes:
         for number in range(6):
             now_ns = START_NS + number * 10_000_000
             sample = ImuRaw(now_ns, number, number, 3, 20, (1, 2, number), (0, 0, 256))
-            out.write(imu_topic(BOARD), sample, now_ns)
-            place = PtuPosition(
+            out.write(imu_raw_topic(BOARD), sample, now_ns)
+            location = PtuPosition(
                 now_ns, now_ns + 3, now_ns + 5, number, -number, 0.1, -0.1, 7, number, 3
             )
-            out.write(PTU_POSITION_TOPIC, place, now_ns + 5)
+            out.write(PTU_POSITION_TOPIC, location, now_ns + 5)
             out.write(SESSION_EVENT_TOPIC, SessionEvent(now_ns, EventKind.NOTE, "s", "x"), now_ns)
             if number == 3:
                 out.flush()
@@ -104,36 +106,36 @@ def small_recording() -> bytes:
 
 def _records(whole: bytes) -> Iterator[tuple[int, int, int]]:
     """Opcode, begin and end of each record in the data section."""
-    at = len(MAGIC)
-    while at + 9 <= len(whole) - len(MAGIC):
-        end = at + 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
-        yield whole[at], at, end
-        at = end
+    index = len(MAGIC)
+    while index + 9 <= len(whole) - len(MAGIC):
+        end = index + 9 + int.from_bytes(whole[index + 1 : index + 9], "little")
+        yield whole[index], index, end
+        index = end
 
 
 @functools.cache
 def _before_chunks() -> bytes:
-    whole = small_recording()
-    return whole[: next(begin for opcode, begin, _ in _records(whole) if opcode == CHUNK)]
+    complete = small_recording()
+    return complete[: next(begin for opcode, begin, _ in _records(complete) if opcode == CHUNK)]
 
 
 def _contents() -> list[bytes]:
-    """What stands in the chunks, unpacked."""
-    whole, contents = small_recording(), []
-    for opcode, begin, end in _records(whole):
+    """The content of the chunks, unpacked."""
+    complete, contents = small_recording(), []
+    for opcode, begin, end in _records(complete):
         if opcode == CHUNK:
-            name = int.from_bytes(whole[begin + 37 : begin + 41], "little")
-            packed = whole[begin + 41 + name + 8 : end]
+            name = int.from_bytes(complete[begin + 37 : begin + 41], "little")
+            packed = complete[begin + 41 + name + 8 : end]
             unpacked = zstandard.ZstdDecompressor().decompressobj().decompress(packed)
             contents.append(unpacked if name else packed)
     return contents
 
 
 def phone(data: bytes) -> None:
-    """A phone's log is refused in one line, or its samples can be had, in order."""
+    """A phone's log is rejected with one line, or its samples can be read in order."""
     path = folder() / "Gyroscope.csv"
     path.write_bytes(data)
-    refused(lambda _: read_log(path), InputError, data)
+    expect_rejection(lambda _: read_phone_log(path), InputError, data)
 
 
 PHONE_LOGS = (

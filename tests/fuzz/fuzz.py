@@ -1,11 +1,11 @@
-"""Fuzz every entrance for bytes of strangers, each for a while: `make fuzz SECONDS=180`.
+"""Fuzz every input for untrusted bytes: `make fuzz SECONDS=180`.
 
-Each target runs in a process of its own, at nice 10 and with bounded memory, for so many
-seconds of processor time: on a busy machine a minute of the clock is a few of these, and of
-them a guided run spends a dozen on importing what it watches. With atheris
-(the extra `fuzz`) inputs are guided by coverage, without it they are drawn by chance, and
-the table says so. An input that breaks something is kept under the output folder, and the
-exit code is 1: mend it, then put the input into tests/fuzz/found/TARGET/.
+Each target runs in a separate process, at nice 10 and with limited memory, for the given
+processor time. On a busy machine that takes much longer, and a guided run needs about a dozen
+seconds to import the instrumented packages. With atheris (the extra `fuzz`) inputs are guided by
+coverage, without it they are random; the table shows which. An input that causes a failure is kept
+in the output folder, and the exit status is 1. Fix the fault, then put the input into
+tests/fuzz/found/TARGET/.
 """
 
 # ruff: noqa: T201 - a program that prints a table
@@ -26,13 +26,13 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-PATIENCE = 30.0  # times the processor time: then it is given up, however little it had
-MEMORY_BYTES = 4 << 30  # of address space: a bomb that is let through shows as MemoryError
+TIMEOUT_FACTOR = 30.0  # limit of the real time, in processor times
+MEMORY_BYTES = 4 << 30  # of address space; a decompression bomb causes a MemoryError
 PRODUCT = ("gyrorig_protocol", "gyrorig_daemon", "gyrorig_solver")
 
 
 def main() -> int:
-    """Run the targets that are asked for, print a table, return 1 if one broke."""
+    """Run the requested targets, print a table, return 1 if one failed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--seconds", type=float, default=180.0, help="of processor time, for each target"
@@ -48,7 +48,10 @@ def main() -> int:
         run_one(options.one, options.seconds, options.out, guided)
         return 0
     if not guided:
-        print("no atheris: inputs by chance alone (pip install gyrorig[fuzz])", file=sys.stderr)
+        print(
+            "no atheris, random inputs only (pip install gyrorig[fuzz])",
+            file=sys.stderr,
+        )
     options.out.mkdir(parents=True, exist_ok=True)
     rows = [row(name, options, guided) for name in options.target or names()]
     (options.out / "fuzz.json").write_text(json.dumps(rows, indent=1) + "\n")
@@ -57,8 +60,8 @@ def main() -> int:
 
 
 def names() -> list[str]:
-    """Return the names of all targets, without importing what is to be instrumented."""
-    command = "from tests.fuzz.every import TARGETS; print(*TARGETS)"
+    """Return the names of all targets without importing the packages to be instrumented."""
+    command = "from tests.fuzz.all_targets import TARGETS; print(*TARGETS)"
     ended = subprocess.run(
         [sys.executable, "-c", command],
         cwd=Path(__file__).resolve().parents[2],
@@ -70,7 +73,7 @@ def names() -> list[str]:
 
 
 def row(name: str, options: argparse.Namespace, guided: bool) -> dict[str, Any]:
-    """Run one target in its own process and return its figures."""
+    """Run one target in a separate process and return its results."""
     command = [sys.executable, __file__, "--one", name, "--seconds", str(options.seconds)]
     command += ["--out", str(options.out), *(["--chance"] if not guided else [])]
     log = options.out / f"{name}.log"
@@ -99,7 +102,7 @@ def row(name: str, options: argparse.Namespace, guided: bool) -> dict[str, Any]:
 
 
 def _spent_s() -> float:
-    """Return the processor time of all targets that have ended."""
+    """Return the processor time of all finished targets."""
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     return spent.ru_utime + spent.ru_stime
 
@@ -109,8 +112,8 @@ def run_one(name: str, seconds: float, out: Path, guided: bool) -> None:
     if guided:
         _guided(name, seconds, out)
         return
-    from tests.fuzz.every import TARGETS, found_inputs  # noqa: PLC0415
-    from tests.fuzz.mutate import mutated  # noqa: PLC0415
+    from tests.fuzz.all_targets import TARGETS, found_inputs  # noqa: PLC0415
+    from tests.fuzz.mutate import mutate  # noqa: PLC0415
 
     target = TARGETS[name]
     seeds = [*target.seeds(), *found_inputs(name)]
@@ -118,7 +121,7 @@ def run_one(name: str, seconds: float, out: Path, guided: bool) -> None:
     data = b""
     try:
         while time.process_time() < end:
-            data = mutated(chance, seeds, target.max_bytes)
+            data = mutate(chance, seeds, target.max_bytes)
             target.run(data)
             tried += 1
     except BaseException:
@@ -129,17 +132,17 @@ def run_one(name: str, seconds: float, out: Path, guided: bool) -> None:
 
 
 def _guided(name: str, seconds: float, out: Path) -> None:
-    atheris: Any = importlib.import_module("atheris")  # an extra that need not be there
+    atheris: Any = importlib.import_module("atheris")  # an optional extra
 
     with atheris.instrument_imports(include=list(PRODUCT)):
-        from tests.fuzz.every import TARGETS, found_inputs  # noqa: PLC0415
+        from tests.fuzz.all_targets import TARGETS, found_inputs  # noqa: PLC0415
     target = TARGETS[name]
     corpus = out / "corpus" / name  # grows from run to run
     corpus.mkdir(parents=True, exist_ok=True)
     for number, seed in enumerate([*target.seeds(), *found_inputs(name)]):
         (corpus / f"seed-{number}").write_bytes(seed[: target.max_bytes])
     arguments = [
-        sys.argv[0], str(corpus), f"-max_total_time={max(1, round(PATIENCE * seconds))}",
+        sys.argv[0], str(corpus), f"-max_total_time={max(1, round(TIMEOUT_FACTOR * seconds))}",
         f"-max_len={target.max_bytes}", "-print_final_stats=1", "-timeout=30", "-rss_limit_mb=0",
         f"-artifact_prefix={out}/broken-{name}-", "-verbosity=1",
     ]  # fmt: skip
@@ -148,7 +151,7 @@ def _guided(name: str, seconds: float, out: Path) -> None:
     def run(data: bytes) -> None:
         target.run(data)
         if time.process_time() > end_s:
-            os.kill(os.getpid(), signal.SIGUSR1)  # libFuzzer ends with its figures, and code 0
+            os.kill(os.getpid(), signal.SIGUSR1)  # libFuzzer exits with status 0
 
     atheris.Setup(arguments, run)
     atheris.Fuzz()

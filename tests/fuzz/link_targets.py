@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from tests.fuzz.target import Target, pieces, promise
+from tests.fuzz.target import Target, require, split_pieces
 
 from gyrorig_protocol.board import (
     ColumnMap,
@@ -17,8 +17,8 @@ from gyrorig_protocol.board import (
     TextLineParser,
     decode_payload,
 )
-from gyrorig_protocol.board.wire import MAX_PAYLOAD_BYTES, MAX_STUFFED_BYTES, frame_bytes
-from gyrorig_protocol.ptu import Expects, PtuCommand, PtuReplyParser, Reply, read
+from gyrorig_protocol.board.frame_encoding import MAX_PAYLOAD_BYTES, MAX_STUFFED_BYTES, encode_frame
+from gyrorig_protocol.ptu import AnswerKind, PtuCommand, PtuReplyParser, Reply, read_value
 
 VECTORS = Path(__file__).resolve().parents[2] / "firmware_protocol" / "vectors"
 LINE_BYTES = 80
@@ -31,49 +31,51 @@ MAPS = (
 
 def ptu_replies(data: bytes) -> None:
     """Events do not depend on cuts, memory is bounded, and any reply can be read."""
-    whole, cut = PtuReplyParser(LINE_BYTES), PtuReplyParser(LINE_BYTES)
-    events = whole.feed(data, 1)
-    promise(events == [e for piece in pieces(data) for e in cut.feed(piece, 1)], "cuts matter")
-    promise(whole.buffered_bytes <= LINE_BYTES, "more is kept than the limit")
+    complete, cut = PtuReplyParser(LINE_BYTES), PtuReplyParser(LINE_BYTES)
+    events = complete.feed(data, 1)
+    require(
+        events == [e for piece in split_pieces(data) for e in cut.feed(piece, 1)], "cuts matter"
+    )
+    require(complete.buffered_bytes <= LINE_BYTES, "more is kept than the limit")
     for event in events:
         if isinstance(event, Reply):
-            for expects in Expects:
+            for expects in AnswerKind:
                 for text in ("PP", "CNT", "BT"):
-                    read(PtuCommand(text, expects), event)
+                    read_value(PtuCommand(text, expects), event)
 
 
 def board_frames(data: bytes) -> None:
     """Events do not depend on cuts, memory is bounded, and everything is counted."""
-    whole, cut = FrameParser(), FrameParser()
-    events = _placeless(whole.feed(data, 1))
-    found = _placeless([e for piece in pieces(data) for e in cut.feed(piece, 1)])
-    promise(events == found, "cuts matter")
-    promise(whole.buffered_bytes <= MAX_STUFFED_BYTES, "more is kept than the limit")
-    promise(len(events) == whole.frames + sum(whole.faults.values()), "not all is counted")
+    complete, cut = FrameParser(), FrameParser()
+    events = _placeless(complete.feed(data, 1))
+    actual = _placeless([e for piece in split_pieces(data) for e in cut.feed(piece, 1)])
+    require(events == actual, "cuts matter")
+    require(complete.buffered_bytes <= MAX_STUFFED_BYTES, "more is kept than the limit")
+    require(len(events) == complete.frames + sum(complete.faults.values()), "not all is counted")
 
 
 def board_payloads(data: bytes) -> None:
-    """A payload with a right check is a record that says the same again, or a cause."""
+    """A payload with a valid checksum is a frame that round-trips, or a fault cause."""
     frame = decode_payload(data)
     if isinstance(frame, FaultCause):
         return
-    promise(decode_payload(frame.payload()) == frame, "what is read is not what is written")
+    require(decode_payload(frame.encode_payload()) == frame, "what is read is not what is written")
     if len(data) <= MAX_PAYLOAD_BYTES:
-        (event,) = FrameParser().feed(frame_bytes(data), 1)
-        promise(isinstance(event, FrameEvent), "a frame with a right check is refused")
+        (event,) = FrameParser().feed(encode_frame(data), 1)
+        require(isinstance(event, FrameEvent), "a frame with a right check is refused")
 
 
 def board_text(data: bytes) -> None:
     """As `board_frames`, and no count is beyond its width."""
     for columns in MAPS:
-        whole, cut = (TextLineParser(columns, False, LINE_BYTES) for _ in range(2))
-        events = whole.feed(data, 1)
-        found = [e for piece in pieces(data) for e in cut.feed(piece, 1)]
-        promise(_placeless(events) == _placeless(found), "cuts matter")
-        promise(whole.buffered_bytes <= LINE_BYTES, "more is kept than the limit")
+        complete, cut = (TextLineParser(columns, False, LINE_BYTES) for _ in range(2))
+        events = complete.feed(data, 1)
+        actual = [e for piece in split_pieces(data) for e in cut.feed(piece, 1)]
+        require(_placeless(events) == _placeless(actual), "cuts matter")
+        require(complete.buffered_bytes <= LINE_BYTES, "more is kept than the limit")
         for event in events:
             if isinstance(event, FrameEvent) and isinstance(event.frame, Sample):
-                promise(max(map(abs, event.frame.gyro)) < 2**31, "a count is out of range")
+                require(max(map(abs, event.frame.gyro)) < 2**31, "a count is out of range")
 
 
 def _placeless(events: Sequence[Any]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Inputs from seeds by chance alone, for where no coverage-guided fuzzer is."""
+"""Random mutation of seeds, for computers without a coverage-guided fuzzer."""
 
 import random
 from collections.abc import Sequence
@@ -9,26 +9,26 @@ WORDS = (
 )  # fmt: skip
 
 
-def mutated(chance: random.Random, seeds: Sequence[bytes], longest: int) -> bytes:
+def mutate(chance: random.Random, seeds: Sequence[bytes], longest: int) -> bytes:
     """Return a seed with one to eight changes, at most `longest` bytes."""
     data = bytearray(chance.choice(seeds) if seeds else b"")
     for _ in range(chance.randint(1, 8)):
-        at = chance.randrange(len(data) + 1)
-        end = min(len(data), at + chance.randint(1, 16))
+        index = chance.randrange(len(data) + 1)
+        end = min(len(data), index + chance.randint(1, 16))
         match chance.randrange(7):
             case 0:
-                data[at:at] = chance.randbytes(chance.randint(1, 8))
+                data[index:index] = chance.randbytes(chance.randint(1, 8))
             case 1:
-                del data[at:end]
+                del data[index:end]
             case 2:
-                data[at:end] = chance.randbytes(end - at)
+                data[index:end] = chance.randbytes(end - index)
             case 3:
-                data[at:at] = data[at:end] * chance.randint(1, 4)
+                data[index:index] = data[index:end] * chance.randint(1, 4)
             case 4:
-                data[at:at] = chance.choice(WORDS)
+                data[index:index] = chance.choice(WORDS)
             case 5 if data:
-                data[at % len(data)] ^= 1 << chance.randrange(8)
+                data[index % len(data)] ^= 1 << chance.randrange(8)
             case _:
                 other = chance.choice(seeds) if seeds else b""
-                data[at:] = other[chance.randrange(len(other) + 1) :]
+                data[index:] = other[chance.randrange(len(other) + 1) :]
     return bytes(data[:longest])

@@ -1,9 +1,14 @@
-"""What people and programs say to a running daemon: requests, jobs, schedules."""
+"""Untrusted input of a running daemon: requests, jobs, schedules."""
 
-from tests.fuzz.target import Target, promise, refused
+from tests.fuzz.target import Target, expect_rejection, require
 
-from gyrorig_daemon.service.jobs import read_job
-from gyrorig_daemon.service.wire import COMMANDING, HALTING, READING, decode_request
+from gyrorig_daemon.service.job_queue import parse_job
+from gyrorig_daemon.service.service_protocol import (
+    HALT_COMMANDS,
+    PRIVILEGED_COMMANDS,
+    QUERY_COMMANDS,
+    decode_request,
+)
 from gyrorig_protocol.errors import UsageError
 
 PROGRAM = b"name: p\nsteps:\n  - rest: {seconds: 1.0}\n"
@@ -11,12 +16,15 @@ PROGRAM = b"name: p\nsteps:\n  - rest: {seconds: 1.0}\n"
 
 def request(data: bytes) -> None:
     """A line is a known command, or none."""
-    found = decode_request(data)
-    promise(found is None or found in READING | HALTING | COMMANDING, "an unknown command")
+    actual = decode_request(data)
+    require(
+        actual is None or actual in QUERY_COMMANDS | HALT_COMMANDS | PRIVILEGED_COMMANDS,
+        "an unknown command",
+    )
 
 
 def _job(data: bytes) -> None:
-    refused(lambda text: read_job(text, "x"), UsageError, data)
+    expect_rejection(lambda text: parse_job(text, "x"), UsageError, data)
 
 
 TARGETS = (

@@ -1,23 +1,23 @@
-"""What a fuzz target is, and what it means that one fails."""
+"""Fuzz targets, and the guarantees that they check."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gyrorig_protocol.errors import GyrorigError
 
-LONGEST_ERROR = 2000
+MAX_ERROR_CHARS = 2000
 
 
-class BrokenError(AssertionError):
-    """A promise of a parser's docstring does not hold."""
+class GuaranteeError(AssertionError):
+    """A guarantee in a parser's docstring is violated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """One entrance for bytes of strangers.
+    """One input for untrusted bytes.
 
-    `run` returns for every input; it raises where the parser raised what it may not, or
-    `BrokenError`. `seeds` are inputs to begin with, made when they are wanted.
+    `run` returns for every input. It raises an error if the parser raised an unexpected error, or
+    `GuaranteeError`. `seeds` returns the first inputs.
     """
 
     name: str
@@ -26,30 +26,32 @@ class Target:
     max_bytes: int = 2048
 
 
-def promise(holds: bool, what: str) -> None:
-    """Raise where something that was promised does not hold."""
+def require(holds: bool, guarantee: str) -> None:
+    """Raise `GuaranteeError` if a guarantee is violated."""
     if not holds:
-        raise BrokenError(what)
+        raise GuaranteeError(guarantee)
 
 
-def refused(parse: Callable[[bytes], object], error: type[GyrorigError], data: bytes) -> None:
-    """See that `parse` returns, or raises the one error, in one line."""
+def expect_rejection(
+    parse: Callable[[bytes], object], error: type[GyrorigError], data: bytes
+) -> None:
+    """Check that `parse` returns, or raises this error with a text of one line."""
     try:
         parse(data)
     except error as fault:
-        one_line(fault)
+        check_single_line(fault)
 
 
-def one_line(fault: GyrorigError) -> None:
-    """See that an error's text is one line with an end."""
-    promise("\n" not in str(fault), "an error of several lines")
-    promise(len(str(fault)) < LONGEST_ERROR, "an error without end")
+def check_single_line(fault: GyrorigError) -> None:
+    """Check that the text of an error is one line of limited length."""
+    require("\n" not in str(fault), "an error of several lines")
+    require(len(str(fault)) < MAX_ERROR_CHARS, "an error without end")
 
 
-def pieces(data: bytes) -> Iterator[bytes]:
-    """Cut `data` where its own bytes say, so that the fuzzer finds the cuts that matter."""
-    at = 0
-    while at < len(data):
-        end = at + 1 + data[at] % 7
-        yield data[at:end]
-        at = end
+def split_pieces(data: bytes) -> Iterator[bytes]:
+    """Split `data` at positions given by its bytes, so that the fuzzer finds relevant splits."""
+    index = 0
+    while index < len(data):
+        end = index + 1 + data[index] % 7
+        yield data[index:end]
+        index = end

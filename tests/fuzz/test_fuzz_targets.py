@@ -1,4 +1,4 @@
-"""Every target holds on its seeds, on what once broke it, and on inputs by chance."""
+"""Every fuzz target withstands its seeds, inputs that once failed, and random inputs."""
 
 import random
 import subprocess
@@ -6,16 +6,16 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.fuzz.every import TARGETS, found_inputs
+from tests.fuzz.all_targets import TARGETS, found_inputs
 from tests.fuzz.inject import KINDS, inject
-from tests.fuzz.mutate import mutated
-from tests.fuzz.target import BrokenError
+from tests.fuzz.mutate import mutate
+from tests.fuzz.target import GuaranteeError
 
 INPUTS = 300
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_a_target_holds(name: str) -> None:
+def test_a_target_withstands_random_input(name: str) -> None:
     target = TARGETS[name]
     seeds = list(target.seeds())
     assert seeds
@@ -23,14 +23,14 @@ def test_a_target_holds(name: str) -> None:
     for data in [b"", *seeds, *found_inputs(name)]:
         target.run(data)
     for _ in range(INPUTS):
-        target.run(mutated(chance, seeds, target.max_bytes))
+        target.run(mutate(chance, seeds, target.max_bytes))
 
 
-def test_a_target_that_does_not_hold_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_target_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
     from tests.fuzz import link_targets  # noqa: PLC0415
 
     monkeypatch.setattr(link_targets, "MAX_STUFFED_BYTES", 3)
-    with pytest.raises(BrokenError, match="more is kept"):
+    with pytest.raises(GuaranteeError, match="more is kept"):
         TARGETS["board_frames"].run(b"\x01" * 9)
 
 
@@ -48,6 +48,6 @@ def test_the_fuzzer_counts(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_no_damaged_frame_gives_a_wrong_sample(name: str) -> None:
-    found = inject(KINDS[name], 2000, f"test {name}")
-    assert found["wrong"] == 0
-    assert found["neighbours_lost"] <= 2000 * 0.2  # only where the border between was hit
+    actual = inject(KINDS[name], 2000, f"test {name}")
+    assert actual["wrong"] == 0
+    assert actual["neighbours_lost"] <= 2000 * 0.2  # only if the delimiter between them was hit

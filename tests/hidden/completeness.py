@@ -47,22 +47,28 @@ from tests.hidden.scoring.complete import UNSEEN, Left
 from tests.hidden.scoring.goals import COMPLETE_LEFT
 
 from gyrorig_daemon.cli import run
-from gyrorig_daemon.emulator.causes.registry import CAUSES
+from gyrorig_daemon.emulator.causes.cause_catalogue import CAUSES
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.discover.banks import all_rows
-from gyrorig_solver.discover.scores import sights
-from gyrorig_solver.discover.search import _with, best_fit, testable, tests_of
-from gyrorig_solver.estimate.likelihood import Solution
-from gyrorig_solver.estimate.motion import solution_of
-from gyrorig_solver.estimate.noise import NoiseModel, Sampling, Spectrum, ordinary_levels
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.estimate.whitening import whitened
-from gyrorig_solver.extensions import choose_extensions
-from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.reference.ptu_recording import ptu_reference
-from gyrorig_solver.samples import GyroSamples, load_samples
-from gyrorig_solver.setting import settings_of
+from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.discover.cause_search import (
+    _solve_with,
+    count_tests,
+    fit_best_place,
+    testable_terms,
+)
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.motion_fit import solve_motion
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, Spectrum, nominal_levels
+from gyrorig_solver.estimate.noise.whitening import whiten_residual
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.session_fit import SessionFit
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.pipeline.recording_contexts import read_contexts
+from gyrorig_solver.pipeline.term_selection import select_terms
+from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 7
@@ -128,7 +134,7 @@ def energies(
     with noise_held():
         base = _solved(program, soak_k, seed, hide)
         found = extended(base, SAME.get((cause, place), cause))
-    own = found.extensions[-1].values if found.extensions else np.zeros(0)
+    own = found.fitted_terms[-1].values if found.fitted_terms else np.zeros(0)
     floor = floor_of(program, soak_k, seed)
     return Energies(floor, energy(base), energy(found), tuple(own.tolist()))
 
@@ -140,53 +146,56 @@ def floor_of(program: str, soak_k: float | None, seed: int) -> float:
         return energy(_solved(program, soak_k, seed))
 
 
-def extended(base: Solution, cause: str) -> Solution:
+def extended(base: ConvergedFit, cause: str) -> ConvergedFit:
     """Fit a cause beside a base fit at all its places, from where the finder would begin."""
-    projection = Projection.of(base)
+    projection = NuisanceProjector.at_fit(base)
     term = catalogue()[cause]
-    tests = tests_of(testable(projection))
-    found = sights(projection, [term], tests, all_rows(projection, term))
+    tests = count_tests(testable_terms(projection))
+    found = scan_catalogue(projection, [term], tests, all_templates(projection, term))
     # A place left out because it shows too little to be worth it would count as left.
-    best = best_fit(projection, [s for s in found if s.place is None])
+    best = fit_best_place(projection, [s for s in found if s.place is None])
     if best is None:
         raise ValueError(f"{cause} could not be fitted")
-    return _with(base, best[0].extension)
+    return _solve_with(base, best[0].extension)
 
 
-def energy(solution: Solution) -> float:
+def energy(solution: ConvergedFit) -> float:
     """Return the whitened energy of a fit's residual, spikes and all."""
     total = 0.0
     for session in solution.sessions:
         every = session.copy()
-        for stretch in every._stretches:
+        for stretch in every._series_states:
             stretch.good = stretch.series.good.copy()
-        with patch("gyrorig_solver.estimate.session.unsure_of", lambda *_: None):
-            every.observe(solution.gain, judge=False, fresh=False)
+        with patch("gyrorig_solver.estimate.session_fit.timing_sensitive_mask", lambda *_: None):
+            every.update_prediction(solution.gain, detect_outliers=False, new_derivatives=False)
         noise = _ordinary(session.sampling)
         for series, residual in zip(every.series, every.residuals(solution.gain), strict=True):
-            white = whitened([residual[part] for part in series.parts()], noise)
+            white = whiten_residual([residual[part] for part in series.part_slices()], noise)
             total += float(np.sum(white**2))
     return total
 
 
 def _ordinary(sampling: Sampling) -> NoiseModel:
-    levels = np.tile(ordinary_levels(DENSITY_RAD_S_RTHZ**2), (3, 1))
+    levels = np.tile(nominal_levels(DENSITY_RAD_S_RTHZ**2), (3, 1))
     levels[:, 3] = 0.0
     return NoiseModel(levels, replace(sampling, quantum_rad_s=0.0))
 
 
 @contextlib.contextmanager
 def noise_held() -> Iterator[None]:
-    """Let fits weigh by an ordinary part's noise."""
+    """Let fits weigh by an ordinary part's noise, at rest and in motion."""
 
     def held(_spectrum: Spectrum, sampling: Sampling, _before: object = None) -> NoiseModel:
         return _ordinary(sampling)
 
-    with patch("gyrorig_solver.estimate.likelihood.fit_levels", held):
+    with (
+        patch("gyrorig_solver.estimate.likelihood_fit.fit_noise_levels", held),
+        patch.object(SessionFit, "update_motion_noise", lambda *_: False),
+    ):
         yield
 
 
-def _solved(program: str, soak_k: float | None, seed: int, *hidden: str) -> Solution:
+def _solved(program: str, soak_k: float | None, seed: int, *hidden: str) -> ConvergedFit:
     """Record a session in simulated time and fit the base model to it."""
     told = [word for one in hidden for word in ("--hide", one)]
     told += ["--soak", repr(soak_k)] if soak_k else []
@@ -207,12 +216,14 @@ def _solved(program: str, soak_k: float | None, seed: int, *hidden: str) -> Solu
         return _fitted(read_recording(next(Path(folder).glob("*.mcap"))), board, unrounded)
 
 
-def _fitted(recording: Recording, board: str, unrounded: NDArray[np.float64]) -> Solution:
+def _fitted(recording: Recording, board: str, unrounded: NDArray[np.float64]) -> ConvergedFit:
     rounded = load_samples(recording, board)
     return fitted(recording, rounded, _exact(rounded, unrounded))
 
 
-def fitted(recording: Recording, rounded: GyroSamples, rate_rad_s: NDArray[np.float64]) -> Solution:
+def fitted(
+    recording: Recording, rounded: GyroSamples, rate_rad_s: NDArray[np.float64]
+) -> ConvergedFit:
     """Fit the base model to rates without noise; inside `noise_held`.
 
     Args:
@@ -223,14 +234,14 @@ def fitted(recording: Recording, rounded: GyroSamples, rate_rad_s: NDArray[np.fl
     bandwidth_hz = rounded.bandwidth_hz or 0.5 / rounded.period_s
     deviation = DENSITY_RAD_S_RTHZ * np.sqrt(1.11 * bandwidth_hz)  # Butterworth, second order
     samples = replace(rounded, rate_rad_s=rate_rad_s, quantum_rad_s=float(deviation))
-    reference = ptu_reference(recording, samples.origin_ns)
+    reference = read_pan_tilt_reference(recording, samples.origin_ns)
     found = [(recording, samples, reference)]
-    chosen = choose_extensions(found, ())
+    chosen = select_terms(found, ())
     settings = [
         replace(one, quantum_rad_s=rounded.quantum_rad_s)
-        for one in chosen.settings or settings_of(found)
+        for one in chosen.contexts or read_contexts(found)
     ]
-    return solution_of([(samples, reference)], chosen.extensions, settings)
+    return solve_motion([(samples, reference)], chosen.extensions, settings)
 
 
 def _exact(samples: GyroSamples, unrounded: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -260,7 +271,7 @@ def main() -> None:
         f"{name}@{place}" if place else name
         for name, cause in CAUSES.items()
         if name in known and known[name].kind == "effect"
-        for place in (cause.places if cause.part == "ptu" else ("",)) or ("",)
+        for place in (cause.components if cause.part == "ptu" else ("",)) or ("",)
     ]
     sys.stdout.write(
         f"{'cause':32} {'floor':>6} {'effect':>11} {'left':>9} {'share':>8}  seconds  values\n"

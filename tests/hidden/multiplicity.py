@@ -32,15 +32,15 @@ from tests.hidden.scoring.goals import FALSE_ALARMS
 from tests.hidden.scoring.once import Multiplicity
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.arrays import FloatArray, IntArray
-from gyrorig_solver.discover.banks import all_rows, quick_rows
-from gyrorig_solver.discover.scores import where
-from gyrorig_solver.discover.search import testable, tests_of
-from gyrorig_solver.discover.wandering import beside
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.protocol import Term, indices
-from gyrorig_solver.model.terms.scene import Scene
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.discover.cause_search import count_tests, testable_terms
+from gyrorig_solver.discover.checks.typical_noise import build_projector
+from gyrorig_solver.discover.score_tests import testable_places
+from gyrorig_solver.discover.template_choice import all_templates, quick_templates
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Term, value_indices
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "discovery" / "multiplicity.json"
 BY_RESIDUAL = ("lost_steps", "supply_hum")
@@ -59,16 +59,19 @@ class Bank:
     sizes: int
 
     @classmethod
-    def of(cls, projection: Projection, term: Term) -> "Bank":
+    def of(cls, projection: NuisanceProjector, term: Term) -> "Bank":
         """Return the bank of a cause, at most `ROWS` of it."""
-        rows = all_rows(projection, term)
-        size = np.abs(rows[:, indices(term, role="size")]).max(axis=1)
+        rows = all_templates(projection, term)
+        size = np.abs(rows[:, value_indices(term, role="size")]).max(axis=1)
         rows = rows[size == 0.0] if (size == 0.0).any() else rows  # to first order, as searched
         rows = rows[:: -(-len(rows) // ROWS)]
         every = np.concatenate(
-            [projection.signals(partial(_directions, term, row), term=term) for row in rows]
+            [
+                projection.evaluate_signals(partial(_directions, term, row), term=term).dense()
+                for row in rows
+            ]
         )
-        left = np.array([projection.left(one) for one in every])
+        left = np.array([projection.orthogonal_component(one) for one in every])
         energy, raw = np.sum(left**2, axis=1), np.sum(every**2, axis=1)
         some = energy > VANISHED * np.maximum(raw, 1e-300)
         scale = np.where(some, np.sqrt(np.maximum(energy, 1e-300)), 1.0)
@@ -96,8 +99,8 @@ class Bank:
         return best, degrees
 
 
-def _directions(term: Term, row: FloatArray, scene: Scene) -> FloatArray:
-    return term.directions(scene, row)
+def _directions(term: Term, row: FloatArray, scene: SignalState) -> FloatArray:
+    return term.tangent_signals(scene, row)
 
 
 def drawn(white: FloatArray, draws: int, seed: int) -> Iterator[FloatArray]:
@@ -113,11 +116,13 @@ def drawn(white: FloatArray, draws: int, seed: int) -> Iterator[FloatArray]:
 def measured(session: Path, draws: int) -> Multiplicity:
     """Measure one session that hides nothing."""
     recording = read_recording(session / "recording.mcap")
-    projection = beside(unit_solution([recording], recording.board_ids[0]), calm=True)
-    terms = testable(projection)
+    projection = build_projector(fit_base_model([recording], recording.board_ids[0]), typical=True)
+    terms = testable_terms(projection)
     banks = [Bank.of(projection, t) for t in terms if t.cause not in BY_RESIDUAL]
     ends = np.cumsum([len(bank.white) for bank in banks])
-    spots = [(k, np.array(at)) for k, bank in enumerate(banks) for _, at in where(bank.term)]
+    spots = [
+        (k, np.array(at)) for k, bank in enumerate(banks) for _, at in testable_places(bank.term)
+    ]
     best: list[list[FloatArray]] = [[] for _ in spots]
     degrees = [0] * len(spots)
     for score in drawn(np.concatenate([bank.white for bank in banks]), draws, seed=1):
@@ -125,7 +130,7 @@ def measured(session: Path, draws: int) -> Multiplicity:
         for j, (k, at) in enumerate(spots):
             some, degrees[j] = banks[k].best(parts[k], at)
             best[j].append(some)
-    looks: dict[str, float] = {t.cause: quick_rows(projection, t)[1] for t in terms
+    looks: dict[str, float] = {t.cause: quick_templates(projection, t)[1] for t in terms
                                if t.cause in BY_RESIDUAL}  # fmt: skip
     chance = np.ones(draws)
     for j, (k, _) in enumerate(spots):
@@ -139,8 +144,8 @@ def measured(session: Path, draws: int) -> Multiplicity:
         chance = np.minimum(chance, own * chi2.sf(all_draws, degrees[j]))
         cause = banks[k].term.cause
         looks[cause] = max(looks.get(cause, 1.0), own)
-    tests = tests_of(terms)
-    apart = tests_of([t for t in terms if t.cause in BY_RESIDUAL])
+    tests = count_tests(terms)
+    apart = count_tests([t for t in terms if t.cause in BY_RESIDUAL])
     effective = FALSE_ALARMS / float(np.quantile(chance, FALSE_ALARMS)) + apart
     answer = opened(session, sealed(session))
     rounded = {cause: round(value, 2) for cause, value in sorted(looks.items())}

@@ -15,13 +15,18 @@ import time
 from pathlib import Path
 from types import ModuleType
 
-from gyrorig_solver.discover.banks import all_rows
-from gyrorig_solver.discover.scores import sights
-from gyrorig_solver.discover.search import _with, best_fit, testable, tests_of
-from gyrorig_solver.estimate.likelihood import Solution
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.model.terms.protocol import value_names
+from gyrorig_solver.discover.cause_search import (
+    _solve_with,
+    count_tests,
+    fit_best_place,
+    testable_terms,
+)
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.term import value_names
 
 GOAL = 0.005
 SEED = 7
@@ -58,7 +63,7 @@ def completeness() -> ModuleType:
 
 def left_share(
     hidden: str, program: str = "survey-40", seed: int = SEED
-) -> tuple[float, float, Solution]:
+) -> tuple[float, float, ConvergedFit]:
     """Return the share of causes' joint energy that their terms leave, the energy, the fit.
 
     Args:
@@ -76,23 +81,23 @@ def left_share(
     return (one.energy(found) - floor) / effect, effect, found
 
 
-def together(base: Solution, causes: list[str]) -> Solution:
+def together(base: ConvergedFit, causes: list[str]) -> ConvergedFit:
     """Fit causes beside a base fit, from where the finder would begin."""
     solution, open_causes = base, list(causes)
     while open_causes:
-        projection = Projection.of(solution)
-        tests = tests_of(testable(projection))
+        projection = NuisanceProjector.at_fit(solution)
+        tests = count_tests(testable_terms(projection))
         weighed = []
         for cause in open_causes:
             term = catalogue()[cause]
-            found = sights(projection, [term], tests, all_rows(projection, term))
-            best = best_fit(projection, [s for s in found if s.place is None])
+            found = scan_catalogue(projection, [term], tests, all_templates(projection, term))
+            best = fit_best_place(projection, [s for s in found if s.place is None])
             if best is not None:
                 weighed.append(best[0])
         if not weighed:
             raise ValueError(f"{open_causes} could not be fitted")
-        first = max(weighed, key=lambda one: one.won)
-        solution = _with(solution, first.extension)
+        first = max(weighed, key=lambda one: one.delta_log_likelihood)
+        solution = _solve_with(solution, first.extension)
         open_causes.remove(first.extension.term.cause)
     return solution
 
@@ -109,7 +114,7 @@ def main() -> None:
         share, effect, found = left_share(hidden, told.program)
         said = " ".join(
             f"{one.term.cause}.{name}={value:.4g}"
-            for one in found.extensions
+            for one in found.fitted_terms
             for name, value in zip(value_names(one.term), one.values, strict=True)
         )
         sys.stdout.write(

@@ -23,8 +23,8 @@ from tests.hidden.truth.outside import SHAPES
 from tests.hidden.truth.session import RigDraw, record, settings_of
 from tests.hidden.truth.shapes import hanger
 
-from gyrorig_daemon.emulator.settings import HideOrder
-from gyrorig_daemon.emulator.truth import draw_rig_truth
+from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
+from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
 
 EVERYWHERE = ("all", "x,y,z", "pan,tilt")  # said of causes that have no place of their own
 Line = dict[str, Any]
@@ -43,11 +43,11 @@ def hold(line: Line, path: Path) -> None:
     more = hanger(SHAPES[shape], float(size), settings_of(rig)) if shape and size else None
     if line.get("cause"):
         place = str(line.get("place") or "")
-        order = HideOrder(str(line["cause"]), place, None if size is None else float(size))
+        order = InjectionRequest(str(line["cause"]), place, None if size is None else float(size))
         rig = replace(rig, hide=(order,))
     truth = None
     if "rig_seed" in line:  # the rig of another session: only its noise is new
-        truth = draw_rig_truth(settings_of(replace(rig, seed=int(line["rig_seed"]))))
+        truth = sample_rig_truth(settings_of(replace(rig, seed=int(line["rig_seed"]))))
     record(rig, path, truth, more)
 
 

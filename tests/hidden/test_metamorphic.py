@@ -12,10 +12,10 @@ import pytest
 from tests.hidden.fast import Line, Sessions
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver import on_unit
-from gyrorig_solver.discover.finder import explain
-from gyrorig_solver.discover.result import Findings, NamedCause
-from gyrorig_solver.samples import GyroSamples, load_samples
+from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.discover.cause_findings import CauseFindings, NamedCause
+from gyrorig_solver.pipeline import board_data
+from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 pytestmark = pytest.mark.long
 
@@ -39,11 +39,11 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
     made.close()
 
 
-def findings(there: Sessions, k: int) -> Findings:
+def findings(there: Sessions, k: int) -> CauseFindings:
     return there.stated(LINES[k]).explained.findings
 
 
-def only(found: Findings) -> NamedCause:
+def only(found: CauseFindings) -> NamedCause:
     (one,) = found.causes
     assert one.candidates == (HIDDEN["cause"],)
     return one
@@ -91,8 +91,8 @@ def test_a_board_mounted_otherwise_has_the_same_names(there: Sessions) -> None:
         )
 
     recording = read_recording(there.path("plus"))
-    with patch.object(on_unit, "load_samples", lambda *a: turned(load_samples(*a))):
-        one = only(explain([recording], recording.board_ids[0]).findings)
+    with patch.object(board_data, "load_samples", lambda *a: turned(load_samples(*a))):
+        one = only(explain_recordings([recording], recording.board_ids[0]).findings)
     before = only(findings(there, 0))
     assert {TURNED[axis] for axis in before.where} == set(one.where)
     was, now = size(before, "x"), size(one, "y")
@@ -103,7 +103,7 @@ def test_a_board_mounted_otherwise_has_the_same_names(there: Sessions) -> None:
 def test_the_evidence_of_two_runs_adds(there: Sessions) -> None:
     each = [only(findings(there, k)) for k in (0, 3)]
     recordings = [read_recording(there.path(name)) for name in ("plus", "again")]
-    both = only(explain(recordings, recordings[0].board_ids[0]).findings)
+    both = only(explain_recordings(recordings, recordings[0].board_ids[0]).findings)
     total = sum(one.statistic for one in each)
     # Chi-squared about its non-centrality: 2 (d + 2 lambda) is its variance. What both share
     # (the gain) is told better by two, so that less of the effect is taken by it.

@@ -1,4 +1,4 @@
-"""docs/discovery-scores.md and its picture are made of the committed results, and nothing else."""
+"""docs/discovery-scores.md and its picture agree with the committed results."""
 
 from docs import blocks
 from tests.hidden import write_scores

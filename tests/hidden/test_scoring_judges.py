@@ -228,9 +228,8 @@ def test_what_the_data_bear_goes_with_what_the_best_rival_leaves() -> None:
 def test_the_bound_is_said_beside_the_figure_and_kept(tmp_path: Path) -> None:
     told = answer(("scale_asymmetry", 2.0))
     kept = Kept([judged(told, named("scale_asymmetry"))], [], [bound(0.0, told.seed)])
-    assert figures(kept.outcomes, (), kept.bounds)["sole_right"].words.endswith(
-        "bear 0.0 % at most"
-    )
+    figure = figures(kept.outcomes, (), kept.bounds)["sole_right"]
+    assert figure.words.endswith("upper bound 0.0 %")
     write_kept(tmp_path / "kept.json", kept)
     assert read_kept(tmp_path / "kept.json").bounds == kept.bounds
     assert "`scale_quadratic`" in tables.inseparable(kept.bounds)

@@ -26,17 +26,18 @@ from tests.hidden.truth.outside import SHAPES
 from tests.hidden.truth.programs import program_text, reversed_steps
 from tests.hidden.truth.session import ROOT, RigDraw, record, settings_of
 from tests.hidden.truth.sizing import COUNTED, Sizer
+from tests.support.noncentrality import detectable_noncentrality
 
-from gyrorig_daemon.emulation import rough_session_s
 from gyrorig_daemon.emulator.causes import CAUSES
-from gyrorig_daemon.emulator.noncentrality import detectable
-from gyrorig_daemon.emulator.settings import HideOrder
-from gyrorig_daemon.emulator.truth import draw_rig_truth
+from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
+from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
+from gyrorig_daemon.session.emulation_options import estimate_session_s
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_protocol.program import parse_program
 
 RIG = RigDraw(77, "quick", 0.0, *LINES[3])
 TRUTH = Path(__file__).parent / "truth"
+NONCENTRALITY = ROOT / "tests" / "support" / "noncentrality.py"
 
 
 def imported(file: Path) -> set[str]:
@@ -51,8 +52,9 @@ def imported(file: Path) -> set[str]:
 
 
 def test_the_truth_imports_nothing_of_the_finder() -> None:
-    ours = ("gyrorig_daemon", "gyrorig_protocol", "tests.hidden.truth")
-    for file in TRUTH.rglob("*.py"):
+    shared = "tests.support.noncentrality"
+    ours = ("gyrorig_daemon", "gyrorig_protocol", "tests.hidden.truth", shared)
+    for file in (*TRUTH.rglob("*.py"), NONCENTRALITY):
         for module in imported(file):
             inside = module.startswith(("gyrorig", "tests"))
             assert not inside or module.startswith(ours) or module == "tests.hidden", (file, module)
@@ -91,7 +93,11 @@ def test_draws_depend_on_the_seed_alone() -> None:
 
 def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
     item = Item(
-        "backlash", "pan", 5e-4, 3.0, sizer_of(RIG).visibility(HideOrder("backlash", "pan", 5e-4))
+        "backlash",
+        "pan",
+        5e-4,
+        3.0,
+        sizer_of(RIG).visibility(InjectionRequest("backlash", "pan", 5e-4)),
     )
     sealed = make.make(tmp_path, Session("mixed", "one", RIG, (item,)))
     data = (tmp_path / "answer.json").read_bytes()
@@ -121,7 +127,7 @@ def test_a_rung_is_met_by_the_session_that_comes_of_it(tmp_path: Path) -> None:
     assert cause["times_detectable"] == pytest.approx(2.0, rel=0.03)
     with np.load(tmp_path / "rates.npz") as file:  # what it would be without noise
         assert np.any(file["GY80-1.hidden_rad_s"] != file["GY80-1.aligned_rad_s"])
-    order = HideOrder("s_curve", "", cause["size"]["value"])
+    order = InjectionRequest("s_curve", "", cause["size"]["value"])
     course = record(replace(RIG, hide=(order,)), tmp_path / "again.mcap").course
     seen = Sizer(settings_of(RIG), course).visibility(order)
     assert seen.noncentrality == pytest.approx(cause["noncentrality"], rel=1e-9)
@@ -132,7 +138,7 @@ def test_a_size_is_as_visible_as_wanted(name: str) -> None:
     told = sizer_of(RIG).size_of_cause(name, "", 3.0, 1.0)
     assert told is not None
     assert told.seen.noncentrality == pytest.approx(9.0 * detectable_of(name), rel=0.05)
-    assert sizer_of(RIG).visibility(HideOrder(name, "", told.size)) == told.seen
+    assert sizer_of(RIG).visibility(InjectionRequest(name, "", told.size)) == told.seen
 
 
 def test_what_scatters_only_has_a_size_too() -> None:
@@ -148,7 +154,7 @@ def test_every_shape_outside_the_catalogue_shows(name: str) -> None:
     rig = replace(RIG, soak_k=20.0) if SHAPES[name].needs_soak else RIG
     told = shape_sized(sizer_of(rig), SHAPES[name], rig, 3.0)
     assert told is not None
-    assert told.seen.noncentrality == pytest.approx(9.0 * detectable(), rel=0.05)
+    assert told.seen.noncentrality == pytest.approx(9.0 * detectable_noncentrality(), rel=0.05)
 
 
 def test_a_ladder_goes_round_all_causes_before_the_next_rung() -> None:
@@ -160,7 +166,7 @@ def test_a_ladder_goes_round_all_causes_before_the_next_rung() -> None:
 
 
 def test_one_size_is_found_as_a_two_sided_test_finds_it() -> None:
-    assert detectable_of("backlash") == pytest.approx(detectable(), rel=1e-6)
+    assert detectable_of("backlash") == pytest.approx(detectable_noncentrality(), rel=1e-6)
     assert detectable_of("bias_step") == pytest.approx(24.80, abs=0.01)  # chi-square, 3
     assert (
         detectable_of("g_sensitivity") > detectable_of("eccentricity") > detectable_of("worm_error")
@@ -172,8 +178,8 @@ def test_one_size_is_found_as_a_two_sided_test_finds_it() -> None:
 def test_sizes_are_counted_as_the_rig_draws_them(name: str) -> None:
     shapes = {"at", "after", "lag", "time_constant", "frequency", "damping", "lag_at_power_up",
               "mean_lag"}  # fmt: skip
-    order = HideOrder(name, "", CAUSES[name].typical)
-    (hidden,) = draw_rig_truth(replace(settings_of(RIG), hide=(order,))).hidden
+    order = InjectionRequest(name, "", CAUSES[name].typical)
+    (hidden,) = sample_rig_truth(replace(settings_of(RIG), injections=(order,))).injected
     drawn_sizes = sum(
         np.size(told.value) for key, told in hidden.parameters.items() if key not in shapes
     )
@@ -186,5 +192,5 @@ def test_a_program_run_backwards_takes_as_long_and_back_again_is_itself(name: st
     steps = parse_yaml(program_text(name), name)["steps"]
     back = parse_program(program_text(f"{name}-backwards"), name)
     forth = parse_program(program_text(name), name)
-    assert rough_session_s(back) == pytest.approx(rough_session_s(forth))
+    assert estimate_session_s(back) == pytest.approx(estimate_session_s(forth))
     assert reversed_steps(reversed_steps(steps)) == steps

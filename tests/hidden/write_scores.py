@@ -3,7 +3,7 @@
     python tests/hidden/write_scores.py            write every block and the picture
     python tests/hidden/write_scores.py --check    change nothing; 1 if a block differs
 
-Nothing is run here: `make hidden` does that, and this page says what it found.
+This script runs no session: `make hidden` does that and stores the results.
 """
 
 import argparse
@@ -29,18 +29,18 @@ PICTURE = DOCS / "img" / "confusion.svg"
 
 @cache
 def kept() -> Kept:
-    """Return what the last run of the long tier left."""
+    """Return the results of the last run of the long tier."""
     return read_kept(RESULTS)
 
 
 @cache
 def measured() -> list[once.Multiplicity]:
-    """Return what `multiplicity.py` left: the independent looks of a search."""
+    """Return the effective number of trials of a search, as `multiplicity.py` measured it."""
     return once.read(MULTIPLICITY)
 
 
 def picture() -> str:
-    """Return the confusion matrix as a drawing."""
+    """Return the confusion matrix as SVG."""
     return confusion_picture(kept().outcomes)
 
 
@@ -69,10 +69,10 @@ def main() -> int:
     """Write or check page and picture; the exit code."""
     parser = argparse.ArgumentParser(description="figures of docs/discovery-scores.md")
     parser.add_argument("--check", action="store_true", help="change nothing, 1 if it differs")
-    asked = parser.parse_args()
-    if not asked.check:
+    options = parser.parse_args()
+    if not options.check:
         PICTURE.write_text(picture(), encoding="utf-8")
-    return write_or_check(DOCUMENT, BLOCKS, asked.check, "python tests/hidden/write_scores.py")
+    return write_or_check(DOCUMENT, BLOCKS, options.check, "python tests/hidden/write_scores.py")
 
 
 if __name__ == "__main__":

@@ -27,9 +27,9 @@ steps:
   - rest: {seconds: 2.0, phase: static}
 """
 VIEW = """
-from gyrorig_daemon.live import live_view
-view = live_view("127.0.0.1:0", print)
-view.status({"state": "ready"})
+from gyrorig_daemon.live.foxglove_view import open_live_view
+view = open_live_view("127.0.0.1:0", print)
+view.show_status({"state": "ready"})
 view.close()
 """
 

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from gyrorig_daemon.service.client import ask
+from gyrorig_daemon.service.service_client import send_command
 from gyrorig_protocol.board import Hello, Sensor
 from gyrorig_protocol.can import (
     CanFrame,
@@ -89,7 +89,7 @@ def status() -> dict[str, Any]:
     them from the daemon.
     """
     try:
-        told: dict[str, Any] = ask(SOCKET, "status")["status"]
+        told: dict[str, Any] = send_command(SOCKET, "status")["status"]
     except GyrorigError:
         return {}
     return told
@@ -136,7 +136,7 @@ def board() -> None:
         except BlockingIOError:
             pass
         if number % int(RATE_HZ) == 0:
-            for frame in hello_frames(NODE, hello.payload()[1:]):
+            for frame in hello_frames(NODE, hello.encode_payload()[1:]):
                 send(frame)
         due = begun + number / RATE_HZ
         if time.monotonic() >= due:

@@ -51,7 +51,7 @@ EXPECTED = {
     "held": "fault",
     "steps_are_sure": "True",
     "waiting": "0",  # the session that was broken off is not begun again
-    "cleared": "the hold is lifted",
+    "cleared": "The motion lock is released.",
     "after_the_jump": "running",
 }
 

@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import NameOID
 from tests.system.conftest import Clusters
 
-from gyrorig_solver.fleet.verifying import verify
+from gyrorig_solver.fleet.store.store_verification import verify
 
 pytest.importorskip("distributed", reason="dask.distributed is not installed: pip install .[fleet]")
 
@@ -92,7 +92,7 @@ def batch(tmp_path: Path, address: str, files: list[str]) -> "subprocess.Complet
     return subprocess.run(words, capture_output=True, text=True, check=False)
 
 
-def test_who_has_our_certificate_and_who_has_not(
+def test_only_our_certificate_is_accepted(
     tmp_path: Path, contracts: Path, ours: list[str], address: str
 ) -> None:
     assert address.startswith("tls://")

@@ -18,8 +18,8 @@ from tests.system.conftest import Clusters
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.cli import run
-from gyrorig_solver.fleet.index import Index
-from gyrorig_solver.fleet.verifying import verify
+from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.fleet.store.store_verification import verify
 
 pytest.importorskip("distributed", reason="dask.distributed is not installed: pip install .[fleet]")
 
@@ -42,33 +42,35 @@ class Cluster:
     address: str
 
 
-# What a night's work is to the scheduler, with pieces one of which kills whoever has it.
+# The jobs of a batch on a scheduler, one of which kills every worker that has it.
 POISONED = """
 import json, os, signal, sys
 from pathlib import Path
-from gyrorig_solver.fleet.lanes import through
-from gyrorig_solver.fleet.scheduler import dask_lanes
-from gyrorig_solver.fleet.task import Order, Outcome, Settings, carry_out_within, row_of
-from gyrorig_solver.places.folder import Folder
+from gyrorig_solver.fleet.jobs.dask_workers import dask_pools
+from gyrorig_solver.fleet.jobs.session_job import (
+    Job, JobResult, SolveSettings, failure_row, run_job_memory_limited
+)
+from gyrorig_solver.fleet.jobs.workers import run_all
+from gyrorig_solver.storage.folder import Folder
 
 address, folder = sys.argv[1], Path(sys.argv[2])
 
-def work(order):
+def work(job):
     with (folder / "begun").open("a") as file:
-        file.write(order.key + "\\n")
-    if order.key == "poison":
+        file.write(job.key + "\\n")
+    if job.key == "poison":
         os.kill(os.getpid(), signal.SIGKILL)
-    return Outcome(order.key, (row_of(order, "rejected", reason="as asked"),))
+    return JobResult(job.key, (failure_row(job, "rejected", reason="as asked"),))
 
-settings = Settings(solver_version="0.1.0")
+settings = SolveSettings(solver_version="0.1.0")
 keys = ["k1", "k2", "poison", *(f"k{n}" for n in range(3, 12))]
-place = Folder(folder)
-orders = [Order(key, "night", place, place, (), ("00",), settings) for key in keys]
-with dask_lanes(address) as lanes:
-    (lane,) = lanes
-    limited = lane.work is carry_out_within
-    lane.work = work
-    ended = [(one.key, one.rows[0].status) for one in through(orders, lanes)]
+storage = Folder(folder)
+jobs = [Job(key, "night", storage, storage, (), ("00",), settings) for key in keys]
+with dask_pools(address) as pools:
+    (pool,) = pools
+    limited = pool.job_function is run_job_memory_limited
+    pool.job_function = work
+    ended = [(result.key, result.rows[0].status) for result in run_all(jobs, pools)]
 begun = (folder / "begun").read_text().split()
 print(json.dumps({"ended": ended, "killed": begun.count("poison"), "limited": limited}))
 """
@@ -91,7 +93,7 @@ def spool(tmp_path: Path, contracts: Path) -> Path:
     return folder
 
 
-def test_a_batch_on_a_scheduler_and_on_one_that_dies(
+def test_a_batch_on_a_scheduler_and_on_a_dying_one(
     cluster: Cluster, spool: Path, tmp_path: Path
 ) -> None:
     store = tmp_path / "store"
@@ -126,7 +128,7 @@ def test_a_batch_on_a_scheduler_and_on_one_that_dies(
     assert after["done_before"] + sum(after["ended"].values()) == PIECES + 1
     assert after["put_off"] == 0
     assert told["put_off"] + told["not_begun"] + sum(told["ended"].values()) == PIECES - 4
-    statuses = Counter(one for (one,) in Index(store).ask("SELECT status FROM rows"))
+    statuses = Counter(one for (one,) in StoreIndex(store).query("SELECT status FROM rows"))
     assert statuses == Counter(ok=1, rejected=PIECES)
     assert verify(store).faults == ()
 
@@ -145,7 +147,7 @@ def has_rows(store: Path) -> bool:
     [({"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}, 2)],
     indirect=["cluster"],
 )
-def test_work_that_kills_two_workers_is_quarantined_and_nothing_beside_it(
+def test_only_the_job_that_kills_two_workers_is_quarantined(
     cluster: Cluster, tmp_path: Path, workers_killed: int
 ) -> None:
     """The scheduler tells a death to all that waited on that worker: those are tried alone."""
@@ -164,21 +166,23 @@ def test_work_that_kills_two_workers_is_quarantined_and_nothing_beside_it(
 @pytest.mark.parametrize(
     ("address", "words"),
     [
-        ("tcp://192.0.2.1:8786", "is open"),
-        ("tcp://0.0.0.0:8786", "is open"),
+        ("tcp://192.0.2.1:8786", "is not protected"),
+        ("tcp://0.0.0.0:8786", "is not protected"),
         ("tls://192.0.2.1:8786", "needs certificates"),
-        ("127.0.0.1:8786", "is no scheduler's address"),
-        ("tcp://127.0.0.1:99999999", "is no scheduler's address"),
+        ("127.0.0.1:8786", "is not the address of a scheduler"),
+        ("tcp://127.0.0.1:99999999", "is not the address of a scheduler"),
     ],
 )
-def test_what_others_could_reach_is_refused(address: str, words: str) -> None:
-    from gyrorig_solver.fleet.scheduler import dask_lanes  # noqa: PLC0415
+def test_an_address_open_to_others_is_refused(address: str, words: str) -> None:
+    from gyrorig_solver.fleet.jobs.dask_workers import dask_pools  # noqa: PLC0415
 
-    with pytest.raises(UsageError, match=words), dask_lanes(address):
+    with pytest.raises(UsageError, match=words), dask_pools(address):
         pass
 
 
-def test_words_that_do_not_go_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_contradicting_options_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     base = ["batch", "--spool", str(tmp_path), "--store", str(tmp_path / "s")]
     assert run([*base, "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"]) == 2
-    assert "--workers counts processes of this machine" in capsys.readouterr().err
+    assert "--workers and --scheduler exclude each other" in capsys.readouterr().err

@@ -27,7 +27,7 @@ def s3_server() -> ModuleType:
     return module
 
 
-def test_a_batch_on_an_object_store_that_errs(tmp_path: Path, contracts: Path) -> None:
+def test_a_batch_on_an_object_store_with_errors(tmp_path: Path, contracts: Path) -> None:
     server = s3_server()
     spool = tmp_path / "spool"
     spool.mkdir()
@@ -60,7 +60,7 @@ def test_a_batch_on_an_object_store_that_errs(tmp_path: Path, contracts: Path) -
         assert json.loads(verified.stdout)["versions"] == 1
 
 
-def test_an_unreachable_bucket_is_said_in_one_line(tmp_path: Path) -> None:
+def test_an_unreachable_bucket_is_reported_in_one_line(tmp_path: Path) -> None:
     environment = s3_server().environment(9)  # nobody listens at the discard port
     done = subprocess.run(
         [GYRORIG, "batch", "--spool", str(tmp_path), "--store", "s3://none/there"],

@@ -15,9 +15,9 @@ import pytest
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration.solving import solve_into
-from gyrorig_solver.calibration.store import CalibrationStore
-from gyrorig_solver.check.truth import compare
+from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.check.true_values import compare_with_truth
+from gyrorig_solver.pipeline.solve_board import solve_and_store
 
 ROOT = Path(__file__).parents[2]
 GROUP = "239.74.163.11"
@@ -94,8 +94,8 @@ def test_a_board_on_a_bus_is_calibrated(tmp_path: Path) -> None:
         assert set(np.diff(numbers) & 0xFFFF) == {1}
         assert recording.metadata[f"gyrorig.board.{board}"]["link"] == "can"
     board = BoardId("C-2")
-    solved = solve_into(CalibrationStore(tmp_path / "store"), [recording], board)
-    for row in compare(solved.calibration, hidden):
+    solved = solve_and_store(CalibrationStore(tmp_path / "store"), [recording], board)
+    for row in compare_with_truth(solved.calibration, hidden):
         assert row.sigmas is not None, row.name
         assert abs(row.sigmas) < 3.5, (board, row)
 
@@ -129,7 +129,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def test_two_buses_in_real_time_one_of_them_with_other_peoples_imus(
+def test_two_buses_in_real_time_one_with_third_party_imus(
     tmp_path: Path, contract_judge: Path
 ) -> None:
     port = free_port()

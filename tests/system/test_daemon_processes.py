@@ -1,4 +1,4 @@
-"""The daemon as its users run it: real processes, real ptys, signals, and their ends."""
+"""The daemon as users run it: real processes, pseudo-terminals, signals, exit status."""
 
 import json
 import os
@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.motion import PtuClient
 from gyrorig_protocol.errors import GyrorigError
-from gyrorig_protocol.ptu import Axis, Quantity, query, require_integer
+from gyrorig_protocol.ptu import Axis, Quantity, query_quantity, require_integer
 from gyrorig_protocol.recording.reader import read_recording
 
 GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
@@ -85,10 +85,10 @@ def pan_steps(path: str) -> int:
             assert time.monotonic() < deadline
             time.sleep(0.02)
     with hub:
-        client = PtuClient(Pump(hub), "ptu", where=path, baud=BAUD, on_exchange=lambda _: None)
+        client = PtuClient(Pump(hub), "ptu", location=path, baud=BAUD, on_exchange=lambda _: None)
         client.send_spaces(1)
         client.drain(0.05)
-        command = query(Axis.PAN, Quantity.POSITION)
+        command = query_quantity(Axis.PAN, Quantity.POSITION)
         return require_integer(command, client.ask(command))
 
 
@@ -105,7 +105,7 @@ def wait_for_motion(folder: Path) -> Path:
     raise AssertionError("it never moved")
 
 
-def test_the_whole_way_on_ptys(tmp_path: Path, contract_judge: Path) -> None:
+def test_a_complete_recording_on_pseudo_terminals(tmp_path: Path, contract_judge: Path) -> None:
     arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
     truth = tmp_path / "truth.json"
     ended = run(*arguments, "--truth", str(truth), "--json", "--seed", "5")
@@ -115,7 +115,7 @@ def test_the_whole_way_on_ptys(tmp_path: Path, contract_judge: Path) -> None:
     judged = subprocess.run([sys.executable, contract_judge, path], check=False)
     assert judged.returncode == 0
     recording = read_recording(path)
-    assert recording.complete
+    assert recording.is_complete
     sequence = recording.array("/board/B-1/imu_raw")["sequence"].astype(np.int64)
     assert np.all(np.diff(sequence) % 65536 == 1)
     positions = recording.array("/ptu/position")
@@ -134,8 +134,8 @@ def test_a_signal_in_motion_halts_and_keeps(tmp_path: Path, number: signal.Signa
         wait_for_motion(tmp_path / "out")
         daemon.send_signal(number)
         _, told = daemon.communicate(timeout=PATIENCE_S)
-        assert daemon.returncode == 1
-        assert told.startswith(f"gyrorigd: stopped by {number.name}: the unit is halted")
+        assert daemon.returncode == (130 if number is signal.SIGINT else 1)
+        assert told.startswith(f"gyrorigd: stopped by {number.name}. The unit is halted")
         assert told.count("\n") == 1
         stopped_at = pan_steps(ports["ptu"])
         assert 100 < stopped_at < TARGET_STEPS
@@ -143,7 +143,7 @@ def test_a_signal_in_motion_halts_and_keeps(tmp_path: Path, number: signal.Signa
     (path,) = (tmp_path / "out").iterdir()
     recording = read_recording(path)
     assert path.suffix == ".mcap"
-    assert recording.complete
+    assert recording.is_complete
 
 
 def test_killed_in_motion_the_acquisition_halts_the_unit(tmp_path: Path) -> None:
@@ -157,15 +157,15 @@ def test_killed_in_motion_the_acquisition_halts_the_unit(tmp_path: Path) -> None
         assert 100 < stopped_at < TARGET_STEPS
         assert pan_steps(ports["ptu"]) == stopped_at
     recording = read_recording(part)
-    assert not recording.complete
+    assert not recording.is_complete
     assert len(recording.array("/ptu/position")) >= known
 
 
 def test_a_port_that_is_not_there(tmp_path: Path) -> None:
     arguments = write_inputs(tmp_path, {"ptu": "/dev/none", "board:B-1": "/dev/none2"}, QUICK)
     ended = run(*arguments)
-    assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr.startswith("gyrorigd: /dev/none (ptu) cannot be used")
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr.startswith("gyrorigd: /dev/none (ptu) is not there")
     assert ended.stderr.count("\n") == 1
 
 
@@ -182,7 +182,7 @@ def test_devices_on_the_wrong_ports(tmp_path: Path) -> None:
         swapped = {"ptu": ports["board:B-1"], "board:B-1": ports["ptu"]}
         ended = run(*write_inputs(tmp_path, swapped, QUICK))
         assert ended.returncode == 1
-        assert "is no pan-tilt unit" in ended.stderr
+        assert "is not a pan-tilt unit" in ended.stderr
         board = {"ptu": ports["board:B-1"], "board:B-1": ports["board:B-1"]}
         assert run(*write_inputs(tmp_path, board, QUICK)).returncode == 2  # one port named twice
         assert pan_steps(ports["ptu"]) == 0
@@ -206,7 +206,7 @@ def test_a_silent_unit(tmp_path: Path) -> None:
         (
             RIG.format(ptu="emulated", board="emulated"),
             "name: x\nsteps: 3\n",
-            "steps is 3: give a list",
+            "steps is 3. Give a list",
         ),
         ("a: *b\n", QUICK, "rig.yaml"),
     ],
@@ -240,16 +240,18 @@ def test_wrong_usage_is_one_line(arguments: list[str], words: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["../../x", "", "a\nb", "x" * 300])
-def test_a_session_is_named_as_a_file_can_be(tmp_path: Path, name: str) -> None:
+def test_a_session_name_must_be_valid_in_a_file_name(tmp_path: Path, name: str) -> None:
     arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
     ended = run(*arguments, "--simulated-time", "--session", name)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
-    assert "is no name for a session" in ended.stderr
+    assert "is not a valid session name" in ended.stderr
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("time", [["--simulated-time"], []])
-def test_a_truth_that_cannot_be_written_is_refused_first(tmp_path: Path, time: list[str]) -> None:
+def test_a_truth_file_that_cannot_be_written_is_an_error_at_the_start(
+    tmp_path: Path, time: list[str]
+) -> None:
     arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
     ended = run(*arguments, *time, "--truth", str(tmp_path / "none" / "truth.yaml"), "--json")
     assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
@@ -258,7 +260,7 @@ def test_a_truth_that_cannot_be_written_is_refused_first(tmp_path: Path, time: l
     assert not (tmp_path / "out").exists()
 
 
-def test_documents_may_come_through_pipes(tmp_path: Path) -> None:
+def test_documents_can_come_through_pipes(tmp_path: Path) -> None:
     arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
     reading, writing = os.pipe()
     os.write(writing, (tmp_path / "rig.yaml").read_bytes())
@@ -271,7 +273,7 @@ def test_documents_may_come_through_pipes(tmp_path: Path) -> None:
     assert ended.returncode == 0
 
 
-def test_nobody_need_listen(tmp_path: Path) -> None:
+def test_standard_output_can_be_closed(tmp_path: Path) -> None:
     arguments = write_inputs(tmp_path, {"ptu": "emulated", "board:B-1": "emulated"}, QUICK)
     command = shlex.join([*GYRORIGD, *arguments, "--simulated-time"])
     for unheard in (f"{command} >&-", f"{command} | true"):
@@ -286,7 +288,7 @@ def test_an_interrupt_at_the_start_leaves_no_traceback(tmp_path: Path) -> None:
         "from importlib.abc import MetaPathFinder\n"
         "class Finder(MetaPathFinder):\n"
         "    def find_spec(self, name, path, target=None):\n"
-        "        if name == 'gyrorig_daemon.commands':\n"
+        "        if name == 'gyrorig_daemon.commands.command_group':\n"
         "            os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Finder())\n"
         "from gyrorig_daemon.cli import main; main()\n"
@@ -297,10 +299,10 @@ def test_an_interrupt_at_the_start_leaves_no_traceback(tmp_path: Path) -> None:
     assert (ended.returncode, ended.stdout, ended.stderr) == (-signal.SIGINT, "", "")
 
 
-def test_a_fault_of_the_program_is_one_line_too() -> None:
+def test_an_internal_error_is_one_line() -> None:
     script = (
         "import sys; sys.argv = ['gyrorigd', 'emulate', '--config', 'x'];"
-        "import gyrorig_daemon.commands as c; c.load_rig = lambda _: 1 / 0;"
+        "import gyrorig_daemon.commands.emulate_command as c; c.load_rig = lambda _: 1 / 0;"
         "from gyrorig_daemon.cli import main; main()"
     )
     ended = subprocess.run(
@@ -317,7 +319,7 @@ def test_help_has_an_example(arguments: list[str]) -> None:
     assert "Example: gyrorigd" in " ".join(ended.stdout.split())
 
 
-def test_the_version_is_told() -> None:
+def test_the_version_is_printed() -> None:
     assert run("--version").stdout.startswith("gyrorig ")
 
 

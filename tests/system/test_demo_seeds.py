@@ -13,14 +13,14 @@ import pytest
 
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.calibration.solving import solve_into
-from gyrorig_solver.calibration.store import CalibrationStore
-from gyrorig_solver.check.truth import Compared, compare
+from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.check.true_values import ParameterComparison, compare_with_truth
+from gyrorig_solver.pipeline.solve_board import solve_and_store
 
 ROOT = Path(__file__).parents[2]
 
 
-def solved_beside_truth(seed: int, program: str, folder: Path) -> list[Compared]:
+def solved_beside_truth(seed: int, program: str, folder: Path) -> list[ParameterComparison]:
     truth = folder / f"truth-{seed}.yaml"
     done = subprocess.run(
         [
@@ -35,8 +35,8 @@ def solved_beside_truth(seed: int, program: str, folder: Path) -> list[Compared]
     )
     recording = read_recording(Path(json.loads(done.stdout)["recording"]))
     (board,) = recording.board_ids
-    solved = solve_into(CalibrationStore(folder / str(seed)), [recording], board)
-    return compare(solved.calibration, parse_yaml(truth.read_bytes(), truth.name))
+    solved = solve_and_store(CalibrationStore(folder / str(seed)), [recording], board)
+    return compare_with_truth(solved.calibration, parse_yaml(truth.read_bytes(), truth.name))
 
 
 def off_by(seeds: Iterable[int], program: str, folder: Path) -> dict[str, float]:
@@ -44,7 +44,7 @@ def off_by(seeds: Iterable[int], program: str, folder: Path) -> dict[str, float]
     out = {}
     for seed in seeds:
         for row in solved_beside_truth(seed, program, folder):
-            assert row.sigmas is not None, f"{row.name} was not shown with seed {seed}"
+            assert row.sigmas is not None, f"{row.name} was not determined with seed {seed}"
             out[f"seed {seed}, {row.name}"] = abs(row.sigmas)
     return out
 

@@ -16,13 +16,18 @@ from typing import Any
 
 import pytest
 
-from gyrorig_daemon import halt_line
 from gyrorig_daemon.cli import run
-from gyrorig_daemon.doctor import board as board_module
-from gyrorig_daemon.doctor import unit as unit_module
+from gyrorig_daemon.doctor import board_check as board_module
+from gyrorig_daemon.doctor import unit_check as unit_module
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import (
+    BoardFaults,
+    BoardSettings,
+    PtuSettings,
+    RigSettings,
+)
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, PtuSettings, RigSettings
+from gyrorig_daemon.halt import direct_ptu_line
 from gyrorig_protocol.board import Hello, Sample, Sensor
 from gyrorig_protocol.errors import UsageError
 
@@ -34,10 +39,10 @@ HELLO = Hello(1, "1.0.0", "uno", "u-1", 3, (Sensor(who=211, full_scale=250.0, pe
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer rates and less to listen to than with real devices, but all patience with answers."""
-    monkeypatch.setattr(board_module, "LISTEN_S", 0.5)
+    monkeypatch.setattr(board_module, "MEASURE_S", 0.5)
     monkeypatch.setattr(board_module, "USUAL_BAUDS", (460800, 115200))
     monkeypatch.setattr(unit_module, "USUAL_BAUDS", (9600, 115200))
-    monkeypatch.setattr(halt_line, "DRAIN_S", 0.1)
+    monkeypatch.setattr(direct_ptu_line, "DRAIN_S", 0.1)
 
 
 @contextlib.contextmanager
@@ -116,15 +121,15 @@ def test_a_sound_rig_is_left_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixt
         config = rig_yaml(tmp_path, PATHS["ptu"], PATHS["board:B-1"])
         code, found = doctor(config, capsys)
         now_s = (raw_now_ns() - rig.origin_ns) * 1e-9
-        assert rig.stage.pan.moving(now_s)  # whoever moves it is not disturbed
-        assert [order[0] for order in rig.stage.pan.orders].count("halt") == 0
+        assert rig.stage.pan.is_moving(now_s)  # whoever moves it is not disturbed
+        assert [order[0] for order in rig.stage.pan.commands].count("halt") == 0
     assert code in (0, 4)  # this computer may have its own flaws
     assert "PTU-E46-17.5, serial E46-0001, firmware 3.4.2r0" in found["unit identity"]["what"]
     assert "at 115200 baud" in found["unit identity"]["what"]
     assert "pan -3090 to 3090, tilt -907 to 604" in found["unit bounds"]["what"]
     assert found["unit power"]["level"] == "ok"
     assert "firmware" in found["board B-1 identity"]["what"]
-    assert "samples a second" in found["board B-1 rate"]["what"]  # a warning on a busy computer
+    assert "samples per second" in found["board B-1 rate"]["what"]  # a warning on a busy computer
     assert found["tonight fits"]["level"] == "ok"
 
 
@@ -181,7 +186,7 @@ def test_cables_that_are_swapped(tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_nothing_on_either_port(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(board_module, "PATIENCE_S", 0.5)  # nothing will come
+    monkeypatch.setattr(board_module, "FIRST_BYTE_TIMEOUT_S", 0.5)  # nothing will come
     with device(lambda *_: b"") as unit, device(lambda *_: b"") as silent:
         _, found = doctor(rig_yaml(tmp_path, unit, silent), capsys)
     assert found["unit silent"]["level"] == found["board B-1 silent"]["level"] == "fault"
@@ -257,8 +262,8 @@ def test_as_a_person_reads_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     config = rig_yaml(tmp_path, "/dev/none", "/dev/none2")
     assert run(["doctor", "--config", str(config), "--out", str(tmp_path)]) == 1
     lines = capsys.readouterr().out.splitlines()
-    at = lines.index("FAULT   unit: there is no /dev/none")
-    assert lines[at + 1].startswith("        -> check")
+    at = lines.index("FAULT   unit: /dev/none does not exist")
+    assert lines[at + 1].startswith("        -> Check")
     assert lines[-1].startswith("2 faults")
     assert run(["doctor", "--config", str(tmp_path / "none.yaml")]) == UsageError.exit_code
 

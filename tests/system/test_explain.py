@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from gyrorig_protocol.documents import parse_yaml
-from gyrorig_solver.calibration.document import parse_calibration
-from gyrorig_solver.check.hidden import score
-from gyrorig_solver.findings.document import parse_findings
+from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.check.injected_causes import score_causes
+from gyrorig_solver.findings.findings_document import parse_findings
 
 ROOT = Path(__file__).parents[2]
 # Sweeps at three tilts with reversals, two speeds, a move of tilt, rests: half a minute.
@@ -76,7 +76,9 @@ def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
     (told,) = json.loads(done.stdout)["boards"]
     file = Path(told["file"])
     document = parse_findings(file.read_bytes(), file.name)
-    assert [(one.cause, one.score) for one in score(document, truth)] == [("backlash", "right")]
+    assert [(one.cause, one.score) for one in score_causes(document, truth)] == [
+        ("backlash", "right")
+    ]
     (cause,) = document.causes
     gap, half = cause.parameters["gap.pan"], 4.0
     assert gap.value is not None
@@ -85,7 +87,7 @@ def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
     assert document.gain is not None
     assert (document.gain.held_out_log_likelihood or 0.0) > 10.0
     assert (file.parent / str(cause.evidence.figure)).read_text().startswith("<?xml")
-    assert "The gears have play, on pan" in Path(told["report"]).read_text()
+    assert "The gears have backlash, on pan" in Path(told["report"]).read_text()
 
     store = tmp_path / "calibrations"
     done = gyrorig("solve", str(path), "--extend", "auto", "--out", str(store), "--json")
@@ -118,15 +120,15 @@ def test_faults_of_the_link_are_named_from_the_stream(
     assert done.returncode == 0, done.stderr
     (told,) = json.loads(done.stdout)["boards"]
     document = parse_findings(Path(told["file"]).read_bytes(), "findings.yaml")
-    assert [(one.cause, one.score) for one in score(document, truth)] == [(cause, "right")]
+    assert [(one.cause, one.score) for one in score_causes(document, truth)] == [(cause, "right")]
 
 
 def test_a_rig_as_it_should_be_has_no_findings(tmp_path: Path) -> None:
     path, _ = recorded(tmp_path, "--seed", "8")
     done = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"))
     assert done.returncode == 0, done.stderr
-    assert "nothing found" in done.stdout
-    assert "could be there unseen" in done.stdout
+    assert "no error found" in done.stdout
+    assert "not detectable here" in done.stdout
 
 
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path) -> None:
@@ -157,3 +159,12 @@ def test_the_demo_opens_the_seal_at_the_end(tmp_path: Path) -> None:
     names = {one["cause"] for one in hidden["causes"]}
     assert names <= {one["cause"] for one in board["hidden"]}
     assert all(one["words"] for one in board["hidden"])
+
+
+def test_a_fitted_recording_cannot_be_held_out(tmp_path: Path) -> None:
+    path, _ = recorded(tmp_path, "--seed", "8")
+    out = tmp_path / "findings"
+    done = gyrorig("explain", str(path), "--held-out", str(path), "--out", str(out))
+    assert done.returncode == 2
+    assert f"{path.name} is named twice. List each recording once" in done.stderr
+    assert not out.exists()

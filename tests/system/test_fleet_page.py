@@ -19,16 +19,21 @@ import pytest
 from tests.bench.fleet.parts import ERROR
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
-from gyrorig_solver.fleet.constants import in_words
-from gyrorig_solver.fleet.overview import PARAMETERS, Overview, overview, read_origins
-from gyrorig_solver.fleet.page import write_page
+from gyrorig_solver.fleet.drift.common_offsets import describe_offsets
+from gyrorig_solver.fleet.drift.fleet_overview import (
+    PARAMETER_COLUMNS,
+    FleetOverview,
+    build_overview,
+    read_origins,
+)
+from gyrorig_solver.fleet.page.fleet_page import write_fleet_page
 
 pytestmark = pytest.mark.pages
 ROOT = Path(__file__).resolve().parents[2]
 BOARDS, RIGS, LOTS = 5_000, 8, 4
 PHONE_PX = 390
 _PATIENCE_S = 300.0  # for what never comes true
-Fleet = tuple[Path, Overview]
+Fleet = tuple[Path, FleetOverview]
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +52,9 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Fleet:
     with pytest.MonkeyPatch.context() as patched:
         patched.setitem(ERROR, "time", 0.8e-3)  # some calibrations say less of it than the fleet
         table = write_fleet(store, plan)
-    found = overview(store, read_origins(table))
-    write_page(store, found)
-    return store, found
+    overview = build_overview(store, read_origins(table))
+    write_fleet_page(store, overview)
+    return store, overview
 
 
 @pytest.fixture(scope="module")
@@ -82,9 +87,9 @@ class WithoutListings(SimpleHTTPRequestHandler):
 
 
 @contextlib.contextmanager
-def at(store: Path, place: str) -> Iterator[str]:
+def address_of(store: Path, storage: str) -> Iterator[str]:
     """Give the address of a store's page, on this disk or from a server."""
-    if place == "disk":
+    if storage == "disk":
         yield (store / "fleet" / "index.html").as_uri()
         return
     handler = partial(WithoutListings, directory=str(store))
@@ -96,7 +101,7 @@ def at(store: Path, place: str) -> Iterator[str]:
 
 @pytest.fixture(scope="module", params=["disk", "server"])
 def address(request: pytest.FixtureRequest, fleet: Fleet) -> Iterator[str]:
-    with at(fleet[0], request.param) as address:
+    with address_of(fleet[0], request.param) as address:
         yield address
 
 
@@ -154,110 +159,122 @@ def all_like(rows: list[str], *words: str) -> bool:
     return bool(rows) and all(word in row for row in rows for word in words)
 
 
-def test_it_says_first_what_was_hidden(opened: Any) -> None:
-    first = texts(opened, "#worries li b")
-    assert first[0].startswith("rig-3 has moved misalignment x")
-    assert any("B000033 is unlike" in one for one in first)
+def test_hidden_faults_are_the_first_alerts(opened: Any) -> None:
+    first = texts(opened, "#alerts li b")
+    assert first[0].startswith("rig-3: misalignment.x has shifted by +0.0")
+    assert any("B000033 is an outlier" in item for item in first)
     assert texts(opened, ".tile b")[0] == "5,000"
 
 
-def test_it_says_what_is_the_same_on_every_unit(opened: Any, fleet: Fleet) -> None:
-    lines = texts(opened, "#same li")
-    told = in_words(fleet[1].constants)
+def test_common_offsets_are_listed(opened: Any, fleet: Fleet) -> None:
+    lines = texts(opened, "#offsets li")
+    told = describe_offsets(fleet[1].offset_comparisons)
     assert told
     assert [line.lower() for line in lines] == [f"{line.lower()}." for line in told]
 
 
-def test_only_rows_in_sight_are_drawn(opened: Any) -> None:
+def test_a_drifting_board_is_not_shown_in_green(opened: Any, fleet: Fleet) -> None:
+    drifting = int(fleet[1].drifting.any(axis=1).sum())
+    search(opened, "is:drifting")
+    until(lambda: len(texts(opened, ".row")) == drifting)
+    verdicts = texts(opened, ".row span:nth-child(2)")
+    assert all(verdict.endswith(", drifting") for verdict in verdicts)
+    assert not find(opened, ".row span:nth-child(2).good")
+
+
+def test_only_visible_rows_are_drawn(opened: Any) -> None:
     assert 10 < len(find(opened, ".row")) < 80
     opened.execute_script("document.getElementById('rows').scrollTop = 1e9")
     until(lambda: "B004999" in texts(opened, ".row")[-1])
 
 
 def test_a_search_and_a_sort(opened: Any) -> None:
-    search(opened, "rig:rig-3 lot-3 trust:limited")
+    search(opened, "rig:rig-3 lot-3 verdict:limited")
     # letter by letter: at half a word nothing is found
     until(lambda: all_like(texts(opened, ".row"), "rig-3", "lot-3", "limited"))
     search(opened, 'lot:"lot-2" RIG:rig-6')  # in quotes it may have blanks
     until(lambda: all_like(texts(opened, ".row"), "lot-2", "rig-6"))
-    search(opened, "is:odd")
+    search(opened, "is:outlier")
     until(lambda: 0 < len(texts(opened, ".row")) < 5)
-    assert any("B000033" in one for one in texts(opened, ".row"))
+    assert any("B000033" in item for item in texts(opened, ".row"))
     search(opened, "no such board")
-    until(lambda: texts(opened, "#window") == ["No board is like that."])
+    until(lambda: texts(opened, "#window") == ["No board matches."])
     search(opened, "x")
     find(opened, "#search")[0].clear()
     opened.execute_script("document.getElementById('search').dispatchEvent(new Event('input'))")
     until(lambda: texts(opened, "#count") == [""])
     find(opened, "#head button")[6].click()
-    most = [int(one) for one in texts(opened, ".row span:nth-child(7)")]
+    most = [int(item) for item in texts(opened, ".row span:nth-child(7)")]
     assert most == sorted(most, reverse=True)
 
 
-def test_boards_that_say_less_than_the_fleet_are_found(opened: Any, fleet: Fleet) -> None:
+def test_prior_dominated_boards_are_found(opened: Any, fleet: Fleet) -> None:
     wanted = int(fleet[1].prior_dominated.any(axis=1).sum())
     assert 100 < wanted < BOARDS - 100
     search(opened, "is:prior")
     until(lambda: texts(opened, "#count") == [f"{wanted:,} of 5,000"])
     first = int(np.flatnonzero(fleet[1].prior_dominated.any(axis=1))[0])
     click(opened, ".row")
-    until(lambda: len(find(opened, "#board figure")) == len(PARAMETERS))
+    until(lambda: len(find(opened, "#board figure")) == len(PARAMETER_COLUMNS))
     assert texts(opened, "#board h3") == [f"B{first:06d}"]
-    told = [one for one in texts(opened, "#board figure") if "more the fleet's than its own" in one]
+    told = [item for item in texts(opened, "#board figure") if "mostly the fleet's mean" in item]
     assert len(told) == int(fleet[1].prior_dominated[first].sum())
 
 
 def test_a_board_opens_with_its_charts_on_axes(opened: Any, fleet: Fleet) -> None:
-    found = fleet[1]
+    overview = fleet[1]
     click(opened, ".row", 2)
-    until(lambda: len(find(opened, "#board figure")) == len(PARAMETERS))
+    until(lambda: len(find(opened, "#board figure")) == len(PARAMETER_COLUMNS))
     assert texts(opened, "#board h3") == ["B000002"]
-    points = found.boards.versions[2]
+    points = overview.boards.version_count[2]
     assert len(find(opened, "#board figure:first-of-type .dot")) == points
     assert len(find(opened, "#board .band")) == len(find(opened, "#board .line")) == 13
     assert len(find(opened, "#board .base")) == 13
     ticks = texts(opened, "#board figure:first-of-type .tick")
-    dates = [one for one in ticks if one.startswith("2026-01-")]
+    dates = [item for item in ticks if item.startswith("2026-01-")]
     assert dates[0].startswith("2026-01-0")  # its first night
     assert len(ticks) - len(dates) >= 2
     captions = texts(opened, "#board figcaption:first-of-type")
-    assert sum(" rad/s" in one for one in captions) == 3
+    assert sum(" deg/s" in item for item in captions) == 3
     # the page's own numbers are those of the statistics
     of = "return nightsOf(histories.get(boards.shard[2]).B000002.chart[arguments[0]]).at(-1)"
-    for which, one in enumerate(found.charts):
+    for which, item in enumerate(overview.charts):
         _, ewma, std = opened.execute_script(of, which)
-        unit = float(np.sqrt(one.variance[2]))
-        assert ewma == pytest.approx(one.base[2] + one.moved[2], abs=0.011 * unit)
+        unit = float(np.sqrt(item.variance[2]))
+        assert ewma == pytest.approx(item.baseline[2] + item.shift[2], abs=0.011 * unit)
         assert std == pytest.approx(unit, rel=0.01)
 
 
-def test_temperature_is_taken_off_what_is_drawn(opened: Any, fleet: Fleet) -> None:
-    which = PARAMETERS.index("bias_z")
+def test_drawn_values_are_corrected_for_temperature(opened: Any, fleet: Fleet) -> None:
+    which = PARAMETER_COLUMNS.index("bias_z")
     click(opened, ".row", 4)
-    until(lambda: len(find(opened, "#board figure")) == len(PARAMETERS))
+    until(lambda: len(find(opened, "#board figure")) == len(PARAMETER_COLUMNS))
     drawn = [
-        float(one.split(": ")[1])
-        for one in texts(opened, f"#board figure:nth-of-type({which + 1}) .dot title")
+        float(item.split(": ")[1])
+        for item in texts(opened, f"#board figure:nth-of-type({which + 1}) .dot title")
     ]
     raw = opened.execute_script(
         "return histories.get(boards.shard[4]).B000004.points.map((one) => one[3 + arguments[0]])",
         which,
     )
-    assert len(drawn) == len(raw) == fleet[1].boards.versions[4]
-    assert np.std(drawn) < 0.5 * np.std(raw)  # 3e-3 of season against 4e-4 of a night's scatter
+    assert len(drawn) == len(raw) == fleet[1].boards.version_count[4]
+    raw_deg_s = np.rad2deg(raw)
+    assert np.std(drawn) < 0.5 * np.std(
+        raw_deg_s
+    )  # 3e-3 of season against 4e-4 of a night's scatter
 
 
-def test_a_board_of_a_drifting_rig_is_said_to_be_the_rigs(opened: Any) -> None:
+def test_a_board_of_a_drifting_rig_shows_the_shift_of_the_rig(opened: Any) -> None:
     opened.execute_script(
         "open(boards.rig.of.findIndex((one) => boards.rig.names[one] === 'rig-3'))"
     )
-    until(lambda: len(find(opened, "#board figure")) == len(PARAMETERS))
-    (told,) = [one for one in texts(opened, "#board figure") if "not its own" in one]
-    assert "misalignment x" in told
-    assert "rig rig-3's, not its own: +0.00" in told
+    until(lambda: len(find(opened, "#board figure")) == len(PARAMETER_COLUMNS))
+    (told,) = [item for item in texts(opened, "#board figure") if "not of this board" in item]
+    assert "misalignment.x" in told
+    assert "shift of rig rig-3, not of this board: +0.0" in told
 
 
-def test_lots_and_rigs_are_tables_that_sort_and_lead_to_their_boards(opened: Any) -> None:
+def test_tables_of_lots_and_rigs_sort_and_select_their_boards(opened: Any) -> None:
     assert [len(find(opened, f"#groups-{kind} tbody tr")) for kind in ("rig", "lot", "site")] == [
         RIGS,
         LOTS,
@@ -270,12 +287,12 @@ def test_lots_and_rigs_are_tables_that_sort_and_lead_to_their_boards(opened: Any
     assert texts(opened, "#groups td.flag") == moved
     assert texts(opened, "#groups-rig tbody tr:first-child td:nth-child(2)") == ["625"]
     states = texts(opened, "#groups-rig tbody tr:first-child td:nth-child(3)")[0]
-    assert sum(int(one.split()[0].replace(",", "")) for one in states.split(", ")) >= 625
+    assert sum(int(item.split()[0].replace(",", "")) for item in states.split(", ")) >= 625
     click(opened, "#groups-rig thead button", 0)
     names = texts(opened, "#groups-rig tbody td:first-child")
     assert names == sorted(names)
     choose(opened, "#group-column", "bias_x")
-    assert "mean, rad/s" in texts(opened, "#groups-lot thead button")
+    assert "mean, deg/s" in texts(opened, "#groups-lot thead button")
     click(opened, "#groups-lot tbody tr:nth-child(2) td:nth-child(2) button")
     until(lambda: texts(opened, "#count") == ["1,250 of 5,000"])
     assert find(opened, "#search")[0].get_attribute("value") == "lot:lot-1"
@@ -283,17 +300,17 @@ def test_lots_and_rigs_are_tables_that_sort_and_lead_to_their_boards(opened: Any
 
 def test_a_rig_opens_with_its_charts(opened: Any, fleet: Fleet) -> None:
     click(opened, "#groups-rig tbody tr:first-child td:first-child button")
-    until(lambda: len(find(opened, "#group figure")) == len(PARAMETERS))
+    until(lambda: len(find(opened, "#group figure")) == len(PARAMETER_COLUMNS))
     assert texts(opened, "#group h3") == ["rig-3"]
     first = texts(opened, "#group figure:first-of-type figcaption span")
-    assert first[0] == "misalignment x"
-    (move,) = [one for one in fleet[1].moved if one.kind == "rig"]
-    score = float(first[1].split(", ")[1].removesuffix(" sd"))
+    assert first[0] == "misalignment.x"
+    (move,) = [item for item in fleet[1].group_shifts if item.kind == "rig"]
+    score = float(first[1].split(", ")[1].removesuffix(" \N{GREEK SMALL LETTER SIGMA}"))
     assert score == pytest.approx(move.z, rel=0.03)
-    assert "rad" in first[1]
+    assert " deg," in first[1]
     assert find(opened, "#group figure:first-of-type .out")  # beyond its limits
     assert not find(opened, "#group figure:nth-of-type(2) .out")
-    assert any(one.startswith("2026-01-1") for one in texts(opened, "#group .tick"))
+    assert any(item.startswith("2026-01-1") for item in texts(opened, "#group .tick"))
     click(opened, "#group button.link", 1)
     until(lambda: texts(opened, "#count") == ["625 of 5,000"])
 
@@ -301,7 +318,7 @@ def test_a_rig_opens_with_its_charts(opened: Any, fleet: Fleet) -> None:
 def test_a_page_without_groups_has_no_such_section(
     browser: Any, fleet: Fleet, tmp_path: Path
 ) -> None:
-    write_page(fleet[0], fleet[1], tmp_path)
+    write_fleet_page(fleet[0], fleet[1], tmp_path)
     script = (tmp_path / "data.js").read_text(encoding="utf-8")
     data = json.loads(script.removeprefix("FLEET(").rstrip().removesuffix(");"))
     del data["groups"]
@@ -325,7 +342,7 @@ def test_a_phone_need_not_scroll_sideways(opened: Any) -> None:
         until(lambda: opened.execute_script("return document.body.dataset.ready") == "yes")
         click(opened, ".row", 2)
         click(opened, "#groups-rig tbody tr:first-child td:first-child button")
-        until(lambda: len(find(opened, "aside figure")) == 2 * len(PARAMETERS))
+        until(lambda: len(find(opened, "aside figure")) == 2 * len(PARAMETER_COLUMNS))
         width = "return document.documentElement.scrollWidth"
         assert opened.execute_script(width) <= PHONE_PX
         chart = "return document.querySelector('#board svg.chart').getBoundingClientRect().width"
@@ -334,25 +351,25 @@ def test_a_phone_need_not_scroll_sideways(opened: Any) -> None:
         opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-def test_nothing_goes_wrong_on_the_way(opened: Any) -> None:
+def test_the_browser_console_has_no_errors(opened: Any) -> None:
     search(opened, "south")
     find(opened, "#head button")[8].click()
     choose(opened, "#column", "bias_x")
     click(opened, ".row")
     click(opened, "#groups-site tbody button")
-    until(lambda: len(find(opened, "aside figure")) == 2 * len(PARAMETERS))
+    until(lambda: len(find(opened, "aside figure")) == 2 * len(PARAMETER_COLUMNS))
     assert complaints(opened) == []
 
 
 def complaints(browser: Any) -> list[Any]:
-    return [one for one in browser.get_log("browser") if one["level"] in ("SEVERE", "WARNING")]
+    return [item for item in browser.get_log("browser") if item["level"] in ("SEVERE", "WARNING")]
 
 
-@pytest.mark.parametrize("place", ["disk", "server"])
+@pytest.mark.parametrize("storage", ["disk", "server"])
 def test_every_link_of_a_solved_board_leads_to_a_file(
-    browser: Any, solved: Path, place: str
+    browser: Any, solved: Path, storage: str
 ) -> None:
-    with at(solved, place) as address:
+    with address_of(solved, storage) as address:
         shown(browser, address)
         complaints(browser)  # those of before
         click(browser, ".row")
@@ -363,7 +380,7 @@ def test_every_link_of_a_solved_board_leads_to_a_file(
         )
         assert [words for words, _ in links] == ["report", "calibration", "v0001"]
         for _, link in links:
-            if place == "disk":
+            if storage == "disk":
                 assert Path(unquote(urlsplit(link).path)).is_file(), link
             else:
                 with urllib.request.urlopen(link) as answer:  # noqa: S310 - ours, on this machine

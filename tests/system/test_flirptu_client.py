@@ -22,12 +22,12 @@ from typing import Any
 
 import pytest
 
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings, RigSettings
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardSettings, PtuSettings, RigSettings
 
 PTU: Any = importlib.import_module("flirptu").PTU  # it has no types
-GREETING = b"\r\n### PAN-TILT CONTROLLER\r\n*"  # of a network port (reference: ptu-e46.md)
+GREETING = b"\r\n### PAN-TILT CONTROLLER\r\n*"  # of a network port
 
 
 @contextmanager

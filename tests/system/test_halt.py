@@ -1,4 +1,4 @@
-"""`gyrorigd halt`: the unit stands, whatever became of the daemon, and the word is true."""
+"""`gyrorigd halt` stops the unit, whatever the state of the daemon, and reports it correctly."""
 
 import fcntl
 import json
@@ -18,12 +18,12 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon import halt, halt_line
 from gyrorig_daemon.cli import run
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import PtuFaults, PtuSettings, RigSettings
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import PtuFaults, PtuSettings, RigSettings
-from gyrorig_daemon.halt import PATIENCE_S, halt_unit
+from gyrorig_daemon.halt import direct_ptu_line, standalone_halt
+from gyrorig_daemon.halt.standalone_halt import TIMEOUT_S, halt_unit
 from gyrorig_protocol.errors import DeviceError
 
 GYRORIGD = (sys.executable, "-m", "gyrorig_daemon")
@@ -56,14 +56,14 @@ class Emulated:
 
     def turning(self) -> bool:
         now_s = (raw_now_ns() - self.rig.origin_ns) * 1e-9
-        return self.rig.stage.pan.moving(now_s) or self.rig.stage.tilt.moving(now_s)
+        return self.rig.stage.pan.is_moving(now_s) or self.rig.stage.tilt.is_moving(now_s)
 
     def steps(self) -> tuple[int, int]:
         now_s = (raw_now_ns() - self.rig.origin_ns) * 1e-9
         return self.rig.stage.pan.count(now_s), self.rig.stage.tilt.count(now_s)
 
     def halts(self) -> int:
-        return [order[0] for order in self.rig.stage.pan.orders].count("halt")
+        return [order[0] for order in self.rig.stage.pan.commands].count("halt")
 
     def _look(self) -> bool:
         if self.turning():
@@ -79,7 +79,7 @@ class Emulated:
 
     def _gate(self, baud: int) -> None:
         """Let the unit hear only what is sent at one rate, as a real line does."""
-        ptu, master = self.rig.ptu, self.server._ptys["ptu"].master
+        ptu, master = self.rig.ptu, self.server._ptys["ptu"].descriptor
         if ptu is None:
             raise AssertionError
         hear = ptu.receive
@@ -169,7 +169,7 @@ def test_halted_in_motion(
     assert told.err == ""
 
 
-def test_the_word_is_given_when_it_stands_not_when_it_was_told(tmp_path: Path) -> None:
+def test_success_is_reported_at_standstill_not_at_the_command(tmp_path: Path) -> None:
     # up to 770 steps/s and down again in 7.7 s
     slow_to_stop = replace(
         E46, base_speed_steps_s=50, speed_steps_s=2900, acceleration_steps_s2=200
@@ -182,19 +182,19 @@ def test_the_word_is_given_when_it_stands_not_when_it_was_told(tmp_path: Path) -
         took_s = time.monotonic() - begun
         assert not unit.turning()
         assert stands.pan_steps == unit.steps()[0] > -3000
-        (halted_s,) = [order[1] for order in pan.orders if order[0] == "halt"][:1]
+        (halted_s,) = [order[1] for order in pan.commands if order[0] == "halt"][:1]
         assert pan.rests_at_s() - halted_s > 0.25  # it ramped down, and was waited for
-        assert took_s < PATIENCE_S
+        assert took_s < TIMEOUT_S
 
 
-def test_a_command_cut_short_by_a_death(tmp_path: Path) -> None:
+def test_a_command_truncated_by_a_crash(tmp_path: Path) -> None:
     with Emulated(E46, b"PS200 PP3000 PP-30") as unit:  # the writer died before the last 00
         assert unit.moves.wait(MOVES_S)
         halt_unit(unit.port, (115200,))
         assert not unit.turning()
 
 
-def test_no_answer_is_lost_for_a_few_faults() -> None:
+def test_a_few_line_faults_are_tolerated() -> None:
     faults = PtuFaults(garbage_every=5, lose_byte_every=7)
     with Emulated(replace(E46, faults=faults), BOTH_TURN) as unit:
         assert unit.moves.wait(MOVES_S)
@@ -202,7 +202,7 @@ def test_no_answer_is_lost_for_a_few_faults() -> None:
         assert not unit.turning()
 
 
-def test_killed_with_its_acquisition_process_the_daemon_leaves_it_moving_and_halt_ends_that(
+def test_halt_stops_a_unit_left_moving_by_killed_processes(
     tmp_path: Path,
 ) -> None:
     program = tmp_path / "program.yaml"
@@ -231,7 +231,7 @@ def test_killed_with_its_acquisition_process_the_daemon_leaves_it_moving_and_hal
         pan, tilt = unit.steps()
         assert 0 < pan < 2917
         assert ended.stdout == (
-            f"the unit on {unit.port} stands at pan {pan}, tilt {tilt} steps (115200 baud)\n"
+            f"The unit on {unit.port} has stopped at pan {pan}, tilt {tilt} steps (115200 baud).\n"
         )
 
 
@@ -244,21 +244,23 @@ def test_a_recording_refused_for_a_missing_board_halts_the_unit_too(
         assert unit.moves.wait(MOVES_S)
         config = rig_yaml(tmp_path, unit.port)
         arguments = ["record", "--config", config, "--program", str(program)]
-        assert run([*arguments, "--out", str(tmp_path / "out")]) == 2
+        assert run([*arguments, "--out", str(tmp_path / "out")]) == 1
         assert unit.rests.wait(MOVES_S)
         assert unit.steps()[0] < PAN_STEPS  # where it would have come to rest by itself
-    assert "/dev/none (board:B-1) cannot be used" in capsys.readouterr().err
+    assert "/dev/none (board:B-1) is not there" in capsys.readouterr().err
 
 
-def test_another_rate_than_configured(
+def test_another_baud_rate_than_configured(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(halt, "OTHER_ANSWER_S", 1.5)  # this machine may have other work
+    monkeypatch.setattr(
+        standalone_halt, "OTHER_BAUD_ANSWER_S", 1.5
+    )  # this machine may have other work
     with Emulated(replace(E46, baud=19200), BOTH_TURN, only_at=19200) as unit:
         assert unit.moves.wait(MOVES_S)
         assert run(["halt", "--config", rig_yaml(tmp_path, unit.port)]) == 0
         assert not unit.turning()
-    assert capsys.readouterr().out.endswith("(19200 baud, not 115200)\n")
+    assert capsys.readouterr().out.endswith("(19200 baud, not 115200).\n")
 
 
 def test_a_silent_port_ends_within_seconds(
@@ -267,26 +269,26 @@ def test_a_silent_port_ends_within_seconds(
     with scripted(lambda _: b"") as port:
         begun = time.monotonic()
         assert run(["halt", "--config", rig_yaml(tmp_path, port)]) == 1
-        assert time.monotonic() - begun < PATIENCE_S
+        assert time.monotonic() - begun < TIMEOUT_S
     told = capsys.readouterr().err
     assert "nothing answers" in told
-    assert "look whether the unit stands" in told
+    assert "Check that the unit has stopped" in told
     assert told.count("\n") == 1
 
 
-def test_what_is_no_unit_is_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(halt, "FIRST_ANSWER_S", 0.2)
-    monkeypatch.setattr(halt_line, "DRAIN_S", 0.1)
-    with Emulated(E46) as rig, pytest.raises(DeviceError, match="is no pan-tilt unit"):
+def test_other_devices_are_distinguished(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(standalone_halt, "FIRST_ANSWER_S", 0.2)
+    monkeypatch.setattr(direct_ptu_line, "DRAIN_S", 0.1)
+    with Emulated(E46) as rig, pytest.raises(DeviceError, match="is not a pan-tilt unit"):
         halt_unit(rig.board, (460800,))
     noise = bytes(range(256)) * 2
-    with scripted(lambda _: noise) as port, pytest.raises(DeviceError, match="is no pan-tilt"):
+    with scripted(lambda _: noise) as port, pytest.raises(DeviceError, match="is not a pan-tilt"):
         halt_unit(port, (9600,))
-    with scripted(lambda sent: sent) as port, pytest.raises(DeviceError, match="only sends back"):
+    with scripted(lambda sent: sent) as port, pytest.raises(DeviceError, match="only echoes"):
         halt_unit(port, (9600,))
 
 
-def test_a_unit_that_does_not_stand() -> None:
+def test_a_unit_that_does_not_stop() -> None:
     answers = {b"V": b"* Pan-Tilt v1.90.0(D46 C14/E)", b"H": b"*"}
     steps = iter(range(10**6))
 
@@ -294,8 +296,8 @@ def test_a_unit_that_does_not_stand() -> None:
         words = (answers.get(word) or b"* %d" % next(steps) for word in sent.split())
         return b"".join(word + b"\r\n" for word in words)
 
-    with scripted(answer) as port, pytest.raises(DeviceError, match="was not seen to stand"):
-        halt_unit(port, (9600,), patience_s=4.0)
+    with scripted(answer) as port, pytest.raises(DeviceError, match="was not seen to stop"):
+        halt_unit(port, (9600,), timeout_s=4.0)
 
 
 def test_a_unit_that_refuses() -> None:
@@ -308,7 +310,7 @@ def test_a_unit_that_refuses() -> None:
         halt_unit(port, (9600,))
 
 
-def test_a_port_that_hangs_up() -> None:
+def test_a_port_that_is_unplugged() -> None:
     master, slave = os.openpty()
     path = os.ttyname(slave)
     tty.setraw(slave)
@@ -319,7 +321,7 @@ def test_a_port_that_hangs_up() -> None:
 
     thread = threading.Thread(target=hang_up)
     thread.start()
-    with pytest.raises(DeviceError, match="hung up"):
+    with pytest.raises(DeviceError, match="unplugged"):
         halt_unit(path, (9600,))
     thread.join()
     os.close(slave)
@@ -328,14 +330,14 @@ def test_a_port_that_hangs_up() -> None:
 @pytest.mark.parametrize(
     ("text", "more", "code", "words"),
     [
-        ("ptu: {port: /dev/none}\n", (), 2, "not halted: /dev/none (ptu) cannot be used"),
-        ("ptu: {port: /dev/none, baud: 9600}\nboards: 3\n", (), 2, "/dev/none (ptu) cannot"),
-        ("ptu:\n  port: /dev/none # cable\n  baud: 9600\nboards: [}\n", (), 2, "/dev/none (ptu)"),
-        ("ptu:\n  # port: /dev/old\n  port: '/dev/none'\nboards: [}\n", (), 2, "/dev/none (ptu)"),
-        ("boards: [{port: /dev/x}]\n", (), 2, "does not say on which port"),
-        ("ptu:\nboards: [{port: /dev/x]\n", (), 2, "does not say on which port"),
-        ("ptu: {port: [1]}\n", ("--port", "/dev/none2"), 2, "/dev/none2 (ptu) cannot"),
-        ("\x00*b\n", ("--port", "/dev/null"), 2, "it is no serial port"),
+        ("ptu: {port: /dev/none}\n", (), 1, "not halted, because /dev/none (ptu) is not there"),
+        ("ptu: {port: /dev/none, baud: 9600}\nboards: 3\n", (), 1, "/dev/none (ptu) is not there"),
+        ("ptu:\n  port: /dev/none # cable\n  baud: 9600\nboards: [}\n", (), 1, "/dev/none (ptu)"),
+        ("ptu:\n  # port: /dev/old\n  port: '/dev/none'\nboards: [}\n", (), 1, "/dev/none (ptu)"),
+        ("boards: [{port: /dev/x}]\n", (), 2, "does not contain the port of the unit"),
+        ("ptu:\nboards: [{port: /dev/x]\n", (), 2, "does not contain the port of the unit"),
+        ("ptu: {port: [1]}\n", ("--port", "/dev/none2"), 1, "/dev/none2 (ptu) is not there"),
+        ("\x00*b\n", ("--port", "/dev/null"), 2, "it is not a serial port"),
         ("", ("--baud", "1"), 2, "--help"),
     ],
 )
@@ -356,7 +358,7 @@ def test_configurations_that_are_broken(
 
 def test_no_configuration_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["halt"]) == 2
-    assert "give --config" in capsys.readouterr().err
+    assert "Give --config" in capsys.readouterr().err
     assert run(["halt", "--config", str(tmp_path / "none.yaml")]) == 2
     assert "cannot be read" in capsys.readouterr().err
     with Emulated(replace(E46, baud=9600), BOTH_TURN) as unit:
@@ -364,17 +366,15 @@ def test_no_configuration_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert not unit.turning()
 
 
-def test_an_emulated_unit_ends_with_its_rig(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_emulated_unit_needs_no_halt(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["halt", "--config", rig_yaml(tmp_path, "emulated")]) == 0
-    assert "nothing to halt" in capsys.readouterr().out
+    assert "There is nothing to halt" in capsys.readouterr().out
 
 
 def test_a_port_that_another_program_holds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(halt, "BUSY_S", 0.1)
+    monkeypatch.setattr(standalone_halt, "BUSY_TIMEOUT_S", 0.1)
     with scripted(lambda _: b"") as port:
         held = os.open(port, os.O_RDWR | os.O_NOCTTY)
         fcntl.flock(held, fcntl.LOCK_EX)
@@ -385,7 +385,7 @@ def test_a_port_that_another_program_holds(
     assert told.count("\n") == 1
 
 
-def test_it_loads_nothing_that_could_keep_it() -> None:
+def test_it_imports_little() -> None:
     """Python's own library and a few files of ours: a blink to start, little that may be broken."""
     loaded = "print(*sys.modules)"
     halting = f"import sys; from gyrorig_daemon.cli import run; run(sys.argv[1:]); {loaded}"
@@ -412,7 +412,7 @@ def test_it_loads_nothing_that_could_keep_it() -> None:
 
 
 @pytest.mark.bench
-def test_it_starts_within_a_blink() -> None:
+def test_it_starts_quickly() -> None:
     """On a machine that does nothing else: processor time, where others run too, tells of them."""
     config = str(Path(__file__).parents[2] / "config" / "rig-raspberrypi.yaml")
     spent_s: list[float] = []

@@ -1,4 +1,4 @@
-"""SIGKILL at random moments of recordings in real time, rotation and all.
+"""SIGKILL at random moments of recordings in real time, also during rotation.
 
 Here only the recorder runs; `make kill` does the same to whole sessions, 200 times.
 """
@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
+from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import times_ns
 
@@ -27,7 +27,7 @@ from pathlib import Path
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
 from gyrorig_protocol.recording.messages import ImuRaw
 own = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
-recorder = Recorder(True, RecorderSettings(part_s=0.7, survive=True))
+recorder = Recorder(True, RecorderSettings(part_s=0.7, survives_faults=True))
 recorder.open(RecordingPlan(Path(sys.argv[1]) / "a.mcap", {"gyrorig": own}, ()))
 k = 0
 while True:
@@ -66,13 +66,13 @@ class Victim:
 def check(folder: Path, handed: int, handed_ns: int) -> tuple[float, int]:
     """Recover; seconds lost at the end, and how many files there are."""
     reports = recover_folder(folder)
-    assert all(report.outcome is not Outcome.FAILED for report in reports), reports
+    assert all(report.outcome is not RecoveryOutcome.FAILED for report in reports), reports
     found: list[int] = []
     last_ns = 0
     files = sorted(folder.glob("*.mcap"))
     for path in files:
         recording = read_recording(path)
-        assert recording.complete, recording.losses
+        assert recording.is_complete, recording.losses
         samples = recording.array(TOPIC)
         assert (samples["sequence"] == samples["message_sequence"]).all()
         found += samples["sequence"].tolist()

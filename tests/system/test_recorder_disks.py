@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecorderState, RecordingPlan
-from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
-from gyrorig_daemon.service.jobs import put
+from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
+from gyrorig_daemon.service.job_queue import enqueue_job
 from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.recording.messages import ImuRaw
 from gyrorig_protocol.recording.reader import read_recording
@@ -121,23 +121,23 @@ def samples(folder: Path) -> list[int]:
 
 
 def test_a_full_disk_without_a_reserve(small_disk: Path) -> None:
-    session = Session(small_disk, RecorderSettings(survive=True))
+    session = Session(small_disk, RecorderSettings(survives_faults=True))
     ballast = small_disk / "ballast"
     ballast.write_bytes(bytes(450_000))
     session.run(30)
     assert session.state() is RecorderState.DEGRADED
-    assert "No space left" in session.recorder.degraded
+    assert "No space left" in session.recorder.degraded_reason
     ballast.unlink()
     session.run(10)
     assert session.state() is RecorderState.RECORDING
     session.recorder.close()
     assert session.recorder.counts.lost == 0
-    assert {r.outcome for r in recover_folder(small_disk)} == {Outcome.RECOVERED}
+    assert {r.outcome for r in recover_folder(small_disk)} == {RecoveryOutcome.RECOVERED}
     assert samples(small_disk) == list(range(session.k))
 
 
 def test_a_full_disk_with_a_reserve(small_disk: Path) -> None:
-    session = Session(small_disk, RecorderSettings(survive=True, reserve_bytes=60_000))
+    session = Session(small_disk, RecorderSettings(survives_faults=True, reserve_bytes=60_000))
     ballast = small_disk / "ballast"
     ballast.write_bytes(bytes(350_000))
     session.run(40)
@@ -154,12 +154,12 @@ def test_a_full_disk_with_a_reserve(small_disk: Path) -> None:
 
 def test_a_card_that_dies(card: Card) -> None:
     """What the system had not written yet is lost with the card, and kept in memory."""
-    session = Session(card.folder, RecorderSettings(survive=True))
+    session = Session(card.folder, RecorderSettings(survives_faults=True))
     session.run(5.5)
     card.fail()
     session.run(20)
     assert session.state() is RecorderState.DEGRADED
-    assert "Read-only" in session.recorder.degraded
+    assert "Read-only" in session.recorder.degraded_reason
     card.repair()
     session.run(10)
     assert session.state() is RecorderState.RECORDING
@@ -182,7 +182,7 @@ def degraded(metrics: Path) -> str:
     return next((line for line in lines if line.startswith("gyrorig_recorder_degraded ")), "")
 
 
-def test_a_service_whose_card_dies_says_so_in_its_metrics(tmp_path: Path, card: Card) -> None:
+def test_a_service_reports_a_dead_card_in_its_metrics(tmp_path: Path, card: Card) -> None:
     (tmp_path / "rig.yaml").write_text(RIG + "service: {reserve_mb: 0}\n")
     state, runtime = card.folder / "state", tmp_path / "run"
     with subprocess.Popen(
@@ -192,7 +192,7 @@ def test_a_service_whose_card_dies_says_so_in_its_metrics(tmp_path: Path, card: 
     ) as daemon:
         try:
             wait_for((state / "queue" / "done").is_dir)
-            put(state / "queue", REST, "rest.yaml")
+            enqueue_job(state / "queue", REST, "rest.yaml")
             wait_for(lambda: any((state / "recordings").glob("*.part")))
             wait_for(lambda: degraded(runtime / "metrics") == "gyrorig_recorder_degraded 0")
             card.fail()
@@ -202,7 +202,7 @@ def test_a_service_whose_card_dies_says_so_in_its_metrics(tmp_path: Path, card: 
             daemon.wait(60)
 
 
-def test_one_shot_says_at_once_that_the_disk_is_full(small_disk: Path) -> None:
+def test_one_shot_fails_at_once_on_a_full_disk(small_disk: Path) -> None:
     session = Session(small_disk, RecorderSettings())
     (small_disk / "ballast").write_bytes(bytes(400_000))
     with pytest.raises(MachineError, match="No space left"):
@@ -210,6 +210,6 @@ def test_one_shot_says_at_once_that_the_disk_is_full(small_disk: Path) -> None:
     with pytest.raises(MachineError):
         session.recorder.close()
     (small_disk / "ballast").unlink()
-    assert [r.outcome for r in recover_folder(small_disk)] == [Outcome.RECOVERED]
+    assert [r.outcome for r in recover_folder(small_disk)] == [RecoveryOutcome.RECOVERED]
     found = samples(small_disk)
     assert found == list(range(len(found)))

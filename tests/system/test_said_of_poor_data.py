@@ -51,7 +51,7 @@ def test_pan_at_tilt_zero_only(tmp_path: Path) -> None:
     assert found["matrices"]["STM"][2][2] is not None  # what pan turns is known
     reasons = " ".join(found["trust"]["reasons"])
     assert "tilt was not moved; move tilt at a few speeds" in reasons
-    assert "sweep it at +T and at -T" in reasons
+    assert "sweep it at a positive and at a negative tilt" in reasons
 
 
 @pytest.mark.parametrize(("soak_k", "fitted"), [("4", False), ("25", True)])

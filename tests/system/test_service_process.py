@@ -21,12 +21,12 @@ from typing import Any
 import pytest
 from websocket import create_connection
 
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import PtuSettings, RigSettings
-from gyrorig_daemon.live import DEFAULT as LIVE_DEFAULT
-from gyrorig_daemon.service.client import ask
-from gyrorig_daemon.service.jobs import put
+from gyrorig_daemon.live.foxglove_view import DEFAULT_ADDRESS as LIVE_DEFAULT
+from gyrorig_daemon.service.job_queue import enqueue_job
+from gyrorig_daemon.service.service_client import send_command
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.reader import read_recording
 
@@ -55,10 +55,10 @@ class Devices:
         self._thread.start()
 
     def turning(self) -> bool:
-        return self.rig.stage.pan.moving((raw_now_ns() - self.rig.origin_ns) * 1e-9)
+        return self.rig.stage.pan.is_moving((raw_now_ns() - self.rig.origin_ns) * 1e-9)
 
     def halts(self) -> int:
-        return [order[0] for order in self.rig.stage.pan.orders].count("halt")
+        return [order[0] for order in self.rig.stage.pan.commands].count("halt")
 
     def close(self) -> None:
         self._ended.set()
@@ -109,7 +109,7 @@ class Service:
 
     def status(self) -> dict[str, Any]:
         try:
-            found = ask(self.socket, "status")["status"]
+            found = send_command(self.socket, "status")["status"]
         except GyrorigError:
             return {"state": "silent"}
         assert isinstance(found, dict)
@@ -120,7 +120,7 @@ class Service:
         return int(self.status().get(where, {}).get(name, 0))
 
     def enqueue(self, program: bytes, **more: Any) -> None:
-        put(self.state / "queue", program, "program.yaml", **more)
+        enqueue_job(self.state / "queue", program, "program.yaml", **more)
 
     def results(self, folder: str) -> list[dict[str, Any]]:
         paths = sorted((self.state / "queue" / folder).glob("*.result.json"))
@@ -185,9 +185,9 @@ def test_a_life_ended_by_sigterm_in_motion(service: Service, devices: Devices) -
     assert devices.halts() > halts
     assert not devices.turning()
     (path,) = service.recordings()
-    assert read_recording(path).complete
+    assert read_recording(path).is_complete
     (result,) = service.results("failed")
-    assert "SIGTERM; the unit is halted" in result["reason"]
+    assert "SIGTERM. The unit is halted" in result["reason"]
     wait_for(lambda: service.said[-1] == "STOPPING=1")
     assert service.said.count("WATCHDOG=1") >= 2
     assert not service.socket.exists()
@@ -215,7 +215,7 @@ def test_killed_with_everything_it_halts_first_when_it_is_started_again(
     wait_for(lambda: service.said.count("READY=1") == 2)
     wait_for(lambda: service.status()["state"] == "ready")
     (result,) = service.results("failed")  # not begun again: it may be what it died of
-    assert result["reason"].startswith("the daemon ended while it ran: look at the rig")
+    assert result["reason"].startswith("The daemon ended while the job was running. Check the rig")
     wait_for(lambda: service.counted("kept", "recovered") == 1)
     (path,) = service.recordings()
     assert len(read_recording(path).array("/board/B-1/imu_raw")) > 10
@@ -252,13 +252,13 @@ def test_an_acquisition_process_that_hangs_is_replaced(service: Service, devices
     assert service.counted("counts", "acquisition_restarts") == 1
     assert service.children() != [child]
     (result,) = service.results("failed")
-    assert "the acquisition process did not answer" in result["reason"]
-    assert read_recording(Path(result["recording"])).complete
+    assert "the acquisition process did not respond" in result["reason"]
+    assert read_recording(Path(result["recording"])).is_complete
     service.enqueue(SHORT)
     wait_for(lambda: service.results("done"))
     code, told = service.end()
     assert code == 0
-    assert "the ports are opened anew" in told
+    assert "The ports are opened again" in told
 
 
 def listening(pid: int) -> set[tuple[str, int]]:
@@ -295,7 +295,7 @@ def test_a_live_view_listens_on_the_loopback_alone_and_ends_with_the_daemon(
     code, told = service.end()
     viewer.close()
     assert code == 0, told
-    assert f"live view at ws://127.0.0.1:{port}\n" in told
+    assert f"Live view at ws://127.0.0.1:{port}\n" in told
 
 
 def test_an_emulated_rig_that_dies_is_started_again(service: Service) -> None:
@@ -315,7 +315,7 @@ def test_an_emulated_rig_that_dies_is_started_again(service: Service) -> None:
     assert not set(service.children()) & set(children)
     code, told = service.end()
     assert code == 0
-    assert "the emulated rig has ended (status -9); it is started again" in told
+    assert "The emulated rig has ended (status -9). It is started again." in told
 
 
 def test_a_second_daemon_ends_at_once(service: Service, devices: Devices) -> None:
@@ -349,4 +349,4 @@ def reload_it(service: Service) -> None:
     assert [path.name.split("_")[1] for path in service.recordings()] == ["system", "renamed"]
     code, told = service.end()
     assert code == 0
-    assert "stays as it was: rig.yaml is not a YAML document" in told
+    assert "was rejected. Reason: rig.yaml is not a YAML document" in told

@@ -63,7 +63,12 @@ def test_boards_on_one_unit_are_solved_together(tmp_path: Path) -> None:
     config = tmp_path / "rig.yaml"
     config.write_text(yaml.safe_dump(rig), encoding="utf-8")
     command = [BIN / "gyrorigd", "record", "--simulated-time", "--seed", "5", "--config", config]
-    command += ["--program", ROOT / "config" / "programs" / "quick.yaml", "--out", tmp_path / "r"]
+    command += [
+        "--program",
+        ROOT / "config" / "programs" / "survey-40.yaml",
+        "--out",
+        tmp_path / "r",
+    ]
     subprocess.run([*map(str, command)], check=True, capture_output=True)
     (recording,) = (tmp_path / "r").glob("*.mcap")
     solve = [str(BIN / "gyrorig"), "solve", str(recording), "--json", "--out", str(tmp_path / "c")]

@@ -7,9 +7,9 @@ import threading
 from pathlib import Path
 from types import TracebackType
 
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings, RigSettings
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardSettings, PtuSettings, RigSettings
 
 FAR = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 4.0}\n"  # 37.5 s
 
@@ -46,12 +46,12 @@ class RigOnPtys:
         """True while an axis moves."""
         now_s = (raw_now_ns() - self.rig.origin_ns) * 1e-9
         stage = self.rig.stage
-        return stage.pan.moving(now_s) or stage.tilt.moving(now_s)
+        return stage.pan.is_moving(now_s) or stage.tilt.is_moving(now_s)
 
     @property
     def halts(self) -> int:
         """How often it was told to halt."""
-        return [order[0] for order in self.rig.stage.pan.orders].count("halt")
+        return [order[0] for order in self.rig.stage.pan.commands].count("halt")
 
     def order(self, text: bytes) -> None:
         """Put it in motion, as somebody did who is gone now."""

@@ -1,4 +1,4 @@
-"""What systemd and udev themselves say of the files in systemd/, without running them."""
+"""Checks of the files in systemd/ by systemd and udev, without running them."""
 
 import os
 import re

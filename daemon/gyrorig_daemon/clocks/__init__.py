@@ -1,12 +1,19 @@
-"""The online map from every device's clock to the capture clock, for display and alarms.
+"""Online clock map: from the clock of a device to the capture clock, for display and alarms.
 
-Raw stamps are what is recorded; this map gives `publish_time` and /diagnostics. The
-solver maps again, better, offline. Use `OnlineClock`; the parts it is made of are
-`Unwrapper` (counter bits and resets) and `FloorFilter` (offset and skew).
+Recordings keep the raw timestamps. This map gives `publish_time` and /diagnostics; the solver
+computes a better map offline. Use `OnlineClock`. Its parts are `CounterUnwrapper` (counter
+wraps and resets) and `LatencyFloorFilter` (offset and skew). `capture_clock` has the clock of a
+recording.
 """
 
-from gyrorig_daemon.clocks.floor import FloorFilter, FloorState
-from gyrorig_daemon.clocks.online import ClockReport, OnlineClock
-from gyrorig_daemon.clocks.unwrap import Unwrapper
+from gyrorig_daemon.clocks.counter_unwrap import CounterUnwrapper
+from gyrorig_daemon.clocks.latency_floor import LatencyFloorFilter, LatencyFloorState
+from gyrorig_daemon.clocks.online_clock import ClockReport, OnlineClock
 
-__all__ = ["ClockReport", "FloorFilter", "FloorState", "OnlineClock", "Unwrapper"]
+__all__ = [
+    "ClockReport",
+    "CounterUnwrapper",
+    "LatencyFloorFilter",
+    "LatencyFloorState",
+    "OnlineClock",
+]

@@ -1,7 +1,10 @@
-"""The rig's configuration as a person writes it."""
+"""Configuration of a rig: the document `gyrorig/rig/1` and its parts.
 
-from gyrorig_daemon.config.buses import BusPort
-from gyrorig_daemon.config.document import (
+What to use when: `load_rig` for a file, `parse_rig` for text, `RigConfig` for the result.
+"""
+
+from gyrorig_daemon.config.bus_config import BusPort
+from gyrorig_daemon.config.rig_document import (
     EMULATED,
     PTU_PORT,
     BoardFacts,

@@ -1,15 +1,15 @@
-"""`gyrorigd doctor`: what is wrong with a rig, what will be tonight, and what to do.
+"""`gyrorigd doctor`: checks of a rig, with a remedy for each problem.
 
-What to use when: `examine` for the whole rig; `finding` says what a finding is. One module
-a subject: `machine` this computer, `disk` where recordings go, `timekeeping` its clocks,
-`ports` what stands between a program and a device, `unit` and `board` the devices
-themselves, `tonight` what follows from all of it for a night without anybody.
+What to use when: `check_rig` for the whole rig; `finding` defines what a check reports. There is
+one module per subject: `computer_check`, `disk_check`, `clock_check`, `port_check` (a port without
+opening it), `unit_check` and `board_check` (the devices), `can_bus_check`, `daemon_check` (a
+service that is running), and `capacity_forecast` for the coming sessions.
 
-Nothing moves: the unit is only asked. Each module looks at /proc and /sys through a
-`System`, so that a test can show it any computer.
+Nothing moves: the unit only receives queries. Every check reads /proc and /sys through a
+`SystemFiles`, so that a test can use any computer.
 """
 
-from gyrorig_daemon.doctor.examine import Order, examine
 from gyrorig_daemon.doctor.finding import Finding, Level, worst
+from gyrorig_daemon.doctor.rig_check import CheckRequest, check_rig
 
-__all__ = ["Finding", "Level", "Order", "examine", "worst"]
+__all__ = ["CheckRequest", "Finding", "Level", "check_rig", "worst"]

@@ -1,4 +1,4 @@
-"""What an examination finds: one line, how bad it is, and what to do about it."""
+"""Findings of the doctor: one line, a severity, and a remedy."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,24 +8,24 @@ from gyrorig_protocol.errors import GyrorigError
 
 
 class Level(IntEnum):
-    """How bad a finding is; the worst one decides the exit code."""
+    """Severity of a finding; the highest one decides the exit status."""
 
     OK = 0
-    NOTE = 1  # worth knowing; nothing has to be done
-    WARNING = 2  # it records today; some night it will not, or worse than it could
-    FAULT = 3  # it does not work as it is
+    NOTE = 1  # for information; no action is needed
+    WARNING = 2  # it works now, but a later session will fail or give worse data
+    FAULT = 3  # it does not work
 
 
-# 4: "done, but something ..." as in every command of the project
+# 4: "done, but there is a problem", as in every command of the project
 EXIT_CODES = {Level.OK: 0, Level.NOTE: 0, Level.WARNING: 4, Level.FAULT: 1}
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at.
+    """The result of one check.
 
-    `code` names the kind of finding for programs and never changes; `subject` is what was
-    looked at, in the words of the rig's configuration.
+    `code` identifies the kind of finding for programs and never changes. `subject` is the part
+    of the rig, as the configuration names it.
     """
 
     level: Level
@@ -35,7 +35,7 @@ class Finding:
     remedy: str = ""
 
     def to_document(self) -> dict[str, str]:
-        """Return it for `--json`."""
+        """Return the finding for `--json`."""
         return {
             "level": self.level.name.lower(),
             "subject": self.subject,
@@ -46,30 +46,30 @@ class Finding:
 
 
 def ok(subject: str, code: str, what: str) -> Finding:
-    """Return a finding of which nothing follows."""
+    """Return a finding without a problem."""
     return Finding(Level.OK, subject, code, what)
 
 
 def note(subject: str, code: str, what: str, remedy: str = "") -> Finding:
-    """Return a finding that is worth knowing."""
+    """Return a finding for information."""
     return Finding(Level.NOTE, subject, code, what, remedy)
 
 
 def warning(subject: str, code: str, what: str, remedy: str) -> Finding:
-    """Return a finding that will matter some night."""
+    """Return a finding that will affect a later session."""
     return Finding(Level.WARNING, subject, code, what, remedy)
 
 
 def fault(subject: str, code: str, what: str, remedy: str) -> Finding:
-    """Return a finding that keeps the rig from working."""
+    """Return a finding that prevents the rig from working."""
     return Finding(Level.FAULT, subject, code, what, remedy)
 
 
 def from_error(subject: str, code: str, error: GyrorigError) -> Finding:
-    """Return the fault that an error tells of."""
-    return fault(subject, code, error.what, error.remedy)
+    """Return an error as a fault."""
+    return fault(subject, code, error.problem, error.remedy)
 
 
 def worst(findings: Iterable[Finding]) -> Level:
-    """Return the worst level among `findings`."""
+    """Return the highest level among `findings`."""
     return max((finding.level for finding in findings), default=Level.OK)

@@ -1,14 +1,14 @@
-"""The emulated rig: a unit and boards that behave like hardware, from one seed.
+"""Emulated rig: a pan-tilt unit and boards that behave like hardware, from one seed.
 
-What to use when: `EmulatedRig` from `RigSettings`; `VirtualHub` over it where time is
-simulated; `serve` where other programs talk to it through ptys. The truth behind the ports
-is `EmulatedRig.truth` and `truth_document`. `causes` holds what a rig can hide, `noise_free`
-and `noncentrality` how visible that is, `sealed` keeps it secret until the end.
+What to use when: `EmulatedRig` from `RigSettings`; `VirtualHub` for simulated time;
+`pty_server.serve_rig` for other programs in real time. `EmulatedRig.truth` and `truth_document`
+contain the true parameters. `causes` are the errors that a rig can have, `noise_free_rates` shows
+their effect without noise, and `truth_commitment` keeps them secret until the end.
 """
 
-from gyrorig_daemon.emulator.device import EmulatedDevice
-from gyrorig_daemon.emulator.rig import PTU_PORT, EmulatedRig, board_port
-from gyrorig_daemon.emulator.settings import (
+from gyrorig_daemon.emulator.emulated_device import EmulatedDevice
+from gyrorig_daemon.emulator.emulated_rig import PTU_PORT, EmulatedRig, board_port
+from gyrorig_daemon.emulator.emulator_settings import (
     BANDWIDTHS_HZ,
     BoardFaults,
     BoardSettings,
@@ -16,7 +16,7 @@ from gyrorig_daemon.emulator.settings import (
     PtuSettings,
     RigSettings,
 )
-from gyrorig_daemon.emulator.truth import RigTruth, draw_rig_truth
+from gyrorig_daemon.emulator.rig_truth import RigTruth, sample_rig_truth
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 
 __all__ = [
@@ -32,5 +32,5 @@ __all__ = [
     "RigTruth",
     "VirtualHub",
     "board_port",
-    "draw_rig_truth",
+    "sample_rig_truth",
 ]

@@ -1,28 +1,28 @@
-"""The emulated rig under a virtual clock: the same bytes, faster than time.
+"""Virtual hub: the emulated rig in simulated time, with the same bytes as in real time.
 
-Theory of operation. The clock moves only in `read`: to the next arrival at the host, or to
-the deadline. What leaves a device gets its arrival time from the latency model; arrivals
-wait in a heap. Before one is delivered, every device has been asked for what left its line
-until then, because it could have overtaken.
+Theory of operation. The clock advances only in `read`: to the next arrival at the host, or to the
+deadline. Bytes that leave a device get their arrival time from the latency model; arrivals wait
+in a heap. Before one is delivered, every device is asked for the bytes that have left its line
+until then, because they could arrive earlier.
 """
 
 import heapq
 
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.links.hub import Chunk, PortChange, WriteStamp
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, WriteTimes
 from gyrorig_protocol.errors import DeviceError
 
 NEVER_NS = 1 << 62
-REOPENING_NS = 10_000_000
+REOPEN_TIME_NS = 10_000_000
 
 _Arrival = tuple[int, int, str, bytes, PortChange | None]
 
 
 class VirtualHub:
-    """A `PortHub` over an emulated rig. Starts at the rig's power-up."""
+    """A `PortHub` of an emulated rig. It starts at the rig's power-up."""
 
     def __init__(self, rig: EmulatedRig) -> None:
-        """Drive `rig`; nothing else may drive it."""
+        """Drive `rig`, exclusively."""
         self.rig = rig
         self._devices = rig.devices
         self._latency = rig.latency
@@ -30,29 +30,29 @@ class VirtualHub:
         self._arrivals: list[_Arrival] = []
         self._order = 0
         self._closed = False
-        self._away: dict[str, list[tuple[int, int]]] = {port: [] for port in self._devices}
+        self._unplugged: dict[str, list[tuple[int, int]]] = {port: [] for port in self._devices}
         self._down: set[str] = set()
 
     def unplug(self, port: str, at_ns: int, until_ns: int | None = None) -> None:
-        """Pull a device's cable at a time to come; plug it in again at `until_ns`, or never.
+        """Disconnect a device at a future time, and connect it again at `until_ns`, or never.
 
-        The device goes on without it.
+        The device continues to run.
         """
         self._push(at_ns, port, b"", PortChange.GONE)
         if until_ns is not None:
             self._push(until_ns, port, b"", PortChange.BACK)
-        self._away[port].append((at_ns, NEVER_NS if until_ns is None else until_ns))
+        self._unplugged[port].append((at_ns, NEVER_NS if until_ns is None else until_ns))
 
     def swap(self, port: str, other: str) -> None:
-        """Exchange what hangs on two ports, as names that follow the order of plugging do."""
+        """Exchange the devices of two ports, as happens with unstable port names."""
         self._devices[port], self._devices[other] = self._devices[other], self._devices[port]
 
     def now_ns(self) -> int:
         """Return the virtual clock."""
         return self._now_ns
 
-    def write(self, port: str, data: bytes) -> WriteStamp:
-        """Hand bytes to a device; they begin on its line a little later.
+    def write(self, port: str, data: bytes) -> WriteTimes:
+        """Send bytes to a device; they start on its line after a short delay.
 
         Raises:
             DeviceError: there is no such port, it is gone, or the hub is closed.
@@ -60,13 +60,13 @@ class VirtualHub:
         device = self._devices.get(port)
         if device is None or self._closed:
             raise DeviceError(f"no emulated device on port {port!r}", "check the rig's ports")
-        if self._is_away(port, self._now_ns):
-            raise DeviceError(f"the port {port!r} hung up", "plug the device in again")
+        if self._is_unplugged(port, self._now_ns):
+            raise DeviceError(f"the port {port!r} was unplugged", "plug the device in again")
         device.receive(data, self._latency.line_ns(self._now_ns))
-        return WriteStamp(self._now_ns, self._now_ns)
+        return WriteTimes(self._now_ns, self._now_ns)
 
     def read(self, deadline_ns: int) -> Chunk | None:
-        """Return the next chunk of any port in the order of time, None at the deadline."""
+        """Return the next chunk of any port in order of time, None at the deadline."""
         limit_ns = max(deadline_ns, self._now_ns)
         while not self._closed:
             due_ns, port = self._next_output()
@@ -82,16 +82,16 @@ class VirtualHub:
         return None
 
     def is_up(self, port: str) -> bool:
-        """Return whether the port is open, by what `read` has told."""
+        """Return whether the port is open, according to the chunks that `read` has returned."""
         return port not in self._down
 
     def reopen(self, port: str) -> None:
-        """Let go of a port and open it anew, unless its cable is pulled."""
-        if not self._is_away(port, self._now_ns):
-            self.unplug(port, self._now_ns, self._now_ns + REOPENING_NS)
+        """Close a port and open it again, unless it is disconnected."""
+        if not self._is_unplugged(port, self._now_ns):
+            self.unplug(port, self._now_ns, self._now_ns + REOPEN_TIME_NS)
 
     def close(self) -> None:
-        """Release every port. Closing twice is no fault."""
+        """Release all ports; a second call does nothing."""
         self._closed = True
 
     def _next_output(self) -> tuple[int | None, str]:
@@ -106,18 +106,18 @@ class VirtualHub:
     def _collect(self, port: str, until_ns: int) -> None:
         for line_ns, data in self._devices[port].take_output(until_ns):
             arrival_ns = self._latency.arrival_ns(port, line_ns)
-            if not self._is_away(port, arrival_ns):
+            if not self._is_unplugged(port, arrival_ns):
                 self._push(arrival_ns, port, data)
 
     def _push(self, at_ns: int, port: str, data: bytes, change: PortChange | None = None) -> None:
         heapq.heappush(self._arrivals, (at_ns, self._order, port, data, change))
         self._order += 1
 
-    def _is_away(self, port: str, at_ns: int) -> bool:
-        return any(begin_ns <= at_ns < end_ns for begin_ns, end_ns in self._away[port])
+    def _is_unplugged(self, port: str, at_ns: int) -> bool:
+        return any(begin_ns <= at_ns < end_ns for begin_ns, end_ns in self._unplugged[port])
 
     def _deliver(self) -> Chunk:
-        """Take the first arrival, with whatever came on the same port at the same time."""
+        """Return the first arrival, joined with others on the same port at the same time."""
         at_ns, _, port, data, change = heapq.heappop(self._arrivals)
         while data and self._arrivals and self._arrivals[0][:3:2] == (at_ns, port):
             if self._arrivals[0][4] is not None:
@@ -127,5 +127,5 @@ class VirtualHub:
         if change is None:
             return Chunk(port, self._now_ns, data)
         (self._down.add if change is PortChange.GONE else self._down.discard)(port)
-        text = "it hung up" if change is PortChange.GONE else ""
+        text = "it was unplugged" if change is PortChange.GONE else ""
         return Chunk(port, self._now_ns, b"", change, text)

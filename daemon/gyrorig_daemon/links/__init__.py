@@ -1,1 +1,5 @@
-"""Ports and what reads them: the seam of time, and the process behind it in real time."""
+"""Serial ports and CAN buses, and the boards on them.
+
+`pump` is the event loop of the daemon. `ports/` has the hub, its acquisition process and the
+kinds of ports; `boards/` the link to one board; `can/` buses and the boards on them.
+"""

@@ -1,18 +1,17 @@
-"""The pan-tilt unit as the daemon sees it, and the programs it carries out.
+"""The pan-tilt unit: commands and replies, its capabilities, and motion programs.
 
-What to use when: `PtuClient` exchanges commands and answers; `identify_unit` knows and
-halts a unit, `open_unit` makes it ready and reads its facts before anything moves;
-`plan_program` checks a program as a whole; `Executor` carries it out;
-`halt_and_confirm` is the way out.
+What to use when: `PtuClient` exchanges commands and replies; `identify_unit` identifies and
+halts a unit; `open_unit` prepares it and reads its capabilities before anything moves;
+`plan_program` checks a whole program; `Executor` runs it; `halt_and_confirm` ends it.
 """
 
-from gyrorig_daemon.motion.exchange import Exchange, Position
 from gyrorig_daemon.motion.executor import Executor, PhaseSink, halt_and_confirm
-from gyrorig_daemon.motion.facts import UnitFacts
-from gyrorig_daemon.motion.plan import PlannedStep, plan_duration_s, plan_program
-from gyrorig_daemon.motion.poller import Poller
+from gyrorig_daemon.motion.motion_plan import PlannedStep, plan_duration_s, plan_program
+from gyrorig_daemon.motion.position_poller import PositionPoller
 from gyrorig_daemon.motion.ptu_client import PtuClient
-from gyrorig_daemon.motion.unit import Homing, Unit, identify_unit, open_unit
+from gyrorig_daemon.motion.ptu_exchange import Exchange, Position
+from gyrorig_daemon.motion.unit_facts import UnitFacts
+from gyrorig_daemon.motion.unit_setup import Homing, Unit, identify_unit, open_unit
 
 __all__ = [
     "Exchange",
@@ -20,8 +19,8 @@ __all__ = [
     "Homing",
     "PhaseSink",
     "PlannedStep",
-    "Poller",
     "Position",
+    "PositionPoller",
     "PtuClient",
     "Unit",
     "UnitFacts",

@@ -1,55 +1,58 @@
-"""Carries out a planned program: moves, rests, and positions asked for all the while.
+"""Run a planned program: moves and static intervals, with position polls all the time.
 
-The unit's answer is the count it was told to go to, not the axis: a move is over when
-the count is at its target and the unit is still. It must come there: a count that stops
-elsewhere, or takes too long, ends the program with the unit halted.
+The unit replies with its commanded step count, not with the angle of the axis. A move is over
+when the count is at its target and the unit is at standstill. If the count stops elsewhere, or
+takes too long, the program ends with an error and the unit is halted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from gyrorig_daemon.links.pump import Pump
-from gyrorig_daemon.motion.exchange import Position
-from gyrorig_daemon.motion.path_watch import PathWatch
-from gyrorig_daemon.motion.plan import PlannedMove, PlannedRest, PlannedStep
-from gyrorig_daemon.motion.poller import Poller
-from gyrorig_daemon.motion.unit import Unit
+from gyrorig_daemon.motion.motion_plan import PlannedMove, PlannedRest, PlannedStep
+from gyrorig_daemon.motion.position_poller import PositionPoller
+from gyrorig_daemon.motion.ptu_client import PtuClient
+from gyrorig_daemon.motion.ptu_exchange import Position
+from gyrorig_daemon.motion.unit_setup import Unit
 from gyrorig_protocol.errors import DeviceError
-from gyrorig_protocol.ptu import Axis, Quantity, assign
-from gyrorig_protocol.ptu.commands import HALT, IMMEDIATE, SLAVED
+from gyrorig_protocol.ptu import Axis, Quantity, assign_quantity
+from gyrorig_protocol.ptu.ptu_commands import HALT_BOTH_AXES, IMMEDIATE_EXECUTION, SLAVED_EXECUTION
 
-PATIENCE_FACTOR = 1.5
-PATIENCE_S = 5.0
-STALL_S = 3.0  # a count that does not change for so long, away from its target
-STILL_FOR_S = 0.3
-HALT_PATIENCE_S = 10.0  # 149 deg/s at 103 deg/s^2 stops in 1.5 s
+TIMEOUT_FACTOR = 1.5
+TIMEOUT_MARGIN_S = 5.0
+STALL_S = 3.0  # a count that does not change for this time, away from its target
+STANDSTILL_S = 0.3
+HALT_TIMEOUT_S = 10.0  # from 149 deg/s at 103 deg/s^2 a unit stops in 1.5 s
+MARGIN_STEPS = 16  # 0.8 deg at 185 arcsec per step; counts do not overshoot
+MAX_IMPLAUSIBLE = 3
+Span = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class PhaseSink:
-    """Where the executor tells what phase begins and ends."""
+    """Is called when a phase of the program begins and ends."""
 
     begin: Callable[[str, str], None]
     end: Callable[[str, str], None]
 
 
 class Executor:
-    """One unit, one program at a time."""
+    """Runs programs on one unit, one at a time."""
 
-    def __init__(self, pump: Pump, unit: Unit, poller: Poller, phases: PhaseSink) -> None:
+    def __init__(self, pump: Pump, unit: Unit, poller: PositionPoller, phases: PhaseSink) -> None:
         self._pump = pump
         self._client = unit.client
         self._poller = poller
         self._phases = phases
-        self._watch = PathWatch(unit.client)
-        self._at: dict[Axis, int] = {}  # where orders have brought each axis, once it was there
+        self._path_monitor = PathMonitor(unit.client)
+        self._positions_steps: dict[Axis, int] = {}  # last target that each axis has reached
 
     def run(self, steps: Sequence[PlannedStep], progress: Callable[[int], None]) -> None:
-        """Carry out the steps in order; `progress` is told how many are done.
+        """Run the steps in order; `progress` gets the number of finished steps.
 
         Raises:
-            DeviceError: the unit refused, did not arrive, is where it cannot be, or lost
-                synchrony.
+            DeviceError: the unit refused a command, did not arrive, is at an implausible position,
+                or lost synchrony.
             StopRequestedError: the process was asked to stop. The unit may be moving.
         """
         self._phases.begin("program", "")
@@ -69,42 +72,42 @@ class Executor:
     def _move(self, step: PlannedMove) -> None:
         client = self._client
         targets = {part.axis: part.target_steps for part in step.axes}
-        self._watch.expect(self._at, targets)
+        self._path_monitor.expect(self._positions_steps, targets)
         for part in step.axes:
-            client.order(assign(part.axis, Quantity.SPEED, part.speed_steps_s))
+            client.send_command(assign_quantity(part.axis, Quantity.SPEED, part.speed_steps_s))
         together = len(step.axes) > 1
         if together:
-            client.order(SLAVED)  # targets wait until the unit is set to immediate again
+            client.send_command(SLAVED_EXECUTION)  # the unit starts both axes at the next IMMEDIATE
         for part in step.axes:
-            client.order(assign(part.axis, Quantity.POSITION, part.target_steps))
+            client.send_command(assign_quantity(part.axis, Quantity.POSITION, part.target_steps))
         if together:
-            client.order(IMMEDIATE)
-        self._arrive(step, targets)
-        self._at |= targets
-        self._watch.expect(self._at, {})
+            client.send_command(IMMEDIATE_EXECUTION)
+        self._wait_for_arrival(step, targets)
+        self._positions_steps |= targets
+        self._path_monitor.expect(self._positions_steps, {})
 
-    def _arrive(self, step: PlannedMove, targets: Mapping[Axis, int]) -> None:
+    def _wait_for_arrival(self, step: PlannedMove, targets: Mapping[Axis, int]) -> None:
         longest_s = max(part.duration_s for part in step.axes)
-        begun_ns = self._pump.now_ns()
-        deadline_ns = begun_ns + int((PATIENCE_FACTOR * longest_s + PATIENCE_S) * 1e9)
-        last: tuple[int, int] | None = None
-        changed_ns = begun_ns
+        start_ns = self._pump.now_ns()
+        deadline_ns = start_ns + int((TIMEOUT_FACTOR * longest_s + TIMEOUT_MARGIN_S) * 1e9)
+        last_steps: tuple[int, int] | None = None
+        changed_ns = start_ns
         while True:
             position = self._poller.poll()
             now_ns = self._pump.now_ns()
-            if position is not None and self._watch.look(position):
-                here = (position.pan_steps, position.tilt_steps)
-                if here != last:
-                    last, changed_ns = here, now_ns
+            if position is not None and self._path_monitor.check(position):
+                steps = (position.pan_steps, position.tilt_steps)
+                if steps != last_steps:
+                    last_steps, changed_ns = steps, now_ns
                 if self._poller.is_at(targets):
                     return
-            # a unit that does not answer is the poller's to complain of
+            # the poller reports a unit that does not answer
             stalled = position is not None and now_ns - changed_ns > STALL_S * 1e9
             if stalled or now_ns > deadline_ns:
                 raise DeviceError(
-                    f"the unit stands at {last} instead of "
-                    f"{', '.join(f'{axis.word} {at}' for axis, at in targets.items())} steps",
-                    "clear what is in its way, check its power, then start again with --home",
+                    f"the unit stopped at {last_steps} instead of "
+                    f"{', '.join(f'{axis.label} {at}' for axis, at in targets.items())} steps",
+                    "remove obstacles, check its power, then start again with --home",
                 )
 
     def _poll_for(self, seconds: float) -> None:
@@ -112,32 +115,93 @@ class Executor:
         while self._pump.now_ns() < end_ns:
             position = self._poller.poll()
             if position is not None:
-                self._watch.look(position)
+                self._path_monitor.check(position)
 
 
-def halt_and_confirm(pump: Pump, unit: Unit, poller: Poller) -> None:
-    """Halt both axes and watch until the counts stand still.
+class PathMonitor:
+    """Checks reported positions against the commands of one step of a program.
+
+    Replies have no checksum, and a line can lose a digit: a single implausible reply is only
+    counted. Several in a row are not an accident: somebody else moves the unit, its count has
+    jumped, or another device answers.
+    """
+
+    def __init__(self, client: PtuClient) -> None:
+        """Check nothing yet; implausible replies are counted in `client`."""
+        self._client = client
+        self._allowed_steps: dict[Axis, Span] = {}
+        self._implausible_count = 0
+
+    def expect(self, start: Mapping[Axis, int], targets: Mapping[Axis, int]) -> None:
+        """Expect each axis of `start` between there and its target, or at rest.
+
+        An axis that has not reached a target yet can be anywhere: one reply alone is not certain.
+        """
+        self._implausible_count = 0
+        self._allowed_steps = {
+            axis: (
+                min(start_steps, targets.get(axis, start_steps)),
+                max(start_steps, targets.get(axis, start_steps)),
+            )
+            for axis, start_steps in start.items()
+        }
+
+    def check(self, position: Position) -> bool:
+        """Return whether the commands can explain the position.
+
+        Raises:
+            DeviceError: several consecutive positions are implausible.
+        """
+        answered_steps = {}
+        if position.has_pan:
+            answered_steps[Axis.PAN] = position.pan_steps
+        if position.has_tilt:
+            answered_steps[Axis.TILT] = position.tilt_steps
+        for axis, steps in answered_steps.items():
+            low, high = self._allowed_steps.get(axis, (steps, steps))
+            if low - MARGIN_STEPS <= steps <= high + MARGIN_STEPS:
+                continue
+            self._implausible_count += 1
+            self._client.counts.implausible += 1
+            if self._implausible_count >= MAX_IMPLAUSIBLE:
+                raise DeviceError(
+                    f"the unit reports {axis.label} {steps} steps, "
+                    f"but its commands allow {low} to {high}",
+                    "stop the unit and check. Another program may be moving it, or the serial "
+                    "line is faulty",
+                )
+            return False
+        self._implausible_count = 0
+        return True
+
+
+def halt_and_confirm(pump: Pump, unit: Unit, poller: PositionPoller) -> None:
+    """Halt both axes and poll until the positions no longer change.
 
     Raises:
-        DeviceError: the unit does not acknowledge, or goes on moving.
+        DeviceError: the unit does not acknowledge, or keeps moving.
     """
     client = unit.client
     client.halt()
-    end_ns = pump.now_ns() + int(HALT_PATIENCE_S * 1e9)
+    end_ns = pump.now_ns() + int(HALT_TIMEOUT_S * 1e9)
     still_since_ns: int | None = None
-    last: tuple[int, int] | None = None
-    seen: Position | None
+    last_steps: tuple[int, int] | None = None
+    position: Position | None
     while pump.now_ns() < end_ns:
-        seen = poller.poll(checked=False)
-        if seen is None:
+        position = poller.poll(checked=False)
+        if position is None:
             continue
-        here = (seen.pan_steps, seen.tilt_steps)
-        if here != last or still_since_ns is None:
-            last, still_since_ns = here, seen.exchange.request_ns
-        elif seen.exchange.reply_ns - still_since_ns >= STILL_FOR_S * 1e9 and seen.still in (
-            None,
-            True,
+        steps = (position.pan_steps, position.tilt_steps)
+        if steps != last_steps or still_since_ns is None:
+            last_steps, still_since_ns = steps, position.exchange.request_ns
+        elif (
+            position.exchange.reply_ns - still_since_ns >= STANDSTILL_S * 1e9
+            and position.is_still
+            in (
+                None,
+                True,
+            )
         ):
             return
-    client.order(HALT)
-    raise DeviceError("the unit was told to halt and still moves", "switch it off")
+    client.send_command(HALT_BOTH_AXES)
+    raise DeviceError("the unit acknowledged the halt command but still moves", "switch it off")

@@ -1,60 +1,60 @@
-"""One command in flight: exchanges with a pan-tilt unit over a pump.
+"""Client of a pan-tilt unit: one command at a time over the event loop.
 
-What to use when: `ask` for a question or an order that must succeed; `exchange` where
-a silence is to be lived with; `halt` on every way out. There is no flow control on the
-wire: the next command waits for the answer to the last, and for the vendor's rate.
+What to use when: `ask` for a query that must succeed; `send_command` for a command that must be
+carried out; `exchange` if a missing reply is acceptable; `halt` whenever a session ends. The
+line has no flow control: the next command waits for the reply to the last one, and for the
+vendor's limit of the command rate.
 
-Theory of operation. An answer does not say which command it answers, and one that comes
-after its patience has ended would be taken for the next command's. So after a silence or an
-answer that does not fit, the line is out of step: before the next command the unit is
-asked for its version. It answers in order, and that answer fits no other question, so
-what comes before it is stale. HALT alone is written first, in step or not.
+Theory of operation. A reply does not say which command it belongs to. One that arrives after
+its timeout would be taken for the reply to the next command. Therefore, after a timeout or a
+reply that does not fit, the line is out of step: before the next command the unit is asked for
+its version. It replies in order, and that reply fits no other query, so everything before it is
+stale. Only HALT is written first, in step or not.
 """
 
 import contextlib
 from collections.abc import Callable
 
-from gyrorig_daemon.links.hub import Chunk, PortChange
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import Pump
-from gyrorig_daemon.motion.exchange import Counts, Exchange
+from gyrorig_daemon.motion.ptu_exchange import Exchange, PtuLineCounts
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.ptu import (
     Axis,
     Banner,
     CableFlag,
-    FrameError,
+    FirmwareVersion,
+    InvalidLine,
     LimitFlag,
     PtuCommand,
     PtuReplyParser,
     Reply,
-    Version,
-    read,
+    read_value,
     require_done,
 )
-from gyrorig_protocol.ptu.commands import HALT, QUERY_VERSION
-from gyrorig_protocol.ptu.values import ValueFault
+from gyrorig_protocol.ptu.ptu_commands import HALT_BOTH_AXES, QUERY_VERSION
+from gyrorig_protocol.ptu.reply_values import ValueFault
 
-DRAIN_S = 0.5  # reference: ptu-e46.md section 9
+DRAIN_S = 0.5  # for the rest of a reply that is still being sent
 ATTEMPTS = 3
 HALT_ATTEMPTS = 4
-MORE_PATIENCE_S = 1.0  # with each further attempt: the unit, or this host, may be slow
-FENCE_S = 2.0  # for a late answer and the version's
-RAW_LIMIT_BYTES = 4096  # what one exchange keeps of what was received
-SETTLE_POLLS = 3  # equal answers in a row that count as stillness
+EXTRA_TIMEOUT_S = 1.0  # more for each further attempt: the unit or this host may be slow
+RESYNC_TIMEOUT_S = 2.0  # for a late reply and the version
+RAW_LIMIT_BYTES = 4096  # limit of the received bytes that one exchange keeps
 BITS_PER_BYTE = 10  # 8N1 with start and stop bit
 
-Accepts = Callable[[Reply], bool]
+ReplyFilter = Callable[[Reply], bool]
 
 
 class PtuClient:
-    """The host's end of one unit's serial line."""
+    """The host's end of the unit's serial line."""
 
     def __init__(
         self,
         pump: Pump,
         port: str,
         *,
-        where: str,
+        location: str,
         baud: int,
         on_exchange: Callable[[Exchange], None],
         timeout_s: float = 1.0,
@@ -62,16 +62,16 @@ class PtuClient:
         """Attach to the port.
 
         Args:
-            pump: what serves the ports.
+            pump: the event loop that serves the ports.
             port: the hub's name of the unit's port.
-            where: what to call the port in an error, usually its path.
-            baud: the line's rate, for the time that bytes take.
-            on_exchange: called with every exchange but the polls.
-            timeout_s: least patience with any answer.
+            location: name of the port in errors, usually its path.
+            baud: baud rate of the line, for the transmission time of bytes.
+            on_exchange: called with every exchange except polls.
+            timeout_s: shortest timeout of a reply.
         """
         self._pump = pump
         self._port = port
-        self.where = where
+        self.location = location
         self.baud = baud
         self._on_exchange = on_exchange
         self._timeout_s = timeout_s
@@ -79,160 +79,165 @@ class PtuClient:
         self._raw = bytearray()
         self._reply: Reply | None = None
         self._in_flight: PtuCommand | None = None
-        self._accepts: Accepts | None = None  # only such an answer; all others are stale
-        self._is_out_of_step = False  # an answer is owed that may come yet
-        self._garbled = False
+        self._reply_filter: ReplyFilter | None = (
+            None  # accepts the awaited reply; all others are stale
+        )
+        self._is_out_of_step = False  # a reply is missing that may still arrive
+        self._is_garbled = False
         self._limit_hit = False
         self._last_request_ns: int | None = None
-        self.counts = Counts()
+        self.counts = PtuLineCounts()
         self.min_interval_s = 0.0
-        self.resetting = False
+        self.is_resetting = False
         self.expects_banner = True
-        self.identified = False  # what is on the port has said that it is a pan-tilt unit
+        self.is_identified = False  # the device has identified itself as a pan-tilt unit
         self.lost_synchrony: str | None = None
-        self.gone = not pump.is_up(port)
-        pump.attach(port, self._take)
+        self.is_port_gone = not pump.is_up(port)
+        pump.attach(port, self._handle_chunk)
 
     def exchange(
         self, command: PtuCommand, timeout_s: float | None = None, is_poll: bool = False
     ) -> Exchange:
-        """Send one command and wait for its answer.
+        """Send one command and wait for its reply.
 
         Returns:
-            The exchange; its reply is None when nothing came in time. Where an answer was
-            owed before and the line did not get in step, it is the vain exchange with
-            which that was tried, and the command was not sent (but HALT is, at once).
+            The exchange; its reply is None if nothing came in time. If a reply was missing before
+            and the line could not be brought in step, it is the exchange of that attempt, and the
+            command was not sent (except HALT, which is sent at once).
 
         Raises:
-            DeviceError: the port hung up or does not take bytes.
+            DeviceError: the port is gone or takes no bytes.
         """
         self._check_port()
-        accepts = None
+        reply_filter = None
         if command == QUERY_VERSION:
-            accepts = _is_version if self._is_out_of_step else None
+            reply_filter = _is_version if self._is_out_of_step else None
         elif self._is_out_of_step:
-            if command == HALT:
-                self._pump.write(self._port, b" " + HALT.encode())  # whatever is in step or not
-            fence = self._send(QUERY_VERSION, FENCE_S, False, _is_version)
-            if fence.reply is None:
-                return fence
-        wait_s = max(self._timeout_s, command.patience_s) if timeout_s is None else timeout_s
-        return self._send(command, wait_s, is_poll, accepts)
+            if command == HALT_BOTH_AXES:
+                self._pump.write(self._port, b" " + HALT_BOTH_AXES.encode())  # in step or not
+            resync = self._send(QUERY_VERSION, RESYNC_TIMEOUT_S, False, _is_version)
+            if resync.reply is None:
+                return resync
+        wait_s = max(self._timeout_s, command.timeout_s) if timeout_s is None else timeout_s
+        return self._send(command, wait_s, is_poll, reply_filter)
 
     def _send(
-        self, command: PtuCommand, wait_s: float, is_poll: bool, accepts: Accepts | None
+        self, command: PtuCommand, wait_s: float, is_poll: bool, reply_filter: ReplyFilter | None
     ) -> Exchange:
         self._wait_for_rate()
         self._parser.expect(command.text)
-        self._reply, self._garbled, self._limit_hit = None, False, False
+        self._reply, self._is_garbled, self._limit_hit = None, False, False
         self._raw.clear()
-        self._in_flight, self._accepts = command, accepts
-        stamp = self._pump.write(self._port, command.encode())
-        self._last_request_ns = stamp.before_ns
-        self._pump.run_until(stamp.after_ns + int(wait_s * 1e9), self._is_over)
+        self._in_flight, self._reply_filter = command, reply_filter
+        write_times = self._pump.write(self._port, command.encode())
+        self._last_request_ns = write_times.before_ns
+        self._pump.run_until(write_times.after_ns + int(wait_s * 1e9), self._is_exchange_over)
         self._in_flight = None
-        done = self._finish(command, stamp.before_ns, stamp.after_ns)
+        exchange = self._make_exchange(command, write_times.before_ns, write_times.after_ns)
         self.counts.exchanges += 1
         self.counts.polls += is_poll
-        if is_poll and done.reply is not None:
-            wait_ns = done.reply_ns - done.request_ns
+        if is_poll and exchange.reply is not None:
+            wait_ns = exchange.reply_ns - exchange.request_ns
             self.counts.poll_wait_max_ns = max(self.counts.poll_wait_max_ns, wait_ns)
-        if not is_poll or done.reply is None or not done.reply.ok or done.limit_hit:
-            self._on_exchange(done)
-        self._is_out_of_step = done.reply is None or not _fits(command, done.reply)
-        if done.reply is None and not self.gone:
+        if not is_poll or exchange.reply is None or not exchange.reply.ok or exchange.limit_hit:
+            self._on_exchange(exchange)
+        self._is_out_of_step = exchange.reply is None or not _is_answer_to(command, exchange.reply)
+        if exchange.reply is None and not self.is_port_gone:
             self._resynchronise()
         self._check_port()
-        return done
+        return exchange
 
     def ask(self, command: PtuCommand, timeout_s: float | None = None) -> Reply:
         """Send a command that may be repeated until it is answered.
 
-        An answer that does not fit the command is another's, or damaged: it is asked again.
+        A reply that does not fit belongs to another command or is damaged: the command is repeated.
 
         Raises:
-            DeviceError: no answer to three attempts.
+            DeviceError: no reply after three attempts.
         """
-        return self._insist(command, ATTEMPTS, timeout_s)
+        return self._ask_repeatedly(command, ATTEMPTS, timeout_s)
 
-    def _insist(self, command: PtuCommand, attempts: int, timeout_s: float | None) -> Reply:
-        odd: Reply | None = None
-        least_s = max(self._timeout_s, command.patience_s) if timeout_s is None else timeout_s
+    def _ask_repeatedly(self, command: PtuCommand, attempts: int, timeout_s: float | None) -> Reply:
+        unexpected: Reply | None = None
+        min_timeout_s = max(self._timeout_s, command.timeout_s) if timeout_s is None else timeout_s
         for attempt in range(attempts):
-            done = self.exchange(command, least_s + attempt * MORE_PATIENCE_S)
-            if done.reply is None or done.command != command:
+            exchange = self.exchange(command, min_timeout_s + attempt * EXTRA_TIMEOUT_S)
+            if exchange.reply is None or exchange.command != command:
                 continue
-            if _fits(command, done.reply):
-                return done.reply
-            odd = done.reply
-        if odd is not None:
-            return odd
-        raise self.silence(command)
+            if _is_answer_to(command, exchange.reply):
+                return exchange.reply
+            unexpected = exchange.reply
+        if unexpected is not None:
+            return unexpected
+        raise self.no_answer_error(command)
 
-    def order(self, command: PtuCommand) -> None:
-        """Send an order, repeatable, that must be carried out.
+    def send_command(self, command: PtuCommand) -> None:
+        """Send a repeatable command that must be carried out.
 
         Raises:
-            DeviceError: refused, no answer to three attempts, or nobody has said yet that
-                what is on the port is a pan-tilt unit.
+            DeviceError: it was refused, there is no reply after three attempts, or the device has
+                not identified itself as a pan-tilt unit.
         """
-        if not self.identified and command != HALT:
-            raise self.unknown()
+        if not self.is_identified and command != HALT_BOTH_AXES:
+            raise self.unidentified_error()
         require_done(command, self.ask(command))
 
     def halt(self) -> None:
-        """Tell both axes to stop, whatever else is going on.
+        """Halt both axes, whatever else is in progress.
 
         Raises:
             DeviceError: the unit does not acknowledge.
         """
         self._check_port()
-        broken_off, self._in_flight = self._in_flight, None
-        if broken_off is not None:
-            # Halt at once, then let the answers go by, so that they are not taken for those
-            # of the next order. A unit that homes or computes answers when it has done that.
-            self._pump.write(self._port, f" {HALT.text} ".encode("ascii"))
-            known, patience_ns = self.counts.stale, int(broken_off.patience_s * 1e9)
+        interrupted, self._in_flight = self._in_flight, None
+        if interrupted is not None:
+            # Halt at once, then discard replies, so that they are not taken for those of the
+            # next command. A unit that is homing or computing replies when it has finished.
+            self._pump.write(self._port, f" {HALT_BOTH_AXES.text} ".encode("ascii"))
+            stale_before, timeout_ns = self.counts.stale, int(interrupted.timeout_s * 1e9)
             self._pump.run_until(
-                self._pump.now_ns() + patience_ns, lambda: self.counts.stale > known or self.gone
+                self._pump.now_ns() + timeout_ns,
+                lambda: self.counts.stale > stale_before or self.is_port_gone,
             )
-            self._is_out_of_step = self.counts.stale == known
+            self._is_out_of_step = self.counts.stale == stale_before
             self.drain()
         self._last_request_ns = None
-        require_done(HALT, self._insist(HALT, HALT_ATTEMPTS, None))
+        require_done(HALT_BOTH_AXES, self._ask_repeatedly(HALT_BOTH_AXES, HALT_ATTEMPTS, None))
 
     def drain(self, seconds: float = DRAIN_S) -> None:
-        """Take and forget what the unit still sends."""
+        """Receive and discard what the unit still sends."""
         self._pump.run_until(self._pump.now_ns() + int(seconds * 1e9))
         self._parser.reset()
         self._check_port()
 
     def send_spaces(self, count: int) -> None:
-        """End whatever the unit believes to be in the middle of."""
+        """End a command that the unit may have received in part."""
         self._check_port()
         self._pump.write(self._port, b" " * count)
 
     def wire_ns(self, byte_count: int) -> int:
-        """Return how long so many bytes are on the wire."""
+        """Return the transmission time of bytes."""
         return byte_count * BITS_PER_BYTE * 1_000_000_000 // self.baud
 
-    def unknown(self) -> DeviceError:
-        """Return the error for a unit that has to say who it is before anything moves."""
+    def unidentified_error(self) -> DeviceError:
+        """Return the error for a unit that must identify itself before anything moves."""
         return DeviceError(
-            f"the port of the pan-tilt unit on {self.where} was gone: where it stands is not known",
-            "check its cable; it is asked anew before it moves again",
+            f"the port of the pan-tilt unit on {self.location} was gone, "
+            "so its position is not known",
+            "check its cable. The unit is identified again before it moves",
         )
 
-    def silence(self, command: PtuCommand) -> DeviceError:
+    def no_answer_error(self, command: PtuCommand) -> DeviceError:
         """Return the error for a unit that does not answer."""
         return DeviceError(
-            f"the pan-tilt unit on {self.where} does not answer {command.text!r}",
+            f"the pan-tilt unit on {self.location} does not answer {command.text!r}",
             "check its power, the cable and the baud rate",
         )
 
-    def _take(self, chunk: Chunk) -> None:
+    def _handle_chunk(self, chunk: Chunk) -> None:
         if chunk.change is not None:
-            self._lose() if chunk.change is PortChange.GONE else self._come_back()
+            is_gone = chunk.change is PortChange.GONE
+            self._handle_port_gone() if is_gone else self._handle_port_back()
             return
         if len(self._raw) < RAW_LIMIT_BYTES:
             self._raw += chunk.data
@@ -244,53 +249,53 @@ class PtuClient:
                     else:
                         self.counts.stale += 1
                 case LimitFlag():
-                    self._take_limit(event.axis)
+                    self._handle_limit(event.axis)
                 case CableFlag():
-                    self.lost_synchrony = "its head's cable came off"
+                    self.lost_synchrony = "the cable of its head came off"
                 case Banner():
                     if not self.expects_banner:
                         self.lost_synchrony = "it has restarted"
-                case FrameError():
+                case InvalidLine():
                     self.counts.frame_errors += 1
-                    self._garbled = self._in_flight is not None and self._accepts is None
+                    self._is_garbled = self._in_flight is not None and self._reply_filter is None
 
-    def _lose(self) -> None:
-        """The unit goes on with its last order, and nobody sees it any more."""
-        if not self.gone:
+    def _handle_port_gone(self) -> None:
+        """The unit keeps executing its last command, and nobody observes it."""
+        if not self.is_port_gone:
             self.counts.hung_up += 1
-        self.gone = True
+        self.is_port_gone = True
 
-    def _come_back(self) -> None:
-        """The port is open again. Whoever is there is told to halt before anything is asked.
+    def _handle_port_back(self) -> None:
+        """Halt the device on the reopened port before anything is asked.
 
-        No device is moved by it, and a unit that was left turning stops sooner.
+        The command moves no device, and a unit that was left turning stops sooner.
         """
-        self.gone = self.identified = False
+        self.is_port_gone = self.is_identified = False
         self._is_out_of_step = True
         self._parser.reset()
         self.expects_banner = True  # it may have been switched off, too
         with contextlib.suppress(DeviceError):
-            self._pump.write(self._port, b"   " + HALT.encode())
+            self._pump.write(self._port, b"   " + HALT_BOTH_AXES.encode())
 
     def _is_awaited(self, reply: Reply) -> bool:
         if self._in_flight is None or self._reply is not None:
             return False
-        return self._accepts is None or self._accepts(reply)
+        return self._reply_filter is None or self._reply_filter(reply)
 
-    def _take_limit(self, axis: Axis) -> None:
+    def _handle_limit(self, axis: Axis) -> None:
         self.counts.limit_flags += 1
         self._limit_hit = True
-        if not self.resetting:
-            self.lost_synchrony = f"its {axis.word} axis met its limit"
+        if not self.is_resetting:
+            self.lost_synchrony = f"its {axis.label} axis met its limit"
 
-    def _is_over(self) -> bool:
-        return self._reply is not None or self._garbled or self.gone
+    def _is_exchange_over(self) -> bool:
+        return self._reply is not None or self._is_garbled or self.is_port_gone
 
-    def _finish(self, command: PtuCommand, request_ns: int, sent_ns: int) -> Exchange:
+    def _make_exchange(self, command: PtuCommand, request_ns: int, sent_ns: int) -> Exchange:
         reply, now_ns = self._reply, self._pump.now_ns()
         if reply is None:
-            self.counts.garbled += self._garbled
-            self.counts.timeouts += not self._garbled
+            self.counts.garbled += self._is_garbled
+            self.counts.timeouts += not self._is_garbled
             first_ns = last_ns = now_ns
         else:
             self.counts.refused += not reply.ok
@@ -303,7 +308,7 @@ class PtuClient:
         )  # fmt: skip
 
     def _resynchronise(self) -> None:
-        """Begin to get back in step: a bare delimiter, then forget what was under way."""
+        """Send a bare delimiter and discard what is being received."""
         self._pump.write(self._port, b" ")
         self.drain(0.1)
 
@@ -312,16 +317,16 @@ class PtuClient:
             self._pump.run_until(self._last_request_ns + int(self.min_interval_s * 1e9))
 
     def _check_port(self) -> None:
-        if self.gone:
+        if self.is_port_gone:
             raise DeviceError(
-                f"{self.where} (pan-tilt unit) hung up", "check the cable and its power"
+                f"{self.location} (pan-tilt unit) was unplugged", "check the cable and its power"
             )
 
 
 def _is_version(reply: Reply) -> bool:
-    return isinstance(read(QUERY_VERSION, reply), Version)
+    return isinstance(read_value(QUERY_VERSION, reply), FirmwareVersion)
 
 
-def _fits(command: PtuCommand, reply: Reply) -> bool:
-    """Return whether an answer is one to this command, a refusal included."""
-    return not isinstance(read(command, reply), ValueFault)
+def _is_answer_to(command: PtuCommand, reply: Reply) -> bool:
+    """Return whether a reply fits a command; a refusal fits, too."""
+    return not isinstance(read_value(command, reply), ValueFault)

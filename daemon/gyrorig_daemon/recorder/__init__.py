@@ -1,14 +1,19 @@
-"""From messages to files: a bounded queue, a writer, and what the disk does to them.
+"""Recording: from messages to files, in spite of slow, full and failing disks.
 
-What to use when: `Recorder` for a session, with `ONE_SHOT` or `SERVICE` settings;
-`recover_folder` at a start, for what a crash has left; `tidy` for retention;
-`DiagnosticsTimer` and `HostClockTimer` are what a session records of itself and of the
-host once a second.
+What to use when: `Recorder` for a session, with the settings `ONE_SHOT` or `SERVICE`;
+`recovery.recover_folder` at start-up, for files that a crash has left;
+`retention.apply_retention` to delete old recordings; `session_timers` for what a session
+records once per second about itself and the host.
 """
 
-from gyrorig_daemon.recorder.counts import RecorderCounts
 from gyrorig_daemon.recorder.recorder import Recorder, RecorderState
-from gyrorig_daemon.recorder.settings import ONE_SHOT, SERVICE, RecorderSettings, RecordingPlan
+from gyrorig_daemon.recorder.recorder_counts import RecorderCounts
+from gyrorig_daemon.recorder.recorder_settings import (
+    ONE_SHOT,
+    SERVICE,
+    RecorderSettings,
+    RecordingPlan,
+)
 
 __all__ = [
     "ONE_SHOT",

@@ -1,8 +1,8 @@
-"""A thread for what may take the disk long: syncs, opening and closing files.
+"""A thread for slow disk operations: syncs, opening and closing files.
 
-What to use when: under `spool`. The writer's thread hands over a call and looks later
-whether it is done; a sync of 200 ms then delays nobody. Without a thread the call is made
-at once, and its errors come back in the same way.
+What to use when: under `part_writer`. The writer's thread submits a call and checks later
+whether it is done, so that a sync of 200 ms delays nobody. Without a thread the call is made at
+once, and its errors come back in the same way.
 """
 
 import queue
@@ -14,19 +14,19 @@ from typing import Any, Generic, TypeVar
 T = TypeVar("T")
 
 
-class Job(Generic[T]):
-    """One call, under way or done."""
+class DiskJob(Generic[T]):
+    """One call, in progress or done."""
 
     def __init__(self, work: Callable[[], T]) -> None:
         self._work = work
         self._result: list[T] = []
         self._ended = threading.Event()
         self.error: Exception | None = None
-        self.took_ns = 0
+        self.duration_ns = 0
 
     @property
-    def done(self) -> bool:
-        """Whether `result` may be asked for."""
+    def is_done(self) -> bool:
+        """Whether `result` is available."""
         return self._ended.is_set()
 
     def wait(self) -> None:
@@ -34,37 +34,37 @@ class Job(Generic[T]):
         self._ended.wait()
 
     def result(self) -> T:
-        """Return what the call gave, or raise what it raised."""
+        """Return the result of the call, or raise its error."""
         if self.error is not None:
             raise self.error
         return self._result[0]
 
     def run(self) -> None:
-        """Make the call; whoever asks for the result gets the error."""
-        begun_ns = time.monotonic_ns()
+        """Make the call; the error goes to the caller of `result`."""
+        start_ns = time.monotonic_ns()
         try:
             self._result.append(self._work())
         except Exception as error:
             self.error = error
-        self.took_ns = time.monotonic_ns() - begun_ns
+        self.duration_ns = time.monotonic_ns() - start_ns
         self._ended.set()
 
 
 class DiskWorker:
-    """Makes calls one after the other, in the order in which they were handed over."""
+    """Makes calls one after the other, in the order of submission."""
 
     def __init__(self, threaded: bool) -> None:
         self.threaded = threaded
-        self._jobs: queue.SimpleQueue[Job[Any] | None] = queue.SimpleQueue()
-        self._begun_ns: int | None = None
+        self._jobs: queue.SimpleQueue[DiskJob[Any] | None] = queue.SimpleQueue()
+        self._job_start_ns: int | None = None
         self._thread: threading.Thread | None = None
 
-    def submit(self, work: Callable[[], T]) -> Job[T]:
-        """Have a call made."""
-        job = Job(work)
+    def submit(self, work: Callable[[], T]) -> DiskJob[T]:
+        """Submit a call."""
+        job = DiskJob(work)
         if not self.threaded:
             job.run()
-            job.took_ns = 0  # no time passes there: a recording of one seed is the same bytes
+            job.duration_ns = 0  # simulated time: the same seed must give the same bytes
             return job
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="disk", daemon=True)
@@ -73,20 +73,20 @@ class DiskWorker:
         return job
 
     def busy_ns(self) -> int:
-        """How long the present call has taken so far, 0 between calls."""
-        begun_ns = self._begun_ns
-        return 0 if begun_ns is None else time.monotonic_ns() - begun_ns
+        """Return how long the present call has taken so far, 0 between calls."""
+        start_ns = self._job_start_ns
+        return 0 if start_ns is None else time.monotonic_ns() - start_ns
 
-    def close(self, patience_s: float) -> bool:
-        """End the thread behind what was handed over; False if that takes too long."""
+    def close(self, timeout_s: float) -> bool:
+        """End the thread after the submitted calls; False if that takes too long."""
         if self._thread is None:
             return True
         self._jobs.put(None)
-        self._thread.join(patience_s)
+        self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:
-            self._begun_ns = time.monotonic_ns()
+            self._job_start_ns = time.monotonic_ns()
             job.run()
-            self._begun_ns = None
+            self._job_start_ns = None

@@ -1,7 +1,7 @@
-"""The unit's exchanges and positions as a recording keeps them."""
+"""Messages of the pan-tilt unit: exchanges and positions as a recording keeps them."""
 
 from gyrorig_daemon.clocks import OnlineClock
-from gyrorig_daemon.links.capture_clock import CaptureClock
+from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.motion import Exchange, Position, UnitFacts
 from gyrorig_daemon.recorder.recorder import Recorder
 from gyrorig_protocol.recording.messages import (
@@ -13,29 +13,29 @@ from gyrorig_protocol.recording.messages import (
     PtuStatus,
 )
 
-_COUNTER_BITS = 32  # unknown for the E46; a counter that exceeds it shows that it has 64
-_POLLS_PER_BRACKET = 5  # each bracket looks at all others: not at every poll
+_COUNTER_BITS = 32  # unknown for the E46; a larger value shows that it has 64
+_POLLS_PER_BRACKET = 5  # a bracket is expensive: not for every poll
 
 
 class PtuLog:
-    """Turns what the client and the poller see into messages."""
+    """Converts exchanges and positions to messages."""
 
     def __init__(self, recorder: Recorder, capture: CaptureClock) -> None:
         self._recorder = recorder
         self._capture = capture
         self._facts: UnitFacts | None = None
-        self._commands = 0
-        self._positions = 0
+        self._command_count = 0
+        self._position_count = 0
         self.position: PtuPosition | None = None  # the last one
         self.controller_clock: OnlineClock | None = None
 
-    def use_unit(self, facts: UnitFacts) -> None:
-        """Say which unit it is; positions are only taken after that."""
+    def set_unit(self, facts: UnitFacts) -> None:
+        """Set the unit; positions are recorded only after that."""
         self._facts = facts
         if facts.counter_hz:
             self.controller_clock = OnlineClock(float(facts.counter_hz), _COUNTER_BITS)
 
-    def take_exchange(self, exchange: Exchange) -> None:
+    def record_exchange(self, exchange: Exchange) -> None:
         """Record an exchange verbatim."""
         code = CommandCode.OK
         if exchange.limit_hit:
@@ -44,35 +44,35 @@ class PtuLog:
             code = CommandCode.TIMEOUT
         elif not exchange.reply.ok:
             code = CommandCode.ERROR
-        came = exchange.reply is not None
+        has_reply = exchange.reply is not None
         utc_ns = self._capture.utc_ns
-        self._recorder.hold(
+        self._recorder.put_or_hold(
             PTU_COMMAND_TOPIC,
             PtuCommandRecord(
                 request_time_ns=utc_ns(exchange.request_ns),
-                first_byte_time_ns=utc_ns(exchange.first_byte_ns) if came else 0,
-                reply_time_ns=utc_ns(exchange.reply_ns) if came else 0,
-                sequence=self._commands & 0xFFFF_FFFF,
+                first_byte_time_ns=utc_ns(exchange.first_byte_ns) if has_reply else 0,
+                reply_time_ns=utc_ns(exchange.reply_ns) if has_reply else 0,
+                sequence=self._command_count & 0xFFFF_FFFF,
                 code=int(code),
                 command=exchange.command.text,
                 reply=verbatim(exchange.raw),
             ),
             utc_ns(exchange.reply_ns),
         )
-        self._commands += 1
+        self._command_count += 1
 
-    def take_position(self, position: Position) -> None:
+    def record_position(self, position: Position) -> None:
         """Record an answered poll.
 
-        Its time is the middle of the interval in which it was taken. Where the unit sends
-        its counter, all intervals together narrow each: a stall of the host widens its own
-        only.
+        Its time is the midpoint of the interval in which the unit read its position. If the unit
+        sends its counter, all intervals together narrow each one: a stall of the host widens only
+        its own interval.
         """
         facts = self._facts
         if facts is None:
             return
         exchange, utc_ns = position.exchange, self._capture.utc_ns
-        taken_ns = self._taken_ns(position)
+        taken_ns = self._position_time_ns(position)
         status = PtuStatus(0)
         if position.has_pan:
             status |= PtuStatus.PAN_ANSWERED
@@ -90,15 +90,15 @@ class PtuLog:
             pan_rad=pan.to_rad(position.pan_steps),
             tilt_rad=tilt.to_rad(position.tilt_steps),
             controller_time=position.counter or 0,
-            sequence=self._positions & 0xFFFF_FFFF,
+            sequence=self._position_count & 0xFFFF_FFFF,
             status=int(status),
         )
         self._recorder.put(
             PTU_POSITION_TOPIC, self.position, utc_ns(exchange.reply_ns), utc_ns(taken_ns)
         )
-        self._positions += 1
+        self._position_count += 1
 
-    def _taken_ns(self, position: Position) -> int:
+    def _position_time_ns(self, position: Position) -> int:
         earliest_ns, latest_ns = position.earliest_ns, position.latest_ns
         middle_ns = (earliest_ns + latest_ns) // 2
         clock, facts, counter = self.controller_clock, self._facts, position.counter
@@ -107,13 +107,13 @@ class PtuLog:
         if counter >> _COUNTER_BITS and clock.counter_bits == _COUNTER_BITS:
             clock = self.controller_clock = OnlineClock(float(facts.counter_hz), 64)
         mapped_ns = clock.observe(counter, latest_ns)
-        if self._positions % _POLLS_PER_BRACKET == 0:
-            clock.two_way(earliest_ns, counter, counter, latest_ns)
+        if self._position_count % _POLLS_PER_BRACKET == 0:
+            clock.observe_two_way(earliest_ns, counter, counter, latest_ns)
         if not clock.is_bracketed:
             return middle_ns
         return min(max(mapped_ns, earliest_ns), latest_ns)
 
 
 def verbatim(raw: bytes) -> str:
-    """Return a reply as text, its line end taken off, other bytes as escapes."""
+    """Return a reply as text without line end; other bytes are escaped."""
     return raw.decode("ascii", errors="backslashreplace").strip("\r\n").replace("\0", "\\x00")

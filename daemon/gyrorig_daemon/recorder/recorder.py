@@ -1,9 +1,9 @@
-"""The session's recording: a bounded queue in front of whoever writes.
+"""The recorder of a session: a bounded queue in front of the writer.
 
-In real time a thread of its own writes, and another does what takes the disk long, so
-that a slow disk delays no answer; under simulated time nothing waits for the disk, and
-the same calls write at once. What must be in the file but happens before it can be opened
-(the unit and the boards have to say first who they are) is held until then.
+In real time one thread writes and another does slow disk operations, so that a slow disk delays
+no reply. In simulated time nothing waits for the disk, and the same calls write at once. Some
+messages must be in the file but come before it can be opened, because the unit and the boards
+must identify themselves first. They are held until then.
 """
 
 import queue
@@ -15,53 +15,53 @@ from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
 
-from gyrorig_daemon.live import NO_VIEW, View
-from gyrorig_daemon.recorder.counts import RecorderCounts
+from gyrorig_daemon.live import NO_VIEW, LiveView
 from gyrorig_daemon.recorder.disk_worker import DiskWorker
-from gyrorig_daemon.recorder.settings import (
+from gyrorig_daemon.recorder.part_writer import REPORT_BUG, PartWriter
+from gyrorig_daemon.recorder.recorder_counts import RecorderCounts
+from gyrorig_daemon.recorder.recorder_settings import (
     ONE_SHOT,
     SIMULATED,
     RecorderSettings,
     RecordingPlan,
 )
-from gyrorig_daemon.recorder.spool import REPORT, Spool
 from gyrorig_protocol.errors import GyrorigError, MachineError
-from gyrorig_protocol.recording.disk_file import DISK, Disk
+from gyrorig_protocol.recording.mcap.disk_file import DISK, Disk
 from gyrorig_protocol.recording.messages import Message
 from gyrorig_protocol.recording.writer import Attachment
 
-QUEUE_LIMIT = 65_536  # five seconds of 16 boards at 800 Hz
-HELD_LIMIT = 4_096
-BATCH = 1_024  # messages written before the writer looks at what else is due
-PAUSE_S = 0.02  # the writer sleeps this long on an empty queue: waking it for each costs more
-CLOSE_PATIENCE_S = 60.0
+MAX_QUEUED_MESSAGES = 65_536  # five seconds of 16 boards at 800 Hz
+MAX_EARLY_MESSAGES = 4_096
+BATCH_MESSAGES = 1_024  # messages written before the writer checks what else is due
+IDLE_SLEEP_S = 0.02  # sleep of the writer when the queue is empty; waking it per message costs more
+CLOSE_TIMEOUT_S = 60.0
 
 
 class RecorderState(Enum):
-    """What a recorder is doing."""
+    """State of a recorder."""
 
     IDLE = "idle"  # no file yet
     RECORDING = "recording"
-    DEGRADED = "degraded"  # the disk does not take it: `Recorder.degraded` says why
+    DEGRADED = "degraded"  # the disk fails: `Recorder.degraded_reason`
     CLOSED = "closed"
 
 
-class _Entry(NamedTuple):
+class _QueuedMessage(NamedTuple):
     topic: str
     message: Message
     log_ns: int
     publish_ns: int
-    skipped: int = 0  # messages of this topic before it that found the queue full
+    skipped: int = 0  # earlier messages of this topic that found the queue full
 
 
-_Queued = _Entry | RecordingPlan | None  # a message, facts that came late, the end
+_QueueItem = _QueuedMessage | RecordingPlan | None  # a message, late metadata, the end
 
 
 class Recorder:
     """Takes messages from one thread, in the order of their log times on each topic.
 
-    What finds the queue full is dropped, counted, and left out of its topic's message
-    sequence, so that a reader sees where it is missing.
+    Messages that find the queue full are dropped and counted. They leave a gap in the sequence
+    numbers of their topic, so that a reader sees where messages are missing.
     """
 
     def __init__(
@@ -70,32 +70,32 @@ class Recorder:
         settings: RecorderSettings | None = None,
         make_room: Callable[[], object] | None = None,
         disk: Disk = DISK,
-        view: View = NO_VIEW,
+        view: LiveView = NO_VIEW,
     ) -> None:
-        """Begin without a file; `hold` and `put` before `open` as each says.
+        """Start without a file.
 
         Args:
-            threaded: whether time is real; else nothing waits.
-            settings: how the recording is cut, and what happens when the disk fails; left
-                out, as for one shot.
-            make_room: called in the disk's thread when less than the reserve is free.
-            disk: where the files go.
-            view: shown every message, whatever becomes of it on the disk.
+            threaded: whether time is real; otherwise nothing waits.
+            settings: how the recording is split, and what happens when the disk fails; None for
+                `ONE_SHOT`, or `SIMULATED` without threads.
+            make_room: called in the disk thread when less than the reserve is free.
+            disk: where the files are written.
+            view: is shown every message, whether it is written or not.
         """
         self._view = None if view is NO_VIEW else view
         self._threaded = threaded
         self._settings = settings or (ONE_SHOT if threaded else SIMULATED)
         self._make_room = make_room
         self._disk = disk
-        self._held: list[_Entry] = []
-        self._queue: queue.SimpleQueue[_Queued] = queue.SimpleQueue()
+        self._early_entries: list[_QueuedMessage] = []
+        self._queue: queue.SimpleQueue[_QueueItem] = queue.SimpleQueue()
         self._worker = DiskWorker(threaded)
-        self._spool: Spool | None = None
+        self._part_writer: PartWriter | None = None
         self._thread: threading.Thread | None = None
-        self._ending = threading.Event()
+        self._close_requested = threading.Event()
         self._fault: GyrorigError | None = None
-        self._closed: Path | None = None
-        self._muted = False
+        self._closed_path: Path | None = None
+        self._is_muted = False
         self._skipped: Counter[str] = Counter()
         self.counts = RecorderCounts()
         self.progress_ns = time.monotonic_ns()  # of the writer's last turn
@@ -103,108 +103,95 @@ class Recorder:
     @property
     def is_open(self) -> bool:
         """True from `open` on."""
-        return self._spool is not None
+        return self._part_writer is not None
 
     @property
     def path(self) -> Path | None:
-        """Where the newest file is now, None before `open`."""
-        return self._closed or (None if self._spool is None else self._spool.path)
+        """Present path of the newest file, None before `open`."""
+        return self._closed_path or (None if self._part_writer is None else self._part_writer.path)
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """The final names of all parts so far, oldest first."""
-        return () if self._spool is None else tuple(self._spool.paths)
+        """Final paths of all parts so far, oldest first."""
+        return () if self._part_writer is None else tuple(self._part_writer.paths)
 
     @property
     def state(self) -> RecorderState:
-        """What it is doing."""
-        if self._closed is not None:
+        """State of the recorder."""
+        if self._closed_path is not None:
             return RecorderState.CLOSED
-        if self._spool is None:
+        if self._part_writer is None:
             return RecorderState.IDLE
-        return RecorderState.DEGRADED if self.degraded else RecorderState.RECORDING
+        return RecorderState.DEGRADED if self.degraded_reason else RecorderState.RECORDING
 
     @property
-    def degraded(self) -> str:
-        """Why nothing reaches the disk, empty when all is well."""
+    def degraded_reason(self) -> str:
+        """Why nothing reaches the disk, empty if all is well."""
         if self._fault is not None:
-            return self._fault.what
-        return "" if self._spool is None else self._spool.degraded
-
-    @property
-    def high_water(self) -> int:
-        """The longest that the queue has been."""
-        return self.counts.queue_high_water
-
-    @property
-    def dropped(self) -> int:
-        """Messages that are in no file and will be in none."""
-        return self.counts.lost
-
-    @property
-    def written(self) -> int:
-        """Messages handed to a file."""
-        return self.counts.written
+            return self._fault.problem
+        return "" if self._part_writer is None else self._part_writer.degraded_reason
 
     def open(self, plan: RecordingPlan) -> None:
-        """Create the file and write what was held.
+        """Create the file and write the held messages.
 
         Raises:
             UsageError: a file of that name exists.
-            MachineError: the disk refuses, or has less free than the reserve.
+            MachineError: the disk fails, or has less free space than the reserve.
         """
-        spool = Spool(plan, self._settings, self.counts, self._worker, self._disk, self._make_room)
-        spool.open()
-        self._spool = spool
-        for entry in self._held:
-            self._write(spool, entry)
-        self._held.clear()
+        part_writer = PartWriter(
+            plan, self._settings, self.counts, self._worker, self._disk, self._make_room
+        )
+        part_writer.open()
+        self._part_writer = part_writer
+        for entry in self._early_entries:
+            self._write(part_writer, entry)
+        self._early_entries.clear()
         if self._threaded:
             self.progress_ns = time.monotonic_ns()
-            self._thread = threading.Thread(target=self._run, args=(spool,), name="writer")
+            self._thread = threading.Thread(target=self._run, args=(part_writer,), name="writer")
             self._thread.daemon = True
             self._thread.start()
 
-    def hold(self, topic: str, message: Message, log_ns: int) -> None:
-        """Record one message, whether or not there is a file yet."""
-        if self._spool is not None:
+    def put_or_hold(self, topic: str, message: Message, log_ns: int) -> None:
+        """Record one message; before `open` it is held."""
+        if self._part_writer is not None:
             self.put(topic, message, log_ns)
             return
         if self._view is not None:
-            self._view.take(topic, message, log_ns)
-        if len(self._held) < HELD_LIMIT:
-            self._held.append(_Entry(topic, message, log_ns, log_ns))
+            self._view.show_message(topic, message, log_ns)
+        if len(self._early_entries) < MAX_EARLY_MESSAGES:
+            self._early_entries.append(_QueuedMessage(topic, message, log_ns, log_ns))
         else:
             self.counts.dropped_too_early += 1
 
     def put(self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None) -> None:
-        """Record one message; before there is a file it is forgotten.
+        """Record one message; before `open` it is discarded.
 
         Args:
-            topic: where it belongs.
+            topic: topic of the message.
             message: what to record.
-            log_ns: capture time at which it was complete in the host's hands.
-            publish_ns: best estimate of when it was taken, None for the same.
+            log_ns: capture time when it was complete in the host.
+            publish_ns: best estimate of when it was measured, None for the same.
 
         Raises:
-            MachineError: the disk refused this or an earlier message, and the recording
-                is not to survive that.
+            MachineError: the disk failed for this or an earlier message, and the settings do not
+                tolerate that.
         """
         if self._view is not None:
-            self._view.take(topic, message, log_ns)
-        spool = self._spool
-        if spool is None or self._muted:
+            self._view.show_message(topic, message, log_ns)
+        part_writer = self._part_writer
+        if part_writer is None or self._is_muted:
             return
         if self._fault is not None:
             raise self._fault
-        skipped = self._skipped.get(topic, 0)  # a Counter's own way costs a call
+        skipped = self._skipped.get(topic, 0)  # faster than indexing the Counter
         taken_ns = log_ns if publish_ns is None else publish_ns
-        entry = _Entry(topic, message, log_ns, taken_ns, skipped)
+        entry = _QueuedMessage(topic, message, log_ns, taken_ns, skipped)
         if not self._threaded:
-            self._write(spool, entry)
+            self._write(part_writer, entry)
             return
         waiting = self._queue.qsize()
-        if waiting >= QUEUE_LIMIT:
+        if waiting >= MAX_QUEUED_MESSAGES:
             self._skipped[topic] += 1
             self.counts.dropped_queue_full += 1
             return
@@ -214,147 +201,149 @@ class Recorder:
         if waiting >= self.counts.queue_high_water:
             self.counts.queue_high_water = waiting + 1
 
-    def add_facts(
+    def add_metadata(
         self,
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[Attachment] = (),
     ) -> None:
-        """Add metadata and files to the running session, and to every later part.
+        """Add metadata and attachments to the running session, and to every later part.
 
-        Example: a board that came in mid-session, and its HELLO.
+        Example: a board that was connected during the session, and its HELLO.
 
         Raises:
             MachineError: as `put`.
         """
-        spool = self._spool
-        if spool is None or self._muted:
+        part_writer = self._part_writer
+        if part_writer is None or self._is_muted:
             return
-        self.check()
-        facts = RecordingPlan(spool.path, metadata, attachments)
+        self.raise_fault()
+        additions = RecordingPlan(part_writer.path, metadata, attachments)
         if self._threaded:
-            self._queue.put(facts)
+            self._queue.put(additions)
         else:
-            self._guarded(lambda: spool.add_facts(facts))
+            self._run_step(lambda: part_writer.add_metadata(additions))
 
     def tick(self, now_ns: int) -> None:
-        """Let the writer do what is due, where no thread does.
+        """Let the writer do what is due, without a thread.
 
         Raises:
             MachineError: as `put`.
         """
-        if self._muted:
+        if self._is_muted:
             return
-        self.check()
-        spool = self._spool
-        if spool is None or self._threaded:
+        self.raise_fault()
+        part_writer = self._part_writer
+        if part_writer is None or self._threaded:
             return
         self.progress_ns = time.monotonic_ns()
-        self._guarded(lambda: spool.turn(now_ns))
+        self._run_step(lambda: part_writer.do_due_work(now_ns))
 
-    def check(self) -> None:
-        """Raise what the writer's thread ran into.
+    def raise_fault(self) -> None:
+        """Raise the error of the writer's thread.
 
         Raises:
-            MachineError: the disk refused; what was written is kept.
+            MachineError: the disk failed; what was written is kept.
         """
         if self._fault is not None:
             raise self._fault
 
     def mute(self) -> None:
-        """Take no more messages: the disk has failed, and the unit must be halted yet."""
-        self._muted = True
+        """Take no more messages: the disk has failed, and the unit is not halted yet."""
+        self._is_muted = True
 
-    def close(self, patience_s: float = CLOSE_PATIENCE_S) -> Path:
-        """Write what is queued, finish the last file and return its name.
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> Path:
+        """Write what is queued, finish the last file and return its path.
 
         Raises:
-            MachineError: the disk refused; what was written is kept and readable.
+            MachineError: the disk failed; what was written is kept and readable.
         """
-        spool = self._spool
-        if spool is None:
+        part_writer = self._part_writer
+        if part_writer is None:
             raise MachineError("there is no recording to close", "open one first")
-        if self._closed is not None:
-            return self._closed
+        if self._closed_path is not None:
+            return self._closed_path
         if self._thread is None:
             if self._fault is None:
-                self._guarded(lambda: self._end(spool))
+                self._run_step(lambda: self._close_writer(part_writer))
         else:
             self._queue.put(None)
-            self._ending.set()
-            self._thread.join(patience_s)
+            self._close_requested.set()
+            self._thread.join(timeout_s)
             if self._thread.is_alive():
                 raise MachineError(
-                    f"{spool.path} could not be written in {patience_s:.0f} s",
-                    "look at the disk; the file is readable up to its last second",
+                    f"{part_writer.path} could not be written in {timeout_s:.0f} s",
+                    "check the disk. The file is readable up to its last second",
                 )
         if self._fault is not None:
-            spool.abandon()
-        self._worker.close(patience_s)
-        self.check()
-        if self._closed is None:
+            part_writer.abandon()
+        self._worker.close(timeout_s)
+        self.raise_fault()
+        if self._closed_path is None:
             raise AssertionError("closed without a fault, and not closed")
-        return self._closed
+        return self._closed_path
 
-    def _guarded(self, step: Callable[[], None]) -> None:
+    def _run_step(self, step: Callable[[], None]) -> None:
         try:
             step()
         except GyrorigError as fault:
             self._fault = fault
             raise
 
-    def _write(self, spool: Spool, entry: _Entry) -> None:
+    def _write(self, part_writer: PartWriter, entry: _QueuedMessage) -> None:
         try:
-            spool.take(entry.topic, entry.message, entry.log_ns, entry.publish_ns, entry.skipped)
+            part_writer.write_message(
+                entry.topic, entry.message, entry.log_ns, entry.publish_ns, entry.skipped
+            )
         except GyrorigError as fault:
             self._fault = fault
             raise
 
-    def _end(self, spool: Spool) -> None:
-        self._closed = spool.close()
+    def _close_writer(self, part_writer: PartWriter) -> None:
+        self._closed_path = part_writer.close()
 
-    def _run(self, spool: Spool) -> None:
-        """Write until told to end; on a fault go on emptying the queue, so that no one waits."""
+    def _run(self, part_writer: PartWriter) -> None:
+        """Write until closed; after a fault keep emptying the queue, so that nobody waits."""
         try:
-            while self._serve(spool):
+            while self._write_batch(part_writer):
                 self.progress_ns = time.monotonic_ns()
-        except Exception as fault:  # a fault of this program must not pass unseen
+        except Exception as fault:  # a bug of this program must not go unnoticed
             self._fault = MachineError(
-                f"the recording broke off by a fault of the program: {fault!r}", REPORT
+                f"the recording ended because of an internal error, {fault!r}", REPORT_BUG
             )
             while self._queue.get() is not None:
                 self.progress_ns = time.monotonic_ns()
 
-    def _serve(self, spool: Spool) -> bool:
+    def _write_batch(self, part_writer: PartWriter) -> bool:
         """Write a batch and do what is due; False at the end."""
-        ends = idle = False
-        for _ in range(BATCH):
+        is_end = is_idle = False
+        for _ in range(BATCH_MESSAGES):
             try:
                 entry = self._queue.get_nowait()
             except queue.Empty:
-                idle = not spool.waiting
+                is_idle = not part_writer.waiting_messages
                 break
             if entry is None:
-                ends = True
+                is_end = True
                 break
-            self._take(spool, entry)
+            self._handle_item(part_writer, entry)
         if self._fault is None:
             try:
-                spool.turn(time.monotonic_ns())
-                if ends:
-                    self._end(spool)
+                part_writer.do_due_work(time.monotonic_ns())
+                if is_end:
+                    self._close_writer(part_writer)
             except GyrorigError as fault:
                 self._fault = fault
-        if idle:
-            self._ending.wait(PAUSE_S)
-        return not ends
+        if is_idle:
+            self._close_requested.wait(IDLE_SLEEP_S)
+        return not is_end
 
-    def _take(self, spool: Spool, entry: _Entry | RecordingPlan) -> None:
+    def _handle_item(self, part_writer: PartWriter, entry: _QueuedMessage | RecordingPlan) -> None:
         if self._fault is not None:
             return
         try:
             if isinstance(entry, RecordingPlan):
-                spool.add_facts(entry)
+                part_writer.add_metadata(entry)
             else:
-                self._write(spool, entry)
+                self._write(part_writer, entry)
         except GyrorigError as fault:
             self._fault = fault

@@ -1,206 +1,200 @@
-"""What a crash has left in a folder of recordings, made into finished recordings.
+"""Recovery after a crash: unfinished files become finished recordings.
 
-What to use when: `recover_folder` at every start, before a session begins; it may run in
-a thread or a process of its own, at any time, twice, and be killed at any moment.
+What to use when: `recover_folder` at every start, before a session begins. It can run in a
+thread or in another process, at any time, twice, and can be killed at any moment.
 
-What becomes of a `.part` that nobody writes any more:
+What happens to a `.part` file that nobody writes:
 
-    finished, only not renamed   renamed
-    sound up to some byte        everything sound goes into a new file under the final
-                                 name, once mcap's own reader has gone through it; the
-                                 original is kept in `unclean/`, and a note beside it
-                                 names both files by digest, as the new file's metadata does
-    nothing whole in it          kept in `unclean/` as it is
+    finished, only not renamed   it is renamed
+    undamaged up to some byte    everything undamaged is copied to a new file with the final
+                                 name, after mcap's own reader has read it. The original is
+                                 kept in `unclean/`; a note next to it names both files by
+                                 digest, and so does the metadata of the new file
+    no complete message          it is kept in `unclean/`
 
-Nothing is appended to an unclean file, ever, and none is deleted here.
+An unclean file is never appended to, and never deleted here.
 """
 
 import contextlib
 import hashlib
 import json
-import os
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from gyrorig_protocol.errors import GyrorigError, InputError, MachineError
-from gyrorig_protocol.recording.disk_file import DISK, Disk, abandoned, held
+from gyrorig_protocol.atomic_files import write_atomically
+from gyrorig_protocol.errors import GyrorigError, InputError, MachineError, sentence
+from gyrorig_protocol.recording.mcap.disk_file import DISK, Disk, hold_lock, list_abandoned_files
 from gyrorig_protocol.recording.salvage import (
-    RECOVERED,
+    RECOVERED_RECORD,
     is_finished,
-    metadata_of,
+    read_file_metadata,
     read_strictly,
     salvage,
 )
 
-UNCLEAN = "unclean"  # the folder for originals, below that of the recordings
-NOTE = ".json"  # what was made of an original, beside it
-_HALF = ".recovering"  # of a file that is being made; never read, and deleted when found
-_DIGESTED_BYTES = 1 << 20
+UNCLEAN_FOLDER = "unclean"  # the folder for originals, inside the folder of recordings
+NOTE_SUFFIX = ".json"  # the note next to an original
+_PARTIAL_SUFFIX = ".recovering"  # suffix of a file in progress; never read, and deleted when found
 
 
-class Outcome(Enum):
-    """What became of an unfinished file."""
+class RecoveryOutcome(Enum):
+    """What happened to an unfinished file."""
 
     RECOVERED = "recovered"
     RENAMED = "renamed"  # it was finished
-    EMPTY = "empty"  # no whole message in it
+    EMPTY = "empty"  # no complete message in it
     FAILED = "failed"  # it stays where it is, for the next start
 
 
 @dataclass(frozen=True, slots=True)
-class Recovery:
-    """What became of one unfinished file, in one line and in numbers."""
+class RecoveryReport:
+    """What happened to one unfinished file, as text and in numbers."""
 
     original: Path  # where it is now
-    outcome: Outcome
+    outcome: RecoveryOutcome
     recording: Path | None  # the finished file
     messages: int
     lost_bytes: int
     text: str
 
 
-def recover_folder(folder: Path, reserve_bytes: int = 0, disk: Disk = DISK) -> list[Recovery]:
-    """Make finished recordings of all that nobody writes any more.
+def recover_folder(folder: Path, reserve_bytes: int = 0, disk: Disk = DISK) -> list[RecoveryReport]:
+    """Recover all unfinished files that nobody writes.
 
     Args:
-        folder: of recordings; there need be none.
-        reserve_bytes: must stay free on the disk; what does not fit waits.
+        folder: folder of recordings; it need not exist.
+        reserve_bytes: must stay free on the disk; files that do not fit are left for later.
         disk: where all this happens.
 
     Returns:
-        One report an unfinished file, in the order of their names. Nothing is raised for
-        a single file.
+        One report per unfinished file, in the order of their names. A single file raises no
+        error.
 
     Raises:
-        MachineError: the folder cannot be looked at.
+        MachineError: the folder cannot be read.
     """
     try:
         if not folder.is_dir():
             return []
-        for half in abandoned(folder, f"*{_HALF}"):
+        for partial in list_abandoned_files(folder, f"*{_PARTIAL_SUFFIX}"):
             with contextlib.suppress(FileNotFoundError):  # another process was faster
-                disk.unlink(half)
-        parts = abandoned(folder, "*.mcap.part")
+                disk.unlink(partial)
+        parts = list_abandoned_files(folder, "*.mcap.part")
     except OSError as fault:
         raise MachineError(
-            f"cannot look at {folder}: {fault.strerror}", f"see `ls -ld {folder}`, and its disk"
+            f"{folder} cannot be read, {fault.strerror}", f"check `ls -ld {folder}` and its disk"
         ) from fault
-    found = (_recover_one(part, reserve_bytes, disk) for part in parts)
-    return [recovery for recovery in found if recovery is not None]
+    reports = (_recover_locked(part, reserve_bytes, disk) for part in parts)
+    return [recovery for recovery in reports if recovery is not None]
 
 
-def _recover_one(part: Path, reserve_bytes: int, disk: Disk) -> Recovery | None:
-    """Recover one file; None where another process does so at this moment."""
+def _recover_locked(part: Path, reserve_bytes: int, disk: Disk) -> RecoveryReport | None:
+    """Recover one file; None if another process is recovering it."""
     try:
-        with held(part) as free:
-            return _recover(part, reserve_bytes, disk) if free else None
-    except FileNotFoundError:  # another process has just done it
+        with hold_lock(part) as is_free:
+            return _recover_part(part, reserve_bytes, disk) if is_free else None
+    except FileNotFoundError:  # another process has just recovered it
         return None
     except GyrorigError as fault:
-        return Recovery(part, Outcome.FAILED, None, 0, 0, f"{part.name}: {fault}")
+        return RecoveryReport(part, RecoveryOutcome.FAILED, None, 0, 0, f"{part.name}: {fault}")
     except OSError as fault:
-        why = f"{fault.strerror or fault}: mend the disk or its rights; {_again(part)}"
-        text = f"{part.name}: {why}"
-        return Recovery(part, Outcome.FAILED, None, 0, 0, text)
+        reason = f"{fault.strerror or fault}. Check the disk and its permissions."
+        text = f"{part.name}: {reason} {sentence(_retry_hint(part))}"
+        return RecoveryReport(part, RecoveryOutcome.FAILED, None, 0, 0, text)
 
 
-def _recover(part: Path, reserve_bytes: int, disk: Disk) -> Recovery:
+def _recover_part(part: Path, reserve_bytes: int, disk: Disk) -> RecoveryReport:
     size = part.stat().st_size
-    digest = _digest(part)
+    digest = file_sha256(part)
     final = part.with_suffix("")  # without `.part`
-    if done := _recovery_of(final, digest):
-        return _report(_set_aside(part, digest, done, disk), done)
+    if finished := _find_recovery(final, digest):
+        return _recovered_report(_set_aside(part, digest, finished, disk), finished)
     if size and is_finished(part) and not disk.exists(final):
         disk.rename(part, final)
         disk.sync_directory(final.parent)
-        text = f"{final.name} was finished, and has its name now"
-        return Recovery(final, Outcome.RENAMED, final, 0, 0, text)
+        text = f"{final.name} was complete and only had to be renamed"
+        return RecoveryReport(final, RecoveryOutcome.RENAMED, final, 0, 0, text)
     if size + reserve_bytes > disk.free_bytes(part.parent):
         raise MachineError(
-            f"too little room to recover it: {(size + reserve_bytes) / 1e6:.1f} MB have to be free",
-            f"make room; {_again(part)}",
+            f"recovering it needs {(size + reserve_bytes) / 1e6:.1f} MB of free space",
+            f"free some space. {sentence(_retry_hint(part))}",
         )
-    half = final.with_name(final.name + _HALF)
-    about = {"original": part.name, "original_sha256": digest}
+    partial = final.with_name(final.name + _PARTIAL_SUFFIX)
+    origin = {"original": part.name, "original_sha256": digest}
     try:
-        salvaged = salvage(part, half, about, disk)
+        salvaged = salvage(part, partial, origin, disk)
     except InputError as fault:
-        aside = _set_aside(part, digest, None, disk)
-        return Recovery(aside, Outcome.EMPTY, None, 0, size, f"{part.name}: {fault.what}")
+        original = _set_aside(part, digest, None, disk)
+        return RecoveryReport(
+            original, RecoveryOutcome.EMPTY, None, 0, size, f"{part.name}: {fault.problem}"
+        )
     try:
-        if read_strictly(half) != salvaged.messages:
+        if read_strictly(partial) != salvaged.messages:
             raise InputError(
-                f"{half.name}, read back, holds not what was copied from {part.name}",
-                "the disk may be failing: copy its folder elsewhere and run gyrorigd recover there",
+                f"{partial.name} differs from what was copied from {part.name}",
+                "copy the folder to another disk and run gyrorigd recover there. This disk may be "
+                "failing",
             )
         if disk.exists(final):
             final = final.with_name(f"{final.stem}_recovered.mcap")
             if disk.exists(final):
                 raise MachineError(
-                    f"not recovered: {final} is there already and holds something else",
-                    f"move that away; {_again(part)}",
+                    f"not recovered, because {final} exists with other content",
+                    f"move that file away. {sentence(_retry_hint(part))}",
                 )
-        disk.rename(half, final)
+        disk.rename(partial, final)
     except BaseException:
-        if disk.exists(half):
-            disk.unlink(half)
+        if disk.exists(partial):
+            disk.unlink(partial)
         raise
     disk.sync_directory(final.parent)
-    return _report(_set_aside(part, digest, final, disk), final)
+    return _recovered_report(_set_aside(part, digest, final, disk), final)
 
 
-def _again(part: Path) -> str:
-    return f"the daemon's next start, or gyrorigd recover {part.parent}, tries again"
+def _retry_hint(part: Path) -> str:
+    return f"the next start of the daemon, or gyrorigd recover {part.parent}, tries again"
 
 
-def _report(original: Path, final: Path) -> Recovery:
-    told = metadata_of(final)[RECOVERED]
-    messages, lost = int(told["messages"]), int(told["lost_bytes"])
-    text = f"{final.name}: {messages} messages recovered, {lost} bytes at its end were no use"
-    return Recovery(original, Outcome.RECOVERED, final, messages, lost, text)
+def _recovered_report(original: Path, final: Path) -> RecoveryReport:
+    metadata = read_file_metadata(final)[RECOVERED_RECORD]
+    messages, lost = int(metadata["messages"]), int(metadata["lost_bytes"])
+    text = f"{final.name}: {messages} messages recovered, {lost} damaged bytes at its end lost"
+    return RecoveryReport(original, RecoveryOutcome.RECOVERED, final, messages, lost, text)
 
 
-def _recovery_of(final: Path, digest: str) -> Path | None:
-    """The finished file that was made of the original with this digest, if there is one."""
+def _find_recovery(final: Path, digest: str) -> Path | None:
+    """Return the finished file that was made from the original with this digest, if any."""
     for path in (final, final.with_name(f"{final.stem}_recovered.mcap")):
         try:
-            told = metadata_of(path).get(RECOVERED, {})
+            metadata = read_file_metadata(path).get(RECOVERED_RECORD, {})
         except GyrorigError:
             continue
-        if told.get("original_sha256") == digest:
+        if metadata.get("original_sha256") == digest:
             return path
     return None
 
 
 def _set_aside(part: Path, digest: str, final: Path | None, disk: Disk) -> Path:
-    """Move an original to `unclean/`, with a note of what was made of it; return its place."""
-    folder = part.parent / UNCLEAN
+    """Move an original to `unclean/` with a note of what was made of it; return its new path."""
+    folder = part.parent / UNCLEAN_FOLDER
     folder.mkdir(exist_ok=True)
-    aside = folder / part.name
-    if aside.exists():  # of another file of that name
-        aside = folder / f"{digest[:12]}_{part.name}"
+    target = folder / part.name
+    if target.exists():  # of another file with that name
+        target = folder / f"{digest[:12]}_{part.name}"
     note = {"original": part.name, "original_sha256": digest}
     if final is not None:
-        note |= {"recovered": final.name, "recovered_sha256": _digest(final)}
-    _write_note(aside.with_name(aside.name + NOTE), note)
-    disk.rename(part, aside)
+        note |= {"recovered": final.name, "recovered_sha256": file_sha256(final)}
+    write_atomically(
+        target.with_name(target.name + NOTE_SUFFIX), json.dumps(note, indent=1).encode() + b"\n"
+    )
+    disk.rename(part, target)
     disk.sync_directory(folder)
     disk.sync_directory(part.parent)
-    return aside
+    return target
 
 
-def _write_note(path: Path, note: dict[str, str]) -> None:
-    with path.open("w") as file:
-        json.dump(note, file, indent=1)
-        file.write("\n")
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _digest(path: Path) -> str:
-    digest = hashlib.sha256()
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal."""
     with path.open("rb") as file:
-        while block := file.read(_DIGESTED_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()

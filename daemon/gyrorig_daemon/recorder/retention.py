@@ -1,42 +1,41 @@
-"""Which recordings may go, oldest first, and never one that a calibration cites.
+"""Retention: which recordings may be deleted, oldest first, and never one that is cited.
 
-What to use when: `tidy` now and then, and when less than the reserve is free. Nothing is
-deleted without a rule that a person has written; and where it cannot be seen what is
-cited (a store that is not mounted tonight), nothing at all.
+What to use when: `apply_retention` from time to time, and when less than the reserve is free.
+Nothing is deleted without a rule that a person has written. If it cannot be determined which
+recordings a calibration cites (for example because a store is not mounted), nothing is
+deleted.
 
-Citations are found by their digests and names anywhere in a store's documents, without
-understanding those: a document that is damaged, or of a version to come, still protects.
+Citations are found by digests and names anywhere in the documents of a store, without parsing
+them. A damaged document, or one of a later version, still protects its recordings.
 """
 
-import hashlib
 import os
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrorig_daemon.recorder.recovery import NOTE, UNCLEAN
+from gyrorig_daemon.recorder.recovery import NOTE_SUFFIX, UNCLEAN_FOLDER, file_sha256
 from gyrorig_protocol.errors import MachineError, UsageError
-from gyrorig_protocol.recording.disk_file import DISK, Disk, is_being_written
+from gyrorig_protocol.recording.mcap.disk_file import DISK, Disk, is_being_written
 
 _DAY_S = 86_400.0
 _DIGEST = re.compile(rb"[0-9a-f]{64}")
 _NAME = re.compile(rb"[\w.+-]+\.mcap(?:\.part)?")
 _DOCUMENTS = (".yaml", ".yml", ".json")
-_DIGESTED_BYTES = 1 << 20
-_LARGEST_DOCUMENT_BYTES = 16 << 20  # real ones have a few kB
+_LARGEST_DOCUMENT_BYTES = 16 << 20  # real documents have a few kB
 
 
 @dataclass(frozen=True, slots=True)
 class RetentionRules:
     """What may be deleted; without a rule, nothing."""
 
-    max_days: float | None = None  # older than the newest recording by more than this
+    max_days: float | None = None  # age relative to the newest recording
     max_bytes: int | None = None  # of all recordings together
     room_bytes: int | None = None  # until this much is free on the disk
 
     def __post_init__(self) -> None:
-        """Refuse what would delete everything by mistake.
+        """Reject rules that would delete everything by mistake.
 
         Raises:
             UsageError: a limit is not positive.
@@ -44,17 +43,17 @@ class RetentionRules:
         for name in ("max_days", "max_bytes", "room_bytes"):
             value = getattr(self, name)
             if value is not None and not value > 0:
-                raise UsageError(f"retention: {name} is {value}", "give a number above 0")
+                raise UsageError(f"the retention rule {name} is {value}", "give a number above 0")
 
 
 @dataclass(frozen=True, slots=True)
-class Tidied:
-    """What was deleted, and what could not be."""
+class RetentionResult:
+    """What was deleted, and what was kept."""
 
     deleted: tuple[Path, ...]
     deleted_bytes: int
-    cited: tuple[Path, ...]  # would have gone, but a calibration cites them
-    left_bytes: int  # of all recordings that are still there
+    cited: tuple[Path, ...]  # kept only because a calibration cites them
+    remaining_bytes: int  # of all remaining recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,7 @@ class _File:
     time_s: float  # of the last change
 
 
-def tidy(
+def apply_retention(
     folder: Path,
     rules: RetentionRules,
     stores: Sequence[Path],
@@ -72,48 +71,50 @@ def tidy(
     *,
     clock_is_sound: bool = True,
     disk: Disk = DISK,
-) -> Tidied:
+) -> RetentionResult:
     """Delete what the rules allow, oldest first.
 
     Args:
-        folder: of recordings; finished ones, and originals in `unclean/`, may go.
+        folder: of recordings; finished recordings and originals in `unclean/` can be deleted.
         rules: what may be deleted.
-        stores: folders of calibrations, whose citations are sacred; every one must be
-            there. Empty: there are no calibrations.
-        keep: recordings of the session that is running.
-        clock_is_sound: whether the wall clock could be trusted when the recordings were
-            made; without, age is no reason.
+        stores: folders of calibrations, whose citations protect recordings; each one must
+            exist. Empty: there are no calibrations.
+        keep: recordings of the running session.
+        clock_is_sound: whether the system clock was right when the recordings were made;
+            otherwise the rule of age is not used.
         disk: where all this happens.
 
     Raises:
         MachineError: a store or the folder cannot be read; nothing was deleted then.
     """
     names = {path.name for path in keep}
-    files = [one for one in _files(folder) if one.path.name not in names]
-    surplus = _Surplus(rules, files, clock_is_sound, lambda: disk.free_bytes(folder))
-    if not files or not surplus.is_any(files[0]):
-        return Tidied((), 0, (), sum(one.size for one in files))
-    cited = _Cited(stores)
+    files = [file for file in _files(folder) if file.path.name not in names]
+    need = _RetentionNeed(rules, files, clock_is_sound, lambda: disk.free_bytes(folder))
+    if not files or not need.asks_for(files[0]):
+        return RetentionResult((), 0, (), sum(file.size for file in files))
+    citations = _CitationIndex(stores)
     deleted: list[_File] = []
-    kept: list[Path] = []
-    for one in files:
-        if not surplus.is_any(one):
+    cited_paths: list[Path] = []
+    for file in files:
+        if not need.asks_for(file):
             break
-        if cited.protects(one.path):
-            kept.append(one.path)
+        if citations.protects(file.path):
+            cited_paths.append(file.path)
             continue
-        _delete(one.path, disk)
-        deleted.append(one)
-        surplus.took(one)
+        _delete(file.path, disk)
+        deleted.append(file)
+        need.note_deleted(file)
     if deleted:
         disk.sync_directory(folder)
-    gone = sum(one.size for one in deleted)
-    paths = tuple(one.path for one in deleted)
-    return Tidied(paths, gone, tuple(kept), sum(one.size for one in files) - gone)
+    deleted_bytes = sum(file.size for file in deleted)
+    paths = tuple(file.path for file in deleted)
+    return RetentionResult(
+        paths, deleted_bytes, tuple(cited_paths), sum(file.size for file in files) - deleted_bytes
+    )
 
 
-class _Surplus:
-    """How much there is too much, as files go."""
+class _RetentionNeed:
+    """Which rules still ask for deletions, as files are deleted."""
 
     def __init__(
         self,
@@ -124,15 +125,15 @@ class _Surplus:
     ) -> None:
         self._rules = rules
         self._free_bytes = free_bytes
-        self._total = sum(one.size for one in files)
-        # Age against the newest, not against now: a clock that jumps ahead, or a rig that
-        # rested for a year, must not cost what is there.
-        newest_s = max((one.time_s for one in files), default=0.0)
+        self._total = sum(file.size for file in files)
+        # Age relative to the newest recording, not to now: a clock that jumps ahead, or a rig
+        # that was unused for a year, must not delete recordings.
+        newest_s = max((file.time_s for file in files), default=0.0)
         days = rules.max_days if clock_is_sound else None
         self._oldest_s = None if days is None else newest_s - days * _DAY_S
 
-    def is_any(self, oldest: _File) -> bool:
-        """Whether a rule asks for the oldest file to go."""
+    def asks_for(self, oldest: _File) -> bool:
+        """Whether a rule asks for the oldest file to be deleted."""
         rules = self._rules
         if self._oldest_s is not None and oldest.time_s < self._oldest_s:
             return True
@@ -140,13 +141,13 @@ class _Surplus:
             return True
         return rules.room_bytes is not None and self._free_bytes() < rules.room_bytes
 
-    def took(self, one: _File) -> None:
-        """A file is gone."""
-        self._total -= one.size
+    def note_deleted(self, file: _File) -> None:
+        """Account for a deleted file."""
+        self._total -= file.size
 
 
-class _Cited:
-    """The digests and names that the documents of all stores hold."""
+class _CitationIndex:
+    """The digests and names in the documents of all stores."""
 
     def __init__(self, stores: Sequence[Path]) -> None:
         self._digests: set[str] = set()
@@ -154,24 +155,25 @@ class _Cited:
         for store in stores:
             if not store.is_dir():
                 raise MachineError(
-                    f"the store {store} is not there, and nothing is deleted without it",
-                    "mount it, or take it out of service: stores in the rig's configuration",
+                    f"the store {store} does not exist, so no recording can be deleted",
+                    "mount it, or remove it from `service: stores` in the rig's configuration",
                 )
             try:
                 for document in _documents(store):
-                    self._take(document)
+                    self._read_document(document)
             except OSError as fault:
                 raise MachineError(
-                    f"cannot read {fault.filename or store}: {fault.strerror}, and nothing is "
-                    "deleted without it",
-                    "mend its rights, or take it out of service: stores in the rig's configuration",
+                    f"{fault.filename or store} cannot be read, {fault.strerror}, so no recording "
+                    "can be deleted",
+                    "fix its permissions, or remove it from `service: stores` in the rig's "
+                    "configuration",
                 ) from fault
 
     def protects(self, path: Path) -> bool:
-        """Whether a calibration was made of this file."""
+        """Whether a calibration was made from this file."""
         return path.name in self._names or _digest(path) in self._digests
 
-    def _take(self, document: Path) -> None:
+    def _read_document(self, document: Path) -> None:
         if document.stat().st_size > _LARGEST_DOCUMENT_BYTES:
             raise MachineError(
                 f"{document} is too large to be a calibration "
@@ -179,63 +181,60 @@ class _Cited:
                 "move it out of the store",
             )
         text = document.read_bytes()
-        self._digests.update(found.decode() for found in _DIGEST.findall(text))
-        self._names.update(found.decode() for found in _NAME.findall(text))
+        self._digests.update(match.decode() for match in _DIGEST.findall(text))
+        self._names.update(match.decode() for match in _NAME.findall(text))
 
 
 def _documents(store: Path) -> Iterator[Path]:
-    """Every document below a store, through links too; OSError where one cannot be seen."""
+    """Every document in a store, also through links; OSError if one cannot be read."""
 
     def refuse(fault: OSError) -> None:
         raise fault
 
-    seen: set[str] = set()
-    for folder, below, names in os.walk(store, onerror=refuse, followlinks=True):
+    visited: set[str] = set()
+    for folder, subfolders, names in os.walk(store, onerror=refuse, followlinks=True):
         real = os.path.realpath(folder)
-        if real in seen:  # links that lead round in a circle
-            below.clear()
+        if real in visited:  # links in a circle
+            subfolders.clear()
             continue
-        seen.add(real)
+        visited.add(real)
         yield from (Path(folder, name) for name in names if name.endswith(_DOCUMENTS))
 
 
 def _files(folder: Path) -> list[_File]:
-    """Everything that may ever go, oldest first."""
-    found = []
+    """Everything that can be deleted, oldest first."""
+    files = []
     try:
-        for path in (*folder.glob("*.mcap"), *(folder / UNCLEAN).glob("*.mcap.part")):
+        for path in (*folder.glob("*.mcap"), *(folder / UNCLEAN_FOLDER).glob("*.mcap.part")):
             if path.is_file() and not path.is_symlink() and not is_being_written(path):
                 status = path.stat()
-                found.append(_File(path, status.st_size, status.st_mtime))
+                files.append(_File(path, status.st_size, status.st_mtime))
     except OSError as fault:
         raise MachineError(
-            f"cannot look at {folder}: {fault.strerror}", f"see `ls -ld {folder}`, and its disk"
+            f"{folder} cannot be read, {fault.strerror}", f"check `ls -ld {folder}` and its disk"
         ) from fault
-    return sorted(found, key=lambda one: (one.time_s, one.path.name))
+    return sorted(files, key=lambda file: (file.time_s, file.path.name))
 
 
 def _delete(path: Path, disk: Disk) -> None:
-    note = path.with_name(path.name + NOTE)
+    note = path.with_name(path.name + NOTE_SUFFIX)
     try:
         disk.unlink(path)
         if note.exists():
             disk.unlink(note)
     except OSError as fault:
         raise MachineError(
-            f"cannot delete {path}: {fault.strerror}",
-            "give its folder to the user that the daemon runs as (chown); recording goes on",
+            f"{path} cannot be deleted, {fault.strerror}",
+            "give its folder to the daemon's user (chown). Recording continues",
         ) from fault
 
 
 def _digest(path: Path) -> str:
-    digest = hashlib.sha256()
     try:
-        with path.open("rb") as file:
-            while block := file.read(_DIGESTED_BYTES):
-                digest.update(block)
+        return file_sha256(path)
     except OSError as fault:
         raise MachineError(
-            f"cannot read {path}: {fault.strerror}",
-            "nothing is deleted that may be cited: mend its rights, or its disk",
+            f"{path} cannot be read ({fault.strerror}), so it is not known whether a "
+            "calibration was made from it. It is not deleted",
+            "give the daemon's user permission to read the file (chown), or repair its disk",
         ) from fault
-    return digest.hexdigest()

@@ -1,6 +1,7 @@
-"""The daemon as a service: `gyrorigd run` and what talks to it.
+"""The service: `gyrorigd run` and the commands that communicate with it.
 
-What to use when: `start.Service` is the whole process; `daemon.Daemon` the loop on one opened
-rig, which also runs under simulated time; `jobs.put` hands a session in; `client.ask` asks a
-running daemon. docs/service.md is the page for those who run it.
+What to use when: `service_process.ServiceProcess` is the whole process.
+`service_loop.ServiceLoop` is the loop on one opened rig, which also runs in simulated time.
+`job_queue.enqueue_job` adds a session to the queue. `service_client.send_command` queries a
+running service. docs/service.md is the page for operators.
 """

@@ -1,9 +1,9 @@
-"""The status as a text file for Prometheus, by a node exporter's textfile collector.
+"""Prometheus metrics: the status as a file for a node exporter's textfile collector.
 
-What to use when: `MetricsWriter` as one of those that a status is published to. The file is
-replaced in one step, from a thread of its own: a slow disk holds up nothing. It belongs on
-another disk than the recordings, best in memory: one that fails could not say so. Names end
-as Prometheus wants them: `_total` only grows, everything else is as of now.
+What to use when: `MetricsWriter` as one of the receivers of the status. A separate thread
+replaces the file in one step, so that a slow disk delays nothing. The file should be on another
+disk than the recordings, best in memory, because a failed disk could not report itself. Names
+follow the rules of Prometheus: `_total` for cumulative counters, all others are gauges.
 """
 
 import math
@@ -12,199 +12,179 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gyrorig_daemon.service.files import write_whole
-from gyrorig_daemon.service.keeping import is_sum
+from gyrorig_daemon.service.recording_policy import is_cumulative
+from gyrorig_daemon.service.state_folder import apply_umask
+from gyrorig_protocol.atomic_files import write_atomically
 from gyrorig_protocol.errors import MachineError
 
 FILE_NAME = "gyrorig.prom"
-STATES = ("starting", "waiting", "ready", "running", "fault", "stopping")
-KEPT_NOW = ("kept_for_calibrations",)
-MODE = 0o644  # the node exporter is another user
-ENDING_S = 2.0
+SERVICE_STATES = ("starting", "waiting", "ready", "running", "fault", "stopping")
+HOUSEKEEPING_GAUGES = ("kept_for_calibrations",)
+FILE_MODE = 0o644  # the node exporter runs as another user
+JOIN_TIMEOUT_S = 2.0
 _ESCAPES = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 
 
 class MetricsWriter:
-    """Writes the last status that it was given, when it gets to it."""
+    """Writes the latest published status to a file, from a separate thread."""
 
     def __init__(self, folder: Path, every: int = 15) -> None:
-        """Begin to write.
+        """Start the thread.
 
         Args:
-            folder: where the file goes; made where it is missing.
-            every: each how many-th status is written. They come a second apart, meters are
-                read each 15 s or so, and a memory card wears.
+            folder: the folder of the file; created if it is missing.
+            every: write every n-th status. One is published per second, Prometheus reads about
+                every 15 s, and writes wear out a memory card.
 
         Raises:
-            MachineError: the folder cannot be made.
+            MachineError: the folder cannot be created.
         """
         try:
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as fault:
+        except OSError as error:
             raise MachineError(
-                f"no metrics can be written to {folder}: {fault.strerror}",
-                "name another folder with --metrics",
-            ) from fault
+                f"the metrics cannot be written to {folder} ({error.strerror})",
+                "give another folder with --metrics",
+            ) from error
         self.path = folder / FILE_NAME
-        self.failures = 0
+        self.write_failures = 0
         self._every = every
-        self._seen = 0
-        self._turn = threading.Condition()  # held for a moment, never while the disk is waited for
-        self._status: dict[str, Any] | None = None
+        self._published = 0
+        self._condition = threading.Condition()  # never held while writing
+        self._pending: dict[str, Any] | None = None
         self._is_writing = False
-        self._ended = False
+        self._closed = False
         self._thread = threading.Thread(target=self._run, name="metrics", daemon=True)
         self._thread.start()
 
     def publish(self, status: dict[str, Any]) -> None:
-        """Take note of a status."""
-        self._seen += 1
-        if self._seen % self._every == 1 or self._every == 1:
-            with self._turn:
-                if not self._ended:
-                    self._status = status
-                self._turn.notify_all()
+        """Accept a status."""
+        self._published += 1
+        if self._published % self._every == 1 or self._every == 1:
+            with self._condition:
+                if not self._closed:
+                    self._pending = status
+                self._condition.notify_all()
 
-    def settle(self, limit_s: float) -> bool:
-        """Wait until nothing is left to be written; return False where that takes too long."""
-        with self._turn:
-            return self._turn.wait_for(
-                lambda: self._status is None and not self._is_writing, limit_s
+    def wait_until_idle(self, limit_s: float) -> bool:
+        """Wait until everything is written; return False after the time limit."""
+        with self._condition:
+            return self._condition.wait_for(
+                lambda: self._pending is None and not self._is_writing, limit_s
             )
 
     def close(self) -> None:
-        """Write what it was given, and no more; the file stays."""
-        with self._turn:
-            self._ended = True
-            self._turn.notify_all()
-        self._thread.join(ENDING_S)
+        """Write the pending status and stop; the file remains."""
+        with self._condition:
+            self._closed = True
+            self._condition.notify_all()
+        self._thread.join(JOIN_TIMEOUT_S)
 
     def _run(self) -> None:
-        while (status := self._next()) is not None:
+        while (status := self._wait_for_status()) is not None:
             try:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(self.path, exposition(status).encode(), MODE, durable=False)
+                text = to_prometheus_text(status)
+                write_atomically(
+                    self.path, text.encode(), mode=apply_umask(FILE_MODE), durable=False
+                )
             except OSError:
-                self.failures += 1
+                self.write_failures += 1
 
-    def _next(self) -> dict[str, Any] | None:
-        """Wait for a status that is to be written; None at the end."""
-        with self._turn:
+    def _wait_for_status(self) -> dict[str, Any] | None:
+        """Wait for a status to write; None after `close`."""
+        with self._condition:
             self._is_writing = False
-            self._turn.notify_all()
-            self._turn.wait_for(lambda: self._status is not None or self._ended)
-            status, self._status = self._status, None
+            self._condition.notify_all()
+            self._condition.wait_for(lambda: self._pending is not None or self._closed)
+            status, self._pending = self._pending, None
             self._is_writing = status is not None
             return status
 
 
-def exposition(status: dict[str, Any]) -> str:
-    """Return a status in Prometheus' text format 0.0.4."""
+def to_prometheus_text(status: dict[str, Any]) -> str:
+    """Return a status in the Prometheus text format 0.0.4."""
     lines: list[str] = []
-    known: set[str] = set()
-    for name, kind, what, labels, value in _metrics(status):
+    described: set[str] = set()
+    for name, kind, help_text, labels, value in _metrics(status):
         if value is None or not math.isfinite(value):
             continue
-        full = f"gyrorig_{name}"
-        if full not in known:
-            known.add(full)
-            lines += [f"# HELP {full} {what}", f"# TYPE {full} {kind}"]
-        told = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in labels.items())
-        lines.append(f"{full}{{{told}}} {value:g}" if told else f"{full} {value:.17g}")
+        full_name = f"gyrorig_{name}"
+        if full_name not in described:
+            described.add(full_name)
+            lines += [f"# HELP {full_name} {help_text}", f"# TYPE {full_name} {kind}"]
+        label_text = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in labels.items())
+        lines.append(
+            f"{full_name}{{{label_text}}} {value:g}" if label_text else f"{full_name} {value:.17g}"
+        )
     return "\n".join(lines) + "\n"
 
 
 Metric = tuple[str, str, str, dict[str, str], float | None]
+_SEE_DOCS = "see docs/service.md"
+
+
+def _gauge(name: str, help_text: str, value: float | None, **labels: str) -> Metric:
+    return name, "gauge", help_text, labels, value
+
+
+def _counter(name: str, help_text: str, value: float | None, **labels: str) -> Metric:
+    return f"{name}_total", "counter", help_text, labels, value
 
 
 def _metrics(status: dict[str, Any]) -> Iterator[Metric]:
-    """Yield each metric, those of one name together."""
-    for state in STATES:
-        yield (
-            "state",
-            "gauge",
-            "1 for the daemon's state",
-            {"state": state},
-            float(status["state"] == state),
-        )
-    yield "uptime_seconds", "gauge", "since the daemon began", {}, status["uptime_s"]
-    yield (
-        "unit_known",
-        "gauge",
-        "1 while the unit answers",
-        {},
-        float(status["unit"]["state"] == "stands"),
-    )
-    for cause, count in status["unit"]["counts"].items():
-        labels = {"cause": cause}
-        yield "unit_line_total", "counter", "exchanges with the unit, and faults", labels, count
+    """Yield the metrics; those of one name are consecutive."""
+    for state in SERVICE_STATES:
+        is_present = float(status["state"] == state)
+        yield _gauge("state", "1 for the present state of the service", is_present, state=state)
+    yield _gauge("uptime_seconds", "time since the start of the service", status["uptime_s"])
+    unit, queue = status["unit"], status["queue"]
+    is_known = float(unit["state"] == "stands")
+    yield _gauge("unit_known", "1 while the pan-tilt unit answers", is_known)
+    for cause, count in unit["counts"].items():
+        yield _counter("unit_line", "exchanges with the unit, and their faults", count, cause=cause)
     for name, count in status["counts"].items():
-        yield f"{name}_total", "counter", "see docs/service.md", {}, count
+        yield _counter(name, _SEE_DOCS, count)
     for name, count in status["kept"].items():
-        kind = "gauge" if name in KEPT_NOW else "counter"
-        full = f"recordings_{name}" if name in KEPT_NOW else f"recordings_{name}_total"
-        yield full, kind, "see docs/service.md", {}, count
-    for who, count in status["stalls"].items():
-        yield "stalls_total", "counter", "a process stood still", {"process": who}, count
-    yield "queue_waiting", "gauge", "jobs that wait", {}, status["queue"]["waiting"]
-    yield (
-        "jobs_refused_total",
-        "counter",
-        "dropped files that were no jobs",
-        {},
-        status["queue"]["refused"],
-    )
-    yield "disk_free_bytes", "gauge", "room for recordings", {}, status["disk"]["free_bytes"]
-    yield (
-        "acquisition_dropped_bytes_total",
-        "counter",
-        "the daemon was too slow",
-        {},
-        status["acquisition_dropped_bytes"],
-    )
-    synchronised = status["clock"]["synchronised"]
-    yield (
+        metric = _gauge if name in HOUSEKEEPING_GAUGES else _counter
+        yield metric(f"recordings_{name}", _SEE_DOCS, count)
+    for process, count in status["stalls"].items():
+        yield _counter("stalls", "times that a process was stalled", count, process=process)
+    yield _gauge("queue_waiting", "waiting jobs", queue["waiting"])
+    yield _counter("jobs_refused", "files in the queue that were not valid jobs", queue["refused"])
+    yield _gauge("disk_free_bytes", "free space for recordings", status["disk"]["free_bytes"])
+    dropped = status["acquisition_dropped_bytes"]
+    yield _counter("acquisition_dropped_bytes", "the service was too slow to read", dropped)
+    is_synchronised = status["clock"]["synchronised"]
+    yield _gauge(
         "clock_synchronised",
-        "gauge",
-        "1 while the wall clock is disciplined",
-        {},
-        (None if synchronised is None else float(synchronised)),
+        "1 while the system time is synchronised",
+        None if is_synchronised is None else float(is_synchronised),
     )
     yield from _board_metrics(status["boards"])
-    yield (
-        "recorder_degraded",
-        "gauge",
-        "1 while the disk takes nothing",
-        {},
-        float(status["recorder"]["state"] == "degraded"),
-    )
-    for name, value in status["recorder"]["counts"].items():
-        if is_sum(name):
-            yield f"recorder_{name}_total", "counter", "see docs/service.md", {}, value
-        else:
-            yield f"recorder_{name}", "gauge", "see docs/service.md", {}, value
+    recorder = status["recorder"]
+    is_degraded = float(recorder["state"] == "degraded")
+    yield _gauge("recorder_degraded", "1 while the disk accepts no data", is_degraded)
+    for name, value in recorder["counts"].items():
+        metric = _counter if is_cumulative(name) else _gauge
+        yield metric(f"recorder_{name}", _SEE_DOCS, value)
 
 
 def _board_metrics(boards: list[dict[str, Any]]) -> Iterator[Metric]:
     for board in boards:
-        yield (
-            "board_known",
-            "gauge",
-            "1 while the board is there",
-            {"board": board["id"]},
-            float(board["state"] == "known"),
-        )
+        is_known = float(board["state"] == "known")
+        yield _gauge("board_known", "1 while the board is identified", is_known, board=board["id"])
     for board in boards:
-        yield "board_rate_hz", "gauge", "samples a second", {"board": board["id"]}, board["rate_hz"]
+        yield _gauge("board_rate_hz", "samples per second", board["rate_hz"], board=board["id"])
     for board in boards:
         for name, value in board["own"].items():
             labels = {"board": board["id"], "name": name}
-            yield "board_own", "gauge", "what the board says of itself", labels, value
-    for board in boards:
-        for cause, count in board["bus"].items():
-            labels = {"board": board["id"], "cause": cause}
-            yield "board_bus_total", "counter", "what happened on its CAN bus", labels, count
-    for board in boards:
-        for cause, count in (*board["counts"].items(), *board["faults"].items()):
-            labels = {"board": board["id"], "cause": cause}
-            yield "board_line_total", "counter", "what came and what was lost", labels, count
+            yield "board_own", "gauge", "counters that the board reports", labels, value
+    for kind, help_text, sources in (
+        ("board_bus", "events on its CAN bus", ("bus",)),
+        ("board_line", "received and lost data", ("counts", "faults")),
+    ):
+        for board in boards:
+            for source in sources:
+                for cause, count in board[source].items():
+                    yield _counter(kind, help_text, count, board=board["id"], cause=cause)

@@ -1,15 +1,14 @@
-"""When the sessions of the schedule are due, whatever the wall clock does.
+"""Schedule of sessions: when each entry is due, independent of changes of the system time.
 
-What to use when: `Schedule.due` from the daemon's loop; `begun` when a session begins,
-`put_off` when it could not begin after all: it is tried again after a while, a daily one as
-long as it is not too late for the day.
+What to use when: `Schedule.due_entry` from the main loop. `record_start` when a session starts,
+`postpone` when it could not start: it is tried again after a while, a daily session until it is
+too late for the day.
 
-Theory of operation. An entry that comes every so many hours is measured on the monotonic
-clock; what passed before this start is taken from the wall clock, and only where that makes
-sense. A daily entry is due when its time of day has come within the last `LATE_S`, unless it
-was begun since then by the wall clock, or less than `APART_S` ago by the monotonic one: a
-clock that is set back over the time does not begin it twice, and one that was years ahead
-does not keep it from ever beginning again.
+Theory of operation. Intervals in hours are measured with the monotonic clock. The time before
+this start is taken from the system time, and only if that is plausible. A daily entry is due if
+its time of day was within the last `MAX_DELAY_S`, unless it was started since then by the system
+time, or less than `MIN_INTERVAL_S` ago by the monotonic clock. Therefore a clock that is set back
+does not start it twice, and a clock that was years ahead does not prevent later starts.
 """
 
 import contextlib
@@ -18,126 +17,136 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrorig_daemon.config.service import ScheduleEntry
-from gyrorig_daemon.service.files import write_whole
+from gyrorig_daemon.config.service_settings import ScheduleEntry
+from gyrorig_protocol.atomic_files import write_atomically
 
-LATE_S = 3_600.0  # a rig that is switched on later than this leaves the day's session out
-APART_S = 12 * 3_600.0
-FIRST_WAIT_S = 30.0  # until a session that could not begin is tried again, then twice as long
-LONGEST_WAIT_S = 600.0
+MAX_DELAY_S = 3_600.0  # a rig that is switched on later than this skips the day's session
+MIN_INTERVAL_S = 12 * 3_600.0
+FIRST_RETRY_S = 30.0  # until a session that could not start is tried again; doubled each time
+LONGEST_RETRY_S = 600.0
 DAY_S = 86_400.0
-MAX_STATE_BYTES = 1_000_000
+MAX_SCHEDULE_FILE_BYTES = 1_000_000
 
 
 @dataclass(slots=True)
-class _Begun:
-    """When an entry was last begun."""
+class _LastStart:
+    """When an entry was last started."""
 
     utc_s: float | None = None
     monotonic_s: float | None = None
-    before: tuple[float | None, float | None] = (None, None)  # the same, the time before
-    tries: int = 0  # in vain, in a row
+    previous: tuple[float | None, float | None] = (None, None)  # the start before this one
+    failed_attempts: int = 0  # consecutive
     not_before_s: float = 0.0  # monotonic
     is_put_off: bool = False
 
 
 class Schedule:
-    """The entries of one configuration, and when each was last begun."""
+    """The entries of one configuration, and when each was last started."""
 
-    def __init__(self, entries: Sequence[ScheduleEntry], state: Path, monotonic_s: float) -> None:
-        """Begin with what an earlier daemon left in `state`.
+    def __init__(
+        self, entries: Sequence[ScheduleEntry], state_path: Path, monotonic_s: float
+    ) -> None:
+        """Load the start times that an earlier process has saved.
 
         Args:
             entries: of the rig's document.
-            state: where the times are kept; a file that is no such thing is replaced.
-            monotonic_s: now.
+            state_path: the file with the start times; an invalid file is replaced.
+            monotonic_s: the present time.
         """
         self.entries = tuple(entries)
-        self._state = state
+        self._state_path = state_path
         self._started_s = monotonic_s
-        kept = _read(state)
-        self._begun = {entry.name: _Begun(kept.get(entry.name)) for entry in entries}
+        saved_times = _load_start_times(state_path)
+        self._last_starts = {
+            entry.name: _LastStart(saved_times.get(entry.name)) for entry in entries
+        }
 
-    def due(self, monotonic_s: float, utc_s: float) -> ScheduleEntry | None:
-        """Return the entry that has waited longest, None where none is due."""
-        late = [
-            (self._late_s(entry, monotonic_s, utc_s), entry)
+    def due_entry(self, monotonic_s: float, utc_s: float) -> ScheduleEntry | None:
+        """Return the entry that is overdue for longest, None if none is due."""
+        overdue = [
+            (self._overdue_s(entry, monotonic_s, utc_s), entry)
             for entry in self.entries
-            if monotonic_s >= self._begun[entry.name].not_before_s
+            if monotonic_s >= self._last_starts[entry.name].not_before_s
         ]
-        waiting = [pair for pair in late if pair[0] >= 0.0]
+        waiting = [pair for pair in overdue if pair[0] >= 0.0]
         return max(waiting, key=lambda pair: pair[0])[1] if waiting else None
 
-    def next_s(self, entry: ScheduleEntry, monotonic_s: float, utc_s: float) -> float:
-        """Return in how many seconds an entry is due, 0 where it is."""
-        late_s = self._late_s(entry, monotonic_s, utc_s)
-        return max(0.0, -late_s, self._begun[entry.name].not_before_s - monotonic_s)
+    def seconds_until_due(self, entry: ScheduleEntry, monotonic_s: float, utc_s: float) -> float:
+        """Return the time until an entry is due, 0 if it is due."""
+        overdue_s = self._overdue_s(entry, monotonic_s, utc_s)
+        return max(0.0, -overdue_s, self._last_starts[entry.name].not_before_s - monotonic_s)
 
-    def begun(self, name: str, monotonic_s: float, utc_s: float) -> None:
-        """Note that an entry's session begins now; the disk may refuse to remember it."""
-        begun = self._begun[name]
-        if not begun.is_put_off:
-            begun.tries = 0
-        begun.is_put_off = False
-        begun.before = begun.utc_s, begun.monotonic_s
-        begun.utc_s, begun.monotonic_s = utc_s, monotonic_s
-        self._keep()
+    def record_start(self, name: str, monotonic_s: float, utc_s: float) -> None:
+        """Record that the session of an entry starts now; a failed write is tolerated."""
+        start = self._last_starts[name]
+        if not start.is_put_off:
+            start.failed_attempts = 0
+        start.is_put_off = False
+        start.previous = start.utc_s, start.monotonic_s
+        start.utc_s, start.monotonic_s = utc_s, monotonic_s
+        self._save()
 
-    def put_off(self, name: str, monotonic_s: float) -> float | None:
-        """Note that the session could not begin after all.
+    def postpone(self, name: str, monotonic_s: float) -> float | None:
+        """Record that the session could not start.
 
         Returns:
-            After how many seconds it is tried again, None where there is no such entry any more.
+            The time until the next attempt, None if the entry no longer exists.
         """
-        begun = self._begun.get(name)
-        if begun is None:
+        start = self._last_starts.get(name)
+        if start is None:
             return None
-        wait_s = min(FIRST_WAIT_S * 2.0 ** min(begun.tries, 10), LONGEST_WAIT_S)
-        begun.tries += 1
-        begun.is_put_off = True
-        begun.utc_s, begun.monotonic_s = begun.before
-        begun.not_before_s = monotonic_s + wait_s
-        self._keep()
+        wait_s = min(FIRST_RETRY_S * 2.0 ** min(start.failed_attempts, 10), LONGEST_RETRY_S)
+        start.failed_attempts += 1
+        start.is_put_off = True
+        start.utc_s, start.monotonic_s = start.previous
+        start.not_before_s = monotonic_s + wait_s
+        self._save()
         return wait_s
 
-    def _keep(self) -> None:
-        kept = {key: value.utc_s for key, value in self._begun.items() if value.utc_s is not None}
+    def _save(self) -> None:
+        start_times = {
+            key: value.utc_s for key, value in self._last_starts.items() if value.utc_s is not None
+        }
         with contextlib.suppress(OSError):
-            write_whole(self._state, json.dumps(kept).encode())
+            write_atomically(self._state_path, json.dumps(start_times).encode(), mode=0o640)
 
-    def _late_s(self, entry: ScheduleEntry, monotonic_s: float, utc_s: float) -> float:
-        """Return for how long an entry has been due; below 0, until then."""
-        begun = self._begun[entry.name]
+    def _overdue_s(self, entry: ScheduleEntry, monotonic_s: float, utc_s: float) -> float:
+        """Return for how long an entry has been due; negative before it is due."""
+        start = self._last_starts[entry.name]
         if entry.every_h is not None:
-            return self._since_s(begun, monotonic_s, utc_s, entry.every_h * 3_600.0)
+            return self._overdue_interval_s(start, monotonic_s, utc_s, entry.every_h * 3_600.0)
         time_of_day_s = 60.0 * (entry.minute_of_day or 0)
-        late_s = (utc_s - time_of_day_s) % DAY_S
-        until_s = late_s - DAY_S
-        if late_s > LATE_S:
-            return until_s
-        if begun.monotonic_s is not None and monotonic_s - begun.monotonic_s < APART_S:
-            return until_s
-        ahead = begun.utc_s is not None and begun.utc_s > utc_s  # the clock was set back since
-        if begun.utc_s is not None and not ahead and begun.utc_s >= utc_s - late_s:
-            return until_s
-        if ahead and begun.utc_s is not None and begun.utc_s - utc_s < APART_S:
-            return until_s
-        return late_s
+        overdue_s = (utc_s - time_of_day_s) % DAY_S
+        negative_wait_s = overdue_s - DAY_S
+        if overdue_s > MAX_DELAY_S:
+            return negative_wait_s
+        if start.monotonic_s is not None and monotonic_s - start.monotonic_s < MIN_INTERVAL_S:
+            return negative_wait_s
+        clock_was_set_back = (
+            start.utc_s is not None and start.utc_s > utc_s
+        )  # the clock was set back since
+        if start.utc_s is not None and not clock_was_set_back and start.utc_s >= utc_s - overdue_s:
+            return negative_wait_s
+        if clock_was_set_back and start.utc_s is not None and start.utc_s - utc_s < MIN_INTERVAL_S:
+            return negative_wait_s
+        return overdue_s
 
-    def _since_s(self, begun: _Begun, monotonic_s: float, utc_s: float, every_s: float) -> float:
-        if begun.monotonic_s is not None:
-            return monotonic_s - begun.monotonic_s - every_s
-        if begun.utc_s is None:
-            return monotonic_s - self._started_s  # never before: at once
-        # Begun in the future: that clock was wrong, or this one is.
-        before_s = max(0.0, utc_s - (monotonic_s - self._started_s) - begun.utc_s)
-        return before_s + monotonic_s - self._started_s - every_s
+    def _overdue_interval_s(
+        self, start: _LastStart, monotonic_s: float, utc_s: float, interval_s: float
+    ) -> float:
+        if start.monotonic_s is not None:
+            return monotonic_s - start.monotonic_s - interval_s
+        if start.utc_s is None:
+            return monotonic_s - self._started_s  # never started: due now
+        # A start in the future: one of the two clock readings was wrong.
+        elapsed_before_s = max(0.0, utc_s - (monotonic_s - self._started_s) - start.utc_s)
+        return elapsed_before_s + monotonic_s - self._started_s - interval_s
 
 
-def _read(state: Path) -> dict[str, float]:
+def _load_start_times(path: Path) -> dict[str, float]:
     try:
-        with state.open("rb") as file:
-            document = json.loads(file.read(MAX_STATE_BYTES))
+        with path.open("rb") as file:
+            document = json.loads(file.read(MAX_SCHEDULE_FILE_BYTES))
     except (OSError, ValueError, RecursionError):
         return {}
     if not isinstance(document, dict):

@@ -1,80 +1,80 @@
-"""The watchdog is fed only when every loop made progress.
+"""Watchdog: it is fed only while every loop makes progress.
 
-What to use when: each loop has a `Pulse` and beats it at every turn; `WatchdogTimer` runs in
-the pump, so that the pump's own turn is shown by its being fired at all. A loop that hangs
-stops the feeding, and systemd ends and restarts the daemon, whose start halts the unit.
+What to use when: each loop has a `Heartbeat` and beats it in every cycle. `WatchdogTimer` runs
+in the pump, so that its own calls show the pump's progress. If a loop hangs, the watchdog is not
+fed, and systemd ends and restarts the service, whose start halts the unit.
 """
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from gyrorig_daemon.service.notify import Notifier
+from gyrorig_daemon.service.systemd_notifier import SystemdNotifier
 
-FEEDS_PER_LIMIT = 4  # sd_watchdog_enabled(3) advises two; a stall of a second must not matter
-WITHOUT_WATCHDOG_S = 1.0
+FEEDS_PER_LIMIT = 4  # sd_watchdog_enabled(3) recommends two; a stall of one second must not matter
+PERIOD_WITHOUT_WATCHDOG_S = 1.0
 
 
 @dataclass(slots=True)
-class Pulse:
-    """One loop's signs of life, on CLOCK_MONOTONIC in ns."""
+class Heartbeat:
+    """Heartbeat of one loop, on CLOCK_MONOTONIC in ns."""
 
     name: str
-    limit_s: float  # so long may one turn take
+    stall_limit_s: float  # longest permitted cycle
     clock_ns: Callable[[], int] = time.monotonic_ns
-    beat_ns: int = field(init=False)
+    last_beat_ns: int = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin alive."""
+        """Start with a beat."""
         self.beat()
 
     def beat(self) -> None:
-        """Say that a turn is over."""
-        self.beat_ns = self.clock_ns()
+        """Record the end of a cycle."""
+        self.last_beat_ns = self.clock_ns()
 
     @property
     def age_s(self) -> float:
-        """How long the present turn has lasted."""
-        return (self.clock_ns() - self.beat_ns) * 1e-9
+        """Duration of the present cycle."""
+        return (self.clock_ns() - self.last_beat_ns) * 1e-9
 
     @property
-    def hangs(self) -> bool:
-        """True when the turn lasts longer than it may."""
-        return self.age_s > self.limit_s
+    def is_stalled(self) -> bool:
+        """True if the present cycle exceeds the limit."""
+        return self.age_s > self.stall_limit_s
 
 
 class WatchdogTimer:
-    """Feeds systemd's watchdog from the pump while no loop hangs."""
+    """Feeds systemd's watchdog from the pump while no loop is stalled."""
 
     def __init__(
         self,
-        notifier: Notifier,
-        hanging: Callable[[], list[str]],
+        notifier: SystemdNotifier,
+        stalled_loops: Callable[[], list[str]],
         now_ns: int,
-        tell: Callable[[str], None],
+        log: Callable[[str], None],
     ) -> None:
-        """Begin to feed.
+        """Start to feed.
 
         Args:
-            notifier: where the watchdog is fed.
-            hanging: the names of the loops that make no progress.
+            notifier: receives the watchdog messages.
+            stalled_loops: returns the names of the loops that make no progress.
             now_ns: the pump's time.
-            tell: told once when feeding stops, and why.
+            log: called once, with the reason, when feeding stops.
         """
         self._notifier = notifier
-        self._hanging = hanging
-        self._tell = tell
-        limit_s = notifier.watchdog_s or WITHOUT_WATCHDOG_S * FEEDS_PER_LIMIT
+        self._stalled_loops = stalled_loops
+        self._log = log
+        limit_s = notifier.watchdog_s or PERIOD_WITHOUT_WATCHDOG_S * FEEDS_PER_LIMIT
         self._period_ns = int(limit_s / FEEDS_PER_LIMIT * 1e9)
-        self._starves = False
+        self._is_withheld = False
         self.due_ns = now_ns
 
     def fire(self, now_ns: int) -> None:
-        """Feed, unless something hangs."""
+        """Feed, unless a loop is stalled."""
         self.due_ns = now_ns + self._period_ns
-        hanging = self._hanging()
-        if not hanging:
-            self._notifier.alive()
-        elif not self._starves:
-            self._tell(f"no progress in {', '.join(hanging)}: the watchdog is not fed")
-        self._starves = bool(hanging)
+        stalled = self._stalled_loops()
+        if not stalled:
+            self._notifier.feed_watchdog()
+        elif not self._is_withheld:
+            self._log(f"No progress in {', '.join(stalled)}. The watchdog is not fed.")
+        self._is_withheld = bool(stalled)

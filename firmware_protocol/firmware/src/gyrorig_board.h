@@ -9,7 +9,7 @@
  *
  * Portable C99, also read by C++. No dynamic memory, no floating point, no 64-bit
  * arithmetic, nothing blocks. One thread: interrupts only keep stamps, the main loop calls.
- * The frames: gyrorig_protocol/board/frames.py, whose vectors are this file's too.
+ * The frames: gyrorig_protocol/board/board_frames.py, whose vectors are this file's too.
  *
  * Theory of operation. Samples wait in a queue as bare payloads; a frame gets its check
  * and its stuffing when it is its turn on the line. HELLO, ACK, SLOW and TIME replies are

@@ -1,21 +1,20 @@
-"""A board's serial link: GCB1 frames and plain text lines; no I/O.
+"""A board's serial protocol: GCB1 frames and plain text lines, without input or output (sans-IO).
 
 What to use when:
 
-- `FrameParser` for a board that speaks GCB1; `TextLineParser` with a `ColumnMap` for one
-  that prints lines of numbers. Both give `FrameEvent`s with `Sample`s in them.
-- The records (`Sample`, `Hello`, `TimeRequest`, ...) and their `encode()` to write.
+- `FrameParser` for a board that sends GCB1 frames; `TextLineParser` with a `ColumnMap` for a
+  board that prints lines of numbers. Both return `FrameEvent`s that contain `Sample`s.
+- The frame classes (`Sample`, `Hello`, `TimeRequest`, ...) and their `encode()` to send.
 """
 
-from gyrorig_protocol.board.decode import decode_payload
-from gyrorig_protocol.board.events import (
+from gyrorig_protocol.board.board_events import (
     BoardEvent,
     BoardFrame,
     FaultCause,
     FrameEvent,
     FrameFault,
 )
-from gyrorig_protocol.board.frames import (
+from gyrorig_protocol.board.board_frames import (
     Batch,
     Edge,
     HelloRequest,
@@ -25,9 +24,10 @@ from gyrorig_protocol.board.frames import (
     TimeReply,
     TimeRequest,
 )
-from gyrorig_protocol.board.hello import Ack, Hello, Sensor, Set
-from gyrorig_protocol.board.parser import FrameParser
-from gyrorig_protocol.board.text import ColumnMap, TextLineParser
+from gyrorig_protocol.board.frame_parser import FrameParser
+from gyrorig_protocol.board.json_frames import Ack, Hello, Sensor, Set
+from gyrorig_protocol.board.payload_decoder import decode_payload
+from gyrorig_protocol.board.text_lines import ColumnMap, TextLineParser
 
 __all__ = [
     "Ack",

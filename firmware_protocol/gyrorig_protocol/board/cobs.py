@@ -1,7 +1,7 @@
-"""Consistent overhead byte stuffing for short frames: no zero inside, one byte more.
+"""Consistent overhead byte stuffing (COBS) of short frames: removes all zero bytes.
 
-Only payloads of up to 253 bytes: then no code byte is 255, every code stands for one
-zero, and both directions are a walk along the zeros. Source: Cheshire and Baker,
+Payloads have at most 253 bytes. Then no code byte is 255, every code byte replaces one zero, and
+both directions follow the zeros. The result is one byte longer. Source: Cheshire and Baker,
 "Consistent Overhead Byte Stuffing", IEEE/ACM Transactions on Networking 7(2), 1999.
 """
 
@@ -11,38 +11,40 @@ MAX_PAYLOAD_BYTES = 253
 
 
 def encode(payload: bytes) -> bytes:
-    """Return `payload` without zero bytes, one byte longer, delimiters not included.
+    """Return `payload` without zero bytes, one byte longer, without delimiters.
 
     Raises:
         UsageError: the payload has more than 253 bytes.
     """
     if len(payload) > MAX_PAYLOAD_BYTES:
-        raise UsageError(f"a frame of {len(payload)} bytes", f"send {MAX_PAYLOAD_BYTES} at most")
+        raise UsageError(
+            f"a frame of {len(payload)} bytes is too long", f"send {MAX_PAYLOAD_BYTES} at most"
+        )
     stuffed = bytearray(b"\0" + payload)
-    code_at = 0
-    zero_at = stuffed.find(0, 1)
-    while zero_at > 0:
-        stuffed[code_at] = zero_at - code_at
-        code_at = zero_at
-        zero_at = stuffed.find(0, code_at + 1)
-    stuffed[code_at] = len(stuffed) - code_at
+    code_index = 0
+    zero_index = stuffed.find(0, 1)
+    while zero_index > 0:
+        stuffed[code_index] = zero_index - code_index
+        code_index = zero_index
+        zero_index = stuffed.find(0, code_index + 1)
+    stuffed[code_index] = len(stuffed) - code_index
     return bytes(stuffed)
 
 
 def decode(stuffed: bytes) -> bytes | None:
-    """Return the payload of `stuffed`, None where the codes do not meet its end.
+    """Return the payload of `stuffed`, None if the code bytes do not end at its last byte.
 
     Args:
-        stuffed: what stood between two delimiters: no zero in it, 254 bytes at most.
+        stuffed: the bytes between two delimiters, at most 254, none of them zero.
     """
     payload = bytearray(stuffed)
     end = len(payload)
-    at = 0
-    while at < end:
-        code = payload[at]
-        payload[at] = 0
-        at += code
-    if at != end or not 0 < end <= MAX_PAYLOAD_BYTES + 1:
+    index = 0
+    while index < end:
+        code = payload[index]
+        payload[index] = 0
+        index += code
+    if index != end or not 0 < end <= MAX_PAYLOAD_BYTES + 1:
         return None
     del payload[0]
     return bytes(payload)

@@ -1,12 +1,12 @@
-"""What a CAN controller reports about its bus: error frames as Linux words them.
+"""CAN error frames: the reports of a CAN controller about its bus, as Linux encodes them.
 
-Source: <linux/can/error.h>. An error frame's identifier holds classes, its data details.
-Only what a rig must know is named; everything else counts as a bus error.
+Source: <linux/can/error.h>. The identifier of an error frame contains classes, its data contains
+details. The reports that matter to a rig have a name; all others count as a bus error.
 """
 
 from enum import Enum
 
-from gyrorig_protocol.can.frame import CanFrame, FrameFlag
+from gyrorig_protocol.can.can_frame import CanFrame, FrameFlag
 
 _TX_TIMEOUT = 0x001
 _CONTROLLER = 0x004
@@ -16,7 +16,7 @@ _BUS_OFF = 0x040
 _RESTARTED = 0x100
 _REPORT = int(FrameFlag.ERROR)
 
-# data[1] where the class is the controller's
+# data[1] of the class "controller"
 _RX_OVERFLOW, _TX_OVERFLOW = 0x01, 0x02
 _WARNING = 0x04 | 0x08
 _PASSIVE = 0x10 | 0x20
@@ -24,21 +24,21 @@ _ACTIVE = 0x40
 
 
 class BusReport(Enum):
-    """What was reported; the value says it in words."""
+    """A report of the controller; the value is the text for people."""
 
     BUS_OFF = "the controller has left the bus (bus-off)"
-    RESTARTED = "the controller has come back to the bus"
+    RESTARTED = "the controller is on the bus again"
     ERROR_PASSIVE = "the controller is error-passive"
     ERROR_WARNING = "the controller warns of errors"
     ERROR_ACTIVE = "the controller is error-active again"
-    RX_OVERFLOW = "the controller had no room for a frame"
-    TX_OVERFLOW = "the controller's queue to send is full"
+    RX_OVERFLOW = "the controller lost a frame, because its receive buffer was full"
+    TX_OVERFLOW = "the controller's send queue is full"
     TX_TIMEOUT = "a frame was not sent in time"
-    NO_ACK = "nobody acknowledged a frame"
+    NO_ACK = "no other node acknowledged a frame"
     OTHER = "an error on the bus"
 
 
-# Of several in one frame the gravest comes first; a state's end after its begin.
+# The most severe report comes first; the end of a state comes after its begin.
 _BY_CLASS = (
     (_BUS_OFF, BusReport.BUS_OFF),
     (_RESTARTED, BusReport.RESTARTED),
@@ -55,7 +55,7 @@ _BY_CONTROLLER = (
 
 
 def bus_reports(frame: CanFrame) -> list[BusReport]:
-    """Return what an error frame reports, the gravest first; never empty."""
+    """Return the reports of an error frame, the most severe first; never empty."""
     reports = [report for mask, report in _BY_CLASS if frame.identifier & mask]
     if frame.identifier & _CONTROLLER and len(frame.data) > 1:
         detail = frame.data[1]
@@ -64,11 +64,11 @@ def bus_reports(frame: CanFrame) -> list[BusReport]:
 
 
 def error_frame(report: BusReport, stamp_ns: int = 0) -> CanFrame:
-    """Return the error frame that reports so: what a scripted bus sends."""
-    for mask, known in _BY_CLASS:
-        if known is report:
+    """Return the error frame with one report, for a simulated bus."""
+    for mask, candidate in _BY_CLASS:
+        if candidate is report:
             return CanFrame(mask, bytes(8), _REPORT, stamp_ns)
-    for mask, known in _BY_CONTROLLER:
-        if known is report:
+    for mask, candidate in _BY_CONTROLLER:
+        if candidate is report:
             return CanFrame(_CONTROLLER, bytes([0, mask, 0, 0, 0, 0, 0, 0]), _REPORT, stamp_ns)
     return CanFrame(_PROTOCOL, bytes(8), _REPORT, stamp_ns)

@@ -1,12 +1,12 @@
-"""Which signals of a bus are an IMU's: a preset, or a DBC file and their names.
+"""Signal maps: the CAN signals of an IMU, by a preset, or by a DBC file and the signals' names.
 
-What to use when: `SignalMap` in a rig's document; `bind` makes of it what
-`signal_parser.SignalParser` reads frames with.
+What to use when: `SignalMap` in a rig configuration; `resolve_signals` finds its signals for
+`signal_parser.CanSignalParser`.
 
-Counts. Where the three axes have one factor and their offset is a whole number of counts, the
-raw codes are kept, less the offset, and the factor is the scale. Anything else, floats too,
-becomes whole counts of a scale that loses nothing: 1e-7 rad/s and 1e-6 m/s^2 (recording
-contract, format 1, "Imported measurements").
+Counts: if the three axes have the same factor and their offset is an integer number of counts, the
+raw codes minus the offset are kept, and the factor is the scale. Otherwise, and for floats, values
+are converted to integer counts whose scale is fine enough to lose nothing: 1e-7 rad/s and
+1e-6 m/s^2.
 """
 
 import math
@@ -16,37 +16,40 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from gyrorig_protocol.board.text import (
+from gyrorig_protocol.board.text_lines import (
     ACCEL_COUNT_M_S2,
     GYRO_COUNT_RAD_S,
     STANDARD_GRAVITY_M_S2,
     TEMPERATURE_COUNT_DEGC,
 )
-from gyrorig_protocol.can.dbc import Message, Signal, parse_dbc
-from gyrorig_protocol.can.presets import PRESETS, Axes, Preset
+from gyrorig_protocol.can.dbc import DbcMessage, DbcSignal, parse_dbc
+from gyrorig_protocol.can.imu_presets import PRESETS, AxisSignals, ImuPreset
 from gyrorig_protocol.errors import UsageError
 
-Reference = Annotated[str, msgspec.Meta(pattern=r"^\w{1,128}\.\w{1,128}$")]
-Triad = tuple[Reference | None, Reference | None, Reference | None]
+SignalReference = Annotated[str, msgspec.Meta(pattern=r"^\w{1,128}\.\w{1,128}$")]
+Triad = tuple[SignalReference | None, SignalReference | None, SignalReference | None]
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
 
-_DEG = math.pi / 180.0
+_RAD_PER_DEG = math.pi / 180.0
 _GYRO_UNITS = {
-    "rad/s": 1.0, "deg/s": _DEG, "dps": _DEG, "°/s": _DEG, "degree/s": _DEG, "mdps": 1e-3 * _DEG,
-}  # fmt: skip
+    "rad/s": 1.0,
+    **dict.fromkeys(("deg/s", "dps", "°/s", "degree/s"), _RAD_PER_DEG),
+    "mdps": 1e-3 * _RAD_PER_DEG,
+}
 _ACCEL_UNITS = {
-    "m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0, "g": STANDARD_GRAVITY_M_S2,
+    **dict.fromkeys(("m/s2", "m/s^2", "m/s²"), 1.0),
+    "g": STANDARD_GRAVITY_M_S2,
     "mg": 1e-3 * STANDARD_GRAVITY_M_S2,
-}  # fmt: skip
+}
 _TIME_UNITS_HZ = {"s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}
-_WHOLE = 1e-6  # of a count: what decimal factors in a file are exact to
+_INTEGER_TOLERANCE = 1e-6  # of a count: the precision of decimal factors in a file
 
 
 class SignalMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Which signals are which; either `preset`, or `dbc` and the names `MESSAGE.SIGNAL`.
+    """The signals of an IMU: either `preset`, or `dbc` and the names `MESSAGE.SIGNAL`.
 
-    `dbc` is the text of a DBC file, or the name of one beside the rig's document. An axis
-    that the sensor does not have is `null`. With `source_address` identifiers are J1939's.
+    `dbc` is the text of a DBC file, or the name of a file next to the rig configuration. An axis
+    that the sensor lacks is `null`. With `source_address`, identifiers are those of J1939.
     """
 
     preset: Literal["j1939", "mm5.10", "racelogic"] | None = None
@@ -54,236 +57,259 @@ class SignalMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     source_address: Annotated[int, msgspec.Meta(ge=0, le=253)] | None = None
     gyro: Triad | None = None
     accel: Triad | None = None
-    temperature: Reference | None = None
-    time: Reference | None = None
-    counter: Reference | None = None
-    gyro_unit: Literal["rad/s", "dps", "mdps"] | None = None  # where the file names none
+    temperature: SignalReference | None = None
+    time: SignalReference | None = None
+    counter: SignalReference | None = None
+    gyro_unit: Literal["rad/s", "dps", "mdps"] | None = None  # if the file has no unit
     accel_unit: Literal["m/s2", "g", "mg"] | None = None
-    tick_hz: Positive | None = None  # of `time`, where its unit is no time
-    check_range: bool = False  # values outside of the file's [minimum|maximum] are none
+    tick_hz: Positive | None = None  # of `time`, if its unit is not a time
+    check_range: bool = False  # values outside the file's [minimum|maximum] are invalid
 
     @property
     def dbc_file(self) -> str | None:
-        """The name of the DBC file that is still to be read, None where there is none."""
+        """The name of the DBC file, None if `dbc` is its text or is missing."""
         return None if self.dbc is None or "\n" in self.dbc else self.dbc
 
 
 @dataclass(frozen=True, slots=True)
-class BoundSignal:
-    """One signal, the message that holds it, and the way to counts."""
+class ResolvedSignal:
+    """One signal, the key of its message, and its conversion to counts."""
 
     key: int
-    signal: Signal
+    signal: DbcSignal
     factor: float  # counts per raw count
     offset: float  # counts
 
 
 @dataclass(frozen=True, slots=True)
-class BoundMap:
-    """A map whose signals have been found. Scales are per count."""
+class ResolvedSignalMap:
+    """A map with the signals of its DBC file. Scales are per count."""
 
-    gyro: tuple[BoundSignal | None, ...]
+    gyro: tuple[ResolvedSignal | None, ...]
     gyro_scale_rad_s: float
-    accel: tuple[BoundSignal | None, ...] | None
+    accel: tuple[ResolvedSignal | None, ...] | None
     accel_scale_m_s2: float | None
-    temperature: BoundSignal | None
+    temperature: ResolvedSignal | None
     temperature_scale_c: float | None
-    time: BoundSignal | None
+    time: ResolvedSignal | None
     tick_hz: float | None
-    counter: BoundSignal | None
+    counter: ResolvedSignal | None
     check_range: bool
     source_address: int | None
     sensor: str
-    lengths: dict[int, int] = field(default_factory=dict)  # bytes needed of each message
+    needed_bytes: dict[int, int] = field(default_factory=dict)  # by message
 
 
-def bind(chosen: SignalMap, name: str) -> BoundMap:
-    """Return the signals that a map names.
+def resolve_signals(signal_map: SignalMap, board_name: str) -> ResolvedSignalMap:
+    """Find the signals of a map in its DBC file.
 
     Args:
-        chosen: what a person wrote; `dbc` must be the file's text by now.
-        name: the board, for errors.
+        signal_map: the configured map; `dbc` must be the text of the file.
+        board_name: the name of the board in an error.
 
     Raises:
-        UsageError: no such signal, no unit, or neither preset nor file.
+        UsageError: a signal or a unit is missing, or there is neither preset nor file.
     """
-    preset = _preset(chosen, name)
-    messages = parse_dbc(preset.dbc, f"the DBC file of board {name}")
-    finder = _Finder(messages, name)
-    gyro, gyro_scale = finder.triad(
-        preset.gyro, _GYRO_UNITS, chosen.gyro_unit, GYRO_COUNT_RAD_S, "gyro_unit"
+    preset = _select_preset(signal_map, board_name)
+    messages = parse_dbc(preset.dbc, f"the DBC file of board {board_name}")
+    finder = _SignalFinder(messages, board_name)
+    gyro, gyro_scale = finder.resolve_triad(
+        preset.gyro, _GYRO_UNITS, signal_map.gyro_unit, GYRO_COUNT_RAD_S, "gyro_unit"
     )
     accel, accel_scale = None, None
     if preset.accel is not None:
-        accel, accel_scale = finder.triad(
-            preset.accel, _ACCEL_UNITS, chosen.accel_unit, ACCEL_COUNT_M_S2, "accel_unit"
+        accel, accel_scale = finder.resolve_triad(
+            preset.accel, _ACCEL_UNITS, signal_map.accel_unit, ACCEL_COUNT_M_S2, "accel_unit"
         )
     temperature = None
     if preset.temperature is not None:
-        key, signal = finder.find(preset.temperature)
+        key, signal = finder.find_signal(preset.temperature)
         to_counts = 1.0 / TEMPERATURE_COUNT_DEGC
-        temperature = BoundSignal(key, signal, signal.factor * to_counts, signal.offset * to_counts)
-    time, tick_hz = finder.time(chosen)
-    bound = BoundMap(
+        temperature = ResolvedSignal(
+            key, signal, signal.factor * to_counts, signal.offset * to_counts
+        )
+    time_signal, tick_hz = finder.resolve_clock(signal_map)
+    resolved_map = ResolvedSignalMap(
         gyro=gyro,
         gyro_scale_rad_s=gyro_scale,
         accel=accel,
         accel_scale_m_s2=accel_scale,
         temperature=temperature,
         temperature_scale_c=None if temperature is None else TEMPERATURE_COUNT_DEGC,
-        time=time,
+        time=time_signal,
         tick_hz=tick_hz,
-        counter=finder.integer(chosen.counter, "counter"),
+        counter=finder.resolve_unsigned(signal_map.counter, "counter"),
         check_range=preset.check_range,
-        source_address=chosen.source_address,
+        source_address=signal_map.source_address,
         sensor=preset.sensor,
     )
-    for part in (*gyro, *(accel or ()), temperature, time, bound.counter):
-        if part is not None:
-            needed = part.signal.last_byte + 1
-            bound.lengths[part.key] = max(needed, bound.lengths.get(part.key, 0))
-    return bound
-
-
-def _preset(chosen: SignalMap, name: str) -> Preset:
-    """Return the preset, or what the map itself says in the form of one."""
-    if chosen.preset is not None:
-        if chosen.dbc is not None or chosen.gyro is not None or chosen.accel is not None:
-            raise UsageError(
-                f"board {name} has a preset and signals of its own",
-                "leave out preset, or dbc, gyro and accel",
+    for resolved in (*gyro, *(accel or ()), temperature, time_signal, resolved_map.counter):
+        if resolved is not None:
+            byte_count = resolved.signal.last_byte_index + 1
+            resolved_map.needed_bytes[resolved.key] = max(
+                byte_count, resolved_map.needed_bytes.get(resolved.key, 0)
             )
-        preset = PRESETS[chosen.preset]
-        if preset.by_source and chosen.source_address is None:
+    return resolved_map
+
+
+def _select_preset(signal_map: SignalMap, board_name: str) -> ImuPreset:
+    """Return the preset, or the signals of the map as a preset."""
+    if signal_map.preset is not None:
+        if (
+            signal_map.dbc is not None
+            or signal_map.gyro is not None
+            or signal_map.accel is not None
+        ):
             raise UsageError(
-                f"board {name} has no source_address",
-                "give the sensor's J1939 address under signals: source_address, 0 to 253",
+                f"board {board_name} has both a preset and its own signals",
+                "remove preset, or remove dbc, gyro and accel",
+            )
+        preset = PRESETS[signal_map.preset]
+        if preset.uses_source_address and signal_map.source_address is None:
+            raise UsageError(
+                f"board {board_name} has no source_address",
+                "add source_address, the sensor's J1939 address from 0 to 253, to its signals",
             )
         return preset
-    if chosen.dbc is None or chosen.gyro is None:
+    if signal_map.dbc is None or signal_map.gyro is None:
         raise UsageError(
-            f"board {name} has neither a preset nor a DBC file with its gyro",
-            f"give signals: preset ({', '.join(PRESETS)}), or dbc and gyro",
+            f"board {board_name} has neither a preset nor a DBC file with its gyro",
+            f"add one of the presets {', '.join(PRESETS)}, or dbc and gyro, to its signals",
         )
-    if chosen.dbc_file is not None:
-        raise UsageError(f"the DBC file {chosen.dbc_file!r} has not been read", "give its text")
-    if all(axis is None for axis in chosen.gyro):
+    if signal_map.dbc_file is not None:
         raise UsageError(
-            f"board {name} has no axis of a gyro",
-            "name at least one under signals: gyro, as MESSAGE.SIGNAL",
+            f"board {board_name} has only the name of its DBC file, {signal_map.dbc_file!r}, and "
+            "not the text of this file",
+            "give the rig file to gyrorigd, which reads the DBC file, or put the text into dbc",
         )
-    accel: Axes | None = chosen.accel
-    return Preset(
-        chosen.dbc, chosen.gyro, accel, chosen.temperature, check_range=chosen.check_range
+    if all(axis is None for axis in signal_map.gyro):
+        raise UsageError(
+            f"board {board_name} has no gyro axis",
+            "add at least one MESSAGE.SIGNAL to gyro under its signals",
+        )
+    accel: AxisSignals | None = signal_map.accel
+    return ImuPreset(
+        signal_map.dbc,
+        signal_map.gyro,
+        accel,
+        signal_map.temperature,
+        check_range=signal_map.check_range,
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Finder:
-    """Finds signals by name in one file's messages."""
+class _SignalFinder:
+    """Find signals by name in the messages of one DBC file."""
 
-    messages: dict[str, Message]
-    board: str
+    messages: dict[str, DbcMessage]
+    board_name: str
 
-    def find(self, reference: str) -> tuple[int, Signal]:
+    def find_signal(self, reference: str) -> tuple[int, DbcSignal]:
         message_name, _, signal_name = reference.partition(".")
         message = self.messages.get(message_name)
         if message is None:
             raise UsageError(
-                f"board {self.board}: the DBC file has no message {message_name}",
-                f"name one that it has: {_some(self.messages)}",
+                f"the DBC file of board {self.board_name} has no message {message_name}",
+                f"choose one of {_list_names(self.messages)}",
             )
         signal = message.signals.get(signal_name)
         if signal is None:
             raise UsageError(
-                f"board {self.board}: message {message_name} has no signal {signal_name}",
-                f"name one that it has: {_some(message.signals)}",
+                f"message {message_name} of board {self.board_name} has no signal {signal_name}",
+                f"choose one of {_list_names(message.signals)}",
             )
         return message.key, signal
 
-    def triad(
+    def resolve_triad(
         self,
-        axes: Axes,
+        axes: AxisSignals,
         units: dict[str, float],
         chosen_unit: str | None,
-        fine: float,
+        fallback_scale: float,
         key: str,
-    ) -> tuple[tuple[BoundSignal | None, ...], float]:
+    ) -> tuple[tuple[ResolvedSignal | None, ...], float]:
         """Return three axes and the scale of their counts, in rad/s or m/s^2."""
-        found = [None if axis is None else self.find(axis) for axis in axes]
-        there = [signal for _, signal in (pair for pair in found if pair is not None)]
-        to_si = {signal.name: self._to_si(signal, units, chosen_unit, key) for signal in there}
-        first = there[0]
-        unit = to_si[first.name]
-        if all(_is_raw(signal, first) and to_si[signal.name] == unit for signal in there):
-            scale = abs(first.factor) * unit
-            sign = math.copysign(1.0, first.factor)
+        axis_signals = [None if axis is None else self.find_signal(axis) for axis in axes]
+        signals = [signal for _, signal in (pair for pair in axis_signals if pair is not None)]
+        to_si = {signal.name: self._to_si(signal, units, chosen_unit, key) for signal in signals}
+        first_signal = signals[0]
+        unit_scale = to_si[first_signal.name]
+        if all(
+            _keeps_raw_counts(signal, first_signal) and to_si[signal.name] == unit_scale
+            for signal in signals
+        ):
+            scale = abs(first_signal.factor) * unit_scale
+            sign = math.copysign(1.0, first_signal.factor)
             return tuple(
                 None
                 if pair is None
-                else BoundSignal(*pair, sign, float(round(pair[1].offset / abs(first.factor))))
-                for pair in found
+                else ResolvedSignal(
+                    *pair, sign, float(round(pair[1].offset / abs(first_signal.factor)))
+                )
+                for pair in axis_signals
             ), scale
         return tuple(
             None
             if pair is None
-            else BoundSignal(
+            else ResolvedSignal(
                 *pair,
-                pair[1].factor * to_si[pair[1].name] / fine,
-                pair[1].offset * to_si[pair[1].name] / fine,
+                pair[1].factor * to_si[pair[1].name] / fallback_scale,
+                pair[1].offset * to_si[pair[1].name] / fallback_scale,
             )
-            for pair in found
-        ), fine
+            for pair in axis_signals
+        ), fallback_scale
 
-    def time(self, chosen: SignalMap) -> tuple[BoundSignal | None, float | None]:
-        """Return the board's own clock and its rate."""
-        bound = self.integer(chosen.time, "time")
-        if bound is None:
+    def resolve_clock(self, signal_map: SignalMap) -> tuple[ResolvedSignal | None, float | None]:
+        """Return the signal of the board's clock and its rate in Hz."""
+        resolved = self.resolve_unsigned(signal_map.time, "time")
+        if resolved is None:
             return None, None
-        unit_hz = _TIME_UNITS_HZ.get(bound.signal.unit.strip())
-        tick_hz = chosen.tick_hz or (unit_hz and unit_hz / bound.signal.factor)
+        unit_hz = _TIME_UNITS_HZ.get(resolved.signal.unit.strip())
+        tick_hz = signal_map.tick_hz or (unit_hz and unit_hz / resolved.signal.factor)
         if not tick_hz:
             raise UsageError(
-                f"board {self.board}: the signal of time has the unit {bound.signal.unit!r}, which "
-                "is none of time",
-                "give its ticks a second under signals: tick_hz",
+                f"the clock of board {self.board_name} has the unit {resolved.signal.unit!r}, "
+                "which is not a unit of time",
+                "add tick_hz, its ticks per second, to the board's signals",
             )
-        return bound, tick_hz
+        return resolved, tick_hz
 
-    def integer(self, reference: str | None, what: str) -> BoundSignal | None:
-        """Return a signal whose raw number is what is wanted."""
+    def resolve_unsigned(self, reference: str | None, role: str) -> ResolvedSignal | None:
+        """Return a signal whose raw value is used as an unsigned number."""
         if reference is None:
             return None
-        key, signal = self.find(reference)
+        key, signal = self.find_signal(reference)
         if signal.is_float or signal.is_signed:
             raise UsageError(
-                f"board {self.board}: {reference}, named as its {what}, is no unsigned number",
-                "choose another signal, or leave it out",
+                f"{reference}, the {role} of board {self.board_name}, is not an unsigned number",
+                "choose another signal, or remove it",
             )
-        return BoundSignal(key, signal, 1.0, 0.0)
+        return ResolvedSignal(key, signal, 1.0, 0.0)
 
     def _to_si(
-        self, signal: Signal, units: dict[str, float], chosen: str | None, key: str
+        self, signal: DbcSignal, units: dict[str, float], chosen_unit: str | None, key: str
     ) -> float:
-        factor = units.get(chosen or signal.unit.strip())
+        factor = units.get(chosen_unit or signal.unit.strip())
         if factor is None:
             raise UsageError(
-                f"board {self.board}: signal {signal.name} has the unit {signal.unit!r}, which is "
-                "not known",
-                f"say what it is in under signals: {key}",
+                f"{signal.name} of board {self.board_name} has the unknown unit {signal.unit!r}",
+                f"add {key} to the board's signals",
             )
         return factor
 
 
-def _some(names: Iterable[str], most: int = 12) -> str:
-    known = sorted(names)
-    more = f" and {len(known) - most} more" if len(known) > most else ""
-    return ", ".join(known[:most]) + more
+def _list_names(names: Iterable[str], max_count: int = 12) -> str:
+    sorted_names = sorted(names)
+    suffix = f" and {len(sorted_names) - max_count} more" if len(sorted_names) > max_count else ""
+    return ", ".join(sorted_names[:max_count]) + suffix
 
 
-def _is_raw(signal: Signal, first: Signal) -> bool:
-    """Return whether a signal's codes can be kept: one factor, a whole offset, 31 bits."""
-    if signal.is_float or signal.factor != first.factor or signal.length > 31:
+def _keeps_raw_counts(signal: DbcSignal, first_signal: DbcSignal) -> bool:
+    """Return whether raw codes can be kept: one factor, an integer offset, at most 31 bits."""
+    if signal.is_float or signal.factor != first_signal.factor or signal.bit_length > 31:
         return False
     offset = signal.offset / signal.factor
-    return abs(offset - round(offset)) < _WHOLE * max(1.0, abs(offset)) and abs(offset) < 1 << 30
+    return (
+        abs(offset - round(offset)) < _INTEGER_TOLERANCE * max(1.0, abs(offset))
+        and abs(offset) < 1 << 30
+    )

@@ -1,130 +1,135 @@
-"""From any IMU's CAN frames to samples, by a bound signal map.
+"""Parser of other IMUs' CAN frames, by a resolved signal map.
 
-A sample is complete when every message that holds one of its rates has come; accelerations,
-temperature, time and counter are the newest that came since the sample before, so those that
-are sent behind the rates belong to the sample before. A message that comes a second time
-before the others have come means that one was lost: what was begun is dropped, and the
-number of the sample with it, so that the loss shows as a gap.
+A sample is complete when all messages with its rates have arrived. Accelerations, temperature, time
+and counter are the newest that arrived since the previous sample; those that are sent after the
+rates therefore belong to the previous sample. If a message arrives twice before the others, one of
+them was lost: the incomplete sample is dropped and its number is skipped, so that the loss shows as
+a gap.
 
-Contract: device bytes raise nothing; what is no value is a `FrameFault`, counted by cause.
+Contract: received bytes never raise an error. An invalid value gives a `FrameFault` event and is
+counted by cause.
 """
 
 import math
 
-from gyrorig_protocol.board.events import BoardEvent, FaultCause, FrameEvent, FrameFault
-from gyrorig_protocol.board.frames import Sample, Triple
-from gyrorig_protocol.can.frame import CanFrame
-from gyrorig_protocol.can.signal_map import BoundMap, BoundSignal
+from gyrorig_protocol.board.board_events import BoardEvent, FaultCause, FrameEvent, FrameFault
+from gyrorig_protocol.board.board_frames import Sample, Triple
+from gyrorig_protocol.can.can_frame import CanFrame
+from gyrorig_protocol.can.signal_map import ResolvedSignal, ResolvedSignalMap
 
 _INT32, _INT16 = 2**31 - 1, 2**15 - 1
 _NUMBER_MASK = 0xFFFF_FFFF
-_EXTENDED = 1 << 31
-_J1939_GROUP = 0x03FF_FF00  # without priority and source address
+_EXTENDED_BIT = 1 << 31
+_J1939_GROUP_MASK = 0x03FF_FF00  # without priority and source address
 
 
-class SignalParser:
-    """Turn the frames of one IMU into events."""
+class CanSignalParser:
+    """Parse the frames of one IMU into events."""
 
-    def __init__(self, bound: BoundMap) -> None:
-        self._map = bound
-        self._rate_keys = {part.key for part in bound.gyro if part is not None}
-        self._keys = dict.fromkeys(bound.lengths)
-        self._groups = {key & _J1939_GROUP: key for key in bound.lengths if key & _EXTENDED}
-        self._fresh: dict[int, bytes] = {}  # messages since the last sample
-        self._number = -1
+    def __init__(self, signal_map: ResolvedSignalMap) -> None:
+        self._map = signal_map
+        self._rate_keys = {signal.key for signal in signal_map.gyro if signal is not None}
+        self._keys = dict.fromkeys(signal_map.needed_bytes)
+        self._groups = {
+            key & _J1939_GROUP_MASK: key for key in signal_map.needed_bytes if key & _EXTENDED_BIT
+        }
+        self._messages_since_sample: dict[int, bytes] = {}  # messages since the last sample
+        self._sample_number = -1
         self._last_counter: int | None = None
         self.frames = 0
         self.faults = dict.fromkeys(FaultCause, 0)
 
     def wants(self, key: int) -> bool:
         """Return whether frames of this key (`CanFrame.key`) are this IMU's."""
-        return self._message(key) is not None
+        return self._message_key(key) is not None
 
     def reset(self) -> None:
-        """Forget what was begun, as after the bus was away."""
-        self._fresh.clear()
+        """Drop an unfinished sample, for example after the bus was disconnected."""
+        self._messages_since_sample.clear()
 
     def feed(self, frame: CanFrame) -> list[BoardEvent]:
         """Return the events that a frame completes."""
-        key = self._message(frame.key)
-        if key is None or not frame.is_data:
-            return self._fault(FaultCause.UNKNOWN_TYPE, frame)
-        if len(frame.data) < self._map.lengths[key]:
-            return self._fault(FaultCause.LENGTH, frame)
+        key = self._message_key(frame.key)
+        if key is None or not frame.is_data_frame:
+            return self._report_fault(FaultCause.UNKNOWN_TYPE, frame)
+        if len(frame.data) < self._map.needed_bytes[key]:
+            return self._report_fault(FaultCause.LENGTH, frame)
         self.frames += 1
-        if key in self._rate_keys and key in self._fresh:
-            self._number += 1
-            self._fresh = {}
-        self._fresh[key] = frame.data
-        if not self._rate_keys <= self._fresh.keys():
+        if key in self._rate_keys and key in self._messages_since_sample:
+            self._sample_number += 1
+            self._messages_since_sample = {}
+        self._messages_since_sample[key] = frame.data
+        if not self._rate_keys <= self._messages_since_sample.keys():
             return []
-        fresh, self._fresh = self._fresh, {}
-        return [self._sample(fresh, frame)]
+        messages, self._messages_since_sample = self._messages_since_sample, {}
+        return [self._make_sample(messages, frame)]
 
-    def _sample(self, fresh: dict[int, bytes], frame: CanFrame) -> BoardEvent:
-        bound = self._map
-        self._advance(fresh)
-        gyro = self._triad(bound.gyro, fresh)
+    def _make_sample(self, messages: dict[int, bytes], frame: CanFrame) -> BoardEvent:
+        signal_map = self._map
+        self._advance_sample_number(messages)
+        gyro = self._read_triad(signal_map.gyro, messages)
         if gyro is None:
-            return self._fault(FaultCause.CONTENT, frame)[0]
-        accel = temperature = time = None
-        if bound.accel is not None:
-            accel = self._triad(bound.accel, fresh)
-        if bound.temperature is not None:
-            temperature = self._count(bound.temperature, fresh, _INT16)
-        if bound.time is not None and bound.time.key in fresh:
-            time = int(bound.time.signal.raw(fresh[bound.time.key]))
-        sample = Sample(0, self._number & _NUMBER_MASK, time, gyro, accel, temperature)
-        return FrameEvent(sample, frame.stamp_ns, 0, frame.data)
+            return self._report_fault(FaultCause.CONTENT, frame)[0]
+        accel = temperature = time_ticks = None
+        if signal_map.accel is not None:
+            accel = self._read_triad(signal_map.accel, messages)
+        if signal_map.temperature is not None:
+            temperature = self._read_count(signal_map.temperature, messages, _INT16)
+        if signal_map.time is not None and signal_map.time.key in messages:
+            time_ticks = int(signal_map.time.signal.raw_value(messages[signal_map.time.key]))
+        sample = Sample(0, self._sample_number & _NUMBER_MASK, time_ticks, gyro, accel, temperature)
+        return FrameEvent(sample, frame.timestamp_ns, 0, frame.data)
 
-    def _advance(self, fresh: dict[int, bytes]) -> None:
-        """Number the sample: by the board's counter where it has one."""
+    def _advance_sample_number(self, messages: dict[int, bytes]) -> None:
+        """Advance the sample number, by the board's counter if it has one."""
         counter = self._map.counter
-        if counter is None or counter.key not in fresh:
-            self._number += 1
+        if counter is None or counter.key not in messages:
+            self._sample_number += 1
             return
-        count = int(counter.signal.raw(fresh[counter.key]))
+        count = int(counter.signal.raw_value(messages[counter.key]))
         if self._last_counter is None:
-            self._number = count
+            self._sample_number = count
         else:
-            self._number += (count - self._last_counter) % (1 << counter.signal.length)
+            self._sample_number += (count - self._last_counter) % (1 << counter.signal.bit_length)
         self._last_counter = count
 
-    def _triad(
-        self, axes: tuple[BoundSignal | None, ...], fresh: dict[int, bytes]
+    def _read_triad(
+        self, axes: tuple[ResolvedSignal | None, ...], messages: dict[int, bytes]
     ) -> Triple | None:
-        """Return three counts, 0 for an axis that the sensor lacks; None where one is no value."""
+        """Return three counts, 0 for an axis that the sensor lacks; None if one is invalid."""
         counts: list[int] = []
-        for part in axes:
-            count = 0 if part is None else self._count(part, fresh, _INT32)
+        for signal in axes:
+            count = 0 if signal is None else self._read_count(signal, messages, _INT32)
             if count is None:
                 return None
             counts.append(count)
         return counts[0], counts[1], counts[2]
 
-    def _count(self, part: BoundSignal, fresh: dict[int, bytes], limit: int) -> int | None:
-        data = fresh.get(part.key)
+    def _read_count(
+        self, resolved: ResolvedSignal, messages: dict[int, bytes], limit: int
+    ) -> int | None:
+        data = messages.get(resolved.key)
         if data is None:
             return None
-        signal = part.signal
-        raw = signal.raw(data)
+        signal = resolved.signal
+        raw = signal.raw_value(data)
         if self._map.check_range and signal.maximum > signal.minimum:
             value = raw * signal.factor + signal.offset
-            slack = abs(signal.factor) / 2
-            if not signal.minimum - slack <= value <= signal.maximum + slack:
+            tolerance = abs(signal.factor) / 2
+            if not signal.minimum - tolerance <= value <= signal.maximum + tolerance:
                 return None
-        count = raw * part.factor + part.offset
+        count = raw * resolved.factor + resolved.offset
         return round(count) if math.isfinite(count) and abs(count) <= limit else None
 
-    def _message(self, key: int) -> int | None:
-        """Return the map's key of a frame's: J1939 names a group and a sender."""
-        source = self._map.source_address
-        if source is None:
+    def _message_key(self, key: int) -> int | None:
+        """Return the key of the message in the map; a J1939 key has a group and a sender."""
+        source_address = self._map.source_address
+        if source_address is None:
             return key if key in self._keys else None
-        if not key & _EXTENDED or key & 0xFF != source:
+        if not key & _EXTENDED_BIT or key & 0xFF != source_address:
             return None
-        return self._groups.get(key & _J1939_GROUP)
+        return self._groups.get(key & _J1939_GROUP_MASK)
 
-    def _fault(self, cause: FaultCause, frame: CanFrame) -> list[BoardEvent]:
+    def _report_fault(self, cause: FaultCause, frame: CanFrame) -> list[BoardEvent]:
         self.faults[cause] += 1
-        return [FrameFault(cause, frame.stamp_ns, 0, frame.data)]
+        return [FrameFault(cause, frame.timestamp_ns, 0, frame.data)]

@@ -1,5 +1,8 @@
-"""Sensor profiles as data: what a part's data sheet says, in SI units where it matters."""
+"""Sensor profiles: the data sheet of a gyroscope part as data.
 
-from gyrorig_protocol.profile.document import SensorProfile, parse_profile
+What to use when: `parse_profile` for the YAML document; the result is a `SensorProfile`.
+"""
+
+from gyrorig_protocol.profile.sensor_profile import SensorProfile, parse_profile
 
 __all__ = ["SensorProfile", "parse_profile"]

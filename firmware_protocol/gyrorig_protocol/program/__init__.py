@@ -1,28 +1,31 @@
-"""Motion programs as data: what the unit shall do, in degrees, as a person writes it.
+"""Motion programs: the motion of the pan-tilt unit as a YAML document, in degrees.
 
-A program is a YAML document. The daemon carries it out; the solver's planner writes it.
+The daemon executes a program; the solver's planner writes one.
+
+What to use when: `parse_program` for a document; `unroll_steps` for its steps in order, with
+repeats expanded.
 """
 
-from gyrorig_protocol.program.document import (
+from gyrorig_protocol.program.program_document import (
     Home,
     MotionProgram,
     Move,
+    PtuSettings,
     Repeat,
     Rest,
     Step,
-    UnitSettings,
     parse_program,
-    unrolled,
+    unroll_steps,
 )
 
 __all__ = [
     "Home",
     "MotionProgram",
     "Move",
+    "PtuSettings",
     "Repeat",
     "Rest",
     "Step",
-    "UnitSettings",
     "parse_program",
-    "unrolled",
+    "unroll_steps",
 ]

@@ -1,51 +1,49 @@
-"""The pan-tilt unit's ASCII language: bytes and stamps in, events out; no I/O.
+"""The ASCII protocol of the pan-tilt unit (PTU), without input or output (sans-IO).
 
 What to use when:
 
-- `PtuReplyParser` splits what a port returned into `Reply`, `LimitFlag` and the rest.
-- `commands` builds what to send; every command says what answer it expects.
-- `read` turns a reply into a value, or a named fault; `require_*` into a value or an error.
-- `Dialect`, `offers`, `dialect_from_probe` say what a controller can do.
+- `PtuReplyParser` parses received bytes into `Reply`, `LimitFlag` and other events.
+- `ptu_commands` has the commands; every command has the kind of its answer.
+- `read_value` reads a reply as a value or a fault; `require_*` return the value or raise an error.
+- `Dialect`, `dialect_features`, `dialect_from_probe` describe what a controller supports.
 """
 
-from gyrorig_protocol.ptu.commands import (
-    Expects,
-    Power,
-    PtuCommand,
-    Quantity,
-    StepMode,
-    assign,
-    query,
-)
 from gyrorig_protocol.ptu.dialect import (
     PROBE,
     Dialect,
-    Offers,
+    DialectFeatures,
+    dialect_features,
     dialect_from_probe,
     dialect_from_version,
-    offers,
 )
-from gyrorig_protocol.ptu.events import (
+from gyrorig_protocol.ptu.ptu_commands import (
+    AnswerKind,
+    PtuCommand,
+    Quantity,
+    assign_quantity,
+    query_quantity,
+)
+from gyrorig_protocol.ptu.ptu_events import (
     Axis,
     Banner,
     CableFlag,
     Echo,
-    FrameError,
-    FrameReason,
+    InvalidLine,
+    InvalidLineReason,
     LimitFlag,
     PtuEvent,
     Reply,
 )
-from gyrorig_protocol.ptu.parser import PtuReplyParser
 from gyrorig_protocol.ptu.refusals import Refusal, RefusalKind, classify_refusal
-from gyrorig_protocol.ptu.values import (
-    Done,
-    Motion,
-    PowerState,
+from gyrorig_protocol.ptu.reply_parser import PtuReplyParser
+from gyrorig_protocol.ptu.reply_values import (
+    Acknowledgement,
+    FirmwareVersion,
+    MotionReading,
+    PowerReading,
     Reading,
     ValueFault,
-    Version,
-    read,
+    read_value,
     require_done,
     require_integer,
     require_motion,
@@ -55,20 +53,20 @@ from gyrorig_protocol.ptu.values import (
 
 __all__ = [
     "PROBE",
+    "Acknowledgement",
+    "AnswerKind",
     "Axis",
     "Banner",
     "CableFlag",
     "Dialect",
-    "Done",
+    "DialectFeatures",
     "Echo",
-    "Expects",
-    "FrameError",
-    "FrameReason",
+    "FirmwareVersion",
+    "InvalidLine",
+    "InvalidLineReason",
     "LimitFlag",
-    "Motion",
-    "Offers",
-    "Power",
-    "PowerState",
+    "MotionReading",
+    "PowerReading",
     "PtuCommand",
     "PtuEvent",
     "PtuReplyParser",
@@ -77,16 +75,14 @@ __all__ = [
     "Refusal",
     "RefusalKind",
     "Reply",
-    "StepMode",
     "ValueFault",
-    "Version",
-    "assign",
+    "assign_quantity",
     "classify_refusal",
+    "dialect_features",
     "dialect_from_probe",
     "dialect_from_version",
-    "offers",
-    "query",
-    "read",
+    "query_quantity",
+    "read_value",
     "require_done",
     "require_integer",
     "require_motion",

@@ -1,8 +1,8 @@
-"""Why a unit refused a command: its error texts, sorted by what to do.
+"""Error replies of a pan-tilt unit, classified by remedy.
 
-The texts differ between firmware versions; the table has a pattern for each that was
-seen on real units or in the command reference manual v3.00D. An unknown text is
-`UNKNOWN`, never a failure to read.
+The texts differ between firmware versions. The table has a pattern for each text that was seen on
+real units or is in the command reference manual v3.00D. An unknown text has the kind `UNKNOWN`; it
+is never a fault of reading.
 """
 
 import re
@@ -11,26 +11,26 @@ from enum import Enum
 
 
 class RefusalKind(Enum):
-    """What was wrong; the value says what to do."""
+    """The kind of an error reply; the value is the remedy."""
 
-    POSITION = "stay inside the limits found by the last reset"
-    SPEED = "stay inside the unit's speed bounds"
-    ACCELERATION = "choose an acceleration that the unit can do"
-    ILLEGAL_COMMAND = "this controller does not know the command: check the dialect"
-    ILLEGAL_VALUE = "choose a value that the command takes: see the unit's manual"
+    POSITION = "stay inside the limits that the last reset found"
+    SPEED = "stay inside the unit's speed limits"
+    ACCELERATION = "choose an acceleration within the unit's limits"
+    ILLEGAL_COMMAND = "check the dialect, because this controller does not know the command"
+    ILLEGAL_VALUE = "choose a value that the command accepts, see the unit's manual"
     UNKNOWN = "see the unit's manual"
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A `!` reply. `bound` is the figure that its text names, in steps or steps/s."""
+    """An error reply (`!`). `bound` is the number in its text, in steps or steps/s."""
 
     kind: RefusalKind
     bound: int | None
     text: str
 
 
-_KINDS: tuple[tuple[re.Pattern[str], RefusalKind], ...] = (
+_KIND_PATTERNS: tuple[tuple[re.Pattern[str], RefusalKind], ...] = (
     (
         re.compile(r"illegal\s+(command|delimiter)|unknown command", re.I),
         RefusalKind.ILLEGAL_COMMAND,
@@ -40,11 +40,13 @@ _KINDS: tuple[tuple[re.Pattern[str], RefusalKind], ...] = (
     (re.compile(r"\b(position|limit)\b", re.I), RefusalKind.POSITION),
     (re.compile(r"\b(value|argument|illegal|range)\b", re.I), RefusalKind.ILLEGAL_VALUE),
 )
-_BOUND = re.compile(r"(?:^|(?<=\s))[-+]?\d{1,10}(?=\s|$)")
+_BOUND_PATTERN = re.compile(r"(?:^|(?<=\s))[-+]?\d{1,10}(?=\s|$)")
 
 
 def classify_refusal(text: str) -> Refusal:
-    """Return the kind of an error reply from its text, which may be anything."""
-    kind = next((kind for pattern, kind in _KINDS if pattern.search(text)), RefusalKind.UNKNOWN)
-    numbers = _BOUND.findall(text)
+    """Classify an error reply by its text, which can be any text."""
+    kind = next(
+        (kind for pattern, kind in _KIND_PATTERNS if pattern.search(text)), RefusalKind.UNKNOWN
+    )
+    numbers = _BOUND_PATTERN.findall(text)
     return Refusal(kind, int(numbers[0]) if len(numbers) == 1 else None, text)

@@ -1,9 +1,11 @@
-"""Recordings of format 1: the messages, the writer, the reader.
+"""Recordings of format 1: MCAP files with ROS 2 messages.
 
 What to use when:
 
-- `messages`, `standard_messages`: what goes into a recording, as frozen dataclasses.
-- `writer.RecordingWriter`: write one file, safely.
-- `reader.read_recording`: read one file, finished or not, whole or damaged.
-- `recording.Recording`: what the reader returns; `recording.times_ns` for its stamps.
+- `reader.read_recording`: read a file, finished or not, sound or damaged.
+- `recording.Recording`: the result of the reader; `recording.times_ns` for its timestamps.
+- `writer.RecordingWriter`: write a file that survives a crash.
+- `messages`, `standard_messages`: the messages of a recording.
+- `salvage.salvage`: make a finished recording of an unfinished one.
+- `recording_copy.copy_with_topics`: copy a recording and add topics.
 """

@@ -1,12 +1,10 @@
-"""The messages of format 1 as frozen dataclasses.
+"""The messages of a recording (package gyrorig_msgs, format 1).
 
-What to use when: build one and hand it to `RecordingWriter.write`; `decode` turns a
-payload back. In bulk, read fixed-size messages with `Recording.array` instead.
+What to use when: build a message and pass it to `RecordingWriter.write`; `decode` reads a payload.
+To read many fixed-size messages, use `Recording.array` instead.
 
-Every host time is an `int` of nanoseconds since the epoch on the capture clock, except
-in `HostClock`, whose times are the host's own clocks.
-
-Source: the recording contract, format 1.
+Every host time is an `int` of nanoseconds since the epoch on the capture clock (UTC anchored once
+per session, then CLOCK_MONOTONIC_RAW), except in `HostClock`, which has the host's own clocks.
 """
 
 import struct
@@ -18,7 +16,7 @@ import msgspec
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.cdr_stream import (
+from gyrorig_protocol.recording.encoding.cdr_codec import (
     ENCAPSULATION,
     NS_PER_S,
     CdrDecoder,
@@ -37,28 +35,28 @@ LOG_TOPIC = "/rosout"
 Triple = tuple[int, int, int]
 
 
-def imu_topic(board_id: BoardId) -> str:
-    """The topic of a board's raw samples."""
+def imu_raw_topic(board_id: BoardId) -> str:
+    """Return the topic of a board's raw samples."""
     return f"/board/{board_id}/imu_raw"
 
 
-def clock_topic(board_id: BoardId) -> str:
-    """The topic of a board's clock exchanges."""
+def clock_ping_topic(board_id: BoardId) -> str:
+    """Return the topic of a board's clock exchanges."""
     return f"/board/{board_id}/clock"
 
 
 class Message(Protocol):
-    """What `RecordingWriter.write` takes."""
+    """Interface of a message for `RecordingWriter.write`."""
 
     TYPE: ClassVar[str]
 
     def encode(self) -> bytes:
-        """The CDR payload with its four header bytes."""
+        """Return the CDR payload with its header of four bytes."""
         ...
 
     @property
     def capture_time_ns(self) -> int | None:
-        """The payload's own log time, None where the payload holds none."""
+        """The log time in the payload, None if the payload has none."""
         ...
 
 
@@ -97,7 +95,7 @@ class CommandCode(IntEnum):
 
 
 class EventKind(IntEnum):
-    """What a `SessionEvent` tells."""
+    """The kind of a `SessionEvent`."""
 
     PHASE_BEGIN = 0
     PHASE_END = 1
@@ -105,26 +103,27 @@ class EventKind(IntEnum):
     FAULT = 3
 
 
-def _pack(layout: struct.Struct, *values: float) -> bytes:
+def _pack_fields(layout: struct.Struct, *values: float) -> bytes:
     try:
         return layout.pack(ENCAPSULATION, *values)
     except struct.error as error:
         raise ValueError(f"a value does not fit its field: {error}") from error
 
 
-def _unpack(layout: struct.Struct, data: bytes, name: str) -> list[int | float]:
+def _unpack_fields(layout: struct.Struct, data: bytes, name: str) -> list[int | float]:
     if len(data) != layout.size or data[:4] != ENCAPSULATION:
         raise InputError(
-            f"{name}: {len(data)} bytes beginning {data[:4].hex()!r}, "
-            f"not {layout.size} beginning '00010000'"
+            f"{name} has {len(data)} bytes that begin with {data[:4].hex()}, "
+            f"not {layout.size} that begin with 00010000",
+            "copy the file again, or record again",
         )
     return list(layout.unpack(data)[1:])
 
 
 class ImuRaw(msgspec.Struct, frozen=True, gc=False):
-    """One sample of a board, counts as sent, in the sensor's own axes.
+    """One sample of a board: counts as sent, in the sensor's axes.
 
-    A msgspec structure: frozen like a frozen dataclass, and made ten times as quickly.
+    A msgspec structure is immutable like a frozen dataclass, and creating it is ten times faster.
     """
 
     TYPE: ClassVar[str] = "gyrorig_msgs/msg/ImuRaw"
@@ -136,17 +135,17 @@ class ImuRaw(msgspec.Struct, frozen=True, gc=False):
     status: int  # ImuStatus bits
     temperature: int  # raw
     gyro: Triple  # counts
-    accel: Triple = (0, 0, 0)  # counts, zero and bit clear where absent
+    accel: Triple = (0, 0, 0)  # counts; zero and status bit clear if absent
     mag: Triple = (0, 0, 0)
 
     @property
     def capture_time_ns(self) -> int:
-        """When the frame's last byte was in the host's hands."""
+        """The time at which the frame's last byte was received."""
         return self.host_time_ns
 
     def encode(self) -> bytes:
-        """The 64-byte payload."""
-        sec, nanosec = divmod(self.host_time_ns, NS_PER_S)  # thousands a second: no calls
+        """Return the payload of 64 bytes."""
+        sec, nanosec = divmod(self.host_time_ns, NS_PER_S)  # thousands per second: no calls
         try:
             return self._LAYOUT.pack(
                 ENCAPSULATION,
@@ -165,15 +164,26 @@ class ImuRaw(msgspec.Struct, frozen=True, gc=False):
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """Read a payload; raises InputError when it is not one."""
-        v = [int(value) for value in _unpack(cls._LAYOUT, data, "ImuRaw")]
-        gyro, accel, mag = ((v[i], v[i + 1], v[i + 2]) for i in (6, 9, 12))
-        return cls(v[0] * NS_PER_S + v[1], v[2], v[3], v[4], v[5], gyro, accel, mag)
+        """Decode a payload; raises InputError if it is invalid."""
+        values = [int(value) for value in _unpack_fields(cls._LAYOUT, data, "ImuRaw")]
+        gyro, accel, mag = (
+            (values[first], values[first + 1], values[first + 2]) for first in (6, 9, 12)
+        )
+        return cls(
+            values[0] * NS_PER_S + values[1],
+            values[2],
+            values[3],
+            values[4],
+            values[5],
+            gyro,
+            accel,
+            mag,
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class PtuPosition:
-    """One position exchange with the pan-tilt unit; angles after the rig's signs."""
+    """One position query of the pan-tilt unit; angles after the signs of the rig."""
 
     TYPE: ClassVar[str] = "gyrorig_msgs/msg/PtuPosition"
     _LAYOUT: ClassVar[struct.Struct] = struct.Struct("<4siIiIiIiiddQIH")
@@ -185,18 +195,18 @@ class PtuPosition:
     tilt_steps: int
     pan_rad: float
     tilt_rad: float
-    controller_time: int  # the controller's own counter, 0 where it has none
+    controller_time: int  # the controller's counter, 0 if it has none
     sequence: int
     status: int  # PtuStatus bits
 
     @property
     def capture_time_ns(self) -> int:
-        """When the reply's last byte was in the host's hands."""
+        """The time at which the reply's last byte was received."""
         return self.reply_time_ns
 
     def encode(self) -> bytes:
-        """The 66-byte payload."""
-        return _pack(
+        """Return the payload of 66 bytes."""
+        return _pack_fields(
             self._LAYOUT,
             *split_time(self.request_time_ns),
             *split_time(self.first_byte_time_ns),
@@ -212,22 +222,31 @@ class PtuPosition:
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """Read a payload; raises InputError when it is not one."""
-        v = _unpack(cls._LAYOUT, data, "PtuPosition")
-        t = [int(v[i]) * NS_PER_S + int(v[i + 1]) for i in (0, 2, 4)]
-        whole = [int(v[i]) for i in (6, 7, 10, 11, 12)]
-        return cls(t[0], t[1], t[2], whole[0], whole[1], v[8], v[9], *whole[2:])
+        """Decode a payload; raises InputError if it is invalid."""
+        values = _unpack_fields(cls._LAYOUT, data, "PtuPosition")
+        times_ns = [int(values[index]) * NS_PER_S + int(values[index + 1]) for index in (0, 2, 4)]
+        integers = [int(values[index]) for index in (6, 7, 10, 11, 12)]
+        return cls(
+            times_ns[0],
+            times_ns[1],
+            times_ns[2],
+            integers[0],
+            integers[1],
+            values[8],
+            values[9],
+            *integers[2:],
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class PtuCommandRecord:
-    """One exchange with the pan-tilt unit that is not a position poll, verbatim."""
+    """One command to the pan-tilt unit and its reply, verbatim, except position polling."""
 
     TYPE: ClassVar[str] = "gyrorig_msgs/msg/PtuCommand"
 
     request_time_ns: int
-    first_byte_time_ns: int  # 0 when nothing came
-    reply_time_ns: int  # 0 when nothing came
+    first_byte_time_ns: int  # 0 without a reply
+    reply_time_ns: int  # 0 without a reply
     sequence: int
     code: int  # CommandCode
     command: str
@@ -235,40 +254,40 @@ class PtuCommandRecord:
 
     @property
     def capture_time_ns(self) -> int | None:
-        """When the reply's last byte came; None without a reply."""
+        """The time at which the reply's last byte was received; None without a reply."""
         return self.reply_time_ns or None
 
     def encode(self) -> bytes:
-        """The payload."""
-        out = CdrEncoder()
+        """Return the payload."""
+        encoder = CdrEncoder()
         for time_ns in (self.request_time_ns, self.first_byte_time_ns, self.reply_time_ns):
-            out.time(time_ns)
-        out.number("I", self.sequence)
-        out.number("B", self.code)
-        out.string(self.command)
-        out.string(self.reply)
-        return out.take()
+            encoder.add_time(time_ns)
+        encoder.add_number("I", self.sequence)
+        encoder.add_number("B", self.code)
+        encoder.add_string(self.command)
+        encoder.add_string(self.reply)
+        return encoder.to_payload()
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """Read a payload; raises InputError when it is not one."""
-        read = CdrDecoder(data)
-        found = cls(
-            read.time(),
-            read.time(),
-            read.time(),
-            read.number("I"),
-            read.number("B"),
-            read.string(),
-            read.string(),
+        """Decode a payload; raises InputError if it is invalid."""
+        decoder = CdrDecoder(data)
+        record = cls(
+            decoder.read_time(),
+            decoder.read_time(),
+            decoder.read_time(),
+            decoder.read_integer("I"),
+            decoder.read_integer("B"),
+            decoder.read_string(),
+            decoder.read_string(),
         )
-        read.end()
-        return found
+        decoder.check_end()
+        return record
 
 
 @dataclass(frozen=True, slots=True)
 class SessionEvent:
-    """A phase's begin or end, an operator's note, or a fault."""
+    """The begin or end of a phase, an operator's note, or a fault."""
 
     TYPE: ClassVar[str] = "gyrorig_msgs/msg/SessionEvent"
 
@@ -279,25 +298,30 @@ class SessionEvent:
 
     @property
     def capture_time_ns(self) -> int:
-        """When it happened."""
+        """The time of the event."""
         return self.host_time_ns
 
     def encode(self) -> bytes:
-        """The payload."""
-        out = CdrEncoder()
-        out.time(self.host_time_ns)
-        out.number("B", self.kind)
-        out.string(self.phase)
-        out.string(self.text)
-        return out.take()
+        """Return the payload."""
+        encoder = CdrEncoder()
+        encoder.add_time(self.host_time_ns)
+        encoder.add_number("B", self.kind)
+        encoder.add_string(self.phase)
+        encoder.add_string(self.text)
+        return encoder.to_payload()
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """Read a payload; raises InputError when it is not one."""
-        read = CdrDecoder(data)
-        found = cls(read.time(), read.number("B"), read.string(), read.string())
-        read.end()
-        return found
+        """Decode a payload; raises InputError if it is invalid."""
+        decoder = CdrDecoder(data)
+        event = cls(
+            decoder.read_time(),
+            decoder.read_integer("B"),
+            decoder.read_string(),
+            decoder.read_string(),
+        )
+        decoder.check_end()
+        return event
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,12 +340,12 @@ class ClockPing:
 
     @property
     def capture_time_ns(self) -> int:
-        """When the reply was in the host's hands."""
+        """The time at which the reply was received."""
         return self.host_receive_ns
 
     def encode(self) -> bytes:
-        """The 42-byte payload."""
-        return _pack(
+        """Return the payload of 42 bytes."""
+        return _pack_fields(
             self._LAYOUT,
             *split_time(self.host_send_ns),
             *split_time(self.host_receive_ns),
@@ -333,14 +357,14 @@ class ClockPing:
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """Read a payload; raises InputError when it is not one."""
-        v = [int(value) for value in _unpack(cls._LAYOUT, data, "ClockPing")]
-        return cls(v[0] * NS_PER_S + v[1], v[2] * NS_PER_S + v[3], *v[4:])
+        """Decode a payload; raises InputError if it is invalid."""
+        values = [int(value) for value in _unpack_fields(cls._LAYOUT, data, "ClockPing")]
+        return cls(values[0] * NS_PER_S + values[1], values[2] * NS_PER_S + values[3], *values[4:])
 
 
 @dataclass(frozen=True, slots=True)
 class HostClock:
-    """The host's own clocks, read together once a second."""
+    """The host's clocks, read together once per second."""
 
     TYPE: ClassVar[str] = "gyrorig_msgs/msg/HostClock"
     _LAYOUT: ClassVar[struct.Struct] = struct.Struct("<4siIiIiIddI")
@@ -354,12 +378,12 @@ class HostClock:
 
     @property
     def capture_time_ns(self) -> None:
-        """None: the payload holds no capture time."""
+        """None: the payload has no capture time."""
         return
 
     def encode(self) -> bytes:
-        """The 48-byte payload."""
-        return _pack(
+        """Return the payload of 48 bytes."""
+        return _pack_fields(
             self._LAYOUT,
             *split_time(self.monotonic_raw_ns),
             *split_time(self.monotonic_ns),
@@ -371,15 +395,15 @@ class HostClock:
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """Read a payload; raises InputError when it is not one."""
-        v = _unpack(cls._LAYOUT, data, "HostClock")
-        t = [int(v[i]) * NS_PER_S + int(v[i + 1]) for i in (0, 2, 4)]
-        return cls(t[0], t[1], t[2], v[6], v[7], int(v[8]))
+        """Decode a payload; raises InputError if it is invalid."""
+        values = _unpack_fields(cls._LAYOUT, data, "HostClock")
+        times_ns = [int(values[index]) * NS_PER_S + int(values[index + 1]) for index in (0, 2, 4)]
+        return cls(times_ns[0], times_ns[1], times_ns[2], values[6], values[7], int(values[8]))
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceAttitude:
-    """The attitude of a rig that is not a pan-tilt unit; rotates body into world."""
+    """The attitude of a rig without a pan-tilt unit; rotates body into world."""
 
     TYPE: ClassVar[str] = "gyrorig_msgs/msg/ReferenceAttitude"
     _LAYOUT: ClassVar[struct.Struct] = struct.Struct("<4siI4ddH")
@@ -391,12 +415,12 @@ class ReferenceAttitude:
 
     @property
     def capture_time_ns(self) -> int:
-        """When it was in the host's hands."""
+        """The time at which the attitude was received."""
         return self.host_time_ns
 
     def encode(self) -> bytes:
-        """The 54-byte payload."""
-        return _pack(
+        """Return the payload of 54 bytes."""
+        return _pack_fields(
             self._LAYOUT,
             *split_time(self.host_time_ns),
             *self.orientation,
@@ -406,7 +430,7 @@ class ReferenceAttitude:
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """Read a payload; raises InputError when it is not one."""
-        v = _unpack(cls._LAYOUT, data, "ReferenceAttitude")
-        time_ns = int(v[0]) * NS_PER_S + int(v[1])
-        return cls(time_ns, (v[2], v[3], v[4], v[5]), v[6], int(v[7]))
+        """Decode a payload; raises InputError if it is invalid."""
+        values = _unpack_fields(cls._LAYOUT, data, "ReferenceAttitude")
+        time_ns = int(values[0]) * NS_PER_S + int(values[1])
+        return cls(time_ns, (values[2], values[3], values[4], values[5]), values[6], int(values[7]))

@@ -1,8 +1,7 @@
-"""The MCAP file under a recording being written: what of it is whole, and how it ends.
+"""Part file: the unfinished MCAP file of a recording that is being written.
 
-What to use when: under `writer` only. Everything here is whole records or nothing: an
-error of the disk costs what has not yet been written out as a chunk, never what stands
-before it.
+What to use when: only in `writer`. The file always ends with a complete record. An error of the
+disk costs the messages that are not yet written as a chunk, never the data before them.
 """
 
 import errno
@@ -17,21 +16,21 @@ import numpy as np
 import zstandard
 from mcap.records import Channel, Schema
 
-from gyrorig_protocol.recording.assembly import Assembly, ReadyChunk
-from gyrorig_protocol.recording.copies import (
+from gyrorig_protocol.recording.backup_copies import (
     CHANNELS_COPY,
-    MEDIA_TYPE,
+    COPY_MEDIA_TYPE,
     METADATA_COPY,
-    channels_copy,
-    metadata_copy,
+    encode_channels_copy,
+    encode_metadata_copy,
 )
-from gyrorig_protocol.recording.disk_file import Disk
-from gyrorig_protocol.recording.head import Attachment, software
-from gyrorig_protocol.recording.schemas import SCHEMAS
+from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS
+from gyrorig_protocol.recording.mcap.disk_file import Disk
+from gyrorig_protocol.recording.mcap.mcap_builder import McapBuilder, PackedChunk
+from gyrorig_protocol.recording.recording_metadata import Attachment, software_version
 
-# A chunk of 1 MiB stalls the writing thread by about 14 ms, one of 16 MiB by 160 ms.
+# Writing a chunk of 1 MiB blocks the thread for about 14 ms, one of 16 MiB for 160 ms.
 CHUNK_BYTES = 1 << 20
-_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, two times
+_MESSAGE_LAYOUT = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, two times
 _MESSAGE_OPCODE = 0x05
 _MESSAGE_FIELDS_BYTES = 22
 _QOS = {"offered_qos_profiles": ""}
@@ -41,72 +40,73 @@ Records = Mapping[str, Mapping[str, str]]
 
 @dataclass(slots=True)
 class OpenChannel:
-    """What is remembered about one topic."""
+    """The state of one topic."""
 
     number: int
-    type: str
+    type_name: str
     sequence: int = 0
     last_log_time_ns: int = 0
 
 
 @dataclass(slots=True)
-class Safe:
-    """How far the file holds whole records, and what waits behind that."""
+class CommittedOffset:
+    """The end of the last complete record, and the messages after it."""
 
     position: int = 0
-    waiting: int = 0
-    lost: int = field(default=0)
+    waiting_messages: int = 0
+    lost_messages: int = field(default=0)
 
 
 class PartFile:
-    """One `.mcap.part` on its way to `.mcap`.
+    """A `.mcap.part` file that becomes a `.mcap` file.
 
     Raises:
-        FileExistsError: the name is taken.
-        OSError: from every method, as the disk reports it; then only `salvage` is left.
+        FileExistsError: the name exists.
+        OSError: from every method, as the disk reports it; after it only `truncate_and_close` is
+            allowed.
     """
 
     def __init__(self, final: Path, part: Path, disk: Disk) -> None:
         self._final, self._part, self._disk = final, part, disk
         self._schemas: dict[str, Schema] = {}
         self._chunk = bytearray()  # in progress
-        self._index: dict[int, list[int]] = {}  # of it: log times and places, by channel
-        self._zip = zstandard.ZstdCompressor()
-        self._uncopied: dict[int, tuple[str, str]] = {}  # channels since the last copy
+        self._index: dict[int, list[int]] = {}  # of the chunk: log times and offsets, by channel
+        self._compressor = zstandard.ZstdCompressor()
+        self._channels_without_copy: dict[int, tuple[str, str]] = {}  # channels since the last copy
         self._metadata: dict[str, dict[str, str]] = {}
         self.channels: dict[str, OpenChannel] = {}
-        self.safe = Safe()
-        self.renamed = False
-        self._name_lasts = False
+        self.committed = CommittedOffset()
+        self.is_renamed = False
+        self._is_name_synced = False
         self._file = disk.create(part)
-        self._out = Assembly(self._file)
+        self._builder = McapBuilder(self._file)
 
     def begin(self, records: Records, attachments: Iterable[Attachment]) -> None:
-        """Write what stands in front of the first message; `sync` makes it last."""
-        self._out.start(software())
-        self.add_facts(records, attachments)
+        """Write the records before the first message; `sync` makes them durable."""
+        self._builder.write_header(software_version())
+        self.add_metadata(records, attachments)
 
-    def add_facts(self, records: Records, attachments: Iterable[Attachment]) -> None:
+    def add_metadata(self, records: Records, attachments: Iterable[Attachment]) -> None:
         """Write metadata and attachments, with a checksummed copy of all metadata so far."""
         self._write_chunk()
         for name, record in records.items():
             self._metadata[name] = dict(record)
-            self._out.add_metadata(name, record)
-        for one in attachments:
-            self._out.add_attachment(one)
-        self._out.add_attachment(
-            Attachment(METADATA_COPY, MEDIA_TYPE, metadata_copy(self._metadata))
+            self._builder.add_metadata(name, record)
+        for attachment in attachments:
+            self._builder.add_attachment(attachment)
+        self._builder.add_attachment(
+            Attachment(METADATA_COPY, COPY_MEDIA_TYPE, encode_metadata_copy(self._metadata))
         )
-        self._mark_safe()
+        self._mark_committed()
 
-    def channel(self, topic: str, type_name: str) -> OpenChannel:
-        """The channel of a topic, made at its first message.
+    def open_channel(self, topic: str, type_name: str) -> OpenChannel:
+        """Return the channel of a topic, created at its first message.
 
         Raises:
-            ValueError: the topic is none.
+            ValueError: the topic does not begin with a slash.
         """
-        known = self.channels.get(topic)
-        if known is None:
+        open_channel = self.channels.get(topic)
+        if open_channel is None:
             if not topic.startswith("/"):
                 raise ValueError(f"a topic begins with a slash: {topic!r}")
             schema = self._schemas.get(type_name)
@@ -116,14 +116,14 @@ class PartFile:
                 self._schemas[type_name] = schema
             number = len(self.channels) + 1
             channel = Channel(number, topic, "cdr", _QOS, schema.id)
-            self._chunk += self._out.declaration(schema, channel)
-            self._out.know(schema, channel)
-            known = self.channels[topic] = OpenChannel(number, type_name)
-            self._uncopied[number] = (topic, type_name)
-        return known
+            self._chunk += self._builder.encode_declaration(schema, channel)
+            self._builder.register_channel(schema, channel)
+            open_channel = self.channels[topic] = OpenChannel(number, type_name)
+            self._channels_without_copy[number] = (topic, type_name)
+        return open_channel
 
     def append(self, channel: OpenChannel, time_ns: int, publish_ns: int, payload: bytes) -> None:
-        """Add one message to the chunk in progress; now and then that writes the chunk.
+        """Add one message to the chunk in progress; write the chunk if it is full.
 
         Raises:
             ValueError: a time or the sequence number does not fit; nothing was added.
@@ -131,7 +131,9 @@ class PartFile:
         chunk, sequence, number = self._chunk, channel.sequence, channel.number
         length = _MESSAGE_FIELDS_BYTES + len(payload)
         try:
-            head = _MESSAGE.pack(_MESSAGE_OPCODE, length, number, sequence, time_ns, publish_ns)
+            head = _MESSAGE_LAYOUT.pack(
+                _MESSAGE_OPCODE, length, number, sequence, time_ns, publish_ns
+            )
         except struct.error as error:
             raise ValueError(f"a message at {time_ns} ns cannot be written: {error}") from error
         entries = self._index.get(number)
@@ -143,55 +145,57 @@ class PartFile:
         chunk += payload
         channel.sequence = (sequence + 1) & 0xFFFFFFFF
         channel.last_log_time_ns = time_ns
-        self.safe.waiting += 1
+        self.committed.waiting_messages += 1
         if len(chunk) >= CHUNK_BYTES:
             self._write_chunk()
 
     def flush(self) -> None:
-        """Write out the chunk in progress."""
+        """Write the chunk in progress."""
         self._write_chunk()
-        if self._uncopied:
-            copy = channels_copy(self._uncopied)
-            self._out.add_attachment(Attachment(CHANNELS_COPY, MEDIA_TYPE, copy))
-            self._uncopied.clear()
-            self._mark_safe()
+        if self._channels_without_copy:
+            copy = encode_channels_copy(self._channels_without_copy)
+            self._builder.add_attachment(Attachment(CHANNELS_COPY, COPY_MEDIA_TYPE, copy))
+            self._channels_without_copy.clear()
+            self._mark_committed()
 
     def sync(self) -> None:
-        """Wait until what has been written is on the disk, and so is its name; any thread may."""
+        """Wait until the written data and the name are on the disk; callable by any thread."""
         self._file.sync()
-        if not self._name_lasts:
+        if not self._is_name_synced:
             self._disk.sync_directory(self._part.parent)
-            self._name_lasts = True
+            self._is_name_synced = True
 
     def finish(self) -> None:
         """Write the summary, sync, and give the file its final name."""
         self._write_chunk()
-        self._out.finish()
+        self._builder.finish()
         self._file.sync()
         if self._disk.exists(self._final):
             raise FileExistsError(errno.EEXIST, "a file of the final name has appeared")
         self._disk.rename(self._part, self._final)
-        self.renamed = True
-        self._mark_safe()
+        self.is_renamed = True
+        self._mark_committed()
         self._file.close()
         self._disk.sync_directory(self._final.parent)
 
-    def salvage(self, length: int | None = None) -> str:
-        """Cut back to the last whole record, or further, and let go; say what is kept."""
-        position = self.safe.position if length is None else min(length, self.safe.position)
-        kept = f"its first {position} bytes are whole and kept"
+    def truncate_and_close(self, length: int | None = None) -> str:
+        """Truncate to the last complete record, or further, and close; describe the result."""
+        position = (
+            self.committed.position if length is None else min(length, self.committed.position)
+        )
+        outcome = f"its first {position} bytes are complete and kept"
         try:
-            if not self.renamed:
+            if not self.is_renamed:
                 self._file.cut(position)
                 self._file.sync()
         except OSError as error:
-            kept = f"its last bytes may be torn ({error.strerror})"
-        with suppress(OSError):  # whatever it says, the descriptor is gone then
+            outcome = f"its last bytes can be incomplete ({error.strerror})"
+        with suppress(OSError):  # the descriptor is closed also after an error
             self._file.close()
-        return kept
+        return outcome
 
     def _write_chunk(self) -> None:
-        """Write out the chunk in progress, if a message is in it."""
+        """Write the chunk in progress if it has a message."""
         if not self._index:
             return
         content = self._chunk
@@ -199,11 +203,11 @@ class PartFile:
             number: np.array(entries, np.uint64).reshape(-1, 2)
             for number, entries in self._index.items()
         }
-        packed, crc = self._zip.compress(content), zlib.crc32(content)
-        self._out.add_chunk(ReadyChunk("zstd", packed, len(content), crc, index))
+        compressed, crc = self._compressor.compress(content), zlib.crc32(content)
+        self._builder.add_chunk(PackedChunk("zstd", compressed, len(content), crc, index))
         self._chunk, self._index = bytearray(), {}
-        self._mark_safe()
+        self._mark_committed()
 
-    def _mark_safe(self) -> None:
-        self.safe.position = self._file.tell()
-        self.safe.waiting = 0
+    def _mark_committed(self) -> None:
+        self.committed.position = self._file.tell()
+        self.committed.waiting_messages = 0

@@ -1,162 +1,172 @@
-"""Read a recording of format 1: finished or not, whole or damaged.
+"""Reader of recordings of format 1: finished or not, sound or damaged.
 
-What to use when: `read_recording(path)`; see `recording.Recording` for what comes back.
-`read_head` for its metadata alone, without opening a chunk.
+What to use when: `read_recording` for all data; it returns a `recording.Recording`.
+`read_recording_metadata` for the metadata alone, without unpacking a chunk.
 
-Every checksum that the file carries is checked. What is damaged or cut is left out and
-stated in `Recording.losses`; what is left is exactly what was written. A file that is
-no recording at all, or of another format, is an InputError.
+Every checksum in the file is verified. Damaged or cut data are left out and reported in
+`Recording.losses`; all returned data are exactly as written. A file of another kind, or of another
+format, is an InputError.
 
-How it is fast: each chunk is unpacked once, the offsets of its messages come from the
-message index and are proven (`chunks`), and whole records are gathered by numpy into
-one buffer per channel, into which the fields are views (`arrays`).
+Speed: each chunk is unpacked once. The offsets of its messages come from the message index and are
+verified (`chunk_reader`). numpy copies complete records into one buffer per channel, and the fields
+are views of it (`channel_arrays`).
 
-How it stays small: samples of long recordings are kept as columns (`imu_columns`), pages
-of the file are let go behind the reader (`mapped`), and what was not kept is read again.
+Memory: samples of long recordings are kept as columns (`imu_columns`), pages of the file are
+released after reading (`mapped_file`), and other fields are read again when needed.
 """
 
 from functools import partial
 from pathlib import Path
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.recording.collect import Collector, SeveralChannelsError
-from gyrorig_protocol.recording.copies import NAMES, Metadata, read_channels, read_metadata
-from gyrorig_protocol.recording.framing import Walk, walk
-from gyrorig_protocol.recording.head import FORMAT
-from gyrorig_protocol.recording.losses import Loss, LossCause
-from gyrorig_protocol.recording.mapped import map_file
-from gyrorig_protocol.recording.recording import Recording, Topic, board_of, is_board_id
-from gyrorig_protocol.recording.summary import MAGIC, Summary, read_summary
+from gyrorig_protocol.recording.backup_copies import (
+    COPY_NAMES,
+    Metadata,
+    read_channels_copy,
+    read_metadata_copy,
+)
+from gyrorig_protocol.recording.mcap.losses import Loss, LossCause
+from gyrorig_protocol.recording.mcap.mapped_file import map_mcap_file
+from gyrorig_protocol.recording.mcap.mcap_summary import McapSummary, read_summary
+from gyrorig_protocol.recording.mcap.record_scan import FileScan, scan_records
+from gyrorig_protocol.recording.recording import Recording, Topic, is_board_id, parse_board_topic
+from gyrorig_protocol.recording.recording_metadata import FORMAT_VERSION
+from gyrorig_protocol.recording.topic_collector import MultipleChannelsError, TopicCollector
 
 
 def read_recording(path: Path) -> Recording:
     """Read a recording.
 
     Args:
-        path: a `.mcap`, or a `.mcap.part` that was never finished.
+        path: a `.mcap` file, or an unfinished `.mcap.part` file.
 
     Returns:
-        Everything that is sound, and what is not, by cause.
+        All valid data, and the losses by cause.
 
     Raises:
-        InputError: no such file, empty, foreign, another format, other fields.
+        InputError: the file does not exist, is empty, or is of another kind or format.
         MachineError: this computer cannot read it (permissions, disk).
     """
-    data = map_file(path)
-    if data[: len(MAGIC)] != MAGIC:
-        raise InputError(
-            f"{path} is no MCAP file",
-            "measurements of other kinds become a recording by gyrorig import",
-        )
+    data = map_mcap_file(path)
     try:
-        return _read(path, data, all_records=False)
-    except SeveralChannelsError:
-        return _read(path, data, all_records=True)
+        return _read_mapped(path, data, all_records=False)
+    except MultipleChannelsError:
+        return _read_mapped(path, data, all_records=True)
 
 
-def read_head(path: Path) -> Metadata:
+def read_recording_metadata(path: Path) -> Metadata:
     """Return a recording's metadata without reading its messages.
 
     Raises:
         InputError: as `read_recording`.
         MachineError: as `read_recording`.
     """
-    data = map_file(path)
-    if data[: len(MAGIC)] != MAGIC:
-        raise InputError(
-            f"{path} is no MCAP file",
-            "measurements of other kinds become a recording by gyrorig import",
-        )
-    metadata = _metadata(walk(data, read_summary(data)))
+    data = map_mcap_file(path)
+    metadata = _select_metadata(scan_records(data, read_summary(data)))
     _check_format(path, metadata)
     return metadata
 
 
-def _read(path: Path, data: memoryview, *, all_records: bool) -> Recording:
+def _read_mapped(path: Path, data: memoryview, *, all_records: bool) -> Recording:
     summary = read_summary(data)
-    found = walk(data, summary)
-    metadata = _metadata(found)
+    scan = scan_records(data, summary)
+    metadata = _select_metadata(scan)
     _check_format(path, metadata)
-    if found.profile != "ros2":
-        found.notes.append(f"the profile is {found.profile!r}, not 'ros2'")
-    _know_channels(found)
-    collector = Collector(path, data, found, summary.declared, all_records=all_records)
-    collector.take_all()
-    topics = collector.topics()
-    for name in filter(None, map(board_of, topics)):
+    if scan.profile != "ros2":
+        scan.notes.append(f"the profile is {scan.profile!r}, not 'ros2'")
+    _add_copied_channels(scan)
+    collector = TopicCollector(path, data, scan, summary.declarations, all_records=all_records)
+    collector.read_all()
+    topics = collector.build_topics()
+    for name in filter(None, map(parse_board_topic, topics)):
         if not is_board_id(name):
-            found.notes.append(f"{name[:40]!r} is no board name: its samples are not offered")
-    _state_missing(found, summary, collector.seen)
+            scan.notes.append(f"{name[:40]!r} is not a valid board name, its samples are left out")
+    _report_missing(scan, summary, collector.message_count)
     return Recording(
         path=path,
         metadata=metadata,
-        attachments=tuple(a for a in found.attachments if a.name not in NAMES),
+        attachments=tuple(
+            attachment for attachment in scan.attachments if attachment.name not in COPY_NAMES
+        ),
         topics=topics,
-        losses=tuple(found.losses),
-        notes=tuple(found.notes),
-        file=data,
-        read_again=partial(_read_again, path, data),
+        losses=tuple(scan.losses),
+        notes=tuple(scan.notes),
+        file_bytes=data,
+        reread_topic=partial(_reread_topic, path, data),
     )
 
 
-def _read_again(path: Path, data: memoryview, topic: str, names: tuple[str, ...]) -> Topic:
-    """Go through the file once more for one topic of samples: these fields, or records."""
+def _reread_topic(path: Path, data: memoryview, topic: str, field_names: tuple[str, ...]) -> Topic:
+    """Read one topic of samples again: these fields, or records without field names."""
     summary = read_summary(data)
-    found = walk(data, summary)
-    _know_channels(found)
-    collector = Collector(
-        path, data, found, summary.declared, only=topic, names=names, all_records=not names
+    scan = scan_records(data, summary)
+    _add_copied_channels(scan)
+    collector = TopicCollector(
+        path,
+        data,
+        scan,
+        summary.declarations,
+        only_topic=topic,
+        field_names=field_names,
+        all_records=not field_names,
     )
-    collector.take_all()
-    return collector.topics()[topic]
+    collector.read_all()
+    return collector.build_topics()[topic]
 
 
-def _know_channels(found: Walk) -> None:
-    copied = read_channels(found.attachments)
-    copied.fill_from(found.declared)
-    found.declared = copied
+def _add_copied_channels(scan: FileScan) -> None:
+    declarations = read_channels_copy(scan.attachments)
+    declarations.add_missing_from(scan.declarations)
+    scan.declarations = declarations
 
 
-def _metadata(found: Walk) -> Metadata:
-    """The metadata, from the checksummed copy where there is one."""
+def _select_metadata(scan: FileScan) -> Metadata:
+    """Return the metadata, from the copy with a checksum if there is one."""
     metadata: Metadata = {}
-    for name, record in found.metadata:
+    for name, record in scan.metadata:
         if name in metadata:
-            same = "twice, alike" if metadata[name] == record else "twice; the last one counts"
-            found.notes.append(f"metadata {name!r} is there {same}")
+            difference = (
+                "twice with the same content"
+                if metadata[name] == record
+                else "twice; the last one is used"
+            )
+            scan.notes.append(f"metadata {name!r} occurs {difference}")
         metadata[name] = record
-    copy = read_metadata(found.attachments)
+    copy = read_metadata_copy(scan.attachments)
     for name, record in copy.items():
         if metadata.get(name) != record:
             text = f"metadata {name!r} is damaged; its checksummed copy is used"
-            found.losses.append(Loss(LossCause.METADATA, 0, 0, 0, text))
+            scan.losses.append(Loss(LossCause.METADATA, 0, 0, 0, text))
     return copy or metadata
 
 
 def _check_format(path: Path, metadata: Metadata) -> None:
-    own = metadata.get("gyrorig")
-    if own is None:
+    main_record = metadata.get("gyrorig")
+    if main_record is None:
         raise InputError(
-            f"{path} holds no gyrorig metadata",
-            "it is another program's MCAP: make a recording of its data with `gyrorig import`",
+            f"{path} is an MCAP file of another program, without gyrorig metadata",
+            "convert its data with `gyrorig import`",
         )
-    if own.get("format") != FORMAT:
+    if main_record.get("format") != FORMAT_VERSION:
         raise InputError(
-            f"{path} is of format {own.get('format')!r}",
-            f"this version reads {FORMAT!r}: take the version that wrote it, or a newer one",
+            f"{path} has format {main_record.get('format')!r}, and this version reads "
+            f"{FORMAT_VERSION!r}",
+            "use the version that wrote the file, or a newer one",
         )
 
 
-def _state_missing(found: Walk, summary: Summary, seen: int) -> None:
-    """Compare with the file's own count of its messages."""
-    if summary.messages is None or summary.messages == seen:
+def _report_missing(scan: FileScan, summary: McapSummary, message_count: int) -> None:
+    """Report a loss if the file counts more messages than were read."""
+    if summary.message_count is None or summary.message_count == message_count:
         return
-    missing = summary.messages - seen
+    missing = summary.message_count - message_count
     if missing < 0:
-        found.notes.append(f"the file counts {summary.messages} messages but holds {seen}")
+        scan.notes.append(
+            f"the file counts {summary.message_count} messages but holds {message_count}"
+        )
         return
-    stated = [loss for loss in found.losses if loss.cause is not LossCause.MESSAGE]
-    if sum(loss.messages or 0 for loss in stated) == missing:
+    stated_losses = [loss for loss in scan.losses if loss.cause is not LossCause.MESSAGE]
+    if sum(loss.messages or 0 for loss in stated_losses) == missing:
         return
-    text = f"the file counts {missing} messages more than could be read"
-    found.losses.append(Loss(LossCause.MISSING, 0, 0, missing, text))
+    text = f"the file counts {missing} messages more than were read"
+    scan.losses.append(Loss(LossCause.MISSING, 0, 0, missing, text))

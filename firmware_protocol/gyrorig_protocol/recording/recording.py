@@ -1,10 +1,10 @@
-"""What a recording holds, as the reader gives it back.
+"""The content of a recording, returned by the reader.
 
-What to use when: `array` or the named shortcuts for fixed-size messages in bulk,
-`imu_columns` for a board's samples in a solver, `messages` for texts, `times_ns` to turn
-a `Time` field into nanoseconds, `losses` to know what is missing before believing the
-rest. Of more than half an hour at 800 Hz no records of samples are kept: `imu` reads the
-file once more then and takes 95 bytes a sample, so ask `len(topics[...])` for their count.
+What to use when: `array` or the named shortcuts for many fixed-size messages; `imu_columns` for a
+board's samples in a solver; `messages` for messages with text; `times_ns` to convert a `Time` field
+to nanoseconds; `losses` for the missing data. For more than half an hour at 800 Hz no records of
+samples are kept: `imu` reads the file again and needs 95 bytes per sample. Use `len(topics[...])`
+for the number of samples.
 """
 
 import hashlib
@@ -19,18 +19,19 @@ import numpy.typing as npt
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.arrays import array_dtype
-from gyrorig_protocol.recording.cdr import fixed_layout
-from gyrorig_protocol.recording.chunks import RECORD_BYTES
-from gyrorig_protocol.recording.framing import AttachmentRecord
+from gyrorig_protocol.recording.channel_arrays import array_dtype
+from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
+from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS
 from gyrorig_protocol.recording.imu_columns import (
-    FOR_SOLVING,
-    Columns,
-    ColumnsChannel,
+    SOLVER_FIELDS,
+    GrowingColumns,
     ImuColumns,
+    ImuColumnsChannel,
 )
-from gyrorig_protocol.recording.losses import Loss
-from gyrorig_protocol.recording.mapped import Passage
+from gyrorig_protocol.recording.mcap.chunk_reader import RECORD_BYTES
+from gyrorig_protocol.recording.mcap.losses import Loss
+from gyrorig_protocol.recording.mcap.mapped_file import PageReleaser
+from gyrorig_protocol.recording.mcap.record_scan import AttachmentRecord
 from gyrorig_protocol.recording.messages import (
     HOST_CLOCK_TOPIC,
     PTU_COMMAND_TOPIC,
@@ -45,14 +46,13 @@ from gyrorig_protocol.recording.messages import (
     PtuPosition,
     ReferenceAttitude,
     SessionEvent,
-    clock_topic,
-    imu_topic,
+    clock_ping_topic,
+    imu_raw_topic,
 )
-from gyrorig_protocol.recording.schemas import SCHEMAS
 from gyrorig_protocol.recording.standard_messages import Diagnostics, Log
 
 RecordArray = npt.NDArray[np.void]
-_DIGESTED_BYTES = 1 << 20  # at a time
+_DIGEST_BLOCK_BYTES = 1 << 20  # per step
 
 M = TypeVar("M", bound=Message)
 
@@ -72,33 +72,35 @@ MESSAGE_TYPES: Mapping[str, type[Any]] = {
 }
 
 
-def times_ns(field: npt.NDArray[np.void]) -> npt.NDArray[np.int64]:
-    """A `builtin_interfaces/Time` field of an array as nanoseconds, any shape."""
-    time_ns: npt.NDArray[np.int64] = field["sec"].astype(np.int64)
+def times_ns(time_field: npt.NDArray[np.void]) -> npt.NDArray[np.int64]:
+    """Convert a `builtin_interfaces/Time` field of an array to nanoseconds, any shape."""
+    time_ns: npt.NDArray[np.int64] = time_field["sec"].astype(np.int64)
     time_ns *= 1_000_000_000
-    time_ns += field["nanosec"]
+    time_ns += time_field["nanosec"]
     return time_ns
 
 
-def board_of(topic: str) -> str | None:
-    """The name in a board's topic of samples, not yet checked; None for other topics."""
+def parse_board_topic(topic: str) -> str | None:
+    """Return the unchecked board name in a topic of samples; None for other topics."""
     parts = topic.split("/")
-    ours = len(parts) == 4 and parts[0] == "" and parts[1] == "board" and parts[3] == "imu_raw"
-    return parts[2] if ours else None
+    is_imu_topic = (
+        len(parts) == 4 and parts[0] == "" and parts[1] == "board" and parts[3] == "imu_raw"
+    )
+    return parts[2] if is_imu_topic else None
 
 
-def is_board_id(name: str) -> bool:
-    """Whether `BoardId` takes it."""
+def is_board_id(text: str) -> bool:
+    """Return whether `text` is a valid board name."""
     try:
-        BoardId(name)
+        BoardId(text)
     except InputError:
         return False
     return True
 
 
 @dataclass(frozen=True, slots=True)
-class Stamped(Generic[M]):
-    """A decoded message with what its record says about it."""
+class TimedMessage(Generic[M]):
+    """A decoded message with the times and number of its record."""
 
     log_time_ns: int
     publish_time_ns: int
@@ -108,40 +110,39 @@ class Stamped(Generic[M]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Topic:
-    """The messages of one topic: an array where they have one size, else a list.
+    """The messages of one topic: an array if they have one size, else a list.
 
-    Where samples are too many to keep their records, columns; what is asked here is then
-    answered without them.
+    For too many samples there are columns instead of records; the properties work in all cases.
     """
 
     type: str
     array: RecordArray | None
-    stamped: tuple[Stamped[Message], ...] = ()
-    columns: ColumnsChannel | None = None
+    timed_messages: tuple[TimedMessage[Message], ...] = ()
+    columns: ImuColumnsChannel | None = None
 
     def __len__(self) -> int:
-        """How many messages."""
+        """Return the number of messages."""
         if self.columns is not None:
             return self.columns.count
-        return len(self.stamped) if self.array is None else len(self.array)
+        return len(self.timed_messages) if self.array is None else len(self.array)
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """Least and largest log time; None without any message."""
+        """Least and largest log time; None without messages."""
         if len(self) == 0:
             return None
         if self.columns is not None:
-            return self.columns.log_times_ns
+            return self.columns.log_time_span_ns
         if self.array is not None:
             return int(self.array["log_time"].min()), int(self.array["log_time"].max())
-        times_ns = [one.log_time_ns for one in self.stamped]
+        times_ns = [timed.log_time_ns for timed in self.timed_messages]
         return min(times_ns), max(times_ns)
 
     @property
-    def dropped(self) -> int:
-        """How many messages of one size the writer counted that are not here."""
+    def missing_count(self) -> int:
+        """Number of fixed-size messages that the writer counted and that are missing."""
         if self.columns is not None:
-            return self.columns.dropped
+            return self.columns.missing_count
         if self.array is None or len(self.array) < 2:
             return 0
         gaps = np.diff(np.sort(self.array["message_sequence"].astype(np.int64))) - 1
@@ -150,46 +151,48 @@ class Topic:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One recording, read whole. Arrays must not be written to: they are shared."""
+    """One recording. Do not write to its arrays, because they are shared."""
 
     path: Path
     metadata: Mapping[str, Mapping[str, str]]
     attachments: tuple[AttachmentRecord, ...]
     topics: Mapping[str, Topic]
-    losses: tuple[Loss, ...]  # what is missing, by cause
-    notes: tuple[str, ...]  # what is odd, without anything missing
-    file: memoryview  # the bytes that were read, for the digest
-    read_again: Callable[[str, tuple[str, ...]], Topic]  # fields of a topic of samples, or ()
+    losses: tuple[Loss, ...]  # missing data, by cause
+    notes: tuple[str, ...]  # irregularities without missing data
+    file_bytes: memoryview  # for the checksum
+    reread_topic: Callable[
+        [str, tuple[str, ...]], Topic
+    ]  # fields of a topic of samples, () for records
 
     @property
-    def complete(self) -> bool:
-        """True when the file was finished and nothing of it is missing."""
+    def is_complete(self) -> bool:
+        """True if the file was finished and no data are missing."""
         return not self.losses
 
     @property
     def lost_messages(self) -> int | None:
-        """How many messages are missing; None when nobody can tell."""
+        """Number of missing messages; None if unknown."""
         counts = [loss.messages for loss in self.losses]
         return None if None in counts else sum(count or 0 for count in counts)
 
     @cached_property
     def sha256(self) -> str:
-        """Digest of the bytes that were read, in hexadecimal; computed when first asked for."""
-        digest, passage = hashlib.sha256(), Passage(self.file)
-        for at in range(0, len(self.file), _DIGESTED_BYTES):
-            digest.update(self.file[at : at + _DIGESTED_BYTES])
-            passage.reached(at)
+        """SHA-256 checksum of the file in hexadecimal, computed at the first call."""
+        digest, page_releaser = hashlib.sha256(), PageReleaser(self.file_bytes)
+        for start in range(0, len(self.file_bytes), _DIGEST_BLOCK_BYTES):
+            digest.update(self.file_bytes[start : start + _DIGEST_BLOCK_BYTES])
+            page_releaser.release_before(start)
         return digest.hexdigest()
 
     @property
     def board_ids(self) -> tuple[BoardId, ...]:
-        """The boards that have samples here, sorted."""
-        names = (board_of(topic) for topic in self.topics)
+        """The boards with samples, sorted."""
+        names = (parse_board_topic(topic) for topic in self.topics)
         return tuple(sorted(BoardId(name) for name in names if name and is_board_id(name)))
 
     @cached_property
     def span_ns(self) -> tuple[int, int]:
-        """First and last log time; (0, 0) without any message."""
+        """First and last log time; (0, 0) without messages."""
         spans = [topic.span_ns for topic in self.topics.values()]
         first, last = zip(*filter(None, spans), strict=True) if any(spans) else ((0,), (0,))
         return min(first), max(last)
@@ -205,7 +208,7 @@ class Recording:
         return self.span_ns[1]
 
     def array(self, topic: str) -> RecordArray:
-        """All messages of a fixed-size topic.
+        """Return all messages of a fixed-size topic.
 
         Args:
             topic: as in `topics`.
@@ -218,39 +221,40 @@ class Recording:
         Raises:
             InputError: no such topic, or its messages vary in size.
         """
-        found = self.topics.get(topic)
-        if found is None:
-            raise InputError(f"{self.path} holds no {topic}", self._topics_here())
-        if found.columns is not None:
-            found = self.read_again(topic, ())
-        if found.array is None:
+        entry = self.topics.get(topic)
+        if entry is None:
+            raise InputError(f"{self.path} has no topic {topic}", self._available_topics())
+        if entry.columns is not None:
+            entry = self.reread_topic(topic, ())
+        if entry.array is None:
             raise InputError(
-                f"{self.path}: {topic} holds {found.type}, whose messages vary in size",
-                "take its messages one by one: stamped()",
+                f"{self.path} has messages of type {entry.type} on {topic}, and they vary in size",
+                "read its messages one by one with timed_messages()",
             )
-        return found.array
+        return entry.array
 
-    def stamped(self, topic: str) -> list[Stamped[Message]]:
-        """All messages of a topic, decoded one by one, with their records' times.
+    def timed_messages(self, topic: str) -> list[TimedMessage[Message]]:
+        """Return all messages of a topic, decoded one by one, with the times of their records.
 
         Raises:
             InputError: no such topic, or of a type that is not of format 1.
         """
-        found = self.topics.get(topic)
-        if found is None:
-            raise InputError(f"{self.path} holds no {topic}", self._topics_here())
-        kind = MESSAGE_TYPES.get(found.type)
-        if kind is None:
+        entry = self.topics.get(topic)
+        if entry is None:
+            raise InputError(f"{self.path} has no topic {topic}", self._available_topics())
+        message_type = MESSAGE_TYPES.get(entry.type)
+        if message_type is None:
             raise InputError(
-                f"{self.path}: {topic} holds {found.type}, which is not of format 1",
-                "read it with a program that knows it",
+                f"{self.path} has messages of type {entry.type} on {topic}, which is not in "
+                "format 1",
+                "read the topic with the program that wrote it",
             )
-        if found.array is None and found.columns is None:
-            return list(found.stamped)
+        if entry.array is None and entry.columns is None:
+            return list(entry.timed_messages)
         array = self.array(topic)
         raw = np.ascontiguousarray(array).tobytes()
         size = array.dtype.itemsize
-        heads = zip(
+        record_heads = zip(
             array["log_time"].tolist(),
             array["publish_time"].tolist(),
             array["message_sequence"].tolist(),
@@ -258,108 +262,115 @@ class Recording:
             strict=True,
         )
         return [
-            Stamped(log_ns, publish_ns, sequence, kind.decode(raw[at : at + size - RECORD_BYTES]))
-            for log_ns, publish_ns, sequence, at in heads
+            TimedMessage(
+                log_ns,
+                publish_ns,
+                sequence,
+                message_type.decode(raw[start : start + size - RECORD_BYTES]),
+            )
+            for log_ns, publish_ns, sequence, start in record_heads
         ]
 
     def messages(self, topic: str) -> list[Message]:
-        """All messages of a topic, decoded one by one; raises as `stamped`."""
-        return [one.message for one in self.stamped(topic)]
+        """Return all messages of a topic, decoded one by one; raises as `timed_messages`."""
+        return [timed.message for timed in self.timed_messages(topic)]
 
     def imu(self, board_id: BoardId) -> RecordArray:
-        """A board's samples, as `array`.
+        """Return a board's samples, as `array`.
 
         Raises:
-            InputError: the recording holds none of that board.
+            InputError: the recording has no samples of that board.
         """
-        self._samples_of(board_id)
-        return self._array_of(imu_topic(board_id), ImuRaw)
+        self._imu_topic(board_id)
+        return self._read_array(imu_raw_topic(board_id), ImuRaw)
 
     def imu_columns(self, board_id: BoardId) -> ImuColumns:
-        """What a solver needs of a board's samples, in a third of the memory of `imu`.
+        """Return the fields that a solver needs, in a third of the memory of `imu`.
 
-        The arrays are the caller's own. Asked for again, a long recording is read again.
+        The caller owns the arrays. A second call reads a long recording again.
 
         Raises:
-            InputError: the recording holds none of that board.
+            InputError: the recording has no samples of that board.
         """
-        return self._columns(board_id, FOR_SOLVING).imu()
+        return self._read_columns(board_id, SOLVER_FIELDS).to_imu_columns()
 
     def imu_field(self, board_id: BoardId, name: str) -> npt.NDArray[np.signedinteger]:
-        """One field of a board's samples: `host_time` in ns, or a triple, shape (n, 3).
+        """Return one field of a board's samples: `host_time` in ns, or a triple, shape (n, 3).
 
         Raises:
-            InputError: the recording holds none of that board.
+            InputError: the recording has no samples of that board.
         """
-        return self._columns(board_id, (name,)).array(name)
+        return self._read_columns(board_id, (name,)).column(name)
 
     def ptu_positions(self) -> RecordArray:
-        """The pan-tilt unit's positions, as `array`; empty without any."""
-        return self._array_of(PTU_POSITION_TOPIC, PtuPosition)
+        """Return the pan-tilt unit's positions, as `array`; empty without any."""
+        return self._read_array(PTU_POSITION_TOPIC, PtuPosition)
 
     def host_clock(self) -> RecordArray:
-        """The host's clocks, as `array`; empty without any."""
-        return self._array_of(HOST_CLOCK_TOPIC, HostClock)
+        """Return the host's clocks, as `array`; empty without any."""
+        return self._read_array(HOST_CLOCK_TOPIC, HostClock)
 
     def reference_attitude(self) -> RecordArray:
-        """The reference attitudes, as `array`; empty without any."""
-        return self._array_of(REFERENCE_ATTITUDE_TOPIC, ReferenceAttitude)
+        """Return the reference attitudes, as `array`; empty without any."""
+        return self._read_array(REFERENCE_ATTITUDE_TOPIC, ReferenceAttitude)
 
     def clock_pings(self, board_id: BoardId) -> RecordArray:
-        """A board's clock exchanges, as `array`; empty without any."""
-        return self._array_of(clock_topic(board_id), ClockPing)
+        """Return a board's clock exchanges, as `array`; empty without any."""
+        return self._read_array(clock_ping_topic(board_id), ClockPing)
 
     def ptu_commands(self) -> list[PtuCommandRecord]:
-        """The exchanges with the pan-tilt unit that are no position polls."""
-        return self._list_of(PTU_COMMAND_TOPIC, PtuCommandRecord)
+        """Return the commands to the pan-tilt unit and their replies, without position polling."""
+        return self._read_messages(PTU_COMMAND_TOPIC, PtuCommandRecord)
 
     def events(self) -> list[SessionEvent]:
-        """The session's phases, notes and faults."""
-        return self._list_of(SESSION_EVENT_TOPIC, SessionEvent)
+        """Return the session's phases, notes and faults."""
+        return self._read_messages(SESSION_EVENT_TOPIC, SessionEvent)
 
-    def _columns(self, board_id: BoardId, names: tuple[str, ...]) -> Columns:
-        found = self._samples_of(board_id)
-        if found.array is not None:
-            columns = Columns(names, len(found))
-            columns.append(found.array)
+    def _read_columns(self, board_id: BoardId, names: tuple[str, ...]) -> GrowingColumns:
+        entry = self._imu_topic(board_id)
+        if entry.array is not None:
+            columns = GrowingColumns(names, len(entry))
+            columns.append(entry.array)
             return columns
-        kept = found.columns.take() if found.columns and names == FOR_SOLVING else None
-        if kept is None:
-            again = self.read_again(imu_topic(board_id), names).columns
-            kept = again.take() if again is not None else None
-        return kept or Columns(names, 0)
+        stored = entry.columns.take_columns() if entry.columns and names == SOLVER_FIELDS else None
+        if stored is None:
+            reread = self.reread_topic(imu_raw_topic(board_id), names).columns
+            stored = reread.take_columns() if reread is not None else None
+        return stored or GrowingColumns(names, 0)
 
-    def _topics_here(self) -> str:
-        there = sorted(self.topics)
-        return f"name one of {', '.join(there)}" if there else "nothing was recorded in it"
+    def _available_topics(self) -> str:
+        names = sorted(self.topics)
+        return f"give one of {', '.join(names)}" if names else "record again"
 
-    def _samples_of(self, board_id: BoardId) -> Topic:
-        topic = imu_topic(board_id)
+    def _imu_topic(self, board_id: BoardId) -> Topic:
+        topic = imu_raw_topic(board_id)
         if topic not in self.topics:
-            known = ", ".join(self.board_ids) or "no board at all"
+            boards = self.board_ids
             raise InputError(
-                f"{self.path} holds no samples of {board_id}", f"name one that it holds: {known}"
+                f"{self.path} has no samples of board {board_id}",
+                f"give one of {', '.join(boards)}" if boards else "record again with the board",
             )
         self._check_type(topic, ImuRaw)
         return self.topics[topic]
 
-    def _array_of(self, topic: str, kind: type[Message]) -> RecordArray:
+    def _read_array(self, topic: str, message_type: type[Message]) -> RecordArray:
         if topic not in self.topics:
-            layout = fixed_layout(kind.TYPE, SCHEMAS[kind.TYPE])
+            layout = derive_fixed_layout(message_type.TYPE, SCHEMAS[message_type.TYPE])
             return np.empty(0, array_dtype(cast(Any, layout)))
-        self._check_type(topic, kind)
+        self._check_type(topic, message_type)
         return self.array(topic)
 
-    def _list_of(self, topic: str, kind: type[M]) -> list[M]:
+    def _read_messages(self, topic: str, message_type: type[M]) -> list[M]:
         if topic not in self.topics:
             return []
-        self._check_type(topic, kind)
+        self._check_type(topic, message_type)
         return cast(list[M], self.messages(topic))
 
-    def _check_type(self, topic: str, kind: type[Message]) -> None:
-        found = self.topics[topic].type
-        if found != kind.TYPE:
+    def _check_type(self, topic: str, message_type: type[Message]) -> None:
+        found_type = self.topics[topic].type
+        if found_type != message_type.TYPE:
             raise InputError(
-                f"{self.path}: {topic} holds {found}, not {kind.TYPE}",
-                "another program wrote it: copy it from the rig again, or record anew",
+                f"{self.path} has messages of type {found_type} on {topic} instead of "
+                f"{message_type.TYPE}",
+                "copy the file from the rig again, or record again",
             )

@@ -1,13 +1,14 @@
-"""Make a finished recording of one that was never finished.
+"""Salvage: make a finished recording of an unfinished or damaged one.
 
-What to use when: `salvage` writes everything that is sound in a `.part` into a new file;
-`read_strictly` has a reader that is not ours, mcap's own, go through the result with all
-checksums on, because a file must not be called recovered on the word of its maker;
-`is_finished` and `metadata_of` look at a file without reading its messages into memory.
+What to use when: `salvage` writes all valid data of a `.part` file into a new file.
+`read_strictly` reads the result with mcap's own reader and verifies all checksums, because an
+independent reader must confirm a recovery. `is_finished` and `read_file_metadata` examine a file
+without reading its messages into memory.
 
-Chunks are copied packed, as they are, so that no message can change on the way.
+Chunks are copied in compressed form, so that no message can change.
 
-Source: reliability.md section 1: `mcap recover` can exit 0 and leave an unreadable file.
+Reason for the check: `mcap recover` can exit with status 0 and leave an unreadable file (issue 1474
+of foxglove/mcap).
 """
 
 import struct
@@ -25,42 +26,59 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema as SchemaRecord
 
 from gyrorig_protocol.errors import InputError, MachineError
-from gyrorig_protocol.recording.assembly import Assembly, IndexEntries, ReadyChunk
-from gyrorig_protocol.recording.chunks import (
-    ChunkError,
-    Offsets,
-    Unpacker,
-    gather,
-    open_chunk,
-)
-from gyrorig_protocol.recording.copies import (
-    MEDIA_TYPE,
+from gyrorig_protocol.recording.backup_copies import (
+    COPY_MEDIA_TYPE,
     METADATA_COPY,
     Metadata,
-    metadata_copy,
-    read_channels,
-    read_metadata,
+    encode_metadata_copy,
+    read_channels_copy,
+    read_metadata_copy,
 )
-from gyrorig_protocol.recording.definitions import Channel, Declared, Schema
-from gyrorig_protocol.recording.disk_file import DISK, Disk, DiskFile
-from gyrorig_protocol.recording.fields import Buffer
-from gyrorig_protocol.recording.framing import AttachmentRecord, ChunkRecord, Walk, walk
-from gyrorig_protocol.recording.head import FORMAT, Attachment, software
-from gyrorig_protocol.recording.losses import Loss, LossCause
-from gyrorig_protocol.recording.mapped import Passage, map_file
-from gyrorig_protocol.recording.summary import MAGIC, read_summary
+from gyrorig_protocol.recording.mcap.chunk_reader import (
+    ChunkDecompressor,
+    ChunkError,
+    Offsets,
+    gather_records,
+    locate_messages,
+)
+from gyrorig_protocol.recording.mcap.declarations import (
+    ChannelDeclaration,
+    Declarations,
+    SchemaDeclaration,
+)
+from gyrorig_protocol.recording.mcap.disk_file import DISK, Disk, DiskFile
+from gyrorig_protocol.recording.mcap.losses import Loss, LossCause
+from gyrorig_protocol.recording.mcap.mapped_file import PageReleaser, map_file, map_mcap_file
+from gyrorig_protocol.recording.mcap.mcap_builder import IndexEntries, McapBuilder, PackedChunk
+from gyrorig_protocol.recording.mcap.mcap_summary import read_summary
+from gyrorig_protocol.recording.mcap.record_cursor import Buffer
+from gyrorig_protocol.recording.mcap.record_scan import (
+    AttachmentRecord,
+    ChunkRecord,
+    FileScan,
+    scan_records,
+)
+from gyrorig_protocol.recording.recording_metadata import (
+    FORMAT_VERSION,
+    Attachment,
+    software_version,
+)
 
-RECOVERED = "gyrorig.recovered"  # the metadata record that links a file to what it was made of
-_LOG_TIME_AT = 15  # in a message record: behind opcode, length, channel and sequence
+RECOVERED_RECORD = "gyrorig.recovered"  # the metadata record that names the original file
+_LOG_TIME_OFFSET = 15  # in a message record: after opcode, length, channel and sequence
 _FRAME_BYTES = 9
-_AGAIN = "the disk may be failing: copy its folder elsewhere and run gyrorigd recover there"
+_DISK_REMEDY = (
+    "copy the folder to another disk and run gyrorigd recover there, the disk can be failing"
+)
 _QOS = {"offered_qos_profiles": ""}
-_FREE_NUMBERS = 60_000  # of schemas that no chunk declares: above all that a writer gives
+_FREE_SCHEMA_NUMBERS = (
+    60_000  # for schemas that no chunk declares; larger than the numbers of a writer
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Salvaged:
-    """What was found in the unfinished file, and is in the new one."""
+class SalvageResult:
+    """The content of the new file, and the losses."""
 
     messages: Mapping[str, int]  # by topic
     chunks: int
@@ -68,40 +86,39 @@ class Salvaged:
     losses: tuple[Loss, ...]
 
 
-def salvage(source: Path, target: Path, about: Mapping[str, str], disk: Disk = DISK) -> Salvaged:
-    """Write everything sound in `source` into the new file `target`, and sync it.
+def salvage(
+    source: Path, target: Path, recovery_details: Mapping[str, str], disk: Disk = DISK
+) -> SalvageResult:
+    """Write all valid data of `source` into the new file `target`, and sync it.
 
     Args:
-        source: a recording that may be cut or damaged anywhere.
-        target: must not exist; it is deleted again where anything goes wrong.
-        about: goes into the metadata record `gyrorig.recovered`, beside the counts.
+        source: a recording that can be cut or damaged anywhere.
+        target: must not exist; it is deleted again after an error.
+        recovery_details: added to the counts in the metadata record `gyrorig.recovered`.
         disk: where `target` is.
 
     Raises:
-        InputError: there is nothing to recover in `source`.
+        InputError: nothing in `source` can be recovered.
         MachineError: this computer cannot read or write.
     """
-    data = map_file(source)
-    if data[: len(MAGIC)] != MAGIC:
+    data = map_mcap_file(source)
+    scan = scan_records(data, read_summary(data))
+    metadata = read_metadata_copy(scan.attachments) or dict(scan.metadata)
+    if metadata.get("gyrorig", {}).get("format") != FORMAT_VERSION:
         raise InputError(
-            f"{source} is no MCAP file, so nothing in it can be recovered", "move it away"
+            f"{source} has no metadata of format {FORMAT_VERSION} and cannot be recovered",
+            "record again",
         )
-    found = walk(data, read_summary(data))
-    metadata = read_metadata(found.attachments) or dict(found.metadata)
-    if metadata.get("gyrorig", {}).get("format") != FORMAT:
+    copier = ChunkCopier(data, scan)
+    if not any(True for _ in copier.valid_chunks()):
         raise InputError(
-            f"{source} holds no metadata of format {FORMAT}, so it cannot be used", "record again"
+            f"{source} has no complete message that could be recovered", "record again"
         )
-    worker = Copying(source, data, found)
-    if not any(True for _ in worker.sound_chunks()):
-        raise InputError(
-            f"{source} holds no whole message, so there is nothing to recover in it", "record again"
-        )
-    worker = Copying(source, data, found)
+    copier = ChunkCopier(data, scan)
     try:
         file = disk.create(target)
         try:
-            result = worker.write(file, metadata, about)
+            result = copier.write(file, metadata, recovery_details)
             file.sync()
         except BaseException:
             disk.unlink(target)
@@ -110,146 +127,166 @@ def salvage(source: Path, target: Path, about: Mapping[str, str], disk: Disk = D
             file.close()
     except OSError as fault:
         raise MachineError(
-            f"cannot write {target}: {fault.strerror}",
-            f"make room, or look at the disk, and recover again: {source.name} is as it was",
+            f"cannot write {target} ({fault.strerror})",
+            f"free disk space or check the disk, then recover again; {source.name} is unchanged",
         ) from fault
     return result
 
 
-class Copying:
-    """One way through a file, whose sound chunks go into another as they are."""
+class ChunkCopier:
+    """One pass through a file, whose valid chunks are copied in compressed form."""
 
-    def __init__(self, source: Path, data: memoryview, found: Walk) -> None:
-        self._source, self._data, self._found = source, data, found
-        self._known = read_channels(found.attachments)
-        self._known.fill_from(found.declared)
-        self.losses = list(found.losses)
-        self.messages: Counter[str] = Counter()
-        self._schemas: dict[int, Schema] = {}  # declared in what has been copied
+    def __init__(self, data: memoryview, scan: FileScan) -> None:
+        self._data, self._scan = data, scan
+        self._declarations = read_channels_copy(scan.attachments)
+        self._declarations.add_missing_from(scan.declarations)
+        self.losses = list(scan.losses)
+        self.message_counts: Counter[str] = Counter()
+        self._copied_schemas: dict[
+            int, SchemaDeclaration
+        ] = {}  # declared in the chunks copied so far
 
-    def write(self, file: DiskFile, metadata: Metadata, about: Mapping[str, str]) -> Salvaged:
+    def write(
+        self, file: DiskFile, metadata: Metadata, recovery_details: Mapping[str, str]
+    ) -> SalvageResult:
         """Write the new file."""
-        out = Assembly(file)
-        out.start(software())
+        builder = McapBuilder(file)
+        builder.write_header(software_version())
         chunks = 0
         for name, record in metadata.items():
-            out.add_metadata(name, record)
-        for one in self._found.attachments:
-            if one.name != METADATA_COPY:
-                out.add_attachment(_again(one))
-        for ready, declared in self.sound_chunks():
-            self.declare(out, ready, declared)
-            out.add_chunk(ready)
+            builder.add_metadata(name, record)
+        for attachment in self._scan.attachments:
+            if attachment.name != METADATA_COPY:
+                builder.add_attachment(to_attachment(attachment))
+        for chunk, declarations in self.valid_chunks():
+            self.declare_channels(builder, chunk, declarations)
+            builder.add_chunk(chunk)
             chunks += 1
         lost_bytes = sum(loss.bytes for loss in self.losses)
-        recovered = dict(about) | {
-            "messages": str(sum(self.messages.values())),
+        recovered = dict(recovery_details) | {
+            "messages": str(sum(self.message_counts.values())),
             "original_bytes": str(len(self._data)),
             "lost_bytes": str(lost_bytes),
-            "software": software(),
+            "software": software_version(),
         }
-        out.add_metadata(RECOVERED, recovered)
-        copy = metadata_copy({**metadata, RECOVERED: recovered})
-        out.add_attachment(Attachment(METADATA_COPY, MEDIA_TYPE, copy))
-        out.finish()
-        return Salvaged(dict(self.messages), chunks, lost_bytes, tuple(self.losses))
+        builder.add_metadata(RECOVERED_RECORD, recovered)
+        copy = encode_metadata_copy({**metadata, RECOVERED_RECORD: recovered})
+        builder.add_attachment(Attachment(METADATA_COPY, COPY_MEDIA_TYPE, copy))
+        builder.finish()
+        return SalvageResult(dict(self.message_counts), chunks, lost_bytes, tuple(self.losses))
 
-    def sound_chunks(self) -> Iterator[tuple[ReadyChunk, Declared]]:
-        """Every chunk that can be used, in order, and what it declares; states what cannot."""
-        unpacker, passage = Unpacker(), Passage(self._data)
-        for chunk in self._found.chunks:
-            passage.reached(chunk.offset)
+    def valid_chunks(self) -> Iterator[tuple[PackedChunk, Declarations]]:
+        """Yield every valid chunk in order with its declarations; report the others."""
+        decompressor, page_releaser = ChunkDecompressor(), PageReleaser(self._data)
+        for chunk in self._scan.chunks:
+            page_releaser.release_before(chunk.offset)
             try:
-                unpacked = unpacker.unpack(chunk, self._data)
-                content = open_chunk(chunk, unpacked, self._data)
+                unpacked = decompressor.decompress_chunk(chunk, self._data)
+                content = locate_messages(chunk, unpacked, self._data)
             except ChunkError as fault:
-                self._lose(chunk, fault)
+                self._report_lost_chunk(chunk, fault)
                 continue
-            offsets = {number: at for number, at in content.offsets.items() if len(at)}
+            offsets = {
+                number: channel_offsets
+                for number, channel_offsets in content.offsets.items()
+                if len(channel_offsets)
+            }
             if not offsets:
                 continue
-            self._known.fill_from(content.declared)
-            ready = ReadyChunk(
+            self._declarations.add_missing_from(content.declarations)
+            packed_chunk = PackedChunk(
                 chunk.compression,
                 bytes(self._data[chunk.data_start : chunk.data_end]),
                 chunk.unpacked_size,
                 chunk.crc,
-                {number: _entries(unpacked, at) for number, at in offsets.items()},
+                {
+                    number: _index_entries(unpacked, channel_offsets)
+                    for number, channel_offsets in offsets.items()
+                },
             )
-            declared = content.declared
-            used = offsets.keys() | declared.channels.keys()
-            if unknown := {number for number in used if not self._is_known(number)}:
-                ready, declared = self._without(chunk, ready, unpacked, unknown), Declared()
-            for number, entries in ready.index.items():
-                self.messages[self._known.channels[number].topic] += len(entries)
-            if ready.index:
-                yield ready, declared
+            declarations = content.declarations
+            used_channels = offsets.keys() | declarations.channels.keys()
+            if undeclared := {number for number in used_channels if not self._is_declared(number)}:
+                packed_chunk, declarations = (
+                    self._drop_channels(chunk, packed_chunk, unpacked, undeclared),
+                    Declarations(),
+                )
+            for number, entries in packed_chunk.index.items():
+                self.message_counts[self._declarations.channels[number].topic] += len(entries)
+            if packed_chunk.index:
+                yield packed_chunk, declarations
 
-    def _without(
-        self, chunk: ChunkRecord, ready: ReadyChunk, unpacked: Buffer, unknown: set[int]
-    ) -> ReadyChunk:
-        """The chunk anew, without the messages of channels that nothing declares any more."""
+    def _drop_channels(
+        self, chunk: ChunkRecord, packed_chunk: PackedChunk, unpacked: Buffer, undeclared: set[int]
+    ) -> PackedChunk:
+        """Rebuild a chunk without the messages of undeclared channels."""
         index: dict[int, IndexEntries] = {}
         content = bytearray()
-        for number, entries in ready.index.items():
-            if number in unknown:
-                text = f"{len(entries)} messages of channel {number}, which nothing declares"
+        for number, entries in packed_chunk.index.items():
+            if number in undeclared:
+                text = f"{len(entries)} messages of channel {number}, which is not declared"
                 self.losses.append(Loss(LossCause.DAMAGED, chunk.offset, 0, len(entries), text))
                 continue
-            moved = entries.copy()
-            for place, at in enumerate(int(offset) for offset in entries[:, 1]):
-                moved[place, 1] = len(content)
-                length = int.from_bytes(unpacked[at + 1 : at + _FRAME_BYTES], "little")
-                content += unpacked[at : at + _FRAME_BYTES + length]
-            index[number] = moved
-        packed = zstandard.compress(bytes(content))
-        return ReadyChunk("zstd", packed, len(content), zlib.crc32(content), index)
+            new_entries = entries.copy()
+            for row, message_offset in enumerate(int(offset) for offset in entries[:, 1]):
+                new_entries[row, 1] = len(content)
+                length = int.from_bytes(
+                    unpacked[message_offset + 1 : message_offset + _FRAME_BYTES], "little"
+                )
+                content += unpacked[message_offset : message_offset + _FRAME_BYTES + length]
+            index[number] = new_entries
+        compressed = zstandard.compress(bytes(content))
+        return PackedChunk("zstd", compressed, len(content), zlib.crc32(content), index)
 
-    def _is_known(self, number: int) -> bool:
-        channel = self._known.channels.get(number)
-        return channel is not None and channel.schema_id in self._known.schemas
+    def _is_declared(self, number: int) -> bool:
+        channel = self._declarations.channels.get(number)
+        return channel is not None and channel.schema_id in self._declarations.schemas
 
-    def _lose(self, chunk: ChunkRecord, fault: ChunkError) -> None:
+    def _report_lost_chunk(self, chunk: ChunkRecord, fault: ChunkError) -> None:
         text = f"the chunk at byte {chunk.offset} cannot be used: {fault}"
         self.losses.append(
             Loss(fault.cause, chunk.offset, chunk.size, chunk.indexed_messages, text)
         )
 
-    def declare(self, out: Assembly, ready: ReadyChunk, declared: Declared) -> None:
-        """Make sure that every channel of a chunk, and its schema, stands at it or before it."""
-        self._schemas |= declared.schemas
-        for number, channel in declared.channels.items():
-            if channel.schema_id not in self._schemas:  # it stood in a chunk that is lost
-                copy = self._known.schemas[self._known.channels[number].schema_id]
-                self._schemas[channel.schema_id] = copy
-                out.declare_schema(_schema_record(channel.schema_id, copy))
-            schema = _schema_record(channel.schema_id, self._schemas[channel.schema_id])
-            out.know(schema, _channel_record(number, channel, channel.schema_id))
-        for number in ready.index:
-            if not out.knows(number):
-                self._declare_from_copy(out, number)
+    def declare_channels(
+        self, builder: McapBuilder, packed_chunk: PackedChunk, declarations: Declarations
+    ) -> None:
+        """Write the declarations of a chunk's channels that neither it nor earlier ones have."""
+        self._copied_schemas |= declarations.schemas
+        for number, channel in declarations.channels.items():
+            if channel.schema_id not in self._copied_schemas:  # it was in a lost chunk
+                backup = self._declarations.schemas[self._declarations.channels[number].schema_id]
+                self._copied_schemas[channel.schema_id] = backup
+                builder.add_schema(_schema_record(channel.schema_id, backup))
+            schema = _schema_record(channel.schema_id, self._copied_schemas[channel.schema_id])
+            builder.register_channel(schema, _channel_record(number, channel, channel.schema_id))
+        for number in packed_chunk.index:
+            if not builder.is_declared(number):
+                self._declare_from_copy(builder, number)
 
-    def _declare_from_copy(self, out: Assembly, number: int) -> None:
-        channel = self._known.channels[number]
-        schema = self._known.schemas[channel.schema_id]
-        # Copies of channels carry no number of their schema: ours is below zero there.
-        schema_id = channel.schema_id if channel.schema_id > 0 else _FREE_NUMBERS + number
-        out.declare(_schema_record(schema_id, schema), _channel_record(number, channel, schema_id))
+    def _declare_from_copy(self, builder: McapBuilder, number: int) -> None:
+        channel = self._declarations.channels[number]
+        schema = self._declarations.schemas[channel.schema_id]
+        # Copies of channels have no schema number; there it is our negative number.
+        schema_id = channel.schema_id if channel.schema_id > 0 else _FREE_SCHEMA_NUMBERS + number
+        builder.add_channel(
+            _schema_record(schema_id, schema), _channel_record(number, channel, schema_id)
+        )
 
 
-def _schema_record(number: int, schema: Schema) -> SchemaRecord:
+def _schema_record(number: int, schema: SchemaDeclaration) -> SchemaRecord:
     return SchemaRecord(number, schema.data, schema.encoding, schema.name)
 
 
-def _channel_record(number: int, channel: Channel, schema_id: int) -> ChannelRecord:
+def _channel_record(number: int, channel: ChannelDeclaration, schema_id: int) -> ChannelRecord:
     return ChannelRecord(number, channel.topic, channel.encoding, _QOS, schema_id)
 
 
 def is_finished(path: Path) -> bool:
-    """Whether a file has a summary, and neither our reader nor mcap's finds anything wrong.
+    """Return whether a file has a summary and is valid for both our reader and mcap's.
 
-    Both, because mcap's looks only at what the summary points to: behind a power cut the
-    end may be on the disk and pages in the middle not.
+    Both are needed, because mcap's reader looks only at the data that the summary points to. After
+    a power cut the end of a file can be on the disk without pages in the middle.
 
     Raises:
         MachineError: this computer cannot read it.
@@ -257,15 +294,15 @@ def is_finished(path: Path) -> bool:
     try:
         data = map_file(path)
         summary = read_summary(data)
-        if not summary.sound:
+        if not summary.is_valid:
             return False
-        found = walk(data, summary)
-        worker = Copying(path, data, found)
-        for _ in worker.sound_chunks():
+        scan = scan_records(data, summary)
+        copier = ChunkCopier(data, scan)
+        for _ in copier.valid_chunks():
             pass
-        if worker.losses or sum(worker.messages.values()) != summary.messages:
+        if copier.losses or sum(copier.message_counts.values()) != summary.message_count:
             return False
-        if read_metadata(found.attachments) != dict(found.metadata):
+        if read_metadata_copy(scan.attachments) != dict(scan.metadata):
             return False
         read_strictly(path)
     except InputError:
@@ -273,26 +310,26 @@ def is_finished(path: Path) -> bool:
     return True
 
 
-def metadata_of(path: Path) -> Metadata:
-    """The metadata of a recording; empty where there is none.
+def read_file_metadata(path: Path) -> Metadata:
+    """Return the metadata of a recording; empty if it has none.
 
     Raises:
-        InputError: there is no such file.
+        InputError: the file does not exist.
         MachineError: this computer cannot read it.
     """
     data = map_file(path)
-    found = walk(data, read_summary(data))
-    return read_metadata(found.attachments) or dict(found.metadata)
+    scan = scan_records(data, read_summary(data))
+    return read_metadata_copy(scan.attachments) or dict(scan.metadata)
 
 
 def read_strictly(path: Path) -> dict[str, int]:
-    """Go through a finished file with mcap's own reader, every checksum on.
+    """Read a finished file with mcap's own reader and verify all checksums.
 
     Returns:
-        How many messages each topic holds.
+        The number of messages of each topic.
 
     Raises:
-        InputError: the reader finds anything wrong, or its counts differ from the summary.
+        InputError: the file is invalid, or its counts differ from the summary.
     """
     counts: Counter[str] = Counter()
     try:
@@ -300,28 +337,37 @@ def read_strictly(path: Path) -> dict[str, int]:
             reader = make_reader(file, validate_crcs=True)
             summary = reader.get_summary()
             if summary is None or summary.statistics is None or not summary.chunk_indexes:
-                raise InputError(f"{path} has no summary: it was not finished", _AGAIN)
+                raise InputError(
+                    f"{path} has no summary, because it was not finished", _DISK_REMEDY
+                )
             for _, channel, _ in reader.iter_messages(log_time_order=False):
                 counts[channel.topic] += 1
-            attached = sum(1 for _ in reader.iter_attachments())
-            records = sum(1 for _ in reader.iter_metadata())
+            attachment_count = sum(1 for _ in reader.iter_attachments())
+            metadata_count = sum(1 for _ in reader.iter_metadata())
     except (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeError) as fault:
-        raise InputError(f"{path} is not sound: {fault}", _AGAIN) from fault
+        raise InputError(f"{path} is damaged ({fault})", _DISK_REMEDY) from fault
     except OSError as fault:
         raise MachineError(
-            f"cannot read {path}: {fault.strerror}", "mend its rights, or look at its disk"
+            f"cannot read {path} ({fault.strerror})", "fix its permissions, or check its disk"
         ) from fault
-    told = summary.statistics
-    said = (told.message_count, told.attachment_count, told.metadata_count)
-    if said != (sum(counts.values()), attached, records):
-        raise InputError(f"{path} holds not what its summary counts", _AGAIN)
+    statistics = summary.statistics
+    expected_counts = (
+        statistics.message_count,
+        statistics.attachment_count,
+        statistics.metadata_count,
+    )
+    if expected_counts != (sum(counts.values()), attachment_count, metadata_count):
+        raise InputError(
+            f"{path} does not have the numbers of records that its summary gives", _DISK_REMEDY
+        )
     return dict(counts)
 
 
-def _again(one: AttachmentRecord) -> Attachment:
-    return Attachment(one.name, one.media_type, one.data, one.log_time_ns)
+def to_attachment(record: AttachmentRecord) -> Attachment:
+    """Convert an attachment that was read to one that can be written."""
+    return Attachment(record.name, record.media_type, record.data, record.log_time_ns)
 
 
-def _entries(unpacked: Buffer, offsets: Offsets) -> IndexEntries:
-    times = gather(unpacked, 8, offsets + _LOG_TIME_AT).view("<u8")
+def _index_entries(unpacked: Buffer, offsets: Offsets) -> IndexEntries:
+    times = gather_records(unpacked, 8, offsets + _LOG_TIME_OFFSET).view("<u8")
     return np.column_stack([times, offsets.astype(np.uint64)])

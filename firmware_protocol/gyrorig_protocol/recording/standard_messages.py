@@ -1,6 +1,6 @@
-"""The two messages borrowed from ROS 2: diagnostics at 1 Hz and log lines.
+"""Standard ROS 2 messages in a recording: diagnostics at 1 Hz and log lines.
 
-Kept apart from `messages` because their layout is not ours to change.
+They are in a separate module, because ROS 2 defines their layout.
 
 Source: diagnostic_msgs/msg/DiagnosticArray and rcl_interfaces/msg/Log.
 """
@@ -10,26 +10,16 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import ClassVar, Self
 
-from gyrorig_protocol.recording.cdr_stream import CdrDecoder, CdrEncoder
+from gyrorig_protocol.recording.encoding.cdr_codec import CdrDecoder, CdrEncoder
 
 
 class DiagnosticLevel(IntEnum):
-    """How well a part of the rig does."""
+    """The level of a diagnostic status."""
 
     OK = 0
     WARN = 1
     ERROR = 2
     STALE = 3
-
-
-class LogLevel(IntEnum):
-    """Severity of a log line."""
-
-    DEBUG = 10
-    INFO = 20
-    WARN = 30
-    ERROR = 40
-    FATAL = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +35,7 @@ class DiagnosticStatus:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostics:
-    """A DiagnosticArray: the state of every part at one time."""
+    """A DiagnosticArray: the state of every part of the rig at one time."""
 
     TYPE: ClassVar[str] = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -55,40 +45,49 @@ class Diagnostics:
 
     @property
     def capture_time_ns(self) -> int:
-        """When the state was looked at."""
+        """The time of the state."""
         return self.stamp_ns
 
     def encode(self) -> bytes:
-        """The payload."""
+        """Return the payload."""
         out = CdrEncoder()
-        out.time(self.stamp_ns)
-        out.string(self.frame_id)
-        out.number("I", len(self.status))
-        for one in self.status:
-            out.number("B", one.level)
-            for text in (one.name, one.message, one.hardware_id):
-                out.string(text)
-            out.number("I", len(one.values))
-            for key, value in one.values.items():
-                out.string(key)
-                out.string(value)
-        return out.take()
+        out.add_time(self.stamp_ns)
+        out.add_string(self.frame_id)
+        out.add_number("I", len(self.status))
+        for status in self.status:
+            out.add_number("B", status.level)
+            for text in (status.name, status.message, status.hardware_id):
+                out.add_string(text)
+            out.add_number("I", len(status.values))
+            for key, value in status.values.items():
+                out.add_string(key)
+                out.add_string(value)
+        return out.to_payload()
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """Read a payload; raises InputError when it is not one."""
-        read = CdrDecoder(data)
-        stamp_ns, frame_id = read.time(), read.string()
-        # An element takes at least its level, three strings and a count.
-        status = tuple(cls._status(read) for _ in range(read.count(least_bytes=20)))
-        read.end()
+        """Decode a payload; raises InputError if it is invalid."""
+        decoder = CdrDecoder(data)
+        stamp_ns, frame_id = decoder.read_time(), decoder.read_string()
+        # An element has at least its level, three strings and a count.
+        status = tuple(
+            cls._decode_status(decoder) for _ in range(decoder.read_count(min_element_bytes=20))
+        )
+        decoder.check_end()
         return cls(stamp_ns, status, frame_id)
 
     @staticmethod
-    def _status(read: CdrDecoder) -> DiagnosticStatus:
-        level = read.number("B")
-        name, message, hardware_id = read.string(), read.string(), read.string()
-        pairs = [(read.string(), read.string()) for _ in range(read.count(least_bytes=10))]
+    def _decode_status(decoder: CdrDecoder) -> DiagnosticStatus:
+        level = decoder.read_integer("B")
+        name, message, hardware_id = (
+            decoder.read_string(),
+            decoder.read_string(),
+            decoder.read_string(),
+        )
+        pairs = [
+            (decoder.read_string(), decoder.read_string())
+            for _ in range(decoder.read_count(min_element_bytes=10))
+        ]
         return DiagnosticStatus(level, name, message, hardware_id, dict(pairs))
 
 
@@ -99,7 +98,7 @@ class Log:
     TYPE: ClassVar[str] = "rcl_interfaces/msg/Log"
 
     stamp_ns: int
-    level: int  # LogLevel
+    level: int  # DEBUG 10, INFO 20, WARN 30, ERROR 40, FATAL 50
     name: str
     msg: str
     file: str = ""
@@ -108,25 +107,25 @@ class Log:
 
     @property
     def capture_time_ns(self) -> int:
-        """When the line was written."""
+        """The time of the line."""
         return self.stamp_ns
 
     def encode(self) -> bytes:
-        """The payload."""
+        """Return the payload."""
         out = CdrEncoder()
-        out.time(self.stamp_ns)
-        out.number("B", self.level)
+        out.add_time(self.stamp_ns)
+        out.add_number("B", self.level)
         for text in (self.name, self.msg, self.file, self.function):
-            out.string(text)
-        out.number("I", self.line)
-        return out.take()
+            out.add_string(text)
+        out.add_number("I", self.line)
+        return out.to_payload()
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """Read a payload; raises InputError when it is not one."""
-        read = CdrDecoder(data)
-        stamp_ns, level = read.time(), read.number("B")
-        name, msg, file, function = (read.string() for _ in range(4))
-        found = cls(stamp_ns, level, name, msg, file, function, read.number("I"))
-        read.end()
-        return found
+        """Decode a payload; raises InputError if it is invalid."""
+        decoder = CdrDecoder(data)
+        stamp_ns, level = decoder.read_time(), decoder.read_integer("B")
+        name, msg, file, function = (decoder.read_string() for _ in range(4))
+        log = cls(stamp_ns, level, name, msg, file, function, decoder.read_integer("I"))
+        decoder.check_end()
+        return log

@@ -1,16 +1,14 @@
-"""Write a recording of format 1 so that a crash costs a second and a power cut ten.
+"""Writer of recordings of format 1; a crash costs one second of data, a power cut ten.
 
-What to use when: one `RecordingWriter` per file, used by one thread. `write` for
-messages as they come, `write_imu_array` for importers that hold whole arrays, `tick`
-from the loop of the same thread, `close` at the end.
+What to use when: one `RecordingWriter` per file, in one thread. `write` for single messages,
+`write_imu_array` for importers with arrays, `tick` from the loop of the same thread, `close` at the
+end.
 
-Theory of operation: messages are collected into a chunk; a chunk is only safe once it is
-written out whole. `tick` closes the chunk every second (a killed process loses
-at most that) and syncs every ten (a power cut loses at most that). After an error of
-the disk the file is cut back to the last whole chunk and never written again, because
-a torn record in the middle would hide everything behind it from most readers.
-
-Source: the recording contract, format 1, section "File".
+Theory of operation: messages are collected into a chunk, which is safe only when it is completely
+written. `tick` writes the chunk every second (the loss if the process is killed) and syncs every
+ten seconds (the loss at a power cut). After an error of the disk the file is truncated to the last
+complete chunk and never written again, because an incomplete record in the middle would hide all
+later data from most readers.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,42 +22,48 @@ import numpy.typing as npt
 
 from gyrorig_protocol.errors import MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.disk_file import DISK, Disk
-from gyrorig_protocol.recording.head import Attachment, complete_metadata, software
-from gyrorig_protocol.recording.imu_array import pack_imu
-from gyrorig_protocol.recording.messages import ImuRaw, Message, imu_topic
+from gyrorig_protocol.recording.encoding.imu_packing import pack_imu_payloads
+from gyrorig_protocol.recording.mcap.disk_file import DISK, Disk
+from gyrorig_protocol.recording.messages import ImuRaw, Message, imu_raw_topic
 from gyrorig_protocol.recording.part_file import PartFile
+from gyrorig_protocol.recording.recording_metadata import (
+    Attachment,
+    complete_metadata,
+    software_version,
+)
 
-_NEVER_OVERWRITTEN = "a recording is never overwritten: name another, or move that one away"
+_OVERWRITE_REMEDY = "choose another name, or move the file; a recording is never overwritten"
 
-__all__ = ["Attachment", "RecordingWriter", "software", "unfinished"]
+__all__ = ["Attachment", "RecordingWriter", "part_path", "software_version"]
 
 T = TypeVar("T")
 
 IntArray = npt.NDArray[np.integer]
 
-FLUSH_NS = 1_000_000_000  # contract: "flushed to a complete chunk at least once a second"
-SYNC_NS = 10_000_000_000  # contract: "synced to disk at least every 10 s"
+MAX_FLUSH_INTERVAL_NS = (
+    1_000_000_000  # docs/recordings.md: a chunk is written at least once per second
+)
+MAX_SYNC_INTERVAL_NS = 10_000_000_000  # docs/recordings.md: synced at least every 10 s
 
 
 class RecordingWriter:
-    """A recording being written. Not to be used by two threads at once.
+    """A recording that is being written. Use it in one thread.
 
     Args:
         path: the final name, ending in `.mcap`; `.mcap.part` until it is closed.
         metadata: name -> record. `gyrorig` with `session`, `anchor_utc_ns` and
             `anchor_monotonic_raw_ns` is required; `format`, `software`, `part`,
-            `previous` and `foxglove` are filled in where missing.
-        attachments: files to carry, written first.
-        disk: where it goes.
-        aside: slow work is left to the owner, who calls `sync` as often as the contract
-            asks and `salvage` after an error, from another thread if that suits.
-        lasting: wait until the beginning is on the disk; else the first `sync` does that.
+            `previous` and `foxglove` are added if missing.
+        attachments: files to write into the recording first.
+        disk: the disk interface.
+        owner_syncs: the owner does slow work: it calls `sync` every ten seconds or more often, and
+            `truncate_and_close` after an error; other threads can call them.
+        sync_at_start: wait until the beginning is on the disk; otherwise the first `sync` does.
 
     Raises:
-        UsageError: the file, or its `.part`, exists.
-        MachineError: the disk refuses; the text names the file that is kept.
-        ValueError: metadata that the contract does not allow.
+        UsageError: the file or its `.part` file exists.
+        MachineError: a disk error; the text names the file that is kept.
+        ValueError: the metadata are invalid.
     """
 
     def __init__(
@@ -69,54 +73,54 @@ class RecordingWriter:
         attachments: Sequence[Attachment] = (),
         *,
         disk: Disk = DISK,
-        aside: bool = False,
-        lasting: bool = True,
+        owner_syncs: bool = False,
+        sync_at_start: bool = True,
     ) -> None:
         if path.suffix != ".mcap":
-            raise ValueError(f"a recording is named .mcap, not {path.name}")
+            raise ValueError(f"the name of a recording ends in .mcap, not {path.name}")
         records = complete_metadata(metadata)
         self._final = path
-        self._part = unfinished(path)
+        self._part = part_path(path)
         self._disk = disk
-        self._aside = aside
+        self._owner_syncs = owner_syncs
         self._last_flush_ns: int | None = None
         self._last_sync_ns: int | None = None
-        self._open = False
+        self._is_open = False
         self._file = self._create()
-        self._open = True
+        self._is_open = True
         try:
-            self._guard(lambda: self._begin(records, attachments, lasting))
+            self._run_disk_step(lambda: self._begin(records, attachments, sync_at_start))
         except MachineError:
-            with suppress(OSError):  # nothing is in it that the caller does not have
-                if aside:
-                    self._file.salvage()
+            with suppress(OSError):  # the caller still has all of its data
+                if owner_syncs:
+                    self._file.truncate_and_close()
                 disk.unlink(self._part)
             raise
 
     @property
     def path(self) -> Path:
-        """Where the recording is now: `.mcap.part` until `close` has succeeded."""
-        return self._final if self._file.renamed else self._part
+        """The present path: `.mcap.part` until `close` succeeded."""
+        return self._final if self._file.is_renamed else self._part
 
     @property
     def closed(self) -> bool:
-        """True after `close`, and after an error of the disk."""
-        return not self._open
+        """True after `close` and after a disk error."""
+        return not self._is_open
 
     @property
     def lost_messages(self) -> int:
-        """Messages taken but not in the file, because the disk refused them."""
-        return self._file.safe.lost
+        """Number of messages that are not in the file because of a disk error."""
+        return self._file.committed.lost_messages
 
     @property
     def waiting_messages(self) -> int:
-        """Messages taken that are in no whole chunk yet: what an error now would cost."""
-        return self._file.safe.waiting
+        """Number of messages not yet in a complete chunk, which an error now would cost."""
+        return self._file.committed.waiting_messages
 
     @property
     def bytes_written(self) -> int:
-        """Length of the file so far, without the open chunk."""
-        return self._file.safe.position
+        """Length of the file so far, without the chunk in progress."""
+        return self._file.committed.position
 
     def write(
         self,
@@ -128,24 +132,24 @@ class RecordingWriter:
         """Append one message.
 
         Args:
-            topic: begins with a slash; its channel is made at the first message.
+            topic: begins with a slash; its channel is created at the first message.
             message: one of `messages` or `standard_messages`.
-            log_time_ns: capture time at which it was complete in the host's hands;
-                may be left out where the payload repeats it.
-            publish_time_ns: best estimate of when the sample was taken.
+            log_time_ns: capture time at which the message was received completely; can be left
+                out if the payload has it.
+            publish_time_ns: best estimate of the time of the sample.
 
         Raises:
-            ValueError: the log time goes back on its topic, or is not the payload's,
-                or the topic holds another type.
-            MachineError: the disk refused; see the class.
+            ValueError: the log time decreases on its topic or differs from the payload's, or the
+                topic has another type.
+            MachineError: a disk error; see the class.
         """
-        payload_time = message.capture_time_ns
-        time_ns = payload_time if log_time_ns is None else log_time_ns
+        payload_time_ns = message.capture_time_ns
+        time_ns = payload_time_ns if log_time_ns is None else log_time_ns
         if time_ns is None:
-            raise ValueError(f"{message.TYPE} holds no log time: give one")
-        ours = message.TYPE.startswith("gyrorig_msgs/")
-        if ours and payload_time is not None and payload_time != time_ns:
-            raise ValueError(f"{topic}: log time {time_ns} is not the payload's {payload_time}")
+            raise ValueError(f"{message.TYPE} has no log time; give log_time_ns")
+        is_own_type = message.TYPE.startswith("gyrorig_msgs/")
+        if is_own_type and payload_time_ns is not None and payload_time_ns != time_ns:
+            raise ValueError(f"{topic}: log time {time_ns} is not the payload's {payload_time_ns}")
         publish_ns = time_ns if publish_time_ns is None else publish_time_ns
         self.write_encoded(topic, message.TYPE, message.encode(), time_ns, publish_ns)
 
@@ -158,36 +162,36 @@ class RecordingWriter:
         publish_time_ns: int,
         sequence: int | None = None,
     ) -> None:
-        """Append one message that is encoded already.
+        """Append one encoded message.
 
         Args:
             topic: as in `write`.
-            type_name: of its schema.
+            type_name: the name of its schema.
             payload: header and fields.
-            log_time_ns: as in `write`; the payload's own times are not looked at.
+            log_time_ns: as in `write`; times in the payload are not checked.
             publish_time_ns: as in `write`.
-            sequence: the message's own, where the caller counts; else the next one.
+            sequence: the number of the message if the caller counts, else the next number.
 
         Raises:
             ValueError: as in `write`.
-            MachineError: the disk refused; see the class.
+            MachineError: a disk error; see the class.
         """
         self._check_open()
         file = self._file
         channel = file.channels.get(topic)
         if channel is None:
-            channel = self._guard(lambda: file.channel(topic, type_name))
-        if channel.type != type_name:
-            raise ValueError(f"{topic} holds {channel.type}, not {type_name}")
+            channel = self._run_disk_step(lambda: file.open_channel(topic, type_name))
+        if channel.type_name != type_name:
+            raise ValueError(f"{topic} holds {channel.type_name}, not {type_name}")
         if log_time_ns < channel.last_log_time_ns:
-            before_ns = channel.last_log_time_ns
-            raise ValueError(f"{topic}: log time {log_time_ns} < {before_ns} before it")
+            previous_ns = channel.last_log_time_ns
+            raise ValueError(f"{topic}: log time {log_time_ns} < {previous_ns} before it")
         if sequence is not None:
             channel.sequence = sequence
         try:
             file.append(channel, log_time_ns, publish_time_ns, payload)
         except OSError as error:
-            self._stop_for_good(error)
+            self._stop_after_error(error)
 
     def write_imu_array(
         self,
@@ -203,12 +207,12 @@ class RecordingWriter:
         accel: IntArray | None = None,
         mag: IntArray | None = None,
     ) -> None:
-        """Append many samples of one board, about ten times as fast as one by one.
+        """Append many samples of one board, about ten times faster than one by one.
 
         Args:
-            board_id: whose samples.
+            board_id: the board.
             host_time_ns: capture times, not decreasing, shape (n,).
-            publish_time_ns: when each was taken, shape (n,); None: as the host times.
+            publish_time_ns: times of the samples, shape (n,); None: the host times.
             device_time: ticks as sent, shape (n,).
             sequence: sample counters as sent, shape (n,).
             status: `ImuStatus` bits, shape (n,).
@@ -218,10 +222,10 @@ class RecordingWriter:
             mag: counts, shape (n, 3); None: zero.
 
         Raises:
-            ValueError: shapes differ, a value does not fit, or the time goes back.
-            MachineError: the disk refused; see the class.
+            ValueError: shapes differ, a value does not fit, or the time decreases.
+            MachineError: a disk error; see the class.
         """
-        payloads = pack_imu(
+        payloads = pack_imu_payloads(
             host_time_ns=host_time_ns,
             device_time=device_time,
             sequence=sequence,
@@ -231,103 +235,111 @@ class RecordingWriter:
             accel=accel,
             mag=mag,
         )
-        times = [int(t) for t in host_time_ns]
-        published = times if publish_time_ns is None else [int(t) for t in publish_time_ns]
-        if len(published) != len(times):
-            raise ValueError(f"{len(published)} publish times for {len(times)} samples")
-        if not times:
+        log_times_ns = [int(value) for value in host_time_ns]
+        publish_times_ns = (
+            log_times_ns if publish_time_ns is None else [int(value) for value in publish_time_ns]
+        )
+        if len(publish_times_ns) != len(log_times_ns):
+            raise ValueError(
+                f"{len(publish_times_ns)} publish times for {len(log_times_ns)} samples"
+            )
+        if not log_times_ns:
             return
         self._check_open()
         file = self._file
-        channel = self._guard(lambda: file.channel(imu_topic(board_id), ImuRaw.TYPE))
-        if times[0] < channel.last_log_time_ns or bool(np.any(np.diff(host_time_ns) < 0)):
-            raise ValueError(f"{imu_topic(board_id)}: log time goes back")
+        channel = self._run_disk_step(
+            lambda: file.open_channel(imu_raw_topic(board_id), ImuRaw.TYPE)
+        )
+        if log_times_ns[0] < channel.last_log_time_ns or bool(np.any(np.diff(host_time_ns) < 0)):
+            raise ValueError(f"{imu_raw_topic(board_id)}: log time decreases")
 
         def append_all() -> None:
-            for time_ns, publish_ns, payload in zip(times, published, payloads, strict=True):
+            for time_ns, publish_ns, payload in zip(
+                log_times_ns, publish_times_ns, payloads, strict=True
+            ):
                 file.append(channel, time_ns, publish_ns, payload)
 
-        self._guard(append_all)
+        self._run_disk_step(append_all)
 
-    def skip(self, topic: str, count: int = 1) -> None:
-        """Leave a gap in a channel's message sequence: `count` messages never came here.
+    def skip_sequence(self, topic: str, count: int = 1) -> None:
+        """Leave a gap in the message numbers of a topic for `count` lost messages.
 
-        Before the first message of a topic there is nothing that a gap could follow.
+        Before the first message of a topic it has no effect.
         """
         channel = self._file.channels.get(topic)
         if channel is not None:
             channel.sequence = (channel.sequence + count) & 0xFFFFFFFF
 
     def tick(self, now_ns: int) -> None:
-        """Close the chunk and sync the file when they are due.
+        """Write the chunk and sync the file if they are due.
 
         Args:
-            now_ns: any clock that does not go back; call several times a second.
+            now_ns: time of any monotonic clock; call several times per second.
 
         Raises:
-            MachineError: the disk refused; see the class.
+            MachineError: a disk error; see the class.
         """
         self._check_open()
         if self._last_flush_ns is None or self._last_sync_ns is None:
-            # The first chunk soon: until then nothing but the beginning is there to be kept.
-            self._last_flush_ns, self._last_sync_ns = now_ns - FLUSH_NS // 2, now_ns
+            # The first chunk is due early, because until then the file has only its beginning.
+            self._last_flush_ns, self._last_sync_ns = now_ns - MAX_FLUSH_INTERVAL_NS // 2, now_ns
             return
-        # Due early, so that the calls' own spacing on a loaded machine does not exceed the limit:
-        # at 0.75 s one kill of 200 cost 1.14 s (ten times as many processes as cores).
-        if now_ns - self._last_flush_ns >= FLUSH_NS // 2:
+        # Due early, because the calls can be late on a loaded machine: with 0.75 s one kill of 200
+        # cost 1.14 s (ten times as many processes as cores).
+        if now_ns - self._last_flush_ns >= MAX_FLUSH_INTERVAL_NS // 2:
             self._last_flush_ns = now_ns
-            self._guard(self._file.flush)
-        if not self._aside and now_ns - self._last_sync_ns >= SYNC_NS * 3 // 4:
+            self._run_disk_step(self._file.flush)
+        if not self._owner_syncs and now_ns - self._last_sync_ns >= MAX_SYNC_INTERVAL_NS * 3 // 4:
             self._last_sync_ns = now_ns
-            self._guard(self._file.sync)
+            self._run_disk_step(self._file.sync)
 
     def flush(self) -> None:
-        """Close the chunk in progress now; a killed process keeps what is before it."""
+        """Write the chunk in progress now; if the process is killed, data up to here remain."""
         self._check_open()
-        self._guard(self._file.flush)
+        self._run_disk_step(self._file.flush)
 
     def sync(self) -> None:
-        """Wait until the file is on the disk; any thread may, between creation and `close`.
+        """Wait until the file is on the disk; any thread can call it before `close`.
 
         Raises:
-            OSError: what was written since the last sync may not last; tell `fail`.
+            OSError: data written since the last sync can be lost; call `fail_with`.
         """
         self._file.sync()
 
-    def fail(self, error: OSError) -> NoReturn:
-        """Stop for good because of what `sync` ran into.
+    def fail_with(self, error: OSError) -> NoReturn:
+        """Stop writing permanently after an error of `sync`.
 
         Raises:
             MachineError: always; see the class.
         """
-        self._stop_for_good(error)
+        self._stop_after_error(error)
 
-    def salvage(self, length: int | None = None) -> str:
-        """Let go of the file after an error, where that was left `aside`; say what is kept.
+    def truncate_and_close(self, length: int | None = None) -> str:
+        """Close the file after an error if `owner_syncs` is set; describe the part that is kept.
 
         Args:
-            length: keep no more than this, where the rest is not on the disk for certain.
+            length: keep at most this many bytes, if the rest may not be on the disk.
         """
-        return self._file.salvage(length)
+        return self._file.truncate_and_close(length)
 
     def discard(self) -> None:
-        """Let go of the file after an error, and delete it: nothing is in it."""
-        self._file.salvage()
+        """Close and delete the file after an error if it has no messages."""
+        self._file.truncate_and_close()
         with suppress(OSError):
             self._disk.unlink(self._part)
 
-    def add_facts(
+    def add_metadata(
         self,
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[Attachment] = (),
     ) -> None:
-        """Add metadata records and files that were not known at the beginning.
+        """Add metadata records and attachments after the beginning.
 
         Raises:
-            MachineError: the disk refused; see the class.
+            MachineError: a disk error; see the class.
         """
         self._check_open()
-        self._guard(lambda: self._file.add_facts(metadata, attachments))
+        self._run_disk_step(lambda: self._file.add_metadata(metadata, attachments))
 
     def close(self) -> Path:
         """Finish, sync and rename the file; calling again does nothing.
@@ -336,19 +348,19 @@ class RecordingWriter:
             The final path.
 
         Raises:
-            MachineError: the disk refused, now or before; the text names what is kept.
+            MachineError: a disk error, now or before; the text describes the part that is kept.
         """
-        if self._file.renamed:
+        if self._file.is_renamed:
             return self._final
         self._check_open()
-        self._aside = False  # whoever closes has the time for what is slow
-        self._guard(self._file.flush)
-        self._guard(self._file.finish)
-        self._open = False
+        self._owner_syncs = False  # the caller of `close` can wait
+        self._run_disk_step(self._file.flush)
+        self._run_disk_step(self._file.finish)
+        self._is_open = False
         return self._final
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return this writer."""
         return self
 
     def __exit__(
@@ -357,58 +369,58 @@ class RecordingWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close, whatever ended the block: what was recorded is worth keeping."""
-        if self._open:
+        """Close the file at the end of the block, also after an error, to keep the data."""
+        if self._is_open:
             self.close()
 
     def _begin(
         self,
         records: Mapping[str, Mapping[str, str]],
         attachments: Sequence[Attachment],
-        lasting: bool,
+        sync_at_start: bool,
     ) -> None:
         self._file.begin(records, attachments)
-        if lasting:
+        if sync_at_start:
             self._file.sync()
 
     def _create(self) -> PartFile:
         for path in (self._final, self._part):
             if self._disk.exists(path):
-                raise UsageError(f"{path} exists", _NEVER_OVERWRITTEN)
+                raise UsageError(f"{path} exists", _OVERWRITE_REMEDY)
         try:
             return PartFile(self._final, self._part, self._disk)
         except FileExistsError as error:
-            raise UsageError(f"{self._part} exists", _NEVER_OVERWRITTEN) from error
+            raise UsageError(f"{self._part} exists", _OVERWRITE_REMEDY) from error
         except OSError as error:
             raise MachineError(
-                f"cannot create {self._part}: {error.strerror}",
-                "make room, mend the folder's rights, or name another",
+                f"cannot create {self._part} ({error.strerror})",
+                "free disk space, fix the folder's permissions, or choose another folder",
             ) from error
 
     def _check_open(self) -> None:
-        if not self._open:
-            raise MachineError(f"{self.path} is closed", "open another recording")
+        if not self._is_open:
+            raise MachineError(f"{self.path} is closed", "start another recording")
 
-    def _guard(self, step: Callable[[], T]) -> T:
-        """Run a step; on an error of the disk keep what is whole and stop for good."""
+    def _run_disk_step(self, step: Callable[[], T]) -> T:
+        """Run a step; after a disk error keep the complete data and stop permanently."""
         try:
             return step()
         except OSError as error:
-            self._stop_for_good(error)
+            self._stop_after_error(error)
 
-    def _stop_for_good(self, error: OSError) -> NoReturn:
-        safe = self._file.safe
-        safe.lost = safe.waiting
-        self._open = False
-        kept = f"its first {safe.position} bytes are whole"
-        if not self._aside:
-            kept = self._file.salvage()
+    def _stop_after_error(self, error: OSError) -> NoReturn:
+        committed = self._file.committed
+        committed.lost_messages = committed.waiting_messages
+        self._is_open = False
+        outcome = f"its first {committed.position} bytes are complete"
+        if not self._owner_syncs:
+            outcome = self._file.truncate_and_close()
         raise MachineError(
-            f"cannot write {self.path}: {error.strerror}; {kept}",
-            "make room and begin another recording",
+            f"cannot write {self.path} ({error.strerror}); {outcome}",
+            "free disk space and start another recording",
         ) from error
 
 
-def unfinished(path: Path) -> Path:
-    """The name that `path` has while it is being written."""
+def part_path(path: Path) -> Path:
+    """Return the name of the file while it is being written."""
     return path.with_name(path.name + ".part")

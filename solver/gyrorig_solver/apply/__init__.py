@@ -1,6 +1,7 @@
-"""Calibrations put to use: readings in, true rates out.
+"""Applying calibrations: from sensor readings to true rates.
 
-What to use when: `Calibration` from Python, arrays in and arrays out; `tables.apply_to_table`
-for a CSV file; `recordings.apply_to_recording` for a recording. `correction` says what of a
-document can be applied to a reading and what cannot, `affine` is the arithmetic.
+What to use when: `board_calibration.Calibration` in Python, with arrays;
+`corrected_table.apply_to_table` for a CSV file; `corrected_recording.apply_to_recording` for a
+recording. `correction` has the inverse sensor model, `affine` the fast arithmetic, and
+`calibration_file` reads and checks the document.
 """

@@ -1,12 +1,12 @@
-"""The arithmetic of applying a calibration to many samples at once.
+"""Affine transformation of many readings at once: matrix times reading plus offset.
 
-What to use when: `transformed` for readings of one board. It takes counts of any width or
-rates, and works through them in blocks that stay in the processor's cache.
+What to use when: `transform_readings` for readings of one board, counts of any width or
+rates. It processes them in blocks that stay in the processor cache.
 
-How it is fast: a product of many rows with a 3 x 3 matrix is nearly all call and little
-arithmetic, for BLAS works in blocks far larger than 3. So four samples are read as one row
-of 12 numbers, and multiplied by a 12 x 12 matrix that holds the small one four times: a
-quarter of the products count, and it is still several times as fast.
+Why it is fast: BLAS works in blocks far larger than 3, therefore a product with a 3 x 3
+matrix is mostly call overhead. Here four samples form one row of 12 numbers, which is
+multiplied by a block-diagonal 12 x 12 matrix. Three quarters of the products are with
+zeros, and it is still several times as fast.
 """
 
 from typing import Any
@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.data.arrays import FloatArray
 
-TOGETHER = 4  # samples in one row
-BLOCK = 2048 * TOGETHER  # samples at a time: 200 kB as float64, which a second-level cache holds
+SAMPLES_PER_ROW = 4
+BLOCK_SAMPLES = 2048 * SAMPLES_PER_ROW  # 200 kB as float64, which fits in a level 2 cache
 
 Readings = NDArray[Any]  # whole numbers or floats, shape (n, 3)
 Output = NDArray[Any]  # float32 or float64, shape (n, 3)
 
 
-def transformed(
+def transform_readings(
     readings: Readings, matrix: FloatArray, offset: FloatArray, out: Output | None = None
 ) -> Output:
     """Return `matrix @ reading + offset` of every reading, shape (n, 3).
@@ -32,8 +32,8 @@ def transformed(
         readings: shape (n, 3), counts or rates.
         matrix: shape (3, 3), rows first.
         offset: shape (3,).
-        out: where to write, shape (n, 3), float32 or float64, each row behind the other;
-            float64 of its own without it.
+        out: the output array, shape (n, 3), float32 or float64, C-contiguous; by default a
+            new float64 array.
 
     Raises:
         ValueError: `out` has another shape, is not of floats, or is not contiguous.
@@ -45,27 +45,27 @@ def transformed(
         raise ValueError(f"out is {out.dtype} of shape {out.shape}, not floats of ({count}, 3)")
     elif not out.flags.c_contiguous:
         raise ValueError("out is not contiguous")
-    kind = out.dtype
-    small = np.asarray(matrix).T.astype(kind)
-    wide = np.kron(np.eye(TOGETHER, dtype=kind), small)
-    tall = np.tile(np.asarray(offset), TOGETHER).astype(kind)
-    rows = np.empty((BLOCK // TOGETHER, 3 * TOGETHER), dtype=kind)
-    whole = count - count % TOGETHER
-    for start in range(0, whole, BLOCK):
-        end = min(start + BLOCK, whole)
+    dtype = out.dtype
+    matrix_t = np.asarray(matrix).T.astype(dtype)
+    block_matrix = np.kron(np.eye(SAMPLES_PER_ROW, dtype=dtype), matrix_t)
+    block_offset = np.tile(np.asarray(offset), SAMPLES_PER_ROW).astype(dtype)
+    rows = np.empty((BLOCK_SAMPLES // SAMPLES_PER_ROW, 3 * SAMPLES_PER_ROW), dtype=dtype)
+    whole = count - count % SAMPLES_PER_ROW
+    for start in range(0, whole, BLOCK_SAMPLES):
+        end = min(start + BLOCK_SAMPLES, whole)
         part = readings[start:end]
-        used = rows[: (end - start) // TOGETHER]
-        if part.dtype == kind and part.flags.c_contiguous:
-            used = part.reshape(used.shape)
+        block_rows = rows[: (end - start) // SAMPLES_PER_ROW]
+        if part.dtype == dtype and part.flags.c_contiguous:
+            block_rows = part.reshape(block_rows.shape)
         else:
-            used.reshape(-1, 3)[...] = part
-        target = out[start:end].reshape(-1, 3 * TOGETHER)
-        if part.dtype.kind == "f" and not np.isfinite(used.sum()):
-            # 0 times nan is nan: one reading that is missing would spoil its three neighbours
-            np.matmul(used.reshape(-1, 3), small, out=out[start:end])
+            block_rows.reshape(-1, 3)[...] = part
+        target = out[start:end].reshape(-1, 3 * SAMPLES_PER_ROW)
+        if part.dtype.kind == "f" and not np.isfinite(block_rows.sum()):
+            # 0 times nan is nan: a missing reading would make its three neighbours nan
+            np.matmul(block_rows.reshape(-1, 3), matrix_t, out=out[start:end])
         else:
-            np.matmul(used, wide, out=target)
-        target += tall
-    out[whole:] = readings[whole:].astype(kind) @ small
-    out[whole:] += tall[:3]
+            np.matmul(block_rows, block_matrix, out=target)
+        target += block_offset
+    out[whole:] = readings[whole:].astype(dtype) @ matrix_t
+    out[whole:] += block_offset[:3]
     return out

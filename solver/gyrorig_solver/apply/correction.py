@@ -1,15 +1,16 @@
-"""What of a calibration can be applied to a reading, and what cannot.
+"""The inverse sensor model: from readings of a board to true rates.
 
-What to use when: `correction_of` for a document; `Correction.rates` for readings. The model
-is the document's, with u = G omega, t the temperature above its reference, f the force:
+What to use when: `build_correction` for a document; `Correction.rates` for readings. The model
+is that of the document, with u = G omega, t the temperature above the reference temperature
+and f the specific force:
 
     y = u (1 + s t + q u + c u^2) + a |u| + b + k1 t + k2 t^2 + k3 t^3 + K f
 
-solved for u, and then omega = G^-1 u in the stage's axes, or (S T)^-1 u in the sensor's own
-axes made orthogonal.
+It is solved for u. Then omega = G^-1 u in the stage's axes, or (S T)^-1 u in the
+orthogonalised axes of the sensor.
 
-What belongs to the unit that turned the board, or to one recording's moment, says nothing of
-a later reading: it is left out, and named.
+Causes of the pan-tilt unit and of a single recording do not act on later readings. They are
+left out and listed in `Correction.not_applied`.
 """
 
 from dataclasses import dataclass
@@ -18,42 +19,44 @@ from typing import Literal
 import numpy as np
 
 from gyrorig_protocol.errors import InputError, UsageError
-from gyrorig_solver.apply.affine import Output, Readings, transformed
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.calibration.document import Calibration, Parameter
+from gyrorig_solver.apply.affine import Output, Readings, transform_readings
+from gyrorig_solver.apply.calibration_file import APPLIED_PARAMETERS, BASE_PARAMETERS
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument, Parameter
+from gyrorig_solver.data.arrays import FloatArray
 
 Frame = Literal["stage", "sensor"]
 FRAMES: tuple[Frame, ...] = ("stage", "sensor")
 
-# Causes of the catalogue that act on every later reading too.
-BENDING = ("scale_quadratic", "scale_cubic", "scale_asymmetry")
-ORDERS = ("slope", "square", "cube")
-LAG = "thermal_bias.lag: the die is taken to be as warm as its thermometer says"
-REFERENCE = "reference"  # thermal_bias.reference: what temperatures count from
-_NEWTON_STEPS = 4  # bends are below a tenth: three steps reach the last digit
-_BLOCK = 65536  # readings at a time where the arithmetic needs several copies
-_LARGEST_CONDITION = 1e6  # beyond it a gain undoes nothing
+# Causes of the catalogue that also act on later readings.
+NONLINEARITY_CAUSES = ("scale_quadratic", "scale_cubic", "scale_asymmetry")
+THERMAL_BIAS_ORDERS = ("slope", "square", "cube")
+LAG_NOTE = "thermal_bias.lag is ignored; the die is assumed to have the measured temperature"
+REFERENCE_PARAMETER = "reference"  # thermal_bias.reference: the reference temperature
+_NEWTON_STEPS = 4  # the non-linearity is below a tenth: three steps reach the last digit
+_BLOCK_SAMPLES = 65536  # readings per block where the arithmetic needs several copies
+_MAX_CONDITION = 1e6  # above it the gain matrix cannot be inverted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """Everything that turns a reading into a rate, in SI units.
+    """Coefficients of the inverse sensor model, in SI units.
 
-    `not_applied` names what the document knows and no later reading can use, with the
-    reason.
+    `not_applied` lists the parameters that do not apply to later readings, with the reason.
     """
 
     frame: Frame
-    inverse: FloatArray  # (3, 3): from the sensor's axes, bias off, to rates in the frame
+    inverse: (
+        FloatArray  # (3, 3), from bias-free readings in the sensor's axes to rates in the frame
+    )
     bias_rad_s: FloatArray  # (3,)
-    thermal_bias: FloatArray  # (orders, 3), rad/s/K^p; no rows without
+    thermal_bias: FloatArray  # (orders, 3), rad/s/K^p; no rows without the cause
     thermal_scale: FloatArray  # (3,), 1/K
-    reference_degc: float  # what temperatures count from; nan where nothing does
+    reference_degc: float  # reference temperature; nan without thermal causes
     quadratic: FloatArray  # (3,)
     cubic: FloatArray  # (3,)
     asymmetry: FloatArray  # (3,)
-    force: FloatArray  # (3, 3), rad/s/(m/s^2), against the sensor's axes
-    lag_s: float = 0.0  # of the die's temperature, see model/terms/temperature
+    force: FloatArray  # (3, 3), rad/s/(m/s^2), in the sensor's axes
+    lag_s: float = 0.0  # of the die temperature, see model/board_temperature.py
     not_applied: tuple[str, ...] = ()
 
     @property
@@ -67,18 +70,18 @@ class Correction:
         return bool(self.force.any())
 
     @property
-    def bends(self) -> bool:
-        """Whether the reading is no straight line of the rate."""
-        some = (self.quadratic, self.cubic, self.asymmetry, self.thermal_scale)
-        return any(bool(values.any()) for values in some)
+    def is_nonlinear(self) -> bool:
+        """Whether the reading is a non-linear function of the rate."""
+        coefficients = (self.quadratic, self.cubic, self.asymmetry, self.thermal_scale)
+        return any(bool(values.any()) for values in coefficients)
 
     @property
-    def straight(self) -> bool:
-        """Whether a matrix and an offset are all of it."""
-        return not (self.bends or self.needs_temperature or self.needs_force)
+    def is_affine(self) -> bool:
+        """Whether a matrix and an offset are sufficient."""
+        return not (self.is_nonlinear or self.needs_temperature or self.needs_force)
 
     def offset(self) -> FloatArray:
-        """Return what is added behind the matrix, shape (3,)."""
+        """Return the offset of the affine form, shape (3,), rad/s."""
         return np.asarray(-self.inverse @ self.bias_rad_s, dtype=np.float64)
 
     def rates(
@@ -93,88 +96,99 @@ class Correction:
 
         Args:
             readings: shape (n, 3); counts, or rad/s at the nominal scale.
-            scale_rad_s: what one unit of a reading is worth nominally; 1 for rad/s.
-            temperature_degc: of every reading, shape (n,), or of all of them.
-            specific_force_m_s2: as the board's accelerometer reads it, shape (n, 3).
-            out: as in `affine.transformed`.
+            scale_rad_s: nominal scale factor of the readings' unit; 1 for rad/s.
+            temperature_degc: per reading, shape (n,), or one for all.
+            specific_force_m_s2: readings of the board's accelerometer, shape (n, 3).
+            out: as in `affine.transform_readings`.
 
         Raises:
-            UsageError: the calibration asks for a temperature or a force, and none is given.
+            UsageError: a needed temperature or force is not given.
         """
         if self.needs_temperature and temperature_degc is None:
             raise UsageError(
                 "this calibration depends on the temperature",
-                "give the board's temperature too, or solve without thermal_bias and thermal_scale",
+                "also give the temperature of the board, or solve without thermal_bias and "
+                "thermal_scale",
             )
         if self.needs_force and specific_force_m_s2 is None:
             raise UsageError(
                 "this calibration depends on the specific force",
-                "give the accelerometer's readings too, or solve without g_sensitivity",
+                "also give the accelerometer's readings, or solve without g_sensitivity",
             )
-        if self.straight:
-            return transformed(readings, scale_rad_s * self.inverse, self.offset(), out)
+        if self.is_affine:
+            return transform_readings(readings, scale_rad_s * self.inverse, self.offset(), out)
         count = readings.shape[0]
         rates = np.empty((count, 3)) if out is None else out
-        for start in range(0, count, _BLOCK):
-            rows = slice(start, min(start + _BLOCK, count))
-            warmth = self._warmth(temperature_degc, rows)
+        for start in range(0, count, _BLOCK_SAMPLES):
+            rows = slice(start, min(start + _BLOCK_SAMPLES, count))
+            excess_degc = self._temperature_above_reference(temperature_degc, rows)
             reading = readings[rows] * scale_rad_s - self.bias_rad_s
             for power, coefficient in enumerate(self.thermal_bias, start=1):
-                reading -= warmth**power * coefficient
+                reading -= excess_degc**power * coefficient
             if specific_force_m_s2 is not None:
                 reading -= specific_force_m_s2[rows] @ self.force.T
-            rates[rows] = self._unbent(reading, warmth) @ self.inverse.T
+            rates[rows] = self._invert_nonlinearity(reading, excess_degc) @ self.inverse.T
         return rates
 
-    def _warmth(self, temperature_degc: FloatArray | float | None, rows: slice) -> FloatArray:
+    def _temperature_above_reference(
+        self, temperature_degc: FloatArray | float | None, rows: slice
+    ) -> FloatArray:
         """Return the temperatures above the reference, shape (n, 1) or (1, 1)."""
         if temperature_degc is None or not self.needs_temperature:
             return np.zeros((1, 1))
-        given = np.asarray(temperature_degc, dtype=np.float64)
-        return np.atleast_1d(given if given.ndim == 0 else given[rows])[:, None] - (
-            self.reference_degc
-        )
+        temperatures = np.asarray(temperature_degc, dtype=np.float64)
+        return np.atleast_1d(temperatures if temperatures.ndim == 0 else temperatures[rows])[
+            :, None
+        ] - (self.reference_degc)
 
-    def _unbent(self, reading: FloatArray, warmth: FloatArray) -> FloatArray:
+    def _invert_nonlinearity(self, reading: FloatArray, excess_degc: FloatArray) -> FloatArray:
         """Solve reading = u (1 + s dT + q u + c u^2) + a |u| for u, by Newton's method."""
-        if not self.bends:
+        if not self.is_nonlinear:
             return reading
-        first = 1.0 + self.thermal_scale * warmth
-        u = reading / first
+        linear_factor = 1.0 + self.thermal_scale * excess_degc
+        u = reading / linear_factor
         for _ in range(_NEWTON_STEPS):
-            told = u * (first + self.quadratic * u + self.cubic * u * u)
-            told += self.asymmetry * np.abs(u)
-            slope = first + 2.0 * self.quadratic * u + 3.0 * self.cubic * u * u
-            u = u - (told - reading) / (slope + self.asymmetry * np.sign(u))
+            predicted = u * (linear_factor + self.quadratic * u + self.cubic * u * u)
+            predicted += self.asymmetry * np.abs(u)
+            slope = linear_factor + 2.0 * self.quadratic * u + 3.0 * self.cubic * u * u
+            u = u - (predicted - reading) / (slope + self.asymmetry * np.sign(u))
         return u
 
 
-def correction_of(calibration: Calibration, frame: Frame = "stage") -> Correction:
-    """Return what a calibration does to readings.
+def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -> Correction:
+    """Return the correction of a calibration.
 
     Args:
         calibration: the document.
-        frame: axes of the rates: the stage's, or the sensor's own made orthogonal.
+        frame: axes of the rates: the stage's, or the orthogonalised axes of the sensor.
 
     Raises:
-        InputError: the calibration is refused, or leaves open what is needed.
+        InputError: the verdict is refused, or a needed parameter is not known.
     """
     name = f"{calibration.board.id} version {calibration.version}"
     if calibration.trust.verdict == "refused":
-        why = calibration.trust.reasons[0] if calibration.trust.reasons else "its report says why"
-        raise InputError(f"the calibration of {name} is refused and not to be applied", why)
-    bias = _known(calibration, "bias", name)
-    inverse = _inverse(calibration, frame, name)
-    left: list[str] = []
-    thermal = _thermal(calibration, left)
-    lag_s = float(_optional(calibration, "thermal_bias.lag")[0]) if thermal[0].size else 0.0
-    left += [LAG] if lag_s else []
-    force, partly = _force(calibration)
-    left += partly
+        reason = (
+            calibration.trust.reasons[0]
+            if calibration.trust.reasons
+            else "read its report for the reason"
+        )
+        raise InputError(
+            f"the calibration of {name} has the verdict refused and must not be applied", reason
+        )
+    bias = _known_values(calibration, "bias", name)
+    inverse = _inverse_gain(calibration, frame, name)
+    not_applied: list[str] = []
+    thermal = _thermal_terms(calibration, not_applied)
+    lag_s = float(_optional_values(calibration, "thermal_bias.lag")[0]) if thermal[0].size else 0.0
+    not_applied += [LAG_NOTE] if lag_s else []
+    force, force_notes = _g_sensitivity(calibration)
+    not_applied += force_notes
     for parameter in calibration.parameters:
         cause = parameter.partition(".")[0].partition("@")[0]
-        if cause not in (*_BASE, *BENDING, "thermal_bias", "thermal_scale", "g_sensitivity"):
-            left.append(f"{parameter}: of the rig or of one recording, not of every reading")
+        if cause not in BASE_PARAMETERS and cause not in APPLIED_PARAMETERS:
+            not_applied.append(
+                f"{parameter} is not applied: it belongs to the rig or to one recording"
+            )
     return Correction(
         frame=frame,
         inverse=inverse,
@@ -182,116 +196,120 @@ def correction_of(calibration: Calibration, frame: Frame = "stage") -> Correctio
         thermal_bias=thermal[0],
         thermal_scale=thermal[1],
         reference_degc=thermal[2],
-        quadratic=_optional(calibration, "scale_quadratic"),
-        cubic=_optional(calibration, "scale_cubic"),
-        asymmetry=_optional(calibration, "scale_asymmetry"),
+        quadratic=_optional_values(calibration, "scale_quadratic"),
+        cubic=_optional_values(calibration, "scale_cubic"),
+        asymmetry=_optional_values(calibration, "scale_asymmetry"),
         force=force,
         lag_s=lag_s,
-        not_applied=tuple(dict.fromkeys(left)),
+        not_applied=tuple(dict.fromkeys(not_applied)),
     )
 
 
-_BASE = ("bias", "scale", "nonorthogonality", "misalignment", "time_offset")
-
-
-def _inverse(calibration: Calibration, frame: Frame, name: str) -> FloatArray:
-    """Return the inverse of G, or of S T for the sensor's axes."""
+def _inverse_gain(calibration: CalibrationDocument, frame: Frame, name: str) -> FloatArray:
+    """Return the inverse of G, or of S T for the orthogonalised axes of the sensor."""
     matrices = calibration.matrices
     rows = [matrices.STM] if frame == "stage" else [matrices.S, matrices.T]
     if any(value is None for matrix in rows for row in matrix for value in row):
-        hidden = open_parameters(calibration)
+        unobservable = unobservable_text(calibration)
         raise InputError(
-            f"the calibration of {name} leaves open {hidden}",
-            "record a motion that shows it, or take off the bias alone (--bias-only)",
+            f"the calibration of {name} has no value for {unobservable}",
+            "record a motion that makes it observable, or subtract the bias only (--bias-only)",
         )
     gain = np.linalg.multi_dot([*(np.array(m, dtype=np.float64) for m in rows), np.eye(3)])
-    if np.linalg.cond(gain) > _LARGEST_CONDITION:
+    if np.linalg.cond(gain) > _MAX_CONDITION:
         raise InputError(
-            f"the gain of {name} cannot be undone, for its axes cannot be told apart",
+            f"the gain matrix of {name} is singular, because two axes measure the same rate",
             "record a motion about all three axes and solve again",
         )
     return np.asarray(np.linalg.inv(gain), dtype=np.float64)
 
 
-def open_parameters(calibration: Calibration) -> str:
-    """Return what the motion did not show, whole parameters by their name, as words."""
+def unobservable_text(calibration: CalibrationDocument) -> str:
+    """Return the names of the unobservable parameters, as text."""
     groups = (name.partition(".")[0] for name in calibration.observability.unobservable)
     return ", ".join(dict.fromkeys(groups)) or "the gain"
 
 
-def correction_of_bias(calibration: Calibration) -> Correction:
-    """Return a correction that takes the bias off and believes the nominal scale.
+def build_bias_correction(calibration: CalibrationDocument) -> Correction:
+    """Return a correction that subtracts the bias and keeps the nominal scale.
 
     Raises:
-        InputError: the calibration is refused, or leaves the bias open.
+        InputError: the calibration determines nothing, or not the bias.
     """
     name = f"{calibration.board.id} version {calibration.version}"
     if calibration.trust.verdict == "refused" and calibration.observability.rank == 0:
         raise InputError(
-            f"the calibration of {name} shows nothing, so there is nothing to apply",
-            "its report says why; record a motion about all three axes and solve again",
+            f"the calibration of {name} determines no parameter, therefore nothing can be applied",
+            "read its report for the reason, record a motion about all three axes and solve again",
         )
-    nothing = np.zeros(3)
+    zeros = np.zeros(3)
     return Correction(
         frame="sensor",
         inverse=np.eye(3),
-        bias_rad_s=_known(calibration, "bias", name),
+        bias_rad_s=_known_values(calibration, "bias", name),
         thermal_bias=np.zeros((0, 3)),
-        thermal_scale=nothing,
+        thermal_scale=zeros,
         reference_degc=float("nan"),
-        quadratic=nothing,
-        cubic=nothing,
-        asymmetry=nothing,
+        quadratic=zeros,
+        cubic=zeros,
+        asymmetry=zeros,
         force=np.zeros((3, 3)),
-        not_applied=("the gain: --bias-only leaves the nominal scale as it is",),
+        not_applied=("the gain is not applied: --bias-only keeps the nominal scale",),
     )
 
 
-def _thermal(calibration: Calibration, left: list[str]) -> tuple[FloatArray, FloatArray, float]:
-    """Return the bias' polynomial, the scale's slope and what temperatures count from."""
+def _thermal_terms(
+    calibration: CalibrationDocument, not_applied: list[str]
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the bias polynomial, the slope of the scale and the reference temperature."""
     orders: list[FloatArray] = []
-    for order in ORDERS:
-        found = calibration.parameters.get(f"thermal_bias.{order}")
-        if order == ORDERS[0] and found is None:  # a cause with one size has its name alone
-            found = calibration.parameters.get("thermal_bias")
-        if found is None:
+    for order in THERMAL_BIAS_ORDERS:
+        parameter = calibration.parameters.get(f"thermal_bias.{order}")
+        if (
+            order == THERMAL_BIAS_ORDERS[0] and parameter is None
+        ):  # a cause with one size has no suffix
+            parameter = calibration.parameters.get("thermal_bias")
+        if parameter is None:
             break
-        orders.append(_filled(found))
-    scale = _optional(calibration, "thermal_scale")
+        orders.append(_values_or_zero(parameter))
+    scale = _optional_values(calibration, "thermal_scale")
     reference = next(
         (
-            found.value
+            parameter.value
             for cause in ("thermal_bias", "thermal_scale")
-            if (found := calibration.parameters.get(f"{cause}.{REFERENCE}")) is not None
+            if (parameter := calibration.parameters.get(f"{cause}.{REFERENCE_PARAMETER}"))
+            is not None
         ),
         None,
     )
     polynomial = np.array(orders).reshape(-1, 3)
-    start = reference[0] if isinstance(reference, list) and reference else reference
-    if start is None or isinstance(start, list):
+    reference_value = reference[0] if isinstance(reference, list) and reference else reference
+    if reference_value is None or isinstance(reference_value, list):
         if orders or scale.any():
-            left.append(
-                "thermal causes: the document does not say what its temperatures count from; "
+            not_applied.append(
+                "thermal causes are not applied: the document has no reference temperature; "
                 "solve again with this version"
             )
         return np.zeros((0, 3)), np.zeros(3), float("nan")
-    return polynomial, scale, start
+    return polynomial, scale, reference_value
 
 
-def _force(calibration: Calibration) -> tuple[FloatArray, list[str]]:
-    """Return K against the sensor's axes, K M^T, and what of it is not known."""
-    found = calibration.parameters.get("g_sensitivity")
-    turn = np.array(calibration.matrices.M, dtype=np.float64)
-    if found is None or not np.all(np.isfinite(turn)):
+def _g_sensitivity(calibration: CalibrationDocument) -> tuple[FloatArray, list[str]]:
+    """Return K in the sensor's axes, K M^T, and a note if a part of it is not known."""
+    parameter = calibration.parameters.get("g_sensitivity")
+    misalignment = np.array(calibration.matrices.M, dtype=np.float64)
+    if parameter is None or not np.all(np.isfinite(misalignment)):
         return np.zeros((3, 3)), []
-    stage = _filled(found).reshape(3, 3)
-    hidden = isinstance(found.value, list) and None in found.value
-    words = "g_sensitivity along the stage's x: a pan-tilt unit cannot show it, taken as 0"
-    return stage @ turn.T, [words] if hidden else []
+    stage = _values_or_zero(parameter).reshape(3, 3)
+    is_partial = isinstance(parameter.value, list) and None in parameter.value
+    words = (
+        "g_sensitivity along the stage's x axis is taken as 0: a pan-tilt unit cannot measure it"
+    )
+    return stage @ misalignment.T, [words] if is_partial else []
 
 
-def _known(calibration: Calibration, parameter: str, name: str) -> FloatArray:
-    """Return a base parameter's three values.
+def _known_values(calibration: CalibrationDocument, parameter: str, name: str) -> FloatArray:
+    """Return the three values of a base parameter.
 
     Raises:
         InputError: one of them is null.
@@ -300,19 +318,19 @@ def _known(calibration: Calibration, parameter: str, name: str) -> FloatArray:
     values = value if isinstance(value, list) else [value]
     if any(v is None for v in values):
         raise InputError(
-            f"the calibration of {name} leaves open its {parameter}",
-            "its report says what motion shows it: record that, and solve again",
+            f"the calibration of {name} has no value for {parameter}",
+            "record the motion that its report recommends, and solve again",
         )
     return np.array(values, dtype=np.float64)
 
 
-def _optional(calibration: Calibration, cause: str) -> FloatArray:
+def _optional_values(calibration: CalibrationDocument, cause: str) -> FloatArray:
     """Return a cause's three values, zeros where it was not fitted."""
-    found = calibration.parameters.get(cause)
-    return np.zeros(3) if found is None else _filled(found)
+    parameter = calibration.parameters.get(cause)
+    return np.zeros(3) if parameter is None else _values_or_zero(parameter)
 
 
-def _filled(parameter: Parameter) -> FloatArray:
+def _values_or_zero(parameter: Parameter) -> FloatArray:
     """Return a parameter's values, zero where one is null."""
     value = parameter.value if isinstance(parameter.value, list) else [parameter.value]
     return np.array([0.0 if v is None else v for v in value], dtype=np.float64)

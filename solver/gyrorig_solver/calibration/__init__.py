@@ -1,6 +1,7 @@
-"""From a fit to a calibration that others can rely on.
+"""Calibration documents: building, reading and storing them, and their texts.
 
-What to use when: `solving.solve_into` for everything at once; `build.calibration_of` for
-a document of a fit; `document.parse_calibration` to read one back; `store` for versions;
-`trust` for the verdict; `wording` and `summary` for people; `paper` for the paper's method.
+What to use when: `calibration_builder.build_calibration` for the document of a fit;
+`calibration_document.parse_calibration` to read one; `calibration_store` for versions on disk;
+`verdict` for the verdict; `calibration_wording` and `calibration_summary` for texts;
+`paper_calibration` for the paper's method. `pipeline.solve_board` does all of it for a recording.
 """

@@ -1,22 +1,36 @@
-"""What every command shares: where its words go, and its version.
+"""Output of the commands: results, JSON, progress and errors.
 
-What to use when: `say` for a result a person reads, `emit` for the one object of
-`--json`, `progress` for what is being done now. Progress goes to standard error, and
-only on a terminal.
+What to use when: `Terminal.print_result` for text, `print_json` for the object of `--json`,
+`print_progress` for a short step, `show_progress` around a step that can take seconds,
+`format_table` for columns, `colour_verdict` for a verdict. Progress goes to standard error.
 """
 
 import json
 import math
+import os
 import sys
-from collections.abc import Callable, Mapping
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-NOT_IDENTIFIABLE = 4  # done, but something asked for cannot be told from this data
-IN_PART = 5  # some inputs failed, some did not
+NOT_IDENTIFIABLE = 4  # exit status: done, but something is not identifiable from this data
+PARTIAL = 5  # exit status: some inputs failed
+PROGRESS_AFTER_S = 2.0
+_VERDICT_COLOURS = {
+    "good": "green",
+    "limited": "yellow",
+    "refused": "red",
+    "adequate": "green",
+    "explained": "yellow",
+    "unexplained": "yellow",
+}
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -27,47 +41,146 @@ def version_text() -> str:
 
 
 def printable(text: str) -> str:
-    """Return `text` without what would steer a terminal; lines stay lines.
+    """Return `text` without terminal control characters; lines stay lines.
 
-    Names in recordings come from devices and strangers.
+    Names in recordings come from devices and are untrusted.
     """
     return "".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def finite(value: Any) -> Any:
-    """Return `value` with null for numbers that JSON has no word for."""
+def finite_json(value: Any) -> Any:
+    """Return `value` with null for numbers that JSON cannot express."""
     if isinstance(value, Mapping):
-        return {key: finite(item) for key, item in value.items()}
+        return {key: finite_json(element) for key, element in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
+        return [finite_json(element) for element in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(slots=True)
 class Terminal:
-    """The way from a command to the person, or program, that called it."""
+    """Output of one command."""
 
     json: bool = False
     traceback: bool = False
+    quiet: bool = False
+    verbose: bool = False
 
-    def say(self, text: str) -> None:
-        """Write a result to standard output, unless it shall be JSON."""
-        if not self.json:
-            click.echo(printable(text))
+    @property
+    def shows_progress(self) -> bool:
+        """Progress is for a person at a terminal, or on request."""
+        return not self.quiet and (self.verbose or sys.stderr.isatty())
 
-    def emit(self, result: Mapping[str, Any]) -> None:
-        """Write the one JSON object of `--json`; nothing without that option."""
+    def print_result(self, text: str, verdict: str = "") -> None:
+        """Write text to standard output, unless `--json` was given.
+
+        Args:
+            text: lines; control characters are escaped.
+            verdict: colours the first line on a terminal.
+        """
         if self.json:
-            click.echo(json.dumps(finite(result), allow_nan=False))
+            return
+        first_line, separator, rest = printable(text).partition("\n")
+        click.echo(colour_verdict(first_line, verdict) + separator + rest)
 
-    def progress(self, text: str) -> None:
-        """Say what is being done, on standard error, if that is a terminal."""
-        if sys.stderr.isatty():
+    def print_json(self, result: Mapping[str, Any]) -> None:
+        """Write the JSON object of `--json`; without that option nothing."""
+        if self.json:
+            click.echo(json.dumps(finite_json(result), allow_nan=False))
+
+    def print_progress(self, text: str) -> None:
+        """Write one line of progress to standard error."""
+        if self.shows_progress:
             click.echo(printable(text), err=True)
 
-    def complain(self, text: str) -> None:
-        """Say in one line, on standard error, what one of several inputs met."""
+    @contextmanager
+    def show_progress(self, text: str) -> Iterator[None]:
+        """Show `text` while a step runs, with the elapsed time after two seconds."""
+        if not self.shows_progress:
+            yield
+            return
+        finished = threading.Event()
+        thread = threading.Thread(target=_show_elapsed, args=(printable(text), finished))
+        thread.start()
+        try:
+            yield
+        finally:
+            finished.set()
+            thread.join()
+
+    def print_error(self, text: str) -> None:
+        """Write the error of one of several inputs as one line to standard error."""
         click.echo(f"gyrorig: {printable(' '.join(text.split()))}", err=True)
+
+
+def _show_elapsed(text: str, finished: threading.Event) -> None:
+    """Write a step's elapsed time once per second until it has finished."""
+    start_s = time.monotonic()
+    click.echo(text, err=True)
+    is_terminal = sys.stderr.isatty()
+    wait_s = PROGRESS_AFTER_S
+    while not finished.wait(wait_s):
+        wait_s = 1.0
+        if is_terminal:
+            click.echo(f"\r  {time.monotonic() - start_s:.0f} s", err=True, nl=False)
+    elapsed_s = time.monotonic() - start_s
+    if elapsed_s >= PROGRESS_AFTER_S:
+        click.echo(f"{chr(13) if is_terminal else ''}  {elapsed_s:.0f} s", err=True)
+
+
+def colour_verdict(text: str, verdict: str) -> str:
+    """Return `text` in the colour of a verdict, on a terminal without NO_COLOR."""
+    colour = _VERDICT_COLOURS.get(verdict)
+    if colour is None or not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
+        return text
+    return click.style(text, fg=colour, bold=True)
+
+
+def format_table(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
+    """Return rows as lines with aligned columns.
+
+    Args:
+        rows: texts of equal number per row.
+        right: numbers of the columns to align at the right.
+    """
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  ".join(
+            text.rjust(width) if column in right else text.ljust(width)
+            for column, (text, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+class _OutputOption(click.Option):
+    """`-o, --output`; `--out` is accepted too and is not shown in the help."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Return the help without the accepted spelling."""
+        record = super().get_help_record(ctx)
+        return record and (record[0].replace(", --out ", " "), record[1])
+
+
+def output_option(text: str, *, required: bool = False) -> Callable[[Command], Command]:
+    """Give a command the option `-o, --output FILE`, as parameter `out`."""
+    return click.option(
+        "-o",
+        "--output",
+        "--out",
+        "out",
+        cls=_OutputOption,
+        type=click.Path(path_type=Path, dir_okay=False),
+        required=required,
+        help=text,
+    )
+
+
+def board_option(command: Command) -> Command:
+    """Give a command the option `--board`."""
+    return click.option(
+        "--board", help="Only this board.  [default: every board in the recordings]"
+    )(command)
 
 
 def _set_json(context: click.Context, _parameter: click.Parameter, value: bool) -> None:

@@ -1,6 +1,6 @@
-"""A calibration in the words of other programs: C, ROS, Kalibr, PX4, ArduPilot, JSON.
+"""Exports of a calibration to other programs: C, ROS, Kalibr, PX4, ArduPilot, JSON.
 
-What to use when: `formats.exported` for the text of one format; `FORMATS` lists them. Each
-module writes one of them and says in the file itself which frame, which direction, which
-order and which unit its numbers have. What a format has no place for is said there too.
+What to use when: `export_formats.export_text` for the text in one format; `FORMATS` lists the
+formats. Each module writes one or two of them. Every exported file states the frame, direction,
+order and unit of its numbers, and lists what the format has no place for.
 """

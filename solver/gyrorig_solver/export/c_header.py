@@ -1,9 +1,9 @@
-"""C: one header, floating and fixed point, with vectors by which it tests itself.
+"""C header with floating-point and fixed-point functions and a self-test.
 
-What to use when: `c_header` for the text. C99 and C++, `stdint.h` and nothing else, no heap,
-no division but by powers of two; names begin with the board's. Fixed point gives rates in
-steps of 2^-Q rad/s from 32-bit products summed in 64 bits; Q and the products' shift are
-chosen so that nothing overflows over the whole range of the counts.
+What to use when: `c_header` for the text. It is valid C99 and C++, includes only `stdint.h`,
+uses no heap and divides only by powers of two; its names begin with that of the board. The
+fixed-point form gives rates in steps of 2^-Q rad/s from 32-bit factors summed in 64 bits. Q
+and the shift of the products are chosen so that no count in the range overflows.
 """
 
 import math
@@ -14,45 +14,45 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.arrays import FloatArray, IntArray
-from gyrorig_solver.export.numbers import AXES, Source, printable_line, quoted
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.export.export_source import AXES_TEXT, ExportSource, printable_line, quoted
 
-_SIXTEEN_BIT = 32768
-_WIDEST = 2**31 - 1
-_HEADROOM = 1.2  # codes go on beyond the nominal full scale: L3G4200D +-287 at "250"
-_VECTORS = 8
-_FLOAT_ULP = 2.0**-24  # half a unit in the last place of a float of 1
-_MAX_SHIFT = 30  # 30 bits of a result and 30 behind the point fit in 62
+_INT16_LIMIT = 32768
+_INT32_LIMIT = 2**31 - 1
+_FULL_SCALE_HEADROOM = 1.2  # sensors read above their nominal full scale: L3G4200D +-287 at "250"
+_RANDOM_VECTORS = 8
+_FLOAT_ULP = 2.0**-24  # half a unit in the last place of the float 1
+_MAX_SHIFT = 30  # 30 integer bits and 30 fraction bits fit in 62
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedPoint:
-    """The integers of the fixed-point form; rates are (matrix counts + offset) / 2^shift."""
+    """The integers of the fixed-point form: rates = (matrix counts + offset) / 2^shift."""
 
     matrix: IntArray  # (3, 3)
     offset: tuple[int, int, int]  # 64 bits
     shift: int
-    point: int  # rates are in steps of 2^-point rad/s
+    fraction_bits: int  # rates are in steps of 2^-point rad/s
 
     @classmethod
     def of(cls, matrix: FloatArray, offset: FloatArray, limit: int) -> "FixedPoint":
-        """Return the finest form that no reading within +-limit overflows.
+        """Return the finest form in which no count within +-limit overflows.
 
         Args:
             matrix: rad/s per count, shape (3, 3).
             offset: rad/s, shape (3,).
-            limit: greatest count.
+            limit: largest count.
         """
         largest = float(np.max(np.abs(matrix).sum(axis=1) * limit + np.abs(offset)))
-        point = min(30, 30 - math.ceil(math.log2(largest)))
-        room = 30 - math.ceil(math.log2(float(np.abs(matrix).max()))) - point
+        fraction_bits = min(30, 30 - math.ceil(math.log2(largest)))
+        room = 30 - math.ceil(math.log2(float(np.abs(matrix).max()))) - fraction_bits
         shift = max(0, min(_MAX_SHIFT, room))
-        scaled = np.rint(np.ldexp(matrix, point + shift)).astype(np.int64)
-        whole = [round(math.ldexp(float(v), point + shift)) for v in offset]
-        return cls(scaled, (whole[0], whole[1], whole[2]), shift, point)
+        scaled = np.rint(np.ldexp(matrix, fraction_bits + shift)).astype(np.int64)
+        whole = [round(math.ldexp(float(v), fraction_bits + shift)) for v in offset]
+        return cls(scaled, (whole[0], whole[1], whole[2]), shift, fraction_bits)
 
     def rates(self, counts: Sequence[int]) -> list[int]:
-        """Return what the C code gives, in its steps; integers of any length."""
+        """Return the result of the C code, in its steps, with unlimited integers."""
         half = (1 << self.shift) >> 1
         out = []
         for row, start in zip(self.matrix.tolist(), self.offset, strict=True):
@@ -62,90 +62,98 @@ class FixedPoint:
         return out
 
     def error_bound_rad_s(self, limit: int) -> float:
-        """Return the most by which rounding moves a rate, over counts within +-limit."""
+        """Return the largest rounding error of a rate, for counts within +-limit."""
         products = 0.5 * (3 * limit + 1) / (1 << self.shift)
-        return float(math.ldexp(products + 0.5, -self.point))
+        return float(math.ldexp(products + 0.5, -self.fraction_bits))
 
 
-def c_header(source: Source, name: str | None = None) -> str:
+def c_header(source: ExportSource, name: str | None = None) -> str:
     """Return the header's text.
 
     Args:
         source: a calibration with its gain.
-        name: what its names begin with; from the board's without it.
+        name: prefix of its names; by default made from that of the board.
 
     Raises:
-        InputError: the calibration leaves open what is needed.
-        UsageError: `name` is no identifier, or what a count is worth is not known.
+        InputError: a needed parameter is not known.
+        UsageError: `name` is not an identifier, or the nominal scale is not known.
     """
-    correction = source.whole
-    scale = source.found.board.config.gyro_scale_rad_s
+    correction = source.correction
+    scale = source.document.board.config.gyro_scale_rad_s
     if scale is None:
         raise UsageError(
-            "the calibration does not say what a count is worth, and C reads counts",
-            "give gyro_scale_rad_s among the board's facts (or in the import map), record and "
-            "solve again",
+            "the calibration does not specify the nominal scale of a count, and the C code reads "
+            "counts",
+            "add gyro_scale_rad_s to the board's description (or to the import map), then record "
+            "and solve again",
         )
-    stem = name or _identifier(source.found.board.id)
+    stem = name or _identifier(source.document.board.id)
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,40}", stem):
         raise UsageError(
-            f"{stem[:40]!r} is no name in C",
-            "give another with --name: up to 41 letters, digits and _, no digit first",
+            f"{stem[:40]!r} is not a valid name in C",
+            "give another one with --name, up to 41 letters, digits and _, not starting with a "
+            "digit",
         )
     matrix, offset = scale * correction.inverse, correction.offset()
-    limit = count_limit(scale, source.found.board.config.gyro_full_scale_dps)
+    limit = largest_count(scale, source.document.board.config.gyro_full_scale_dps)
     fixed = FixedPoint.of(matrix, offset, limit)
     parts = [
-        *_head(source, stem, fixed, limit),
-        *_guard(stem),
-        *_facts(source, stem, fixed, scale),
-        *_float(stem, matrix, offset),
-        *(_float_warm(source, stem, scale) if correction.thermal_bias.size else ()),
-        *_fixed(stem, fixed),
-        *_self_test(stem, matrix, offset, fixed, limit),
+        *_header_comment(source, stem, fixed, limit),
+        *_include_guard(stem),
+        *_definitions(source, stem, fixed, scale),
+        *_float_function(stem, matrix, offset),
+        *(
+            _float_function_with_temperature(source, stem, scale)
+            if correction.thermal_bias.size
+            else ()
+        ),
+        *_fixed_function(stem, fixed),
+        *_self_test_function(stem, matrix, offset, fixed, limit),
         f"#endif  /* {stem.upper()}_GYRO_H */",
     ]
     return "\n".join(parts) + "\n"
 
 
-def count_limit(scale_rad_s: float, full_scale_dps: float | None) -> int:
-    """Return the greatest count that a board can send: 16 bits, or more where they do not do."""
+def largest_count(scale_rad_s: float, full_scale_dps: float | None) -> int:
+    """Return the largest count of a board: 16 bits, or more if its full scale needs more."""
     if full_scale_dps is None:
-        return _SIXTEEN_BIT if scale_rad_s > 1e-6 else _WIDEST
-    wanted = math.ceil(_HEADROOM * math.radians(full_scale_dps) / scale_rad_s)
-    sixteen = wanted <= _HEADROOM**2 * _SIXTEEN_BIT
-    return _SIXTEEN_BIT if sixteen else min(_WIDEST, wanted)
+        return _INT16_LIMIT if scale_rad_s > 1e-6 else _INT32_LIMIT
+    needed = math.ceil(_FULL_SCALE_HEADROOM * math.radians(full_scale_dps) / scale_rad_s)
+    fits_16_bits = needed <= _FULL_SCALE_HEADROOM**2 * _INT16_LIMIT
+    return _INT16_LIMIT if fits_16_bits else min(_INT32_LIMIT, needed)
 
 
 def _identifier(board: str) -> str:
-    """Return a board's name as C has names: GY80-1 becomes gy80_1."""
+    """Return the name of a board as a C identifier: GY80-1 becomes gy80_1."""
     plain = re.sub(r"[^a-z0-9]+", "_", board.lower()).strip("_") or "gyro"
     return (plain if plain[0].isalpha() else f"board_{plain}")[:40]
 
 
-def _head(source: Source, stem: str, fixed: FixedPoint, limit: int) -> Iterator[str]:
+def _header_comment(
+    source: ExportSource, stem: str, fixed: FixedPoint, limit: int
+) -> Iterator[str]:
     lines = [
-        *source.head(),
+        *source.header_lines(),
         "",
-        "What goes in: counts as the sensor sends them, in its own x, y, z, signs as they come.",
-        f"What comes out: the true rate in rad/s, in {AXES[source.frame]}.",
+        "Input: counts as the sensor sends them, in its own axes x, y, z.",
+        f"Output: the true rate in rad/s, in {AXES_TEXT[source.frame]}.",
         "    rate = A counts + c;  A = scale (S T M)^-1, c = -(S T M)^-1 b; rows first.",
-        "Positive rates turn counter-clockwise about their axis, seen from its tip.",
-        f"{stem}_rate_float: float. {stem}_rate_fixed: 32-bit integers,",
-        f"    1 is 2^-{fixed.point} rad/s; rounding moves them by at most "
+        "Positive rates are counter-clockwise about their axis, seen from its tip.",
+        f"{stem}_rate_float gives floats. {stem}_rate_fixed gives 32-bit integers in steps",
+        f"    of 2^-{fixed.fraction_bits} rad/s; their rounding error is at most "
         f"{fixed.error_bound_rad_s(limit):.2g} rad/s.",
-        f"Counts are within +-{limit}: beyond that fixed point may overflow.",
-        f"{stem}_self_test returns 0 if compiler and processor give what they should.",
-        *source.left_out(("thermal_bias",)),
+        f"The fixed-point function can overflow if a count is outside +-{limit}.",
+        f"{stem}_self_test returns 0 if both functions give the expected results.",
+        *source.omission_lines(("thermal_bias",)),
     ]
-    if source.whole.thermal_bias.size:
+    if source.correction.thermal_bias.size:
         lines.append(
-            f"{stem}_rate_float_at takes the temperature too; the others hold at "
-            f"{source.whole.reference_degc:.2f} degC"
+            f"{stem}_rate_float_at also takes the temperature; the other functions are valid at "
+            f"{source.correction.reference_degc:.2f} degC"
             + (
                 ""
-                if source.found.validity.temperature_degc is not None
-                else ", counted as the recording counts: from a zero that is not known"
+                if source.document.validity.temperature_degc is not None
+                else " relative to the unknown zero of the recording"
             )
         )
     yield "/*"
@@ -154,7 +162,7 @@ def _head(source: Source, stem: str, fixed: FixedPoint, limit: int) -> Iterator[
     yield " */"
 
 
-def _guard(stem: str) -> Iterator[str]:
+def _include_guard(stem: str) -> Iterator[str]:
     yield f"#ifndef {stem.upper()}_GYRO_H"
     yield f"#define {stem.upper()}_GYRO_H"
     yield ""
@@ -162,25 +170,26 @@ def _guard(stem: str) -> Iterator[str]:
     yield ""
 
 
-def _facts(source: Source, stem: str, fixed: FixedPoint, scale: float) -> Iterator[str]:
-    upper, found = stem.upper(), source.found
-    yield f"#define {upper}_BOARD {quoted(found.board.id)}"
-    yield f"#define {upper}_VERSION {found.version}"
-    yield f"#define {upper}_NOMINAL_SCALE_RAD_S {scale!r}  /* of one count, by the data sheet */"
+def _definitions(source: ExportSource, stem: str, fixed: FixedPoint, scale: float) -> Iterator[str]:
+    upper, document = stem.upper(), source.document
+    yield f"#define {upper}_BOARD {quoted(document.board.id)}"
+    yield f"#define {upper}_VERSION {document.version}"
+    yield f"#define {upper}_NOMINAL_SCALE_RAD_S {scale!r}  /* of one count, from the data sheet */"
     if source.time_offset_s is not None:
         yield f"#define {upper}_TIME_OFFSET_S {source.time_offset_s!r}  /* subtract it from a"
-        yield "    sample's time: then it is when the motion was so */"
-    yield f"#define {upper}_FIXED_POINT {fixed.point}  /* 1 is 2^-{fixed.point} rad/s */"
+        yield "    sample's time to get the time of the motion */"
+    bits = fixed.fraction_bits
+    yield f"#define {upper}_FIXED_POINT {bits}  /* 1 is 2^-{bits} rad/s */"
     yield ""
 
 
-def _float(stem: str, matrix: FloatArray, offset: FloatArray) -> Iterator[str]:
+def _float_function(stem: str, matrix: FloatArray, offset: FloatArray) -> Iterator[str]:
     yield f"static inline void {stem}_rate_float(const int32_t counts[3], float rate_rad_s[3])"
     yield "{"
     yield "    static const float A[3][3] = {"
-    yield from (f"        {{{', '.join(_f(v) for v in row)}}}," for row in matrix)
+    yield from (f"        {{{', '.join(_float_literal(v) for v in row)}}}," for row in matrix)
     yield "    };"
-    yield f"    static const float c[3] = {{{', '.join(_f(v) for v in offset)}}};"
+    yield f"    static const float c[3] = {{{', '.join(_float_literal(v) for v in offset)}}};"
     yield "    int i;"
     yield ""
     yield "    for (i = 0; i < 3; i++) {"
@@ -191,23 +200,28 @@ def _float(stem: str, matrix: FloatArray, offset: FloatArray) -> Iterator[str]:
     yield ""
 
 
-def _float_warm(source: Source, stem: str, scale: float) -> Iterator[str]:
-    """Write the form with a temperature: the bias' polynomial, in counts, by Horner's rule."""
-    correction = source.whole
+def _float_function_with_temperature(
+    source: ExportSource, stem: str, scale: float
+) -> Iterator[str]:
+    """Yield the function with a temperature: the bias polynomial by Horner's rule."""
+    correction = source.correction
     orders = correction.thermal_bias / scale
     yield f"static inline void {stem}_rate_float_at(const int32_t counts[3],"
     yield "                                         float temperature_degc, float rate_rad_s[3])"
     yield "{"
     yield f"    static const float bias[{len(orders)}][3] = {{  /* counts/K, /K^2, ... */"
-    yield from (f"        {{{', '.join(_f(v) for v in row)}}}," for row in orders)
+    yield from (f"        {{{', '.join(_float_literal(v) for v in row)}}}," for row in orders)
     yield "    };"
     yield "    static const float A[3][3] = {"
     yield from (
-        f"        {{{', '.join(_f(v) for v in row)}}}," for row in scale * correction.inverse
+        f"        {{{', '.join(_float_literal(v) for v in row)}}},"
+        for row in scale * correction.inverse
     )
     yield "    };"
-    yield f"    static const float c[3] = {{{', '.join(_f(v) for v in correction.offset())}}};"
-    yield f"    const float warmth = temperature_degc - {_f(correction.reference_degc)};"
+    offset = ", ".join(_float_literal(v) for v in correction.offset())
+    yield f"    static const float c[3] = {{{offset}}};"
+    reference = _float_literal(correction.reference_degc)
+    yield f"    const float warmth = temperature_degc - {reference};"
     yield "    float y[3];"
     yield "    int i, k;"
     yield ""
@@ -225,7 +239,7 @@ def _float_warm(source: Source, stem: str, scale: float) -> Iterator[str]:
     yield ""
 
 
-def _fixed(stem: str, fixed: FixedPoint) -> Iterator[str]:
+def _fixed_function(stem: str, fixed: FixedPoint) -> Iterator[str]:
     yield f"static inline void {stem}_rate_fixed(const int32_t counts[3], int32_t rate[3])"
     yield "{"
     yield "    static const int32_t A[3][3] = {"
@@ -245,38 +259,40 @@ def _fixed(stem: str, fixed: FixedPoint) -> Iterator[str]:
     yield ""
 
 
-def _self_test(
+def _self_test_function(
     stem: str, matrix: FloatArray, offset: FloatArray, fixed: FixedPoint, limit: int
 ) -> Iterator[str]:
-    vectors = _vectors(min(limit, 10 * _SIXTEEN_BIT))
+    vectors = _test_vectors(min(limit, 10 * _INT16_LIMIT))
     rates = [matrix @ np.array(v, dtype=np.float64) + offset for v in vectors]
-    sizes = [np.abs(matrix) @ np.abs(np.array(v, dtype=np.float64)) + np.abs(offset)
+    magnitudes = [np.abs(matrix) @ np.abs(np.array(v, dtype=np.float64)) + np.abs(offset)
              for v in vectors]  # fmt: skip
-    # Three products and three sums, each rounded, and constants that are rounded themselves.
-    most = 8.0 * _FLOAT_ULP * max(float(s.max()) for s in sizes)
-    many = len(vectors)
+    # Three products and three sums are rounded, and so are the constants.
+    tolerance = 8.0 * _FLOAT_ULP * max(float(s.max()) for s in magnitudes)
+    vector_count = len(vectors)
     yield f"static inline int {stem}_self_test(void)"
     yield "{"
-    yield f"    static const int32_t counts[{many}][3] = {{"
+    yield f"    static const int32_t counts[{vector_count}][3] = {{"
     yield from (f"        {{{', '.join(str(v) for v in row)}}}," for row in vectors)
     yield "    };"
-    yield f"    static const float rates[{many}][3] = {{  /* rad/s */"
-    yield from (f"        {{{', '.join(_f(v) for v in row)}}}," for row in rates)
+    yield f"    static const float rates[{vector_count}][3] = {{  /* rad/s */"
+    yield from (f"        {{{', '.join(_float_literal(v) for v in row)}}}," for row in rates)
     yield "    };"
-    yield f"    static const int32_t steps[{many}][3] = {{  /* 2^-{fixed.point} rad/s */"
+    unit = f"2^-{fixed.fraction_bits} rad/s"
+    yield f"    static const int32_t steps[{vector_count}][3] = {{  /* {unit} */"
     yield from (f"        {{{', '.join(str(v) for v in fixed.rates(row))}}}," for row in vectors)
     yield "    };"
     yield "    int i, k;"
     yield ""
-    yield f"    for (k = 0; k < {many}; k++) {{"
+    yield f"    for (k = 0; k < {vector_count}; k++) {{"
     yield "        float rate[3];"
     yield "        int32_t step[3];"
     yield f"        {stem}_rate_float(counts[k], rate);"
     yield f"        {stem}_rate_fixed(counts[k], step);"
     yield "        for (i = 0; i < 3; i++) {"
     yield "            const float off = rate[i] - rates[k][i];"
-    yield f"            if (off > {_f(most)} || off < {_f(-most)} || step[i] != steps[k][i]) {{"
-    yield "                return k + 1;  /* this vector comes out wrong */"
+    high, low = _float_literal(tolerance), _float_literal(-tolerance)
+    yield f"            if (off > {high} || off < {low} || step[i] != steps[k][i]) {{"
+    yield "                return k + 1;  /* wrong result for this vector */"
     yield "            }"
     yield "        }"
     yield "    }"
@@ -285,16 +301,16 @@ def _self_test(
     yield ""
 
 
-def _vectors(limit: int) -> list[list[int]]:
-    """Return counts to test with: rest, each axis both ways, corners, and some by chance."""
+def _test_vectors(limit: int) -> list[list[int]]:
+    """Return test counts: zero, each axis in both directions, corners and random counts."""
     rows = [[0, 0, 0]]
     rows += [[sign * limit * (i == k) for k in range(3)] for i in range(3) for sign in (1, -1)]
     rows += [[limit - 1] * 3, [-limit] * 3, [1, -1, 1]]
-    chance = np.random.default_rng(1).integers(-limit, limit, size=(_VECTORS, 3))
-    return rows + [[int(v) for v in row] for row in chance]
+    random_counts = np.random.default_rng(1).integers(-limit, limit, size=(_RANDOM_VECTORS, 3))
+    return rows + [[int(v) for v in row] for row in random_counts]
 
 
-def _f(value: float) -> str:
-    """Return a float's literal: nine digits bring back the very same one."""
+def _float_literal(value: float) -> str:
+    """Return a float literal; nine digits give exactly the same float."""
     text = f"{float(np.float32(value)):.9g}"
     return f"{text}f" if any(c in text for c in ".e") else f"{text}.0f"

@@ -1,47 +1,47 @@
-"""ROS 2: a parameter file that any node can load, and what it multiplies with what.
+"""ROS 2 parameter file with the correction of a calibration.
 
-What to use when: `ros_parameters` for the text. There is no one message or node of ROS for
-a gyro's calibration: names are those of sensor_msgs/msg/Imu where it has them. Arrays of
-one type, rows first, for ROS parameters know no nested lists and no null.
+What to use when: `ros_parameters` for the text. ROS has no standard message or node for a
+gyro calibration; the names are those of sensor_msgs/msg/Imu where possible. Matrices are flat
+lists, rows first, because ROS parameters have no nested lists and no null.
 """
 
 from collections.abc import Iterable
 
 import numpy as np
 
-from gyrorig_solver.export.numbers import AXES, Source, quoted
+from gyrorig_solver.export.export_source import AXES_TEXT, ExportSource, quoted
 
 
-def ros_parameters(source: Source, name: str | None = None) -> str:
-    """Return the parameter file's text; `name` is the node's, all nodes without it.
+def ros_parameters(source: ExportSource, name: str | None = None) -> str:
+    """Return the text of the parameter file; `name` is the node, by default all nodes.
 
     Raises:
-        InputError: the calibration leaves open what is needed.
+        InputError: a needed parameter is not known.
     """
-    correction = source.whole
-    config = source.found.board.config
-    lines = [f"# {line}" for line in source.head()]
+    correction = source.correction
+    config = source.document.board.config
+    lines = [f"# {line}" for line in source.header_lines()]
     lines += [
         "#",
         "# true = correction * (read - bias), all rad/s; correction rows first, columns in.",
-        f"# true: in {AXES[source.frame]}.",
-        "# read: counts * nominal_scale, in the sensor's own axes, or what its driver publishes",
-        "#   if that is rad/s at the data sheet's scale in the sensor's axes, not turned.",
-        "# stamp of the motion = stamp of the sample - time_offset.",
-        *(f"# {line}" for line in source.left_out()),
+        f"# true: in {AXES_TEXT[source.frame]}.",
+        "# read: counts * nominal_scale, in the sensor's own axes, or the output of its driver",
+        "#   if the driver publishes rad/s at the data sheet's scale in the sensor's own axes.",
+        "# time of the motion = timestamp of the sample - time_offset.",
+        *(f"# {line}" for line in source.omission_lines()),
         f"{quoted(name) if name else '/**'}:",
         "  ros__parameters:",
         "    gyro_calibration:",
-        f"      board_id: {quoted(source.found.board.id)}",
-        f"      version: {source.found.version}",
-        f"      verdict: {quoted(source.found.trust.verdict)}",
+        f"      board_id: {quoted(source.document.board.id)}",
+        f"      version: {source.document.version}",
+        f"      verdict: {quoted(source.document.trust.verdict)}",
         f"      frame: {quoted(source.frame)}",
         f"      angular_velocity_bias: {yaml_list(source.bias_rad_s)}  # rad/s",
         f"      angular_velocity_correction: {yaml_list(correction.inverse.ravel())}",
     ]
     if config.gyro_scale_rad_s is not None:
         lines.append(
-            f"      nominal_scale: {yaml_number(config.gyro_scale_rad_s)}  # rad/s of a count"
+            f"      nominal_scale: {yaml_number(config.gyro_scale_rad_s)}  # rad/s per count"
         )
     if source.time_offset_s is not None:
         lines.append(f"      time_offset: {yaml_number(source.time_offset_s)}  # s")
@@ -66,12 +66,12 @@ def ros_parameters(source: Source, name: str | None = None) -> str:
 
 
 def yaml_list(values: Iterable[float]) -> str:
-    """Return numbers as a list of YAML on one line."""
+    """Return numbers as a YAML list on one line."""
     return "[" + ", ".join(yaml_number(v) for v in values) + "]"
 
 
 def yaml_number(value: float) -> str:
-    """Return a number that YAML 1.1 reads as one of floating point."""
+    """Return a number that YAML 1.1 reads as floating point."""
     text = repr(float(value))
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa if '.' in mantissa else mantissa + '.0'}{mark}{exponent}"

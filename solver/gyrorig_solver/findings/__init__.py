@@ -1,5 +1,6 @@
-"""The findings document: what `gyrorig explain` says of one board, and where it is written.
+"""The findings of `gyrorig explain`: document, texts and files.
 
-What to use when: `build.document_of` to make one, `document` for its shape, to write and to
-read it, `writing.write_findings` for the folder that holds it with its figures.
+What to use when: `findings_builder.build_findings_document` to make a document,
+`findings_document` for its schema, to read and to write it, `findings_wording` for texts,
+`findings_files.write_findings` for the folder with document, report and figures.
 """

@@ -1,12 +1,15 @@
-"""Measurements made elsewhere, turned into recordings of format 1.
+"""Importers: recordings of format 1 from measurements made elsewhere.
 
-What to use when: `load_import_map`, then `import_measurements`. The map says which column
-is what (`mapping`); `columns` reads tables and archives, `streams` and `times` make counts
-and stamps of them, `sections` finds rests and known turns, `writing` puts it all into a file.
+What to use when: `load_import_map` and `import_measurements` for tables and NumPy archives;
+`phone_import.import_phone` for a phone's log. An import map (`import_map`) says which column
+is what. `measurement_columns` reads the file, `import_streams` and `import_times` convert the
+columns to counts and times, `session_phases` finds rests and known turns, and
+`measurement_import` writes the recording.
 """
 
-from gyrorig_solver.importers.mapping import ImportMap, check_import_map, load_import_map
-from gyrorig_solver.importers.writing import ImportSummary, import_measurements
+from gyrorig_solver.importers.import_map import ImportMap, check_import_map, load_import_map
+from gyrorig_solver.importers.imported_recording import ImportSummary
+from gyrorig_solver.importers.measurement_import import import_measurements
 
 __all__ = [
     "ImportMap",

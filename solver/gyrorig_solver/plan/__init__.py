@@ -1,8 +1,7 @@
-"""Motion programs judged and made before any motor moves.
+"""Prediction and search of motion programs, before any motor moves.
 
-What to use when: `rig.load_rig` for what a rig's configuration says; `predict.predict` for
-the standard deviations that a program will give; `search.find_program` for the program
-that gives the least in a given time; `causes.foresee` for what a program shows of the
-causes of an error. `family` holds what is searched, `timeline` how the
-daemon carries a program out.
+What to use when: `rig_model.load_rig` for the rig; `prediction.predict_program` for the standard
+uncertainties of a program; `program_search.find_program` for the best program in a given time;
+`detectability.predict_detectability` for the causes that a program detects. `program_family` has
+the programs that are searched, `program_timeline` simulates their execution.
 """

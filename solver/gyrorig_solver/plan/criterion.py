@@ -1,48 +1,53 @@
-"""What makes one program better than another: one number from what it will show."""
+"""The cost of a program, from its predicted covariance."""
 
 from typing import Literal, get_args
 
 import numpy as np
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.observability import Decision
-from gyrorig_solver.model.gain import factor_jacobian, factorise
-from gyrorig_solver.plan.sensor import MOUNT
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.factor_covariance import propagate_to_factors
+from gyrorig_solver.estimate.observability import ObservabilityAnalysis
+from gyrorig_solver.estimate.typical_board import TYPICAL_PARAMETERS
 
 Criterion = Literal["worst", "mean", "worst-factor", "mean-factor"]
 CRITERIA: tuple[str, ...] = get_args(Criterion)
 # How far above its floor a program may leave a bias. The floor is the noise over the same time
 # at rest, which no motion passes under; above it is what the rests' detents shift the mean by.
-BIAS_EXCESS = 0.002
-STEEP = 100.0  # one per cent beyond that doubles the cost
-
-_FACTORS = factor_jacobian(factorise(MOUNT))
+MAX_BIAS_EXCESS = 0.002
+BIAS_PENALTY_SLOPE = 100.0  # one per cent beyond that doubles the cost
 
 
-def cost(decision: Decision, criterion: Criterion) -> float:
-    """Return the largest or the mean standard deviation of nine numbers, least is best.
+def cost(decision: ObservabilityAnalysis, criterion: Criterion) -> float:
+    """Return the largest or the mean standard uncertainty of nine parameters.
 
     `worst` and `mean` look at the entries of the gain, `worst-factor` and `mean-factor` at
     scale, non-orthogonality and misalignment. What cannot be seen has its prior's.
+
+    Args:
+        decision: over gain, bias and time offset.
+        criterion: which parameters, and whether their largest or their mean.
     """
-    covariance = (decision.covariance + decision.hidden)[:9, :9]
     if criterion.endswith("factor"):
-        covariance = _FACTORS @ covariance @ _FACTORS.T
-    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+        covariance = propagate_to_factors(
+            TYPICAL_PARAMETERS, decision.covariance, decision.unobservable_covariance
+        ).total
+    else:
+        covariance = decision.covariance + decision.unobservable_covariance
+    std = np.sqrt(np.clip(np.diag(covariance)[:9], 0.0, None))
     return float(std.max() if criterion.startswith("worst") else std.mean())
 
 
-def bias_excess(decision: Decision, floor_rad_s: FloatArray) -> float:
-    """Return by what part the worst bias's standard deviation lies above its floor.
+def bias_excess(decision: ObservabilityAnalysis, floor_rad_s: FloatArray) -> float:
+    """Return the relative excess of the worst bias uncertainty over its floor.
 
     Args:
         decision: over gain, bias and time offset.
         floor_rad_s: the deviation of the noise's mean over the recording, shape (3,).
     """
-    std = np.sqrt(np.diag(decision.covariance + decision.hidden)[9:12])
+    std = np.sqrt(np.diag(decision.covariance + decision.unobservable_covariance)[9:12])
     return float(np.max(std / floor_rad_s) - 1.0)
 
 
-def drawback(decision: Decision, floor_rad_s: FloatArray) -> float:
-    """Return by what a program's cost counts more for what it does to the bias, 1 or more."""
-    return 1.0 + STEEP * max(0.0, bias_excess(decision, floor_rad_s) - BIAS_EXCESS)
+def bias_penalty(decision: ObservabilityAnalysis, floor_rad_s: FloatArray) -> float:
+    """Return the factor, 1 or more, by which a bias above its floor increases the cost."""
+    return 1.0 + BIAS_PENALTY_SLOPE * max(0.0, bias_excess(decision, floor_rad_s) - MAX_BIAS_EXCESS)

@@ -1,15 +1,15 @@
-"""Many rotations at once: products along a path, and increments between attitudes.
+"""Vectorised rotation algebra: products along a path, and increments between attitudes.
 
-What to use when: `prefix_products` for the attitude all along a path of small turns (the
-gravity estimator needs each); `total_rotation` for the end of many paths of one length
+What to use when: `prefix_products` for the attitudes along a path of small turns (for the
+gravity estimator); `total_rotation` for the end of many paths of one length
 (rotation error per window); `relative_vectors` for the turn between neighbouring
-attitudes. Single rotations: scipy's Rotation, or `model.gain` for the matrices of a mount.
+attitudes. Single rotations: scipy's Rotation, or `model.gain_matrix` for the matrices of a mount.
 """
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.arrays import FloatArray
+from gyrorig_solver.data.arrays import FloatArray
 
 
 def prefix_products(vectors_rad: FloatArray) -> FloatArray:

@@ -1,56 +1,62 @@
-"""What a part's data sheet allows, beside what was found, in the units that a report shows.
+"""Limits of a sensor's data sheet, in the units that a report shows.
 
-What to use when: `allowed` for a parameter's range, `noise_said` for a coefficient of the
-noise. Both give nothing where the profile is silent.
+What to use when: `data_sheet_range` for a parameter's range, `data_sheet_white_noise` and
+`data_sheet_noise` for the noise. They return nothing where the profile has no value.
 """
 
 import math
 
 from gyrorig_protocol.profile import SensorProfile
-from gyrorig_solver.calibration.wording import short
+from gyrorig_solver.model.parameter_units import format_short
 
-_RAD = math.pi / 180.0
-_G_M_S2 = 9.80665  # standard gravity, BIPM SI brochure
 _ALLAN_FLOOR = 0.664  # of the coefficient B: sqrt(2 ln 2 / pi), IEEE Std 952 annex C
 
 
-def allowed(
+def data_sheet_range(
     name: str, profile: SensorProfile | None, full_scale_dps: float | None
 ) -> tuple[float, float] | None:
-    """Return the least and greatest value of a parameter, in the unit that is shown.
+    """Return the lowest and highest value of a parameter, in the unit that is shown.
 
     Args:
-        name: of the parameter, as the document has it.
-        profile: the part's, None where there is none.
-        full_scale_dps: that the board was set to: a zero-rate limit goes with it.
+        name: of the parameter, as in the document.
+        profile: of the sensor, None where there is none.
+        full_scale_dps: that the board was set to; the zero-rate limit depends on it.
     """
     if profile is None:
         return None
-    drift_rad_s_k = _times(_RAD, profile.zero_rate_per_kelvin_dps)
-    middle, half = {
-        "bias": (0.0, profile.zero_rate_at(full_scale_dps)),  # deg/s
+    drift_dps_k = profile.zero_rate_per_kelvin_dps
+    middle, half_width = {
+        "bias": (0.0, profile.zero_rate_limit_dps(full_scale_dps)),  # deg/s
         "scale": (1.0, profile.scale_tolerance),
-        "nonorthogonality": (0.0, _times(1e3, profile.cross_axis)),  # mrad
-        "thermal_bias": (0.0, drift_rad_s_k),
-        "thermal_bias.slope": (0.0, drift_rad_s_k),
-        "thermal_scale": (0.0, profile.scale_per_kelvin),
-        "g_sensitivity": (0.0, _times(_RAD / _G_M_S2, profile.g_sensitivity_dps_g)),
+        "nonorthogonality": (0.0, _scaled_or_none(1e3, profile.cross_axis)),  # mrad
+        "thermal_bias": (0.0, drift_dps_k),
+        "thermal_bias.slope": (0.0, drift_dps_k),
+        "thermal_scale": (0.0, _scaled_or_none(1e6, profile.scale_per_kelvin)),  # ppm/K
+        "g_sensitivity": (0.0, profile.g_sensitivity_dps_g),
     }.get(name, (0.0, None))
-    return None if half is None else (middle - half, middle + half)
+    return None if half_width is None else (middle - half_width, middle + half_width)
 
 
-def noise_said(name: str, profile: SensorProfile | None) -> str:
-    """Return what the data sheet says of a coefficient of the noise, in words."""
+def data_sheet_white_noise(profile: SensorProfile | None) -> tuple[str, str]:
+    """Return the data sheet's noise density, deg/s/sqrt(Hz), and angle random walk, deg/sqrt(h)."""
+    density_dps = None if profile is None else profile.noise_density_dps_rthz
+    if density_dps is None:
+        return "", ""
+    # Data sheets state one-sided densities; IEEE Std 952 defines N by the two-sided one.
+    return format_short(density_dps), format_short(60.0 * density_dps / math.sqrt(2.0))
+
+
+def data_sheet_noise(name: str, profile: SensorProfile | None) -> str:
+    """Return the data sheet's value of another noise coefficient."""
     if profile is None:
         return ""
-    if name == "angle_random_walk" and profile.noise_density_dps_rthz is not None:
-        return short(profile.noise_density_dps_rthz)  # deg/s/sqrt(Hz), one-sided like ours
-    floor = profile.bias_instability_dps_h
-    if name == "bias_instability" and floor is not None:
-        # Data sheets give the lowest point of an Allan plot, which is 0.664 of the coefficient.
-        return f"{short(floor / _ALLAN_FLOOR)} (Allan floor {short(floor)})"
+    allan_floor_dps_h = profile.bias_instability_dps_h
+    if name == "bias_instability" and allan_floor_dps_h is not None:
+        # Data sheets give the minimum of the Allan deviation, which is 0.664 of the coefficient.
+        coefficient_text = format_short(allan_floor_dps_h / _ALLAN_FLOOR)
+        return f"{coefficient_text} (Allan minimum {format_short(allan_floor_dps_h)})"
     return ""
 
 
-def _times(factor: float, value: float | None) -> float | None:
+def _scaled_or_none(factor: float, value: float | None) -> float | None:
     return None if value is None else factor * value

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from tests.bench.accuracy.motor_noise import MotorNoise
 from tests.bench.accuracy.noise import Levels, low_pass, wander
 from tests.bench.accuracy.profile import FloatArray, Path
 
@@ -89,7 +90,11 @@ class Counts:
 
 
 def sample(
-    board: Board, path: Path, span_s: tuple[float, float], rng: np.random.Generator
+    board: Board,
+    path: Path,
+    span_s: tuple[float, float],
+    rng: np.random.Generator,
+    motor_noise: MotorNoise | None = None,
 ) -> Counts:
     """Return the samples of a board from span begin to end."""
     begin_s, end_s = span_s
@@ -100,6 +105,11 @@ def sample(
         [wander(level, n, board.rate_hz, rng) for level in board.levels], axis=1
     )
     white = np.stack([_white(board, level, n, rng) for level in board.levels], axis=1)
+    if motor_noise is not None:
+        late_s = begin_s - board.lag_s
+        fine_s = late_s + np.arange(n * board.oversampling) / (board.rate_hz * board.oversampling)
+        amplitude = motor_noise.amplitude(path, fine_s)
+        white += np.stack([_white(board, level, n, rng, amplitude) for level in board.levels], 1)
     quantum = board.levels[0].quantum_rad_s
     rate = np.rint((clean + bias + white) / quantum) * quantum
     return Counts(time_s, rate, clean, bias)
@@ -135,11 +145,20 @@ def through(board: Board, rate_rad_s: FloatArray, slope: bool) -> FloatArray:
     return np.asarray(found[:: board.oversampling], dtype=np.float64)
 
 
-def _white(board: Board, level: Levels, count: int, rng: np.random.Generator) -> FloatArray:
+def _white(
+    board: Board,
+    level: Levels,
+    count: int,
+    rng: np.random.Generator,
+    amplitude: FloatArray | None = None,
+) -> FloatArray:
     fine_hz = board.rate_hz * board.oversampling
     m = next_fast_len(count * board.oversampling, real=True)
     f = rfftfreq(m, 1.0 / fine_hz)
     raw = rng.normal(scale=level.white * np.sqrt(fine_hz / 2.0), size=m)
+    if amplitude is not None:
+        raw[: amplitude.size] *= amplitude
+        raw[amplitude.size :] = 0.0
     smooth = irfft(rfft(raw) * low_pass(f, board.bandwidth_hz), m)
     return np.asarray(smooth[: count * board.oversampling : board.oversampling], dtype=np.float64)
 

@@ -10,14 +10,14 @@ from tests.bench.accuracy.board import Board, Counts
 from tests.bench.accuracy.profile import RAD_PER_STEP, FloatArray, Path
 from tests.bench.accuracy.unit import COUNTER_HZ, Session
 
-from gyrorig_solver.arrow import Arrow
-from gyrorig_solver.clocks.mapping import ClockMap
-from gyrorig_solver.reference.counter import counter_instants
-from gyrorig_solver.reference.motion import Evaluated, ReferenceMotion
-from gyrorig_solver.reference.moves import Exchange, MotionReader
-from gyrorig_solver.reference.polls import Polls
-from gyrorig_solver.reference.ptu_recording import explained_reference
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.clocks.clock_map import ClockMap
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
+from gyrorig_solver.reference.reference_motion import EvaluatedMotion, ReferenceMotion
+from gyrorig_solver.reference.unit.controller_counter import counter_instants
+from gyrorig_solver.reference.unit.move_fit import UnitPolls
+from gyrorig_solver.reference.unit.pan_tilt_recording import choose_reference
+from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,32 +32,32 @@ class ExactReference:
         return "the simulated motion itself"
 
     @property
-    def information(self) -> Arrow:
+    def information(self) -> ArrowheadMatrix:
         """There are no unknowns."""
-        return Arrow.zero(0, 0)
+        return ArrowheadMatrix.zero(0, 0)
 
     @property
-    def pull(self) -> FloatArray:
+    def prior_offset(self) -> FloatArray:
         """There are no unknowns."""
         return np.zeros(0)
 
     @property
-    def common_std_s(self) -> float:
+    def common_shift_std_s(self) -> float:
         """Its times are exact."""
         return 0.0
 
     @property
-    def differentiated(self) -> bool:
+    def is_differentiated(self) -> bool:
         """False: the motion is exact."""
         return False
 
-    def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> Evaluated:
+    def evaluate(self, edges_s: FloatArray, derivatives: bool = True) -> EvaluatedMotion:
         """Return the mean stage rate between consecutive times."""
         del derivatives
         rate = self.path.mean_rate_rad_s(edges_s)
-        return Evaluated(rate, (), np.zeros((0, edges_s.size - 1, 3)))
+        return EvaluatedMotion(rate, (), np.zeros((0, edges_s.size - 1, 3)))
 
-    def moved(self, step: FloatArray) -> "ExactReference":
+    def with_step(self, step: FloatArray) -> "ExactReference":
         """Return the same: there is nothing to change."""
         del step
         return self
@@ -68,15 +68,19 @@ def answered_reference(session: Session) -> ReferenceMotion:
     answers = session.answers
     valid = np.column_stack([answers.axis == 0, answers.axis == 1])
     steps = np.column_stack([np.where(valid[:, k], answers.steps, 0.0) for k in (0, 1)])
-    polls = Polls(answers.lo_s, answers.hi_s, steps, valid)
+    polls = UnitPolls(answers.lo_s, answers.hi_s, steps, valid)
     if answers.ticks is not None:
-        found = counter_instants(answers.ticks[::2], polls.lo_s[::2], polls.hi_s[::2], COUNTER_HZ)
+        found = counter_instants(
+            answers.ticks[::2], polls.earliest_s[::2], polls.latest_s[::2], COUNTER_HZ
+        )
         if found is not None:
             at_s = np.repeat(found.at_s, 2)
-            polls = Polls(at_s, at_s, steps, valid, found.width_s)
-    exchanges = [Exchange(told, answered, True, text) for told, answered, text in session.orders]
-    motion = MotionReader(session.settings, (0, 0), polls.resting).read(exchanges)
-    return explained_reference(motion, polls, (RAD_PER_STEP, RAD_PER_STEP))
+            polls = UnitPolls(at_s, at_s, steps, valid, found.width_s)
+    exchanges = [
+        UnitExchange(told, answered, True, text) for told, answered, text in session.orders
+    ]
+    motion = MotionReader(session.settings, (0, 0), polls.count_at_rest).read(exchanges)
+    return choose_reference(motion, polls, (RAD_PER_STEP, RAD_PER_STEP))
 
 
 def samples_of(board: Board, counts: Counts) -> GyroSamples:
@@ -102,12 +106,12 @@ def samples_of(board: Board, counts: Counts) -> GyroSamples:
         number=number,
         segment=segment,
         rate_rad_s=counts.rate_rad_s,
-        good=np.ones(n, dtype=np.bool_),
+        usable=np.ones(n, dtype=np.bool_),
         accel_m_s2=None,
         temperature_degc=None,
         quantum_rad_s=board.levels[0].quantum_rad_s,
         clock=clock,
-        floor=None,
+        latency_bounds=None,
         lost=0,
         repeated=0,
         late=0,

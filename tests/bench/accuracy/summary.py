@@ -89,7 +89,7 @@ def _covers(runs: Runs, parameters: Sequence[int]) -> Summary:
 
 
 def outlier_cost(clean: Sequence[dict[str, Any]], hit: Sequence[dict[str, Any]]) -> Summary:
-    """Return the efficiency with spikes over that without, of the same runs, by group."""
+    """Return the efficiency with outliers over that without, of the same runs, by group."""
     seeds = {row["seed"] for row in hit if row.get("shown") == len(NAMES)}
     seeds &= {row["seed"] for row in clean if row.get("shown") == len(NAMES)}
     one = gather([row for row in clean if row["seed"] in seeds])
@@ -139,14 +139,14 @@ def judged(results: Summary) -> Iterator[Row]:
     for name, cost in results["outliers"].items():
         for group, figure in cost.items():
             least = 1.0 - goals.OUTLIER_LOSS
-            yield _at_least(f"{name}: with spikes over without, {group}", least, figure)
+            yield _at_least(f"{name}: with outliers over without, {group}", least, figure)
 
 
 def _offset(name: str, found: Summary, known: bool) -> Iterator[Row]:
     """The time offset; from answers with and without what no answer can show."""
     parts = [("time offset", found["parameters"]["time_offset"])]
     if not known:
-        parts.append(("time offset, its constant apart", found["offset_apart"]))
+        parts.append(("time offset without the constant", found["offset_apart"]))
     for words, figures in parts:
         achieved = figures["efficiency"]
         value, low, high = (1.0 / achieved[k] for k in ("value", "high", "low"))
@@ -154,7 +154,7 @@ def _offset(name: str, found: Summary, known: bool) -> Iterator[Row]:
             f"{name}: {words}, std / bound", goals.OFFSET_RATIO, asdict(Figure(value, low, high))
         )
         yield _between(
-            f"{name}: {words}, 2 sigma hold", goals.OFFSET_COVER, figures["cover_2sigma"]
+            f"{name}: {words}, 2 sigma coverage", goals.OFFSET_COVER, figures["cover_2sigma"]
         )
 
 

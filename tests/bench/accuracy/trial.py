@@ -9,13 +9,16 @@ import numpy as np
 from tests.bench.accuracy.board import NAMES, Board, Counts, draw_board, factors, sample
 from tests.bench.accuracy.bound import bound
 from tests.bench.accuracy.given import ExactReference, answered_reference, samples_of
+from tests.bench.accuracy.motor_noise import MotorNoise
 from tests.bench.accuracy.profile import FloatArray
-from tests.bench.accuracy.unit import carry_out
+from tests.bench.accuracy.unit import Session, carry_out
 
 from gyrorig_protocol.program import MotionProgram, parse_program
-from gyrorig_solver.estimate.motion import fit_motion
-from gyrorig_solver.estimate.result import GyroFit
-from gyrorig_solver.on_unit import PTU_WORDS
+from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.motion_fit import fit_motion, solve_motion
+from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.reference.reference_motion import ReferenceMotion
 
 PROGRAMS = File(__file__).resolve().parents[3] / "config" / "programs"
 HEAD_S, TAIL_S = 0.5, 0.4  # of polls without samples at both ends
@@ -34,6 +37,7 @@ class Case:
     spikes: float = 0.0  # share of samples hit
     share: float = 1.0  # of the runs that are asked for: some cases cost more
     number: int = 0  # cases of one number have the same boards, noise and unit
+    motor_noise: MotorNoise | None = None
 
 
 def run(case: Case, seed: int) -> dict[str, Any]:
@@ -42,15 +46,11 @@ def run(case: Case, seed: int) -> dict[str, Any]:
     `error`, `std` and `bound` are over `NAMES`; `best` is the error of a linear estimate that
     reaches the bound, on the same noise.
     """
-    rng = np.random.default_rng([case.number, seed])
-    program = _program(case.program)
-    session = carry_out(program, case.baud or 115_200.0, rng, case.counter)
-    board = draw_board(case.rate_hz, case.bandwidth_hz, rng)
-    counts = sample(board, session.path, (HEAD_S, session.end_s - TAIL_S), rng)
+    board, session, counts, rng = simulate(case, seed)
     best = bound(board, session, counts, profile_known=case.baud is None)
     given = spiked(board, counts, case.spikes, rng) if case.spikes else counts
-    reference = ExactReference(session.path) if case.baud is None else answered_reference(session)
-    found = fit_motion(samples_of(board, given), reference, PTU_WORDS)
+    reference = reference_of(case, session)
+    found = fit_motion(samples_of(board, given), reference, UNIT_REMEDIES)
     true = truth(board, counts)
     error = np.array([found.value(name) for name in NAMES]) - true
     at = {name: k for k, name in enumerate(found.order)}
@@ -70,14 +70,51 @@ def run(case: Case, seed: int) -> dict[str, Any]:
         "bias_at_begin": (error[:3] + true[:3] - counts.bias_rad_s[0]).tolist(),
         "common_s": 0.0 if case.baud is None else session.common_s,
         "common_std_s": 0.0 if case.baud is None else session.least_s / float(np.sqrt(12.0)),
-        "stated_common_s": reference.common_std_s,
+        "stated_common_s": reference.common_shift_std_s,
         "outliers": found.outliers,
         "reduced_chi2": found.reduced_chi2,
         "reference": found.reference,
         "warnings": list(found.warnings),
-        "distrust": list(found.distrust),
+        "distrust": list(found.limited_reasons),
         "noise": _noise(board, found),
         "duration_s": session.end_s,
+    }
+
+
+def simulate(case: Case, seed: int) -> tuple[Board, Session, Counts, np.random.Generator]:
+    """Return board, unit and samples of one run, and the generator behind them."""
+    rng = np.random.default_rng([case.number, seed])
+    program = load_program(case.program)
+    session = carry_out(program, case.baud or 115_200.0, rng, case.counter)
+    board = draw_board(case.rate_hz, case.bandwidth_hz, rng)
+    span_s = HEAD_S, session.end_s - TAIL_S
+    return board, session, sample(board, session.path, span_s, rng, case.motor_noise), rng
+
+
+def reference_of(case: Case, session: Session) -> ReferenceMotion:
+    """Return what the solver compares the samples with."""
+    return ExactReference(session.path) if case.baud is None else answered_reference(session)
+
+
+def solve_case(case: Case, seed: int) -> ConvergedFit:
+    """Return the fit of one run."""
+    board, session, counts, _ = simulate(case, seed)
+    return solve_motion([(samples_of(board, counts), reference_of(case, session))])
+
+
+def run_without_bound(case: Case, seed: int) -> dict[str, Any]:
+    """Return what came of one run whose bound nobody knows: error, std and noise in motion."""
+    board, session, counts, _ = simulate(case, seed)
+    found = fit_motion(samples_of(board, counts), reference_of(case, session), UNIT_REMEDIES)
+    white = {} if found.noise is None else found.noise.white_by_motor_state
+    at_rest = np.ones(3) if found.noise is None else found.noise.angle_random_walk
+    return {
+        "seed": seed,
+        "error": (np.array([found.value(name) for name in NAMES]) - truth(board, counts)).tolist(),
+        "std": [found.std[name] for name in NAMES],
+        "noise_ratio": (white.get("in_motion", at_rest) / at_rest).tolist(),
+        "reduced_chi2": found.reduced_chi2,
+        "widened": any("uncertainties were multiplied" in text for text in found.warnings),
     }
 
 
@@ -117,5 +154,6 @@ def spiked(board: Board, counts: Counts, share: float, rng: np.random.Generator)
 
 
 @cache
-def _program(name: str) -> MotionProgram:
+def load_program(name: str) -> MotionProgram:
+    """Return a program of config/programs by its file name."""
     return parse_program((PROGRAMS / name).read_text(encoding="utf-8"), name)

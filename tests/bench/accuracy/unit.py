@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.bench.accuracy.profile import RAD_PER_STEP, FloatArray, Path, Trapezoid
 
-from gyrorig_protocol.program import Home, MotionProgram, Move, Rest, unrolled
+from gyrorig_protocol.program import Home, MotionProgram, Move, Rest, unroll_steps
 
 MAKERS_INTERVAL_S = 0.010
 ASK_BYTES, ANSWER_BYTES, BOTH_BYTES, DONE_BYTES = 3, 9, 44, 3
@@ -69,7 +69,7 @@ def carry_out(
     """
     line = _Line(program, baud, rng, counter)
     line.rest(REST_S)
-    for step in unrolled(program.steps, program.name):
+    for step in unroll_steps(program.steps, program.name):
         line.step(step)
     return line.session()
 

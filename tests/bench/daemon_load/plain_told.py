@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from tests.bench.daemon_load.load import BUSES, NODES
 
 from gyrorig_protocol.board import FrameEvent, FrameParser, Sample
-from gyrorig_protocol.can import BoardFrameParser, CanFrame
+from gyrorig_protocol.can import CanBoardParser, CanFrame
 
 WRAP = 1 << 16
 STAMPED = struct.Struct("<q")
@@ -68,7 +68,7 @@ def _serial(path: Path) -> tuple[dict[str, _Counter], np.ndarray[Any, np.dtype[n
 def _buses(folder: Path) -> dict[tuple[int, int], _Counter]:
     counters: dict[tuple[int, int], _Counter] = {}
     for number in range(BUSES):
-        parsers = {node: BoardFrameParser(node) for node in range(1, NODES + 1)}
+        parsers = {node: CanBoardParser(node) for node in range(1, NODES + 1)}
         for message in can.LogReader(folder / f"can{number}.blf"):
             node = message.arbitration_id & 0x7F
             if node not in parsers:

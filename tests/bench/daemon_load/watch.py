@@ -76,7 +76,7 @@ class Watcher:
 
 
 def _name(called: str) -> str:
-    if "links.acquire" in called:
+    if "ports.acquisition" in called:
         return "acquisition"
     if "emulate" in called:
         return "emulated unit"

@@ -16,20 +16,20 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 import numpy as np
 from tests.bench.fleet.parts import ERROR, SCATTER, SPREAD
 
-from gyrorig_solver.fleet.index import Index
-from gyrorig_solver.fleet.overview import PARAMETERS
+from gyrorig_solver.fleet.drift.fleet_overview import PARAMETER_COLUMNS
+from gyrorig_solver.fleet.store.store_index import StoreIndex
 
 
 def figures(store: Path, nights: int) -> dict[str, tuple[float, ...]]:
     """Return spread of boards, scatter of nights and stated deviation by family, rms."""
     squares: dict[str, list[tuple[float, float, float]]] = {}
-    for name in PARAMETERS:
+    for name in PARAMETER_COLUMNS:
         sql = (
             f"SELECT board, {name}, {name}_std, "  # noqa: S608 - ours
             "date_diff('day', min(start::DATE) OVER (), start::DATE) AS night FROM rows "
             f"WHERE status = 'ok' AND {name} IS NOT NULL QUALIFY night < ?"
         )
-        rows = Index(store).ask(sql, [nights])
+        rows = StoreIndex(store).query(sql, [nights])
         board = np.array([row[0] for row in rows])
         value, std = (np.array([row[at] for row in rows], dtype=float) for at in (1, 2))
         means, within, free = [], 0.0, 0

@@ -33,12 +33,12 @@ from tests.bench.fleet.nights import (
     truth_of,
 )
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import parse_rig
-from gyrorig_daemon.description import SessionOrder
-from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
-from gyrorig_daemon.session import Surroundings, record_session
+from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session_description import SessionRequest
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.program import parse_program
 
@@ -58,7 +58,7 @@ def record(draw: FleetDraw, session: Session, program: str, path: Path) -> None:
         now_ns = hub.now_ns()
         return HostClocks(now_ns, now_ns, capture.utc_ns(now_ns), 0.0, 0.0, 0)
 
-    around = Surroundings(
+    around = SessionEnvironment(
         capture, read_host, threaded_writer=False, host="emulated", seed=rig.settings.seed
     )
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
@@ -73,7 +73,7 @@ def _begin_ns(session: Session) -> int:
     return FIRST_NIGHT_NS + DAY_NS * session.night + APART_NS * session.of_night
 
 
-def _order(draw: FleetDraw, session: Session, program: str, out: Path) -> SessionOrder:
+def _order(draw: FleetDraw, session: Session, program: str, out: Path) -> SessionRequest:
     name = f"{'static' if session.broken == 'at_rest' else program}.yaml"
     config_text = dump_yaml(
         {
@@ -89,7 +89,7 @@ def _order(draw: FleetDraw, session: Session, program: str, out: Path) -> Sessio
         }
     ).encode()
     program_text = (ROOT / "config" / "programs" / name).read_bytes()
-    return SessionOrder(
+    return SessionRequest(
         config=parse_rig(config_text, "rig.yaml"),
         config_text=config_text,
         program=parse_program(program_text, name),

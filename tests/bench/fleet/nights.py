@@ -12,9 +12,14 @@ from typing import Literal
 import numpy as np
 from tests.bench.fleet.parts import SCATTER, SPREAD
 
+from gyrorig_daemon.emulator.emulator_settings import BoardSettings, RigSettings
 from gyrorig_daemon.emulator.physics.rotation import rotation_matrix
-from gyrorig_daemon.emulator.settings import BoardSettings, RigSettings
-from gyrorig_daemon.emulator.truth import BoardTruth, RigTruth, draw_board_truth, draw_rig_truth
+from gyrorig_daemon.emulator.rig_truth import (
+    BoardTruth,
+    RigTruth,
+    sample_board_truth,
+    sample_rig_truth,
+)
 
 FloatArray = np.ndarray
 Broken = Literal["truncated", "foreign", "empty", "garbled", "at_rest"]
@@ -99,7 +104,7 @@ def settings_of(draw: FleetDraw, session: Session) -> RigSettings:
 def truth_of(draw: FleetDraw, session: Session) -> RigTruth:
     """Return what the emulator hides in a session."""
     settings = settings_of(draw, session)
-    drawn = draw_rig_truth(settings)
+    drawn = sample_rig_truth(settings)
     boards: Mapping[str, BoardTruth] = {
         one.name: _board_tonight(draw, session, board, one)
         for board, one in zip(session.boards, settings.boards, strict=True)
@@ -112,7 +117,7 @@ def _board_tonight(
 ) -> BoardTruth:
     own = np.random.default_rng([draw.seed, _BOARD, board])
     tonight = np.random.default_rng([draw.seed, _NIGHT, session.night, board])
-    drawn = draw_board_truth(settings, own)
+    drawn = sample_board_truth(settings, own)
     of_part = {family: own.normal(0.0, size, 3) for family, size in SPREAD.items()}
     value = {f: of_part[f] + tonight.normal(0.0, SCATTER[f], 3) for f in of_part}
     room = ROOM_DEGC + SEASON_K * np.sin(session.night / 4.0) + tonight.normal(0.0, DAY_K)
@@ -128,7 +133,7 @@ def _board_tonight(
         tau_s=0.35 / settings.odr_hz + float(value["time"][0]),
         ambient_degc=float(room),
     )
-    return replace(drawn, imu=imu, scale=np.diag(scale), skewing=skewing)
+    return replace(drawn, imu=imu, scale=np.diag(scale), nonorthogonality=skewing)
 
 
 def _scale_hidden(draw: FleetDraw, session: Session, board: int) -> FloatArray:

@@ -16,13 +16,13 @@ from tests.bench.peers import turns
 from tests.bench.peers.methods import OURS, integrated, ours, peers
 from tests.bench.peers.recording import GROUPS, SWEEPS, Recording, Table, bound, groups, record
 
-from gyrorig_solver.estimate.paper_matrices import gain_by_pseudoinverse
+from gyrorig_solver.estimate.paper.paper_matrices import gain_by_pseudoinverse
 
 RATE_HZ, BANDWIDTH_HZ = 100.0, 25.0  # of the runs whose errors are judged
 FAST_HZ, FAST_BANDWIDTH_HZ = 800.0, 110.0  # of the one that is timed
 MICRO = 1e6
 LARGE = 1e3  # a ratio from here on has two digits that count
-EQ_7 = "eq. 7 alone (pinv), both angles ready"
+EQ_7 = "eq. 7 alone (pseudo-inverse of given angles)"
 
 Estimates = dict[str, FloatArray]
 """By method: what was found less what is true, and what it states, shape (runs, 2, 13)."""
@@ -48,7 +48,7 @@ def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
     With answers only, when in an exchange the unit looked at its count is known to nobody: that
     shift is no method's fault, so the offset is then given as it is.
     """
-    blind = {peer.name: peer.blind for peer in peers()}
+    limitations = {peer.name: peer.limitation for peer in peers()}
     rows = []
     for name, found in errors.items():
         error, stated = found[:, 0], found[:, 1]
@@ -64,9 +64,9 @@ def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
                 cells.append(ratio(_rms(off / least)))
         units = (error / stated)[:, :9]
         there = np.isfinite(units) & np.isfinite(bounds[:, :9])
-        cells.append(ratio(_rms(units[there])) if there.any() else "states none")
-        rows.append([name, *cells, blind.get(name, "")])
-    head = ["rms error / bound", *GROUPS, "gain: error / what it states", "does not see"]
+        cells.append(ratio(_rms(units[there])) if there.any() else "no std stated")
+        rows.append([name, *cells, limitations.get(name, "")])
+    head = ["rms error / bound", *GROUPS, "gain: rms error / stated std", "limitation"]
     return table(head, rows)
 
 
@@ -77,9 +77,9 @@ def hidden_column(errors: Estimates) -> str:
         column = _by_group(found[:, 0])[1]
         said = "no value"
         if np.all(np.isfinite(column)):
-            said = f"a value, wrong by {number(_rms(column), 3)}, rms of its three entries"
+            said = f"a value; the rms error of its three entries is {number(_rms(column), 3)}"
         rows.append([name, said])
-    return table(["method", "of the roll column"], rows)
+    return table(["method", "result for the roll column"], rows)
 
 
 def turned(seeds: int) -> str:
@@ -107,7 +107,7 @@ def times(repeat: int) -> str:
     ways: dict[str, Callable[[], object]] = {
         EQ_7: lambda: gain_by_pseudoinverse(measured_rad, stage_rad),
         OURS: lambda: ours(one),
-        f"{OURS}, of it the reference": one.reference,
+        f"{OURS}, its reference alone": one.reference,
         **{peer.name: partial(peer.run, one.table) for peer in peers()},
         **_turn_ways(turns.session(0, FAST_HZ, FAST_BANDWIDTH_HZ)),
     }
@@ -123,8 +123,9 @@ def times(repeat: int) -> str:
         ]
         for name, taken in measured.items()
     ]
-    head = [f"75 s at 800 Hz, {one.table.time_s.size} samples", "CPU, ms"]
-    return table([*head, "to eq. 7", "to imucal", f"to {OURS}"], rows)
+    head = ["method", "processor time, ms"]
+    head += [f"time / time of {beside}" for beside in ("eq. 7 alone", "imucal", OURS)]
+    return table(head, rows)
 
 
 def ratio(value: float) -> str:

@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 from tests.bench.accuracy.profile import FloatArray
 from tests.bench.peers.methods import OURS, peers
 from tests.bench.peers.recording import Table
+from tests.support.rotation_error import window_rotation_error
 
-from gyrorig_solver.estimate.attitude import fit_attitude
-from gyrorig_solver.estimate.rotation import window_rotation_error
-from gyrorig_solver.estimate.turns import fit_turns
-from gyrorig_solver.reference.turns import TurnReference
+from gyrorig_solver.estimate.attitude.attitude_fit import fit_attitude
+from gyrorig_solver.estimate.turn_fit import fit_turns
+from gyrorig_solver.reference.known_turns import TurnReference
 
 SETS = ("broad", "imu-tk-xsens", "imucal-ferraris")
 WINDOW_S = 1.0
@@ -42,7 +42,7 @@ def motion_capture(measured: Measured) -> str:
     loaded = {name: measured.load(name) for unit in SAME_UNIT for name in unit}
     pairs = [pair for unit in SAME_UNIT for pair in permutations(unit, 2)]
     ways: dict[str, Callable[[Loaded], FloatArray]] = {
-        "raw": lambda _: NOTHING,
+        "raw gyro": lambda _: NOTHING,
         **{peer.name: _of_table(peer.run) for peer in peers() if peer.any_reference},
         OURS: _ours,
     }
@@ -54,7 +54,8 @@ def motion_capture(measured: Measured) -> str:
     for name, found_deg in errors.items():
         ratio = float(np.exp(np.mean(np.log(np.array(found_deg) / np.array(errors[OURS])))))
         rows.append([name, *(number(one, 3) for one in found_deg), number(ratio, 2)])
-    head = ["rms of 1 s, °", *(f"{a} → {b}" for a, b in pairs), f"mean ratio to {OURS}"]
+    ratio_title = f"geometric mean of error / error of {OURS}"
+    head = ["rms error, °", *(f"{a} → {b}" for a, b in pairs), ratio_title]
     return table(head, rows)
 
 
@@ -70,7 +71,10 @@ def hand_turns(measured: Measured) -> str:
     theirs, _ = turn_sets.imucal_result(measured)
     apart = float(np.abs(ours.gain - theirs).max())
     std = float(ours.gain_std.max())
-    return f"largest difference of the nine gains {apart:.1e}; our standard deviation {std:.1e}"
+    return (
+        f"The largest difference between the nine entries of the gain is {apart:.1e}. The largest "
+        f"standard deviation that our solver states for these entries is {std:.1e}."
+    )
 
 
 def _ours(one: Loaded) -> FloatArray:
@@ -118,7 +122,7 @@ def _table(one: Loaded) -> Table:
         measured_rad_s=gaussian_filter1d(samples.rate_rad_s, width, axis=0),
         stage_rad_s=gaussian_filter1d(stage, width, axis=0),
         static=np.asarray(one.at_rest(time_s)),
-        use=np.asarray(samples.good & (np.convolve(lost, reach, "same") < 0.5)),
+        use=np.asarray(samples.usable & (np.convolve(lost, reach, "same") < 0.5)),
         pan_rad=np.zeros(time_s.size),
         tilt_rad=np.zeros(time_s.size),
     )

@@ -18,17 +18,25 @@ from tests.bench.peers import factor_graph
 from tests.bench.peers.recording import Recording, Table
 
 from gyrorig_solver.estimate import rest_to_rest
-from gyrorig_solver.estimate.motion import fit_motion
-from gyrorig_solver.estimate.observability import decide
-from gyrorig_solver.estimate.paper import AS_TABLED, PaperReading, calibrate_as_printed
-from gyrorig_solver.estimate.paper_matrices import gain_by_pseudoinverse
-from gyrorig_solver.on_unit import PTU_WORDS
+from gyrorig_solver.estimate.motion_fit import fit_motion
+from gyrorig_solver.estimate.observability import analyse_observability
+from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.estimate.paper.paper_matrices import gain_by_pseudoinverse
+from gyrorig_solver.estimate.paper.paper_method import (
+    READING_OF_TABLE_3,
+    PaperReading,
+    calibrate_as_printed,
+)
 
 STILL_RAD_S = 1e-3
 ROUNDS = 3  # of Gauss-Newton; two are enough
 HIDDEN = 1e-6  # variance in hidden directions from which an entry has no value
 OURS = "gyrorig"
-PINV = "eq. 7 (pinv) on integrated body rates"
+PINV = "eq. 7 (pseudo-inverse) of integrated body rates"
+NO_OFFSET = "does not estimate the time offset"
+NO_ROLL = "estimates neither roll nor the time offset"
+UNDETECTED = "does not detect that a column is unobservable"
+UNNAMED = "does not report which column is unobservable"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,28 +45,28 @@ class Peer:
 
     name: str
     run: Callable[[Table], FloatArray]
-    blind: str  # what it cannot see, in words
+    limitation: str  # what it does not estimate or report, in words
     any_reference: bool  # False: it wants a pan-tilt unit
 
 
 def peers() -> tuple[Peer, ...]:
     """Every peer that runs here."""
     found = [
-        Peer(PINV, pinv, "the time offset; it spoils the gain", True),
-        Peer("paper, as printed", paper, "roll, the time offset", False),
-        Peer("paper, as tabled", paper_as_tabled, "roll, the time offset", False),
-        Peer("rest to rest only", rests_only, "the time offset", False),
-        Peer("SciPy, numeric Jacobian", numeric, "that a column is hidden", True),
+        Peer(PINV, pinv, f"{NO_OFFSET}, which makes its gain wrong", True),
+        Peer("paper, as printed", paper, NO_ROLL, False),
+        Peer("paper, interpretation of Table 3", paper_as_tabled, NO_ROLL, False),
+        Peer("angles between rests only", rests_only, NO_OFFSET, False),
+        Peer("SciPy, numeric Jacobian", numeric, UNDETECTED, True),
     ]
     if factor_graph.installed():
         named = f"GTSAM {factor_graph.version()}"
-        found.append(Peer(named, factor_graph.solve, "which column is hidden", True))
+        found.append(Peer(named, factor_graph.solve, UNNAMED, True))
     return tuple(found)
 
 
 def ours(recording: Recording) -> FloatArray:
     """The whole fit, its reference made of the orders and answers."""
-    found = fit_motion(recording.samples, recording.reference(), PTU_WORDS)
+    found = fit_motion(recording.samples, recording.reference(), UNIT_REMEDIES)
     value = np.concatenate([found.gain.ravel(), found.bias_rad_s, [found.time_offset_s]])
     bias_std = [found.std[f"bias.{axis}"] for axis in "xyz"]
     return np.stack([value, [*found.gain_std.ravel(), *bias_std, found.std["time_offset"]]])
@@ -104,7 +112,7 @@ def paper(table: Table, reading: PaperReading | None = None) -> FloatArray:
 
 def paper_as_tabled(table: Table) -> FloatArray:
     """The same read so that its result has the form of the paper's Table 3."""
-    return paper(table, AS_TABLED)
+    return paper(table, READING_OF_TABLE_3)
 
 
 def numeric(table: Table) -> FloatArray:
@@ -143,7 +151,7 @@ def as_gain(factors: FloatArray) -> FloatArray:
 
 def rests_only(table: Table) -> FloatArray:
     """Our second opinion as the only estimator: what turned from rest to rest."""
-    path = rest_to_rest.Path(
+    path = rest_to_rest.BoardPath(
         time_s=table.time_s,
         rate_rad_s=table.raw_rad_s,
         used=table.use,
@@ -151,17 +159,19 @@ def rests_only(table: Table) -> FloatArray:
         angles_rad=np.stack([table.pan_rad, table.tilt_rad]),
     )
     static = table.raw_rad_s[table.static]
-    turns = rest_to_rest._turns(path, 2.0 * float(static.var(axis=0).max()) / table.rate_hz, 1e-9)
+    turns = rest_to_rest._turns_between_rests(
+        path, 2.0 * float(static.var(axis=0).max()) / table.rate_hz, 1e-9
+    )
     gain, bias = np.eye(3), static.mean(axis=0)
     for _ in range(ROUNDS):
         information, score = np.zeros((12, 12)), np.zeros(12)
         for turn in turns:
-            left, jacobian = rest_to_rest._linearised(turn, gain, bias)
+            left, jacobian = rest_to_rest._linearise(turn, gain, bias)
             information += jacobian.T @ jacobian / turn.variance_rad2
             score += jacobian.T @ left / turn.variance_rad2
-        decision = decide(information, rest_to_rest.NAMES)
-        step = decision.inverse @ score
+        decision = analyse_observability(information, rest_to_rest.GAIN_AND_BIAS_NAMES)
+        step = decision.pseudo_inverse @ score
         gain, bias = gain + step[:9].reshape(3, 3), bias + step[9:]
     found = np.stack([np.append(gain.ravel(), bias), np.sqrt(np.diag(decision.covariance))])
-    found[:, np.diag(decision.hidden) > HIDDEN] = np.nan
+    found[:, np.diag(decision.unobservable_covariance) > HIDDEN] = np.nan
     return np.column_stack([found, [np.nan, np.nan]])

@@ -17,9 +17,9 @@ from tests.bench.accuracy.given import samples_of
 from tests.bench.accuracy.noise import Covariance, low_pass, wander
 from tests.bench.accuracy.profile import FloatArray
 
-from gyrorig_solver.estimate.turns import fit_turns
-from gyrorig_solver.reference.turns import Interval, KnownTurn, TurnReference
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.turn_fit import fit_turns
+from gyrorig_solver.reference.known_turns import KnownTurn, TimeInterval, TurnReference
 
 OURS, IMUCAL = "gyrorig, known turns", "imucal, Ferraris"
 SECONDS = 75.0
@@ -56,9 +56,9 @@ class Session:
     def reference(self) -> TurnReference:
         """What ours is told: the same sections."""
 
-        def over(name: str) -> Interval:
+        def over(name: str) -> TimeInterval:
             part, time_s = self.sections[name], self.counts.time_s
-            return Interval(float(time_s[part.start]), float(time_s[part.stop - 1]))
+            return TimeInterval(float(time_s[part.start]), float(time_s[part.stop - 1]))
 
         turns = tuple(
             KnownTurn(over(f"{axis}_rot"), np.eye(3)[k], ANGLE_RAD, HAND_STD_RAD)

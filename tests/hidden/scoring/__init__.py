@@ -1,1 +1,1 @@
-"""What was stated beside what was hidden: outcomes, figures with exact limits, goals."""
+"""Comparison of statements with hidden causes: outcomes, figures with exact limits, goals."""

@@ -1,4 +1,4 @@
-"""What was hidden in a case, opened after all was said of it; the seal is checked.
+"""The hidden answer of a case, opened after the explanation is written; the seal is checked.
 
 What to use when: `cases` for the folders of a corpus, `opened` for one answer.
 """
@@ -13,34 +13,34 @@ from typing import Any
 
 import numpy as np
 
-from gyrorig_solver.discover.changes import PARAMETERS
-from gyrorig_solver.model.gain import factorise
+from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS
+from gyrorig_solver.model.gain_matrix import factorise
 
 SCHEMAS = ("gyrorig/hidden-answer/2", "gyrorig/hidden-answer/1")  # the first: with sizes counted
 ANSWER, SEAL, RECORDING = "answer.json", "sealed.txt", "recording.mcap"
 HELD, HELD_RATES, RATES = "held.mcap", "held.npz", "rates.npz"
-COUNTED = 1000.0  # times: what is counted in the stream, not weighed against noise, shows
+COUNTED = 1000.0  # size of causes that are counted in the stream; noise cannot hide them
 
 
 class SealError(Exception):
-    """An answer is not the one that was sealed, or is none."""
+    """An answer does not match its seal, or is not a valid answer."""
 
 
 @dataclass(frozen=True, slots=True)
 class HiddenCause:
     """One thing that was hidden."""
 
-    cause: str  # of the catalogue, or of a shape that is not in it
+    cause: str  # in the catalogue, or a shape outside it
     place: str | None
-    times: float  # its size in minimal detectable ones, by the truth's own non-centrality
-    beside_others: float  # the same once the other hidden causes are projected off too
+    times: float  # size in minimum detectable sizes, from the true non-centrality
+    beside_others: float  # the same with the other hidden causes projected out too
     parameters: Mapping[str, float]  # by the truth's names, SI
-    noncentrality: float | None = None  # as it is seen; None for what is counted
+    noncentrality: float | None = None  # None for causes that are counted
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """All that was hidden in a case."""
+    """Everything that was hidden in a case."""
 
     seed: int
     kind: str  # null, one, two, many, outside, nearly, unobservable
@@ -49,20 +49,22 @@ class Answer:
     soak_k: float
     decoy: str | None
     causes: tuple[HiddenCause, ...]
-    groups: tuple[str, ...]  # signatures of which a shape outside the catalogue shows one first
-    allowed: tuple[str, ...]  # the set that is right where a program cannot part causes
+    groups: tuple[
+        str, ...
+    ]  # covariates, one of which must be the strongest for a shape outside the catalogue
+    allowed: tuple[str, ...]  # the right set where a program cannot separate causes
     near: str | None  # the cause that a shape is near to
     calibration: Mapping[str, float]  # the board's, by the names of `PARAMETERS`
     gain: tuple[tuple[float, ...], ...]  # its G = S T M
 
     @property
     def names(self) -> list[str]:
-        """What was hidden, by name."""
+        """The names of the hidden causes."""
         return [one.cause for one in self.causes]
 
 
 def cases(corpus: Path) -> list[Path]:
-    """Return the folders of all cases that are whole, by seed."""
+    """Return the folders of all complete cases, sorted by seed."""
     found = [p.parent for p in corpus.glob(f"*/{RECORDING}") if p.parent.name.isdigit()]
     return sorted(found, key=lambda p: int(p.name))
 
@@ -77,10 +79,10 @@ def opened(case: Path, seal: str) -> Answer:
 
     Args:
         case: its folder.
-        seal: as it was told before anything was said of the case.
+        seal: as read before the case was explained.
 
     Raises:
-        SealError: it is not the answer that was sealed, or has another schema.
+        SealError: the answer does not match its seal, or has another schema.
     """
     raw = (case / ANSWER).read_bytes()
     if hashlib.sha256(raw).hexdigest() != seal:
@@ -121,7 +123,7 @@ def _cause(told: Mapping[str, Any], detectable: float) -> HiddenCause:
 
 
 def _flat(parameters: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """Yield each value; those by sensor axis as name.x and so on."""
+    """Yield each value; values per sensor axis as name.x and so on."""
     for name, told in parameters.items():
         value = told["value"]
         if isinstance(value, list):
@@ -133,7 +135,7 @@ def _flat(parameters: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
 def _calibration(board: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Return the true calibration of a board, its bias as the recording's mean.
 
-    The time offset is the whole lag: with a hidden filter that of the filter as it is.
+    The time offset is the total lag, including that of a hidden low-pass filter.
     """
     factors = factorise(np.array(board["STM"]))
     offset_s = float(board["time_offset_s"])
@@ -144,4 +146,4 @@ def _calibration(board: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) 
             delay_s = math.sqrt(2.0) / (2.0 * math.pi * float(board["low_pass"]["cutoff_hz"]))
             offset_s += delay_s * (1.0 / (1.0 + change) - 1.0)
     values = [*factors.as_vector(), *board["mean_bias_rad_s"], offset_s]
-    return dict(zip(PARAMETERS, map(float, values), strict=True))
+    return dict(zip(CALIBRATION_PARAMETERS, map(float, values), strict=True))

@@ -1,11 +1,12 @@
-"""What is the most that any finder could name rightly: how near the best rival comes.
+"""Upper bound on the share of right names, from the best rival of each hidden cause.
 
-Without noise a hidden cause is fitted by its own term, and by every rival of the catalogue
-at its best values. What the best rival leaves of the effect, in units of the true noise, is
-the non-centrality between the two stories; with noise the true one is ahead by N(l / 2, l)
-nats (`Bound.chance`). Causes without a shape in the mean (jitter, a wandering bias), those counted
-in the stream, and what is one line of the catalogue with its rival are left out of it; so is
-what the base model takes from the unit's answers, as it does a wrong acceleration.
+A noise-free session is fitted with the term of the hidden cause, and with every rival of the
+catalogue at its best values. The residual of the best rival, in units of the true noise, is the
+non-centrality l between the two models. With noise the log-likelihood of the true cause exceeds
+the rival's by N(l / 2, l) nats (`Bound.chance`). The bound leaves out causes that do not change the
+mean (jitter, bias random walk), causes that are counted in the stream, and pairs that are one
+entry of the catalogue. It also leaves out effects that the base model absorbs from the unit's
+replies, for example a wrong acceleration.
 
 What to use when: `bound_of` for a case whose answer is open.
 """
@@ -21,20 +22,22 @@ from tests.hidden.scoring.oracle import number_of_first
 from tests.hidden.scoring.possible import Bound
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.discover.banks import all_rows
-from gyrorig_solver.discover.scores import Sight, sights
-from gyrorig_solver.discover.search import best_fit, testable, tests_of
-from gyrorig_solver.estimate.likelihood import Solution
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.samples import load_samples
+from gyrorig_solver.data.samples import load_samples
+from gyrorig_solver.discover.cause_search import count_tests, fit_best_place, testable_terms
+from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.catalogue import catalogue
 
-LEAST = 0.3  # share of the true energy that has to be left beside the base model
-NEAR = 0.3  # share of an effect that a rival sees to first order, to be fitted exactly
+LEAST = 0.3  # minimum share of the true energy that the base model must leave
+NEAR = (
+    0.3  # share of an effect that a rival must explain to first order before it is fitted exactly
+)
 
 
 def bound_of(case: Path, answer: Answer) -> Bound | None:
-    """Compare what is hidden in a case with its best rival, None where that cannot be.
+    """Compare the hidden cause of a case with its best rival, None where that is impossible.
 
     Args:
         case: folder, with the rates without noise.
@@ -47,23 +50,30 @@ def bound_of(case: Path, answer: Answer) -> Bound | None:
     if hidden.noncentrality is None or term is None or term.kind != "effect":
         return None
     with noise_held():
-        projection = Projection.of(_without_noise(case))
-        terms = testable(projection)
-        tests = tests_of(terms)
-        own = best_fit(projection, sights(projection, [term], tests, all_rows(projection, term)))
-        if own is None or own[0].won < LEAST * 0.5 * hidden.noncentrality:
+        projection = NuisanceProjector.at_fit(_without_noise(case))
+        terms = testable_terms(projection)
+        tests = count_tests(terms)
+        own = fit_best_place(
+            projection, scan_catalogue(projection, [term], tests, all_templates(projection, term))
+        )
+        if own is None or own[0].delta_log_likelihood < LEAST * 0.5 * hidden.noncentrality:
             return None
         others = [t for t in terms if not _one_line(t.cause, hidden.cause)]
-        name, won = _best(projection, sights(projection, others, tests), own[0].won, tests)
-    left = min(max(1.0 - won / own[0].won, 0.0), 1.0)
+        name, won = _best(
+            projection,
+            scan_catalogue(projection, others, tests),
+            own[0].delta_log_likelihood,
+            tests,
+        )
+    left = min(max(1.0 - won / own[0].delta_log_likelihood, 0.0), 1.0)
     return Bound(
         answer.seed, hidden.cause, hidden.times, answer.soak_k != 0.0, name, left,
         left * hidden.noncentrality,
     )  # fmt: skip
 
 
-def _without_noise(case: Path) -> Solution:
-    """Fit the base model to a case's session as it would be without noise."""
+def _without_noise(case: Path) -> ConvergedFit:
+    """Fit the base model to the noise-free rates of a case."""
     recording = read_recording(case / RECORDING)
     (board,) = recording.board_ids
     samples = load_samples(recording, board)
@@ -74,21 +84,22 @@ def _without_noise(case: Path) -> Solution:
 
 
 def _best(
-    projection: Projection, seen: Sequence[Sight], whole: float, tests: int
+    projection: NuisanceProjector, seen: Sequence[CandidateScore], whole: float, tests: int
 ) -> tuple[str, float]:
-    """Return the rival that explains most, and how many nats of it."""
+    """Return the rival with the largest log-likelihood gain, and that gain in nats."""
     name, won = "", 0.0
-    by_cause: dict[str, list[Sight]] = {}
+    by_cause: dict[str, list[CandidateScore]] = {}
     for one in seen:
         by_cause.setdefault(one.term.cause, []).append(one)
     for cause, own in by_cause.items():
-        first = 0.5 * max(one.seen.statistic for one in own)
+        first = 0.5 * max(one.score_test.statistic for one in own)
         if first > NEAR * whole:
             term = own[0].term
-            told = best_fit(
-                projection, sights(projection, [term], tests, all_rows(projection, term))
+            told = fit_best_place(
+                projection,
+                scan_catalogue(projection, [term], tests, all_templates(projection, term)),
             )
-            first = 0.0 if told is None else told[0].won
+            first = 0.0 if told is None else told[0].delta_log_likelihood
         if first > won:
             name, won = cause, first
     return name, won

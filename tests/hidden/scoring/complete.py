@@ -1,7 +1,7 @@
-"""How much of each cause's effect its own term leaves where there is no noise: goal 9.
+"""Residual of each cause's effect after its own term, without noise: goal 9.
 
-What to use when: `Left` is one line of what `tests/hidden/completeness.py --json` wrote; `said` the
-table, with the goal's bar beside each.
+What to use when: `Left` is one line that `tests/hidden/completeness.py --json` wrote; `said` makes
+the table, with the limit of the goal.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ import msgspec
 from docs.markdown import table
 from tests.hidden.scoring.goals import COMPLETE_LEFT
 
-UNSEEN = 1.0  # energy of an effect that the base model takes up whole
+UNSEEN = 1.0  # energy below which the base model absorbs the effect completely
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,29 +23,29 @@ class Left:
     place: str
     program: str
     soak_k: float
-    effect: float  # beside the base model
-    left: float  # beside its term too
+    effect: float  # after the base model
+    left: float  # after the base model and its term
 
     @property
     def share(self) -> float:
-        """Of the effect; none where the base model takes it up."""
+        """Share of the effect; 0 where the base model absorbs it."""
         return self.left / self.effect if self.effect >= UNSEEN else 0.0
 
 
 def read(path: Path) -> list[Left]:
-    """Return what `completeness.py` wrote."""
+    """Return the results of `completeness.py`."""
     return msgspec.json.decode(path.read_bytes(), type=list[Left])
 
 
 def said(found: Sequence[Left]) -> str:
-    """Return the table, the causes that leave most first."""
+    """Return the table, sorted by decreasing share of the residual."""
     rows = [
         (f"`{one.cause}`" + (f" {one.place}" if one.place else ""),
          f"`{one.program}`" + (f", {one.soak_k:g} K" if one.soak_k else ""),
          f"{one.effect:.4g}",
-         "taken up by the base" if one.effect < UNSEEN else f"{100.0 * one.share:.3f} %",
+         "absorbed by the base model" if one.effect < UNSEEN else f"{100.0 * one.share:.3f} %",
          "" if one.effect < UNSEEN else "met" if one.share <= COMPLETE_LEFT else "missed")
         for one in sorted(found, key=lambda one: (one.effect < UNSEEN, -one.share))
     ]  # fmt: skip
-    head = ("cause", "session", "energy of the effect", "left by its term", "goal 9, 0.2 %")
+    head = ("cause", "session", "energy of the effect", "residual after its term", "goal 9 (0.2 %)")
     return table(head, rows)

@@ -1,7 +1,7 @@
-"""The figures of a set of judged cases, goal by goal.
+"""Figures of a set of judged cases, one per goal.
 
-What to use when: `figures` for the numbers that the goals are set for, each with how it came
-about; `confusion` for who was taken for whom.
+What to use when: `figures` for the numbers that the goals limit, each with its derivation;
+`confusion` for the confusion matrix.
 """
 
 from collections import Counter
@@ -29,24 +29,24 @@ IN_CATALOGUE = ("one", "two", "many")
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A value, and what it is made of."""
+    """A value and its derivation."""
 
-    value: float  # nan where there was nothing to judge
+    value: float  # NaN if there was no case
     words: str
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """What a case's held-out gain is short of the oracle's."""
+    """Difference between the oracle's held-out gain and the solver's, for one case."""
 
     seed: int
     nats: float  # the oracle's gain
     short: float  # nats
-    values: int  # that the first recording had to tell
+    values: int  # estimated from the first recording
 
     @property
     def allowed(self) -> float:
-        """What telling them may cost, nats."""
+        """The allowed cost of their estimation, in nats."""
         return GAP_PER_VALUE * self.values + GAP_BEYOND
 
 
@@ -56,7 +56,7 @@ def figures(
     bounds: Sequence[Bound] = (),
     measured: Sequence[Multiplicity] = (),
 ) -> dict[str, Figure]:
-    """Return each goal's figure by its name; `measured`: what a search looks at by chance."""
+    """Return the figure of each goal by name; `measured`: effective trials of a search."""
     nulls = _share(_of_kind(outcomes, "null"), lambda one: one.alarmed)
     rungs = [one for one in _of_kind(outcomes, "one") if on_rung(one, 2.0) or on_rung(one, 3.0)]
     plain = [one for one in rungs if not one.soak]
@@ -87,7 +87,7 @@ def figures(
 
 
 def missed(figures_: dict[str, Figure], goals: Iterable[Goal] = GOALS) -> list[Goal]:
-    """Return the goals that are not met, those without anything to judge left out."""
+    """Return the goals that are not met, without those that have no cases."""
     return [
         goal
         for goal in goals
@@ -96,53 +96,53 @@ def missed(figures_: dict[str, Figure], goals: Iterable[Goal] = GOALS) -> list[G
 
 
 def on_rung(one: Outcome, times: float) -> bool:
-    """Return whether a case hides one cause of so many minimal detectable sizes."""
+    """Return whether a case hides one cause of the given number of minimum detectable sizes."""
     return len(one.fates) == 1 and abs(one.fates[0].times / times - 1.0) <= RUNG_WIDTH
 
 
 def largest(one: Outcome) -> float:
-    """Return the largest size hidden in a case, minimal detectable ones; 0 for none."""
+    """Return the largest hidden size of a case, in minimum detectable sizes; 0 for none."""
     return max((fate.times for fate in one.fates), default=0.0)
 
 
 def sole_right(one: Outcome) -> bool:
-    """Return whether the only hidden cause is the only name that was said, and stands alone."""
+    """Return whether the only hidden cause is the only stated name."""
     (fate,) = one.fates
     return fate.sole and len(one.sets) == 1
 
 
 def right_group(one: Outcome) -> bool:
-    """Return whether a rest was admitted, and first by what it truly depends on."""
+    """Return whether an unexplained rest is reported with the true covariate first."""
     return bool(one.rest) and one.rest[0] in one.expected
 
 
 def recall(many: Sequence[Outcome]) -> Share:
-    """Return how many of the hidden causes that can be seen are in stated sets."""
+    """Return the share of detectable hidden causes that are in stated sets."""
     seen = [fate for one in many for fate in one.fates if fate.times >= SEEN]
     return Share(sum(fate.stated for fate in seen), len(seen))
 
 
 def precision(many: Sequence[Outcome]) -> Share:
-    """Return how many of the stated sets hold something that was hidden."""
+    """Return the share of stated sets that contain a hidden cause."""
     sets = sum(len(one.sets) for one in many)
     return Share(sets - sum(len(one.extra) for one in many), sets)
 
 
 def covered_causes(outcomes: Iterable[Outcome]) -> Share:
-    """Return how many intervals of rightly named sizes hold the truth."""
+    """Return the coverage of the intervals of correctly named sizes."""
     each = [c for one in outcomes if one.kind in IN_CATALOGUE for c in one.covered_causes]
     return Share(sum(c.inside for c in each), len(each))
 
 
 def covered_calibration(outcomes: Iterable[Outcome]) -> Share:
-    """Return how many intervals of calibration parameters hold the truth, after selection."""
+    """Return the coverage of the calibration's intervals, after selection."""
     kinds = ("null", *IN_CATALOGUE)
     each = [c for one in outcomes if one.kind in kinds for c in one.covered_calibration]
     return Share(sum(c.inside for c in each), len(each))
 
 
 def confusion(outcomes: Iterable[Outcome], times: float) -> dict[str, Counter[str]]:
-    """Return what each cause hidden alone at a size was called, how often."""
+    """Return for each cause hidden alone how often it was given which name."""
     found: dict[str, Counter[str]] = {}
     for one in outcomes:
         if one.kind == "one" and on_rung(one, times):
@@ -160,7 +160,7 @@ def by_cause(outcomes: Iterable[Outcome], times: float) -> dict[str, list[Outcom
 
 
 def _nearly_wrong(one: Outcome) -> bool:
-    """A shape near to a cause may be called by it; any other sole name is wrong."""
+    """A shape similar to a cause can have its name; any other sole name is wrong."""
     return any(is_sole(names) and one.near not in names for names in one.sets)
 
 
@@ -181,23 +181,23 @@ def _of(share: Share) -> Figure:
 
 
 def _beside(figure: Figure, some: Sequence[Outcome], bounds: Sequence[Bound]) -> Figure:
-    """Say how much more could have been found; what has no bound counts as sure."""
+    """Add the bound on the figure; a case without a bound counts as certain."""
     chance = {one.seed: one.chance for one in bounds}
     each = [chance.get(one.seed, 1.0) for one in some]
     if not each or not chance:
         return figure
     most = 100.0 * sum(each) / len(each)
-    return Figure(figure.value, f"{figure.words}; the data bear {most:.1f} % at most")
+    return Figure(figure.value, f"{figure.words}; upper bound {most:.1f} %")
 
 
 def _beside_tests(
     share: Share, once: Sequence[Outcome], measured: Sequence[Multiplicity]
 ) -> Figure:
-    """Say how often the causes' own tests find them, among as many as a search makes."""
+    """Add the power of the separate tests of the causes, at the search's number of trials."""
     if not once or not measured:
         return _of(share)
     most = 100.0 * borne(measured, [one.fates[0].cause for one in once])
-    return Figure(share.value, f"{share}; the causes' own tests {most:.1f} %")
+    return Figure(share.value, f"{share}; separate tests {most:.1f} %")
 
 
 def _count(share: Share) -> Figure:
@@ -205,11 +205,11 @@ def _count(share: Share) -> Figure:
 
 
 def _gap(gaps: Sequence[Gap]) -> Figure:
-    """Return the median of what is missing to the oracle beyond what estimating may cost."""
+    """Return the median gap to the oracle beyond the allowed cost of estimation."""
     if not gaps:
         return Figure(np.nan, "none measured")
     beyond = [one.short - one.allowed for one in gaps]
     short = float(np.median([one.short for one in gaps]))
     allowed = float(np.median([one.allowed for one in gaps]))
-    words = f"median {short:.1f} nats short over {len(gaps)} cases, allowed {allowed:.1f}"
+    words = f"median gap {short:.1f} nats in {len(gaps)} cases, allowed {allowed:.1f}"
     return Figure(float(np.median(beyond)), words)

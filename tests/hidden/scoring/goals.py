@@ -1,16 +1,16 @@
-"""The goals of the tests that hide an effect, set before any run. Never moved to pass.
+"""Goals of the tests with hidden effects, set before any run and not changed afterwards.
 
-What to use when: `GOALS` for the whole list in the order of the page; a single bar by name.
+What to use when: `GOALS` for the whole list in the order of the page; a single limit by name.
 """
 
 from dataclasses import dataclass
 from typing import Literal
 
-NULLS, HIDDEN = 1000, 1000  # sessions that the long tier asks for, at least
+NULLS, HIDDEN = 1000, 1000  # minimum number of sessions of the long tier
 FALSE_ALARMS, FALSE_ALARMS_UPPER = 0.01, 0.015
 SOLE_RIGHT, SOLE_RIGHT_SOAK = 0.98, 0.99
 WRONG_NAMES, WRONG_NAMES_AMONG = 0, 1000
-DETECTED_ONCE = 0.77  # at the minimal detectable size; theory 80 %
+DETECTED_ONCE = 0.77  # at the minimum detectable size; theory 80 %
 OUTSIDE_WRONG = 1.0 / 500.0
 OUTSIDE_GROUP = 0.97
 NEARLY_WRONG = 0.02
@@ -20,17 +20,19 @@ COVERED_LOW, COVERED_HIGH = 0.935, 0.975
 COMPLETE_LEFT = 0.002  # of an effect's energy
 EIGHT_CAUSES_S, PLAIN_S = 60.0, 2.0
 
-# Sizes in units of the minimal detectable one. A ladder's rung is met to this much.
+# Sizes in minimum detectable sizes, and the tolerance of a size.
 RUNGS = (1.0, 2.0, 3.0)
 RUNG_WIDTH = 0.05
-BOUND, FAR = 2.0, 3.0  # from where names must hold; shapes outside the catalogue must show
-SEEN = 1.0  # from where a cause among many counts as one that can be found
+BOUND, FAR = (
+    2.0,
+    3.0,
+)  # smallest sizes at which names must be right and outside shapes must be detected
+SEEN = 1.0  # smallest size at which one cause of many counts as detectable
 
 INTERVAL = 1.959963984540054  # deviations of a 95 % interval
 
-# One line of the catalogue of effects ("tilt sag (payload), tilt eccentricity"): on tilt both are
-# the same function of the angle, s sin(tilt + p), and no measurement of rates can part them.
-# A stated set of just the two names the effect.
+# Tilt sag and tilt eccentricity are the same function of the angle, s sin(tilt + p), so that no
+# measurement of rates can separate them. A stated set of these two counts as one name.
 TWINS = (frozenset({"tilt_sag", "eccentricity"}),)
 
 Sense = Literal["below", "above", "between", "shown"]
@@ -55,21 +57,29 @@ class Goal:
 
 
 GOALS = (
-    Goal(1, "false_alarms", "false alarms on nulls", "below", high=FALSE_ALARMS),
-    Goal(1, "false_alarms_upper", "their upper 95 % limit", "below", high=FALSE_ALARMS_UPPER),
+    Goal(1, "false_alarms",
+         "sessions with nothing hidden: false alarms", "below", high=FALSE_ALARMS),
+    Goal(1, "false_alarms_upper", "upper 95 % limit of these false alarms", "below",
+         high=FALSE_ALARMS_UPPER),
     Goal(2, "sole_right", "sole right name at 2x and 3x", "above", low=SOLE_RIGHT),
-    Goal(2, "sole_right_soak", "the same with a soak", "above", low=SOLE_RIGHT_SOAK),
-    Goal(3, "wrong_names", "wrong sole name, truth not stated, >= 2x", "below", high=WRONG_NAMES),
+    Goal(2, "sole_right_soak", "sole right name at 2x and 3x, with a soak", "above",
+         low=SOLE_RIGHT_SOAK),
+    Goal(3, "wrong_names", "number of wrong sole names from 2x on", "below",
+         high=WRONG_NAMES),
     Goal(4, "detected_once", "detected at 1x", "above", low=DETECTED_ONCE),
-    Goal(5, "outside_wrong", "outside, >= 3x: wrong sole name", "below", high=OUTSIDE_WRONG),
-    Goal(5, "outside_group", "outside, >= 3x: right group", "above", low=OUTSIDE_GROUP),
-    Goal(5, "nearly_wrong", "nearly in, >= 3x: wrong sole name", "below", high=NEARLY_WRONG),
+    Goal(5, "outside_wrong", "shapes outside the catalogue from 3x on: wrong sole name", "below",
+         high=OUTSIDE_WRONG),
+    Goal(5, "outside_group", "shapes outside the catalogue from 3x on: right covariate", "above",
+         low=OUTSIDE_GROUP),
+    Goal(5, "nearly_wrong", "shapes similar to a cause from 3x on: wrong sole name", "below",
+         high=NEARLY_WRONG),
     Goal(6, "recall", "4 to 8 causes at once: recall", "above", low=RECALL),
     Goal(6, "precision", "4 to 8 causes at once: precision", "above", low=PRECISION),
-    Goal(7, "gap", "held-out gain short of the oracle, less p/2 + 1", "below", high=0.0),
-    Goal(8, "covered_causes", "95 % intervals of named values", "between",
+    Goal(7, "gap", "gap of the held-out gain to the oracle, minus (p/2 + 1)", "below",
+         high=0.0),
+    Goal(8, "covered_causes", "coverage of 95 % intervals of named values", "between",
          COVERED_LOW, COVERED_HIGH),
-    Goal(8, "covered_calibration", "95 % intervals of the calibration", "between",
+    Goal(8, "covered_calibration", "coverage of 95 % intervals of the calibration", "between",
          COVERED_LOW, COVERED_HIGH),
-    Goal(10, "harm_printed", "largest harm that could be there unseen is said", "above", low=1.0),
+    Goal(10, "harm_printed", "largest undetected bias is reported", "above", low=1.0),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What is kept of a run of the long tier: one line a case, from which every figure can be made.
+"""Stored results of the long tier: one line per case, enough to compute every figure.
 
 What to use when: `write_kept` after judging, `read_kept` for the page and its test.
 """
@@ -16,15 +16,15 @@ SIGMA_DIGITS = 2
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """All outcomes, all second recordings, and how near rivals come."""
+    """All outcomes, second recordings, and bounds from rivals."""
 
     outcomes: list[Outcome]
     gaps: list[Gap]
-    bounds: list[Bound] = field(default_factory=list)  # of cases that hide one cause
+    bounds: list[Bound] = field(default_factory=list)  # for cases that hide one cause
 
 
 def write_kept(path: Path, kept: Kept) -> None:
-    """Write one line a case, the second recordings and the bounds after them."""
+    """Write one line per case, then the second recordings and the bounds."""
     lines = [msgspec.json.encode(_short(one)) for one in kept.outcomes]
     gaps = [msgspec.json.encode(one) for one in kept.gaps]
     bounds = [msgspec.json.encode(_shortened(one)) for one in kept.bounds]
@@ -37,12 +37,12 @@ def write_kept(path: Path, kept: Kept) -> None:
 
 
 def read_kept(path: Path) -> Kept:
-    """Return what `write_kept` wrote."""
+    """Return the results that `write_kept` wrote."""
     return msgspec.json.decode(path.read_bytes(), type=Kept)
 
 
 def _short(one: Outcome) -> Outcome:
-    """Return an outcome with as many digits as a figure needs."""
+    """Return an outcome rounded to the digits that a figure needs."""
 
     def near(each: tuple[Covered, ...]) -> tuple[Covered, ...]:
         return tuple(replace(c, sigma=round(c.sigma, SIGMA_DIGITS)) for c in each)

@@ -1,13 +1,12 @@
-"""What a cause of its detectable size is found by, in a search that looks for all of them.
+"""Power of the test of one cause at its detectable size, in a search for all causes.
 
-One detectable size is that which a test of the cause alone finds in 4 of 5 sessions, where it is
-one of 36 tests and knows each instant, frequency and time constant (`truth/detectable.py`). A
-search shares its false alarms among as many tests as the catalogue makes, and has to find the
-instants: each place looked at is a chance to be wrong. How many looks and tests that comes to,
-`tests/hidden/multiplicity.py` measures by drawing noise; how often the same test then finds the
-same size is the chi-square's power.
+A test of the cause alone detects one detectable size in 4 of 5 sessions, as one of 36 tests with
+known instants, frequencies and time constants (`truth/detectable.py`). A search shares its false
+alarms among all tests of the catalogue and must also find the instants, so each candidate position
+is one more trial. `tests/hidden/multiplicity.py` measures the effective number of tests and trials
+with simulated noise. The power of the chi-square test follows from them.
 
-What to use when: `Multiplicity` is what was measured of one program; `chance_once` for a cause;
+What to use when: `Multiplicity` is the measurement of one program; `chance_once` for a cause;
 `borne` for the mean over causes.
 """
 
@@ -25,28 +24,28 @@ from tests.hidden.truth.detectable import detectable_of, sizes_of
 
 @dataclass(frozen=True, slots=True)
 class Multiplicity:
-    """How many independent looks a search makes in one session of a program."""
+    """Effective number of trials of a search in one session of a program."""
 
     program: str
     soak: bool
-    tests: int  # causes at their places, each counted
-    effective_tests: float  # independent ones among them
-    looks: dict[str, float]  # of each cause: independent places, frequencies, times
+    tests: int  # causes at their locations, each counted
+    effective_tests: float  # effective number of independent tests
+    looks: dict[str, float]  # per cause: effective positions, frequencies, times
 
 
 def read(path: Path) -> list[Multiplicity]:
-    """Return what `multiplicity.py` wrote."""
+    """Return the results of `multiplicity.py`."""
     return msgspec.json.decode(path.read_bytes(), type=list[Multiplicity])
 
 
 def chance_once(cause: str, tests: float, looks: float, alarms: float = FALSE_ALARMS) -> float:
-    """Return how often the test of a cause finds one detectable size.
+    """Return the power of the test of a cause at one detectable size.
 
     Args:
         cause: of the catalogue.
-        tests: independent ones that share the false alarms.
-        looks: independent ones that the cause takes.
-        alarms: false ones of all tests, a session.
+        tests: effective number of tests that share the false alarms.
+        looks: effective trials of the cause.
+        alarms: false alarms of all tests per session.
     """
     sizes = sizes_of(cause)
     bar = float(chi2.isf(alarms / (tests * looks), sizes))
@@ -54,13 +53,13 @@ def chance_once(cause: str, tests: float, looks: float, alarms: float = FALSE_AL
 
 
 def borne(measured: Sequence[Multiplicity], causes: Iterable[str]) -> float:
-    """Return the mean chance over cases, each of one cause, over the programs measured."""
+    """Return the mean power over cases of one cause each, and over the measured programs."""
     each = [_mean_chance(measured, cause) for cause in causes]
     return float(np.mean(each)) if each else float("nan")
 
 
 def said(measured: Sequence[Multiplicity]) -> str:
-    """Return the table of what the looks cost, cause by cause."""
+    """Return the table of trials and power, one row per cause."""
     names = sorted({name for one in measured for name in one.looks})
     rows = []
     for name in names:
@@ -69,18 +68,21 @@ def said(measured: Sequence[Multiplicity]) -> str:
             (f"`{name}`", str(sizes_of(name)), f"{np.median(looks):.1f}",
              f"{100.0 * _mean_chance(measured, name):.0f} %")
         )  # fmt: skip
-    rows.append(("all, each as often", "", "", f"{100.0 * borne(measured, names):.1f} %"))
-    return table(("cause", "sizes", "independent looks", "found at 1x by its own test"), rows)
+    rows.append(("mean", "", "", f"{100.0 * borne(measured, names):.1f} %"))
+    return table(
+        ("cause", "amplitudes", "effective number of trials", "power at 1x of a separate test"),
+        rows,
+    )
 
 
 def counted(measured: Sequence[Multiplicity]) -> str:
-    """Return the table of what was measured in each session."""
+    """Return the table of the effective numbers of tests."""
     rows = [
         (f"`{one.program}`" + (" with soak" if one.soak else ""), str(one.tests),
          f"{one.effective_tests:.0f}")
         for one in measured
     ]  # fmt: skip
-    return table(("program", "tests", "independent ones among them"), rows)
+    return table(("program", "tests in the search", "effective number of independent tests"), rows)
 
 
 def _mean_chance(measured: Sequence[Multiplicity], cause: str) -> float:

@@ -1,10 +1,10 @@
-"""What a second recording says of an extended model, and of an oracle that knows the truth.
+"""Held-out likelihood of an extended model and of an oracle that knows the truth.
 
-The oracle's gain is the board's true one, and the true effect of what is hidden is taken off
-the samples; like every model on a second recording it has bias, time offset and the motion's
-own unknowns fitted there. All are weighed by one noise, that of the oracle's residual. What a
-model is short of it is what its values, estimated on the first recording, cost: half a nat
-each, where both recordings tell as much.
+The oracle uses the true gain of the board, and the true hidden effect is subtracted from the
+samples. As for every model, bias, time offset and the unknowns of the motion are fitted to the
+second recording. All models use one noise model, that of the oracle's residual. The gap between a
+model and the oracle is the cost of estimating its values from the first recording: half a nat per
+value if both recordings contain the same information.
 """
 
 from dataclasses import replace
@@ -16,24 +16,24 @@ from tests.hidden.scoring.answers import HELD, HELD_RATES, opened
 from tests.hidden.scoring.figures import Gap
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.discover.result import Explained
-from gyrorig_solver.discover.second import Other
-from gyrorig_solver.estimate.likelihood import GAINS, Solution
-from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.samples import GyroSamples, load_samples
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.discover.cause_findings import FitExplanation
+from gyrorig_solver.estimate.likelihood_fit import GAIN_PARAMETERS, ConvergedFit
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.pipeline.prepare_board import prepare_held_out
 
-EVERY = 7  # a sample in so many tells where a recording begins
+EVERY = 7  # every seventh sample is enough to find the start of a recording
 
 
-def gap_of(case: Path, found: Explained, seal: str) -> dict[str, Any] | None:
+def gap_of(case: Path, found: FitExplanation, seal: str) -> dict[str, Any] | None:
     """Open a case's answer and compare its finder's model with the oracle.
 
-    None where something is hidden that belongs to one recording: no model carries it over.
+    None if a hidden cause belongs to one recording only: no model can predict it in another.
 
     Args:
         case: folder with a second recording.
-        found: what was found in the first; already written down.
+        found: explanation of the first recording; already written.
         seal: of the answer.
     """
     answer = opened(case, seal)
@@ -44,15 +44,15 @@ def gap_of(case: Path, found: Explained, seal: str) -> dict[str, Any] | None:
     effect = effect_on(samples, case / HELD_RATES, found.board)
     clean = replace(samples, rate_rad_s=samples.rate_rad_s - effect)
     extended = found.solution_extended
-    other = Other.of(recording, found.board, extended, samples)
-    known = tuple(one for one in found.solution_base.extensions if not one.free.size)
-    truth = _with_gain(replace(found.solution_base, extensions=known), np.array(answer.gain))
-    oracle = Other.of(recording, found.board, extended, clean).judged(truth)
+    other = prepare_held_out(recording, found.board, extended, samples)
+    known = tuple(one for one in found.solution_base.fitted_terms if not one.free_indices.size)
+    truth = _with_gain(replace(found.solution_base, fitted_terms=known), np.array(answer.gain))
+    oracle = prepare_held_out(recording, found.board, extended, clean).fit_model(truth)
     each = {}
     for name, model in (("base", found.solution_base), ("extended", extended)):
-        own = other.judged(model)
-        each[name] = other.judged(model, replace(own, noise=oracle.noise)).log_likelihood
-    values = GAINS + sum(int(one.free.size) for one in extended.extensions)
+        own = other.fit_model(model)
+        each[name] = other.fit_model(model, replace(own, noise=oracle.noise)).log_likelihood
+    values = GAIN_PARAMETERS + sum(int(one.free_indices.size) for one in extended.fitted_terms)
     short = oracle.log_likelihood - each["extended"]
     gap = Gap(answer.seed, oracle.log_likelihood - each["base"], short, values)
     return {"nats": round(gap.nats, 3), "short": round(gap.short, 3), "values": gap.values}
@@ -64,10 +64,10 @@ def _persists(cause: str) -> bool:
 
 
 def effect_on(samples: GyroSamples, rates: Path, board: str) -> FloatArray:
-    """Return the true effect of all that is hidden on each sample, (n, 3).
+    """Return the true hidden effect on each sample, (n, 3).
 
-    Samples are counted from power-up in one and from the first one kept in the other; where
-    the recording begins is where rates and words agree best.
+    The truth counts samples from power-up, the recording from its first sample. The best agreement
+    of true and recorded rates gives the offset.
     """
     with np.load(rates) as file:
         hidden = np.asarray(file[f"{board}.hidden_rad_s"], dtype=np.float64)
@@ -78,7 +78,7 @@ def effect_on(samples: GyroSamples, rates: Path, board: str) -> FloatArray:
 
 
 def number_of_first(samples: GyroSamples, hidden_rad_s: FloatArray) -> int:
-    """Return which of a board's rates since power-up the first sample kept is.
+    """Return the index, since power-up, of the first recorded sample.
 
     Args:
         samples: of a recording.
@@ -91,5 +91,7 @@ def number_of_first(samples: GyroSamples, hidden_rad_s: FloatArray) -> int:
     return shifts[int(np.argmin(misfit))]
 
 
-def _with_gain(solution: Solution, gain: FloatArray) -> Solution:
-    return replace(solution, estimate=np.concatenate([gain.ravel(), solution.estimate[GAINS:]]))
+def _with_gain(solution: ConvergedFit, gain: FloatArray) -> ConvergedFit:
+    return replace(
+        solution, estimate=np.concatenate([gain.ravel(), solution.estimate[GAIN_PARAMETERS:]])
+    )

@@ -1,6 +1,6 @@
-"""What became of one case: what was stated beside what was hidden.
+"""Outcome of one case: comparison of the stated and the hidden causes.
 
-What to use when: `outcome_of` for each case whose answer was opened; figures count outcomes.
+What to use when: `outcome_of` for each case with an opened answer; figures count outcomes.
 """
 
 import math
@@ -25,7 +25,7 @@ Name = str
 
 @dataclass(frozen=True, slots=True)
 class Fate:
-    """What became of one hidden cause."""
+    """Result for one hidden cause."""
 
     cause: str
     place: str | None
@@ -34,25 +34,25 @@ class Fate:
 
     @property
     def sole(self) -> bool:
-        """Named, and alone."""
+        """Whether it is the only name of a stated set."""
         return self.said == self.cause
 
     @property
     def stated(self) -> bool:
-        """In a stated set, alone or not."""
+        """Whether it is in a stated set."""
         return self.said in (self.cause, AMONG)
 
 
 @dataclass(frozen=True, slots=True)
 class Covered:
-    """One interval beside the truth."""
+    """One interval and the true value."""
 
     what: str
     sigma: float  # of the difference
 
     @property
     def inside(self) -> bool:
-        """Whether the 95 % interval holds the truth."""
+        """Whether the 95 % interval contains the true value."""
         return abs(self.sigma) <= INTERVAL
 
 
@@ -66,13 +66,13 @@ class Outcome:
     soak: bool
     fates: tuple[Fate, ...]
     sets: tuple[tuple[str, ...], ...]  # stated, the likeliest name first
-    rest: tuple[str, ...]  # what the unexplained rest depends on, the strongest first
-    expected: tuple[str, ...]  # what it should depend on
+    rest: tuple[str, ...]  # covariates of the unexplained rest, the strongest first
+    expected: tuple[str, ...]  # its true covariates
     covered_causes: tuple[Covered, ...]
     covered_calibration: tuple[Covered, ...]
-    harm: tuple[str, float] | None  # the worst cause unseen at its own detectable size
+    harm: tuple[str, float] | None  # cause with the largest bias at its detectable size
     harm_printed: bool
-    said_blind: bool  # all that was hidden was said not to be testable
+    said_blind: bool  # every hidden cause was reported as not testable
     decoy: str | None
     near: str | None
     allowed: tuple[str, ...]
@@ -81,23 +81,23 @@ class Outcome:
 
     @property
     def alarmed(self) -> bool:
-        """Whether anything at all was said to be wrong."""
+        """Whether anything was reported."""
         return bool(self.sets or self.rest)
 
     @property
     def extra(self) -> tuple[tuple[str, ...], ...]:
-        """The stated sets that hold nothing that was hidden."""
+        """The stated sets that contain no hidden cause."""
         true = {one.cause for one in self.fates}
         return tuple(names for names in self.sets if not true & set(names))
 
     @property
     def wrong_sole(self) -> bool:
-        """A sole name for what was not hidden."""
+        """Whether a sole name was stated that was not hidden."""
         return any(is_sole(names) for names in self.extra)
 
     @property
     def misled(self) -> bool:
-        """A sole wrong name while something hidden is in no stated set."""
+        """Whether a wrong sole name was stated while a hidden cause is not in any set."""
         return self.wrong_sole and not all(one.stated for one in self.fates)
 
 
@@ -107,7 +107,7 @@ def is_sole(names: Sequence[str]) -> bool:
 
 
 def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
-    """Judge one case. A crash counts as a wrong name: it is no answer."""
+    """Judge one case. A crash counts as a wrong name."""
     if "crashed" in line:
         line = {**BROKEN, "causes": [{"set": [CRASHED]}]}
     said = [tuple(one["set"]) for one in (*line["causes"], *line["raw"])]
@@ -148,7 +148,7 @@ def _said_of(
         return cause
     if with_it:
         return AMONG
-    # Several hidden: a wrong name is held against the case, not against one of them.
+    # If several are hidden, a wrong name counts for the case, not for one of the causes.
     alone = [names for names in said if is_sole(names)]
     if len(answer.causes) == 1 and alone:
         return alone[0][0]
@@ -156,7 +156,7 @@ def _said_of(
 
 
 def _of_causes(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
-    """Compare each named size with its truth, where the name is right and has a truth."""
+    """Compare each named size with its true value, if the name is right and has one."""
     found = []
     for hidden in answer.causes:
         named = [one for one in line["causes"] if one["set"][0] == hidden.cause]
@@ -170,10 +170,10 @@ def _of_causes(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
 
 
 def _of_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
-    """Compare the calibration after selection, as far as the truth has such a number.
+    """Compare the calibration after selection, where a true value exists.
 
-    With axes exchanged or turned the gain is another one by definition; a lag that changes is
-    no one time offset.
+    With exchanged or inverted axes the gain has another definition. A lag that changes is not a
+    single time offset.
     """
     hidden = set(answer.names)
     if hidden & RELABELS:

@@ -1,4 +1,4 @@
-"""The confusion matrix as a drawing: what each cause was called at 2x and 3x.
+"""Confusion matrix as SVG: the name that each cause was given at 2x and 3x.
 
 What to use when: `confusion_picture` for the page of scores.
 """
@@ -20,7 +20,7 @@ STYLE = (
 
 
 def confusion_picture(outcomes: Sequence[Outcome]) -> str:
-    """Return the drawing: a row for each hidden cause, a column for each thing said."""
+    """Return the SVG: one row per hidden cause, one column per stated name."""
     found: dict[str, Counter[str]] = {}
     for times in (2.0, 3.0):
         for cause, said in confusion(outcomes, times).items():
@@ -34,12 +34,12 @@ def confusion_picture(outcomes: Sequence[Outcome]) -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" '
         'aria-labelledby="title" font-family="system-ui, sans-serif">\n'
-        '<title id="title">Confusion matrix: what each hidden cause was called, at two and '
+        '<title id="title">Confusion matrix: the name given to each hidden cause, at two and '
         f"three times its detectable size.</title>\n<style>{STYLE}</style>\n"
         f'<rect class="paper" width="{width}" height="{height}" rx="10"/>\n'
         + "\n".join(body)
-        + f'\n<text class="soft" x="{LEFT}" y="{height - 14}">a row for what was hidden, a column '
-        "for what was said; the darker the more often</text>\n</svg>\n"
+        + f'\n<text class="soft" x="{LEFT}" y="{height - 14}">row: hidden cause; column: stated '
+        "name; darker cells are more frequent</text>\n</svg>\n"
     )
 
 

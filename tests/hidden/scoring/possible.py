@@ -1,10 +1,10 @@
-"""How many causes can be stated alone at all, by what the data bear.
+"""Upper bound on the share of causes that can be stated alone.
 
-A cause may be stated alone where it is believed to 95 %: where it is ahead of its best rival by
-ln 19 nats, both believed alike before. With l the non-centrality between the two, the true one
-is ahead by N(l / 2, l) nats, so that its chance is Phi((l / 2 - ln 19) / sqrt(l)). No finder
-that keeps its word names more causes alone than the mean of the chances, by the data alone; one
-that rivals more than one, or whose shape is to be found too, names fewer.
+A cause can be stated alone if its posterior probability is 95 %. With equal priors its
+log-likelihood must then exceed that of its best rival by ln 19 nats. If l is the non-centrality
+between the two, the difference has the distribution N(l / 2, l), and the probability is
+Phi((l / 2 - ln 19) / sqrt(l)). The mean of these probabilities is an upper bound for every method
+with correct probabilities. More rivals, or an unknown shape, reduce the share further.
 
 What to use when: `Bound` is one case; `possible` the share; scoring/bound.py measures them.
 """
@@ -20,23 +20,23 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """How nearly the best rival looks like what is hidden in a case."""
+    """Similarity of the best rival to the hidden cause of a case."""
 
     seed: int
     cause: str
     times: float
     soak: bool
-    rival: str  # empty where none comes near
+    rival: str  # empty if there is none
     left: float  # share of the effect that the rival leaves
-    noncentrality: float  # of that rest
+    noncentrality: float  # of that residual
 
     @property
     def chance(self) -> float:
-        """Of being stated alone."""
+        """Probability that the cause can be stated alone."""
         root = math.sqrt(max(self.noncentrality, _LEAST))
         return NormalDist().cdf((0.5 * self.noncentrality - AHEAD) / root)
 
 
 def possible(bounds: Sequence[Bound]) -> float:
-    """Return the largest share of cases that can be stated alone, nan for none."""
+    """Return the largest share of cases that can be stated alone, NaN for none."""
     return sum(one.chance for one in bounds) / len(bounds) if bounds else math.nan

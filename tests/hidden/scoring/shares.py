@@ -1,4 +1,4 @@
-"""A share of trials with its exact limits.
+"""Share of trials with its exact confidence limits.
 
 Source: Clopper and Pearson, Biometrika 26 (1934) 404.
 """
@@ -12,14 +12,14 @@ TAIL = 0.025
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """So many of so many."""
+    """Hits out of trials."""
 
     hits: int
     trials: int
 
     @property
     def value(self) -> float:
-        """The share, nan where nothing was tried."""
+        """The share, NaN if there were no trials."""
         return self.hits / self.trials if self.trials else float("nan")
 
     @property
@@ -44,7 +44,7 @@ class Share:
         return float(beta.ppf(0.95, self.hits + 1, self.trials - self.hits))
 
     def __str__(self) -> str:
-        """As a page says it."""
+        """Text for the page."""
         if not self.trials:
             return "none tried"
         limits = f"{100 * self.low:.1f} to {100 * self.high:.1f} %"

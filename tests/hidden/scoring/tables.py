@@ -1,6 +1,6 @@
-"""The tables of the page of scores, from judged cases.
+"""Tables of docs/discovery-scores.md, from judged cases.
 
-What to use when: one function a block of docs/discovery-scores.md.
+What to use when: one function per block of docs/discovery-scores.md.
 """
 
 from collections import Counter
@@ -32,11 +32,11 @@ KINDS = ("null", "one", "two", "many", "outside", "nearly", "unobservable")
 Outcomes = Sequence[Outcome]
 K = TypeVar("K")
 T = TypeVar("T")
-DOUBTFUL = 0.9  # chance below which a cause is listed with its rival
+DOUBTFUL = 0.9  # probability below which a cause is listed with its rival
 
 
 def cases(outcomes: Outcomes) -> str:
-    """What was run."""
+    """Return the number of cases per kind and program."""
     rows = []
     for kind in KINDS:
         own = [one for one in outcomes if one.kind == kind]
@@ -45,16 +45,25 @@ def cases(outcomes: Outcomes) -> str:
         )
         soaked, decoys = sum(o.soak for o in own), sum(o.decoy is not None for o in own)
         rows.append((kind, str(len(own)), programs, str(soaked), str(decoys)))
-    return table(("kind", "cases", "program", "with a soak", "with a decoy"), rows)
+    return table(
+        (
+            "kind",
+            "sessions",
+            "motion programs and their sessions",
+            "sessions with a soak",
+            "sessions with a decoy",
+        ),
+        rows,
+    )
 
 
 def reached(outcomes: Outcomes) -> str:
-    """How much of what is asked for was run."""
+    """Return how many of the required sessions were run."""
     alone = sum(one.kind == "null" for one in outcomes)
     other = len(outcomes) - alone
     said = [
         f"- {what}: {count} of {asked} were run"
-        + ("." if count >= asked else "; the limits are as wide as that makes them.")
+        + ("." if count >= asked else ", which widens the limits.")
         for what, count, asked in (
             ("Sessions with nothing hidden", alone, NULLS),
             ("Sessions with something hidden", other, HIDDEN),
@@ -69,7 +78,7 @@ def goals(
     bounds: Sequence[Bound] = (),
     measured: Sequence[Multiplicity] = (),
 ) -> str:
-    """Every goal beside its figure."""
+    """Return every goal with its figure."""
     found = figures(outcomes, gaps, bounds, measured)
     failed = {(goal.number, goal.name) for goal in missed(found)}
     rows = []
@@ -80,7 +89,7 @@ def goals(
             verdict = "not measured"
         value = _value(goal, figure.value)
         rows.append((str(goal.number), goal.words, _bar(goal), value, figure.words, verdict))
-    return table(("#", "goal", "bar", "found", "made of", ""), rows)
+    return table(("no.", "goal", "limit", "result", "derivation of the result", "verdict"), rows)
 
 
 def _bar(goal: Goal) -> str:
@@ -99,7 +108,7 @@ def _value(goal: Goal, value: float) -> str:
 
 
 def nulls(outcomes: Outcomes) -> str:
-    """False alarms by program, and what they said."""
+    """Return the false alarms by program, and their names."""
     own = [one for one in outcomes if one.kind == "null"]
     rows = []
     for program, group in _grouped(own, lambda one: one.program):
@@ -107,11 +116,11 @@ def nulls(outcomes: Outcomes) -> str:
         said = Counter(_said(one) for one in alarms)
         words = "; ".join(f"{text} ({n})" for text, n in said.most_common())
         rows.append((f"`{program}`", str(Share(len(alarms), len(group))), words))
-    return table(("program", "false alarms", "which"), rows)
+    return table(("program", "sessions with a false alarm", "reported causes"), rows)
 
 
 def causes(outcomes: Outcomes) -> str:
-    """Each cause hidden alone: what became of it at each size."""
+    """Return the result for each cause hidden alone, at each size."""
     plain = [one for one in outcomes if not one.soak]
     soaked = [one for one in outcomes if one.soak]
     at = {rung: by_cause(plain, rung) for rung in RUNGS}
@@ -125,12 +134,18 @@ def causes(outcomes: Outcomes) -> str:
             cells.append(_fates(at[rung].get(name, [])))
         cells.append(_fates([one for one in soak if one.fates[0].cause == name]))
         rows.append((f"`{name}`", *cells))
-    head = ("cause", "detected at 1x", "at 2x", "at 3x", "at 2x and 3x, soak")
+    head = (
+        "cause",
+        "detected at 1x",
+        "sole right name at 2x",
+        "sole right name at 3x",
+        "sole right name at 2x and 3x, with a soak",
+    )
     return table(head, rows)
 
 
 def _fates(group: Outcomes) -> str:
-    """Return how often the name was right and alone, in a set, or what else it was."""
+    """Return how often the name was right and alone, and the other results."""
     if not group:
         return ""
     right = sum(sole_right(one) for one in group)
@@ -142,14 +157,14 @@ def _fates(group: Outcomes) -> str:
 def _instead(one: Outcome) -> str:
     (fate,) = one.fates
     if fate.sole:
-        return "with a wrong name beside it"
+        return "with an additional wrong name"
     if fate.said == AMONG:
         return "in a set"
     return fate.said
 
 
 def confused(outcomes: Outcomes) -> str:
-    """Every case at 2x or more in which a stated set holds nothing that was hidden."""
+    """Return every case at 2x or more with a stated set that contains no hidden cause."""
     rows = [
         (
             str(one.seed),
@@ -163,14 +178,16 @@ def confused(outcomes: Outcomes) -> str:
     ]
     if not rows:
         return "None."
-    return table(("seed", "program", "hidden", "said and not hidden", "and truth not stated"), rows)
+    return table(
+        ("seed", "program", "hidden causes", "stated but not hidden", "true cause not stated"), rows
+    )
 
 
 def inseparable(bounds_: Sequence[Bound]) -> str:
-    """Causes that a rival of the catalogue comes near to, and how sure a name can be."""
+    """Return the causes with a similar rival, and the bound on right names."""
     rows = []
     for cause, group in _grouped(bounds_, lambda one: one.cause):
-        at_two = [one.chance for one in group if one.times > 1.5]  # names need not hold below
+        at_two = [one.chance for one in group if one.times > 1.5]  # goals for names begin at 2x
         if not at_two or min(at_two) >= DOUBTFUL:
             continue
         cells = []
@@ -183,12 +200,20 @@ def inseparable(bounds_: Sequence[Bound]) -> str:
         rows.append((f"`{cause}`", names, f"{100.0 * left:.1f} %", *cells))
     if not rows:
         return "None." if bounds_ else "Not measured."
-    head = ("cause", "best rival", "it leaves", "2x", "3x", "2x, soak", "3x, soak")
+    head = (
+        "cause",
+        "best rival",
+        "residual of the rival",
+        "2x",
+        "3x",
+        "2x with a soak",
+        "3x with a soak",
+    )
     return table(head, rows)
 
 
 def shapes(outcomes: Outcomes) -> str:
-    """Shapes outside the catalogue, and near to an entry of it."""
+    """Return the results for shapes outside the catalogue or similar to a cause."""
     rows = []
     own = [one for one in outcomes if one.kind in ("outside", "nearly")]
     for (kind, name), group in _grouped(own, lambda one: (one.kind, _shape(one))):
@@ -209,10 +234,10 @@ def shapes(outcomes: Outcomes) -> str:
     head = (
         "kind",
         "shape",
-        "cases",
-        "times detectable",
-        "rest admitted",
-        "right group",
+        "sessions",
+        "size in detectable sizes",
+        "rest reported",
+        "right covariate",
         "wrong name",
     )
     return table(head, rows)
@@ -223,7 +248,7 @@ def _shape(one: Outcome) -> str:
 
 
 def blind(outcomes: Outcomes) -> str:
-    """What no residual can show, and sets that a program cannot part."""
+    """Return the results for unobservable causes and inseparable pairs."""
     hidden = [one for one in outcomes if one.kind == "unobservable"]
     silent = Share(sum(not one.alarmed for one in hidden), len(hidden))
     told = Share(sum(one.said_blind for one in hidden), len(hidden))
@@ -236,18 +261,18 @@ def blind(outcomes: Outcomes) -> str:
     ]
     decoys = [one for one in outcomes if one.decoy in ("temperature", "idle_channel")]
     rows = [
-        ("unobservable: nothing is named", str(silent)),
-        ("unobservable: said to be not testable", str(told)),
-        ("a pair that the program cannot part: the truth stated, within the pair",
+        ("a hidden cause is unobservable: nothing is named", str(silent)),
+        ("a hidden cause is unobservable: it is reported as not testable", str(told)),
+        ("two causes that the solver cannot separate: both are stated, and nothing else",
          str(Share(len(right), len(pairs)))),
-        ("decoy channels: nothing wrong is named",
+        ("a decoy in the session: no wrong name",
          str(Share(sum(not one.extra for one in decoys), len(decoys)))),
     ]  # fmt: skip
-    return table(("what", "right"), rows)
+    return table(("test", "share of right results"), rows)
 
 
 def many(outcomes: Outcomes) -> str:
-    """Several causes at once."""
+    """Return the results for several causes at once."""
     rows = []
     own = [one for one in outcomes if one.kind in ("two", "many")]
     for count, group in _grouped(own, lambda one: len(one.fates)):
@@ -255,12 +280,18 @@ def many(outcomes: Outcomes) -> str:
         rows.append(
             (str(count), str(len(group)), str(recall(group)), str(precision(group)), str(rest))
         )
-    head = ("hidden", "cases", "recall, detectable ones", "precision of stated sets", "rest said")
+    head = (
+        "hidden causes",
+        "sessions",
+        "recall of detectable causes",
+        "precision of stated sets",
+        "rest reported",
+    )
     return table(head, rows)
 
 
 def gaps(gaps_: Sequence[Gap]) -> str:
-    """Second recordings: short of the oracle."""
+    """Return the gap to the oracle on second recordings."""
     if not gaps_:
         return "None measured."
     short = np.array([one.short for one in gaps_])
@@ -268,17 +299,17 @@ def gaps(gaps_: Sequence[Gap]) -> str:
     allowed = np.array([one.allowed for one in gaps_])
     quarters = ", ".join(f"{v:.1f}" for v in np.percentile(short, (25, 50, 75)))
     rows = [
-        ("cases", str(len(gaps_))),
-        ("nats short of the oracle: quarter, median, three quarters", quarters),
-        ("allowed, p/2 + 1: median", f"{np.median(allowed):.1f}"),
-        ("share of the oracle's gain: median, worst",
+        ("second recordings", str(len(gaps_))),
+        ("gap to the oracle in nats: lower quartile, median, upper quartile", quarters),
+        ("allowed gap p/2 + 1 in nats: median", f"{np.median(allowed):.1f}"),
+        ("share of the oracle's gain: median, minimum",
          f"{100 * np.median(share):.2f} %, {100 * share.min():.1f} %"),
     ]  # fmt: skip
-    return table(("what", "found"), rows)
+    return table(("quantity", "result"), rows)
 
 
 def covered(outcomes: Outcomes) -> str:
-    """Intervals by calibration parameter, and by cause."""
+    """Return the coverage by calibration parameter and by cause."""
     kinds = ("null", *IN_CATALOGUE)
     own = [one for one in outcomes if one.kind in kinds]
     each = [(c.what, c) for one in own for c in one.covered_calibration]
@@ -290,11 +321,18 @@ def covered(outcomes: Outcomes) -> str:
         rows.append(
             (f"`{what}`", str(Share(sum(c.inside for c in inside), len(inside))), f"{spread:.2f}")
         )
-    return table(("parameter or cause", "95 % intervals hold", "spread, stated deviations"), rows)
+    return table(
+        (
+            "parameter or cause",
+            "coverage of 95 % intervals",
+            "spread of the errors, standard uncertainties",
+        ),
+        rows,
+    )
 
 
 def harm(outcomes: Outcomes) -> str:
-    """The cause that could do most harm at its own detectable size, by program."""
+    """Return the cause with the largest bias at its detectable size, by program."""
     own = [one for one in outcomes if one.kind == "null" and one.harm is not None]
     rows = []
     for program, group in _grouped(own, lambda one: one.program):
@@ -311,24 +349,30 @@ def harm(outcomes: Outcomes) -> str:
                 str(printed),
             )
         )
-    head = ("program", "most harmful unseen", "median, deviations", "largest", "printed")
+    head = (
+        "program",
+        "cause with the largest bias",
+        "median bias, standard uncertainties",
+        "largest bias, its cause",
+        "sessions that report it",
+    )
     return table(head, rows)
 
 
 def seconds(outcomes: Outcomes) -> str:
-    """How long an explanation took, both cores busy."""
+    """Return the duration of an explanation, with both cores busy."""
     rows = []
     for (kind, program), group in _grouped(outcomes, lambda one: (one.kind, one.program)):
         took = [one.seconds for one in group]
         rows.append(
             (kind, f"`{program}`", str(len(took)), f"{np.median(took):.1f}", f"{max(took):.1f}")
         )
-    return table(("kind", "program", "cases", "median s", "longest s"), rows)
+    return table(("kind", "program", "sessions", "median, s", "longest, s"), rows)
 
 
 def _said(one: Outcome) -> str:
     names = " + ".join(" or ".join(names) for names in one.sets)
-    return names or f"a rest {one.rest[0]}"
+    return names or f"unexplained: {one.rest[0]}"
 
 
 def _grouped(outcomes: Sequence[T], key: Callable[[T], K]) -> list[tuple[K, list[T]]]:

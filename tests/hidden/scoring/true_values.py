@@ -1,13 +1,13 @@
-"""What the truth's parameters are called by the finder, for intervals that must hold them.
+"""Mapping from the parameters of the truth to those of the solver, to test the intervals.
 
-Names, units and signs were laid down apart from each other on both sides; this is the only
-place where they meet. Phases and events are not compared: sizes are what is named.
+Both sides defined names, units and signs independently; only this module knows both. Phases
+and events are not compared, only sizes.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping
 
-# Truth's name, finder's name, and how one becomes the other.
+# Name in the truth, name in the solver, and the conversion.
 Rule = tuple[str, str, Callable[[float], float]]
 
 
@@ -45,7 +45,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     "s_curve": (("window", "length", _same),),
     "vibration_rectification": (("coefficient", "coefficient", _same),),
 }
-# A sin(angle + phase) by its parts along the angle's sine and cosine.
+# A sin(angle + phase), split into the amplitudes of sine and cosine of the angle.
 HARMONICS: Mapping[str, tuple[str, str]] = {
     "worm_error": ("amplitude", "phase"),
     "tilt_sag": ("amplitude", "phase"),
@@ -56,12 +56,12 @@ HARMONICS: Mapping[str, tuple[str, str]] = {
 def true_values(
     cause: str, place: str | None, parameters: Mapping[str, float]
 ) -> Iterator[tuple[str, float]]:
-    """Yield the finder's name and the true value of each size that can be compared.
+    """Yield the solver's name and the true value of each size that can be compared.
 
     Args:
-        cause: of the catalogue.
-        place: where it acts, as the truth says it: pan, tilt, axes of the sensor, or all.
-        parameters: of the truth, those by axis as name.x and so on.
+        cause: from the catalogue.
+        place: where it acts, in the words of the truth: pan, tilt, axes of the sensor, or all.
+        parameters: of the truth, values per axis as name.x and so on.
     """
     if cause == "g_sensitivity":
         yield from ((f"sensitivity.{name}", value) for name, value in parameters.items())

@@ -1,8 +1,8 @@
-"""The finder as it ships, and finders made worse on purpose, which the goals must catch.
+"""The shipped solver, and deliberately degraded variants that the goals must detect.
 
-Nothing of the product knows of these: each takes one of its rules away from outside.
+The product does not know the variants: each one patches a single rule from outside.
 
-What to use when: `VARIANTS` by name; `explain` looks at recordings, `said` may change the words.
+What to use when: `VARIANTS` by name; `explain` explains recordings, `said` can change the result.
 """
 
 import sys
@@ -16,69 +16,79 @@ import numpy as np
 from tests.hidden.scoring.stated import Look, Stated
 
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.discover import finder
-from gyrorig_solver.discover.result import Explained
-from gyrorig_solver.discover.scores import sights
-from gyrorig_solver.discover.search import testable, tests_of
-from gyrorig_solver.estimate.likelihood import Solution
-from gyrorig_solver.estimate.noise import NoiseModel, Sampling, Spectrum, fit_levels
-from gyrorig_solver.estimate.projection import Looked, Projection
-from gyrorig_solver.model.terms.catalogue import catalogue
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.cause_findings import FitExplanation
+from gyrorig_solver.discover.cause_search import count_tests, testable_terms
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.noise.noise_model import (
+    NoiseModel,
+    Sampling,
+    Spectrum,
+    fit_noise_levels,
+)
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.pipeline import explain_board
 
-WHITE = 1e-9  # of a level: as good as none, and still a logarithm
+WHITE = 1e-9  # factor on a level: negligible, but its logarithm is finite
 Line = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One finder."""
+    """One variant of the solver."""
 
     words: str
     explain: Look
     said: Callable[[Line, Stated], Line]
 
 
-def _explain(recordings: Sequence[Recording], board: str) -> Explained:
-    return finder.explain(recordings, board)
+def _explain(recordings: Sequence[Recording], board: str) -> FitExplanation:
+    return explain_board.explain_recordings(recordings, board)
 
 
-def _white_only(recordings: Sequence[Recording], board: str) -> Explained:
-    """Weigh all frequencies alike: the bias of no board wanders."""
+def _white_only(recordings: Sequence[Recording], board: str) -> FitExplanation:
+    """Weight all frequencies equally, as if the bias had no random walk."""
 
     def levels(
         spectrum: Spectrum, sampling: Sampling, before: FloatArray | None = None
     ) -> NoiseModel:
-        noise = fit_levels(spectrum, sampling, before)
+        noise = fit_noise_levels(spectrum, sampling, before)
         white = noise.levels.copy()
         white[:, 1:] *= WHITE
         return NoiseModel(white, sampling)
 
     with ExitStack() as everywhere:
         for module in list(sys.modules.values()):
-            if getattr(module, "fit_levels", None) is fit_levels and module.__name__ != __name__:
-                everywhere.enter_context(patch.object(module, "fit_levels", levels))
+            if (
+                getattr(module, "fit_noise_levels", None) is fit_noise_levels
+                and module.__name__ != __name__
+            ):
+                everywhere.enter_context(patch.object(module, "fit_noise_levels", levels))
         return _explain(recordings, board)
 
 
-def _no_projection(recordings: Sequence[Recording], board: str) -> Explained:
-    """Score causes as if the base model followed nothing."""
+def _no_projection(recordings: Sequence[Recording], board: str) -> FitExplanation:
+    """Score causes without projecting out the base model."""
 
-    def bare(projection: Projection, white: FloatArray) -> Looked:
+    def bare(projection: NuisanceProjector, signals: WhitenedSignals) -> ScoreStatistics:
+        white = signals.dense()
         gram = white @ white.T
-        taken = np.zeros((len(white), projection.board))
-        return Looked(gram, white @ projection.residual, np.diag(gram).copy(), taken)
+        taken = np.zeros((len(white), projection.board_parameters))
+        return ScoreStatistics(gram, white @ projection.residual, np.diag(gram).copy(), taken)
 
-    with patch.object(Projection, "look", bare):
+    with patch.object(NuisanceProjector, "score_statistics", bare):
         return _explain(recordings, board)
 
 
-def _top(solution: Solution) -> str:
-    """Return the cause with the best score beside a fit."""
-    projection = Projection.of(solution)
-    taken = {one.term.cause for one in solution.extensions}
-    terms = [term for term in testable(projection) if term.cause not in taken]
-    return sights(projection, terms, tests_of(terms))[0].term.cause
+def _top(solution: ConvergedFit) -> str:
+    """Return the cause with the best score on the residual of a fit."""
+    projection = NuisanceProjector.at_fit(solution)
+    taken = {one.term.cause for one in solution.fitted_terms}
+    terms = [term for term in testable_terms(projection) if term.cause not in taken]
+    return scan_catalogue(projection, terms, count_tests(terms))[0].term.cause
 
 
 def _as_it_is(line: Line, _stated: Stated) -> Line:
@@ -86,19 +96,19 @@ def _as_it_is(line: Line, _stated: Stated) -> Line:
 
 
 def _top_score(line: Line, stated: Stated) -> Line:
-    """Say what the first pass over the base model's residual scores best, whatever it is."""
+    """State the cause with the best score on the base model's residual, always."""
     return _named(line, [], _top(stated.explained.solution_base))
 
 
 def _never_unknown(line: Line, stated: Stated) -> Line:
-    """Say what comes nearest to a rest instead of that there is one."""
+    """Name the best-scoring cause instead of an unexplained rest."""
     if not line["unexplained"]:
         return line
     return _named(line, line["causes"], _top(stated.explained.solution_extended))
 
 
 def _shuffled(line: Line, _stated: Stated) -> Line:
-    """Say each cause's neighbour in the catalogue."""
+    """Replace each cause by its neighbour in the catalogue."""
     names = sorted(cause for cause, term in catalogue().items() if term.kind in ("effect", "raw"))
     other = dict(zip(names, [*names[1:], names[0]], strict=True))
 
@@ -115,10 +125,10 @@ def _named(line: Line, causes: Sequence[Line], cause: str) -> Line:
 
 REAL = "real"
 VARIANTS = {
-    REAL: Variant("the finder as it ships", _explain, _as_it_is),
+    REAL: Variant("the shipped solver", _explain, _as_it_is),
     "top-score": Variant("always names the top score", _explain, _top_score),
-    "never-unknown": Variant("never admits a rest", _explain, _never_unknown),
-    "white-only": Variant("takes all noise for white", _white_only, _as_it_is),
-    "no-projection": Variant("takes nothing out that the base follows", _no_projection, _as_it_is),
-    "shuffled": Variant("has its names exchanged", _explain, _shuffled),
+    "never-unknown": Variant("never reports a rest", _explain, _never_unknown),
+    "white-only": Variant("assumes white noise", _white_only, _as_it_is),
+    "no-projection": Variant("does not project out the base model", _no_projection, _as_it_is),
+    "shuffled": Variant("exchanges the names", _explain, _shuffled),
 }

@@ -8,8 +8,8 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from gyrorig_daemon.emulator.settings import RigSettings
-from gyrorig_daemon.emulator.truth import RigTruth, draw_rig_truth
+from gyrorig_daemon.emulator.emulator_settings import RigSettings
+from gyrorig_daemon.emulator.rig_truth import RigTruth, sample_rig_truth
 
 IDLE_TOPIC = "/room/humidity"
 _PERIOD_NS = 500_000_000
@@ -17,7 +17,7 @@ _PERIOD_NS = 500_000_000
 
 def hot_truth(settings: RigSettings) -> RigTruth:
     """Return a rig whose boards warm up nearly evenly by far, and do not mind."""
-    truth = draw_rig_truth(settings)
+    truth = sample_rig_truth(settings)
     rng = np.random.default_rng([settings.seed, 0x484F54])
     boards = {
         name: replace(

@@ -14,10 +14,10 @@ from tests.hidden.truth.outside import NEARLY, OUTSIDE, SHAPES, Shape
 from tests.hidden.truth.session import Course, More, RigDraw, course, settings_of
 from tests.hidden.truth.shapes import hanger
 from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
+from tests.support.noncentrality import Visibility
 
 from gyrorig_daemon.emulator.causes import CAUSES
-from gyrorig_daemon.emulator.noncentrality import Visibility
-from gyrorig_daemon.emulator.settings import HideOrder
+from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
 
 TIERS = ("mixed", "nulls", "ladder", "outside", "many", "nearly", "held")  # at the end: they seed
 KINDS = ("null", "one", "two", "outside", "nearly", "unobservable")
@@ -60,9 +60,9 @@ class Item:
     seen: Visibility | None = None
 
     @property
-    def order(self) -> HideOrder:
+    def order(self) -> InjectionRequest:
         """The same for the emulator."""
-        return HideOrder(self.name, self.place, self.size)
+        return InjectionRequest(self.name, self.place, self.size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +103,13 @@ class _Drawing:
     def place(self, name: str) -> str:
         """Return a place: an axis of the unit, else wherever it is by itself."""
         cause = CAUSES[name]
-        if cause.together or not cause.places:
+        if cause.acts_on_all or not cause.components:
             return ""
-        return str(self.rng.choice(cause.places))
+        return str(self.rng.choice(cause.components))
 
     def sign(self, name: str) -> float:
         """Return a direction."""
-        return float(self.rng.choice((-1.0, 1.0))) if CAUSES[name].signed else 1.0
+        return float(self.rng.choice((-1.0, 1.0))) if CAUSES[name].is_signed else 1.0
 
     def at(self, name: str, times: float) -> Item | None:
         """Return a cause of so many times its minimal size, None where that cannot be."""
@@ -213,8 +213,8 @@ def _many(drawing: _Drawing) -> Session:
         cause = CAUSES[name]
         place = drawing.place(name)
         size = float(np.clip(cause.typical * np.exp(0.4 * rng.standard_normal()),
-                             cause.lowest, cause.highest))  # fmt: skip
-        size = drawing.sign(name) * (float(max(round(size), 1)) if cause.whole else size)
+                             cause.sampled_min, cause.sampled_max))  # fmt: skip
+        size = drawing.sign(name) * (float(max(round(size), 1)) if cause.is_integer else size)
         items.append(Item(name, place, size, None, drawing.sizer.of_cause(name, place)(size)))
     return Session(drawing.tier, "many", drawing.rig, tuple(items))
 
@@ -258,7 +258,7 @@ def _unobservable(drawing: _Drawing) -> Session:
     name = str(rng.choice(names))
     cause = CAUSES[name]
     place = "pan" if name == "step_resolution" else drawing.place(name)
-    size = float(np.exp(rng.uniform(np.log(cause.lowest), np.log(cause.highest))))
+    size = float(np.exp(rng.uniform(np.log(cause.sampled_min), np.log(cause.sampled_max))))
     size *= drawing.sign(name)
     seen = drawing.sizer.of_cause(name, place)(size)
     return Session(
@@ -282,7 +282,7 @@ def _ladder(
     for program in LADDER_PROGRAMS:
         drawing = _Drawing(rng, "ladder", _rig(rng, seed, program, soak))
         item = drawing.at(name, float(rungs[rung]))
-        if item is None and CAUSES[name].places and not CAUSES[name].together:
+        if item is None and CAUSES[name].components and not CAUSES[name].acts_on_all:
             item = drawing.at(name, float(rungs[rung]))  # another place, maybe
         if item is not None:
             return Session("ladder", "one", drawing.rig, (item,), rung=float(rungs[rung]))
@@ -322,7 +322,7 @@ def on_rung(sizer: Sizer, session: Session) -> Session | None:
     if session.rung is None or session.items[0].seen is None:
         return None
     (item,) = session.items
-    if item.seen is None or item.size is None or CAUSES[item.name].whole:
+    if item.seen is None or item.size is None or CAUSES[item.name].is_integer:
         return None
     wanted = session.rung**2 * detectable_of(item.name)
     if abs(item.seen.noncentrality / wanted - 1.0) < RUNG_WIDTH:
@@ -332,7 +332,7 @@ def on_rung(sizer: Sizer, session: Session) -> Session | None:
     return None if told is None else replace(session, items=(replace(item, size=told.size),))
 
 
-def orders_of(items: Sequence[Item]) -> tuple[HideOrder, ...]:
+def orders_of(items: Sequence[Item]) -> tuple[InjectionRequest, ...]:
     """Return what the emulator has to hide, without shapes outside the catalogue."""
     return tuple(item.order for item in items if item.name not in SHAPES)
 

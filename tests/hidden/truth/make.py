@@ -30,9 +30,9 @@ from tests.hidden.truth.draws import TIERS, Session, drawn, on_rung, orders_of, 
 from tests.hidden.truth.session import BOARD, ORIGIN_NS, Recorded, record, settings_of
 from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
 
-from gyrorig_daemon.emulator.noise_free import Twins, write_rates
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.truth import RigTruth, draw_rig_truth
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.noise_free_rates import RigTwin, write_rates
+from gyrorig_daemon.emulator.rig_truth import RigTruth, sample_rig_truth
 
 _TRIES = 4
 SKIPPED = "skipped.txt"  # seeds whose session cannot be, in a ladder
@@ -81,10 +81,10 @@ def _hold(folder: Path, session: Session, truth: RigTruth) -> None:
         raise ValueError("this session has no second one")
     held = replace(session.held, hide=orders_of(session.items))
     recorded = record(held, folder / "held.mcap", truth, session.more)
-    plain = draw_rig_truth(settings_of(session.rig))
+    plain = sample_rig_truth(settings_of(session.rig))
     course = recorded.course
     settings = recorded.rig.settings
-    twins = Twins(settings, ORIGIN_NS, course.orders, course.until_ns, plain)
+    twins = RigTwin(settings, ORIGIN_NS, course.orders, course.until_ns, plain)
     like = EmulatedRig(settings, ORIGIN_NS, truth, session.more)
     write_rates(folder / "held.npz", twins.rates(like), course.moves_s)
 

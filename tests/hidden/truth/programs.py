@@ -1,7 +1,8 @@
-"""A program of motion run backwards: the same poses, speeds and rests in the opposite order.
+"""Motion programs by name: shipped ones, backwards, or several one after the other.
 
 What to use when: `program_text` for a shipped program, by its name, or by its name and
-"-backwards"; for checks of what must not depend on the order of things.
+"-backwards" for checks of what must not depend on the order of things, or by several names
+joined by "+" for a long session.
 """
 
 from pathlib import Path
@@ -16,6 +17,10 @@ Step = dict[str, dict[str, Any]]
 
 def program_text(name: str) -> bytes:
     """Return a program as a file holds it."""
+    if "+" in name:
+        documents = [parse_yaml(program_text(part), part) for part in name.split("+")]
+        steps = [step for document in documents for step in document["steps"]]
+        return dump_yaml({**documents[0], "steps": steps}).encode()
     shipped = name.removesuffix(BACKWARDS)
     text = (PROGRAMS / f"{shipped}.yaml").read_bytes()
     if shipped == name:

@@ -14,22 +14,22 @@ from pathlib import Path
 from mcap.reader import make_reader
 from tests.hidden.truth.programs import program_text
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import parse_rig
-from gyrorig_daemon.description import SessionOrder
-from gyrorig_daemon.emulated import rig_settings
-from gyrorig_daemon.emulation import rough_session_s
-from gyrorig_daemon.emulator.physics.axis import Order
-from gyrorig_daemon.emulator.physics.effects.hooks import RigHooks
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import HideOrder, RigSettings
-from gyrorig_daemon.emulator.truth import RigTruth
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import InjectionRequest, RigSettings
+from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
+from gyrorig_daemon.emulator.physics.stepper_axis import AxisCommand
+from gyrorig_daemon.emulator.rig_truth import RigTruth
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
-from gyrorig_daemon.session import Surroundings, record_session
+from gyrorig_daemon.session.emulation_options import estimate_session_s
+from gyrorig_daemon.session.emulator_process import emulated_rig_settings
+from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session_description import SessionRequest
 from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import parse_program
-from gyrorig_protocol.recording.messages import imu_topic
+from gyrorig_protocol.recording.messages import imu_raw_topic
 
 ROOT = Path(__file__).resolve().parents[3]
 BOARD = "GY80-1"
@@ -49,7 +49,7 @@ class RigDraw:
     soak_k: float = 0.0
     ptu_baud: int = 115200
     command_time_ms: float = 5.0
-    hide: tuple[HideOrder, ...] = ()
+    hide: tuple[InjectionRequest, ...] = ()
     noise_free: bool = False
 
 
@@ -57,7 +57,7 @@ class RigDraw:
 class Course:
     """What a program made the axes do."""
 
-    orders: Mapping[str, Sequence[Order]]  # `pan` and `tilt`
+    orders: Mapping[str, Sequence[AxisCommand]]  # `pan` and `tilt`
     until_ns: int  # the end, on the rig's clock
     span_s: tuple[float, float]  # of the recorded samples, since power-up
 
@@ -78,12 +78,12 @@ class Recorded:
 def settings_of(draw: RigDraw) -> RigSettings:
     """Return the settings of a session's rig."""
     order = _order(draw, Path())
-    settings = rig_settings(order.config, draw.seed)
+    settings = emulated_rig_settings(order.config, draw.seed)
     return replace(
         settings,
-        hide=draw.hide,
+        injections=draw.hide,
         noise_free=draw.noise_free,
-        session_s=rough_session_s(order.program),
+        session_s=estimate_session_s(order.program),
         soak_k=draw.soak_k,
     )
 
@@ -110,13 +110,13 @@ def record(
             now_ns = hub.now_ns()
             return HostClocks(now_ns, now_ns, capture.utc_ns(now_ns), 0.0, 0.0, 0)
 
-        around = Surroundings(
+        around = SessionEnvironment(
             capture, read_host, threaded_writer=False, host="emulated", seed=settings.seed
         )
         made = record_session(hub, order, around)
         span_s = _span_s(made, capture)
         made.replace(path)
-    orders = {"pan": tuple(rig.stage.pan.orders), "tilt": tuple(rig.stage.tilt.orders)}
+    orders = {"pan": tuple(rig.stage.pan.commands), "tilt": tuple(rig.stage.tilt.commands)}
     return Recorded(rig, Course(orders, hub.now_ns(), span_s))
 
 
@@ -128,10 +128,10 @@ def course(program: str, ptu_baud: int, command_time_ms: float) -> Course:
         return record(draw, Path(folder) / "course.mcap").course
 
 
-def _order(draw: RigDraw, out: Path) -> SessionOrder:
+def _order(draw: RigDraw, out: Path) -> SessionRequest:
     config_text = _rig_text(draw.ptu_baud, draw.command_time_ms)
     text = program_text(draw.program)
-    return SessionOrder(
+    return SessionRequest(
         config=parse_rig(config_text, "rig.yaml"),
         config_text=config_text,
         program=parse_program(text, f"{draw.program}.yaml"),
@@ -154,7 +154,7 @@ def _span_s(path: Path, capture: CaptureClock) -> tuple[float, float]:
     """Return when the first and the last sample came, since power-up."""
     with path.open("rb") as file:
         reader = make_reader(file)
-        topics = [imu_topic(BoardId(BOARD))]
+        topics = [imu_raw_topic(BoardId(BOARD))]
         ends = [
             next(m.log_time for _, _, m in reader.iter_messages(topics, reverse=reverse))
             for reverse in (False, True)

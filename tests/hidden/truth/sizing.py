@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from tests.hidden.truth.detectable import detectable_of
 from tests.hidden.truth.session import BOARD, ORIGIN_NS, Course, More
 from tests.hidden.truth.variance import jitter_noncentrality, walk_noncentrality
+from tests.support.noncentrality import NuisanceProjector, Visibility
 
 from gyrorig_daemon.emulator.causes import CAUSES
-from gyrorig_daemon.emulator.noise_free import NoiseFreeRates, Twins
-from gyrorig_daemon.emulator.noncentrality import Beside, Visibility
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import HideOrder, RigSettings
-from gyrorig_daemon.emulator.truth import draw_rig_truth
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import InjectionRequest, RigSettings
+from gyrorig_daemon.emulator.noise_free_rates import NoiseFreeRates, RigTwin
+from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
 
 FloatArray = NDArray[np.float64]
 
@@ -56,29 +56,29 @@ class Sizer:
 
     def __init__(self, settings: RigSettings, course: Course) -> None:
         """Take the rig, and what its axes are told."""
-        self._settings = replace(settings, hide=(), noise_free=True)
+        self._settings = replace(settings, injections=(), noise_free=True)
         self._course = course
-        truth = draw_rig_truth(self._settings)
+        truth = sample_rig_truth(self._settings)
         self._board = truth.boards[BOARD].to_document()
-        self._twins = Twins(self._settings, ORIGIN_NS, course.orders, course.until_ns, truth)
-        self._known: dict[tuple[HideOrder, ...], NoiseFreeRates] = {}
+        self._twins = RigTwin(self._settings, ORIGIN_NS, course.orders, course.until_ns, truth)
+        self._known: dict[tuple[InjectionRequest, ...], NoiseFreeRates] = {}
         self._plain: NoiseFreeRates | None = None
-        self._plain_space: Beside | None = None
+        self._plain_space: NuisanceProjector | None = None
 
-    def rates(self, *hide: HideOrder, more: More | None = None) -> NoiseFreeRates:
+    def rates(self, *hide: InjectionRequest, more: More | None = None) -> NoiseFreeRates:
         """Return the rates with something hidden, and without it."""
         known = self._known.get(hide) if more is None else None
         if known is not None:
             return known
-        settings = replace(self._settings, hide=hide)
-        rates = self._twins.rates(EmulatedRig(settings, ORIGIN_NS, more=more))[BOARD]
+        settings = replace(self._settings, injections=hide)
+        rates = self._twins.rates(EmulatedRig(settings, ORIGIN_NS, extra_effects=more))[BOARD]
         if more is None:
             self._known[hide] = rates
             if len(self._known) > _KEPT:
                 del self._known[next(iter(self._known))]
         return rates
 
-    def space(self, rates: NoiseFreeRates) -> Beside:
+    def space(self, rates: NoiseFreeRates) -> NuisanceProjector:
         """Return the space beside what a calibration estimates of such rates."""
         if rates.aligned_rad_s is not rates.plain_rad_s:
             return self._beside(rates)
@@ -86,17 +86,17 @@ class Sizer:
             self._plain_space = self._beside(rates)
         return self._plain_space
 
-    def visibility(self, *hide: HideOrder, more: More | None = None) -> Visibility:
+    def visibility(self, *hide: InjectionRequest, more: More | None = None) -> Visibility:
         """Return how visible it is."""
         rates = self.rates(*hide, more=more)
         return self.space(rates).visibility(rates)
 
-    def beside_others(self, orders: Sequence[HideOrder | None]) -> list[float | None]:
+    def beside_others(self, orders: Sequence[InjectionRequest | None]) -> list[float | None]:
         """Return each effect's non-centrality with the effects of the others taken off too."""
         left: list[FloatArray | None] = []
         for order in orders:
             rates = None if order is None else self.rates(order)
-            left.append(None if rates is None else self.space(rates).effect(rates))
+            left.append(None if rates is None else self.space(rates).projected_effect(rates))
         told: list[float | None] = []
         for k, own in enumerate(left):
             if own is None:
@@ -118,7 +118,7 @@ class Sizer:
             return lambda size: Visibility(unit * size**4, 0.0)
         if name == "bias_random_walk":
             return lambda size: Visibility(self._walk(place, size), 0.0)
-        return lambda size: self.visibility(HideOrder(name, place, size))
+        return lambda size: self.visibility(InjectionRequest(name, place, size))
 
     def sized(
         self,
@@ -171,15 +171,17 @@ class Sizer:
             peak = float(np.abs(self._plain_rates().plain_rad_s).max())
             told = self.sized(lambda x: seen(peak - x), (times, least), 0.05 * peak, 0.8 * peak)
             return None if told is None else Sized(peak - told.size, told.seen, least)
-        if cause.whole:
+        if cause.is_integer:
             one = seen(1.0)
             if one.noncentrality <= 0.0:
                 return None
             steps = max(round(times / Sized(1.0, one, least).times), 1)
             return (
-                Sized(sign * steps, seen(sign * steps), least) if steps <= cause.highest else None
+                Sized(sign * steps, seen(sign * steps), least)
+                if steps <= cause.sampled_max
+                else None
             )
-        return self.sized(seen, (times, least), sign * cause.typical, cause.highest)
+        return self.sized(seen, (times, least), sign * cause.typical, cause.sampled_max)
 
     def _plain_rates(self) -> NoiseFreeRates:
         if self._plain is None:
@@ -187,12 +189,12 @@ class Sizer:
         return self._plain
 
     def _walk(self, place: str, size: float) -> float:
-        order = HideOrder("bias_random_walk", place, size)
-        settings = replace(self._settings, hide=(order,))
-        walk = draw_rig_truth(settings).hidden[0].array("walk")
+        order = InjectionRequest("bias_random_walk", place, size)
+        settings = replace(self._settings, injections=(order,))
+        walk = sample_rig_truth(settings).injected[0].array("walk")
         plain = self._plain_rates()
         count = int(self.space(plain).inside.sum())
         return walk_noncentrality(self._board, walk, count)
 
-    def _beside(self, rates: NoiseFreeRates) -> Beside:
-        return Beside(rates, self._board, self._course.moves_s, self._course.span_s)
+    def _beside(self, rates: NoiseFreeRates) -> NuisanceProjector:
+        return NuisanceProjector(rates, self._board, self._course.moves_s, self._course.span_s)

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.support.noncentrality import NuisanceProjector, coefficient_variances
 
-from gyrorig_daemon.emulator.noise_free import NoiseFreeRates
-from gyrorig_daemon.emulator.noncentrality import Beside, coefficient_variances
-from gyrorig_daemon.emulator.truth import DEG
+from gyrorig_daemon.emulator.noise_free_rates import NoiseFreeRates
+from gyrorig_daemon.emulator.rig_truth import DEG
 
 FloatArray = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ _MOST_FLICKER_RAD_S = 40.0 * DEG / 3600.0
 _MOST_WALK = 0.45e-3 * DEG
 
 
-def jitter_noncentrality(space: Beside, rates: NoiseFreeRates) -> float:
+def jitter_noncentrality(space: NuisanceProjector, rates: NoiseFreeRates) -> float:
     """Return the non-centrality of jitter of 1 s, by pairs of random draws.
 
     (a . b)^2 of two independent draws has the mean tr(S^2); what each axis' white level
@@ -33,7 +33,7 @@ def jitter_noncentrality(space: Beside, rates: NoiseFreeRates) -> float:
     rng = np.random.default_rng(0)
     slope = rates.slope_rad_s2[space.inside]
     draws = np.stack(
-        [space.left(slope * rng.standard_normal((len(slope), 1))) for _ in range(_DRAWS)]
+        [space.project(slope * rng.standard_normal((len(slope), 1))) for _ in range(_DRAWS)]
     )
     products = (draws @ draws.T) ** 2
     pairs = _DRAWS * (_DRAWS - 1)

@@ -23,36 +23,36 @@ from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
 from gyrorig_daemon.emulator.causes import CAUSES, Cause
 
 
-def verdict(cause: Cause, told: Sized | None) -> str:
+def verdict(cause: type[Cause], told: Sized | None) -> str:
     """Return whether a cause shows at the sizes that it usually has."""
     if told is None:
         return "never"
     size = abs(told.size)
     if cause.name == "saturation":
         return "yes"
-    if size <= cause.lowest:
+    if size <= cause.sampled_min:
         return "always"
     return "yes" if size <= cause.typical else "only when large"
 
 
-def row(sizer: Sizer, cause: Cause, place: str) -> str:
+def row(sizer: Sizer, cause: type[Cause], place: str) -> str:
     """Return a line of the table."""
     told = sizer.size_of_cause(cause.name, place, 1.0, 1.0)
     if told is None:
         top = Sized(
-            cause.highest,
-            sizer.of_cause(cause.name, place)(cause.highest),
+            cause.sampled_max,
+            sizer.of_cause(cause.name, place)(cause.sampled_max),
             detectable_of(cause.name),
         )
         told = top if top.times > 1.0 else None  # it begins with a jump past 1x
-        shown = f"{top.times:.2g}x at {cause.highest:.2g}"
+        shown = f"{top.times:.2g}x at {cause.sampled_max:.2g}"
     else:
         shown = f"{abs(told.size):.2g}"
         if told.times > 1.1:
             shown += f" ({told.times:.1f}x)"
     unit = "" if cause.unit == "1" else f" {cause.unit}"
     where = f"@{place}" if place else ""
-    usual = f"{cause.lowest:.2g} to {cause.highest:.2g}"
+    usual = f"{cause.sampled_min:.2g} to {cause.sampled_max:.2g}"
     return f"| {cause.name}{where} | {shown}{unit} | {usual} | {verdict(cause, told)} |"
 
 
@@ -70,7 +70,7 @@ def main() -> None:
             f"\n{head}\n\n| cause | seen from | usual sizes | seen |\n|---|---|---|---|\n"
         )
         for cause in CAUSES.values():
-            places = cause.places if cause.places and not cause.together else ("",)
+            places = cause.components if cause.components and not cause.acts_on_all else ("",)
             for place in places if cause.name not in COUNTED else ():
                 sys.stdout.write(row(sizer, cause, place) + "\n")
                 sys.stdout.flush()

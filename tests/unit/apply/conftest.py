@@ -8,16 +8,16 @@ from typing import Any
 import pytest
 import yaml
 
-from gyrorig_solver.calibration.document import Calibration, parse_calibration
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
 
 GOLDEN = Path(__file__).parents[1] / "output" / "golden"
 
 
 @pytest.fixture
-def document() -> Callable[..., Calibration]:
+def document() -> Callable[..., CalibrationDocument]:
     """Make the golden calibration, with parameters more or parts replaced."""
 
-    def make(name: str = "good", *, board: str = "GY80-0007", **parts: Any) -> Calibration:
+    def make(name: str = "good", *, board: str = "GY80-0007", **parts: Any) -> CalibrationDocument:
         plain = yaml.safe_load((GOLDEN / f"{name}.yaml").read_text())
         plain["board"]["id"] = board
         plain["parameters"] |= parts.pop("parameters", {})

@@ -13,64 +13,68 @@ from hypothesis import strategies as st
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver import Calibration
-from gyrorig_solver.apply.affine import BLOCK, transformed
-from gyrorig_solver.calibration import document as documents
+from gyrorig_solver.apply.affine import BLOCK_SAMPLES, transform_readings
+from gyrorig_solver.calibration import calibration_document as documents
 
-Made = Callable[..., documents.Calibration]
+Made = Callable[..., documents.CalibrationDocument]
 RNG = np.random.default_rng(20260401)
 MATRIX, OFFSET = RNG.normal(size=(3, 3)), RNG.normal(size=3)
 
 
 @pytest.mark.parametrize("kind", ["int16", "int32", "int64", "uint8", "float32", "float64"])
-@pytest.mark.parametrize("count", [0, 1, 3, 4, 5, BLOCK - 1, BLOCK, BLOCK + 7])
+@pytest.mark.parametrize(
+    "count", [0, 1, 3, 4, 5, BLOCK_SAMPLES - 1, BLOCK_SAMPLES, BLOCK_SAMPLES + 7]
+)
 def test_every_width_and_length_gives_the_plain_formula(kind: str, count: int) -> None:
     readings = (100.0 * RNG.normal(size=(count, 3))).astype(kind)
     wanted = readings.astype(np.float64) @ MATRIX.T + OFFSET
     np.testing.assert_allclose(
-        transformed(readings, MATRIX, OFFSET), wanted, rtol=1e-13, atol=1e-11
+        transform_readings(readings, MATRIX, OFFSET), wanted, rtol=1e-13, atol=1e-11
     )
     single = np.empty((count, 3), dtype=np.float32)
-    transformed(readings, MATRIX, OFFSET, single)
+    transform_readings(readings, MATRIX, OFFSET, single)
     np.testing.assert_allclose(single, wanted, rtol=1e-5, atol=1e-3)
 
 
-def test_rows_that_do_not_lie_together_are_no_trouble() -> None:
+def test_readings_with_strides_are_accepted() -> None:
     wide = RNG.normal(size=(100, 7))
     wanted = wide[::2, 1:4] @ MATRIX.T + OFFSET
-    np.testing.assert_allclose(transformed(wide[::2, 1:4], MATRIX, OFFSET), wanted, rtol=1e-12)
+    np.testing.assert_allclose(
+        transform_readings(wide[::2, 1:4], MATRIX, OFFSET), wanted, rtol=1e-12
+    )
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.integers(0, 99), max_size=5), st.sampled_from([math.nan, math.inf, -math.inf]))
-def test_a_reading_that_is_missing_spoils_no_other(rows: list[int], hole: float) -> None:
+def test_a_missing_reading_does_not_affect_others(rows: list[int], hole: float) -> None:
     readings = np.ones((100, 3))
     readings[rows, 1] = hole
-    found = transformed(readings, MATRIX, OFFSET)
+    result = transform_readings(readings, MATRIX, OFFSET)
     whole = np.isfinite(readings).all(axis=1)
-    assert np.isfinite(found[whole]).all()
-    assert not np.isfinite(found[~whole]).any()
+    assert np.isfinite(result[whole]).all()
+    assert not np.isfinite(result[~whole]).any()
 
 
-def test_an_output_that_would_not_do_is_refused() -> None:
+def test_an_unsuitable_output_array_is_rejected() -> None:
     readings = np.ones((8, 3))
     for out in (np.empty((7, 3)), np.empty((8, 3), np.int32), np.empty((8, 6))[:, ::2]):
         with pytest.raises(ValueError, match="out is"):
-            transformed(readings, MATRIX, OFFSET, out)
+            transform_readings(readings, MATRIX, OFFSET, out)
 
 
 def test_the_formula_of_the_conventions(document: Made) -> None:
-    found = Calibration(document())
-    gain = np.array(found.document.matrices.STM, dtype=np.float64)
-    bias = np.array(found.document.parameters["bias"].value, dtype=np.float64)
+    result = Calibration(document())
+    gain = np.array(result.document.matrices.STM, dtype=np.float64)
+    bias = np.array(result.document.parameters["bias"].value, dtype=np.float64)
     rate = RNG.normal(size=(50, 3))
     reading = rate @ gain.T + bias
-    scale = found.nominal_scale_rad_s
+    scale = result.nominal_scale_rad_s
     assert scale is not None
-    np.testing.assert_allclose(found.rates(reading / scale), rate, atol=1e-12)
-    np.testing.assert_allclose(found.rates(reading, "rad/s"), rate, atol=1e-12)
-    np.testing.assert_allclose(found.rates(np.degrees(reading), "deg/s"), rate, atol=1e-12)
-    np.testing.assert_allclose(found.rates(reading[0], "rad/s"), rate[0], atol=1e-12)
-    np.testing.assert_array_equal(found.times([1.0, 2.0]), [0.9875, 1.9875])
+    np.testing.assert_allclose(result.rates(reading / scale), rate, atol=1e-12)
+    np.testing.assert_allclose(result.rates(reading, "rad/s"), rate, atol=1e-12)
+    np.testing.assert_allclose(result.rates(np.degrees(reading), "deg/s"), rate, atol=1e-12)
+    np.testing.assert_allclose(result.rates(reading[0], "rad/s"), rate[0], atol=1e-12)
+    np.testing.assert_array_equal(result.times([1.0, 2.0]), [0.9875, 1.9875])
 
 
 def test_the_sensors_axes_differ_by_the_rotation_alone(document: Made) -> None:
@@ -103,12 +107,12 @@ EVERY = {
 }
 
 
-def test_every_cause_of_the_sensor_is_undone(document: Made) -> None:
+def test_every_cause_of_the_sensor_is_corrected(document: Made) -> None:
     """The model forward, written out here axis by axis, comes back to the rates it began with."""
-    found = Calibration(document(parameters=EVERY))
-    matrices = found.document.matrices
+    result = Calibration(document(parameters=EVERY))
+    matrices = result.document.matrices
     gain, turn = (np.array(m, dtype=np.float64) for m in (matrices.STM, matrices.M))
-    bias = np.array(found.document.parameters["bias"].value, dtype=np.float64)
+    bias = np.array(result.document.parameters["bias"].value, dtype=np.float64)
     rate = RNG.uniform(-4.0, 4.0, size=(300, 3))
     degc = RNG.uniform(10.0, 50.0, size=300)
     force = RNG.normal(size=(300, 3)) + np.array([0.0, 0.0, 9.8])  # in the stage's axes
@@ -120,41 +124,41 @@ def test_every_cause_of_the_sensor_is_undone(document: Made) -> None:
         bent += values["scale_cubic"] * u**3 + values["scale_asymmetry"] * np.abs(u)
         warm = values["thermal_bias.slope"] * t + values["thermal_bias.square"] * t**2
         read[row] = bent + bias + warm + values["g_sensitivity"].reshape(3, 3) @ f
-    told = found.rates(read, "rad/s", temperature_degc=degc, specific_force_m_s2=force @ turn.T)
-    np.testing.assert_allclose(told, rate, atol=1e-11)
-    assert any("backlash" in words for words in found.not_applied)
-    assert any("bias_step@2" in words for words in found.not_applied)
+    output = result.rates(read, "rad/s", temperature_degc=degc, specific_force_m_s2=force @ turn.T)
+    np.testing.assert_allclose(output, rate, atol=1e-11)
+    assert any("backlash" in words for words in result.not_applied)
+    assert any("bias_step@2" in words for words in result.not_applied)
 
 
-def test_a_slope_alone_goes_by_its_causes_name(document: Made) -> None:
+def test_a_single_parameter_has_the_name_of_its_cause(document: Made) -> None:
     slope = {"thermal_bias": EVERY["thermal_bias.slope"]}
     slope |= {n: EVERY[n] for n in ("thermal_bias.reference",)}
-    found = Calibration(document(parameters=slope))
-    cold, warm = (found.rates([0.0, 0.0, 0.0], temperature_degc=t) for t in (25.0, 35.0))
-    drift = found.correction.inverse @ [1e-2, -2e-2, 5e-3]
+    result = Calibration(document(parameters=slope))
+    cold, warm = (result.rates([0.0, 0.0, 0.0], temperature_degc=t) for t in (25.0, 35.0))
+    drift = result.correction.inverse @ [1e-2, -2e-2, 5e-3]
     np.testing.assert_allclose(cold - warm, drift, atol=1e-12)
 
 
-def test_what_a_calibration_asks_for_has_to_be_given(document: Made) -> None:
+def test_needed_temperatures_and_forces_must_be_given(document: Made) -> None:
     warm = {n: p for n, p in EVERY.items() if n.startswith("thermal_bias")}
-    found = Calibration(document(parameters=warm))
+    result = Calibration(document(parameters=warm))
     with pytest.raises(UsageError, match="depends on the temperature"):
-        found.rates(np.ones((4, 3)))
+        result.rates(np.ones((4, 3)))
     with pytest.raises(UsageError, match="2 temperatures for 4 readings"):
-        found.rates(np.ones((4, 3)), temperature_degc=[1.0, 2.0])
+        result.rates(np.ones((4, 3)), temperature_degc=[1.0, 2.0])
     force = {"g_sensitivity": EVERY["g_sensitivity"]}
     with pytest.raises(UsageError, match="specific force"):
         Calibration(document(parameters=force)).rates(np.ones((4, 3)))
 
 
-def test_temperatures_that_count_from_nowhere_are_not_used(document: Made) -> None:
-    found = Calibration(document(parameters={"thermal_bias.slope": parameter([1.0, 1.0, 1.0])}))
-    assert found.correction.straight
-    assert "does not say what its temperatures count from" in " ".join(found.not_applied)
+def test_thermal_causes_without_a_reference_temperature_are_not_applied(document: Made) -> None:
+    result = Calibration(document(parameters={"thermal_bias.slope": parameter([1.0, 1.0, 1.0])}))
+    assert result.correction.is_affine
+    assert "has no reference temperature" in " ".join(result.not_applied)
 
 
-def test_what_was_not_shown_is_not_applied(document: Made) -> None:
-    with pytest.raises(InputError, match=r"leaves open .*scale.*record a motion"):
+def test_an_unobservable_gain_is_not_applied(document: Made) -> None:
+    with pytest.raises(InputError, match=r"has no value for .*scale.*Record a motion"):
         Calibration(document("limited"))
     bias = Calibration(document("limited"), bias_only=True)
     np.testing.assert_allclose(
@@ -162,27 +166,27 @@ def test_what_was_not_shown_is_not_applied(document: Made) -> None:
     )
 
 
-def test_a_refused_calibration_is_refused_with_its_reason(document: Made) -> None:
+def test_a_calibration_with_the_verdict_refused_raises_its_reason(document: Made) -> None:
     trust = {"verdict": "refused", "reasons": ["the residual is too large: check the signs"]}
-    with pytest.raises(InputError, match=r"refused and not to be applied: .*check the signs"):
+    with pytest.raises(InputError, match=r"must not be applied\. .*check the signs"):
         Calibration(document(trust=trust))
 
 
 @pytest.mark.parametrize("bad", [np.ones(4), np.ones((2, 2, 3)), np.array(["a", "b", "c"])])
-def test_readings_of_another_shape_are_refused(document: Made, bad: np.ndarray) -> None:
+def test_readings_of_another_shape_are_rejected(document: Made, bad: np.ndarray) -> None:
     with pytest.raises(UsageError, match=r"shape \(n, 3\)"):
         Calibration(document()).rates(bad)
 
 
-def test_counts_without_a_nominal_scale_are_refused(document: Made) -> None:
-    found = Calibration(document(config={"gyro_scale_rad_s": None}))
-    with pytest.raises(UsageError, match="what a count is worth"):
-        found.rates(np.ones((4, 3)))
-    with pytest.raises(UsageError, match="no unit 'rpm'"):
-        found.rates(np.ones((4, 3)), "rpm")  # type: ignore[arg-type] # as an untyped caller
+def test_counts_without_a_nominal_scale_are_rejected(document: Made) -> None:
+    result = Calibration(document(config={"gyro_scale_rad_s": None}))
+    with pytest.raises(UsageError, match="nominal scale of a count"):
+        result.rates(np.ones((4, 3)))
+    with pytest.raises(UsageError, match="unit 'rpm' is unknown"):
+        result.rates(np.ones((4, 3)), "rpm")  # type: ignore[arg-type] # as an untyped caller
 
 
-def test_files_that_are_none(tmp_path: Path) -> None:
+def test_missing_and_foreign_files_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot read"):
         Calibration.load(tmp_path / "nothing.yaml")
     other = tmp_path / "other.yaml"
@@ -191,7 +195,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         Calibration.load(other)
 
 
-def test_arrays_need_nothing_of_the_extra(golden: Path) -> None:
+def test_arrays_need_no_extra_packages(golden: Path) -> None:
     """Where scipy and jinja2 are missing, a calibration can still be applied."""
     code = (
         "import sys; sys.modules.update(dict.fromkeys(('scipy', 'jinja2')))\n"

@@ -15,18 +15,18 @@ from rosbags.typesys import Stores, get_typestore
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording import adding
+from gyrorig_protocol.recording import recording_copy
 from gyrorig_protocol.recording.messages import EventKind, ImuStatus, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.salvage import read_strictly
 from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
 from gyrorig_solver import Calibration, cli
-from gyrorig_solver.apply.recordings import apply_to_recording
-from gyrorig_solver.calibration import document as documents
-from gyrorig_solver.samples import load_samples
+from gyrorig_solver.apply.corrected_recording import apply_to_recording
+from gyrorig_solver.calibration import calibration_document as documents
+from gyrorig_solver.data.samples import load_samples
 
 Captured = pytest.CaptureFixture[str]
-Made = Callable[..., documents.Calibration]
+Made = Callable[..., documents.CalibrationDocument]
 BOARD = BoardId("GY80-0007")
 START_NS = 1_790_000_000_000_000_000
 COUNT, RATE_HZ = 500, 100.0
@@ -94,19 +94,21 @@ def test_an_independent_reader_finds_the_true_rates(
 ) -> None:
     out = tmp_path / "out.mcap"
     done = apply_to_recording(Calibration.load(golden), source, out)
-    found = messages(out)
+    result = messages(out)
     good = np.ones(COUNT, dtype=bool)
     good[[100, 200]] = False
-    assert (done.messages, done.left_out, len(found)) == (498, 2, 498)
-    plain = json.loads(json.dumps(documents.to_plain(Calibration.load(golden).document)))
+    assert (done.messages, done.left_out, len(result)) == (498, 2, 498)
+    plain = json.loads(
+        json.dumps(documents.calibration_as_mapping(Calibration.load(golden).document))
+    )
     gain, bias = plain["matrices"]["STM"], plain["parameters"]["bias"]["value"]
     wanted = np.linalg.solve(np.array(gain), (counts[good] * SCALE - bias).T).T
-    told = np.array([xyz(m.angular_velocity) for _, _, m in found])
-    np.testing.assert_allclose(told, wanted, atol=1e-12)
+    output = np.array([xyz(m.angular_velocity) for _, _, m in result])
+    np.testing.assert_allclose(output, wanted, atol=1e-12)
     turn = np.array(plain["matrices"]["M"])
-    force = np.array([xyz(m.linear_acceleration) for _, _, m in found])
+    force = np.array([xyz(m.linear_acceleration) for _, _, m in result])
     np.testing.assert_allclose(force, np.tile(turn.T @ [0.0, 0.0, 9.81], (498, 1)), atol=1e-12)
-    one = found[0][2]
+    one = result[0][2]
     assert one.header.frame_id == f"{BOARD}/stage"
     assert one.orientation_covariance[0] == -1.0
     assert one.linear_acceleration_covariance[0] == 0.0
@@ -117,28 +119,28 @@ def test_an_independent_reader_finds_the_true_rates(
     )
 
 
-def test_stamps_are_when_the_motion_was_so(golden: Path, source: Path, tmp_path: Path) -> None:
+def test_timestamps_are_the_times_of_the_motion(golden: Path, source: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     apply_to_recording(Calibration.load(golden), source, out)
     samples = load_samples(read_recording(source), BOARD)
-    wanted = samples.origin_ns + (samples.time_s[samples.good] - 0.0125) * 1e9
-    found = messages(out)
-    stamp = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for _, _, m in found])
+    wanted = samples.origin_ns + (samples.time_s[samples.usable] - 0.0125) * 1e9
+    result = messages(out)
+    stamp = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for _, _, m in result])
     assert np.abs(stamp - wanted).max() < 300  # ns, of a double of 1.8e18
-    assert [p for _, p, _ in found] == stamp.tolist()
-    arrival = read_recording(source).imu(BOARD)["log_time"][samples.good]
-    assert [a for a, _, _ in found] == arrival.tolist()
+    assert [p for _, p, _ in result] == stamp.tolist()
+    arrival = read_recording(source).imu(BOARD)["log_time"][samples.usable]
+    assert [a for a, _, _ in result] == arrival.tolist()
 
 
-def test_the_recording_itself_is_in_the_copy_as_it_was(
+def test_the_copy_contains_the_recording_unchanged(
     golden: Path, source: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out.mcap"
     apply_to_recording(Calibration.load(golden), source, out)
     old, new = read_recording(source), read_recording(out)
-    assert new.complete
+    assert new.is_complete
     for topic in old.topics:
-        assert old.stamped(topic) == new.stamped(topic)
+        assert old.timed_messages(topic) == new.timed_messages(topic)
     assert [(a.name, a.data) for a in new.attachments] == [
         (a.name, a.data) for a in old.attachments
     ]
@@ -153,7 +155,7 @@ def test_the_recording_itself_is_in_the_copy_as_it_was(
     assert topics[f"/board/{BOARD}/imu"] == 498
 
 
-def test_messages_stand_near_those_of_their_time(
+def test_messages_are_near_others_of_the_same_time(
     golden: Path, source: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out.mcap"
@@ -169,31 +171,31 @@ def test_messages_stand_near_those_of_their_time(
 def test_batches_and_chunks_do_not_change_the_messages(
     golden: Path, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = Calibration.load(golden)
-    apply_to_recording(found, source, tmp_path / "one.mcap")
-    monkeypatch.setattr(adding, "CHUNK_MESSAGES", 13)
-    monkeypatch.setattr("gyrorig_solver.apply.recordings.SAMPLES_AT_A_TIME", 37)
-    apply_to_recording(found, source, tmp_path / "two.mcap")
+    result = Calibration.load(golden)
+    apply_to_recording(result, source, tmp_path / "one.mcap")
+    monkeypatch.setattr(recording_copy, "MESSAGES_PER_CHUNK", 13)
+    monkeypatch.setattr("gyrorig_solver.apply.corrected_recording.SAMPLES_PER_BATCH", 37)
+    apply_to_recording(result, source, tmp_path / "two.mcap")
     one, two = messages(tmp_path / "one.mcap"), messages(tmp_path / "two.mcap")
     assert [(a, p) for a, p, _ in one] == [(a, p) for a, p, _ in two]
-    rates = [np.array([xyz(m.angular_velocity) for _, _, m in found]) for found in (one, two)]
+    rates = [np.array([xyz(m.angular_velocity) for _, _, m in result]) for result in (one, two)]
     np.testing.assert_allclose(rates[0], rates[1], rtol=1e-13)
 
 
-def test_an_unfinished_recording_will_do(golden: Path, source: Path, tmp_path: Path) -> None:
+def test_an_unfinished_recording_is_accepted(golden: Path, source: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap.part"
     cut.write_bytes(source.read_bytes()[:-9000])
     done = apply_to_recording(Calibration.load(golden), cut, tmp_path / "out.mcap")
     assert 0 < done.messages < 498
     assert done.losses
-    assert read_recording(tmp_path / "out.mcap").complete
+    assert read_recording(tmp_path / "out.mcap").is_complete
 
 
-def test_a_board_in_another_setting_is_refused(
+def test_a_board_with_another_setting_is_rejected(
     document: Made, source: Path, tmp_path: Path
 ) -> None:
     other = Calibration(document(config={"bandwidth_hz": 110.0}))
-    with pytest.raises(InputError, match=r"bandwidth_hz 25.0, the calibration is for 110"):
+    with pytest.raises(InputError, match=r"bandwidth_hz 25.0 in .* calibration is for 110"):
         apply_to_recording(other, source, tmp_path / "out.mcap")
     with pytest.raises(InputError, match="--board"):
         apply_to_recording(Calibration(document(board="B-9")), source, tmp_path / "out.mcap")
@@ -203,13 +205,13 @@ def test_a_board_in_another_setting_is_refused(
     assert done.board == BOARD
 
 
-def test_what_was_made_is_not_made_twice(golden: Path, source: Path, tmp_path: Path) -> None:
-    found = Calibration.load(golden)
-    apply_to_recording(found, source, tmp_path / "out.mcap")
+def test_an_existing_copy_is_not_overwritten(golden: Path, source: Path, tmp_path: Path) -> None:
+    result = Calibration.load(golden)
+    apply_to_recording(result, source, tmp_path / "out.mcap")
     with pytest.raises(UsageError, match="never overwritten"):
-        apply_to_recording(found, source, tmp_path / "out.mcap")
+        apply_to_recording(result, source, tmp_path / "out.mcap")
     with pytest.raises(InputError, match="already"):
-        apply_to_recording(found, tmp_path / "out.mcap", tmp_path / "more.mcap")
+        apply_to_recording(result, tmp_path / "out.mcap", tmp_path / "more.mcap")
     assert not list(tmp_path.glob("*.part"))
 
 
@@ -240,7 +242,7 @@ def test_temperatures_are_taken_from_the_recording(
     slope = {"value": [1e-3, 0.0, 0.0], "std": [0.0] * 3, "unit": "rad/s/K"}
     reference = {"value": [30.0], "std": [0.0], "unit": "degC"}
     lag = {"value": [lag_s], "std": [None], "unit": "s"}
-    found = Calibration(
+    result = Calibration(
         document(
             parameters={
                 **{"thermal_bias": slope, "thermal_bias.reference": reference},
@@ -248,31 +250,34 @@ def test_temperatures_are_taken_from_the_recording(
             }
         )
     )
-    assert bool(found.not_applied) == bool(lag_s)
-    done = apply_to_recording(found, source, tmp_path / "out.mcap")
+    assert bool(result.not_applied) == bool(lag_s)
+    done = apply_to_recording(result, source, tmp_path / "out.mcap")
     assert done.outside_warmth == int(np.sum(25.0 + 0.05 * np.arange(0, count, 2) > 26.0))
     made = [m for _, _, m in messages(tmp_path / "out.mcap")]
-    told = np.array([xyz(m.angular_velocity) for m in made])
+    output = np.array([xyz(m.angular_velocity) for m in made])
     degc = 25.0 + 0.05 * np.arange(count) + lag_s
     bias = np.array([0.0078125, -0.015625, 0.03125])
     read = -bias - np.outer(degc - 30.0, [1e-3, 0.0, 0.0])
-    wanted = read @ found.correction.inverse.T
+    wanted = read @ result.correction.inverse.T
     inside = slice(100, -100)  # the ends of a smooth course rest on half of its readings
-    np.testing.assert_allclose(told[inside], wanted[inside], atol=1e-4)  # 0.1 K
+    np.testing.assert_allclose(output[inside], wanted[inside], atol=1e-4)  # 0.1 K
     assert {m.linear_acceleration_covariance[0] for m in made} == {-1.0}
 
 
-def test_the_command_says_what_it_did(
+def test_the_command_reports_its_result(
     golden: Path, source: Path, tmp_path: Path, capsys: Captured
 ) -> None:
     out = tmp_path / "out.mcap"
     assert cli.run(["apply", str(golden), str(source), "-o", str(out), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["topic"] == f"/board/{BOARD}/imu"
-    assert told["messages"] == 498
-    assert math.isclose(told["left_out"], 2)
+    output = json.loads(capsys.readouterr().out)
+    assert output["topic"] == f"/board/{BOARD}/imu"
+    assert output["messages"] == 498
+    assert math.isclose(output["left_out"], 2)
     args = ["apply", str(golden), str(source), "-o", str(tmp_path / "b.mcap"), "--columns", "a,b,c"]
     assert cli.run(args) == 2
-    assert "--temperature, --time are of tables: leave them out" in capsys.readouterr().err
+    assert (
+        "--columns, --temperature and --time are for tables. Leave them out"
+        in capsys.readouterr().err
+    )
     assert cli.run(["apply", str(golden), str(source), "-o", str(tmp_path / "b.bag")]) == 2
-    assert "end it in .mcap" in capsys.readouterr().err
+    assert ".mcap" in capsys.readouterr().err

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gyrorig_solver import Calibration, cli
-from gyrorig_solver.apply import tables
-from gyrorig_solver.apply.tables import TableColumns, apply_to_table
-from gyrorig_solver.calibration.document import Calibration as Document
-from gyrorig_solver.calibration.document import to_yaml
+from gyrorig_solver.apply import corrected_table
+from gyrorig_solver.apply.corrected_table import TableColumns, apply_to_table
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument as Document
+from gyrorig_solver.calibration.calibration_document import calibration_as_yaml
 
 Captured = pytest.CaptureFixture[str]
 GYRO = ("gx", "gy", "gz")
@@ -30,35 +30,35 @@ def table(path: Path, rows: int = 30, delimiter: str = ",", end: str = "\n") -> 
 
 
 @pytest.mark.parametrize(("delimiter", "end"), [(",", "\n"), (";", "\r\n"), ("\t", "\n")])
-def test_rates_stand_beside_the_text_as_it_was(
+def test_rates_are_added_to_the_unchanged_text(
     golden: Path, tmp_path: Path, delimiter: str, end: str
 ) -> None:
     counts = table(tmp_path / "in.csv", delimiter=delimiter, end=end)
-    found = Calibration.load(golden)
+    result = Calibration.load(golden)
     done = apply_to_table(
-        found, tmp_path / "in.csv", tmp_path / "out.csv", TableColumns(GYRO, time="t")
+        result, tmp_path / "in.csv", tmp_path / "out.csv", TableColumns(GYRO, time="t")
     )
     old = (tmp_path / "in.csv").read_text().splitlines()
     new = (tmp_path / "out.csv").read_text().splitlines()
     assert all(n.startswith(o + delimiter) for o, n in zip(old, new, strict=True))
     cells = [line.split(delimiter) for line in new]
     assert cells[0][-4:] == ["rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s", "time_of_motion_s"]
-    told = np.array([row[-4:] for row in cells[1:]], dtype=float)
-    np.testing.assert_allclose(told[:, :3], found.rates(counts), rtol=1e-8, atol=1e-12)
-    np.testing.assert_allclose(told[:, 3], np.arange(30) / 100 - 0.0125, atol=1e-9)
+    output = np.array([row[-4:] for row in cells[1:]], dtype=float)
+    np.testing.assert_allclose(output[:, :3], result.rates(counts), rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(output[:, 3], np.arange(30) / 100 - 0.0125, atol=1e-9)
     assert done.rows == 30
     assert done.without == 0
-    assert done.outside == int(np.sum(np.abs(found.rates(counts)).max(axis=1) > 1.25))
+    assert done.outside == int(np.sum(np.abs(result.rates(counts)).max(axis=1) > 1.25))
 
 
 def test_blocks_do_not_change_the_result(
     golden: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table(tmp_path / "in.csv")
-    found = Calibration.load(golden)
-    apply_to_table(found, tmp_path / "in.csv", tmp_path / "one.csv", TableColumns(GYRO))
-    monkeypatch.setattr(tables, "ROWS_AT_A_TIME", 7)
-    apply_to_table(found, tmp_path / "in.csv", tmp_path / "two.csv", TableColumns(GYRO))
+    result = Calibration.load(golden)
+    apply_to_table(result, tmp_path / "in.csv", tmp_path / "one.csv", TableColumns(GYRO))
+    monkeypatch.setattr(corrected_table, "ROWS_PER_BLOCK", 7)
+    apply_to_table(result, tmp_path / "in.csv", tmp_path / "two.csv", TableColumns(GYRO))
     assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "two.csv").read_bytes()
 
 
@@ -78,12 +78,12 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
         ("gx,gy\n1,2\n", "no column 'gz'"),
         ("gx,gy,gz\n", "a header and no rows"),
         ("gx,gy,gz\n1,2\n", "row 1 has 2 columns"),
-        ("gx,gy,gz\n1,2,3\n1,x,3\n", "row 2: 'x' in column gy is no number: correct it or leave"),
-        ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "has a column rate_x_rad_s already"),
+        ("gx,gy,gz\n1,2,3\n1,x,3\n", "row 2 has 'x' in column gy, which is not a number"),
+        ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "already has a column rate_x_rad_s"),
         ("", "no column 'gx'"),
     ],
 )
-def test_a_table_that_will_not_do_is_refused_and_nothing_is_left(
+def test_an_unusable_table_is_rejected_and_no_file_remains(
     golden: Path, tmp_path: Path, text: str, said: str, capsys: Captured
 ) -> None:
     (tmp_path / "in.csv").write_text(text)
@@ -96,16 +96,14 @@ def test_a_table_that_will_not_do_is_refused_and_nothing_is_left(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["in.csv", "v0001.yaml"]
 
 
-def test_the_command_in_words_and_as_an_object(
-    golden: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_the_command_prints_text_and_json(golden: Path, tmp_path: Path, capsys: Captured) -> None:
     table(tmp_path / "in.csv")
     base = ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz"]
     assert cli.run([*base, "-o", str(tmp_path / "a.csv")]) == 0
     assert "30 rows" in capsys.readouterr().out
     assert cli.run([*base, "-o", str(tmp_path / "b.csv"), "--json", "--frame", "sensor"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["rows"], told["frame"], told["board"]) == (30, "sensor", "GY80-0007")
+    output = json.loads(capsys.readouterr().out)
+    assert (output["rows"], output["frame"], output["board"]) == (30, "sensor", "GY80-0007")
     assert cli.run([*base, "-o", str(tmp_path / "b.csv")]) == 2
     assert "b.csv exists" in capsys.readouterr().err
     assert cli.run([*base[:3], "-o", str(tmp_path / "c.csv")]) == 2
@@ -120,7 +118,7 @@ def test_a_folder_that_cannot_be_written(golden: Path, tmp_path: Path, capsys: C
     assert "cannot write" in capsys.readouterr().err
 
 
-def test_a_temperature_column_is_asked_for_and_used(
+def test_a_needed_temperature_column_is_required_and_used(
     tmp_path: Path, document: Callable[..., Document], capsys: Captured
 ) -> None:
     (tmp_path / "in.csv").write_text("gx,gy,gz,T\n0,0,0,25\n0,0,0,35\n")
@@ -128,7 +126,7 @@ def test_a_temperature_column_is_asked_for_and_used(
     reference = {"value": [25.0], "std": [0.0], "unit": "degC"}
     made = document(parameters={"thermal_bias.slope": slope, "thermal_bias.reference": reference})
     warm = tmp_path / "warm.yaml"
-    warm.write_text(to_yaml(made))
+    warm.write_text(calibration_as_yaml(made))
     base = ["apply", str(warm), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz"]
     assert cli.run([*base, "-o", str(tmp_path / "a.csv")]) == 2
     assert "--temperature" in capsys.readouterr().err

@@ -15,14 +15,14 @@ from pymavlink.mavparm import MAVParmDict  # type: ignore[import-untyped]
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver import cli
-from gyrorig_solver.calibration.document import Calibration
-from gyrorig_solver.export.c_header import FixedPoint, c_header, count_limit
-from gyrorig_solver.export.flight import shifted
-from gyrorig_solver.export.formats import FORMATS, Wishes, exported
-from gyrorig_solver.export.numbers import Source
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.export.c_header import FixedPoint, c_header, largest_count
+from gyrorig_solver.export.export_formats import FORMATS, ExportOptions, export_text
+from gyrorig_solver.export.export_source import ExportSource
+from gyrorig_solver.export.flight_controllers import shift_polynomial
 
 Captured = pytest.CaptureFixture[str]
-Made = Callable[..., Calibration]
+Made = Callable[..., CalibrationDocument]
 SCALE = 0.00015271630954950384  # the golden calibration's
 BIAS = [0.0078125, -0.015625, 0.03125]
 WARM: dict[str, Any] = {
@@ -33,12 +33,12 @@ WARM: dict[str, Any] = {
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 
 
-def gain_of(found: Calibration) -> np.ndarray:
-    return np.array(found.matrices.STM, dtype=np.float64)
+def gain_of(result: CalibrationDocument) -> np.ndarray:
+    return np.array(result.matrices.STM, dtype=np.float64)
 
 
-def true_rates(found: Calibration, reading_rad_s: np.ndarray) -> np.ndarray:
-    return np.linalg.solve(gain_of(found), (reading_rad_s - BIAS).T).T
+def true_rates(result: CalibrationDocument, reading_rad_s: np.ndarray) -> np.ndarray:
+    return np.linalg.solve(gain_of(result), (reading_rad_s - BIAS).T).T
 
 
 MAIN = """
@@ -86,8 +86,8 @@ def run(program: Path, rows: np.ndarray | None = None) -> list[list[float]]:
 def test_compiled_c_gives_the_true_rates(
     document: Made, tmp_path: Path, compiler: list[str]
 ) -> None:
-    found = document()
-    header = c_header(Source.of(found), "NAME")
+    result = document()
+    header = c_header(ExportSource.of(result), "NAME")
     program = compiled(tmp_path, header, MAIN, *compiler)
     rng = np.random.default_rng(8)
     counts = rng.integers(-32768, 32768, size=(500, 3))
@@ -95,18 +95,18 @@ def test_compiled_c_gives_the_true_rates(
     counts = np.concatenate([counts, corners])
     first, *rows = run(program, counts)
     assert first == [0.0]
-    told = np.array(rows)
-    wanted = true_rates(found, counts * SCALE)
-    np.testing.assert_allclose(told[:, :3], wanted, rtol=0.0, atol=3e-6)  # float: 6 to 7 digits
+    output = np.array(rows)
+    wanted = true_rates(result, counts * SCALE)
+    np.testing.assert_allclose(output[:, :3], wanted, rtol=0.0, atol=3e-6)  # float: 6 to 7 digits
     (point,) = re.findall(r"#define NAME_FIXED_POINT (\d+)", header)
-    (bound,) = re.findall(r"moves them by at most ([0-9.e-]+) rad/s", header)
-    error = np.abs(told[:, 3:] * 2.0 ** -int(point) - wanted).max()
+    (bound,) = re.findall(r"rounding error is at most ([0-9.e-]+) rad/s", header)
+    error = np.abs(output[:, 3:] * 2.0 ** -int(point) - wanted).max()
     assert error <= float(bound) * 1.05  # two digits of it are printed
     assert error < 1e-7
 
 
 def test_c_with_a_temperature(document: Made, tmp_path: Path) -> None:
-    found = document(parameters=WARM)
+    result = document(parameters=WARM)
     main = """
 #include <stdio.h>
 #include "board.h"
@@ -125,16 +125,16 @@ int main(void)
 }
 """
     rows = np.array(
-        run(compiled(tmp_path, c_header(Source.of(found), "NAME"), main, "gcc", *FLAGS))
+        run(compiled(tmp_path, c_header(ExportSource.of(result), "NAME"), main, "gcc", *FLAGS))
     )
     warmth = (rows[:, 0] - 30.0)[:, None]
     read = np.array([1000, -2000, 3000]) * SCALE
     drift = warmth * [1e-3, -2e-3, 5e-4] + warmth**2 * [1e-5, 2e-5, -1e-5]
-    np.testing.assert_allclose(rows[:, 1:], true_rates(found, read - drift), atol=1e-6)
+    np.testing.assert_allclose(rows[:, 1:], true_rates(result, read - drift), atol=1e-6)
 
 
 def test_the_self_test_finds_a_wrong_number(document: Made, tmp_path: Path) -> None:
-    header = c_header(Source.of(document()), "NAME")
+    header = c_header(ExportSource.of(document()), "NAME")
     first = re.search(r"static const int32_t A\[3\]\[3\] = \{\s*\{(\d+)", header)
     assert first is not None
     wrong = header.replace(first[1], str(int(first[1]) + 4096), 1)
@@ -145,7 +145,7 @@ def test_the_self_test_finds_a_wrong_number(document: Made, tmp_path: Path) -> N
 @pytest.mark.parametrize("scale", [1e-7, 1.5e-4, 1.06e-3, 1.0])
 def test_fixed_point_never_overflows_and_keeps_its_bound(scale: float) -> None:
     rng = np.random.default_rng(3)
-    limit = count_limit(scale, 2000.0)
+    limit = largest_count(scale, 2000.0)
     matrix = scale * (np.eye(3) + 0.05 * rng.normal(size=(3, 3)))
     offset = 0.3 * rng.normal(size=3)
     fixed = FixedPoint.of(matrix, offset, limit)
@@ -156,19 +156,19 @@ def test_fixed_point_never_overflows_and_keeps_its_bound(scale: float) -> None:
         sums = np.abs(fixed.matrix.astype(object)) @ np.abs(np.array(row, dtype=object))
         assert max(int(s) + abs(o) for s, o in zip(sums, fixed.offset, strict=True)) < 2**62
         wanted = matrix @ np.array(row, dtype=np.float64) + offset
-        off = np.abs(np.array(steps) * 2.0**-fixed.point - wanted).max()
+        off = np.abs(np.array(steps) * 2.0**-fixed.fraction_bits - wanted).max()
         assert off <= fixed.error_bound_rad_s(limit) * (1.0 + 1e-6) + 1e-9 * np.abs(wanted).max()
 
 
 def test_hostile_names_stay_inside_their_comments(document: Made, tmp_path: Path) -> None:
-    found = document(
+    result = document(
         board="a_b", trust={"verdict": "limited", "reasons": ['*/ #error "x" \\', "é\n"]}
     )
     for kind in ("c", "ros", "kalibr", "px4", "ardupilot"):
-        text = exported(Source.of(found), kind)
+        text = export_text(ExportSource.of(result), kind)
         assert "\nerror" not in text.replace("#", "")
         assert "*/ #error" not in text
-    program = compiled(tmp_path, c_header(Source.of(found), "NAME"), MAIN, "gcc", *FLAGS)
+    program = compiled(tmp_path, c_header(ExportSource.of(result), "NAME"), MAIN, "gcc", *FLAGS)
     assert run(program)[0] == [0.0]
 
 
@@ -194,74 +194,78 @@ def rcl(text: str) -> dict[str, Any]:
 
 
 def test_ros_parameters_applied_to_a_drivers_rates(document: Made) -> None:
-    found = document()
-    text = exported(Source.of(found), "ros")
-    told = rcl(text)
-    own = {n.removeprefix("gyro_calibration."): v for n, v in told.items()}
+    result = document()
+    text = export_text(ExportSource.of(result), "ros")
+    output = rcl(text)
+    own = {n.removeprefix("gyro_calibration."): v for n, v in output.items()}
     correction = np.array(own["angular_velocity_correction"]).reshape(3, 3)
     read = np.random.default_rng(1).normal(size=(40, 3))
     rates = (read - own["angular_velocity_bias"]) @ correction.T
-    np.testing.assert_allclose(rates, true_rates(found, read), atol=1e-12)
+    np.testing.assert_allclose(rates, true_rates(result, read), atol=1e-12)
     assert own["time_offset"] == 0.0125
     assert own["noise_density"] == [0.0005, 0.0005, 0.00075]
     assert "bias_random_walk" not in own  # one axis of it is not known
-    assert list(yaml.safe_load(exported(Source.of(found), "ros", Wishes("/imu_node")))) == [
-        "/imu_node"
-    ]
+    assert list(
+        yaml.safe_load(export_text(ExportSource.of(result), "ros", ExportOptions("/imu_node")))
+    ) == ["/imu_node"]
 
 
 def px4(text: str) -> dict[str, float]:
     """Read a file as QGroundControl does: five columns between tabs, MAV_PARAM_TYPE last."""
-    found = {}
+    result = {}
     for line in text.splitlines():
         if line.startswith("#"):
             continue
         vehicle, component, name, value, kind = line.split("\t")
         assert (vehicle, component) == ("1", "1")
         assert len(name) <= 16
-        found[name] = float(value) if kind == "9" else int(value)
+        result[name] = float(value) if kind == "9" else int(value)
         assert kind in ("6", "9")
-    return found
+    return result
 
 
 def test_px4_subtracts_the_bias_and_its_drift(document: Made) -> None:
-    plain = px4(exported(Source.of(document("limited")), "px4", Wishes(slot=1)))
+    plain = px4(export_text(ExportSource.of(document("limited")), "px4", ExportOptions(slot=1)))
     assert plain == dict(
         zip(("CAL_GYRO1_XOFF", "CAL_GYRO1_YOFF", "CAL_GYRO1_ZOFF"), BIAS, strict=True)
     )
-    found = px4(exported(Source.of(document(parameters=WARM)), "px4", Wishes(device_id=2293762)))
-    assert found["CAL_GYRO0_ID"] == found["TC_G0_ID"] == 2293762
-    assert found["TC_G_ENABLE"] == 1
-    assert (found["TC_G0_TMIN"], found["TC_G0_TMAX"]) == (24.5, 26.0)
+    result = px4(
+        export_text(
+            ExportSource.of(document(parameters=WARM)), "px4", ExportOptions(device_id=2293762)
+        )
+    )
+    assert result["CAL_GYRO0_ID"] == result["TC_G0_ID"] == 2293762
+    assert result["TC_G_ENABLE"] == 1
+    assert (result["TC_G0_TMIN"], result["TC_G0_TMAX"]) == (24.5, 26.0)
     for axis in range(3):
         for degc in (10.0, 30.0, 45.0):
             # PX4: offset = X0 + X1 dT + X2 dT^2 + X3 dT^3
-            warmth = degc - found["TC_G0_TREF"]
-            told = sum(found[f"TC_G0_X{p}_{axis}"] * warmth**p for p in range(4))
+            warmth = degc - result["TC_G0_TREF"]
+            output = sum(result[f"TC_G0_X{p}_{axis}"] * warmth**p for p in range(4))
             slope, square = (WARM[f"thermal_bias.{n}"]["value"][axis] for n in ("slope", "square"))
-            assert told == pytest.approx(slope * warmth + square * warmth**2, abs=1e-12)
+            assert output == pytest.approx(slope * warmth + square * warmth**2, abs=1e-12)
 
 
 def test_ardupilot_subtracts_the_bias_and_its_drift(document: Made) -> None:
-    text = exported(Source.of(document(parameters=WARM)), "ardupilot")
+    text = export_text(ExportSource.of(document(parameters=WARM)), "ardupilot")
     lines = [line for line in text.splitlines() if not line.startswith("#")]
-    found = {name: float(value) for name, value in (line.split(",") for line in lines)}
-    assert found["INS_GYR_CAL"] == 0
-    assert [found[f"INS_GYROFFS_{a}"] for a in "XYZ"] == BIAS
-    assert all(len(name) <= 16 for name in found)
+    result = {name: float(value) for name, value in (line.split(",") for line in lines)}
+    assert result["INS_GYR_CAL"] == 0
+    assert [result[f"INS_GYROFFS_{a}"] for a in "XYZ"] == BIAS
+    assert all(len(name) <= 16 for name in result)
 
     def polynomial(axis: str, degc: float) -> float:  # AP_InertialSensor_tempcal.cpp
         step = degc - 35.0
-        c = [found[f"INS_TCAL1_GYR{k}_{axis}"] for k in (1, 2, 3)]
+        c = [result[f"INS_TCAL1_GYR{k}_{axis}"] for k in (1, 2, 3)]
         return (c[0] + (c[1] + c[2] * step) * step) * step * 1e-6
 
     for axis, name in enumerate("XYZ"):
         for degc in (10.0, 24.5, 30.0, 45.0):
-            told = polynomial(name, degc) - polynomial(name, found["INS_GYR1_CALTEMP"])
+            output = polynomial(name, degc) - polynomial(name, result["INS_GYR1_CALTEMP"])
             slope, square = (WARM[f"thermal_bias.{n}"]["value"][axis] for n in ("slope", "square"))
             warmth = degc - 30.0
-            assert told == pytest.approx(slope * warmth + square * warmth**2, abs=1e-9)
-    second = exported(Source.of(document()), "ardupilot", Wishes(slot=1))
+            assert output == pytest.approx(slope * warmth + square * warmth**2, abs=1e-9)
+    second = export_text(ExportSource.of(document()), "ardupilot", ExportOptions(slot=1))
     assert "INS_GYR2OFFS_X,0.0078125" in second
 
 
@@ -269,28 +273,28 @@ def test_ardupilots_own_library_reads_the_file(
     document: Made, tmp_path: Path, capsys: Captured
 ) -> None:
     path = tmp_path / "gyro.parm"
-    path.write_text(exported(Source.of(document(parameters=WARM)), "ardupilot"))
-    found = MAVParmDict()
-    assert found.load(str(path))
-    assert [found[f"INS_GYROFFS_{a}"] for a in "XYZ"] == BIAS
+    path.write_text(export_text(ExportSource.of(document(parameters=WARM)), "ardupilot"))
+    result = MAVParmDict()
+    assert result.load(str(path))
+    assert [result[f"INS_GYROFFS_{a}"] for a in "XYZ"] == BIAS
     assert "Invalid line" not in capsys.readouterr().out  # it goes on behind what it cannot read
-    assert len(found) == sum(not line.startswith("#") for line in path.read_text().splitlines())
+    assert len(result) == sum(not line.startswith("#") for line in path.read_text().splitlines())
 
 
-def test_temperatures_without_a_zero_are_no_vehicles(document: Made) -> None:
+def test_relative_temperatures_are_not_exported_to_autopilots(document: Made) -> None:
     """Where a sensor's temperature counts from anywhere, TMIN and TREF would be wrong."""
-    found = document(parameters=WARM, validity={"rate_rad_s": [-1.0, 1.0]})
+    result = document(parameters=WARM, validity={"rate_rad_s": [-1.0, 1.0]})
     for kind in ("px4", "ardupilot"):
-        text = exported(Source.of(found), kind)
-        assert "not carried by this format: thermal_bias" in text
+        text = export_text(ExportSource.of(result), kind)
+        assert "not contained in this format: thermal_bias" in text
         assert "TC" not in text.replace("MTC", "")
-    assert "a zero that is not known" in exported(Source.of(found), "c")
+    assert "the unknown zero of the recording" in export_text(ExportSource.of(result), "c")
 
 
 def test_a_polynomial_moved_to_another_reference() -> None:
     rng = np.random.default_rng(2)
     old = rng.normal(size=(3, 3))
-    new = shifted(old, 20.0, 35.0)
+    new = shift_polynomial(old, 20.0, 35.0)
     for degc in (-10.0, 20.0, 35.0, 60.0):
         powers = np.arange(1, 4)
         was = ((degc - 20.0) ** powers) @ old - (15.0**powers) @ old
@@ -298,70 +302,70 @@ def test_a_polynomial_moved_to_another_reference() -> None:
 
 
 def test_json_has_the_numbers_and_the_document(document: Made) -> None:
-    found = document()
-    told = json.loads(exported(Source.of(found), "json"))
+    result = document()
+    output = json.loads(export_text(ExportSource.of(result), "json"))
     read = np.random.default_rng(1).normal(size=(10, 3))
-    rates = (read - told["bias_rad_s"]) @ np.array(told["inverse_gain"]).T
-    np.testing.assert_allclose(rates, true_rates(found, read), atol=1e-12)
-    assert told["calibration"]["schema"] == "gyrorig/calibration/1"
-    nothing = json.loads(exported(Source.of(document("limited")), "json"))
+    rates = (read - output["bias_rad_s"]) @ np.array(output["inverse_gain"]).T
+    np.testing.assert_allclose(rates, true_rates(result, read), atol=1e-12)
+    assert output["calibration"]["schema"] == "gyrorig/calibration/1"
+    nothing = json.loads(export_text(ExportSource.of(document("limited")), "json"))
     assert nothing["inverse_gain"] is None
 
 
 @pytest.mark.parametrize("kind", ["c", "ros"])
-def test_a_gain_that_was_not_shown_is_not_exported(document: Made, kind: str) -> None:
-    with pytest.raises(InputError, match=r"leaves open .*scale"):
-        exported(Source.of(document("limited")), kind)
+def test_an_unobservable_gain_is_not_exported(document: Made, kind: str) -> None:
+    with pytest.raises(InputError, match=r"has no value for .*scale"):
+        export_text(ExportSource.of(document("limited")), kind)
 
 
 @pytest.mark.parametrize("kind", [k for k in FORMATS if k != "json"])
-def test_what_a_format_cannot_hold_is_said_or_refused(document: Made, kind: str) -> None:
+def test_causes_that_a_format_lacks_are_listed_or_rejected(document: Made, kind: str) -> None:
     bent = {"scale_cubic": {"value": [1e-4] * 3, "std": [0.0] * 3, "unit": "s^2/rad^2"}}
-    text = exported(Source.of(document(parameters=bent)), kind)
-    assert "not carried by this format: scale_cubic" in text
+    text = export_text(ExportSource.of(document(parameters=bent)), kind)
+    assert "not contained in this format: scale_cubic" in text
     if kind == "kalibr":
         return  # it has a place for the next one
     force = {"g_sensitivity": {"value": [1e-4] * 9, "std": [0.0] * 9, "unit": "rad/s/(m/s^2)"}}
-    with pytest.raises(InputError, match="no place for g_sensitivity"):
-        exported(Source.of(document(parameters=force)), kind)
+    with pytest.raises(InputError, match="cannot contain g_sensitivity"):
+        export_text(ExportSource.of(document(parameters=force)), kind)
 
 
-def test_every_frame_says_which_it_is(document: Made) -> None:
+def test_every_export_names_its_frame(document: Made) -> None:
     for kind in ("c", "ros", "kalibr", "json"):
         stage, sensor = (
-            exported(Source.of(document(), frame), kind) for frame in ("stage", "sensor")
+            export_text(ExportSource.of(document(), frame), kind) for frame in ("stage", "sensor")
         )
         assert "the stage's axes" in stage
-        assert "the sensor's own axes" in sensor
+        assert "axes of the sensor" in sensor
         assert stage != sensor
-    assert "rows first, columns in" in exported(Source.of(document()), "kalibr")
-    assert "# (rad/s)^2, rows first" in exported(Source.of(document()), "ros")
+    assert "rows first, columns in" in export_text(ExportSource.of(document()), "kalibr")
+    assert "# (rad/s)^2, rows first" in export_text(ExportSource.of(document()), "ros")
 
 
 @pytest.mark.parametrize("kind", ["px4", "ardupilot"])
-def test_a_frame_that_changes_nothing_is_refused(document: Made, kind: str) -> None:
-    with pytest.raises(UsageError, match=r"turns no rates.*leave out --frame"):
-        exported(Source.of(document(), "sensor"), kind)
+def test_a_frame_without_effect_is_rejected(document: Made, kind: str) -> None:
+    with pytest.raises(UsageError, match=r"in the sensor's own axes only\. Leave out --frame"):
+        export_text(ExportSource.of(document(), "sensor"), kind)
 
 
-def test_wishes_that_make_no_sense_are_refused(document: Made) -> None:
-    source = Source.of(document())
-    for kind, wishes in (
-        ("c", Wishes("1st")),
-        ("px4", Wishes("x")),
-        ("px4", Wishes(slot=4)),
-        ("c", Wishes(slot=0)),
-        ("ardupilot", Wishes(device_id=1)),
-        ("matlab", Wishes()),
+def test_options_that_a_format_lacks_are_rejected(document: Made) -> None:
+    source = ExportSource.of(document())
+    for kind, options in (
+        ("c", ExportOptions("1st")),
+        ("px4", ExportOptions("x")),
+        ("px4", ExportOptions(slot=4)),
+        ("c", ExportOptions(slot=0)),
+        ("ardupilot", ExportOptions(device_id=1)),
+        ("matlab", ExportOptions()),
     ):
         with pytest.raises(UsageError):
-            exported(source, kind, wishes)
+            export_text(source, kind, options)
     trust = {"verdict": "refused", "reasons": ["nothing turned: turn it"]}
-    with pytest.raises(InputError, match=r"refused: no export: nothing turned"):
-        Source.of(document(trust=trust))
+    with pytest.raises(InputError, match=r"verdict refused and is not exported\. Nothing turned"):
+        ExportSource.of(document(trust=trust))
 
 
-def test_the_command_writes_a_file_once_or_words(
+def test_the_command_writes_a_file_once_or_prints_the_text(
     golden: Path, tmp_path: Path, capsys: Captured
 ) -> None:
     out = tmp_path / "imu.yaml"

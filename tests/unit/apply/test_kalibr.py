@@ -10,16 +10,22 @@ import yaml
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.apply.correction import FRAMES, Frame
-from gyrorig_solver.calibration.document import Calibration
-from gyrorig_solver.estimate.noise import Periodogram, Sampling, binned, fit_levels, shapes
-from gyrorig_solver.export.formats import Wishes, exported
-from gyrorig_solver.export.numbers import Source
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.estimate.noise.noise_model import (
+    Periodogram,
+    Sampling,
+    bin_spectrum,
+    fit_noise_levels,
+    unit_densities,
+)
+from gyrorig_solver.export.export_formats import ExportOptions, export_text
+from gyrorig_solver.export.export_source import ExportSource
 
-Made = Callable[..., Calibration]
+Made = Callable[..., CalibrationDocument]
 
 
-def gain_of(found: Calibration) -> np.ndarray:
-    return np.array(found.matrices.STM, dtype=np.float64)
+def gain_of(result: CalibrationDocument) -> np.ndarray:
+    return np.array(result.matrices.STM, dtype=np.float64)
 
 
 def kalibr(text: str) -> dict[str, Any]:
@@ -33,8 +39,8 @@ def kalibr(text: str) -> dict[str, Any]:
 
 
 def test_kalibrs_file_in_its_own_convention(document: Made) -> None:
-    found = document()
-    data = kalibr(exported(Source.of(found), "kalibr", Wishes("/board/imu")))
+    result = document()
+    data = kalibr(export_text(ExportSource.of(result), "kalibr", ExportOptions("/board/imu")))
     assert data["rostopic"] == "/board/imu"
     own = data["gyroscopes"]
     low, turn = np.array(own["M"]), np.array(own["C_gyro_i"])
@@ -42,8 +48,10 @@ def test_kalibrs_file_in_its_own_convention(document: Made) -> None:
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     rate = np.random.default_rng(1).normal(size=(40, 3))
     read = rate @ (low @ turn).T + own["bias"]
-    bias = np.array(found.parameters["bias"].value, dtype=np.float64)
-    np.testing.assert_allclose(np.linalg.solve(gain_of(found), (read - bias).T).T, rate, atol=1e-12)
+    bias = np.array(result.parameters["bias"].value, dtype=np.float64)
+    np.testing.assert_allclose(
+        np.linalg.solve(gain_of(result), (read - bias).T).T, rate, atol=1e-12
+    )
     assert "accelerometer_noise_density" not in data  # not ours to tell: Kalibr asks for it
 
 
@@ -56,27 +64,27 @@ def test_kalibrs_density_makes_the_noise_of_the_samples(document: Made) -> None:
     rate_hz, count = 100.0, 200_000  # the golden board's output rate
     for drawn in (0.0005 * math.sqrt(rate_hz / 2.0), 0.02):
         samples = np.random.default_rng(11).normal(0.0, drawn, (count, 3))
-        spectrum = binned([Periodogram.of(samples, rate_hz)])
-        found = fit_levels(spectrum, Sampling(rate_hz, 1, None, 0.0, differentiated=False))
-        density = np.sqrt(found.levels[:, 0]).tolist()
+        spectrum = bin_spectrum([Periodogram.of(samples, rate_hz)])
+        result = fit_noise_levels(spectrum, Sampling(rate_hz, 1, None, 0.0, differentiated=False))
+        density = np.sqrt(result.levels[:, 0]).tolist()
         noise = {
             "angle_random_walk": {"value": density, "unit": "rad/s/sqrt(Hz)"},
             "rate_random_walk": {"value": [1e-5] * 3, "unit": "rad/s^2/sqrt(Hz)"},
         }
-        told = kalibr(exported(Source.of(document(noise=noise)), "kalibr"))
-        discrete = told["gyroscope_noise_density"] / math.sqrt(1.0 / told["update_rate"])
+        output = kalibr(export_text(ExportSource.of(document(noise=noise)), "kalibr"))
+        discrete = output["gyroscope_noise_density"] / math.sqrt(1.0 / output["update_rate"])
         assert discrete == pytest.approx(samples.std(axis=0).max(), rel=0.02)
 
 
 def test_kalibrs_random_walk_is_what_our_noise_means_by_it(document: Made) -> None:
     """Its bias takes steps of sigma_b sqrt(dt); the spectrum of such a bias is our K's."""
-    told = kalibr(exported(Source.of(document()), "kalibr"))
-    rate_hz, count = told["update_rate"], 40_000
+    output = kalibr(export_text(ExportSource.of(document()), "kalibr"))
+    rate_hz, count = output["update_rate"], 40_000
     steps = np.random.default_rng(12).normal(size=(count, 3))
-    bias = np.cumsum(told["gyroscope_random_walk"] * math.sqrt(1.0 / rate_hz) * steps, axis=0)
-    slow = Periodogram.of(bias, rate_hz).between(0.0, rate_hz / 20.0)
+    bias = np.cumsum(output["gyroscope_random_walk"] * math.sqrt(1.0 / rate_hz) * steps, axis=0)
+    slow = Periodogram.of(bias, rate_hz).band(0.0, rate_hz / 20.0)
     sampling = Sampling(rate_hz, 1, None, 0.0, differentiated=False)
-    of_one = shapes(slow.frequency_hz, sampling)[2][:, None]
+    of_one = unit_densities(slow.frequency_hz, sampling)[2][:, None]
     assert float(np.mean(slow.density / of_one)) == pytest.approx(1e-5**2, rel=0.1)
 
 
@@ -85,18 +93,18 @@ def test_kalibrs_model_with_a_force(document: Made, frame: Frame) -> None:
     """read = M C true + A C accel + bias, both in the frame that was asked for."""
     k = np.random.default_rng(13).normal(0.0, 1e-3, (3, 3))
     force = {"value": k.ravel().tolist(), "std": [0.0] * 9, "unit": "rad/s/(m/s^2)"}
-    found = document(parameters={"g_sensitivity": force})
-    own = kalibr(exported(Source.of(found, frame), "kalibr"))["gyroscopes"]
+    result = document(parameters={"g_sensitivity": force})
+    own = kalibr(export_text(ExportSource.of(result, frame), "kalibr"))["gyroscopes"]
     low, turn, a = (np.array(own[name]) for name in ("M", "C_gyro_i", "A"))
     rate, accel = np.random.default_rng(14).normal(size=(2, 40, 3))  # in the stage's axes
-    read = rate @ gain_of(found).T + accel @ k.T + own["bias"]  # docs/conventions.md
-    to_frame = np.eye(3) if frame == "stage" else np.array(found.matrices.M, dtype=np.float64)
+    read = rate @ gain_of(result).T + accel @ k.T + own["bias"]  # docs/conventions.md
+    to_frame = np.eye(3) if frame == "stage" else np.array(result.matrices.M, dtype=np.float64)
     seen = (rate @ to_frame.T @ turn.T) @ low.T + (accel @ to_frame.T @ turn.T) @ a.T + own["bias"]
     np.testing.assert_allclose(seen, read, atol=1e-12)
 
 
 def test_kalibr_takes_the_noise_of_a_calibration_without_a_gain(document: Made) -> None:
-    data = kalibr(exported(Source.of(document("limited")), "kalibr"))
+    data = kalibr(export_text(ExportSource.of(document("limited")), "kalibr"))
     assert "gyroscopes" not in data
-    with pytest.raises(InputError, match="does not know the noise"):
-        exported(Source.of(document(noise={})), "kalibr")
+    with pytest.raises(InputError, match="lacks the noise of the gyro"):
+        export_text(ExportSource.of(document(noise={})), "kalibr")

@@ -1,16 +1,16 @@
-"""Our own boards' frames: every sample with its whole stamp and number, whatever is lost."""
+"""Parser of our own boards' frames: samples have complete timestamps and numbers after any loss."""
 
 from dataclasses import dataclass, field
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrorig_protocol.board.events import FaultCause, FrameEvent
-from gyrorig_protocol.board.frames import Sample, SampleFlag, Slow
-from gyrorig_protocol.board.hello import Hello, Sensor
+from gyrorig_protocol.board.board_events import FaultCause, FrameEvent
+from gyrorig_protocol.board.board_frames import Sample, SampleFlag, Slow
+from gyrorig_protocol.board.json_frames import Hello, Sensor
 from gyrorig_protocol.can import (
-    BoardFrameParser,
     CanBoardEvent,
+    CanBoardParser,
     CanFrame,
     LatchEvent,
     accel_frame,
@@ -38,26 +38,30 @@ class Board:
     def frames(self, count: int, seed: int = 0) -> list[tuple[int, str, CanFrame]]:
         """Return frames with host time, kind and frame; STATUS after every 84th sample."""
         made: list[tuple[int, str, CanFrame]] = []
-        for at in range(count):
-            jitter = (at * 2654435761 + seed) % 7
-            time = self.start_us + round(at * PERIOD_US) + jitter
+        for index in range(count):
+            jitter = (index * 2654435761 + seed) % 7
+            time = self.start_us + round(index * PERIOD_US) + jitter
             host_ns = (time - self.start_us) * 1000 + 5_000_000
             if self.accel:
-                made.append((host_ns, "accel", accel_frame(NODE, (at % 999, 2, 3), time)))
-            # Two bytes say which sample it is: the truth is found again by them.
-            gyro = gyro_frame(NODE, (at & 0x7FFF, at >> 15, -1), time)
-            number = (self.first_number + at) & 0xFFFF
+                made.append((host_ns, "accel", accel_frame(NODE, (index % 999, 2, 3), time)))
+            # Two bytes identify the sample.
+            gyro = gyro_frame(NODE, (index & 0x7FFF, index >> 15, -1), time)
+            number = (self.first_number + index) & 0xFFFF
             self.truth[gyro.data] = number, time & ~3 & 0xFFFF_FFFF
             made.append((host_ns, "gyro", gyro))
-            if at % 84 == 0:
+            if index % 84 == 0:
                 made.append(
-                    (host_ns, "status", status_frame(NODE, time, self.first_number + at, self.boot))
+                    (
+                        host_ns,
+                        "status",
+                        status_frame(NODE, time, self.first_number + index, self.boot),
+                    )
                 )
         return made
 
 
 def feed(
-    parser: BoardFrameParser, frames: list[tuple[int, str, CanFrame]], offset_ns: int = 0
+    parser: CanBoardParser, frames: list[tuple[int, str, CanFrame]], offset_ns: int = 0
 ) -> list[CanBoardEvent]:
     events: list[CanBoardEvent] = []
     for host_ns, _, frame in frames:
@@ -81,12 +85,12 @@ def check(board: Board, found: list[tuple[bytes, Sample]]) -> None:
 
 def test_nothing_lost_nothing_changed() -> None:
     board = Board()
-    found = samples(feed(BoardFrameParser(NODE), board.frames(2000)))
-    check(board, found)
-    assert len(found) == 2000
-    numbers = [sample.sequence for _, sample in found]
-    assert numbers == [(65500 + at) & 0xFFFF for at in range(2000)]
-    assert all(sample.accel is not None for _, sample in found)
+    actual = samples(feed(CanBoardParser(NODE), board.frames(2000)))
+    check(board, actual)
+    assert len(actual) == 2000
+    numbers = [sample.sequence for _, sample in actual]
+    assert numbers == [(65500 + index) & 0xFFFF for index in range(2000)]
+    assert all(sample.accel is not None for _, sample in actual)
 
 
 @settings(max_examples=15, deadline=None)
@@ -97,39 +101,41 @@ def test_nothing_lost_nothing_changed() -> None:
     seed=st.integers(0, 1000),
     accel=st.booleans(),
 )
-def test_what_comes_is_numbered_and_dated_right_whatever_is_lost(
+def test_received_samples_have_right_numbers_and_times_after_any_loss(
     lost: list[tuple[int, int]], begin: int, swaps: list[int], seed: int, accel: bool
 ) -> None:
     board = Board(accel=accel)
     frames = board.frames(800, seed)
-    gone = {at for first, length in lost for at in range(first, first + length)}
+    gone = {index for first, length in lost for index in range(first, first + length)}
     step = 2 if accel else 1
     counts = {"gyro": -1}
-    kept: list[tuple[int, str, CanFrame]] = []
+    remaining: list[tuple[int, str, CanFrame]] = []
     for entry in frames:
         counts["gyro"] += entry[1] == "gyro"
-        at = counts["gyro"]
-        if at < begin or (at in gone and entry[1] != "status"):
+        index = counts["gyro"]
+        if index < begin or (index in gone and entry[1] != "status"):
             continue
-        kept.append(entry)
-    for at in swaps:
-        where = at * step
-        if where + 1 < len(kept) and {kept[where][1], kept[where + 1][1]} == {"gyro"}:
-            kept[where], kept[where + 1] = kept[where + 1], kept[where]
-    parser = BoardFrameParser(NODE)
-    found = samples(feed(parser, kept))
-    first = [sample for _, sample in found]
-    # Until two STATUS have told the period (0.1 s), a lost sample cannot be seen in the numbers.
-    settled = [pair for pair in found if first and board.truth[pair[0]][0] != first[0].sequence]
-    known: set[bytes] = set()
+        remaining.append(entry)
+    for index in swaps:
+        where = index * step
+        if where + 1 < len(remaining) and {remaining[where][1], remaining[where + 1][1]} == {
+            "gyro"
+        }:
+            remaining[where], remaining[where + 1] = remaining[where + 1], remaining[where]
+    parser = CanBoardParser(NODE)
+    actual = samples(feed(parser, remaining))
+    first = [sample for _, sample in actual]
+    # Until two STATUS have given the period (0.1 s), a lost sample cannot be seen in the numbers.
+    settled = [pair for pair in actual if first and board.truth[pair[0]][0] != first[0].sequence]
+    previous: set[bytes] = set()
     statuses = 0
-    for _, kind, frame in kept:
+    for _, kind, frame in remaining:
         statuses += kind == "status"
         if kind == "gyro" and statuses >= 2:
-            known.add(frame.data)
-    check(board, [pair for pair in settled if pair[0] in known])
-    delivered = sum(kind == "gyro" for _, kind, _ in kept)
-    assert len(found) + parser.faults[FaultCause.CONTENT] + parser.waiting == delivered
+            previous.add(frame.data)
+    check(board, [pair for pair in settled if pair[0] in previous])
+    delivered = sum(kind == "gyro" for _, kind, _ in remaining)
+    assert len(actual) + parser.faults[FaultCause.CONTENT] + parser.waiting_count == delivered
     assert parser.faults[FaultCause.CONTENT] == 0
 
 
@@ -142,12 +148,12 @@ def test_after_any_gap_samples_wait_for_a_status(gap_s: float, keep: int) -> Non
         first_number=board.first_number + keep + round(gap_s * 1e6 / PERIOD_US),
         start_us=board.start_us + round((keep + round(gap_s * 1e6 / PERIOD_US)) * PERIOD_US),
     )
-    parser = BoardFrameParser(NODE)
+    parser = CanBoardParser(NODE)
     check(board, samples(feed(parser, frames)))
     after = later.frames(600)
-    found = samples(feed(parser, after, later.start_us * 1000 - board.start_us * 1000))
-    check(later, found)
-    assert len(found) == 600
+    actual = samples(feed(parser, after, later.start_us * 1000 - board.start_us * 1000))
+    check(later, actual)
+    assert len(actual) == 600
 
 
 def test_a_stalled_host_loses_nothing() -> None:
@@ -158,15 +164,15 @@ def test_a_stalled_host_loses_nothing() -> None:
         (max(host_ns, 900_000_000) if 700_000_000 < host_ns < 900_000_000 else host_ns, kind, f)
         for host_ns, kind, f in frames
     ]
-    parser = BoardFrameParser(NODE)
-    found = samples(feed(parser, stalled))
-    check(board, found)
-    assert len(found) == 2000
+    parser = CanBoardParser(NODE)
+    actual = samples(feed(parser, stalled))
+    check(board, actual)
+    assert len(actual) == 2000
 
 
-def test_a_reset_begins_anew_and_what_waited_is_counted() -> None:
+def test_a_reset_starts_again_and_counts_waiting_samples() -> None:
     board, after = Board(), Board(first_number=0, start_us=0, boot=8)
-    parser = BoardFrameParser(NODE)
+    parser = CanBoardParser(NODE)
     feed(parser, board.frames(500))
     restart = after.frames(300)
     # STATUS goes first after a start
@@ -185,14 +191,14 @@ def test_a_duplicate_keeps_its_number() -> None:
     board = Board(accel=False)
     frames = board.frames(400)
     doubled = [*frames[:300], frames[299], *frames[300:]]
-    found = samples(feed(BoardFrameParser(NODE), doubled))
-    check(board, found)
-    assert len(found) == 401
+    actual = samples(feed(CanBoardParser(NODE), doubled))
+    check(board, actual)
+    assert len(actual) == 401
 
 
 def test_temperature_health_saturation_and_latch() -> None:
     board = Board()
-    parser = BoardFrameParser(NODE)
+    parser = CanBoardParser(NODE)
     feed(parser, board.frames(100))
     parser.full_scale_counts = 28571  # 250 dps of 8.75 mdps
     parser.feed(health_frame(NODE, -3, 251, (255, 1, 2, 3)))
@@ -213,17 +219,17 @@ def test_temperature_health_saturation_and_latch() -> None:
     ]
 
 
-def test_a_hello_comes_in_segments_as_on_a_serial_line() -> None:
+def test_a_hello_in_segments_equals_one_on_a_serial_line() -> None:
     hello = Hello(1, "1", "GY80", "ab12", 3, (Sensor(211, 250, 0.00875, 100, 25),))
-    parser = BoardFrameParser(NODE)
-    events = [e for f in hello_frames(NODE, hello.payload()[1:]) for e in parser.feed(f)]
+    parser = CanBoardParser(NODE)
+    events = [e for f in hello_frames(NODE, hello.encode_payload()[1:]) for e in parser.feed(f)]
     assert [e.frame for e in events if isinstance(e, FrameEvent)] == [hello]
     broken = [e for f in hello_frames(NODE, b'{"proto":0}') for e in parser.feed(f)]
     assert [type(e).__name__ for e in broken] == ["FrameFault"]
 
 
 def test_wrong_lengths_are_counted() -> None:
-    parser = BoardFrameParser(NODE)
+    parser = CanBoardParser(NODE)
     for kind in range(2, 8):
         parser.feed(CanFrame(kind << 7 | NODE, b"\1"))
     parser.feed(CanFrame(1 << 7 | NODE, b""))

@@ -11,15 +11,15 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.config import RigConfig, parse_rig
-from gyrorig_daemon.links.board_link import BoardLink
-from gyrorig_daemon.links.board_presence import LinkState
-from gyrorig_daemon.links.board_samples import BoardSinks
-from gyrorig_daemon.links.boards import make_boards
-from gyrorig_daemon.links.capture_clock import CaptureClock
-from gyrorig_daemon.links.hub import Chunk, PortChange, WriteStamp
+from gyrorig_daemon.links.boards.board_factory import make_board_links
+from gyrorig_daemon.links.boards.board_link import BoardLink
+from gyrorig_daemon.links.boards.board_presence import LinkState
+from gyrorig_daemon.links.boards.sample_stream import BoardSinks
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, WriteTimes
 from gyrorig_daemon.links.pump import Pump
-from gyrorig_protocol.board.hello import Hello, Sensor
+from gyrorig_protocol.board.json_frames import Hello, Sensor
 from gyrorig_protocol.can import (
     BusReport,
     CanFrame,
@@ -78,7 +78,7 @@ class FakeBus:
     def close(self) -> None:
         pass
 
-    def write(self, port: str, data: bytes) -> WriteStamp:
+    def write(self, port: str, data: bytes) -> WriteTimes:
         assert port == BUS
         if self.refuses:
             raise DeviceError("socketcan:can0 (bus:can0) cannot be written: No buffer space", "")
@@ -101,11 +101,11 @@ class FakeBus:
                 node = frame.identifier & 0x7F
                 answers += [stamped(f, edge_ns) for f in hello_frames(node, self.hello(node))]
             self.push(edge_ns + MS, pack_frames(answers))
-        return WriteStamp(before, self.now)
+        return WriteTimes(before, self.now)
 
     def hello(self, node: int) -> bytes:
         sensor = Sensor(211, 250, 0.00875, 100, 25)
-        return Hello(1, "1", "GY80", f"uid-{node}", self.boot, (sensor,)).payload()[1:]
+        return Hello(1, "1", "GY80", f"uid-{node}", self.boot, (sensor,)).encode_payload()[1:]
 
     def push(self, at_ns: int, data: bytes, change: PortChange | None = None) -> None:
         self.due.append((at_ns, data, change))
@@ -141,7 +141,7 @@ class FakeBus:
         return None
 
     def report(self, report: BusReport) -> None:
-        """Let the controller say something now."""
+        """Inject a report of the controller."""
         self.push(self.now, pack_frames([error_frame(report, self.now)]))
 
 
@@ -164,7 +164,9 @@ class Rig:
         self.pump = Pump(self.bus)
         sinks = BoardSinks(self._sample, self._ping, self.notes.append, self.faults.append)
         capture = CaptureClock(0, 0)
-        self.boards: list[BoardLink] = make_boards(self.pump, self.config, capture, sinks, seed=1)
+        self.boards: list[BoardLink] = make_board_links(
+            self.pump, self.config, capture, sinks, seed=1
+        )
 
     def _sample(self, board: str, message: ImuRaw, taken_ns: int) -> None:
         self.samples.setdefault(str(board), []).append((message, taken_ns))
@@ -187,10 +189,10 @@ def rig() -> Rig:
     return made
 
 
-def test_every_sample_comes_once_and_the_boards_share_their_edges(rig: Rig) -> None:
+def test_every_sample_is_received_once_and_boards_share_edges(rig: Rig) -> None:
     rig.run(10.0)
     for board in rig.boards:
-        assert board.known
+        assert board.is_known
         assert board.metadata()["link"] == "can"
         assert (board.counts.missing, board.counts.restarts, board.counts.reordered) == (0, 0, 0)
     numbers = [message.sequence for message, _ in rig.samples["B"]]
@@ -198,17 +200,17 @@ def test_every_sample_comes_once_and_the_boards_share_their_edges(rig: Rig) -> N
     assert len(numbers) > 990
     both = zip(rig.pings["A"], rig.pings["B"], strict=True)
     assert len(rig.pings["A"]) > 30
-    for one, other in both:
-        assert (one.nonce, one.host_send_ns, one.host_receive_ns) == (
+    for item, other in both:
+        assert (item.nonce, item.host_send_ns, item.host_receive_ns) == (
             other.nonce,
             other.host_send_ns,
             other.host_receive_ns,
         )
-        assert other.device_receive - one.device_receive == 5  # of the same edge
+        assert other.device_receive - item.device_receive == 5  # of the same edge
     assert not rig.faults
 
 
-def test_the_map_of_a_board_is_that_of_the_edges(rig: Rig) -> None:
+def test_the_clock_map_of_a_board_follows_the_edges(rig: Rig) -> None:
     rig.run(20.0)
     for node, name in ((1, "A"), (2, "B")):
         _, taken_ns = rig.samples[name][-1]
@@ -229,7 +231,7 @@ def test_bus_off_and_back_is_a_new_epoch_and_counted(rig: Rig) -> None:
     assert len(rig.bus.sent) == sent  # nothing is sent to a bus that is off
     rig.bus.is_off = False
     rig.bus.report(BusReport.RESTARTED)
-    assert rig.run(3.0, lambda: all(board.known for board in rig.boards))
+    assert rig.run(3.0, lambda: all(board.is_known for board in rig.boards))
     before = [len(rig.samples[name]) for name in "AB"]
     rig.run(2.0)
     assert [len(rig.samples[name]) for name in "AB"] >= [n + 190 for n in before]
@@ -241,25 +243,25 @@ def test_bus_off_and_back_is_a_new_epoch_and_counted(rig: Rig) -> None:
     assert len(gone) == 2
 
 
-def test_a_bus_that_comes_back_without_saying_so(rig: Rig) -> None:
+def test_a_bus_that_restarts_without_a_report(rig: Rig) -> None:
     rig.run(3.0)
     rig.bus.is_off = True
     rig.bus.report(BusReport.BUS_OFF)
     rig.run(2.0)
     rig.bus.is_off = False
-    assert rig.run(3.0, lambda: all(board.known for board in rig.boards))
+    assert rig.run(3.0, lambda: all(board.is_known for board in rig.boards))
     assert rig.value("come_back") == 1
 
 
-def test_error_passive_is_told_once_and_nothing_is_lost(rig: Rig) -> None:
+def test_error_passive_is_reported_once_and_nothing_is_lost(rig: Rig) -> None:
     rig.run(2.0)
     for _ in range(200):
         rig.bus.report(BusReport.ERROR_PASSIVE)
         rig.run(0.05)
     assert rig.value("error_passive") == 200
-    told = [text for text in rig.faults if "error-passive" in text]
-    assert len(told) == 1
-    assert "terminators" in told[0]
+    reports = [text for text in rig.faults if "error-passive" in text]
+    assert len(reports) == 1
+    assert "terminators" in reports[0]
     assert [board.counts.missing for board in rig.boards] == [0, 0]
     rig.run(65.0)
     rig.bus.report(BusReport.ERROR_PASSIVE)
@@ -290,7 +292,7 @@ def test_frames_that_the_kernel_dropped_are_counted(rig: Rig) -> None:
     rig.bus.push(rig.bus.now, pack_frames([CanFrame(70, b"", int(FrameFlag.LOST))]))
     rig.run(2.0)
     assert rig.value("lost_in_kernel") == 70
-    assert any("no room for frames" in text for text in rig.faults)
+    assert any("no room for them" in text for text in rig.faults)
     assert [board.counts.missing for board in rig.boards] == [35, 35]
 
 
@@ -310,11 +312,11 @@ def test_the_interface_goes_down_and_up_again(rig: Rig) -> None:
     rig.bus.push(rig.bus.now, b"", PortChange.GONE)
     rig.bus.is_off = True
     rig.run(5.0)
-    assert [board.gone for board in rig.boards] == [True, True]
+    assert [board.is_absent for board in rig.boards] == [True, True]
     rig.bus.is_off, rig.bus.boot, rig.bus.epoch_ns = False, 4, rig.bus.now
     rig.bus.count = 0
     rig.bus.push(rig.bus.now, b"", PortChange.BACK)
-    assert rig.run(3.0, lambda: all(board.known for board in rig.boards))
+    assert rig.run(3.0, lambda: all(board.is_known for board in rig.boards))
     rig.run(2.0)
     assert [board.counts.restarts for board in rig.boards] == [1, 1]
     assert [board.counts.missing for board in rig.boards] == [0, 0]
@@ -327,12 +329,14 @@ def test_one_silent_board_does_not_disturb_the_other(rig: Rig) -> None:
 
     def only_the_first(until_ns: int) -> None:
         original(until_ns)
-        rig.bus.due = deque((at, only_node_one(data), change) for at, data, change in rig.bus.due)
+        rig.bus.due = deque(
+            (index, only_node_one(data), change) for index, data, change in rig.bus.due
+        )
 
     rig.bus.samples_until = only_the_first  # type: ignore[method-assign]
     rig.run(40.0)
     assert mute.state in (LinkState.SILENT, LinkState.DEGRADED)
-    assert rig.boards[0].known
+    assert rig.boards[0].is_known
     assert rig.boards[0].counts.missing == 0
     assert any("board B on node 2 of bus can0" in text for text in rig.faults)
 
@@ -341,7 +345,7 @@ def only_node_one(data: bytes) -> bytes:
     return pack_frames(f for f in unpack_frames(data, 0) if f.identifier & 0x7F != 2)
 
 
-def test_anything_on_the_bus_is_counted_and_does_no_harm(rig: Rig) -> None:
+def test_any_bus_traffic_is_counted_and_harmless(rig: Rig) -> None:
     rng = random.Random(4)
     rig.run(1.0)
     for _ in range(300):
@@ -350,6 +354,6 @@ def test_anything_on_the_bus_is_counted_and_does_no_harm(rig: Rig) -> None:
         rig.run(0.01)
     rig.bus.push(rig.bus.now, rng.randbytes(2400))
     rig.run(5.0)
-    assert all(board.known for board in rig.boards)
+    assert all(board.is_known for board in rig.boards)
     assert [board.counts.missing for board in rig.boards] == [0, 0]
     assert rig.value("other_frames") > 10

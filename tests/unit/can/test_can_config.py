@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gyrorig_daemon.config import load_rig, parse_rig
-from gyrorig_daemon.record import port_settings
+from gyrorig_daemon.session.record_modes import make_port_settings
 from gyrorig_protocol.errors import UsageError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -31,7 +31,7 @@ BO_ 100 Rates: 8 IMU
 """
 
 
-def test_the_shipped_rig_is_taken() -> None:
+def test_the_shipped_rig_configuration_is_valid() -> None:
     rig = load_rig(ROOT / "config" / "rig-can.yaml")
     assert [board.bus for board in rig.boards] == ["can0"] * 3
 
@@ -44,7 +44,7 @@ def test_ports_and_settings_of_a_rig_with_buses() -> None:
         "bus:can0": "socketcan:can0",
         "bus:lab": "udp_multicast:239.74.163.2:43113",
     }
-    settings = port_settings(rig, rig.ports())
+    settings = make_port_settings(rig, rig.ports())
     assert [settings[port].kind for port in rig.ports()] == ["serial", "serial", "can", "can"]
     assert [board.hub_port for board in rig.boards[1:]] == ["bus:can0", "bus:can0", "bus:lab"]
     assert [board.id for board in rig.serial_boards] == ["A-1"]
@@ -54,25 +54,28 @@ def test_ports_and_settings_of_a_rig_with_buses() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('"socketcan:can0"', '"can0"'), "write socketcan"),
-        (('"socketcan:can0"', '"socketcan:../x"'), "write socketcan"),
+        (('"socketcan:can0"', '"can0"'), "Write socketcan"),
+        (('"socketcan:can0"', '"socketcan:../x"'), "Write socketcan"),
         (("id: lab", "id: can0"), "bus can0 twice"),
         (("id: lab", "id: ../lab"), "board name"),
         (("bus: can0, node: 1", "bus: can9, node: 1"), "'can9'"),
         (("bus: can0, node: 1", "bus: can0"), "no node"),
-        (("node: 2", "node: 1"), "on bus can0 have one node, 1"),
+        (("node: 2", "node: 1"), "on bus can0 have the same node, 1"),
         (("node: 2", "node: 128"), "node"),
         (("bus: can0, node: 2", "bus: can0, node: 2, port: /dev/x"), "a port and a bus"),
-        (("bus: can0, node: 2", "bus: can0, node: 2, format: text"), "which no CAN bus carries"),
+        (
+            ("bus: can0, node: 2", "bus: can0, node: 2, format: text"),
+            "which a CAN bus does not support",
+        ),
         (("port: /dev/ttyUSB0", "node: 4"), "no bus"),
         (("port: /dev/ttyUSB0", "baud: 115200"), "no port"),
-        (("    signals: {preset: j1939, source_address: 128}\n", ""), "does not say which"),
+        (("    signals: {preset: j1939, source_address: 128}\n", ""), "but no section `signals`"),
         (("preset: j1939, source_address: 128", "preset: j1939"), "source_address"),
         (("facts: {uid: MTLT-7}", "facts: {}"), "uid"),
         (("bitrate: 500000", "bitrate: 5000000"), "bitrate"),
     ],
 )
-def test_what_is_wrong_is_named(change: tuple[str, str], words: str) -> None:
+def test_configuration_errors_are_named(change: tuple[str, str], words: str) -> None:
     text = GOOD.replace(*change)
     assert text != GOOD
     with pytest.raises(UsageError, match=r"rig\.yaml|board M-1") as caught:
@@ -84,18 +87,18 @@ def test_what_is_wrong_is_named(change: tuple[str, str], words: str) -> None:
 def test_an_emulated_bus_must_carry_its_boards() -> None:
     text = GOOD.replace('"socketcan:can0"', "emulated").replace("500000", "125000")
     assert parse_rig(text, "rig.yaml").buses[0].port == "emulated"
-    with pytest.raises(UsageError, match=r"would fill bus .*beyond 70%"):
+    with pytest.raises(UsageError, match=r"of bus .*beyond 70%"):
         parse_rig(text + "emulator: {odr_hz: 400}\n", "rig.yaml")
     signals = text.replace('"udp_multicast:239.74.163.2:43113"', "emulated")
-    with pytest.raises(UsageError, match=r"board M-1 is emulated, .* sends gcb1"):
+    with pytest.raises(UsageError, match=r"board M-1 is emulated, .* use only the format gcb1"):
         parse_rig(signals, "rig.yaml")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
-def test_a_dbc_file_lies_beside_the_document(tmp_path: Path, encoding: str) -> None:
+def test_a_dbc_file_is_read_next_to_the_configuration(tmp_path: Path, encoding: str) -> None:
     signals = "{dbc: imu.dbc, gyro: [Rates.X, null, null]}"
     text = GOOD.replace("{preset: j1939, source_address: 128}", signals)
-    with pytest.raises(UsageError, match=r"give it facts: uid .* and sensor"):
+    with pytest.raises(UsageError, match=r"Give `uid` .* and `sensor` under `facts`"):
         parse_rig(text, "rig.yaml")
     text = text.replace("{uid: MTLT-7}", "{uid: MTLT-7, sensor: MTLT}")
     (tmp_path / "rig.yaml").write_text(text)

@@ -20,7 +20,7 @@ from gyrorig_protocol.can import (
     status_frame,
     sync_frame,
 )
-from gyrorig_protocol.can.presets import PRESETS
+from gyrorig_protocol.can.imu_presets import PRESETS
 from gyrorig_protocol.errors import UsageError
 
 
@@ -39,7 +39,7 @@ def decoded(database: Database, identifier: int, data: bytes) -> dict[str, float
 SHIPPED = Path(__file__).resolve().parents[3] / "config" / "can" / "gyrorig-boards.dbc"
 
 
-def test_the_shipped_file_is_what_the_package_says_and_cantools_reads_it() -> None:
+def test_the_shipped_dbc_file_is_current_and_readable_by_cantools() -> None:
     text = SHIPPED.read_text(encoding="utf-8")
     assert text == board_dbc(range(1, 17))
     theirs = read_by_cantools(text)
@@ -112,7 +112,7 @@ def test_signals_are_read_as_cantools_reads_them(made: tuple[str, bool], data: b
     text, _ = made
     signal = parse_dbc(text, "x")["M"].signals["S"]
     value = decoded(read_by_cantools(text), 291, data)["S"]
-    ours = signal.physical(data)
+    ours = signal.physical_value(data)
     if math.isnan(value):
         assert math.isnan(ours)
     else:
@@ -128,31 +128,31 @@ def test_presets_are_read_as_cantools_reads_them(name: str) -> None:
         values = decoded(theirs, message.identifier, data)
         assert {s.name for s in message.signals.values()} == values.keys()
         for signal in message.signals.values():
-            assert signal.physical(data) == pytest.approx(
+            assert signal.physical_value(data) == pytest.approx(
                 values[signal.name], rel=1e-9, nan_ok=True
             )
 
 
 @pytest.mark.parametrize(
-    ("text", "what"),
+    ("text", "problem"),
     [
         ("", "no CAN message"),
-        ("BO_ x M: 8 A\n", "no message"),
+        ("BO_ x M: 8 A\n", "not a valid message"),
         (
             'BO_ 1 M: 8 A\n SG_ S : 60|16@1+ (1,0) [0|0] "" A\n',
             "ends in byte 10 of message M",
         ),
         ('BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (0,0) [0|0] "" A\n', "factor 0"),
-        ("BO_ 1 M: 8 A\n SG_ S : what\n", "no signal"),
-        ("BO_ 1 M: 8 A\nBO_ 1 M: 8 A\n", "second message"),
+        ("BO_ 1 M: 8 A\n SG_ S : what\n", "not a valid signal"),
+        ("BO_ 1 M: 8 A\nBO_ 1 M: 8 A\n", "repeats the message M"),
         (
             'BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (1,0) [0|0] "" A\nSIG_VALTYPE_ 1 S : 1;\n',
             "floating-point number of 16 bits",
         ),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said(text: str, what: str) -> None:
-    with pytest.raises(UsageError, match=what):
+def test_the_error_names_the_fault_of_a_file(text: str, problem: str) -> None:
+    with pytest.raises(UsageError, match=problem):
         parse_dbc(text, "imu.dbc")
 
 
@@ -165,6 +165,6 @@ def test_no_text_raises_anything_else(text: str) -> None:
         parse_dbc("BO_ 1 M: 8 A\n SG_ " + text, "imu.dbc")
 
 
-def test_multiplexed_signals_are_passed_over() -> None:
+def test_multiplexed_signals_are_skipped() -> None:
     text = 'BO_ 1 M: 8 A\n SG_ S m0 : 0|8@1+ (1,0) [0|0] "" A\n SG_ T : 8|8@1+ (1,0) [0|0] "" A\n'
     assert list(parse_dbc(text, "x")["M"].signals) == ["T"]

@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.config import RigConfig, parse_rig
-from gyrorig_daemon.emulated import rig_settings
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardFaults
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import BoardFaults
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.board_link import BoardLink
-from gyrorig_daemon.links.board_samples import BoardSinks
-from gyrorig_daemon.links.boards import make_boards
-from gyrorig_daemon.links.capture_clock import CaptureClock
+from gyrorig_daemon.links.boards.board_factory import make_board_links
+from gyrorig_daemon.links.boards.board_link import BoardLink
+from gyrorig_daemon.links.boards.sample_stream import BoardSinks
 from gyrorig_daemon.links.pump import Pump
+from gyrorig_daemon.session.emulator_process import emulated_rig_settings
 from gyrorig_protocol.can import FrameType, pack_frames, sync_frame, unpack_frames
 from gyrorig_protocol.recording.messages import ClockPing, ImuRaw
 
@@ -33,7 +33,7 @@ class Rig:
 
     def __init__(self, faults: BoardFaults | None = None, seed: int = 1) -> None:
         config: RigConfig = parse_rig(DOCUMENT, "rig.yaml")
-        settings = rig_settings(config, seed)
+        settings = emulated_rig_settings(config, seed)
         if faults is not None:
             first, *others = settings.boards
             settings = replace(settings, boards=(replace(first, faults=faults), *others))
@@ -44,7 +44,7 @@ class Rig:
         self.pings: dict[str, list[ClockPing]] = {name: [] for name in NAMES}
         self.faults: list[str] = []
         sinks = BoardSinks(self._sample, self._ping, self.faults.append, self.faults.append)
-        self.boards: list[BoardLink] = make_boards(
+        self.boards: list[BoardLink] = make_board_links(
             self.pump, config, CaptureClock(0, 0), sinks, seed
         )
         for board in self.boards:
@@ -62,7 +62,7 @@ class Rig:
 
 def test_one_frame_at_a_time_and_the_lowest_identifier_first() -> None:
     config = parse_rig(DOCUMENT, "rig.yaml")
-    bus = EmulatedRig(rig_settings(config), ORIGIN_NS).buses["can0"]
+    bus = EmulatedRig(emulated_rig_settings(config), ORIGIN_NS).buses["can0"]
     bus.receive(pack_frames([sync_frame(9)]), ORIGIN_NS + 50_000_000)
     gone = []
     until_ns = ORIGIN_NS + 200_000_000
@@ -73,7 +73,7 @@ def test_one_frame_at_a_time_and_the_lowest_identifier_first() -> None:
     assert np.diff(ends_ns).min() >= 55_000  # of 1 Mbit/s, with at least 55 bits a frame
     kinds = [FrameType(frame.identifier >> 7) for frame in frames]
     assert {FrameType.HELLO, FrameType.STATUS, FrameType.ACCEL, FrameType.GYRO} <= set(kinds)
-    assert all(frame.stamp_ns == 0 for frame in frames)  # the host stamps, not the device
+    assert all(frame.timestamp_ns == 0 for frame in frames)  # set by the host, not by the device
     sync = kinds.index(FrameType.SYNC)
     assert kinds[sync + 1 :].count(FrameType.LATCH) == 3
 
@@ -92,7 +92,7 @@ def test_nothing_is_lost_and_maps_agree_within_the_edges_bracket() -> None:
         true = np.array([clock.ticks(taken_ns) & 0xFFFF_FFFF for _, taken_ns in rows])
         off_us.append(np.median((stamps - true + 2**31) % 2**32 - 2**31))
     # From the write to the echo pass 0.1 ms and more before the edge and 0.06 ms after it, and
-    # this host's stamps are 0.3 ms late on average: the map is as good as 150 edges make it.
+    # this host's timestamps are 0.3 ms late on average; 150 edges limit the accuracy of the map.
     assert max(map(abs, off_us)) < 200.0
     assert max(off_us) - min(off_us) < 60.0  # what they share, they share
 
@@ -101,17 +101,17 @@ def test_boards_agree_on_an_edge_to_a_few_microseconds() -> None:
     rig = Rig(seed=3)
     rig.run(11.0)
     pings = [{ping.nonce: ping for ping in rig.pings[name]} for name in NAMES]
-    common = set.intersection(*(set(found) for found in pings))
+    common = set.intersection(*(set(actual) for actual in pings))
     assert len(common) > 40
     apart_us = []
     for nonce in sorted(common)[:30]:
-        one, *others = (found[nonce] for found in pings)
-        assert all(other.host_receive_ns == one.host_receive_ns for other in others)
+        item, *others = (actual[nonce] for actual in pings)
+        assert all(other.host_receive_ns == item.host_receive_ns for other in others)
         clocks = [rig.emulated.boards[name].clock for name in NAMES]
         # where each board's clock was in true time when it latched
         at_us = [
-            _when_us(clock, found[nonce].device_receive)
-            for clock, found in zip(clocks, pings, strict=True)
+            _when_us(clock, actual[nonce].device_receive)
+            for clock, actual in zip(clocks, pings, strict=True)
         ]
         apart_us.append(max(at_us) - min(at_us))
     # three interrupts of 5 us mean delay: the range of three exponentials is 7.5 us on average
@@ -140,7 +140,7 @@ def test_dropped_frames_are_missing_samples_and_nothing_else() -> None:
     assert rig.boards[1].counts.missing == 0
 
 
-def test_a_swapped_pair_is_reordered_and_a_double_duplicated() -> None:
+def test_a_swapped_pair_is_reordered_and_a_repeated_frame_kept() -> None:
     rig = Rig(BoardFaults(duplicate_frame_every=50, swap_frames_every=83))
     rig.run(10.0)
     counts = rig.boards[0].counts
@@ -153,18 +153,18 @@ def test_a_reset_board_begins_a_new_epoch() -> None:
     rig.run(12.0)
     counts = rig.boards[0].counts
     assert counts.restarts == 1
-    assert rig.boards[0].known
+    assert rig.boards[0].is_known
     assert rig.boards[1].counts.restarts == 0
     last = [message.sequence for message, _ in rig.samples["A"][-200:]]
     assert last == list(range(last[0], last[0] + 200))
 
 
-def test_an_unplugged_bus_comes_back() -> None:
+def test_a_disconnected_bus_is_opened_again() -> None:
     rig = Rig()
     now_ns = rig.hub.now_ns()
     rig.hub.unplug("bus:can0", now_ns + 1_000_000_000, now_ns + 3_000_000_000)
     rig.run(2.0)
-    assert all(board.gone for board in rig.boards)
+    assert all(board.is_absent for board in rig.boards)
     rig.run(6.0)
-    assert all(board.known for board in rig.boards)
+    assert all(board.is_known for board in rig.boards)
     assert [board.counts.remapped for board in rig.boards] == [1, 1, 1]

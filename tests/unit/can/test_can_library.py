@@ -8,11 +8,11 @@ import can
 import pytest
 
 from gyrorig_daemon.config import parse_rig
-from gyrorig_daemon.links.can_library import LibraryLine
-from gyrorig_daemon.links.can_line import open_line
-from gyrorig_daemon.links.port_kinds import Line, PortSettings
-from gyrorig_daemon.links.raw_clock import raw_ns
-from gyrorig_daemon.links.serial_port import RefusedError
+from gyrorig_daemon.links.can.python_can_line import PythonCanLine
+from gyrorig_daemon.links.can.socketcan_line import open_line
+from gyrorig_daemon.links.ports.port_kinds import Line, PortSettings
+from gyrorig_daemon.links.ports.raw_clock import raw_ns
+from gyrorig_daemon.links.ports.serial_port import PortRefusedError
 from gyrorig_protocol.can import CanFrame, pack_frames, unpack_frames
 
 PATIENCE_S = 60.0
@@ -21,7 +21,7 @@ PATIENCE_S = 60.0
 @pytest.fixture
 def line() -> Iterator[Line]:
     opened = open_line(PortSettings("python-can:virtual:bench", 1_000_000, kind="can"))
-    assert isinstance(opened, LibraryLine)
+    assert isinstance(opened, PythonCanLine)
     yield opened
     opened.close()
 
@@ -43,18 +43,18 @@ def read_frames(line: Line, count: int) -> list[CanFrame]:
     return frames
 
 
-def test_frames_go_both_ways_and_our_own_come_back(line: Line, other: can.BusABC) -> None:
+def test_frames_are_sent_and_received_with_our_echo(line: Line, other: can.BusABC) -> None:
     before_ns = raw_ns()
     other.send(can.Message(arbitration_id=0x291, data=b"abc", is_extended_id=False))
     other.send(can.Message(arbitration_id=0x1ABCDEF, is_extended_id=True))
     other.send(can.Message(arbitration_id=7, data=bytes(12), is_fd=True, is_extended_id=False))
-    heard = read_frames(line, 3)
-    assert [(f.identifier, f.data, f.flags) for f in heard] == [
+    received = read_frames(line, 3)
+    assert [(f.identifier, f.data, f.flags) for f in received] == [
         (0x291, b"abc", 0),
         (0x1ABCDEF, b"", 1),
         (0, b"", 16),
     ]
-    assert before_ns <= heard[0].stamp_ns <= raw_ns()
+    assert before_ns <= received[0].timestamp_ns <= raw_ns()
     line.write(pack_frames([CanFrame(0x80, b"\5")]))
     message = other.recv(PATIENCE_S)
     assert message is not None
@@ -63,20 +63,20 @@ def test_frames_go_both_ways_and_our_own_come_back(line: Line, other: can.BusABC
     assert (echo.identifier, echo.data) == (0x80, b"\5")
 
 
-def test_nothing_there_blocks_nobody(line: Line) -> None:
+def test_a_missing_bus_blocks_nothing(line: Line) -> None:
     with pytest.raises(BlockingIOError):
         line.read()
 
 
 @pytest.mark.parametrize("path", ["python-can:nothere:0", "python-can:slcan:/dev/nothere"])
-def test_what_cannot_be_opened_is_refused(path: str) -> None:
-    with pytest.raises(RefusedError) as caught:
+def test_a_bus_that_cannot_be_opened_is_rejected(path: str) -> None:
+    with pytest.raises(PortRefusedError) as caught:
         open_line(PortSettings(path, 1_000_000, kind="can"))
     assert "\n" not in str(caught.value)
 
 
-def test_a_library_that_gives_up_is_a_port_that_hung_up(
-    line: LibraryLine, monkeypatch: pytest.MonkeyPatch
+def test_an_error_of_the_library_is_a_lost_port(
+    line: PythonCanLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(timeout: float | None = None) -> can.Message | None:
         raise can.CanOperationError("the adapter is gone")

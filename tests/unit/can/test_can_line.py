@@ -1,4 +1,4 @@
-"""The acquisition's CAN lines: python-can on the other side, the kernel's stamps and drops."""
+"""CAN readers of the acquisition: exchange with python-can, timestamps and drops of the kernel."""
 
 import select
 import socket
@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrorig_daemon.links import can_socket
-from gyrorig_daemon.links.can_line import SocketCanLine, open_line, socketcan_record
-from gyrorig_daemon.links.can_multicast import (
+from gyrorig_daemon.links.can import can_socket
+from gyrorig_daemon.links.can.multicast_line import (
     MulticastLine,
     multicast_datagram,
     multicast_record,
 )
-from gyrorig_daemon.links.port_kinds import Line, PortSettings
-from gyrorig_daemon.links.raw_clock import raw_ns
-from gyrorig_daemon.links.serial_port import RefusedError
+from gyrorig_daemon.links.can.socketcan_line import SocketCanLine, open_line, socketcan_record
+from gyrorig_daemon.links.ports.port_kinds import Line, PortSettings
+from gyrorig_daemon.links.ports.raw_clock import raw_ns
+from gyrorig_daemon.links.ports.serial_port import PortRefusedError
 from gyrorig_protocol.can import CanFrame, FrameFlag, pack_frames, unpack_frames
 
 GROUP, LOOPBACK = "239.74.163.7", "127.0.0.1"
@@ -44,7 +44,7 @@ def read_frames(line: Line, count: int) -> list[CanFrame]:
     return frames
 
 
-def test_frames_come_back_as_the_echo_with_the_kernels_stamp() -> None:
+def test_the_echo_has_the_timestamp_of_the_kernel() -> None:
     line = MulticastLine(GROUP, free_port(), LOOPBACK)
     try:
         before_ns = raw_ns()
@@ -52,19 +52,19 @@ def test_frames_come_back_as_the_echo_with_the_kernels_stamp() -> None:
         data = pack_frames(frames)
         assert line.write(data) == 24
         assert line.write(data[24:]) == 24
-        heard = read_frames(line, 2)
+        received = read_frames(line, 2)
         after_ns = raw_ns()
     finally:
         line.close()
-    assert [(f.identifier, f.data, f.flags) for f in heard] == [
+    assert [(f.identifier, f.data, f.flags) for f in received] == [
         (f.identifier, f.data, f.flags) for f in frames
     ]
-    for frame in heard:
-        # both clocks are read in turn: a stall between the two readings shifts the stamp
-        assert before_ns - 50_000_000 < frame.stamp_ns < after_ns + 50_000_000
+    for frame in received:
+        # both clocks are read in turn: a stall between the two readings shifts the timestamp
+        assert before_ns - 50_000_000 < frame.timestamp_ns < after_ns + 50_000_000
 
 
-def test_python_can_understands_us_and_we_python_can() -> None:
+def test_frames_are_exchanged_with_python_can() -> None:
     port = free_port()
     try:
         line = MulticastLine(GROUP, port)
@@ -76,8 +76,8 @@ def test_python_can_understands_us_and_we_python_can() -> None:
         bus.send(can.Message(arbitration_id=0x1F0F0F0F, data=bytes(8), is_extended_id=True))
         bus.send(can.Message(arbitration_id=5, is_remote_frame=True, is_extended_id=False))
         bus.send(can.Message(arbitration_id=6, data=bytes(64), is_fd=True, is_extended_id=False))
-        heard = [(f.identifier, f.data, f.flags) for f in read_frames(line, 4)]
-        assert heard == [
+        received = [(f.identifier, f.data, f.flags) for f in read_frames(line, 4)]
+        assert received == [
             (0x291, b"abc", 0),
             (0x1F0F0F0F, bytes(8), 1),
             (5, b"", 2),
@@ -96,23 +96,23 @@ def test_python_can_understands_us_and_we_python_can() -> None:
         bus.shutdown()
 
 
-def test_what_the_kernel_had_no_room_for_is_counted() -> None:
+def test_frames_dropped_by_the_kernel_are_counted_on_the_socket() -> None:
     line = MulticastLine(GROUP, free_port(), LOOPBACK)
     try:
         line._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         sent = 400
         for number in range(sent):
             line.write(pack_frames([CanFrame(1, struct.pack("<H", number))]))
-        heard = read_frames(line, 1)
+        received = read_frames(line, 1)
         # The count comes with the next frame that found room; others may still be on their way.
-        while not any(f.flags == 0 and f.identifier == 2 for f in heard):
+        while not any(f.flags == 0 and f.identifier == 2 for f in received):
             line.write(pack_frames([CanFrame(2, b"")]))
             sent += 1
-            heard += read_frames(line, 1)
+            received += read_frames(line, 1)
     finally:
         line.close()
-    lost = sum(f.identifier for f in heard if f.flags == FrameFlag.LOST)
-    came = sum(f.flags == 0 for f in heard)
+    lost = sum(f.identifier for f in received if f.flags == FrameFlag.LOST)
+    came = sum(f.flags == 0 for f in received)
     assert lost > 0
     assert lost + came == sent
 
@@ -174,7 +174,7 @@ def test_a_kernels_frame_is_read_as_linux_writes_it(word: int, expected: tuple[i
     data = struct.pack("=IB3x8s", word, 3, b"abcdefgh")
     (frame,) = unpack_frames(socketcan_record(data, 9), 0)
     assert (frame.identifier, frame.flags) == expected
-    assert frame.stamp_ns == 9
+    assert frame.timestamp_ns == 9
     assert frame.data == (b"abcdefgh" if frame.flags == 4 else b"abc")
     (foreign,) = unpack_frames(socketcan_record(data + bytes(56), 9), 0)  # struct canfd_frame
     assert foreign.flags == FrameFlag.FOREIGN
@@ -183,8 +183,8 @@ def test_a_kernels_frame_is_read_as_linux_writes_it(word: int, expected: tuple[i
 @pytest.mark.parametrize(
     "path", ["/dev/ttyUSB0", "socketcan:nothere0", "udp_multicast:1.2.3.4:99999", "udp_multicast:x"]
 )
-def test_what_is_no_bus_is_refused_with_a_reason(path: str) -> None:
-    with pytest.raises(RefusedError) as caught:
+def test_an_invalid_bus_is_rejected_with_a_reason(path: str) -> None:
+    with pytest.raises(PortRefusedError) as caught:
         open_line(PortSettings(path, 1_000_000, kind="can"))
     assert caught.value.reason in ("missing", "denied", "foreign")
 
@@ -202,7 +202,7 @@ def test_an_interface_of_the_kernel() -> None:
     assert (frame.identifier, frame.data) == (0x123, b"ab")
 
 
-def test_stamps_never_go_back_however_the_clocks_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_timestamps_never_decrease_when_clocks_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
     line = MulticastLine(GROUP, free_port(), LOOPBACK)
     exact = can_socket._read_clocks
     count = 0
@@ -222,8 +222,8 @@ def test_stamps_never_go_back_however_the_clocks_scatter(monkeypatch: pytest.Mon
         for _ in range(50):
             line.write(pack_frames([CanFrame(1, b"")]))
             (frame,) = read_frames(line, 1)
-            stamps.append(frame.stamp_ns)
-            assert 0 < frame.stamp_ns < raw_ns() + 2_000_000
+            stamps.append(frame.timestamp_ns)
+            assert 0 < frame.timestamp_ns < raw_ns() + 2_000_000
     finally:
         line.close()
     assert stamps == sorted(stamps)

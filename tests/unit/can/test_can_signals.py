@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrorig_protocol.board.events import BoardEvent, FaultCause, FrameEvent
-from gyrorig_protocol.board.frames import Sample
-from gyrorig_protocol.can import CanFrame, SignalMap, SignalParser, bind
+from gyrorig_protocol.board.board_events import BoardEvent, FaultCause, FrameEvent
+from gyrorig_protocol.board.board_frames import Sample
+from gyrorig_protocol.can import CanFrame, CanSignalParser, SignalMap, resolve_signals
 from gyrorig_protocol.errors import UsageError
 
 DEG = math.pi / 180.0
@@ -27,8 +27,8 @@ BO_ 101 More: 8 IMU
 """
 
 
-def rate_map(**more: object) -> SignalMap:
-    plain = {"dbc": DBC, "gyro": ["Rates.X", "Rates.Y", "Rates.Z"], **more}
+def rate_map(**extra: object) -> SignalMap:
+    plain = {"dbc": DBC, "gyro": ["Rates.X", "Rates.Y", "Rates.Z"], **extra}
     return msgspec.convert(plain, SignalMap)
 
 
@@ -37,10 +37,10 @@ def samples(events: list[BoardEvent]) -> list[Sample]:
 
 
 def test_j1939_by_group_and_sender() -> None:
-    bound = bind(SignalMap(preset="j1939", source_address=0x80), "A")
+    bound = resolve_signals(SignalMap(preset="j1939", source_address=0x80), "A")
     assert bound.gyro_scale_rad_s == pytest.approx(DEG / 128)
     assert bound.accel_scale_m_s2 == pytest.approx(0.01)
-    parser = SignalParser(bound)
+    parser = CanSignalParser(bound)
     rates = struct.pack("<4H", 32000, 32000 + 128, 32000 - 1280, 0xFFFF)
     accels = struct.pack("<4H", 32000, 32000, 32000 + 981, 0xFFFF)
     events = parser.feed(CanFrame(0x08F02D80, accels, 1))
@@ -54,8 +54,8 @@ def test_j1939_by_group_and_sender() -> None:
     ]
 
 
-def test_j1939_codes_that_are_no_values_are_faults() -> None:
-    parser = SignalParser(bind(SignalMap(preset="j1939", source_address=1), "A"))
+def test_invalid_j1939_codes_are_faults() -> None:
+    parser = CanSignalParser(resolve_signals(SignalMap(preset="j1939", source_address=1), "A"))
     not_available = struct.pack("<4H", 32000, 0xFFFF, 32000, 0)
     highest = struct.pack("<4H", 32000, 0xFAFF, 32000, 0)
     assert samples(parser.feed(CanFrame(0x0CF02A01, not_available, 1))) == []
@@ -64,25 +64,25 @@ def test_j1939_codes_that_are_no_values_are_faults() -> None:
 
 
 def test_mm510_rates_of_two_messages_are_one_sample() -> None:
-    bound = bind(SignalMap(preset="mm5.10"), "A")
+    bound = resolve_signals(SignalMap(preset="mm5.10"), "A")
     assert bound.gyro_scale_rad_s == pytest.approx(0.005 * DEG)
-    parser = SignalParser(bound)
+    parser = CanSignalParser(bound)
     yaw = CanFrame(0x70, struct.pack("<4H", 32768 + 200, 0, 32768, 0))
     roll = CanFrame(0x80, struct.pack("<4H", 32768 - 100, 0, 32768, 0))
     up = CanFrame(0x576, struct.pack("<4H", 0, 0, 32768 + 7845, 0))
     order = [yaw, up, roll, yaw, roll, yaw, yaw, up, roll]  # one roll lost
-    found = samples([event for frame in order for event in parser.feed(frame)])
-    assert [s.gyro for s in found] == [(-100, 0, 200)] * 3
-    assert [s.sequence for s in found] == [0, 1, 3]  # the loss shows as a gap
-    assert found[0].accel is not None
-    # 4.1768/0.000127465 is no whole number, so counts are 1e-6 m/s^2
-    assert found[0].accel[2] == pytest.approx(9.80665e6, rel=1e-3)
-    assert found[1].accel is None
+    actual = samples([event for frame in order for event in parser.feed(frame)])
+    assert [s.gyro for s in actual] == [(-100, 0, 200)] * 3
+    assert [s.sequence for s in actual] == [0, 1, 3]  # the loss shows as a gap
+    assert actual[0].accel is not None
+    # 4.1768/0.000127465 is not an integer, therefore counts are 1e-6 m/s^2
+    assert actual[0].accel[2] == pytest.approx(9.80665e6, rel=1e-3)
+    assert actual[1].accel is None
 
 
 def test_racelogic_floats_are_counts_of_a_fine_scale() -> None:
-    bound = bind(SignalMap(preset="racelogic"), "A")
-    parser = SignalParser(bound)
+    bound = resolve_signals(SignalMap(preset="racelogic"), "A")
+    parser = CanSignalParser(bound)
     frames = [
         CanFrame(0x600, struct.pack(">ff", -1.5, 0.25)),
         CanFrame(0x601, struct.pack(">ff", -0.5, 31.25)),
@@ -100,28 +100,28 @@ def test_racelogic_floats_are_counts_of_a_fine_scale() -> None:
     assert parser.faults[FaultCause.CONTENT] == 1
 
 
-def test_a_file_of_ones_own_with_counter_clock_and_temperature() -> None:
+def test_a_dbc_file_with_counter_clock_and_temperature() -> None:
     chosen = rate_map(
         accel=["More.AX", None, None], counter="Rates.Count", time="More.Clock",
         temperature="More.Temp",
     )  # fmt: skip
-    bound = bind(chosen, "A")
+    bound = resolve_signals(chosen, "A")
     assert bound.tick_hz == pytest.approx(1e4)
-    parser = SignalParser(bound)
-    found = []
+    parser = CanSignalParser(bound)
+    actual = []
     for count, clock in ((14, 100), (15, 200), (1, 400)):
         parser.feed(CanFrame(101, struct.pack("<IbbH", clock, 10, 33, 0)))
-        found += samples(parser.feed(CanFrame(100, struct.pack("<3hH", 1, -2, 3, count))))
-    assert [s.gyro for s in found] == [(1, -2, 3)] * 3
-    assert [s.sequence for s in found] == [14, 15, 17]  # one was lost, over the wrap of 4 bits
-    assert [s.device_time for s in found] == [100, 200, 400]
-    assert found[0].temperature == 2500
-    assert found[0].accel is not None
-    assert found[0].accel[0] == round((33 * 0.03 + 0.01) * 9.80665e6)
+        actual += samples(parser.feed(CanFrame(100, struct.pack("<3hH", 1, -2, 3, count))))
+    assert [s.gyro for s in actual] == [(1, -2, 3)] * 3
+    assert [s.sequence for s in actual] == [14, 15, 17]  # one was lost, over the wrap of 4 bits
+    assert [s.device_time for s in actual] == [100, 200, 400]
+    assert actual[0].temperature == 2500
+    assert actual[0].accel is not None
+    assert actual[0].accel[0] == round((33 * 0.03 + 0.01) * 9.80665e6)
 
 
 def test_short_frames_are_counted() -> None:
-    parser = SignalParser(bind(rate_map(), "A"))
+    parser = CanSignalParser(resolve_signals(rate_map(), "A"))
     parser.feed(CanFrame(100, bytes(5)))
     assert parser.faults[FaultCause.LENGTH] == 1
 
@@ -139,28 +139,28 @@ def test_short_frames_are_counted() -> None:
     ),
     preset=st.booleans(),
 )
-def test_no_frames_raise(frames: list[CanFrame], preset: bool) -> None:
+def test_the_signal_parser_never_raises(frames: list[CanFrame], preset: bool) -> None:
     chosen = SignalMap(preset="j1939", source_address=1) if preset else rate_map()
-    parser = SignalParser(bind(chosen, "A"))
+    parser = CanSignalParser(resolve_signals(chosen, "A"))
     for frame in frames:
         parser.feed(frame)
 
 
 @pytest.mark.parametrize(
-    ("chosen", "what"),
+    ("chosen", "problem"),
     [
         (SignalMap(), "neither a preset nor a DBC"),
         (SignalMap(preset="j1939"), "source_address"),
-        (SignalMap(preset="mm5.10", dbc=DBC), "preset and signals"),
-        (rate_map(gyro=[None, None, None]), "no axis"),
+        (SignalMap(preset="mm5.10", dbc=DBC), "both a preset and its own signals"),
+        (rate_map(gyro=[None, None, None]), "no gyro axis"),
         (rate_map(gyro=["Rates.Q", None, None]), "no signal Q"),
         (rate_map(gyro=["Q.X", None, None]), "no message Q"),
         (rate_map(gyro=["Rates.Count", None, None]), "gyro_unit"),
         (rate_map(time="Rates.Count"), "tick_hz"),
         (rate_map(counter="Rates.X"), "unsigned"),
-        (rate_map(dbc="imu.dbc"), "has not been read"),
+        (rate_map(dbc="imu.dbc"), "only the name of its DBC file"),
     ],
 )
-def test_what_is_wrong_with_a_map_is_said(chosen: SignalMap, what: str) -> None:
-    with pytest.raises(UsageError, match=what):
-        bind(chosen, "A")
+def test_the_error_names_the_fault_of_a_map(chosen: SignalMap, problem: str) -> None:
+    with pytest.raises(UsageError, match=problem):
+        resolve_signals(chosen, "A")

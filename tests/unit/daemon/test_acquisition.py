@@ -1,4 +1,4 @@
-"""The acquisition process on ptys: bytes, stamps, exclusion, hang-ups, and its last act."""
+"""The acquisition process on pseudo-terminals: bytes, timestamps, locks, unplugging."""
 
 import errno
 import fcntl
@@ -17,14 +17,15 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.links.acquire import GATHER_NS, PIPE_BYTES
-from gyrorig_daemon.links.can_multicast import MulticastLine
-from gyrorig_daemon.links.hub import Chunk, PortChange, PortsGoneError
-from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings, refusal
+from gyrorig_daemon.links.can.multicast_line import MulticastLine
+from gyrorig_daemon.links.ports.acquisition import GATHER_NS, PIPE_BYTES
+from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.ports.acquisition_pipe import CHUNK, REPORT_HEADER, ReportParser
+from gyrorig_daemon.links.ports.port_errors import port_error
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, PortsGoneError
+from gyrorig_daemon.links.ports.raw_clock import raw_ns
+from gyrorig_daemon.links.ports.serial_port import PortRefusedError, open_port
 from gyrorig_daemon.links.pump import Pump
-from gyrorig_daemon.links.raw_clock import raw_ns
-from gyrorig_daemon.links.serial_port import RefusedError, open_port
-from gyrorig_daemon.links.wire import CHUNK, REPORT, ReportParser
 from gyrorig_protocol.can import CanFrame, pack_frames, unpack_frames
 from gyrorig_protocol.errors import BusyError, DeviceError, MachineError, UsageError
 
@@ -59,7 +60,7 @@ def line() -> Iterator[Line]:
     made.close()
 
 
-def test_bytes_pass_unchanged_and_are_stamped(line: Line) -> None:
+def test_bytes_pass_unchanged_with_timestamps(line: Line) -> None:
     every = bytes(range(256))
     with AcquisitionHub({"a": PortSettings(line.path, 115200)}) as hub:
         before_ns = raw_ns()
@@ -81,13 +82,13 @@ def test_bytes_pass_unchanged_and_are_stamped(line: Line) -> None:
         assert hub.read(raw_ns()) is None
 
 
-def test_a_rate_without_a_name(line: Line) -> None:
+def test_a_nonstandard_baud_rate(line: Line) -> None:
     with AcquisitionHub({"a": PortSettings(line.path, 250000)}) as hub:
         hub.write("a", b"x\r\n")
         assert line.read() == b"x\r\n"
 
 
-def test_a_port_held_by_another_is_busy(line: Line) -> None:
+def test_a_port_of_another_program_is_busy(line: Line) -> None:
     with (
         AcquisitionHub({"a": PortSettings(line.path, 9600)}),
         pytest.raises(BusyError, match=line.path) as caught,
@@ -96,7 +97,7 @@ def test_a_port_held_by_another_is_busy(line: Line) -> None:
     assert caught.value.exit_code == 75
 
 
-def test_the_port_is_locked_for_those_that_ask(line: Line) -> None:
+def test_the_port_is_locked_with_flock(line: Line) -> None:
     with AcquisitionHub({"a": PortSettings(line.path, 9600)}):
         fd = os.open(line.path, os.O_RDWR | os.O_NOCTTY)  # root is let in by TIOCEXCL
         with pytest.raises(BlockingIOError):
@@ -105,33 +106,33 @@ def test_the_port_is_locked_for_those_that_ask(line: Line) -> None:
         os.close(fd)
 
 
-def test_a_missing_port_is_named() -> None:
-    with pytest.raises(UsageError, match="/dev/none-such"):
+def test_a_missing_port_is_a_device_error() -> None:
+    with pytest.raises(DeviceError, match="/dev/none-such"):
         AcquisitionHub({"ptu": PortSettings("/dev/none-such", 9600)})
 
 
-def test_two_names_of_one_port_are_refused(line: Line, tmp_path: Path) -> None:
+def test_two_names_of_one_port_are_rejected(line: Line, tmp_path: Path) -> None:
     (tmp_path / "unit").symlink_to(line.path)
     settings = [PortSettings(path, 9600) for path in (line.path, str(tmp_path / "unit"))]
-    with pytest.raises(UsageError, match="are one port"):
+    with pytest.raises(UsageError, match="are the same port"):
         AcquisitionHub(dict(zip(("ptu", "board:A"), settings, strict=True)))
 
 
-def test_a_file_is_no_port(tmp_path: Path) -> None:
+def test_a_file_is_not_a_port(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.touch()
-    with pytest.raises(UsageError, match="no serial port"):
+    with pytest.raises(UsageError, match="not a serial port"):
         AcquisitionHub({"ptu": PortSettings(str(path), 9600)})
 
 
-def test_a_hang_up_is_an_empty_chunk_and_writes_fail(line: Line) -> None:
+def test_an_unplugged_port_gives_an_empty_chunk_and_writes_fail(line: Line) -> None:
     with AcquisitionHub({"a": PortSettings(line.path, 9600)}) as hub:
         line.close()
         chunk = hub.read(raw_ns() + PATIENCE_NS)
         assert chunk is not None
         assert (chunk.data, chunk.change) == (b"", PortChange.GONE)
         assert not hub.is_up("a")
-        with pytest.raises(DeviceError, match="hung up"):
+        with pytest.raises(DeviceError, match="unplugged"):
             hub.write("a", b"PP ")
 
 
@@ -172,11 +173,11 @@ def next_change(hub: AcquisitionHub, change: PortChange) -> Chunk:
 
 def test_a_port_that_is_plugged_in_later(line: Line, cable: Cable) -> None:
     ports = {"a": PortSettings(line.path, 9600), "b": PortSettings(str(cable.link), 9600)}
-    with AcquisitionHub(ports, waits=True, retry_s=0.2) as hub:
+    with AcquisitionHub(ports, wait_for_ports=True, retry_s=0.2) as hub:
         gone = next_change(hub, PortChange.GONE)
         assert (gone.port, gone.text) == ("b", "No such file or directory")
         assert (hub.is_up("a"), hub.is_up("b")) == (True, False)
-        with pytest.raises(DeviceError, match="hung up"):
+        with pytest.raises(DeviceError, match="unplugged"):
             hub.write("b", b"x")
         hub.write("a", b"x")
         later = cable.plug()
@@ -186,14 +187,14 @@ def test_a_port_that_is_plugged_in_later(line: Line, cable: Cable) -> None:
         assert later.read() == b"hello"
 
 
-def test_a_port_that_is_pulled_and_plugged_again_and_again(line: Line, cable: Cable) -> None:
+def test_a_port_that_is_replugged_repeatedly(line: Line, cable: Cable) -> None:
     device = cable.plug()
     ports = {"a": PortSettings(line.path, 9600), "b": PortSettings(str(cable.link), 9600)}
     with AcquisitionHub(ports, retry_s=0.2) as hub:
         for _ in range(2):
             cable.pull()
             gone = next_change(hub, PortChange.GONE)
-            assert (gone.port, gone.text) == ("b", "it hung up")
+            assert (gone.port, gone.text) == ("b", "it was unplugged")
             os.write(line.fd, b"goes on")
             chunk = hub.read(raw_ns() + PATIENCE_NS)
             assert chunk is not None
@@ -207,55 +208,61 @@ def test_a_port_that_is_pulled_and_plugged_again_and_again(line: Line, cable: Ca
             assert (chunk.port, chunk.data) == ("b", b"here")
 
 
-def test_a_port_can_be_opened_anew(line: Line) -> None:
+def test_a_port_can_be_reopened(line: Line) -> None:
     # At once: the pause of a port that is lost would outlast every patience here.
     with AcquisitionHub({"a": PortSettings(line.path, 9600)}, retry_s=3600.0) as hub:
         hub.reopen("a")
-        assert next_change(hub, PortChange.GONE).text == "it is opened anew"
+        assert next_change(hub, PortChange.GONE).text == "it is opened again"
         assert not hub.is_up("a")
         next_change(hub, PortChange.BACK)
         hub.write("a", b"x")
         assert line.read() == b"x"
 
 
-def test_a_stuck_port_can_be_opened_anew(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gyrorig_daemon.links.process_hub.WRITE_DEADLINE_NS", SECOND_NS // 5)
+def test_a_stuck_port_can_be_reopened(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "gyrorig_daemon.links.ports.acquisition_hub.WRITE_DEADLINE_NS", SECOND_NS // 5
+    )
     with AcquisitionHub({"a": PortSettings(line.path, 9600)}) as hub:
-        with pytest.raises(DeviceError, match="does not take bytes"):
+        with pytest.raises(DeviceError, match="takes no bytes"):
             hub.write("a", bytes(200_000))
         hub.reopen("a")
         next_change(hub, PortChange.BACK)
 
 
-def test_whoever_waits_does_not_wait_for_a_busy_port(line: Line) -> None:
+def test_a_busy_port_is_not_waited_for(line: Line) -> None:
     with (
         AcquisitionHub({"a": PortSettings(line.path, 9600)}),
         pytest.raises(BusyError, match=line.path),
     ):
-        AcquisitionHub({"b": PortSettings(line.path, 9600)}, waits=True)
+        AcquisitionHub({"b": PortSettings(line.path, 9600)}, wait_for_ports=True)
 
 
-def test_why_a_port_is_gone_is_said_anew(cable: Cable, tmp_path: Path) -> None:
-    with AcquisitionHub({"b": PortSettings(str(cable.link), 9600)}, waits=True, retry_s=0.2) as hub:
+def test_a_changed_reason_is_reported_again(cable: Cable, tmp_path: Path) -> None:
+    with AcquisitionHub(
+        {"b": PortSettings(str(cable.link), 9600)}, wait_for_ports=True, retry_s=0.2
+    ) as hub:
         assert next_change(hub, PortChange.GONE).text == "No such file or directory"
         (tmp_path / "file").touch()
         cable.link.symlink_to(tmp_path / "file")
-        assert next_change(hub, PortChange.GONE).text == "it is no serial port"
+        assert next_change(hub, PortChange.GONE).text == "it is not a serial port"
         cable.link.unlink()
 
 
-def test_a_port_that_takes_nothing_is_given_up(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gyrorig_daemon.links.process_hub.WRITE_DEADLINE_NS", SECOND_NS // 5)
+def test_a_write_to_a_stuck_port_fails(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "gyrorig_daemon.links.ports.acquisition_hub.WRITE_DEADLINE_NS", SECOND_NS // 5
+    )
     with (
         AcquisitionHub({"a": PortSettings(line.path, 9600)}) as hub,
-        pytest.raises(DeviceError, match="does not take bytes"),
+        pytest.raises(DeviceError, match="takes no bytes"),
     ):
         hub.write("a", bytes(200_000))
 
 
 KILLED = """
 import os, signal, sys
-from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
 hub = AcquisitionHub({"a": PortSettings(sys.argv[1], 9600, " H ")})
 os.kill(os.getpid(), signal.SIGKILL)  # a daemon that is killed without a word
 """
@@ -275,17 +282,17 @@ def test_when_the_acquisition_dies_the_daemon_halts_the_unit(line: Line) -> None
     assert line.read() == b" H "
 
 
-def test_closing_says_no_farewell(line: Line) -> None:
+def test_closing_sends_no_final_command(line: Line) -> None:
     with AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")}) as hub:
         hub.write("a", b"V ")
     assert line.read() == b"V "
     assert line.read(0.05) == b""
 
 
-@pytest.mark.parametrize("cut", range(1, REPORT.size + 4))
+@pytest.mark.parametrize("cut", range(1, REPORT_HEADER.size + 4))
 def test_reports_do_not_depend_on_cuts(cut: int) -> None:
     stream = b"".join(
-        REPORT.pack(CHUNK, 0, len(data), at, 0) + data
+        REPORT_HEADER.pack(CHUNK, 0, len(data), at, 0) + data
         for at, data in enumerate((b"abc", b"", b"\0" * 300))
     )
     whole = ReportParser().feed(stream)
@@ -307,14 +314,16 @@ def test_a_port_that_another_holds_exclusively_is_busy(line: Line) -> None:
         AcquisitionHub({"a": PortSettings(line.path, 9600)})
 
 
-def test_an_acquisition_that_hangs_is_ended_and_the_unit_halted(
+def test_a_hanging_acquisition_is_killed_and_the_unit_halted(
     line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gyrorig_daemon.links.process_hub.REPORT_DEADLINE_NS", SECOND_NS // 5)
-    monkeypatch.setattr("gyrorig_daemon.links.farewell.PATIENCE_S", 0.05)
+    monkeypatch.setattr(
+        "gyrorig_daemon.links.ports.acquisition_hub.REPORT_DEADLINE_NS", SECOND_NS // 5
+    )
+    monkeypatch.setattr("gyrorig_daemon.links.ports.halt_on_disconnect.ANSWER_TIMEOUT_S", 0.05)
     with AcquisitionHub({"a": PortSettings(line.path, 9600, " H ")}) as hub:
         hub._child.send_signal(signal.SIGSTOP)
-        with pytest.raises(PortsGoneError, match="did not answer and was ended"):
+        with pytest.raises(PortsGoneError, match="did not respond and was killed"):
             hub.write("a", b"V ")
         assert line.read() == b" H "
         for again in (lambda: hub.write("a", b"V "), lambda: hub.read(raw_ns())):
@@ -322,7 +331,7 @@ def test_an_acquisition_that_hangs_is_ended_and_the_unit_halted(
                 again()
 
 
-def test_chunks_are_gathered_with_a_stamp_each_and_answers_are_not_kept_waiting(
+def test_chunks_are_collected_with_their_timestamps_and_replies_are_sent_at_once(
     line: Line, cable: Cable
 ) -> None:
     unit = cable.plug()
@@ -380,7 +389,7 @@ def windows(stamps_ns: list[int], length_ns: int) -> int:
     return count
 
 
-def test_frames_of_a_bus_are_read_together_with_a_stamp_each() -> None:
+def test_frames_of_a_bus_are_read_together_with_their_timestamps() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("239.74.163.8", 0))
         port = probe.getsockname()[1]
@@ -399,7 +408,7 @@ def test_frames_of_a_bus_are_read_together_with_a_stamp_each() -> None:
                 chunks += 1
                 frames += unpack_frames(chunk.data, 0)
             assert [frame.data[0] for frame in frames] == list(range(40))
-            stamps = [frame.stamp_ns for frame in frames]
+            stamps = [frame.timestamp_ns for frame in frames]
             assert stamps == sorted(stamps)
             # when they came, not when they were read
             assert stamps[-1] - stamps[0] > 39 * 500_000 * 0.8
@@ -411,7 +420,7 @@ def test_frames_of_a_bus_are_read_together_with_a_stamp_each() -> None:
     sender.close()
 
 
-def test_chunks_that_came_together_are_handed_out_together(line: Line) -> None:
+def test_chunks_that_arrive_together_are_delivered_together(line: Line) -> None:
     taken: list[bytes] = []
     with AcquisitionHub({"a": PortSettings(line.path, 115200)}) as hub:
         pump = Pump(hub)
@@ -421,13 +430,13 @@ def test_chunks_that_came_together_are_handed_out_together(line: Line) -> None:
         end_ns = raw_ns() + PATIENCE_NS
         assert pump.run_until(end_ns, lambda: b"".join(taken)[:9] == b"000001002")
         assert pump.run_until(end_ns, lambda: len(b"".join(taken)) == 600)
-        assert not hub.at_hand
+        assert not hub.buffered_chunks
     assert b"".join(taken) == b"".join(b"%03d" % number for number in range(200))
 
 
-def test_opening_anew_again_and_again_leaves_nothing_behind(line: Line, cable: Cable) -> None:
+def test_repeated_reopening_leaks_nothing(line: Line, cable: Cable) -> None:
     ports = {"a": PortSettings(line.path, 9600), "b": PortSettings(str(cable.link), 9600)}
-    with AcquisitionHub(ports, waits=True, retry_s=0.02) as hub:
+    with AcquisitionHub(ports, wait_for_ports=True, retry_s=0.02) as hub:
         held = Path(f"/proc/{hub._child.pid}/fd")
         before: int | None = None
         for _ in range(30):
@@ -459,20 +468,20 @@ def test_why_a_port_cannot_be_opened(
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("os.open", refuse)
-    with pytest.raises(RefusedError, match=os.strerror(number)) as caught:
+    with pytest.raises(PortRefusedError, match=os.strerror(number)) as caught:
         open_port("/dev/ttyUSB9", 9600)
     assert caught.value.reason == reason
 
 
-def test_an_adapter_that_breaks_while_it_is_set_up(
+def test_an_adapter_that_fails_during_configuration(
     line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
         raise termios.error(errno.EIO, os.strerror(errno.EIO))
 
     monkeypatch.setattr("termios.tcsetattr", refuse)
-    with pytest.raises(RefusedError, match="set up") as caught:
+    with pytest.raises(PortRefusedError, match="cannot be configured") as caught:
         open_port(line.path, 9600)
     assert caught.value.reason == "broken"
-    error = refusal("board:A", line.path, caught.value.reason, str(caught.value))
+    error = port_error("board:A", line.path, caught.value.reason, str(caught.value))
     assert isinstance(error, DeviceError)

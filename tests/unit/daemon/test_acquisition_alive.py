@@ -1,4 +1,4 @@
-"""Whether the acquisition process lives is judged by what it does, not by how late we are.
+"""The liveness check of the acquisition process depends on its replies, not on our delay.
 
 A daemon that is behind has its answer lying behind all that was read before: taken for a
 process that hangs, it was not fed to the watchdog any more and killed with what it had.
@@ -11,8 +11,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from gyrorig_daemon.links.process_hub import AcquisitionHub, PortSettings
-from gyrorig_daemon.links.raw_clock import raw_ns
+from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.ports.raw_clock import raw_ns
 
 BEHIND_S = 1.5
 SECOND_NS = 1_000_000_000
@@ -41,26 +41,26 @@ def talking() -> Iterator[str]:
         os.close(device)
 
 
-def test_a_daemon_that_is_behind_does_not_take_the_acquisition_for_dead() -> None:
+def test_a_late_daemon_does_not_consider_the_acquisition_dead() -> None:
     with talking() as path, AcquisitionHub({"board": PortSettings(path, 115200)}) as hub:
         hub.ping()
         time.sleep(BEHIND_S)  # its answer lies in the pipe all the while
         assert hub.read(raw_ns() + PATIENCE_NS) is not None
-        assert raw_ns() - hub.answered_ns < BEHIND_S / 2 * SECOND_NS
-        behind_ns = hub.at_hand[0].received_ns if hub.at_hand else 0
-        assert behind_ns < hub.answered_ns
+        assert raw_ns() - hub.last_report_ns < BEHIND_S / 2 * SECOND_NS
+        behind_ns = hub.buffered_chunks[0].received_ns if hub.buffered_chunks else 0
+        assert behind_ns < hub.last_report_ns
 
 
-def test_what_says_nothing_is_not_taken_for_alive() -> None:
+def test_a_silent_process_is_not_considered_alive() -> None:
     device, held = pty.openpty()
     settings = {"board": PortSettings(os.ttyname(held), 115200)}
     with AcquisitionHub(settings) as hub:
-        before_ns = hub.answered_ns
+        before_ns = hub.last_report_ns
         assert hub.read(raw_ns() + SECOND_NS // 5) is None
-        assert hub.answered_ns == before_ns
+        assert hub.last_report_ns == before_ns
         hub.ping()
         end_ns = raw_ns() + PATIENCE_NS
-        while hub.answered_ns == before_ns:
+        while hub.last_report_ns == before_ns:
             assert raw_ns() < end_ns
             assert hub.read(raw_ns() + SECOND_NS // 10) is None  # an answer is no chunk
     os.close(held)

@@ -1,4 +1,4 @@
-"""One board's link under simulated time: pulled, reset, silent, swapped, damaged, and back."""
+"""One board's link in simulated time: unplugged, reset, silent, swapped, damaged, and back."""
 
 import random
 from collections.abc import Callable
@@ -6,15 +6,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.config import BoardFacts, BoardPort
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, RigSettings
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import BoardFaults, BoardSettings, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.board_link import BoardLink
-from gyrorig_daemon.links.board_presence import LinkState, Presence
-from gyrorig_daemon.links.board_samples import BoardSinks, SampleStream
-from gyrorig_daemon.links.capture_clock import CaptureClock
-from gyrorig_daemon.links.hub import Chunk, PortHub, WriteStamp
+from gyrorig_daemon.links.boards.board_link import BoardLink
+from gyrorig_daemon.links.boards.board_presence import BoardPresence, LinkState
+from gyrorig_daemon.links.boards.sample_stream import BoardSinks, SampleStream
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortHub, WriteTimes
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.board import FrameEvent, Sample
 from gyrorig_protocol.errors import DeviceError
@@ -88,32 +88,32 @@ class Desk:
         assert message.host_receive_ns >= message.host_send_ns, board_id
 
 
-def test_a_board_makes_itself_known() -> None:
+def test_a_board_identifies_itself() -> None:
     desk = Desk()
     assert desk.link.state is LinkState.UNKNOWN
     desk.run(0.2)
-    assert desk.link.known
+    assert desk.link.is_known
     assert desk.link.values()["state"] == "known"
 
 
-def test_a_board_that_is_not_there_at_first() -> None:
+def test_a_board_that_is_connected_late() -> None:
     desk = Desk(prepare=lambda hub: hub.unplug(A, ORIGIN_NS, at_ns(3.0)))
     desk.run(1.0)
-    assert (desk.link.state, desk.link.gone) == (LinkState.ABSENT, True)
+    assert (desk.link.state, desk.link.is_absent) == (LinkState.ABSENT, True)
     assert desk.samples["A"] == []
     desk.run(4.0)
-    assert desk.link.known
+    assert desk.link.is_known
     assert 85 < len(desk.samples["A"]) < 110
     desk.assert_other_is_whole()
 
 
 @pytest.mark.parametrize("batch", [1, 8])
-def test_a_board_that_is_pulled_and_plugged_again(batch: int) -> None:
+def test_a_board_that_is_replugged(batch: int) -> None:
     desk = Desk(batch=batch)
     desk.hub.unplug(A, at_ns(3.0), at_ns(6.0))
     desk.run(9.0)
     link = desk.link
-    assert link.known
+    assert link.is_known
     counts = link.counts
     assert (counts.hung_up, counts.remapped, counts.restarts, counts.missing) == (1, 1, 0, 0)
     assert not any("restarted" in text for text in desk.said)
@@ -124,7 +124,7 @@ def test_a_board_that_is_pulled_and_plugged_again(batch: int) -> None:
     # what comes before it has said who it is is not taken: some ten milliseconds
     assert sequences[gap + 1] - sequences[gap] < 1.1 * 300 + 2 * batch
     assert link.counts.unidentified < 3 * batch + 1
-    assert desk.said[0] == "board A on /dev/A is gone: it hung up"
+    assert desk.said[0] == "board A on /dev/A is gone, it was unplugged"
     assert desk.said[1].startswith("board A on /dev/A sends samples again, after 3.")
     desk.assert_other_is_whole()
     taken = np.array(desk.taken_s())
@@ -155,19 +155,19 @@ def test_a_reset_while_it_is_unplugged_and_two_in_a_row() -> None:
     desk.hub.unplug(A, at_ns(3.0), at_ns(5.0))
     desk.run(9.0)
     assert (desk.link.counts.restarts, desk.link.counts.remapped) == (3, 1)
-    assert sum("has started anew while it was away" in text for text in desk.said) == 1
-    assert desk.link.known
+    assert sum("has restarted while it was disconnected" in text for text in desk.said) == 1
+    assert desk.link.is_known
     assert np.all(np.diff(desk.taken_s()) > 0.0)
     assert desk.link.hello is not None
     boots = {payload[payload.find(b'"boot":') :][:9] for payload in desk.link.hello_bytes}
     assert len(boots) >= 3
 
 
-def test_another_board_behind_the_name_is_not_taken_for_it() -> None:
+def test_another_board_on_the_port_is_not_recorded() -> None:
     desk = Desk()
     desk.run(2.0)
     for link in desk.links:
-        link.pin()
+        link.pin_identity()
     for port in (A, B):
         desk.hub.unplug(port, at_ns(2.5), at_ns(3.0))
     desk.run(2.7)
@@ -177,19 +177,19 @@ def test_another_board_behind_the_name_is_not_taken_for_it() -> None:
     assert [link.state for link in desk.links] == [LinkState.FOREIGN] * 2
     assert (len(desk.samples["A"]), len(desk.samples["B"])) == known
     assert desk.link.counts.foreign == 1
-    assert sum("is another board: it says" in text for text in desk.said) == 2
+    assert sum("is another board, " in text for text in desk.said) == 2
     for port in (A, B):
         desk.hub.unplug(port, at_ns(6.5), at_ns(7.0))
     desk.run(6.7)
     desk.hub.swap(A, B)
     desk.run(9.0)
-    assert all(link.known for link in desk.links)
+    assert all(link.is_known for link in desk.links)
 
 
-def test_between_recordings_another_board_may_take_the_place() -> None:
+def test_a_board_can_be_replaced_between_recordings() -> None:
     desk = Desk()
     desk.run(2.0)
-    desk.link.pin()
+    desk.link.pin_identity()
     first = desk.link.metadata()["uid"]
     for port in (A, B):
         desk.hub.unplug(port, at_ns(2.5), at_ns(3.0))
@@ -197,16 +197,16 @@ def test_between_recordings_another_board_may_take_the_place() -> None:
     desk.hub.swap(A, B)
     desk.run(5.0)
     assert desk.link.state is LinkState.FOREIGN
-    desk.link.unpin()
+    desk.link.unpin_identity()
     desk.run(7.0)
-    assert desk.link.known
+    assert desk.link.is_known
     assert desk.link.metadata()["uid"] != first
     assert len(desk.link.hello_bytes) == 1
 
 
-def test_a_board_that_is_not_the_one_that_the_rig_names() -> None:
+def test_a_board_with_another_uid_than_configured() -> None:
     desk = Desk(facts=BoardFacts(uid="0badc0de"))
-    with pytest.raises(DeviceError, match=r"another board: it says .* instead of '0badc0de'"):
+    with pytest.raises(DeviceError, match=r"another board, .* instead of '0badc0de'"):
         desk.link.identify()
     desk.run(3.0)
     assert desk.link.state is LinkState.FOREIGN
@@ -216,45 +216,45 @@ def test_a_board_that_is_not_the_one_that_the_rig_names() -> None:
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A fifth of all patience: ports are opened anew after 1, 2, 4 s."""
-    monkeypatch.setattr("gyrorig_daemon.links.board_presence.REOPEN_AFTER_S", 1.0)
-    monkeypatch.setattr("gyrorig_daemon.links.board_presence.SILENCE_S", 0.4)
+    monkeypatch.setattr("gyrorig_daemon.links.boards.board_presence.REOPEN_AFTER_S", 1.0)
+    monkeypatch.setattr("gyrorig_daemon.links.boards.board_presence.SILENCE_S", 0.4)
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_silent_port_is_opened_anew_and_then_somebody_is_called() -> None:
+def test_a_silent_port_is_reopened_and_then_reported() -> None:
     desk = Desk(faults=BoardFaults(reset_at_s=(1.0,), reset_silence_s=10.0))
     desk.run(1.9)
     assert (desk.link.state, desk.link.counts.reopened) == (LinkState.SILENT, 0)
     desk.run(10.5)
     assert (desk.link.state, desk.link.counts.reopened) == (LinkState.DEGRADED, 3)
-    assert sum("look at it" in text for text in desk.said) == 1
+    assert sum("Check the board" in text for text in desk.said) == 1
     assert desk.link.counts.hung_up == 0
     desk.run(13.0)
-    assert desk.link.known
+    assert desk.link.is_known
     assert any("sends samples again, after 10." in text for text in desk.said)
     desk.assert_other_is_whole()
 
 
 @pytest.mark.usefixtures("impatient")
-def test_bytes_that_are_no_samples() -> None:
+def test_bytes_that_are_not_samples() -> None:
     desk = Desk(faults=BoardFaults(garbage=True))
     desk.run(8.5)
     assert desk.link.state is LinkState.DEGRADED
-    (told,) = (text for text in desk.said if "look at it" in text)
+    (told,) = (text for text in desk.said if "Check the board" in text)
     assert "sends no gcb1 samples but b'" in told
     assert int(desk.link.values()["fault_crc"]) + int(desk.link.values()["fault_cobs"]) > 0
     desk.assert_other_is_whole()
 
 
-def test_patience_doubles_up_to_a_minute() -> None:
-    presence, now_s, opened_s = Presence(True, 0), 0, []
-    presence.hear(0)
+def test_the_reopening_interval_doubles_up_to_a_minute() -> None:
+    presence, now_s, opened_s = BoardPresence(True, 0), 0, []
+    presence.mark_sample(0)
     while now_s < 400:
         now_s += 1
-        presence.falls_silent(now_s * 1_000_000_000)
-        if presence.wants_reopening(now_s * 1_000_000_000):
+        presence.detect_silence(now_s * 1_000_000_000)
+        if presence.is_reopening_due(now_s * 1_000_000_000):
             opened_s.append(now_s)
-            presence.come_back(now_s * 1_000_000_000)
+            presence.mark_reopened(now_s * 1_000_000_000)
     assert opened_s[:6] == [5, 15, 35, 75, 135, 195]
     assert presence.state is LinkState.DEGRADED
 
@@ -269,7 +269,7 @@ class Deaf:
     def now_ns(self) -> int:
         return self._hub.now_ns()
 
-    def write(self, port: str, data: bytes) -> WriteStamp:
+    def write(self, port: str, data: bytes) -> WriteTimes:
         if port == A and self._from_ns <= self.now_ns() < self._until_ns:
             self.refused += 1
             raise DeviceError("board:A cannot be written: it does not take bytes")
@@ -288,8 +288,8 @@ class Deaf:
         self._hub.close()
 
 
-def test_a_port_that_takes_no_questions_is_asked_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gyrorig_daemon.links.board_link.DEAF_S", 4.0)
+def test_a_port_that_takes_no_requests_is_asked_rarely(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gyrorig_daemon.links.boards.board_link.WRITE_RETRY_S", 4.0)
     deaf: list[Deaf] = []
 
     def wrap(hub: VirtualHub) -> Deaf:
@@ -299,7 +299,7 @@ def test_a_port_that_takes_no_questions_is_asked_seldom(monkeypatch: pytest.Monk
     desk = Desk(wrap=wrap)
     desk.run(8.0)
     assert deaf[0].refused == 2
-    assert desk.link.known
+    assert desk.link.is_known
     assert desk.link.counts.missing == 0  # its samples go on
     pings = desk.link.counts.pings
     desk.run(12.0)
@@ -307,9 +307,9 @@ def test_a_port_that_takes_no_questions_is_asked_seldom(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("batch", [1, 8])
-def test_nothing_is_taken_before_a_board_has_said_who_it_is(batch: int) -> None:
+def test_no_sample_is_used_before_the_board_is_identified(batch: int) -> None:
     desk = Desk(batch=batch, wrap=lambda hub: Deaf(hub, 0.0, 100.0))
-    desk.rig.boards["A"]._misc.clear()  # its own HELLO at power-up was lost
+    desk.rig.boards["A"]._other_frames.clear()  # its own HELLO at power-up was lost
     desk.run(3.0)
     assert desk.samples["A"] == []
     assert desk.link.counts.unidentified > 250
@@ -318,7 +318,7 @@ def test_nothing_is_taken_before_a_board_has_said_who_it_is(batch: int) -> None:
         desk.link.identify()
 
 
-def test_what_a_board_says_of_its_own_losses_is_kept() -> None:
+def test_losses_reported_by_the_board_are_kept() -> None:
     desk = Desk()
     desk.run(3.0)
     values = desk.link.values()
@@ -327,7 +327,7 @@ def test_what_a_board_says_of_its_own_losses_is_kept() -> None:
     assert desk.link.slow is not None
 
 
-def test_a_reset_far_into_the_count_is_no_loss_of_thousands() -> None:
+def test_a_reset_is_not_counted_as_lost_samples() -> None:
     told: list[str] = []
     sinks = BoardSinks(lambda *_: None, lambda *_: None, told.append, told.append)
     config = BoardPort(id="A", port="/dev/A")
@@ -336,14 +336,14 @@ def test_a_reset_far_into_the_count_is_no_loss_of_thousands() -> None:
         ticks = number * 10_000 % (1 << 32)
         arrival_ns = ORIGIN_NS + 10_000_000 * (number if number >= 39_000 else number + 40_000)
         frame = Sample(0, number, ticks, (0, 0, 0))
-        stream.take(frame, FrameEvent(frame, arrival_ns, 0, b""))
+        stream.handle_frame(frame, FrameEvent(frame, arrival_ns, 0, b""))
     assert (stream.counts.missing, stream.counts.reordered) == (0, 0)
     assert stream.counts.restarts == 1
     assert told == ["board A has restarted its clock"]
 
 
 @pytest.mark.parametrize("batch", [1, 8])
-def test_frames_that_come_twice_are_counted(batch: int) -> None:
+def test_duplicated_frames_are_counted(batch: int) -> None:
     desk = Desk(faults=BoardFaults(duplicate_frame_every=7), batch=batch)
     desk.run(5.0)
     counts, sequences = desk.link.counts, np.array(desk.sequences())
@@ -351,7 +351,7 @@ def test_frames_that_come_twice_are_counted(batch: int) -> None:
     assert (counts.reordered, counts.missing) == (0, 0)
 
 
-def test_losses_are_counted_as_they_were() -> None:
+def test_lost_samples_are_counted_exactly() -> None:
     faults = BoardFaults(drop_frame_every=50, duplicate_frame_every=70)
     desk = Desk(faults=faults)
     desk.run(10.0)
@@ -362,7 +362,7 @@ def test_losses_are_counted_as_they_were() -> None:
     assert desk.link.counts.reordered == 0
 
 
-def test_neighbours_that_changed_places_are_counted() -> None:
+def test_swapped_samples_are_counted() -> None:
     desk = Desk(faults=BoardFaults(swap_frames_every=40))
     desk.run(10.0)
     steps = np.diff(desk.sequences())
@@ -389,10 +389,10 @@ class Lagging:
         return chunk
 
 
-def test_what_waits_to_be_handed_out_is_no_silence() -> None:
+def test_buffered_chunks_are_not_silence() -> None:
     desk = Desk(wrap=lambda hub: Lagging(hub, 30.0))  # type: ignore[arg-type,return-value]
     desk.pump.run_until(at_ns(40.0))
-    assert desk.link.known
+    assert desk.link.is_known
     assert (desk.link.counts.silences, desk.link.counts.reopened) == (0, 0)
     desk.assert_other_is_whole()
 
@@ -415,7 +415,7 @@ class Late:
         return chunk._replace(late_ns=1_200_000_000)
 
 
-def test_stamps_that_are_late_are_told_once() -> None:
+def test_late_timestamps_are_reported_once() -> None:
     desk = Desk(wrap=lambda hub: Late(hub, 5.0))  # type: ignore[arg-type,return-value]
     told: list[tuple[str, int, int]] = []
     desk.pump.on_stall = lambda *stall: told.append(stall)
@@ -428,7 +428,7 @@ def test_stamps_that_are_late_are_told_once() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_whatever_befalls_a_board_no_sample_gets_a_wrong_time(seed: int) -> None:
+def test_no_fault_gives_a_sample_a_wrong_time(seed: int) -> None:
     """Pulled, reset, damaged and silent at random: late at worst, and the other board whole."""
     rng = random.Random(seed)
     pulls = [(at_s, rng.choice([0.002, 0.3, 2.0])) for at_s in np.arange(rng.uniform(0, 5), 17, 5)]
@@ -446,7 +446,7 @@ def test_whatever_befalls_a_board_no_sample_gets_a_wrong_time(seed: int) -> None
 
     desk = Desk(faults=faults, prepare=prepare)
     desk.run(21.0)
-    assert desk.link.known
+    assert desk.link.is_known
     assert len(desk.samples["A"]) > 700
     clock = desk.rig.boards["A"].clock
     late_us = [

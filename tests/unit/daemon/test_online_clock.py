@@ -1,4 +1,4 @@
-"""The online map against device clocks whose truth is known."""
+"""The online clock map, tested against device clocks whose truth is known."""
 
 import math
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gyrorig_daemon.clocks import OnlineClock, Unwrapper
+from gyrorig_daemon.clocks import CounterUnwrapper, OnlineClock
 
 ODR_HZ = 104.3  # not the nominal 100: a rate must never serve as a clock
 
@@ -51,7 +51,7 @@ def test_map_is_good_to_microseconds(skew: float, start_ticks: int) -> None:
     assert clock.report().skew_ppm == pytest.approx(-skew * 1e6, abs=2.0)
 
 
-def test_before_the_first_window_arrivals_stand_in() -> None:
+def test_arrival_times_are_used_before_the_first_window() -> None:
     clock = OnlineClock(1e6, 32)
     assert clock.observe(1_000, 5_000_000, 0, 0) == 5_000_000
     assert not clock.report().mapped
@@ -78,7 +78,7 @@ def test_late_windows_do_not_move_the_map() -> None:
     assert abs(after - before) < 20e-6
 
 
-def test_a_floor_that_falls_is_an_alarm() -> None:
+def test_a_decreasing_minimum_latency_is_an_alarm() -> None:
     clock = OnlineClock(1e6, 32)
     for sequence, (true_s, ticks, arrival_ns) in enumerate(arrivals(5, 60.0, 5e-6, 100e-6)):
         step_ns = 30_000_000 if true_s < 30.0 else 0
@@ -88,7 +88,7 @@ def test_a_floor_that_falls_is_an_alarm() -> None:
 
 
 @pytest.mark.parametrize("boot_ticks", [0, 40_000_000, 3_000_000_000])
-def test_a_restart_begins_a_new_count(boot_ticks: int) -> None:
+def test_a_restart_starts_a_new_count(boot_ticks: int) -> None:
     clock = OnlineClock(1e6, 32)
     for sequence, (_, ticks, arrival_ns) in enumerate(arrivals(5, 30.0, 5e-6, 100e-6, boot_ticks)):
         clock.observe(ticks, arrival_ns, 0, sequence & 0xFFFF)
@@ -98,8 +98,8 @@ def test_a_restart_begins_a_new_count(boot_ticks: int) -> None:
     assert abs(mapped_ns - arrival_ns - 31_000_000_000) < 5_000_000
 
 
-def test_a_gap_of_hours_is_no_restart() -> None:
-    unwrap = Unwrapper(1e6, 32)
+def test_a_gap_of_hours_is_not_a_restart() -> None:
+    unwrap = CounterUnwrapper(1e6, 32)
     hours_s = 3 * 3600.0
     for at in range(500):
         unwrap.feed(at * 10_000, at * 10_000_000, at & 0xFFFF)
@@ -109,8 +109,8 @@ def test_a_gap_of_hours_is_no_restart() -> None:
     assert after.ticks == ticks
 
 
-def test_two_frames_swapped_are_no_restart() -> None:
-    unwrap = Unwrapper(1e6, 32)
+def test_swapped_frames_are_not_a_restart() -> None:
+    unwrap = CounterUnwrapper(1e6, 32)
     for at in (*range(100), 101, 100, 102):
         assert unwrap.feed(at * 10_000, at * 10_000_000, at).restarted == (at == 0)
 
@@ -120,7 +120,9 @@ def test_two_frames_swapped_are_no_restart() -> None:
     stamps=st.lists(st.tuples(st.integers(0, 2**64 - 1), st.integers(0, 2**40)), max_size=50),
     sequences=st.lists(st.integers(0, 2**16 - 1), max_size=50),
 )
-def test_no_stamps_raise(stamps: list[tuple[int, int]], sequences: list[int]) -> None:
+def test_arbitrary_timestamps_raise_no_error(
+    stamps: list[tuple[int, int]], sequences: list[int]
+) -> None:
     clock = OnlineClock(1e6, 32)
     arrival_ns = 0
     for (ticks, wait_ns), sequence in zip(stamps, sequences, strict=False):
@@ -129,11 +131,11 @@ def test_no_stamps_raise(stamps: list[tuple[int, int]], sequences: list[int]) ->
     clock.report()
 
 
-def test_a_clock_that_stands_still_takes_no_memory() -> None:
+def test_a_stopped_clock_uses_no_memory() -> None:
     clock = OnlineClock(1e6, 32)
     for at in range(10_000):
         assert clock.observe(77, at * 10_000_000, 0, 0) <= at * 10_000_000
-    assert len(clock._floor._first) <= 4096
+    assert len(clock._floor._first_samples) <= 4096
 
 
 def test_pings_bracket_the_truth() -> None:
@@ -144,7 +146,7 @@ def test_pings_bracket_the_truth() -> None:
         if sequence % 20 == 0:
             sent_ns = round((true_s - 80e-6 - rng.exponential(1e-4)) * 1e9)
             received_ns = round((true_s + 50e-6 + rng.exponential(1e-4)) * 1e9)
-            clock.two_way(sent_ns, ticks, ticks, received_ns)
+            clock.observe_two_way(sent_ns, ticks, ticks, received_ns)
     report = clock.report()
     assert report.two_way_low_s is not None
     assert report.two_way_high_s is not None
@@ -153,7 +155,7 @@ def test_pings_bracket_the_truth() -> None:
     assert report.two_way_high_s >= -50e-6 - 20e-6
 
 
-def test_a_stamp_of_a_sending_bounds_the_clock_from_above() -> None:
+def test_a_send_timestamp_bounds_the_clock_from_above() -> None:
     """The device reads 1 s; frames take 3 ms, pings 2 ms each way, the stamp of a sending 1 ms."""
     tick_hz, begin_ns = 1e6, 10_000_000_000
     reports = []
@@ -163,9 +165,9 @@ def test_a_stamp_of_a_sending_bounds_the_clock_from_above() -> None:
             ticks, now_ns = 10_000 * number, begin_ns + 10_000_000 * number
             clock.observe(ticks, now_ns + 3_000_000, 0, number)
             if number % 20 == 10:
-                clock.two_way(now_ns - 2_000_000, ticks, ticks, now_ns + 2_000_000)
+                clock.observe_two_way(now_ns - 2_000_000, ticks, ticks, now_ns + 2_000_000)
                 if with_sendings:
-                    clock.one_way(ticks + 5_000, now_ns + 5_000_000 + 1_000_000)
+                    clock.observe_one_way(ticks + 5_000, now_ns + 5_000_000 + 1_000_000)
         reports.append(clock.report())
     highs = [report.two_way_high_s for report in reports]
     lows = [report.two_way_low_s for report in reports]

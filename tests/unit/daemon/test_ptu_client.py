@@ -1,4 +1,4 @@
-"""The client against a unit that is scripted: every way in which an answer can go wrong."""
+"""The client of the pan-tilt unit, tested against a scripted unit with faulty replies."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -7,21 +7,21 @@ from types import MappingProxyType
 import pytest
 
 from gyrorig_daemon.config import PTU_PORT, PtuPort
-from gyrorig_daemon.links.hub import Chunk, PortChange, WriteStamp
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, WriteTimes
 from gyrorig_daemon.links.pump import Pump, StopFlag, StopRequestedError
 from gyrorig_daemon.motion import (
     Exchange,
     Homing,
-    Poller,
+    PositionPoller,
     PtuClient,
     Unit,
     identify_unit,
     open_unit,
 )
 from gyrorig_protocol.errors import DeviceError, UsageError
-from gyrorig_protocol.program import UnitSettings
-from gyrorig_protocol.ptu import Axis, Quantity, query
-from gyrorig_protocol.ptu.commands import HALT, QUERY_VERSION
+from gyrorig_protocol.program import PtuSettings
+from gyrorig_protocol.ptu import Axis, Quantity, query_quantity
+from gyrorig_protocol.ptu.ptu_commands import HALT_BOTH_AXES, QUERY_VERSION
 
 MS = 1_000_000
 Answers = Callable[[str], bytes | None]
@@ -41,7 +41,7 @@ class ScriptedHub:
     def now_ns(self) -> int:
         return self._now_ns
 
-    def write(self, port: str, data: bytes) -> WriteStamp:
+    def write(self, port: str, data: bytes) -> WriteTimes:
         before_ns = self._now_ns
         self._now_ns += MS // 10
         for command in data.decode().split():
@@ -54,7 +54,7 @@ class ScriptedHub:
                 due_ns = self._now_ns + 5 * MS + round(delay_s * 1e9)
                 last_ns = self._due[-1].received_ns if self._due else 0  # one after the other
                 self._due.append(Chunk(port, max(due_ns, last_ns), answer, change))
-        return WriteStamp(before_ns, self._now_ns)
+        return WriteTimes(before_ns, self._now_ns)
 
     def read(self, deadline_ns: int) -> Chunk | None:
         if self._due and self._due[0].received_ns <= deadline_ns:
@@ -114,17 +114,19 @@ class ScriptedUnit:
 def client_for(answers: Answers) -> tuple[PtuClient, ScriptedHub, list[Exchange]]:
     hub = ScriptedHub(answers)
     seen: list[Exchange] = []
-    client = PtuClient(Pump(hub), PTU_PORT, where="/dev/unit", baud=9600, on_exchange=seen.append)
+    client = PtuClient(
+        Pump(hub), PTU_PORT, location="/dev/unit", baud=9600, on_exchange=seen.append
+    )
     return client, hub, seen
 
 
-def made_ready(client: PtuClient, settings: UnitSettings, *, homing: Homing = Homing.NEVER) -> Unit:
+def made_ready(client: PtuClient, settings: PtuSettings, *, homing: Homing = Homing.NEVER) -> Unit:
     return open_unit(client, PtuPort("x"), settings, identify_unit(client), homing)
 
 
-def test_a_unit_is_known_before_it_is_told_anything() -> None:
+def test_a_unit_is_identified_before_any_command() -> None:
     client, hub, seen = client_for(ScriptedUnit())
-    unit = made_ready(client, UnitSettings())
+    unit = made_ready(client, PtuSettings())
     assert hub.heard[:2] == ["V", "H"]
     assert unit.facts.dialect == "d46"
     assert unit.facts.metadata()["pan_max_steps"] == "3090"
@@ -138,7 +140,7 @@ def test_a_unit_is_known_before_it_is_told_anything() -> None:
 def test_settings_are_set_and_read_back() -> None:
     unit = ScriptedUnit()
     client, hub, _ = client_for(unit)
-    settings = UnitSettings(base_speed_deg_s=3.0, acceleration_deg_s2=200.0)
+    settings = PtuSettings(base_speed_deg_s=3.0, acceleration_deg_s2=200.0)
     facts = made_ready(client, settings).facts
     assert (facts.pan.base_speed, facts.tilt.acceleration) == (58, 3889)
     assert hub.heard.count("PB58") == 1
@@ -147,7 +149,7 @@ def test_settings_are_set_and_read_back() -> None:
 def test_an_unhomed_unit_needs_consent() -> None:
     client, hub, _ = client_for(ScriptedUnit(homed=False))
     with pytest.raises(UsageError, match="--home"):
-        made_ready(client, UnitSettings())
+        made_ready(client, PtuSettings())
     assert "R" not in hub.heard
 
 
@@ -155,98 +157,96 @@ def test_an_unhomed_unit_needs_consent() -> None:
     ("homed", "homing", "sweeps"),
     [(True, Homing.IF_NEEDED, 0), (True, Homing.ALWAYS, 1), (False, Homing.ALWAYS, 1)],
 )
-def test_a_unit_that_believes_in_its_zero_can_be_homed(
-    homed: bool, homing: Homing, sweeps: int
-) -> None:
+def test_a_homed_unit_can_be_homed_again(homed: bool, homing: Homing, sweeps: int) -> None:
     client, hub, _ = client_for(ScriptedUnit(homed=homed))
-    made_ready(client, UnitSettings(), homing=homing)
+    made_ready(client, PtuSettings(), homing=homing)
     assert hub.heard.count("R") == sweeps
 
 
-def test_homing_flags_are_no_loss_of_synchrony() -> None:
+def test_limit_flags_during_homing_are_not_a_loss_of_synchrony() -> None:
     client, hub, _ = client_for(ScriptedUnit(homed=False))
-    unit = made_ready(client, UnitSettings(), homing=Homing.IF_NEEDED)
+    unit = made_ready(client, PtuSettings(), homing=Homing.IF_NEEDED)
     assert hub.heard.count("R") == 1
     assert unit.facts.pan.max_steps == 3090
     assert client.lost_synchrony is None
     assert client.counts.limit_flags == 4
 
 
-def test_a_silent_port_is_said_to_be_silent() -> None:
+def test_a_silent_port_is_reported() -> None:
     client, hub, _ = client_for(lambda _: None)
     with pytest.raises(DeviceError, match="no pan-tilt unit answers on /dev/unit at 9600"):
-        made_ready(client, UnitSettings(), homing=Homing.IF_NEEDED)
+        made_ready(client, PtuSettings(), homing=Homing.IF_NEEDED)
     assert set(hub.heard) == {"V"}
 
 
 @pytest.mark.parametrize("noise", [b"OK\r\n", b"* \r\n", b"\x00\x05\x80\x81\x00" * 20, b"ready\n"])
-def test_what_is_no_unit_is_not_moved(noise: bytes) -> None:
+def test_another_device_is_not_moved(noise: bytes) -> None:
     client, hub, _ = client_for(lambda _: noise)
-    with pytest.raises(DeviceError, match="is no pan-tilt unit"):
-        made_ready(client, UnitSettings(), homing=Homing.IF_NEEDED)
+    with pytest.raises(DeviceError, match="is not a pan-tilt unit"):
+        made_ready(client, PtuSettings(), homing=Homing.IF_NEEDED)
     assert set(hub.heard) == {"V"}
 
 
-def test_a_refused_setting_is_told_with_the_units_words() -> None:
+def test_a_refused_setting_is_reported_with_the_units_reply() -> None:
     unit = ScriptedUnit()
     unit.odd["PA3889"] = b"! Pan acceleration cannot exceed 3000 positions/sec^2\r\n"
     client, _, _ = client_for(unit)
     with pytest.raises(UsageError, match=r"pan acceleration of 200 deg.*cannot exceed 3000"):
-        made_ready(client, UnitSettings(acceleration_deg_s2=200.0))
+        made_ready(client, PtuSettings(acceleration_deg_s2=200.0))
 
 
-def test_a_digit_lost_on_the_line_does_not_become_a_fact() -> None:
+def test_a_lost_digit_does_not_become_a_value() -> None:
     unit = ScriptedUnit()
     cut = {"PR": iter([b"* 18.142857\r\n"]), "TU": iter([b"* 290\r\n", b"* 2902\r\n", b"* 92\r\n"])}
     client, _, _ = client_for(lambda c: next(cut.get(c, iter(())), None) or unit(c))
-    facts = made_ready(client, UnitSettings()).facts
+    facts = made_ready(client, PtuSettings()).facts
     assert (facts.pan.resolution_arcsec, facts.tilt.upper_speed) == (185.142857, 2902)
 
 
-def test_a_fact_that_is_never_said_twice_is_none() -> None:
+def test_a_value_that_is_never_confirmed_is_an_error() -> None:
     unit, numbers = ScriptedUnit(), iter(range(100))
     client, _, _ = client_for(lambda c: b"* %d\r\n" % next(numbers) if c == "PX" else unit(c))
     with pytest.raises(DeviceError, match="'PX' differently each time"):
-        made_ready(client, UnitSettings())
+        made_ready(client, PtuSettings())
 
 
-def test_what_only_echoes_may_be_a_unit_that_homes() -> None:
+def test_an_echoing_device_may_be_a_homing_unit() -> None:
     client, hub, _ = client_for(lambda c: c.encode() + b" ")
-    with pytest.raises(DeviceError, match=r"only sends back .* wait until it stands"):
-        made_ready(client, UnitSettings(), homing=Homing.IF_NEEDED)
+    with pytest.raises(DeviceError, match=r"only echoes .* [Ww]ait until it stops"):
+        made_ready(client, PtuSettings(), homing=Homing.IF_NEEDED)
     assert set(hub.heard) == {"V"}
 
 
-def test_a_lost_answer_costs_one_timeout_and_is_asked_again() -> None:
+def test_a_lost_reply_is_requested_again_after_a_timeout() -> None:
     unit = ScriptedUnit()
     lost = iter([None, b"* 5\r\n"])
     client, hub, seen = client_for(lambda c: next(lost) if c == "PP" else unit(c))
-    reply = client.ask(query(Axis.PAN, Quantity.POSITION))
+    reply = client.ask(query_quantity(Axis.PAN, Quantity.POSITION))
     assert reply.text == "5"
     assert client.counts.timeouts == 1
     assert [exchange.reply is None for exchange in seen] == [True, False, False]
     assert hub.heard == ["PP", "V", "PP"]
 
 
-def test_three_silences_are_an_error() -> None:
+def test_three_missing_replies_are_an_error() -> None:
     client, _, _ = client_for(lambda _: None)
     with pytest.raises(DeviceError, match="does not answer 'PP'"):
-        client.ask(query(Axis.PAN, Quantity.POSITION))
+        client.ask(query_quantity(Axis.PAN, Quantity.POSITION))
 
 
-def test_garbage_is_counted_and_asked_again() -> None:
+def test_an_invalid_reply_is_counted_and_requested_again() -> None:
     answers, unit = iter([b"\xff\xfe!!\r\n", b"* 7\r\n"]), ScriptedUnit()
     client, _, _ = client_for(lambda c: next(answers) if c == "PP" else unit(c))
-    assert client.ask(query(Axis.PAN, Quantity.POSITION)).text == "7"
+    assert client.ask(query_quantity(Axis.PAN, Quantity.POSITION)).text == "7"
     assert client.counts.garbled == 1
 
 
 def test_a_limit_flag_in_a_poll_is_lost_synchrony() -> None:
     unit = ScriptedUnit()
     client, _, _ = client_for(unit)
-    found = made_ready(client, UnitSettings())
-    poller = Poller(found, None, lambda _: None)
-    assert poller.where() == {Axis.PAN: 0, Axis.TILT: 0}
+    found = made_ready(client, PtuSettings())
+    poller = PositionPoller(found, None, lambda _: None)
+    assert poller.read_positions() == {Axis.PAN: 0, Axis.TILT: 0}
     unit.odd["PP"] = b"!P* 100\r\n"
     unit.odd["TP"] = b"!P* 100\r\n"
     with pytest.raises(DeviceError, match="pan axis met its limit"):
@@ -255,9 +255,9 @@ def test_a_limit_flag_in_a_poll_is_lost_synchrony() -> None:
 
 def test_a_d46_is_asked_ten_times_a_second_for_its_axes_in_turn() -> None:
     client, hub, seen = client_for(ScriptedUnit())
-    found = made_ready(client, UnitSettings())
-    poller = Poller(found, None, lambda _: None)
-    poller.where()
+    found = made_ready(client, PtuSettings())
+    poller = PositionPoller(found, None, lambda _: None)
+    poller.read_positions()
     del hub.heard[:]
     begin_ns, known = hub.now_ns(), len(seen)
     while hub.now_ns() < begin_ns + 2000 * MS:
@@ -267,27 +267,27 @@ def test_a_d46_is_asked_ten_times_a_second_for_its_axes_in_turn() -> None:
     assert len(seen) == known  # polls are positions, not commands
 
 
-def test_a_stop_is_heard_between_chunks() -> None:
+def test_a_stop_is_noticed_between_chunks() -> None:
     hub, stop = ScriptedHub(lambda _: None), StopFlag()
     pump = Pump(hub, stop)
-    client = PtuClient(pump, PTU_PORT, where="x", baud=9600, on_exchange=lambda _: None)
+    client = PtuClient(pump, PTU_PORT, location="x", baud=9600, on_exchange=lambda _: None)
     stop.request("SIGTERM")
     with pytest.raises(StopRequestedError, match="SIGTERM"):
         client.exchange(QUERY_VERSION)
     pump.ignore_stop()
-    assert client.exchange(HALT).reply is None
+    assert client.exchange(HALT_BOTH_AXES).reply is None
 
 
-def test_a_hang_up_is_named() -> None:
+def test_an_unplugged_port_is_reported() -> None:
     client, _, _ = client_for(lambda _: b"")
-    with pytest.raises(DeviceError, match=r"/dev/unit .*hung up"):
+    with pytest.raises(DeviceError, match=r"/dev/unit .*unplugged"):
         client.ask(QUERY_VERSION)
 
 
-PAN = query(Axis.PAN, Quantity.POSITION)
+PAN = query_quantity(Axis.PAN, Quantity.POSITION)
 
 
-def test_a_late_answer_is_not_taken_for_the_next_command() -> None:
+def test_a_late_reply_is_not_matched_with_the_next_command() -> None:
     unit = ScriptedUnit()
     client, hub, _ = client_for(unit)
     unit.values["PP"] = 5
@@ -301,7 +301,7 @@ def test_a_late_answer_is_not_taken_for_the_next_command() -> None:
 
 
 @pytest.mark.parametrize("late_s", [1.05, 1.2, 2.5])
-def test_a_halt_is_not_given_up_because_of_a_late_answer(late_s: float) -> None:
+def test_a_late_reply_does_not_prevent_a_halt(late_s: float) -> None:
     unit = ScriptedUnit()
     client, hub, _ = client_for(unit)
     identify_unit(client)
@@ -323,7 +323,7 @@ def test_a_unit_that_is_always_slow_is_halted_and_asked(slow_s: float) -> None:
     assert client.ask(PAN).text == "0"
 
 
-def test_an_answer_that_does_not_fit_is_asked_for_again() -> None:
+def test_a_reply_that_does_not_fit_is_requested_again() -> None:
     unit = ScriptedUnit()
     odd = iter([b"* P(0,0) S(0,0) 1501459901\r\n"])
     client, hub, _ = client_for(lambda c: next(odd, None) or unit(c) if c == "H" else unit(c))
@@ -331,11 +331,11 @@ def test_an_answer_that_does_not_fit_is_asked_for_again() -> None:
     assert hub.heard == ["H", "H", "V", "H"]
 
 
-def test_a_silence_in_motion_is_noticed_in_seconds() -> None:
+def test_a_silent_unit_in_motion_is_noticed_within_seconds() -> None:
     unit = ScriptedUnit()
     client, hub, _ = client_for(unit)
-    poller = Poller(made_ready(client, UnitSettings()), None, lambda _: None)
-    poller.where()
+    poller = PositionPoller(made_ready(client, PtuSettings()), None, lambda _: None)
+    poller.read_positions()
     begin_ns = hub.now_ns()
     hub._answers = lambda _: None
 

@@ -1,4 +1,4 @@
-"""The queue in front of the writer: order, what comes too early, and a disk that fails."""
+"""The queue in front of the writer: order, early messages, and a disk that fails."""
 
 import errno
 import itertools
@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from gyrorig_daemon.recorder import Recorder, RecordingPlan
 from gyrorig_protocol.errors import MachineError
-from gyrorig_protocol.recording.disk_file import DiskFile
+from gyrorig_protocol.recording.mcap.disk_file import DiskFile
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
@@ -26,25 +26,23 @@ def event(at: int) -> SessionEvent:
 
 
 @pytest.mark.parametrize("threaded", [False, True])
-def test_held_messages_come_first_and_early_ones_are_forgotten(
+def test_held_messages_are_written_first_and_early_ones_discarded(
     tmp_path: Path, threaded: bool
 ) -> None:
     recorder = Recorder(threaded)
     recorder.put(TOPIC, event(1), 1)
-    recorder.hold(TOPIC, event(2), 2)
+    recorder.put_or_hold(TOPIC, event(2), 2)
     recorder.open(RecordingPlan(tmp_path / "a.mcap", METADATA, ()))
     for at in range(3, 500):
         recorder.put(TOPIC, event(at), at)
     path = recorder.close()
     texts = [m.text for m in read_recording(path).messages(TOPIC) if isinstance(m, SessionEvent)]
     assert texts == [f"note {at}" for at in range(2, 500)]
-    assert recorder.dropped == 0
+    assert recorder.counts.lost == 0
 
 
-def test_what_finds_the_queue_full_leaves_a_gap(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("gyrorig_daemon.recorder.recorder.QUEUE_LIMIT", 3)
+def test_a_full_queue_leaves_a_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gyrorig_daemon.recorder.recorder.MAX_QUEUED_MESSAGES", 3)
     stuck, write = threading.Event(), RecordingWriter.write_encoded
 
     def slow(*arguments: Any, **named: Any) -> None:
@@ -60,7 +58,7 @@ def test_what_finds_the_queue_full_leaves_a_gap(
     taken.acquire()  # the writer has it, and is stuck: three more fit
     for at in range(1, 9):
         recorder.put(TOPIC, event(at), at)
-    assert recorder.dropped == 5
+    assert recorder.counts.lost == 5
     stuck.set()
     for _ in range(3):
         taken.acquire()  # the queue is empty again
@@ -92,7 +90,7 @@ def failing_after(count: int, code: int) -> Callable[[DiskFile, bytes], int]:
 
 @pytest.mark.parametrize("threaded", [False, True])
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EIO])
-def test_a_failing_disk_is_told_to_the_session(
+def test_a_disk_error_reaches_the_session(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, threaded: bool
 ) -> None:
     recorder = Recorder(threaded)

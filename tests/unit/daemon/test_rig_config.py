@@ -1,4 +1,4 @@
-"""Rig configurations: what is taken, and what is refused with a place."""
+"""Rig configurations: what is valid, and errors that name the place."""
 
 import re
 from pathlib import Path
@@ -20,7 +20,7 @@ boards:
 ONE = "- {id: A-1, port: emulated}"
 
 
-def test_the_shipped_files_are_taken() -> None:
+def test_the_shipped_files_are_valid() -> None:
     assert load_rig(ROOT / "config" / "rig.yaml").is_emulated
     assert not load_rig(ROOT / "config" / "rig-raspberrypi.yaml").is_emulated
     for path in (ROOT / "config" / "programs").glob("*.yaml"):
@@ -47,7 +47,7 @@ def test_defaults() -> None:
     [
         (("baud: 115200", "bauds: 115200"), "bauds"),
         (("baud: 115200", "baud: '115200'"), "ptu: baud is the text '115200'"),
-        (("baud: 115200", "baud: 115201"), "ptu: baud is 115201: give one of 600, 1200,"),
+        (("baud: 115200", "baud: 115201"), "ptu: baud is 115201. Give one of 600, 1200,"),
         (("baud: 115200", "pan_sign: 0"), "pan_sign"),
         (("rig: desk", "rig: ../../etc"), "board name"),
         (("id: A-1", "id: ../x"), "board name"),
@@ -64,11 +64,11 @@ def test_defaults() -> None:
         (("boards:", "boards: []\nboard:"), "board"),
         (("rig: desk", "rig: [desk"), "YAML"),
         (("baud: 115200", "limits: {pan_min_deg: 3.0, pan_max_deg: 1.0}"), "pan_min_deg"),
-        ((ONE, "- {id: A, port: x}\n  - {id: A, port: y}"), "names board A twice"),
-        ((ONE, "- {id: A, port: x}\n  - {id: B, port: x}"), "names port x twice"),
+        ((ONE, "- {id: A, port: x}\n  - {id: A, port: y}"), "contains board A twice"),
+        ((ONE, "- {id: A, port: x}\n  - {id: B, port: x}"), "contains port x twice"),
     ],
 )
-def test_what_is_wrong_is_named(change: tuple[str, str], word: str) -> None:
+def test_errors_name_the_key(change: tuple[str, str], word: str) -> None:
     text = GOOD.replace(*change)
     assert text != GOOD
     with pytest.raises(UsageError, match=r"rig\.yaml") as caught:

@@ -1,4 +1,4 @@
-"""Whole sessions under simulated time: what is recorded, and every way to fail."""
+"""Whole sessions in simulated time: what is recorded, and every way to fail."""
 
 import os
 import subprocess
@@ -11,16 +11,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import RigConfig, parse_rig
-from gyrorig_daemon.description import SessionOrder
-from gyrorig_daemon.emulated import rig_settings
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, PtuFaults, RigSettings
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import (
+    BoardFaults,
+    BoardSettings,
+    PtuFaults,
+    RigSettings,
+)
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
-from gyrorig_daemon.links.hub import Chunk, PortChange
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import StopFlag, StopRequestedError
-from gyrorig_daemon.session import Surroundings, record_session
+from gyrorig_daemon.session.emulator_process import emulated_rig_settings
+from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session_description import SessionRequest
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, UsageError
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.messages import PtuCommandRecord, SessionEvent
@@ -58,7 +63,7 @@ class Bench:
 
     def __init__(self, folder: Path, rig_text: str = RIG, change: Change | None = None) -> None:
         self.config: RigConfig = parse_rig(rig_text, "rig.yaml")
-        settings = rig_settings(self.config, 3)
+        settings = emulated_rig_settings(self.config, 3)
         self.rig = EmulatedRig(change(settings) if change else settings, ORIGIN_NS)
         self.hub = VirtualHub(self.rig)
         self.folder = folder
@@ -66,7 +71,7 @@ class Bench:
         self.stop_at_s: float | None = None
 
     def record(self, program: str = PROGRAM, **options: bool) -> Path:
-        order = SessionOrder(
+        order = SessionRequest(
             config=self.config,
             config_text=RIG.encode(),
             program=parse_program(program, "program.yaml"),
@@ -83,7 +88,7 @@ class Bench:
                 self.stop.request("SIGTERM")
             return HostClocks(now_ns, now_ns, capture.utc_ns(now_ns), 0.0, 0.0, 0)
 
-        around = Surroundings(capture, read_host, False, "host", stop=self.stop)
+        around = SessionEnvironment(capture, read_host, False, "host", stop=self.stop)
         return record_session(self.hub, order, around)
 
     def only_file(self) -> Path:
@@ -117,7 +122,7 @@ def test_a_recording_keeps_the_contract(tmp_path: Path, contract_judge: Path) ->
 
 def test_what_is_in_a_recording(tmp_path: Path) -> None:
     recording = read_recording(Bench(tmp_path).record())
-    assert recording.complete
+    assert recording.is_complete
     assert {a.name for a in recording.attachments} >= {
         "rig.yaml",
         "program.yaml",
@@ -191,7 +196,7 @@ def test_a_program_outside_the_limits_never_moves(tmp_path: Path, step: str, wor
     assert bench.rig.stage.pan.angles_rad(now_s, 0.1, 1)[0] == 0.0
 
 
-def test_the_rigs_own_limits_hold(tmp_path: Path) -> None:
+def test_the_limits_of_the_rig_apply(tmp_path: Path) -> None:
     text = RIG.replace("baud: 115200}", "baud: 115200, limits: {pan_max_deg: 15.0}}")
     with pytest.raises(UsageError, match=r"limits are -158\.91 to 15\.00 deg"):
         Bench(tmp_path, text).record()
@@ -232,20 +237,20 @@ def board_with(**faults: object) -> Change:
         (board_with(garbage=True), "board B-1 on emulated sends no gcb1 samples"),
     ],
 )
-def test_devices_that_do_not_speak(tmp_path: Path, change: Change, words: str) -> None:
+def test_silent_devices(tmp_path: Path, change: Change, words: str) -> None:
     with pytest.raises(DeviceError, match=words):
         Bench(tmp_path, change=change).record()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_unit_with_a_bad_line_is_lived_with(tmp_path: Path) -> None:
+def test_a_bad_line_to_the_unit_is_tolerated(tmp_path: Path) -> None:
     change = ptu_with(lose_byte_every=37, garbage_every=101)
     recording = read_recording(Bench(tmp_path, change=change).record())
     assert recording.array(POSITION)[-1]["pan_steps"] == 0
     assert any(c.code == 2 for c in commands(recording))
 
 
-def test_a_board_with_a_bad_line_is_lived_with(tmp_path: Path) -> None:
+def test_a_bad_line_to_a_board_is_tolerated(tmp_path: Path) -> None:
     change = board_with(
         drop_frame_every=50, duplicate_frame_every=70, flip_bit_every=90, garbage_every=110
     )
@@ -253,7 +258,7 @@ def test_a_board_with_a_bad_line_is_lived_with(tmp_path: Path) -> None:
     assert len(recording.array(IMU)) > 400
 
 
-def test_a_board_that_reboots_begins_a_new_clock(tmp_path: Path) -> None:
+def test_a_board_that_reboots_starts_a_new_clock(tmp_path: Path) -> None:
     recording = read_recording(Bench(tmp_path, change=board_with(reset_at_s=(3.0,))).record())
     assert any("restarted" in event.text for event in events(recording) if event.kind == 3)
     rows = recording.array(IMU)
@@ -301,7 +306,7 @@ def test_a_board_that_sends_batches(tmp_path: Path) -> None:
     assert steps.max() < 1.02 * np.median(steps)
 
 
-def test_a_board_that_falls_silent_is_noted(tmp_path: Path) -> None:
+def test_a_silent_board_is_recorded_as_a_fault(tmp_path: Path) -> None:
     change = board_with(reset_at_s=(2.0,), reset_silence_s=3.0)
     recording = read_recording(Bench(tmp_path, change=change).record(PROGRAM + HOLD))
     faults = [event.text for event in events(recording) if event.kind == 3]
@@ -309,7 +314,7 @@ def test_a_board_that_falls_silent_is_noted(tmp_path: Path) -> None:
     assert any("sends samples again" in event.text for event in events(recording))
 
 
-def test_a_board_that_takes_no_questions_is_recorded_without(tmp_path: Path) -> None:
+def test_a_board_that_takes_no_requests_is_recorded(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     write = bench.hub.write
 
@@ -321,7 +326,9 @@ def test_a_board_that_takes_no_questions_is_recorded_without(tmp_path: Path) -> 
     bench.hub.write = stuck  # type: ignore[method-assign,assignment]
     recording = read_recording(bench.record())
     told = [event.text for event in events(recording) if event.kind == 3]
-    assert told == ["board:B-1 cannot be written: it does not take bytes; it is asked no more"]
+    assert told == [
+        "board:B-1 cannot be written: it does not take bytes. No requests are sent for 60 s"
+    ]
     last_ns = int(recording.array(POSITION)["log_time"][-1])
     assert last_ns - int(recording.array(IMU)["log_time"][-1]) < 200_000_000
 
@@ -343,7 +350,7 @@ class Scripted(VirtualHub):
             return chunk
         data, self._data = self._data, None
         if not data:
-            return chunk._replace(data=b"", change=PortChange.GONE, text="it hung up")
+            return chunk._replace(data=b"", change=PortChange.GONE, text="it was unplugged")
         return chunk._replace(data=data + chunk.data)
 
 
@@ -357,34 +364,34 @@ def failing(tmp_path: Path, at_s: float, data: bytes, port: str = "ptu") -> tupl
 
 def test_a_limit_flag_in_motion_ends_it_halted(tmp_path: Path) -> None:
     bench, told = failing(tmp_path, 3.3, b"!P")
-    assert "the unit no longer knows where it stands: its pan axis met its limit" in told
-    assert "the unit is halted" in told
+    assert "the unit has lost its position, its pan axis met its limit" in told
+    assert "unit is halted" in told
     assert str(bench.only_file()) in told
     assert bench.is_still()
     recording = read_recording(bench.only_file())
-    assert recording.complete
+    assert recording.is_complete
     assert any("met its limit" in event.text for event in events(recording))
     assert any(command.code == 3 for command in commands(recording))
     assert recording.array(POSITION)["status"][-1] == 7
 
 
-def test_a_unit_that_restarts_ends_it(tmp_path: Path) -> None:
+def test_a_restart_of_the_unit_ends_the_program(tmp_path: Path) -> None:
     banner = b"\r\n### PAN-TILT CONTROLLER v2.12, FLIR, ALL RIGHTS RESERVED\r\n"
     bench, told = failing(tmp_path, 3.3, banner)
     assert "it has restarted" in told
-    assert read_recording(bench.only_file()).complete
+    assert read_recording(bench.only_file()).is_complete
 
 
-def test_a_unit_that_hangs_up_leaves_a_readable_file(tmp_path: Path) -> None:
+def test_an_unplugged_unit_leaves_a_readable_file(tmp_path: Path) -> None:
     bench, told = failing(tmp_path, 3.3, b"")
-    assert "hung up" in told
-    assert "could not be seen to halt" in told
-    assert read_recording(bench.only_file()).complete
+    assert "unplugged" in told
+    assert "was not confirmed" in told
+    assert read_recording(bench.only_file()).is_complete
 
 
-def test_a_board_that_hangs_up_does_not_end_the_program(tmp_path: Path) -> None:
+def test_an_unplugged_board_does_not_end_the_program(tmp_path: Path) -> None:
     bench, told = failing(tmp_path, 3.3, b"", "board:B-1")
-    assert "without board B-1" in told
+    assert "the link to board B-1" in told
     recording = read_recording(bench.only_file())
     assert [e.phase for e in events(recording)][-1] == "program"
 
@@ -395,13 +402,13 @@ def test_a_stop_in_motion_halts_and_closes(tmp_path: Path) -> None:
     program = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 20.0}\n"
     with pytest.raises(StopRequestedError, match="SIGTERM") as caught:
         bench.record(program)
-    assert "the unit is halted" in str(caught.value)
+    assert "unit is halted" in str(caught.value)
     assert bench.is_still()
     now_s = (bench.hub.now_ns() - ORIGIN_NS) * 1e-9
     angle_deg = np.degrees(bench.rig.stage.pan.angles_rad(now_s, 0.1, 1)[0])
     assert 5.0 < angle_deg < 140.0
     recording = read_recording(bench.only_file())
-    assert recording.complete
+    assert recording.is_complete
     assert commands(recording)[-1].command == "H"
 
 
@@ -417,7 +424,7 @@ def test_a_stop_while_homing_waits_for_the_sweep_to_end(
         return write(port, data)
 
     monkeypatch.setattr(bench.hub, "write", stop_then)
-    with pytest.raises(StopRequestedError, match=r"SIGINT: the unit is halted$"):
+    with pytest.raises(StopRequestedError, match=r"SIGINT. The unit is halted"):
         bench.record(home=True)
     assert bench.is_still()
     assert list(tmp_path.iterdir()) == []
@@ -438,7 +445,7 @@ def test_an_obstacle_is_not_waited_for_forever(
     assert bench.is_still()
 
 
-def test_a_refused_move_ends_it_with_the_units_words(
+def test_a_refused_move_ends_the_program_with_the_units_reply(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = Bench(tmp_path)
@@ -472,22 +479,22 @@ def test_a_full_disk_keeps_what_was_written(tmp_path: Path) -> None:
     assert run.returncode == 1
     assert run.stderr.startswith("gyrorigd: cannot write")
     assert run.stderr.count("\n") == 1
-    assert "the unit is halted" in run.stderr
+    assert "unit is halted" in run.stderr
     (kept,) = (tmp_path / "out").iterdir()
     assert len(read_recording(kept).array(IMU)) > 100
 
 
-def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     bench = Bench(tmp_path / "file" / "deeper")
-    with pytest.raises(MachineError, match="file is no folder"):
+    with pytest.raises(MachineError, match="file is not a folder"):
         bench.record()
     assert bench.hub.now_ns() == ORIGIN_NS  # not even a question was asked
 
 
-def test_a_folder_that_takes_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_is_not_writable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)
-    with pytest.raises(MachineError, match="may not be written to"):
+    with pytest.raises(MachineError, match="is not writable"):
         Bench(tmp_path / "out" / "deeper").record()
     assert list(tmp_path.iterdir()) == []
 
@@ -507,7 +514,7 @@ def test_the_unit_is_halted_before_the_boards_are_waited_for(tmp_path: Path) -> 
     assert ("ptu", b"H ") in heard[: ports.index("board:B-1")]
 
 
-def test_a_unit_that_falls_silent_is_said_to_be_silent(
+def test_a_unit_that_becomes_silent_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = Bench(tmp_path)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover.search import STATED, belief_in
+from gyrorig_solver.discover.cause_search import CREDIBLE_SET_LEVEL, posterior_probabilities
 
 
 @pytest.mark.parametrize(("won", "sole"), [(100.0, True), (1000.0, False)])
 def test_a_rival_falls_by_more_than_forms_are_untrue(won: float, sole: bool) -> None:
-    belief = belief_in(np.array([won, won - 10.0]), won)
+    belief = posterior_probabilities(np.array([won, won - 10.0]), won)
     assert belief[0] > belief[1]
-    assert (belief[0] > STATED) == sole
+    assert (belief[0] > CREDIBLE_SET_LEVEL) == sole

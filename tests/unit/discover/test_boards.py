@@ -13,17 +13,23 @@ import pytest
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.discover.boards import explain_boards
-from gyrorig_solver.discover.gain import held_out_by
-from gyrorig_solver.discover.hypotheses import owner
-from gyrorig_solver.discover.result import Explained
-from gyrorig_solver.discover.search import search
-from gyrorig_solver.discover.together import Heard, Together, disagreement, told
-from gyrorig_solver.estimate.likelihood import Solution
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.findings.explaining import Explanation, explain_together
-from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.discover.boards.joint_explanation import explain_jointly
+from gyrorig_solver.discover.boards.joint_projector import (
+    JointProjector,
+    LocalQuadratic,
+    homogeneity_p_value,
+    prior_from_others,
+)
+from gyrorig_solver.discover.boards.scope_hypotheses import possible_owner
+from gyrorig_solver.discover.cause_findings import FitExplanation
+from gyrorig_solver.discover.cause_search import search_causes
+from gyrorig_solver.discover.held_out_gain import gain_on_recording
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.pipeline.explain_board import BoardExplanation, explain_boards
+from gyrorig_solver.pipeline.prepare_board import fit_base_model, prepare_held_out
 
 pytestmark = pytest.mark.long
 
@@ -34,7 +40,7 @@ FEW_OR_ALL = pytest.mark.parametrize(
     ("boards", "program"), [(2, "quick"), pytest.param(4, "survey-40", marks=pytest.mark.bench)]
 )
 
-Bases = Callable[..., dict[str, Solution]]
+Bases = Callable[..., dict[str, ConvergedFit]]
 
 
 @pytest.fixture(scope="module")
@@ -55,34 +61,34 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def bases(hidden: Callable[..., Any], config: Path) -> Bases:
     """Return a function that fits the base model to each board of a session."""
 
-    def fit(*hide: str, boards: int = 4, program: str = "survey-40") -> dict[str, Solution]:
+    def fit(*hide: str, boards: int = 4, program: str = "survey-40") -> dict[str, ConvergedFit]:
         session = hidden(*hide, seed=3, program=program, config=config)
-        return {name: unit_solution([session.recording], name) for name in BOARDS[:boards]}
+        return {name: fit_base_model([session.recording], name) for name in BOARDS[:boards]}
 
     return fit
 
 
 @pytest.fixture(scope="module")
-def rounded(bases: Bases) -> dict[str, Explained]:
+def rounded(bases: Bases) -> dict[str, FitExplanation]:
     """Two boards on a unit that rounds its ramps."""
-    return explain_boards(bases("s_curve:0.03", boards=2, program="quick"))
+    return explain_jointly(bases("s_curve:0.03", boards=2, program="quick"))
 
 
-def test_what_all_boards_show_is_the_units(rounded: dict[str, Explained]) -> None:
+def test_what_all_boards_show_is_the_units(rounded: dict[str, FitExplanation]) -> None:
     for explained in rounded.values():
         (named,) = explained.findings.causes
         assert named.candidates == ("s_curve",)
-        assert named.whose is not None
-        assert named.whose.whose == "unit"
-        assert (named.whose.seen_by, named.whose.boards) == (2, 2)
-        assert "the unit's: seen by 2 of 2 boards" in named.sentence
-        assert named.whose.disagreement_p is not None
-        assert named.whose.disagreement_p > 1e-4
+        assert named.attribution is not None
+        assert named.attribution.owner == "unit"
+        assert (named.attribution.detected_by, named.attribution.board_count) == (2, 2)
+        assert "a cause of the unit, detected on 2 of 2 boards" in named.sentence
+        assert named.attribution.disagreement_p is not None
+        assert named.attribution.disagreement_p > 1e-4
         for value in named.values:
             assert value.value == pytest.approx(0.03, abs=FAR * value.std)
 
 
-def test_a_units_cause_has_one_size_at_all_boards(rounded: dict[str, Explained]) -> None:
+def test_a_units_cause_has_one_size_at_all_boards(rounded: dict[str, FitExplanation]) -> None:
     sizes = [[(v.value, v.std) for v in one.findings.causes[0].values] for one in rounded.values()]
     for each in zip(*sizes, strict=True):
         values, stds = np.array(each).T
@@ -91,11 +97,12 @@ def test_a_units_cause_has_one_size_at_all_boards(rounded: dict[str, Explained])
 
 
 def test_a_shared_cause_is_worth_something_on_another_recording(
-    rounded: dict[str, Explained], hidden: Callable[..., Any], config: Path
+    rounded: dict[str, FitExplanation], hidden: Callable[..., Any], config: Path
 ) -> None:
     other = hidden("s_curve:0.03", seed=3, program="survey-40", config=config)
     for name, one in rounded.items():
-        gain = held_out_by(one.solution_base, one.solution_extended, other.recording, name)
+        held_out = prepare_held_out(other.recording, name, one.solution_extended)
+        gain = gain_on_recording(one.solution_base, one.solution_extended, held_out)
         assert gain.log_likelihood.low > 0.0
 
 
@@ -105,17 +112,17 @@ def test_boards_are_put_together_by_their_recordings(
     """A board that is not there fails for itself; the others are explained."""
     recording = hidden(seed=3, program="quick", config=config).recording
     boards = [BoardId(name) for name in (*BOARDS[:2], "nowhere")]
-    found = dict(explain_together({board: [recording] for board in boards}))
+    found = dict(explain_boards({board: [recording] for board in boards}))
     assert isinstance(found.pop(boards[2]), InputError)
     for board, one in found.items():
-        assert isinstance(one, Explanation)
+        assert isinstance(one, BoardExplanation)
         assert one.board == board
         assert one.findings.verdict == "adequate"
 
 
 @pytest.mark.parametrize("boards", [2, pytest.param(4, marks=pytest.mark.bench)])
 def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
-    found = explain_boards(bases("low_pass_lag@GY80-2:0.3", boards=boards))
+    found = explain_jointly(bases("low_pass_lag@GY80-2:0.3", boards=boards))
     for name, explained in found.items():
         causes = explained.findings.causes
         if name != "GY80-2":
@@ -123,61 +130,65 @@ def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
             continue
         (named,) = causes
         assert named.candidates == ("low_pass_lag",)
-        assert named.whose is not None
-        assert named.whose.whose == "board"
+        assert named.attribution is not None
+        assert named.attribution.owner == "board"
         assert named.sentence.endswith(
-            "; this board's alone"
-            + (": the other does not show it" if boards == 2 else ": none of the other 3 shows it")
+            "; a cause of this board only"
+            + (
+                "; the other board does not show it"
+                if boards == 2
+                else "; none of the other 3 boards shows it"
+            )
         )
 
 
 @FEW_OR_ALL
 def test_boards_with_nothing_have_no_findings(bases: Bases, boards: int, program: str) -> None:
-    for explained in explain_boards(bases(boards=boards, program=program)).values():
+    for explained in explain_jointly(bases(boards=boards, program=program)).values():
         assert explained.findings.verdict == "adequate"
 
 
 def test_whose_a_cause_can_be() -> None:
     causes = catalogue()
-    assert owner(causes["s_curve"]) == "unit"
-    assert owner(causes["lost_steps"]) == "unit"
-    assert owner(causes["low_pass_lag"]) == "board"
-    assert owner(causes["clock_skew"]) == "either"
+    assert possible_owner(causes["s_curve"]) == "unit"
+    assert possible_owner(causes["lost_steps"]) == "unit"
+    assert possible_owner(causes["low_pass_lag"]) == "board"
+    assert possible_owner(causes["clock_skew"]) == "either"
 
 
 def test_boards_side_by_side_are_one_least_squares_problem(bases: Bases) -> None:
     """Against a dense solution with one set of the motion's unknowns, put together by itself."""
-    parts = [Projection.of(one) for one in bases(boards=2, program="quick").values()]
-    together = Together(parts)
+    parts = [NuisanceProjector.at_fit(one) for one in bases(boards=2, program="quick").values()]
+    together = JointProjector(parts)
     rng = np.random.default_rng(5)
     signal = rng.standard_normal((2, together.residual.size))
-    apart = [one.apart() for one in parts]
-    own = [one.own.shape[0] for one in apart]
-    common = apart[0].motion_known.shape[0]
+    apart = [one.normal_blocks() for one in parts]
+    own = [one.board_derivatives.shape[0] for one in apart]
+    common = apart[0].motion_prior_information.shape[0]
     size = sum(own) + common
     rows, data, first = [], [], 0
     for k, (one, board) in enumerate(zip(apart, parts, strict=True)):
         design = np.zeros((board.residual.size, size))
-        design[:, first : first + own[k]] = one.own.T
-        motion = np.vstack([one.local.toarray(), one.shared])
+        design[:, first : first + own[k]] = one.board_derivatives.T
+        motion = np.vstack([one.local_derivatives.toarray(), one.shared_derivatives])
         design[:, sum(own) :] = motion.T
         rows.append(design)
-        data.append(board.residual - motion.T @ one.motion_away)
+        data.append(board.residual - motion.T @ one.motion_prior_offset)
         first += own[k]
     known = np.zeros((size, size))
     pull, first = np.zeros(size), 0
     for k, one in enumerate(apart):
         at = slice(first, first + own[k])
-        known[at, at], pull[at] = one.own_known, one.own_pull
+        known[at, at], pull[at] = one.board_prior_information, one.board_prior_score
         first += own[k]
-    known[first:, first:] = min((one.motion_known for one in apart), key=np.trace)
+    known[first:, first:] = min((one.motion_prior_information for one in apart), key=np.trace)
     whole = np.vstack(rows)
     normal = whole.T @ whole + known
     scale = 1.0 / np.sqrt(np.diag(normal))
     step = scale[:, None] * np.linalg.solve(
         normal * np.outer(scale, scale), scale[:, None] * (whole.T @ signal.T)
     )
-    looked = together.look(signal)
+    looked = together.score_statistics(WhitenedSignals.of_dense(signal, [signal.shape[1]]))
     assert looked.information == pytest.approx(
         signal @ signal.T - signal @ whole @ step, rel=1e-6, abs=1e-3
     )
@@ -188,28 +199,30 @@ def test_boards_side_by_side_are_one_least_squares_problem(bases: Bases) -> None
 
 def test_a_board_that_is_told_the_rest_ends_where_all_do() -> None:
     """Two quadratics: the sum's minimum is that of one with what it is told of the other."""
-    one = Heard(np.diag([4.0, 1.0]), np.array([2.0, -1.0]), 0.0)
-    two = Heard(np.diag([1.0, 3.0]), np.array([-2.0, 1.0]), 0.0)
-    both = Heard(one.information + two.information, one.slope + two.slope, 0.0)
+    one = LocalQuadratic(np.diag([4.0, 1.0]), np.array([2.0, -1.0]), 0.0)
+    two = LocalQuadratic(np.diag([1.0, 3.0]), np.array([-2.0, 1.0]), 0.0)
+    both = LocalQuadratic(one.information + two.information, one.slope + two.slope, 0.0)
     at = np.array([0.3, 0.7])
-    knows = told(at, both, one)
+    knows = prior_from_others(at, both, one)
     # All rest at `at`: there the one's own slope and what it is told cancel.
-    assert knows.pull(at) == pytest.approx(-one.slope)
+    assert knows.score(at) == pytest.approx(-one.slope)
     assert knows.information == pytest.approx(two.information)
-    assert disagreement([one, one]) == pytest.approx(1.0)
-    assert disagreement([one, Heard(two.information, -40.0 * one.slope, 0.0)]) < 1e-6
+    assert homogeneity_p_value([one, one]) == pytest.approx(1.0)
+    assert (
+        homogeneity_p_value([one, LocalQuadratic(two.information, -40.0 * one.slope, 0.0)]) < 1e-6
+    )
 
 
 @pytest.mark.bench
 def test_what_no_board_sees_alone_all_of_them_see(hidden: Callable[..., Any], config: Path) -> None:
     """Corners rounded over 6.5 ms are below what one board can be sure of in 40 s."""
     session = hidden("s_curve:0.0065", seed=5, program="survey-40", config=config)
-    bases = {name: unit_solution([session.recording], name) for name in BOARDS}
-    assert search(bases[BOARDS[0]]).standings == ()
-    for explained in explain_boards(bases).values():
+    bases = {name: fit_base_model([session.recording], name) for name in BOARDS}
+    assert search_causes(bases[BOARDS[0]]).ranked_causes == ()
+    for explained in explain_jointly(bases).values():
         (named,) = explained.findings.causes
         assert named.candidates == ("s_curve",)
-        assert named.whose is not None
-        assert named.whose.whose == "unit"
+        assert named.attribution is not None
+        assert named.attribution.owner == "unit"
         for value in named.values:
             assert value.value == pytest.approx(0.0065, abs=FAR * value.std)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.solving import AUTO, Ready, fits_together
+from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
 
 pytestmark = pytest.mark.long
 
@@ -35,18 +35,18 @@ def recording(hidden: Callable[..., Any], tmp_path_factory: pytest.TempPathFacto
 
 @pytest.mark.parametrize("asked", [AUTO, "axis_nonorthogonality"])
 def test_the_units_cause_has_one_size(recording: Any, asked: str) -> None:
-    found = fits_together([recording], BOARDS, extend=(asked,))
+    found = fit_together([recording], BOARDS, extend=(asked,))
     assert list(found) == BOARDS
     sizes, together = [], []
     for one in found.values():
-        assert isinstance(one, Ready)
+        assert isinstance(one, CriticisedFit)
         name = "s_curve" if asked == AUTO else asked
         assert name in one.fit.terms
         (cause,) = (each for each in one.fit.causes if each.name.startswith(name))
         values, stds = cause.value, cause.std
         sizes.append((values, stds))
-        together.append(one.fit.extra.get("boards_together"))
-        assert (one.found is not None) == (asked == AUTO)
+        together.append(one.fit.extra_numbers.get("boards_together"))
+        assert (one.explanation is not None) == (asked == AUTO)
         if asked == AUTO:
             assert np.all(np.abs(values - LENGTH_S) < FAR * stds)
     (one_size, one_std), (other, other_std) = sizes

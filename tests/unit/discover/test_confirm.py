@@ -6,40 +6,42 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover import search
-from gyrorig_solver.discover.banks import all_rows
-from gyrorig_solver.discover.confirm import confirmed
-from gyrorig_solver.discover.refit import refit
-from gyrorig_solver.discover.regain import GainChange, regained
-from gyrorig_solver.discover.scores import sights
-from gyrorig_solver.discover.wandering import log_likelihood
-from gyrorig_solver.estimate.extension import Extension
-from gyrorig_solver.estimate.likelihood import Solution, solve_again
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.catalogue import term
-from gyrorig_solver.model.terms.protocol import indices
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.discover import cause_search
+from gyrorig_solver.discover.checks.backward_elimination import eliminate_backward
+from gyrorig_solver.discover.checks.typical_noise import whittle_log_likelihood
+from gyrorig_solver.discover.exact_fit import fit_candidate
+from gyrorig_solver.discover.gain_refit import GainChange, refit_gain_exactly
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model.term import value_indices
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
-Fit = Callable[[str], Solution]
+Fit = Callable[[str], ConvergedFit]
 
 
 @pytest.fixture(scope="module")
 def base(hidden: Callable[..., Any]) -> Fit:
     """Return a function that fits the base model to a session, once each."""
-    made: dict[str, Solution] = {}
+    made: dict[str, ConvergedFit] = {}
 
-    def fit(hide: str) -> Solution:
+    def fit(hide: str) -> ConvergedFit:
         if hide not in made:
             session = hidden(hide) if hide else hidden()
-            made[hide] = unit_solution([session.recording], session.board)
+            made[hide] = fit_base_model([session.recording], session.board)
         return made[hide]
 
     return fit
 
 
-def beside(solution: Solution, cause: str) -> Extension:
-    projection, one = Projection.of(solution), term(cause)
-    best = search.best_fit(projection, sights(projection, [one], 1, all_rows(projection, one)))
+def beside(solution: ConvergedFit, cause: str) -> FittedTerm:
+    projection, one = NuisanceProjector.at_fit(solution), find_term(cause)
+    best = cause_search.fit_best_place(
+        projection, scan_catalogue(projection, [one], 1, all_templates(projection, one))
+    )
     assert best is not None
     return best[0].extension
 
@@ -48,42 +50,48 @@ def beside(solution: Solution, cause: str) -> Extension:
 def test_what_the_fit_can_do_without_is_refused(base: Fit) -> None:
     plain = base("backlash@tilt:0.0012")
     gap = beside(plain, "backlash")
-    worm = term("worm_error")
-    idle = Extension(worm, worm.bank(Projection.of(plain).scenes[0])[0].copy(), np.array([0, 1]))
-    tests = search.tests_of(search.testable(Projection.of(plain)))
-    found = confirmed(solve_again(plain, [gap, idle]), (), tests, search.ALPHA)
-    assert found.refused == {"worm_error"}
-    assert [one.term.cause for one in found.solution.extensions] == ["backlash"]
-    assert found.won["backlash"] > 100.0
+    worm = find_term("worm_error")
+    idle = FittedTerm(
+        worm,
+        worm.template_bank(NuisanceProjector.at_fit(plain).states[0])[0].copy(),
+        np.array([0, 1]),
+    )
+    tests = cause_search.count_tests(cause_search.testable_terms(NuisanceProjector.at_fit(plain)))
+    found = eliminate_backward(
+        refit_with_terms(plain, [gap, idle]), (), tests, cause_search.FALSE_ALARM_RATE
+    )
+    assert found.eliminated == {"worm_error"}
+    assert [one.term.cause for one in found.solution.fitted_terms] == ["backlash"]
+    assert found.delta_log_likelihood["backlash"] > 100.0
 
 
 def test_what_stays_needs_a_move_on_either_side(base: Fit) -> None:
     """A board that slips before its first move has another gain, and that is all."""
-    projection, slip = Projection.of(base("")), term("board_slip")
-    setting = projection.scenes[0].setting
-    first = min(float(course.end_s) for _, course in setting.courses)
-    last = max(float(course.start_s[0]) for _, course in setting.courses)
+    projection, slip = NuisanceProjector.at_fit(base("")), find_term("board_slip")
+    setting = projection.states[0].context
+    first = min(float(course.end_s) for _, course in setting.motion_profiles)
+    last = max(float(course.start_s[0]) for _, course in setting.motion_profiles)
     for before, at in ((setting.begin_s, first), (setting.end_s, last)):
-        one = refit(projection, slip, None, [np.array([0.0, 0.0, 0.0, before])])
+        one = fit_candidate(projection, slip, None, [np.array([0.0, 0.0, 0.0, before])])
         assert one is not None
         assert first <= one.extension.values[3] <= last
-        assert one.impossible or one.extension.values[3] != at
+        assert one.infeasible or one.extension.values[3] != at
 
 
 def test_a_gain_that_changes_is_the_gain(base: Fit) -> None:
-    scene = Projection.of(base("")).scenes[0]
+    scene = NuisanceProjector.at_fit(base("")).states[0]
     change = 0.01 * np.arange(1.0, 10.0).reshape(3, 3)
     effect = GainChange().effect(scene, change.ravel())
-    assert np.allclose(effect, scene.seen(scene.rate_rad_s @ change.T), atol=1e-12)
+    assert np.allclose(effect, scene.measure_sensor_rate(scene.rate_rad_s @ change.T), atol=1e-12)
 
 
 def test_the_gain_is_looked_for_where_rates_are_cut_off(base: Fit) -> None:
     plain = base("dead_zone:0.009")
-    assert regained(plain) is plain
-    one = term("dead_zone")
-    sizes = np.array(indices(one, role="size"))
-    lame = solve_again(plain, [Extension(one, np.full(3, 0.009), sizes)])
-    found = regained(lame)
-    assert found is lame or log_likelihood(found) > log_likelihood(lame)
-    threshold = found.extensions[0].values
+    assert refit_gain_exactly(plain) is plain
+    one = find_term("dead_zone")
+    sizes = np.array(value_indices(one, role="size"))
+    lame = refit_with_terms(plain, [FittedTerm(one, np.full(3, 0.009), sizes)])
+    found = refit_gain_exactly(lame)
+    assert found is lame or whittle_log_likelihood(found) > whittle_log_likelihood(lame)
+    threshold = found.fitted_terms[0].values
     assert threshold == pytest.approx(np.full(3, 0.009), rel=0.05)

@@ -6,24 +6,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover.banks import all_rows
-from gyrorig_solver.discover.refit import Weighed
-from gyrorig_solver.discover.scores import sights
-from gyrorig_solver.discover.search import best_fit
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.catalogue import term
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.discover.cause_search import fit_best_place
+from gyrorig_solver.discover.exact_fit import FittedCandidate
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 
 @pytest.fixture(scope="module")
-def weighed(hidden: Callable[..., Any]) -> Callable[[str], Weighed]:
+def weighed(hidden: Callable[..., Any]) -> Callable[[str], FittedCandidate]:
     """Return a function that fits the cause that a session hides."""
 
-    def fit(hide: str) -> Weighed:
+    def fit(hide: str) -> FittedCandidate:
         session = hidden(hide)
-        projection = Projection.of(unit_solution([session.recording], session.board))
-        one = term(hide.partition(":")[0].partition("@")[0])
-        found = best_fit(projection, sights(projection, [one], 1, all_rows(projection, one)))
+        projection = NuisanceProjector.at_fit(fit_base_model([session.recording], session.board))
+        one = find_term(hide.partition(":")[0].partition("@")[0])
+        found = fit_best_place(
+            projection, scan_catalogue(projection, [one], 1, all_templates(projection, one))
+        )
         assert found is not None
         return found[0]
 
@@ -31,7 +33,7 @@ def weighed(hidden: Callable[..., Any]) -> Callable[[str], Weighed]:
 
 
 def test_a_loss_in_a_move_is_timed_as_finely_as_its_pulse(
-    weighed: Callable[[str], Weighed],
+    weighed: Callable[[str], FittedCandidate],
 ) -> None:
     one = weighed("lost_steps@pan:8")
     assert one.event_std is not None
@@ -39,7 +41,7 @@ def test_a_loss_in_a_move_is_timed_as_finely_as_its_pulse(
 
 
 def test_a_slip_is_timed_no_finer_than_the_noise_lets_it(
-    weighed: Callable[[str], Weighed],
+    weighed: Callable[[str], FittedCandidate],
 ) -> None:
     """A turn of 0.7 deg shows 1 % of a rate elsewhere: the noise hides a good while of it."""
     one = weighed("board_slip:0.012")
@@ -47,14 +49,14 @@ def test_a_slip_is_timed_no_finer_than_the_noise_lets_it(
     assert 0.01 < one.event_std < 5.0
 
 
-def test_a_smaller_step_is_timed_worse(weighed: Callable[[str], Weighed]) -> None:
+def test_a_smaller_step_is_timed_worse(weighed: Callable[[str], FittedCandidate]) -> None:
     large, small = weighed("bias_step:0.01"), weighed("bias_step:0.002")
     assert large.event_std is not None
     assert small.event_std is not None
     assert large.event_std < small.event_std
 
 
-def test_what_is_always_there_has_no_time(weighed: Callable[[str], Weighed]) -> None:
+def test_what_is_always_there_has_no_time(weighed: Callable[[str], FittedCandidate]) -> None:
     one = weighed("backlash@tilt:0.0012")
     assert one.event_std is None
     assert np.isfinite(one.std).all()

@@ -10,23 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover import search
-from gyrorig_solver.discover.finder import explain
-from gyrorig_solver.discover.result import Explained
-from gyrorig_solver.estimate.projection import Looked, Projection
+from gyrorig_solver.discover import cause_search
+from gyrorig_solver.discover.cause_findings import FitExplanation
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
+from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 FAR = 4.0  # standard deviations: one in 16 000
 
 
 @pytest.fixture(scope="module")
-def found(hidden: Callable[..., Any]) -> Callable[..., Explained]:
+def found(hidden: Callable[..., Any]) -> Callable[..., FitExplanation]:
     """Return a function that explains a session, once each."""
-    made: dict[tuple[object, ...], Explained] = {}
+    made: dict[tuple[object, ...], FitExplanation] = {}
 
-    def look(*hide: str, seed: int = 7) -> Explained:
+    def look(*hide: str, seed: int = 7) -> FitExplanation:
         if (*hide, seed) not in made:
             session = hidden(*hide, seed=seed)
-            made[(*hide, seed)] = explain([session.recording], session.board)
+            made[(*hide, seed)] = explain_recordings([session.recording], session.board)
         return made[(*hide, seed)]
 
     return look
@@ -34,7 +35,7 @@ def found(hidden: Callable[..., Any]) -> Callable[..., Explained]:
 
 @pytest.mark.parametrize("seed", [7, 8])
 def test_nothing_is_found_where_there_is_nothing(
-    found: Callable[..., Explained], seed: int
+    found: Callable[..., FitExplanation], seed: int
 ) -> None:
     findings = found(seed=seed).findings
     assert findings.verdict == "adequate"
@@ -43,14 +44,17 @@ def test_nothing_is_found_where_there_is_nothing(
     assert findings.gain is None
 
 
-def test_it_says_what_could_be_there_unseen(found: Callable[..., Explained]) -> None:
+def test_it_says_what_could_be_there_unseen(found: Callable[..., FitExplanation]) -> None:
     findings = found(seed=7).findings
-    sizes = {one.cause: one for one in findings.absent}
+    sizes = {one.cause: one for one in findings.detection_limits}
     # The axes' squareness is all but taken by the mount: it does the most harm unseen.
-    assert sizes["axis_nonorthogonality"].harm_sigma > sizes["worm_error"].harm_sigma
-    harms = [one.harm_sigma for one in findings.absent]
+    assert (
+        sizes["axis_nonorthogonality"].parameter_bias_sigma
+        > sizes["worm_error"].parameter_bias_sigma
+    )
+    harms = [one.parameter_bias_sigma for one in findings.detection_limits]
     assert harms == sorted(harms, reverse=True)
-    untestable = {one.cause for one in findings.not_testable}
+    untestable = {one.cause for one in findings.untestable}
     assert "lost_steps" not in untestable  # each axis moves in some of the moves
     assert {"tilt_zero", "wrong_full_scale", "earth_rotation"} <= untestable
 
@@ -64,7 +68,7 @@ def test_it_says_what_could_be_there_unseen(found: Callable[..., Explained]) -> 
     ],
 )
 def test_a_hidden_cause_is_named(
-    found: Callable[..., Explained], hide: str, where: set[str]
+    found: Callable[..., FitExplanation], hide: str, where: set[str]
 ) -> None:
     cause = hide.partition("@")[0].partition(":")[0]
     findings = found(hide).findings
@@ -80,7 +84,7 @@ def test_a_hidden_cause_is_named(
 
 
 def test_the_size_is_the_truth_within_its_uncertainty(
-    found: Callable[..., Explained], hidden: Callable[..., Any]
+    found: Callable[..., FitExplanation], hidden: Callable[..., Any]
 ) -> None:
     (named,) = found("backlash@tilt:0.0012").findings.causes
     (truth,) = hidden("backlash@tilt:0.0012").truth
@@ -98,17 +102,20 @@ def test_what_is_hidden_most_needs_the_projection(
     session = hidden("axis_nonorthogonality:0.02")
 
     def named() -> list[str]:
-        causes = explain([session.recording], session.board).findings.causes
+        causes = explain_recordings([session.recording], session.board).findings.causes
         return [cause.term.cause for cause in causes]
 
     assert named() == ["axis_nonorthogonality"]
 
-    def bare(projection: Projection, white: np.ndarray) -> Looked:
+    def bare(projection: NuisanceProjector, signals: WhitenedSignals) -> ScoreStatistics:
+        white = signals.dense()
         gram = white @ white.T
-        return Looked(gram, white @ projection.residual, np.diag(gram), np.zeros((len(white), 13)))
+        return ScoreStatistics(
+            gram, white @ projection.residual, np.diag(gram), np.zeros((len(white), 13))
+        )
 
-    monkeypatch.setattr(Projection, "look", bare)
-    monkeypatch.setattr(search, "MOST_CAUSES", 1)
+    monkeypatch.setattr(NuisanceProjector, "score_statistics", bare)
+    monkeypatch.setattr(cause_search, "MAX_CAUSES", 1)
     assert "axis_nonorthogonality" not in named()
 
 
@@ -117,6 +124,6 @@ def test_a_finder_that_names_the_best_score_is_caught(
 ) -> None:
     """Without a level to pass, noise gets a name."""
     session = hidden(seed=7)
-    monkeypatch.setattr(search, "ALPHA", np.inf)
-    monkeypatch.setattr(search, "MOST_CAUSES", 1)
-    assert explain([session.recording], session.board).findings.causes
+    monkeypatch.setattr(cause_search, "FALSE_ALARM_RATE", np.inf)
+    monkeypatch.setattr(cause_search, "MAX_CAUSES", 1)
+    assert explain_recordings([session.recording], session.board).findings.causes

@@ -6,17 +6,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover.free_shapes import families
-from gyrorig_solver.discover.groups import SIZES, evidence, judge, signatures
-from gyrorig_solver.estimate.projection import Looked, Projection
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.discover.checks.residual_dependence import (
+    VARIANCE_GRID,
+    choose_detail,
+    residual_dependence_tests,
+    smooth_function_evidence,
+)
+from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 N, DRAWS = 200, 1500
 
 
-def _looked(white: np.ndarray, residual: np.ndarray) -> Looked:
+def _looked(white: np.ndarray, residual: np.ndarray) -> ScoreStatistics:
     gram = white @ white.T
-    return Looked(gram, white @ residual, np.diag(gram).copy(), np.zeros((len(white), 1)))
+    return ScoreStatistics(gram, white @ residual, np.diag(gram).copy(), np.zeros((len(white), 1)))
 
 
 @pytest.mark.parametrize("beside", [0, 2])
@@ -28,7 +33,7 @@ def test_the_best_detail_is_judged_by_chance(beside: int) -> None:
     there = rng.standard_normal(beside) * 30.0 @ white[:beside]
     found = []
     for _ in range(DRAWS):
-        judged = judge(_looked(white, rng.standard_normal(N) + there), detail, beside)
+        judged = choose_detail(_looked(white, rng.standard_normal(N) + there), detail, beside)
         assert judged is not None
         found.append(judged.p_value)
     # Three nested sets, paid for as if they were apart: never too often.
@@ -42,9 +47,9 @@ def test_a_smooth_function_is_found_by_its_few_degrees_of_freedom() -> None:
     rng = np.random.default_rng(12)
     detail = np.arange(1.0, 25.0)
     white = rng.standard_normal((detail.size, N))
-    judged = judge(_looked(white, 0.5 * white[1] + rng.standard_normal(N)), detail)
+    judged = choose_detail(_looked(white, 0.5 * white[1] + rng.standard_normal(N)), detail)
     assert judged is not None
-    assert judged.seen.degrees_of_freedom == 3
+    assert judged.score_test.degrees_of_freedom == 3
 
 
 def test_evidence_is_the_ratio_of_two_normal_densities() -> None:
@@ -53,16 +58,16 @@ def test_evidence_is_the_ratio_of_two_normal_densities() -> None:
     white = rng.standard_normal((4, N))
     residual = rng.standard_normal(N) + 0.3 * white[0]
     looked = _looked(white, residual)
-    width = 1.0 / (detail * np.sqrt(looked.raw))
+    width = 1.0 / (detail * np.sqrt(looked.energy))
     largest = float(np.linalg.eigvalsh(looked.information * np.outer(width, width)).max())
     nats = []
-    for size in SIZES / largest:
+    for size in VARIANCE_GRID / largest:
         covariance = np.eye(N) + size * (white.T * width**2) @ white
         sign, log_det = np.linalg.slogdet(covariance)
         assert sign > 0.0
         likelihood = -0.5 * (log_det + residual @ np.linalg.solve(covariance, residual))
         nats.append(likelihood + 0.5 * residual @ residual)
-    assert evidence(looked, detail) == pytest.approx(max(nats), abs=1e-6)
+    assert smooth_function_evidence(looked, detail) == pytest.approx(max(nats), abs=1e-6)
 
 
 def test_the_right_one_of_two_alike_has_more_evidence() -> None:
@@ -74,31 +79,31 @@ def test_the_right_one_of_two_alike_has_more_evidence() -> None:
     won = 0
     for _ in range(50):
         truth = 4.0 * rng.standard_normal(3) @ waves[0][1:4] + rng.standard_normal(N)
-        first, second = (evidence(_looked(w, truth), detail) for w in waves)
+        first, second = (smooth_function_evidence(_looked(w, truth), detail) for w in waves)
         won += first > second
     assert won > 40
 
 
 @pytest.fixture(scope="module")
-def plain(hidden: Callable[..., Any]) -> Projection:
+def plain(hidden: Callable[..., Any]) -> NuisanceProjector:
     session = hidden(seed=7)
-    return Projection.of(unit_solution([session.recording], session.board))
+    return NuisanceProjector.at_fit(fit_base_model([session.recording], session.board))
 
 
-def test_every_family_is_of_one_covariate_and_whole(plain: Projection) -> None:
-    every = list(families(plain.scenes))
+def test_every_family_is_of_one_covariate_and_whole(plain: NuisanceProjector) -> None:
+    every = list(smooth_families(plain.states))
     assert {one.covariate for one in every} == {
         "time", "bias_time", "speed", "own_rate", "pan_angle", "tilt_angle", "bias_pan",
         "bias_tilt", "pan_transient", "tilt_transient", "move_gain", "move_delay",
     }  # fmt: skip
     for one in every:
-        white = one.white(plain)
+        white = one.whitened(plain).dense()
         assert white.shape == (one.detail.size, plain.residual.size)
         assert np.isfinite(white).all()
         assert one.detail.min() >= 1.0
 
 
-def test_noise_depends_on_nothing(plain: Projection) -> None:
-    found = signatures(plain)
+def test_noise_depends_on_nothing(plain: NuisanceProjector) -> None:
+    found = residual_dependence_tests(plain)
     assert min(one.p_value for one in found) > 0.01
-    assert max(one.evidence for one in found) < 5.0
+    assert max(one.log_evidence for one in found) < 5.0

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover.finder import explain
-from gyrorig_solver.discover.gain import held_out
-from gyrorig_solver.discover.result import Explained
-from gyrorig_solver.estimate.projection import Projection
+from gyrorig_solver.discover.cause_findings import FitExplanation
+from gyrorig_solver.discover.held_out_gain import cross_validate_causes
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 pytestmark = pytest.mark.long
 
@@ -17,13 +17,13 @@ TWO = ("backlash@tilt:0.0012", "scale_quadratic:0.004")
 
 
 @pytest.fixture(scope="module")
-def two(hidden: Callable[..., Any]) -> Explained:
+def two(hidden: Callable[..., Any]) -> FitExplanation:
     """A session with two causes, explained."""
     session = hidden(*TWO)
-    return explain([session.recording], session.board)
+    return explain_recordings([session.recording], session.board)
 
 
-def test_each_cause_has_its_own_gain(two: Explained) -> None:
+def test_each_cause_has_its_own_gain(two: FitExplanation) -> None:
     findings = two.findings
     assert {one.cause for one in findings.causes} == {"backlash", "scale_quadratic"}
     assert findings.gain is not None
@@ -36,23 +36,23 @@ def test_each_cause_has_its_own_gain(two: Explained) -> None:
         assert one.gain.rms_before < findings.gain.rms_before
 
 
-def test_a_model_without_a_cause_is_that_of_a_fit_that_has_none(two: Explained) -> None:
+def test_a_model_without_a_cause_is_that_of_a_fit_that_has_none(two: FitExplanation) -> None:
     """The space with a cause's rows struck out is the space made without it.
 
     Not to the last digit: other causes act on what the one that is gone had made.
     """
     solution = two.solution_extended
-    whole = Projection.of(solution)
+    whole = NuisanceProjector.at_fit(solution)
     windows = np.arange(whole.residual.size) // 997 % 5
-    for k, one in enumerate(solution.extensions):
-        if not one.free.size:
+    for k, one in enumerate(solution.fitted_terms):
+        if not one.free_indices.size:
             continue
-        others = [other for other in solution.extensions if other is not one]
-        apart = Projection.of(solution, extensions=others, back=[one])
-        (struck,) = whole.kept_out(windows, [whole.without([k])])
-        (made,) = apart.kept_out(windows, [apart.without([])])
+        others = [other for other in solution.fitted_terms if other is not one]
+        apart = NuisanceProjector.at_fit(solution, followed_terms=others, restored_terms=[one])
+        (struck,) = whole.held_out_residuals(windows, [whole.drop_terms([k])])
+        (made,) = apart.held_out_residuals(windows, [apart.drop_terms([])])
         assert struck == pytest.approx(made, abs=0.01 * float(np.abs(made).max()))
 
 
-def test_no_cause_has_no_gain(two: Explained) -> None:
-    assert held_out(Projection.of(two.solution_extended), []) is None
+def test_no_cause_has_no_gain(two: FitExplanation) -> None:
+    assert cross_validate_causes(NuisanceProjector.at_fit(two.solution_extended), []) is None

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrorig_solver.chance import normal_tail
-from gyrorig_solver.discover.growth import by_speed, grown
+from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, speed_shapes
+from gyrorig_solver.numerics.distributions import normal_upper_tail
 
 N, DRAWS = 3000, 1500
 SPEED = np.abs(np.sin(np.linspace(0.0, 40.0, N))) * (np.arange(N) % 300 > 90)
@@ -13,9 +13,10 @@ SPEED = np.abs(np.sin(np.linspace(0.0, 40.0, N))) * (np.arange(N) % 300 > 90)
 @pytest.mark.parametrize("either_way", [False, True])
 def test_chance_is_what_it_says(either_way: bool) -> None:
     rng = np.random.default_rng(1)
-    shapes = by_speed(SPEED, float(SPEED.max()))
+    shapes = speed_shapes(SPEED, float(SPEED.max()))
     found = [
-        grown(shapes, rng.standard_normal(N) ** 2 - 1.0, either_way).p_value for _ in range(DRAWS)
+        fit_variance_trend(shapes, rng.standard_normal(N) ** 2 - 1.0, either_way).p_value
+        for _ in range(DRAWS)
     ]
     # The better of two is paid for twice, so a little too seldom; squares have longer tails
     # than a normal.
@@ -30,7 +31,7 @@ def test_a_single_shape_is_a_normal_deviate() -> None:
     shape = (SPEED > 0.0).astype(np.float64)
     weight = shape - shape.mean()
     z = float(weight @ excess) / np.sqrt(2.0 * np.sum(weight**2))
-    assert grown(shape[None], excess).p_value == pytest.approx(normal_tail(z))
+    assert fit_variance_trend(shape[None], excess).p_value == pytest.approx(normal_upper_tail(z))
 
 
 def test_a_scatter_at_low_speeds_alone_is_found_by_the_speed() -> None:
@@ -40,11 +41,11 @@ def test_a_scatter_at_low_speeds_alone_is_found_by_the_speed() -> None:
     # As much more at low speeds as less at high ones: none in motion as a whole.
     variance = 1.0 + 0.8 * slow - 0.8 * fast * slow.sum() / fast.sum()
     excess = variance * rng.standard_normal(N) ** 2 - 1.0
-    shapes = by_speed(SPEED, float(SPEED.max()))
-    assert grown(shapes[:1], excess, either_way=True).p_value > 1e-3
-    assert grown(shapes, excess, either_way=True).p_value < 1e-6
+    shapes = speed_shapes(SPEED, float(SPEED.max()))
+    assert fit_variance_trend(shapes[:1], excess, two_sided=True).p_value > 1e-3
+    assert fit_variance_trend(shapes, excess, two_sided=True).p_value < 1e-6
 
 
 def test_what_never_moves_says_nothing() -> None:
-    found = grown(by_speed(np.zeros(N), 0.0), np.ones(N))
+    found = fit_variance_trend(speed_shapes(np.zeros(N), 0.0), np.ones(N))
     assert (found.degrees_of_freedom, found.p_value) == (0, 1.0)

@@ -5,16 +5,16 @@ from collections.abc import Callable
 import pytest
 from tests.unit.discover.conftest import Hidden
 
-from gyrorig_solver.discover.finder import explain_fit
-from gyrorig_solver.discover.jitter import find_jitter
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.discover.checks.jitter_estimate import estimate_jitter
+from gyrorig_solver.discover.fit_explanation import explain_fit
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 ALPHA, TESTS = 0.005, 60
 
 
-def _looked(hidden: Hidden) -> Projection:
-    return Projection.of(unit_solution([hidden.recording], hidden.board))
+def _looked(hidden: Hidden) -> NuisanceProjector:
+    return NuisanceProjector.at_fit(fit_base_model([hidden.recording], hidden.board))
 
 
 @pytest.fixture(scope="module")
@@ -23,23 +23,23 @@ def late(hidden: Callable[..., Hidden]) -> Hidden:
 
 
 def test_its_size_is_found(late: Hidden) -> None:
-    found = find_jitter(_looked(late), TESTS, ALPHA, 0.8)
+    found = estimate_jitter(_looked(late), TESTS, ALPHA, 0.8)
     assert found is not None
-    assert found.named
+    assert found.is_distinct
     assert abs(found.deviation_s - 1e-3) < 3.0 * found.std_s
     assert found.std_s < 5e-5
-    assert found.beside.p_value > 0.003  # no scatter of another kind is left
+    assert found.remaining_trend.p_value > 0.003  # no scatter of another kind is left
 
 
 def test_it_is_the_sole_name(late: Hidden) -> None:
-    explained = explain_fit(unit_solution([late.recording], late.board), late.board).findings
+    explained = explain_fit(fit_base_model([late.recording], late.board), late.board).findings
     assert [one.candidates for one in explained.causes] == [("sample_jitter",)]
     assert explained.verdict == "explained"
-    assert explained.extensions == ()  # no fit can follow it
+    assert explained.fitted_terms == ()  # no fit can follow it
 
 
 def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., Hidden]) -> None:
-    found = find_jitter(_looked(hidden(program="survey-40")), TESTS, ALPHA, 0.8)
+    found = estimate_jitter(_looked(hidden(program="survey-40")), TESTS, ALPHA, 0.8)
     assert found is not None
     assert found.p_value > ALPHA / TESTS
     assert found.detectable_s < 5e-4
@@ -47,6 +47,6 @@ def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., Hidden]) ->
 
 @pytest.mark.long
 def test_a_smooth_misfit_is_no_jitter(hidden: Callable[..., Hidden]) -> None:
-    found = find_jitter(_looked(hidden("s_curve:0.05", program="survey-40")), TESTS, ALPHA, 0.8)
+    found = estimate_jitter(_looked(hidden("s_curve:0.05", program="survey-40")), TESTS, ALPHA, 0.8)
     assert found is not None
-    assert not found.named
+    assert not found.is_distinct

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gyrorig_solver.discover.jitter_swells import Where, against
+from gyrorig_solver.discover.checks.jitter_modulation import BlockMotion, find_modulation
 
 BLOCKS, EACH = 120, 48
 
@@ -10,14 +10,20 @@ BLOCKS, EACH = 120, 48
 def _drawn(seed: int, grows: str | None) -> float:
     """Return the chance of what speaks most against jitter, of a scatter that is drawn."""
     rng = np.random.default_rng(seed)
-    where = Where(
+    where = BlockMotion(
         rng.choice([-1.0, 1.0], BLOCKS), rng.uniform(0.0, 1.5, BLOCKS), np.arange(BLOCKS) / 3.0
     )
     shape = np.exp(rng.normal(0.0, 1.0, (BLOCKS, EACH)))
-    some = {"axis": where.axis > 0.0, "slow": where.speed < 0.5, "time": where.time_s > 20.0}
+    some = {
+        "axis": where.axis_balance > 0.0,
+        "slow": where.speed < 0.5,
+        "time": where.time_s > 20.0,
+    }
     share = np.ones(BLOCKS) if grows is None else some[grows] * 1.0
     variance = 1.0 + 0.2 * share[:, None] * shape
-    swell = against(rng.normal(0.0, np.sqrt(variance)) ** 2, shape, 0.2 * share.mean(), where)
+    swell = find_modulation(
+        rng.normal(0.0, np.sqrt(variance)) ** 2, shape, 0.2 * share.mean(), where
+    )
     assert swell is not None
     return swell.p_value
 

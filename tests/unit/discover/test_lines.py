@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover.banks import all_rows
-from gyrorig_solver.discover.refit import refit
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.model.terms.supply_hum import FEWEST_WAVES, waves
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.discover.exact_fit import fit_candidate
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.causes.supply_hum import MIN_PERIODS, folded_periods
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 HUM = catalogue()["supply_hum"]
 FREQUENCY = 6
@@ -23,28 +23,28 @@ FREQUENCY = 6
 )
 def test_waves_are_counted_where_sampling_folds_them_to(frequency_hz: float, shown: float) -> None:
     """100 samples a second for 40 s: above 50 Hz a line runs backwards from 100 Hz."""
-    assert waves(np.array([frequency_hz]), 100.0, 40.0) == pytest.approx(shown)
+    assert folded_periods(np.array([frequency_hz]), 100.0, 40.0) == pytest.approx(shown)
 
 
 @pytest.fixture(scope="module")
-def drifting(hidden: Callable[..., Any]) -> Projection:
+def drifting(hidden: Callable[..., Any]) -> NuisanceProjector:
     session = hidden("bias_ramp:0.0003", program="survey-40")
-    return Projection.of(unit_solution([session.recording], session.board))
+    return NuisanceProjector.at_fit(fit_base_model([session.recording], session.board))
 
 
-def test_none_is_looked_for_where_it_would_be_a_drift(drifting: Projection) -> None:
-    rows = all_rows(drifting, HUM)
+def test_none_is_looked_for_where_it_would_be_a_drift(drifting: NuisanceProjector) -> None:
+    rows = all_templates(drifting, HUM)
     assert rows.size
-    (scene,) = drifting.scenes
-    length_s = scene.setting.end_s - scene.setting.begin_s
-    rate_hz = drifting.stretches[0].noise.sampling.rate_hz
-    assert np.all(waves(rows[:, FREQUENCY], rate_hz, length_s) > 0.9 * FEWEST_WAVES)
+    (scene,) = drifting.states
+    length_s = scene.context.end_s - scene.context.begin_s
+    rate_hz = drifting.segments[0].noise.sampling.rate_hz
+    assert np.all(folded_periods(rows[:, FREQUENCY], rate_hz, length_s) > 0.9 * MIN_PERIODS)
 
 
-def test_a_drift_is_no_line_however_well_one_fits(drifting: Projection) -> None:
-    rate_hz = drifting.stretches[0].noise.sampling.rate_hz
+def test_a_drift_is_no_line_however_well_one_fits(drifting: NuisanceProjector) -> None:
+    rate_hz = drifting.segments[0].noise.sampling.rate_hz
     row = np.array([*[0.0] * FREQUENCY, rate_hz + 0.01])
-    one = refit(drifting, HUM, None, [row])
+    one = fit_candidate(drifting, HUM, None, [row])
     assert one is not None
-    assert one.won > 20.0  # half a wave follows a ramp
-    assert one.impossible
+    assert one.delta_log_likelihood > 20.0  # half a wave follows a ramp
+    assert one.infeasible

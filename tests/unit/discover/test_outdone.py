@@ -4,43 +4,51 @@ from collections.abc import Callable
 
 from tests.unit.discover.conftest import Hidden
 
-from gyrorig_solver.discover.banks import all_rows
-from gyrorig_solver.discover.finder import FILLS
-from gyrorig_solver.discover.name_tests import fillers
-from gyrorig_solver.discover.outdone import outdone
-from gyrorig_solver.discover.result import Signature
-from gyrorig_solver.discover.scores import sights
-from gyrorig_solver.discover.search import Found, best_fit, standing_of
-from gyrorig_solver.estimate.likelihood import solve_again
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.cause_search import (
+    SearchResult,
+    fit_best_place,
+    rank_against_alternatives,
+)
+from gyrorig_solver.discover.checks.nonparametric_dominance import dominated_by_nonparametric
+from gyrorig_solver.discover.checks.specification_tests import find_partial_explanations
+from gyrorig_solver.discover.fit_explanation import MIN_EXPLAINED_SHARE
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 TESTS = 60
-OF_RATES = Signature("own_rate", "on the rates about the axes", 200.0, 24, 0.0)
+OF_RATES = DependenceTest("own_rate", "on the rates about the axes", 200.0, 24, 0.0)
 
 
-def _named(hidden: Hidden, cause: str) -> Found:
+def _named(hidden: Hidden, cause: str) -> SearchResult:
     """Return where a search ends that knows this cause alone."""
-    base = unit_solution([hidden.recording], hidden.board)
+    base = fit_base_model([hidden.recording], hidden.board)
     term = catalogue()[cause]
-    beside = Projection.of(base)
-    best = best_fit(beside, sights(beside, [term], TESTS, all_rows(beside, term)))
+    beside = NuisanceProjector.at_fit(base)
+    best = fit_best_place(
+        beside, scan_catalogue(beside, [term], TESTS, all_templates(beside, term))
+    )
     assert best is not None
-    solution = solve_again(base, [best[0].extension])
-    standing = standing_of(solution, 0, [term], TESTS)
-    return Found(solution, (standing,), Projection.of(solution), ())
+    solution = refit_with_terms(base, [best[0].extension])
+    standing = rank_against_alternatives(solution, 0, [term], TESTS)
+    return SearchResult(solution, (standing,), NuisanceProjector.at_fit(solution), ())
 
 
 def test_a_slip_is_not_said_for_what_hangs_on_the_rates(hidden: Callable[..., Hidden]) -> None:
     found = _named(hidden("scale_asymmetry:0.01"), "board_slip")
-    assert found.standings[0].best.won > 20.0  # nats
-    assert fillers(found, [OF_RATES], FILLS) == [False]  # the rest is none of its own kind
-    assert outdone(found, [OF_RATES], TESTS, FILLS) == [True]
+    assert found.ranked_causes[0].candidate.delta_log_likelihood > 20.0  # nats
+    assert find_partial_explanations(found, [OF_RATES], MIN_EXPLAINED_SHARE) == [
+        False
+    ]  # the rest is none of its own kind
+    assert dominated_by_nonparametric(found, [OF_RATES], TESTS, MIN_EXPLAINED_SHARE) == [True]
 
 
 def test_a_right_name_beside_what_hangs_on_the_rates_is_said(
     hidden: Callable[..., Hidden],
 ) -> None:
     found = _named(hidden("eccentricity@pan:0.002", "scale_quadratic:0.003"), "eccentricity")
-    assert outdone(found, [OF_RATES], TESTS, FILLS) == [False]
+    assert dominated_by_nonparametric(found, [OF_RATES], TESTS, MIN_EXPLAINED_SHARE) == [False]

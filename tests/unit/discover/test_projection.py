@@ -7,80 +7,109 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.projection import Projection
-from gyrorig_solver.model.terms.scene import Scene
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 
 @pytest.fixture(scope="module")
-def projection(hidden: Callable[..., Any]) -> Projection:
+def projection(hidden: Callable[..., Any]) -> NuisanceProjector:
     """Beside the fit of a session with nothing hidden."""
     session = hidden(seed=7)
-    return Projection.of(unit_solution([session.recording], session.board))
+    return NuisanceProjector.at_fit(fit_base_model([session.recording], session.board))
 
 
-def dense(projection: Projection) -> np.ndarray:
+def dense(projection: NuisanceProjector) -> np.ndarray:
     """All derivatives, with what is known of the unknowns as further rows."""
-    local, base, prior = projection._local, projection._base, projection._prior
+    local, base, prior = projection._local, projection._basis, projection._prior
     information = np.block([[prior.local.toarray(), prior.cross], [prior.cross.T, prior.shared]])
     values, vectors = np.linalg.eigh(information)
     known = np.sqrt(np.clip(values, 0.0, None))[:, None] * vectors.T
     return np.vstack([np.vstack([local.toarray(), base]).T, known])
 
 
-def test_what_is_left_is_the_residual_of_least_squares(projection: Projection) -> None:
+def whitened(projection: NuisanceProjector, signals: FloatArray) -> WhitenedSignals:
+    """Take arbitrary values as whitened signals."""
+    return WhitenedSignals.of_dense(signals, projection.channel_lengths)
+
+
+def test_what_is_left_is_the_residual_of_least_squares(projection: NuisanceProjector) -> None:
     design = dense(projection)
     signal = np.random.default_rng(3).standard_normal((2, projection.residual.size))
     rows = design.shape[0] - signal.shape[1]
     padded = np.hstack([signal, np.zeros((2, rows))]).T
     best = np.linalg.lstsq(design, padded, rcond=1e-12)[0]
     left = padded - design @ best
-    looked = projection.look(signal)
+    looked = projection.score_statistics(whitened(projection, signal))
     assert looked.information == pytest.approx(left.T @ left, rel=1e-6, abs=1e-4)
-    assert projection.left(signal[0]) == pytest.approx(left[: signal.shape[1], 0], abs=1e-6)
+    assert projection.orthogonal_component(signal[0]) == pytest.approx(
+        left[: signal.shape[1], 0], abs=1e-6
+    )
 
 
-def test_scores_are_standard_normal_in_noise(projection: Projection) -> None:
+def test_scores_are_standard_normal_in_noise(projection: NuisanceProjector) -> None:
     signal = np.random.default_rng(4).standard_normal((60, projection.residual.size))
-    looked = projection.look(signal)
+    looked = projection.score_statistics(whitened(projection, signal))
     z = looked.score / np.sqrt(np.diag(looked.information))
     assert abs(np.mean(z)) < 4.0 / np.sqrt(60)
     assert np.std(z) == pytest.approx(1.0, abs=0.4)
 
 
-def test_what_the_fit_follows_vanishes(projection: Projection) -> None:
-    own = projection._base[:12]  # gain and bias have next to no prior
-    looked = projection.look(own)
-    assert np.diag(looked.information) == pytest.approx(0.0, abs=1e-3 * looked.raw.max())
+def test_what_the_fit_follows_vanishes(projection: NuisanceProjector) -> None:
+    own = projection._basis[:12]  # gain and bias have next to no prior
+    looked = projection.score_statistics(whitened(projection, own))
+    assert np.diag(looked.information) == pytest.approx(0.0, abs=1e-3 * looked.energy.max())
 
 
-def test_whitening_is_one_signal_and_one_axis_at_a_time(projection: Projection) -> None:
-    blocks = projection.scenes[0].blocks
+def test_whitening_is_one_signal_and_one_axis_at_a_time(projection: NuisanceProjector) -> None:
+    blocks = projection.states[0].block_count
     signals = np.random.default_rng(5).standard_normal((4, blocks, 3))
     signals[1, :, 0] = signals[2] = 0.0
     before = signals.copy()
-    together = projection.signals(lambda scene: signals)
+    together = projection.evaluate_signals(lambda scene: signals).dense()
     assert np.array_equal(signals, before)
     for one, white in zip(signals, together, strict=True):
-        sums = projection.signals(partial(_apart, one)).sum(axis=0)
+        sums = projection.evaluate_signals(partial(_apart, one)).dense().sum(axis=0)
         assert white == pytest.approx(sums, rel=1e-9, abs=1e-9)
     assert not together[2].any()
 
 
-def _apart(one: FloatArray, scene: Scene) -> FloatArray:
+def _as_given(signals: FloatArray, _: SignalState) -> FloatArray:
+    return signals
+
+
+def _apart(one: FloatArray, scene: SignalState) -> FloatArray:
     """Return a signal's three axes as three signals."""
-    found = np.zeros((3, scene.blocks, 3))
+    found = np.zeros((3, scene.block_count, 3))
     for axis in range(3):
         found[axis, :, axis] = one[:, axis]
     return found
 
 
-def test_many_signals_say_what_each_says_alone(projection: Projection) -> None:
+def test_many_signals_say_what_each_says_alone(projection: NuisanceProjector) -> None:
     signals = np.random.default_rng(6).standard_normal((25, projection.residual.size))
-    together = projection.look(signals)
+    together = projection.score_statistics(whitened(projection, signals))
     for k in (0, 11, 24):
-        alone = projection.look(signals[k : k + 1])
-        assert together.part([k]).information == pytest.approx(alone.information, rel=1e-6)
+        alone = projection.score_statistics(whitened(projection, signals[k : k + 1]))
+        assert together.subset([k]).information == pytest.approx(alone.information, rel=1e-6)
         assert together.score[k] == pytest.approx(float(alone.score[0]), rel=1e-6)
-        assert together.taken[k] == pytest.approx(alone.taken[0], rel=1e-6, abs=1e-12)
+        assert together.absorbed[k] == pytest.approx(alone.absorbed[0], rel=1e-6, abs=1e-12)
+
+
+def test_signals_keep_their_order(projection: NuisanceProjector) -> None:
+    blocks = projection.states[0].block_count
+    signals = np.random.default_rng(7).standard_normal((5, blocks, 3))
+    signals[0, :, 2] = signals[3, :, :2] = 0.0
+    groups = [
+        projection.evaluate_signals(partial(_as_given, signals[group]))
+        for group in ([0, 1], [2, 3, 4])
+    ]
+    joined = join_signals(groups)
+    dense = np.concatenate([group.dense() for group in groups])
+    assert np.array_equal(joined.dense(), dense)
+    assert joined.size == 2 * blocks + 3 * blocks + 3 * blocks + blocks + 3 * blocks
+    assert np.array_equal(joined.subset(np.array([0, 3])).dense(), dense[[0, 3]])
+    sizes = np.array([1.0, -2.0, 0.5, 3.0, 0.1])
+    assert joined.weighted_sum(sizes) == pytest.approx(sizes @ dense, rel=1e-12, abs=1e-12)

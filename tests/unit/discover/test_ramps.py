@@ -5,37 +5,41 @@ from typing import Any
 
 import pytest
 
-from gyrorig_solver.discover.ramps import look_for_ramps
-from gyrorig_solver.discover.search import ALPHA
-from gyrorig_solver.on_unit import unit_solution
+from gyrorig_solver.discover.cause_search import FALSE_ALARM_RATE
+from gyrorig_solver.discover.checks.ramp_acceleration import detect_ramp_error
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 TESTS = 45
 
 
 def test_ramps_that_are_not_as_told_have_a_name(hidden: Callable[..., Any]) -> None:
     session = hidden("acceleration_error@tilt:-0.01", seed=7)
-    found = look_for_ramps(unit_solution([session.recording], session.board), TESTS, ALPHA)
+    found = detect_ramp_error(
+        fit_base_model([session.recording], session.board), TESTS, FALSE_ALARM_RATE
+    )
     assert found.named is not None
     assert found.named.where == ("tilt",)
     tilt = found.named.values[1]
     assert tilt.value == pytest.approx(-0.01, abs=4.0 * tilt.std)
     assert tilt.std < 1e-3
-    assert not found.named.extension.free.size  # the base model has them: nothing to fit
+    assert not found.named.extension.free_indices.size  # the base model has them: nothing to fit
 
 
 def test_ramps_as_told_have_none_and_a_limit(hidden: Callable[..., Any]) -> None:
     session = hidden(seed=7)
-    found = look_for_ramps(unit_solution([session.recording], session.board), TESTS, ALPHA)
+    found = detect_ramp_error(
+        fit_base_model([session.recording], session.board), TESTS, FALSE_ALARM_RATE
+    )
     assert found.named is None
-    assert [one.where for one in found.absent] == ["pan", "tilt"]
-    assert all(1e-5 < one.size < 1e-2 for one in found.absent)
+    assert [one.where for one in found.detection_limits] == ["pan", "tilt"]
+    assert all(1e-5 < one.size < 1e-2 for one in found.detection_limits)
 
 
 def test_answers_are_believed_less_beside_another_law(hidden: Callable[..., Any]) -> None:
     session = hidden(seed=7)
-    reference: Any = unit_solution([session.recording], session.board).sessions[0].reference
+    reference: Any = fit_base_model([session.recording], session.board).sessions[0].reference
     value, std = reference.log_acceleration
-    doubted, wide = reference.by_own_law(True).log_acceleration
+    doubted, wide = reference.with_polls_downweighted(True).log_acceleration
     assert doubted == pytest.approx(value)
     assert (wide > 5.0 * std).all()
-    assert reference.by_own_law(False) is reference
+    assert reference.with_polls_downweighted(False) is reference

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.discover.finder import explain
-from gyrorig_solver.discover.gain import held_out_by
-from gyrorig_solver.discover.second import Other
-from gyrorig_solver.on_unit import unit_solution
-from gyrorig_solver.samples import load_samples
+from gyrorig_solver.data.samples import load_samples
+from gyrorig_solver.discover.held_out_gain import gain_on_recording
+from gyrorig_solver.pipeline.explain_board import explain_recordings
+from gyrorig_solver.pipeline.prepare_board import fit_base_model, prepare_held_out
 
 pytestmark = pytest.mark.long
 
@@ -27,10 +26,11 @@ def pair(hidden: Callable[..., Any]) -> tuple[Any, Any]:
 
 def test_a_lasting_cause_is_worth_something_there(pair: tuple[Any, Any]) -> None:
     first, second = pair
-    found = explain([first.recording], first.board)
+    found = explain_recordings([first.recording], first.board)
     causes = {one.cause for one in found.findings.causes}
     assert causes == {"scale_quadratic", "bias_step"}
-    gain = held_out_by(found.solution_base, found.solution_extended, second.recording, second.board)
+    held_out = prepare_held_out(second.recording, second.board, found.solution_extended)
+    gain = gain_on_recording(found.solution_base, found.solution_extended, held_out)
     assert gain.log_likelihood.low > 0.0
     assert gain.rms_after < gain.rms_before
     assert gain.turn_error_after_rad < gain.turn_error_before_rad
@@ -43,8 +43,8 @@ def test_a_lasting_cause_is_worth_something_there(pair: tuple[Any, Any]) -> None
 def test_a_right_model_leaves_noise(pair: tuple[Any, Any]) -> None:
     """Half the squared whitened residual is half the number of values, as of any noise."""
     first, second = pair
-    found = explain([first.recording], first.board).solution_extended
-    judged = Other.of(second.recording, second.board, found).judged(found)
+    found = explain_recordings([first.recording], first.board).solution_extended
+    judged = prepare_held_out(second.recording, second.board, found).fit_model(found)
     many = sum(3 * int(used.sum()) for used in judged.session.used)
     assert -2.0 * judged.log_likelihood / many == pytest.approx(1.0, abs=0.03)
 
@@ -52,11 +52,13 @@ def test_a_right_model_leaves_noise(pair: tuple[Any, Any]) -> None:
 def test_samples_less_a_known_effect_are_taken(pair: tuple[Any, Any]) -> None:
     """A constant rate that is taken off all samples is a bias, and costs nothing."""
     first, second = pair
-    found = unit_solution([first.recording], first.board)
+    found = fit_base_model([first.recording], first.board)
     recording: Recording = second.recording
-    plain = Other.of(recording, second.board, found).judged(found)
+    plain = prepare_held_out(recording, second.board, found).fit_model(found)
     own = load_samples(recording, second.board)
     less = replace(own, rate_rad_s=np.asarray(own.rate_rad_s) - 0.01)
-    other = Other.of(recording, second.board, found, less).judged(found, like=plain)
+    other = prepare_held_out(recording, second.board, found, less).fit_model(
+        found, same_noise_as=plain
+    )
     assert other.log_likelihood == pytest.approx(plain.log_likelihood, abs=0.05)
     assert other.session.bias_rad_s == pytest.approx(plain.session.bias_rad_s - 0.01, abs=1e-6)

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from gyrorig_solver.discover.finder import explain
-from gyrorig_solver.discover.result import NamedCause
-from gyrorig_solver.findings.build import Origin, document_of
-from gyrorig_solver.findings.document import Subject
+from gyrorig_solver.discover.cause_findings import NamedCause
+from gyrorig_solver.findings.findings_builder import FindingsOrigin, build_findings_document
+from gyrorig_solver.findings.findings_document import BoardEntry
+from gyrorig_solver.pipeline.explain_board import explain_recordings
 
 pytestmark = pytest.mark.long
 
@@ -17,19 +17,19 @@ FAR = 4.0  # standard deviations
 
 def test_a_step_is_found_in_the_recording_in_which_it_was(hidden: Callable[..., Any]) -> None:
     plain, stepped = hidden(program="survey-40"), hidden("bias_step:0.01")
-    explained = explain([plain.recording, stepped.recording], plain.board)
+    explained = explain_recordings([plain.recording, stepped.recording], plain.board)
     (named,) = explained.findings.causes
     assert named.candidates == ("bias_step",)
     name = stepped.recording.path.name
     assert named.recording == name
     assert named.sentence.endswith(f", in {name}")
     # The time is that recording's own: the same as where it is looked at alone.
-    (alone,) = explain([stepped.recording], stepped.board).findings.causes
+    (alone,) = explain_recordings([stepped.recording], stepped.board).findings.causes
     assert alone.recording is None
     time_s, alone_s = ({v.name: v.value for v in one.values}["time"] for one in (named, alone))
     assert time_s == pytest.approx(alone_s, abs=0.5)
-    origin = Origin(Subject("GY80-1", ""), [], "2026-01-31T02:30:00Z", "0")
-    (cause,) = document_of(explained.findings, [], origin).causes
+    origin = FindingsOrigin(BoardEntry("GY80-1", ""), [], "2026-01-31T02:30:00Z", "0")
+    (cause,) = build_findings_document(explained.findings, [], origin).causes
     assert cause.recording == name
 
 
@@ -42,8 +42,8 @@ def _named(explained: Any, cause: str) -> NamedCause:
 def test_what_all_have_is_known_the_better_for_it(hidden: Callable[..., Any]) -> None:
     hide = "worm_error@pan:0.0006"
     one, two = hidden(hide, program="survey-40"), hidden(hide)
-    alone = _named(explain([one.recording], one.board), "worm_error")
-    both = _named(explain([one.recording, two.recording], one.board), "worm_error")
+    alone = _named(explain_recordings([one.recording], one.board), "worm_error")
+    both = _named(explain_recordings([one.recording, two.recording], one.board), "worm_error")
     assert both.recording is None
     assert set(both.where) == {"pan"}
     better = 0

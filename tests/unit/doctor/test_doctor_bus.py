@@ -1,4 +1,4 @@
-"""What the doctor says of a CAN bus, from what the kernel shows of it."""
+"""Findings of the doctor about a CAN bus, from data of the kernel."""
 
 from pathlib import Path
 from typing import Any
@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 
 from gyrorig_daemon.config import load_rig
-from gyrorig_daemon.config.buses import BusPort
-from gyrorig_daemon.doctor.bus import examine_bus, from_ip
-from gyrorig_daemon.doctor.examine import Order, examine
+from gyrorig_daemon.config.bus_config import BusPort
+from gyrorig_daemon.doctor.can_bus_check import check_bus, query_interface
 from gyrorig_daemon.doctor.finding import Level
-from gyrorig_daemon.doctor.system import System
+from gyrorig_daemon.doctor.rig_check import CheckRequest, check_rig
+from gyrorig_daemon.doctor.system_files import SystemFiles
 
 BUS = BusPort("can0", "socketcan:can0")
 STATISTICS = "/sys/class/net/can0/statistics"
@@ -23,29 +23,29 @@ def told(**data: Any) -> dict[str, Any]:
 
 
 @pytest.fixture
-def system(tmp_path: Path) -> System:
-    shown = System(tmp_path)
+def system(tmp_path: Path) -> SystemFiles:
+    shown = SystemFiles(tmp_path)
     put(shown, "/sys/class/net/can0/type", "280")
     put(shown, "/sys/class/net/can0/operstate", "up")
     put(shown, "/proc/sys/net/core/rmem_max", "8388608")
     return shown
 
 
-def put(system: System, name: str, text: str) -> None:
+def put(system: SystemFiles, name: str, text: str) -> None:
     path = system.path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
 
 
-def codes(system: System, bus: BusPort = BUS, **data: Any) -> list[str]:
-    found = examine_bus(bus, system, lambda _: told(**data))
+def codes(system: SystemFiles, bus: BusPort = BUS, **data: Any) -> list[str]:
+    found = check_bus(bus, system, lambda _: told(**data))
     assert all(finding.remedy for finding in found if finding.level >= Level.WARNING)
     return [finding.code for finding in found]
 
 
-def test_a_sound_bus(system: System) -> None:
+def test_a_sound_bus(system: SystemFiles) -> None:
     assert codes(system) == ["controller"]
-    assert examine_bus(BUS, system, lambda _: {}) == []  # a virtual interface
+    assert check_bus(BUS, system, lambda _: {}) == []  # a virtual interface
 
 
 @pytest.mark.parametrize(
@@ -57,22 +57,22 @@ def test_a_sound_bus(system: System) -> None:
         ({"bittiming": {"bitrate": 500_000}}, "wrong_bitrate"),
     ],
 )
-def test_a_bus_with_a_flaw(system: System, data: dict[str, Any], code: str) -> None:
+def test_a_bus_with_a_flaw(system: SystemFiles, data: dict[str, Any], code: str) -> None:
     assert codes(system, **data) == [code]
 
 
-def test_losses_and_a_small_buffer(system: System) -> None:
+def test_losses_and_a_small_buffer(system: SystemFiles) -> None:
     put(system, f"{STATISTICS}/rx_over_errors", "17")
     put(system, "/proc/sys/net/core/rmem_max", "212992")
     assert codes(system) == ["controller", "frames_lost", "small_buffer"]
-    (small,) = (f for f in examine_bus(BUS, system, lambda _: {}) if f.code == "small_buffer")
+    (small,) = (f for f in check_bus(BUS, system, lambda _: {}) if f.code == "small_buffer")
     assert "0.16 s" in small.what
 
 
-def test_a_bus_that_is_not_there(system: System) -> None:
+def test_a_bus_that_is_not_there(system: SystemFiles) -> None:
     put(system, "/sys/class/net/can0/operstate", "down")
     assert codes(system) == ["down"]
-    (finding,) = examine_bus(BusPort("can1", "socketcan:can1"), system)
+    (finding,) = check_bus(BusPort("can1", "socketcan:can1"), system)
     assert finding.code == "missing"
     assert "can0" in finding.remedy
     assert codes(system, BusPort("b", "udp_multicast:239.0.0.1:4000")) == ["no_interface"]
@@ -80,19 +80,19 @@ def test_a_bus_that_is_not_there(system: System) -> None:
 
 
 def test_ip_is_asked_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert from_ip("no-such-device") == {}
+    assert query_interface("no-such-device") == {}
     monkeypatch.setenv("PATH", "")
-    assert from_ip("lo") == {}
+    assert query_interface("lo") == {}
 
 
-def test_a_rig_with_a_bus(system: System, tmp_path: Path) -> None:
+def test_a_rig_with_a_bus(system: SystemFiles, tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
     path.write_text(
         "rig: r\nptu: {port: emulated}\nbuses: [{id: can0, port: emulated}]\n"
         "boards: [{id: B-1, bus: can0, node: 1}, {id: B-2, bus: can0, node: 2}]\n"
     )
-    found = examine(Order(load_rig(path), tmp_path, system=system), lambda _: None)
+    found = check_rig(CheckRequest(load_rig(path), tmp_path, system=system), lambda _: None)
     assert "bus can0" in {finding.subject for finding in found}
     tonight = next(finding for finding in found if finding.subject == "tonight")
     # 100 positions and 2 x 100 samples a second, 64 bytes each
-    assert "69.1 MB an hour" in tonight.what
+    assert "69.1 MB per hour" in tonight.what

@@ -1,35 +1,39 @@
-"""What the doctor says of a computer that is shown to it as a folder."""
+"""Findings of the doctor about a computer whose system files are in a folder."""
 
 import errno
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.config.service import ScheduleEntry, ServiceSettings
-from gyrorig_daemon.doctor import disk, ports
-from gyrorig_daemon.doctor.disk import Disk, examine_disk
+from gyrorig_daemon.clocks.capture_clock import HostClocks
+from gyrorig_daemon.config.service_settings import ScheduleEntry, ServiceSettings
+from gyrorig_daemon.doctor import disk_check, port_check
+from gyrorig_daemon.doctor.capacity_forecast import (
+    RecordingLoad,
+    check_capacity,
+    check_schedule_can_run,
+)
+from gyrorig_daemon.doctor.clock_check import STA_UNSYNC, check_clocks
+from gyrorig_daemon.doctor.computer_check import check_computer
+from gyrorig_daemon.doctor.disk_check import DiskMeasurement, check_disk
 from gyrorig_daemon.doctor.finding import EXIT_CODES, Finding, Level, worst
-from gyrorig_daemon.doctor.machine import examine_machine
-from gyrorig_daemon.doctor.ports import examine_port
-from gyrorig_daemon.doctor.system import System
-from gyrorig_daemon.doctor.timekeeping import STA_UNSYNC, examine_time
-from gyrorig_daemon.doctor.tonight import Night, examine_room, examine_schedule
-from gyrorig_daemon.links.capture_clock import HostClocks
-from gyrorig_daemon.links.holder import Holder
+from gyrorig_daemon.doctor.port_check import check_port
+from gyrorig_daemon.doctor.system_files import SystemFiles
+from gyrorig_daemon.links.ports.port_holder import PortHolder
 
 NOW_NS = 1_795_000_000 * 10**9  # November 2026
 GOOD = HostClocks(1, 1, NOW_NS, 3.0, 0.001, 0x2001)
 
 
 @pytest.fixture
-def system(tmp_path: Path) -> System:
+def system(tmp_path: Path) -> SystemFiles:
     """A healthy Raspberry Pi with the service installed and chrony at work."""
     (tmp_path / "root").mkdir()
-    shown = System(tmp_path / "root")
+    shown = SystemFiles(tmp_path / "root")
     put(shown, "/proc/meminfo", "MemTotal: 3884300 kB\nMemAvailable: 3000000 kB\n")
     put(shown, "/proc/loadavg", "0.10 0.20 0.30 1/200 4711")
     put(shown, "/proc/812/comm", "chronyd")
@@ -40,18 +44,18 @@ def system(tmp_path: Path) -> System:
     return shown
 
 
-def put(system: System, name: str, text: str) -> None:
+def put(system: SystemFiles, name: str, text: str) -> None:
     path = system.path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
 
 
-def codes(findings: list[Finding], least: Level = Level.NOTE) -> list[str]:
+def codes(findings: Iterable[Finding], least: Level = Level.NOTE) -> list[str]:
     return [finding.code for finding in findings if finding.level >= least]
 
 
-def test_nothing_to_do(system: System) -> None:
-    found = [*examine_machine(system), *examine_time(system, GOOD)]
+def test_nothing_to_do(system: SystemFiles) -> None:
+    found = [*check_computer(system), *check_clocks(system, GOOD)]
     assert codes(found) == []
     assert EXIT_CODES[worst(found)] == 0
     assert all(finding.what for finding in found)
@@ -73,10 +77,10 @@ def test_nothing_to_do(system: System) -> None:
     ],
 )
 def test_a_computer_with_a_flaw(
-    system: System, name: str, text: str, code: str, level: Level
+    system: SystemFiles, name: str, text: str, code: str, level: Level
 ) -> None:
     put(system, name, text)
-    (finding,) = [f for f in examine_machine(system) if f.level > Level.OK]
+    (finding,) = [f for f in check_computer(system) if f.level > Level.OK]
     assert (finding.code, finding.level) == (code, level)
     assert finding.remedy
 
@@ -102,61 +106,63 @@ def cpuinfo(flags: str) -> str:
     ],
     ids=["qemu64", "one flag", "v2", "32 bits", "arm", "nothing"],
 )
-def test_a_processor_on_which_numpy_does_not_start(system: System, text: str, missing: str) -> None:
+def test_a_processor_on_which_numpy_does_not_start(
+    system: SystemFiles, text: str, missing: str
+) -> None:
     put(system, "/proc/cpuinfo", text)
-    found = [f for f in examine_machine(system) if f.level > Level.OK]
+    found = [f for f in check_computer(system) if f.level > Level.OK]
     assert [f.code for f in found] == ["processor"] * bool(missing)
     for finding in found:
         assert finding.level is Level.FAULT
-        assert f"lacks {missing}: " in finding.what
+        assert f"lacks {missing}. " in finding.what
         assert "-cpu host" in finding.remedy
 
 
-def test_the_pi_s_own_alarm_of_its_supply(system: System) -> None:
+def test_the_pi_s_own_alarm_of_its_supply(system: SystemFiles) -> None:
     put(system, "/sys/class/hwmon/hwmon3/name", "rpi_volt")
     put(system, "/sys/class/hwmon/hwmon3/in0_lcrit_alarm", "0")
-    assert codes(examine_machine(system)) == []
+    assert codes(check_computer(system)) == []
     put(system, "/sys/class/hwmon/hwmon3/in0_lcrit_alarm", "1")
-    assert codes(examine_machine(system)) == ["undervoltage"]
+    assert codes(check_computer(system)) == ["undervoltage"]
 
 
-def test_nothing_starts_the_daemon(system: System) -> None:
+def test_nothing_starts_the_daemon(system: SystemFiles) -> None:
     wanted = system.path("/etc/systemd/system/multi-user.target.wants/gyrorigd.service")
     wanted.unlink()
-    (finding,) = [f for f in examine_machine(system) if f.level > Level.OK]
+    (finding,) = [f for f in check_computer(system) if f.level > Level.OK]
     assert (finding.code, finding.remedy) == ("service", "sudo make install-service")
     put(system, "/etc/systemd/system/gyrorigd.service", "")
-    (finding,) = [f for f in examine_machine(system) if f.level > Level.OK]
+    (finding,) = [f for f in check_computer(system) if f.level > Level.OK]
     assert finding.remedy.startswith("systemctl enable")
 
 
-def test_clocks(system: System) -> None:
+def test_clocks(system: SystemFiles) -> None:
     unsynchronised = replace(GOOD, ntp_status=STA_UNSYNC)
-    (finding,) = [f for f in examine_time(system, unsynchronised) if f.level]
+    (finding,) = [f for f in check_clocks(system, unsynchronised) if f.level]
     assert finding.code == "not_synchronised"
     assert "chronyd runs" in finding.what
     put(system, "/proc/812/comm", "bash")
-    (finding,) = [f for f in examine_time(system, unsynchronised) if f.level]
+    (finding,) = [f for f in check_clocks(system, unsynchronised) if f.level]
     assert finding.remedy == "install chrony"
-    assert codes(examine_time(system, replace(GOOD, realtime_ns=3 * 10**9))) == ["wrong_date"]
-    assert codes(examine_time(system, replace(GOOD, estimated_error_s=16.0))) == [
+    assert codes(check_clocks(system, replace(GOOD, realtime_ns=3 * 10**9))) == ["wrong_date"]
+    assert codes(check_clocks(system, replace(GOOD, estimated_error_s=16.0))) == [
         "not_synchronised"
     ]
     # no such call (a container without it): nothing is said that is not known
     unknown = replace(GOOD, frequency_ppm=float("nan"), estimated_error_s=float("nan"))
-    assert codes(examine_time(system, unknown)) == []
+    assert codes(check_clocks(system, unknown)) == []
     put(system, "/sys/devices/system/clocksource/clocksource0/current_clocksource", "jiffies")
-    assert codes(examine_time(system, GOOD)) == ["slow_clock"]
+    assert codes(check_clocks(system, GOOD)) == ["slow_clock"]
     (system.path("/sys/class/rtc/rtc0/name")).unlink()
     system.path("/sys/class/rtc/rtc0").rmdir()
-    assert codes(examine_time(system, GOOD)) == ["no_rtc", "slow_clock"]
+    assert codes(check_clocks(system, GOOD)) == ["no_rtc", "slow_clock"]
 
 
-def test_a_disk_is_measured_and_left_as_it_was(system: System, tmp_path: Path) -> None:
+def test_a_disk_is_measured_and_left_as_it_was(system: SystemFiles, tmp_path: Path) -> None:
     kept = tmp_path / "recordings"
     kept.mkdir()
     (kept / "a.mcap").write_bytes(b"a")
-    found, measured = examine_disk(kept / "not" / "there", system)
+    found, measured = check_disk(kept / "not" / "there", system)
     assert measured is not None
     assert measured.folder == kept
     assert measured.free_bytes > 0
@@ -170,15 +176,15 @@ def test_a_disk_is_measured_and_left_as_it_was(system: System, tmp_path: Path) -
     [(0.004, "speed", Level.OK), (0.3, "slow", Level.WARNING), (1.5, "too_slow", Level.FAULT)],
 )
 def test_how_slow_a_disk_is(
-    system: System,
+    system: SystemFiles,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     spent_s: float,
     code: str,
     level: Level,
 ) -> None:
-    monkeypatch.setattr(disk, "_trial", lambda _: spent_s)
-    found, _ = examine_disk(tmp_path, system)
+    monkeypatch.setattr(disk_check, "_timed_write", lambda _: spent_s)
+    found, _ = check_disk(tmp_path, system)
     assert [(finding.code, finding.level) for finding in found] == [(code, level)]
 
 
@@ -191,49 +197,53 @@ def test_how_slow_a_disk_is(
     ],
 )
 def test_kinds_of_disks(
-    system: System,
+    system: SystemFiles,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     mount: str,
     code: str,
     level: Level,
 ) -> None:
-    monkeypatch.setattr(disk, "_trial", lambda _: 0.001)
+    monkeypatch.setattr(disk_check, "_timed_write", lambda _: 0.001)
     put(system, "/proc/mounts", f"/dev/a / ext4 rw 0 0\n/dev/b {tmp_path} {mount} 0 0\n")
-    found, measured = examine_disk(tmp_path, system)
+    found, measured = check_disk(tmp_path, system)
     assert [(f.code, f.level) for f in found if f.level] == [(code, level)]
     assert (measured is None) == (level is Level.FAULT)
 
 
 def test_a_disk_that_takes_nothing(
-    system: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    system: SystemFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(_: Path) -> float:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(disk, "_trial", full)
-    (finding,), measured = examine_disk(tmp_path, system)
+    monkeypatch.setattr(disk_check, "_timed_write", full)
+    (finding,), measured = check_disk(tmp_path, system)
     assert (finding.code, measured) == ("trial_failed", None)
     assert "No space left" in finding.what
 
 
 def test_room_for_tonight() -> None:
     folder = Path("/var/lib/gyrorig")
-    sixteen = Night(12800.0, 100.0, 16)  # boards at 800 Hz, 64 bytes each: 2.97 GB an hour
-    (finding,) = examine_room(Disk(folder, 20 * 10**9, 5e6), sixteen, ServiceSettings())
+    sixteen = RecordingLoad(12800.0, 100.0, 16)  # boards at 800 Hz, 64 bytes each: 2.97 GB an hour
+    (finding,) = check_capacity(
+        DiskMeasurement(folder, 20 * 10**9, 5e6), sixteen, ServiceSettings()
+    )
     assert (finding.code, finding.level) == ("fills_up", Level.WARNING)
     assert "full in 6.4 h" in finding.what
     may_delete = ServiceSettings(delete_when_full=True)
-    (finding,) = examine_room(Disk(folder, 20 * 10**9, 5e6), sixteen, may_delete)
+    (finding,) = check_capacity(DiskMeasurement(folder, 20 * 10**9, 5e6), sixteen, may_delete)
     assert (finding.code, finding.level) == ("deletes", Level.NOTE)
-    one = Night(100.0, 100.0, 1)
-    (finding,) = examine_room(Disk(folder, 200 * 10**9, 5e6), one, ServiceSettings())
+    one = RecordingLoad(100.0, 100.0, 1)
+    (finding,) = check_capacity(DiskMeasurement(folder, 200 * 10**9, 5e6), one, ServiceSettings())
     assert (finding.code, finding.level) == ("fits", Level.OK)
-    found = examine_room(Disk(folder, 10**8, 1e5), sixteen, ServiceSettings())
+    found = check_capacity(DiskMeasurement(folder, 10**8, 1e5), sixteen, ServiceSettings())
     assert codes(found) == ["full", "disk_too_slow"]
-    silent = Night(0.0, 100.0, 1)
-    assert codes(examine_room(Disk(folder, 10**9, 1e6), silent, ServiceSettings())) == ["no_rate"]
-    assert examine_room(None, one, ServiceSettings()) == []
+    silent = RecordingLoad(0.0, 100.0, 1)
+    assert codes(
+        check_capacity(DiskMeasurement(folder, 10**9, 1e6), silent, ServiceSettings())
+    ) == ["no_rate"]
+    assert list(check_capacity(None, one, ServiceSettings())) == []
 
 
 def test_what_stands_against_the_schedule() -> None:
@@ -241,16 +251,15 @@ def test_what_stands_against_the_schedule() -> None:
     homing = ScheduleEntry(name="weekly", program="p.yaml", every_h=168.0, home=True)
 
     def code(*entries: ScheduleEntry, **facts: bool) -> str:
-        told = {"needs_homing": False, "homes_itself": False, "is_held": False} | facts
-        (finding,) = examine_schedule(entries, **told)
-        return finding.code
+        settings = {"needs_homing": False, "can_home_unattended": False, "motion_is_locked": False}
+        return check_schedule_can_run(entries, **(settings | facts)).code
 
     assert code() == "no_schedule"
     assert code(plain, homing) == "schedule"
     assert code(plain, needs_homing=True) == "will_be_refused"
     assert code(homing, needs_homing=True) == "schedule"
-    assert code(plain, needs_homing=True, homes_itself=True) == "schedule"
-    assert code(plain, is_held=True) == "held"
+    assert code(plain, needs_homing=True, can_home_unattended=True) == "schedule"
+    assert code(plain, motion_is_locked=True) == "held"
 
 
 @pytest.fixture
@@ -261,65 +270,69 @@ def port() -> Iterator[str]:
     os.close(master)
 
 
-def test_a_free_port(system: System, port: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ports, "open_holders", lambda _: [])
-    found, state = examine_port("unit", port, system)
+def test_a_free_port(system: SystemFiles, port: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(port_check, "open_holders", lambda _: [])
+    found, state = check_port("unit", port, system)
     assert (found, state.can_open) == ([], True)
 
 
 def test_names_that_do_not_hold(
-    system: System, tmp_path: Path, port: str, monkeypatch: pytest.MonkeyPatch
+    system: SystemFiles, tmp_path: Path, port: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ports, "_UNSTABLE", re.compile(r"/dev/pts/\d+"))
+    monkeypatch.setattr(port_check, "_UNSTABLE", re.compile(r"/dev/pts/\d+"))
     put(system, "/dev/serial/by-id/x", "")
     better = system.path("/dev/serial/by-id/usb-FTDI_PTU00001-if00-port0")
     better.symlink_to(port)
-    finding = examine_port("unit", port, system)[0][0]
+    finding = check_port("unit", port, system)[0][0]
     assert finding.code == "unstable_name"
-    named = "name it /dev/serial/by-id/usb-FTDI_PTU00001-if00-port0; ptu.serial"
+    named = "use /dev/serial/by-id/usb-FTDI_PTU00001-if00-port0; with ptu.serial"
     assert finding.remedy.startswith(named)
 
 
-def test_what_is_in_the_way_of_a_port(system: System, port: str) -> None:
+def test_what_is_in_the_way_of_a_port(system: SystemFiles, port: str) -> None:
     name = Path(port).name
     put(system, f"/sys/bus/usb-serial/devices/{name}/latency_timer", "16")
     put(system, "/proc/cmdline", f"console={name},115200 root=/dev/mmcblk0p2")
-    found, _ = examine_port("unit", port, system)
+    found, _ = check_port("unit", port, system)
     assert [f.code for f in found if f.level] == ["latency_timer", "console"]
     assert "16 ms" in found[0].what
     put(system, f"/sys/bus/usb-serial/devices/{name}/latency_timer", "1")
     put(system, "/proc/cmdline", "console=tty1")
-    assert [f.code for f in examine_port("unit", port, system)[0]] == ["latency_timer"]
+    assert [f.code for f in check_port("unit", port, system)[0]] == ["latency_timer"]
 
 
-def test_modem_manager(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modem_manager(system: SystemFiles, monkeypatch: pytest.MonkeyPatch) -> None:
     put(system, "/proc/99/comm", "ModemManager")
-    assert [f.code for f in ports._others("unit", "/dev/ttyUSB0", system)] == ["modem_manager"]
-    assert ports._others("unit", "/dev/ttyAMA0", system) == []
+    assert [f.code for f in port_check._check_modem_manager("unit", "/dev/ttyUSB0", system)] == [
+        "modem_manager"
+    ]
+    assert list(port_check._check_modem_manager("unit", "/dev/ttyAMA0", system)) == []
     put(system, "/etc/udev/rules.d/70-gyrorig.rules", "")
-    assert ports._others("unit", "/dev/ttyUSB0", system) == []
+    assert list(port_check._check_modem_manager("unit", "/dev/ttyUSB0", system)) == []
 
 
-def test_the_mini_uart_of_a_pi(system: System) -> None:
+def test_the_mini_uart_of_a_pi(system: SystemFiles) -> None:
     put(system, "/proc/device-tree/model", "Raspberry Pi 4 Model B Rev 1.4\0")
-    assert [f.code for f in ports._flaws("unit", "/dev/ttyS0", system)] == ["mini_uart"]
-    assert ports._flaws("unit", "/dev/ttyAMA0", system) == []
+    assert [f.code for f in port_check._check_kernel_use("unit", "/dev/ttyS0", system)] == [
+        "mini_uart"
+    ]
+    assert list(port_check._check_kernel_use("unit", "/dev/ttyAMA0", system)) == []
 
 
-def test_ports_that_are_none(system: System, tmp_path: Path) -> None:
-    (finding,), state = examine_port("unit", "/dev/none", system)
+def test_ports_that_are_none(system: SystemFiles, tmp_path: Path) -> None:
+    (finding,), state = check_port("unit", "/dev/none", system)
     assert (finding.code, finding.level, state.can_open) == ("missing", Level.FAULT, False)
     put(system, "/x", "")
-    (finding,), state = examine_port("unit", str(system.path("/x")), system)
+    (finding,), state = check_port("unit", str(system.path("/x")), system)
     assert (finding.code, state.can_open) == ("no_device", False)
 
 
 @pytest.mark.parametrize("is_ours", [True, False])
 def test_a_port_in_use(
-    system: System, port: str, monkeypatch: pytest.MonkeyPatch, is_ours: bool
+    system: SystemFiles, port: str, monkeypatch: pytest.MonkeyPatch, is_ours: bool
 ) -> None:
-    monkeypatch.setattr(ports, "lock_holder", lambda _: Holder(4711, "minicom", is_ours))
-    (finding,), state = examine_port("unit", port, system)
+    monkeypatch.setattr(port_check, "lock_holder", lambda _: PortHolder(4711, "minicom", is_ours))
+    (finding,), state = check_port("unit", port, system)
     assert not state.can_open
     assert "process 4711" in finding.what
     assert finding.level is (Level.NOTE if is_ours else Level.FAULT)

@@ -1,4 +1,4 @@
-"""The emulated board: what its counts mean, how it frames them, what may go wrong."""
+"""The emulated board: meaning of its counts, framing, faults."""
 
 from dataclasses import replace
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gyrorig_daemon.emulator.board import EmulatedBoard
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import BoardFaults, BoardSettings, RigSettings
 from gyrorig_daemon.emulator.physics.imu import ImuModel, ImuTruth
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardFaults, BoardSettings, RigSettings
-from gyrorig_daemon.emulator.truth import draw_rig_truth
+from gyrorig_daemon.emulator.rig_truth import sample_rig_truth
 from gyrorig_protocol.board import (
     Ack,
     Batch,
@@ -105,7 +105,7 @@ def test_accelerometer_reads_gravity_in_the_sensor_frame() -> None:
 
 def still_imu(**changes: object) -> ImuTruth:
     """A sensor without noise and error, at 100 Hz."""
-    truth = draw_rig_truth(RigSettings(boards=(PLAIN,))).boards["B"].imu
+    truth = sample_rig_truth(RigSettings(boards=(PLAIN,))).boards["B"].imu
     quiet = replace(
         truth,
         odr_hz=100.0,
@@ -129,7 +129,7 @@ def noiseless_path(truth: ImuTruth, interrupt_at: int) -> np.ndarray:
         block = model.next_block()
         if k == interrupt_at:
             rig.stage.pan.move(0.4, 200)
-            block = model.refreshed() or block
+            block = model.recompute_if_moved() or block
         total.append(block.gyro[:, 2])
     return np.concatenate(total)
 
@@ -310,6 +310,6 @@ def test_faults_of_the_link() -> None:
 def test_every_other_board_wraps_its_clock_within_two_minutes() -> None:
     wraps = 0
     for seed in range(200):
-        clock = draw_rig_truth(RigSettings(seed=seed, boards=(PLAIN,))).boards["B"].clock
+        clock = sample_rig_truth(RigSettings(seed=seed, boards=(PLAIN,))).boards["B"].clock
         wraps += 2**32 - clock.start_ticks < 120_000_000
     assert 80 <= wraps <= 130

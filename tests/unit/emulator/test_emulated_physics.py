@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, signal
 
-from gyrorig_daemon.emulator.physics.axis import AxisTruth, StepperAxis
-from gyrorig_daemon.emulator.physics.clock import ClockTruth, DeviceClock
-from gyrorig_daemon.emulator.physics.latency import HostLatency, LatencyTruth
+from gyrorig_daemon.emulator.physics.bias_noise import BiasWander, white_step_sigma
+from gyrorig_daemon.emulator.physics.device_clock import ClockTruth, DeviceClock
+from gyrorig_daemon.emulator.physics.host_latency import HostLatency, LatencyTruth
 from gyrorig_daemon.emulator.physics.lowpass import block_filter, butterworth_step
 from gyrorig_daemon.emulator.physics.motion_law import MotionLaw
-from gyrorig_daemon.emulator.physics.noise import BiasWander, white_step_sigma
-from gyrorig_daemon.emulator.physics.stage import STANDARD_GRAVITY_M_S2, Stage
+from gyrorig_daemon.emulator.physics.stage_motion import STANDARD_GRAVITY_M_S2, Stage
+from gyrorig_daemon.emulator.physics.stepper_axis import AxisTruth, StepperAxis
 
 ARCSEC = 185.142857
 
@@ -183,7 +183,7 @@ def test_clock_starts_anew_at_a_reset() -> None:
     assert reset.ticks(10**9 - 1) == 77 + 999_999
     assert reset.ticks(10**9) == 0
     assert reset.ticks(10**9 + 5_000) == 5
-    assert reset.started_ns(10**9 - 1) is None
+    assert reset.last_reset_ns(10**9 - 1) is None
 
 
 def test_arrivals_have_a_floor_an_exponential_and_keep_order() -> None:

@@ -1,13 +1,13 @@
-"""The emulated unit's language, timing and faults, byte for byte."""
+"""The emulated unit's commands, timing and faults, byte for byte."""
 
 import itertools
 from dataclasses import replace
 
 import pytest
 
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import PtuFaults, PtuSettings, RigSettings
 from gyrorig_daemon.emulator.ptu import EmulatedPtu
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import PtuFaults, PtuSettings, RigSettings
 
 E46 = PtuSettings(echo=False)
 D46 = replace(E46, dialect="d46")

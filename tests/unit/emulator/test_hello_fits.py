@@ -2,13 +2,13 @@
 
 import pytest
 
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BANDWIDTHS_HZ, BoardSettings, RigSettings
-from gyrorig_daemon.emulator.truth import GYRO_MDPS
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import BANDWIDTHS_HZ, BoardSettings, RigSettings
+from gyrorig_daemon.emulator.rig_truth import GYRO_MDPS_PER_COUNT
 from gyrorig_protocol.board import FrameEvent, FrameParser, Hello
 
 
-@pytest.mark.parametrize("full_scale_dps", sorted(GYRO_MDPS))
+@pytest.mark.parametrize("full_scale_dps", sorted(GYRO_MDPS_PER_COUNT))
 @pytest.mark.parametrize(
     ("odr_hz", "bandwidth_hz"), [(o, b) for o, many in sorted(BANDWIDTHS_HZ.items()) for b in many]
 )

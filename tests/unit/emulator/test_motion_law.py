@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrorig_daemon.emulator.physics.axis import AxisTruth, StepperAxis
-from gyrorig_daemon.emulator.physics.motion_law import MotionLaw, Segment, halt_target, plan
+from gyrorig_daemon.emulator.physics.motion_law import MotionLaw, Segment, halt_target, plan_motion
+from gyrorig_daemon.emulator.physics.stepper_axis import AxisTruth, StepperAxis
 
 LAW = MotionLaw(base_speed_steps_s=100.0, speed_steps_s=1000.0, acceleration_steps_s2=2000.0)
 
@@ -27,7 +27,7 @@ def at(segments: list[Segment], time_s: float) -> tuple[float, float]:
 
 def test_long_move_is_the_trapezoid_of_the_manual() -> None:
     # Ramp 100 -> 1000 at 2000 steps/s^2: 0.45 s and (1000^2 - 100^2) / 4000 = 247.5 steps.
-    segments = plan(0.0, 0.0, 0.0, 3000.0, LAW)
+    segments = plan_motion(0.0, 0.0, 0.0, 3000.0, LAW)
     assert [s.acceleration_steps_s2 for s in segments] == [2000.0, 0.0, -2000.0, 0.0]
     assert segments[1].start_s == pytest.approx(0.45, abs=1e-12)
     assert segments[1].steps == pytest.approx(247.5, abs=1e-9)
@@ -38,7 +38,7 @@ def test_long_move_is_the_trapezoid_of_the_manual() -> None:
 
 
 def test_short_move_is_a_triangle() -> None:
-    segments = plan(0.0, 0.0, 0.0, 100.0, LAW)
+    segments = plan_motion(0.0, 0.0, 0.0, 100.0, LAW)
     # vp^2 = a D + vb^2 = 200000 + 10000, and each ramp lasts (vp - vb) / a.
     peak = math.sqrt(210000.0)
     assert segments[1].speed_steps_s == pytest.approx(peak, abs=1e-9)
@@ -47,12 +47,12 @@ def test_short_move_is_a_triangle() -> None:
 
 def test_below_base_speed_there_is_no_ramp() -> None:
     law = MotionLaw(1000.0, 500.0, 2000.0)
-    segments = plan(1.0, 0.0, 0.0, -250.0, law)
+    segments = plan_motion(1.0, 0.0, 0.0, -250.0, law)
     assert segments == [Segment(1.0, 0.0, -500.0, 0.0), Segment(1.5, -250.0, 0.0, 0.0)]
 
 
 def test_reversal_brakes_through_base_speed_then_comes_back() -> None:
-    segments = plan(0.0, 0.0, 1000.0, -500.0, LAW)
+    segments = plan_motion(0.0, 0.0, 1000.0, -500.0, LAW)
     assert segments[0] == Segment(0.0, 0.0, 1000.0, -2000.0)
     assert at(segments, 0.45)[0] == pytest.approx(247.5)
     assert segments[1].speed_steps_s == -100.0
@@ -60,7 +60,7 @@ def test_reversal_brakes_through_base_speed_then_comes_back() -> None:
 
 
 def test_target_too_near_is_overshot() -> None:
-    segments = plan(0.0, 0.0, 1000.0, 100.0, LAW)
+    segments = plan_motion(0.0, 0.0, 1000.0, 100.0, LAW)
     assert max(at(segments, 0.001 * k)[0] for k in range(2000)) == pytest.approx(247.5, abs=0.1)
     assert at(segments, 99.0) == (100.0, 0.0)
 
@@ -75,7 +75,7 @@ def test_position_is_continuous_and_speed_within_the_law(
     law: MotionLaw, steps: int, target: int, part: float
 ) -> None:
     fastest = max(law.speed_steps_s, law.base_speed_steps_s)
-    segments = plan(0.0, float(steps), part * fastest, float(target), law)
+    segments = plan_motion(0.0, float(steps), part * fastest, float(target), law)
     for before, after in itertools.pairwise(segments):
         assert after.start_s >= before.start_s
         end, speed = before.at(after.start_s)
@@ -95,10 +95,10 @@ def test_position_is_continuous_and_speed_within_the_law(
 def test_the_same_plan_from_any_instant_ends_at_the_same_time(
     law: MotionLaw, steps: int, target: int, part: float
 ) -> None:
-    first = plan(0.0, float(steps), 0.0, float(target), law)
+    first = plan_motion(0.0, float(steps), 0.0, float(target), law)
     end_s = first[-1].start_s
     now_s = part * end_s
-    again = plan(now_s, *at(first, now_s), float(target), law)
+    again = plan_motion(now_s, *at(first, now_s), float(target), law)
     assert again[-1].start_s == pytest.approx(end_s, abs=1e-5)
 
 

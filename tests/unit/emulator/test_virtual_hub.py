@@ -1,4 +1,4 @@
-"""The virtual hub, and that whoever drives a device gets the same bytes from it."""
+"""The virtual hub; every driver of a device gets the same bytes."""
 
 import os
 import threading
@@ -12,12 +12,17 @@ import numpy as np
 import pytest
 import serial
 
-from gyrorig_daemon.emulator.device import EmulatedDevice
+from gyrorig_daemon.emulator.emulated_device import EmulatedDevice
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import (
+    BoardSettings,
+    PtuFaults,
+    PtuSettings,
+    RigSettings,
+)
 from gyrorig_daemon.emulator.pty_server import PtyServer, raw_now_ns
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardSettings, PtuFaults, PtuSettings, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.hub import Chunk, PortChange, PortHub
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, PortHub
 from gyrorig_protocol.board import HelloRequest, TimeRequest
 from gyrorig_protocol.errors import DeviceError, MachineError
 
@@ -114,11 +119,11 @@ def test_a_pulled_cable_is_a_hang_up() -> None:
     hub.unplug("board:A", ORIGIN + SECOND)
     chunks = play(hub, [], 2.0)
     of_a = [chunk for chunk in chunks if chunk.port == "board:A"]
-    assert of_a[-1] == Chunk("board:A", ORIGIN + SECOND, b"", PortChange.GONE, "it hung up")
+    assert of_a[-1] == Chunk("board:A", ORIGIN + SECOND, b"", PortChange.GONE, "it was unplugged")
     assert not hub.is_up("board:A")
     assert all(chunk.data for chunk in of_a[:-1])
     assert max(c.received_ns for c in chunks if c.port == "board:B") > ORIGIN + 1.9 * SECOND
-    with pytest.raises(DeviceError, match="hung up"):
+    with pytest.raises(DeviceError, match="unplugged"):
         hub.write("board:A", b"x")
 
 
@@ -306,5 +311,5 @@ def test_links_of_a_later_emulator_are_left_to_it(tmp_path: Path) -> None:
 
 def test_links_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(MachineError, match="links cannot be made"):
+    with pytest.raises(MachineError, match="links cannot be created"):
         PtyServer(cast(EmulatedRig, Ears("ptu")), tmp_path / "file" / "deeper")

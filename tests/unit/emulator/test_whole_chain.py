@@ -12,8 +12,8 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardSettings, PtuSettings, RigSettings
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import BoardSettings, PtuSettings, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_protocol.board import FrameEvent, FrameParser, Sample
 

@@ -3,33 +3,33 @@
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover.result import (
+from gyrorig_solver.data.stream.count_stream import CheckResult, StreamFinding
+from gyrorig_solver.discover.cause_findings import (
     CalibrationChange,
-    Findings,
-    Gain,
-    Interval,
-    Limit,
+    CauseFindings,
+    ConfidenceInterval,
+    DependenceTest,
+    DetectionLimit,
+    FittedValue,
+    HeldOutGain,
     NamedCause,
-    NotTestable,
-    Rival,
-    Signature,
-    Unexplained,
-    Value,
+    RivalCause,
+    UnexplainedResidual,
+    UntestableCause,
 )
-from gyrorig_solver.estimate.extension import Extension
-from gyrorig_solver.findings.build import Origin, RawEvidence
-from gyrorig_solver.findings.document import Input, Subject
-from gyrorig_solver.model.terms.catalogue import term
-from gyrorig_solver.raw.result import Look, RawFinding
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
+from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry
+from gyrorig_solver.model.catalogue import find_term
 
-GAIN = Gain(
+GAIN = HeldOutGain(
     how="every other cycle left out",
-    log_likelihood=Interval(37.5, 20.25, 54.75),
+    log_likelihood=ConfidenceInterval(37.5, 20.25, 54.75),
     rms_before=0.0125,
     rms_after=0.00625,
     turn_error_before_rad=0.002,
     turn_error_after_rad=0.0005,
-    rms_change=Interval(-0.00625, -0.007, -0.0055),
+    rms_change=ConfidenceInterval(-0.00625, -0.007, -0.0055),
 )
 CHANGES = (
     CalibrationChange("scale.z", 1.03125, 1.03, 0.0005, "1"),
@@ -38,61 +38,65 @@ CHANGES = (
 
 
 @pytest.fixture
-def findings() -> Findings:
+def findings() -> CauseFindings:
     """A search that named the play of tilt's gears, and something is left."""
-    play = term("backlash")
+    play = find_term("backlash")
     named = NamedCause(
         term=play,
         where=("tilt",),
-        extension=Extension(play, np.array([0.0, 0.001, 0.0, 1.0]), np.array([1])),
-        values=(Value("gap.tilt", 0.001, 0.0001, "rad", 0.00087),),
+        extension=FittedTerm(play, np.array([0.0, 0.001, 0.0, 1.0]), np.array([1])),
+        values=(FittedValue("gap.tilt", 0.001, 0.0001, "rad", 0.00087),),
         statistic=84.25,
         degrees_of_freedom=1,
         p_value=1e-19,
         posterior=0.97,
         one_of=(),
-        rivals=(Rival("base_compliance", -31.0, 0.001, "it comes after reversals only"),),
+        rivals=(RivalCause("base_compliance", -31.0, 0.001, "it comes after reversals only"),),
         changes=CHANGES,
         gain=GAIN,
     )
-    rest = Signature("pan_angle", "on pan, as a gain", 60.0, 24, 1e-4)
-    return Findings(
+    rest = DependenceTest("pan_angle", "on pan, as a gain", 60.0, 24, 1e-4)
+    return CauseFindings(
         verdict="unexplained",
         causes=(named,),
-        unexplained=Unexplained(rest, (Signature("line", "on a line", 30.0, 2, 1e-3),), 0.9),
-        signatures=(rest,),
-        absent=(Limit("tilt_sag", None, 0.0014, "rad", 0.0017, "scale.z", 36.0),),
-        not_testable=(NotTestable("thermal_bias", None, "it warmed by 0.3 K only; heat it"),),
+        unexplained=UnexplainedResidual(
+            rest, (DependenceTest("line", "on a line", 30.0, 2, 1e-3),), 0.9
+        ),
+        dependence_tests=(rest,),
+        detection_limits=(
+            DetectionLimit("tilt_sag", None, 0.0014, "rad", 0.0017, "scale.z", 36.0),
+        ),
+        untestable=(UntestableCause("thermal_bias", None, "it warmed by 0.3 K only; heat it"),),
         base_terms=("bias", "scale", "nonorthogonality", "misalignment", "time_offset"),
         base_reduced_chi2=3.25,
         base_whiteness_p=1e-12,
         extended_reduced_chi2=1.0625,
         gain=GAIN,
         changes=CHANGES,
-        seconds=5.0,
+        duration_s=5.0,
     )
 
 
 @pytest.fixture
-def raw() -> list[RawEvidence]:
+def raw() -> list[RawChecks]:
     """Two recordings: repeats in both, nothing else."""
-    again = RawFinding(
+    again = StreamFinding(
         "repeated_samples", "clock", (), 60, 12_000, 1e-30, "share", 0.005, "1",
         "60 of 12000 samples (0.5 %) repeat the one before", "read it at data-ready",
     )  # fmt: skip
     looks = (
-        Look("repeated samples", again.seen_as, (again,)),
-        Look("damaged words", "none among 36000 words"),
+        CheckResult("repeated samples", again.seen_as, (again,)),
+        CheckResult("damaged words", "none among 36000 words"),
     )
-    return [RawEvidence("monday.mcap", looks), RawEvidence("friday.mcap", looks)]
+    return [RawChecks("monday.mcap", looks), RawChecks("friday.mcap", looks)]
 
 
 @pytest.fixture
-def origin() -> Origin:
+def origin() -> FindingsOrigin:
     """One board, two recordings."""
-    return Origin(
-        board=Subject("GY80-0007", "L3G4200D"),
-        recordings=[Input("monday.mcap", "ab" * 32), Input("friday.mcap", "cd" * 32)],
+    return FindingsOrigin(
+        board=BoardEntry("GY80-0007", "L3G4200D"),
+        recordings=[InputEntry("monday.mcap", "ab" * 32), InputEntry("friday.mcap", "cd" * 32)],
         created="2026-01-31T02:30:00Z",
         software="0.1.0",
     )

@@ -9,24 +9,30 @@ import numpy as np
 import pytest
 from scipy.stats import linregress
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.discover.attitude_terms import ReferenceSmoothing
-from gyrorig_solver.discover.result import Findings
-from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
-from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.report.cause_figures import cause_figure, rest_figure
-from gyrorig_solver.report.course import Course
-from gyrorig_solver.report.dependence import OF_CAUSE, OF_SIGNATURE, Dependence, in_bins
-from gyrorig_solver.report.drawing import alone
-from gyrorig_solver.report.explain_html import figures_of, render_findings
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.cause_findings import CauseFindings
+from gyrorig_solver.findings.findings_builder import (
+    FindingsOrigin,
+    RawChecks,
+    build_findings_document,
+)
+from gyrorig_solver.model.term import BinnedDependence
+from gyrorig_solver.report.binned_dependence import (
+    DEPENDENCE_OF_SIGNATURE,
+    regress_in_bins,
+)
+from gyrorig_solver.report.cause_figures import cause_figure, unexplained_figure
+from gyrorig_solver.report.figure_layout import standalone_svg
+from gyrorig_solver.report.findings_page import draw_findings_figures, render_findings
+from gyrorig_solver.report.report_series import ReportSeries
 
 EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> {{7*7}}"
 RNG = np.random.default_rng(11)
 N = 9000
 
 
-def course(left: FloatArray | None = None) -> Course:
-    """A pan that swings over its range at three tilts, with a residual of one's own."""
+def course(left: FloatArray | None = None) -> ReportSeries:
+    """A pan that swings over its range at three tilts, with a given residual."""
     time_s = np.arange(N) / 50.0
     pan = 2.0 * np.sin(0.9 * time_s)
     tilt = np.repeat([-0.5, 0.0, 0.5], N // 3)
@@ -36,7 +42,7 @@ def course(left: FloatArray | None = None) -> Course:
     effect = np.zeros((N, 3)) if left is None else left
     frequency = np.geomspace(0.05, 25.0, 40)
     density = np.full((40, 3), 1e-6 / 25.0)
-    return Course(
+    return ReportSeries(
         time_s=time_s,
         measured_rad_s=stage + effect + noise,
         base_rad_s=stage,
@@ -75,16 +81,16 @@ def page_of(text: str) -> Page:
     return page
 
 
-def drawn(findings: Findings) -> dict[str, str]:
+def drawn(findings: CauseFindings) -> dict[str, str]:
     effect = np.zeros((N, 3))
     effect[4000:4010, 2] = 0.02
-    return figures_of(course(effect), findings)
+    return draw_findings_figures(course(effect), findings)
 
 
-def test_the_page_needs_nothing_from_outside(
-    findings: Findings, raw: list[RawEvidence], origin: Origin
+def test_page_is_self_contained(
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    page = page_of(render_findings(document_of(findings, raw, origin), drawn(findings)))
+    page = page_of(render_findings(build_findings_document(findings, raw, origin), drawn(findings)))
     assert not {"script", "link", "iframe", "object", "img", "base"} & set(page.tags)
     links = [v for n, v in page.attributes if n.split(":")[-1] in ("href", "src", "data")]
     assert all(link.startswith("#") for link in links)
@@ -95,14 +101,17 @@ def test_the_page_needs_nothing_from_outside(
     assert used <= set(names)
 
 
-def test_the_verdict_comes_first_and_the_rig_is_told_what_to_do(
-    findings: Findings, raw: list[RawEvidence], origin: Origin
+def test_verdict_effect_and_remedy_come_first(
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    words = " ".join(page_of(render_findings(document_of(findings, raw, origin), {})).words)
+    words = " ".join(
+        page_of(render_findings(build_findings_document(findings, raw, origin), {})).words
+    )
     order = [
-        *("Not all explained", "have the worm adjusted", "What was found"),
-        *("What else was weighed", "What no known cause explains", "What could be there unseen"),
-        *("What this recording cannot show at any size", "The samples themselves"),
+        *("Not fully explained: the gears have backlash, on tilt", "standard uncertainties (scale"),
+        *("Have the worm adjusted", "p < 1e-12; posterior probability 0.97", "Causes"),
+        *("Rejected alternatives", "Unexplained residual", "Not found"),
+        *("Not testable with this recording", "Raw-stream checks"),
     ]
     places = [words.index(text) for text in order]
     assert places == sorted(places)
@@ -110,10 +119,10 @@ def test_the_verdict_comes_first_and_the_rig_is_told_what_to_do(
     assert "it comes after reversals only" in words
 
 
-def test_hostile_names_are_only_text(
-    findings: Findings, raw: list[RawEvidence], origin: Origin
+def test_hostile_names_are_escaped(
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    document = document_of(findings, raw, origin, remarks=(EVIL,))
+    document = build_findings_document(findings, raw, origin, remarks=(EVIL,))
     board = msgspec.structs.replace(document.board, id=EVIL, sensor=EVIL)
     recording = [msgspec.structs.replace(document.recording[0], name=EVIL)]
     document = msgspec.structs.replace(document, board=board, recording=recording)
@@ -122,47 +131,47 @@ def test_hostile_names_are_only_text(
     assert "{{7*7}}" in "".join(page.words)
 
 
-def test_nothing_found_still_has_a_page(findings: Findings, origin: Origin) -> None:
+def test_page_without_findings(findings: CauseFindings, origin: FindingsOrigin) -> None:
     empty = replace(
         findings, verdict="adequate", causes=(), unexplained=None, gain=None, changes=()
     )
-    words = " ".join(page_of(render_findings(document_of(empty, [], origin), {})).words)
-    assert "Nothing found" in words
-    assert "What was found" not in words
+    words = " ".join(page_of(render_findings(build_findings_document(empty, [], origin), {})).words)
+    assert "No error found" in words
+    assert "Rejected alternatives" not in words
 
 
-def test_a_figure_stands_alone(findings: Findings) -> None:
-    text = alone(drawn(findings)["backlash-tilt"])
+def test_standalone_figure_has_its_own_style(findings: CauseFindings) -> None:
+    text = standalone_svg(drawn(findings)["backlash-tilt"])
     assert text.startswith("<?xml")
     assert 'xmlns="http://www.w3.org/2000/svg"' in text
     assert "prefers-color-scheme" in text
 
 
-def test_a_gain_along_pan_is_drawn_as_planted() -> None:
-    seen = course()
-    rate = seen.rate_rad_s[:, 2]
+def test_binned_gain_matches_a_known_gain() -> None:
+    series = course()
+    rate = series.rate_rad_s[:, 2]
     planted = np.zeros((N, 3))
-    planted[:, 2] = 0.01 * np.cos(seen.angle_rad[0]) * rate
-    bins = in_bins(seen, planted, Dependence("gain", "pan"), axis=2)
-    upright = float(np.mean(np.cos(seen.angle_rad[1])))  # z takes part of pan's rate
+    planted[:, 2] = 0.01 * np.cos(series.angle_rad[0]) * rate
+    bins = regress_in_bins(series, planted, BinnedDependence("gain", "pan"), axis=2)
+    upright = float(np.mean(np.cos(series.angle_rad[1])))  # z takes part of pan's rate
     wanted = upright * np.cos(np.radians(bins.centre))
     assert bins.value[1:-1] == pytest.approx(wanted[1:-1], abs=0.02)
 
 
-def test_a_lag_is_drawn_in_milliseconds() -> None:
-    seen = course()
-    late = -0.002 * np.gradient(seen.base_rad_s, 0.02, axis=0)
-    bins = in_bins(seen, late, Dependence("lag", "time", 8), axis=2)
+def test_binned_delay_is_in_milliseconds() -> None:
+    series = course()
+    late = -0.002 * np.gradient(series.base_rad_s, 0.02, axis=0)
+    bins = regress_in_bins(series, late, BinnedDependence("lag", "time", 8), axis=2)
     assert bins.value == pytest.approx(np.full(bins.value.size, 2.0), abs=1e-6)
 
 
-def test_one_bin_is_the_regression_of_scipy() -> None:
-    seen = course()
-    left = seen.left_base_rad_s
-    by = np.sin(seen.angle_rad[1]) * seen.rate_rad_s[:, 1]
-    by = by + np.cos(seen.angle_rad[1]) * seen.rate_rad_s[:, 2]
+def test_one_bin_equals_scipy_regression() -> None:
+    series = course()
+    left = series.base_residual_rad_s
+    by = np.sin(series.angle_rad[1]) * series.rate_rad_s[:, 1]
+    by = by + np.cos(series.angle_rad[1]) * series.rate_rad_s[:, 2]
     some = np.abs(by) > 0.05 * np.abs(by).max()
-    bins = in_bins(seen, left, Dependence("gain", "pan", 1), axis=2)
+    bins = regress_in_bins(series, left, BinnedDependence("gain", "pan", 1), axis=2)
     both = np.concatenate([by[some], -by[some]])  # through the origin
     wanted = linregress(both, np.concatenate([left[some, 2], -left[some, 2]]))
     assert bins.value[0] == pytest.approx(100.0 * wanted.slope, rel=1e-9)
@@ -178,20 +187,20 @@ def test_every_kind_of_figure_is_drawn(cause: str) -> None:
     assert "with it" in text
 
 
-def test_without_a_unit_a_cause_is_drawn_by_what_it_says() -> None:
+def test_without_angles_a_cause_is_drawn_by_its_effect() -> None:
     effect = 0.01 * np.sin(np.arange(N))[:, None] * np.ones((1, 3))
     bare = replace(course(effect), effects={"own": effect}, angle_rad=np.full((2, N), np.nan))
     text = cause_figure(bare, "reference_smoothing", "own", ())
-    assert "what the cause adds on" in text
-    assert "left on" in text
+    assert "predicted effect" in text
+    assert "without it, deg/s" in text
 
 
-def test_all_other_causes_are_in_both_models_of_a_picture() -> None:
-    """A large other cause must not show in the picture of a small one."""
+def test_other_causes_are_in_both_models_of_a_figure() -> None:
+    """A large other cause must not show in the figure of a small one."""
     own, other = np.zeros((N, 3)), np.zeros((N, 3))
     own[4000:4010, 2], other[:, 2] = 0.01, 1.0
-    seen = course(own + other)
-    shown = replace(seen, effects={"own": own})
+    series = course(own + other)
+    shown = replace(series, effects={"own": own})
     flat = replace(course(own), effects={"own": own})
     assert close_scale(cause_figure(shown, "ringing", "own", ())) == close_scale(
         cause_figure(flat, "ringing", "own", ())
@@ -203,10 +212,6 @@ def close_scale(text: str) -> list[str]:
     return [w for w in page_of(text).words if w.strip().startswith("0.")][-3:]
 
 
-@pytest.mark.parametrize("covariate", [*OF_SIGNATURE, "line", "pan_transient", "moving"])
-def test_a_rest_is_drawn_against_whatever_it_depends_on(covariate: str) -> None:
-    assert rest_figure(course(), covariate, 2).startswith("<svg")
-
-
-def test_dependences_are_of_causes_that_there_are() -> None:
-    assert set(OF_CAUSE) <= {*catalogue(), ReferenceSmoothing.cause}
+@pytest.mark.parametrize("covariate", [*DEPENDENCE_OF_SIGNATURE, "line", "pan_transient", "moving"])
+def test_unexplained_residual_is_drawn_against_any_covariate(covariate: str) -> None:
+    assert unexplained_figure(course(), covariate, 2).startswith("<svg")

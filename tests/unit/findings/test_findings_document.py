@@ -11,35 +11,40 @@ import pytest
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.document import Trust
-from gyrorig_solver.calibration.trust import with_findings
-from gyrorig_solver.discover.attitude_terms import ReferenceSmoothing
-from gyrorig_solver.discover.result import Findings, NotTestable
-from gyrorig_solver.findings.build import Origin, RawEvidence, document_of
-from gyrorig_solver.findings.document import parse_findings, to_yaml
-from gyrorig_solver.findings.remedies import REMEDIES
-from gyrorig_solver.findings.wording import TITLES, summary
-from gyrorig_solver.findings.writing import write_findings
-from gyrorig_solver.model.terms.catalogue import catalogue
-from gyrorig_solver.raw.gain import look_at_gain
-from gyrorig_solver.raw.result import RawFinding
+from gyrorig_solver.calibration.calibration_document import Trust
+from gyrorig_solver.data.stream.count_stream import StreamFinding
+from gyrorig_solver.data.stream.gain_checks import check_gain
+from gyrorig_solver.discover.attitude.attitude_terms import ReferenceSmoothing
+from gyrorig_solver.discover.cause_findings import CauseFindings, UntestableCause
+from gyrorig_solver.findings.findings_builder import (
+    FindingsOrigin,
+    RawChecks,
+    build_findings_document,
+)
+from gyrorig_solver.findings.findings_document import parse_findings, to_yaml
+from gyrorig_solver.findings.findings_files import write_findings
+from gyrorig_solver.findings.findings_wording import cause_remedy, cause_title, findings_summary
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.pipeline.criticism_verdict import judge_findings
 
 
 def test_it_reads_back_as_it_was_written(
-    findings: Findings, raw: list[RawEvidence], origin: Origin
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    document = document_of(findings, raw, origin, {"backlash-tilt": "figures/backlash-tilt.svg"})
+    document = build_findings_document(
+        findings, raw, origin, {"backlash-tilt": "figures/backlash-tilt.svg"}
+    )
     assert parse_findings(to_yaml(document), "findings.yaml") == document
 
 
 def test_the_independent_judge_accepts_it(
-    findings: Findings,
-    raw: list[RawEvidence],
-    origin: Origin,
+    findings: CauseFindings,
+    raw: list[RawChecks],
+    origin: FindingsOrigin,
     contract_judge: Path,
     tmp_path: Path,
 ) -> None:
-    text = to_yaml(document_of(findings, raw, origin))
+    text = to_yaml(build_findings_document(findings, raw, origin))
     path = write_findings(tmp_path, BoardId("GY80-0007"), text, "<html>", {"a": "<svg>"})
     judged = subprocess.run(
         [sys.executable, str(contract_judge), str(path)],
@@ -57,9 +62,9 @@ def test_the_independent_judge_accepts_it(
 
 
 def test_the_search_and_the_stream_stand_together(
-    findings: Findings, raw: list[RawEvidence], origin: Origin
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    document = document_of(findings, raw, origin)
+    document = build_findings_document(findings, raw, origin)
     assert [(one.cause, one.where) for one in document.causes] == [
         ("backlash", "tilt"),
         ("repeated_samples", "all"),
@@ -74,37 +79,37 @@ def test_the_search_and_the_stream_stand_together(
 
 
 def test_a_faulty_stream_is_explained_not_adequate(
-    findings: Findings, raw: list[RawEvidence], origin: Origin
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
     clean = replace(findings, verdict="adequate", causes=(), unexplained=None, gain=None)
-    assert document_of(clean, raw, origin).verdict == "explained"
-    assert document_of(clean, [], origin).verdict == "adequate"
+    assert build_findings_document(clean, raw, origin).verdict == "explained"
+    assert build_findings_document(clean, [], origin).verdict == "adequate"
 
 
 def test_swapped_axes_come_first(
-    findings: Findings, raw: list[RawEvidence], origin: Origin
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    swapped = RawFinding(
+    swapped = StreamFinding(
         "axis_swap", "link", ("x", "y"), 1, 1, 0.0, "exchanged", 1.0, "1", "x and y", "mend it"
     )
-    look = replace(raw[0].looks[0], findings=(swapped,))
-    document = document_of(findings, [RawEvidence("a.mcap", (look,))], origin)
+    look = replace(raw[0].checks[0], findings=(swapped,))
+    document = build_findings_document(findings, [RawChecks("a.mcap", (look,))], origin)
     assert [one.cause for one in document.causes] == ["axis_swap", "backlash"]
 
 
 def test_what_the_search_named_is_not_named_twice(
-    findings: Findings, raw: list[RawEvidence], origin: Origin
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    own = RawFinding("backlash", "ptu", (), 1, 1, 0.0, "share", 0.0, "1", "twice", "")
-    look = replace(raw[0].looks[0], findings=(own,))
-    document = document_of(findings, [RawEvidence("a.mcap", (look,))], origin)
+    own = StreamFinding("backlash", "ptu", (), 1, 1, 0.0, "share", 0.0, "1", "twice", "")
+    look = replace(raw[0].checks[0], findings=(own,))
+    document = build_findings_document(findings, [RawChecks("a.mcap", (look,))], origin)
     assert [one.cause for one in document.causes] == ["backlash"]
 
 
-def test_numbers_that_are_none_are_null(findings: Findings, origin: Origin) -> None:
+def test_numbers_that_are_none_are_null(findings: CauseFindings, origin: FindingsOrigin) -> None:
     (one,) = findings.causes
     odd = replace(one, values=(replace(one.values[0], std=math.inf),), statistic=math.nan)
-    text = to_yaml(document_of(replace(findings, causes=(odd,)), [], origin))
+    text = to_yaml(build_findings_document(replace(findings, causes=(odd,)), [], origin))
     (back,) = parse_findings(text, "findings.yaml").causes
     assert back.parameters["gap.tilt"].std is None
     assert back.evidence.statistic is None
@@ -119,43 +124,64 @@ def test_other_documents_are_refused(text: str) -> None:
 
 
 def test_a_person_reads_verdict_cause_size_and_remedy(
-    findings: Findings, raw: list[RawEvidence], origin: Origin
+    findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    said = summary(document_of(findings, raw, origin))
+    said = findings_summary(build_findings_document(findings, raw, origin))
     lines = said.splitlines()
-    assert lines[0] == "GY80-0007 (L3G4200D): not all explained"
-    assert "backlash, on tilt: the gears have play" in lines[1]
+    assert lines[0] == (
+        "GY80-0007 (L3G4200D): not fully explained: the gears have backlash, on tilt, "
+        "57.3 ± 5.7 mdeg; samples are repeated, 0.500 ± 0.064 %"
+    )
+    assert "backlash, on tilt: the gears have backlash" in lines[1]
     assert "gap.tilt +57.3 ± 5.7 mdeg" in lines[2]
     assert "have the worm adjusted" in lines[3]
     assert "depends on pan, as a gain" in said
-    assert "tilt_sag up to 80.2 mdeg: scale.z off by 36.0 sd" in said
+    assert "tilt_sag below 80.2 mdeg; if present, it would bias scale.z by up to 36.0 " in said
 
 
 def test_every_cause_has_a_title_and_a_remedy() -> None:
-    assert set(catalogue()) <= set(TITLES)
-    assert {*catalogue(), ReferenceSmoothing.cause} == set(REMEDIES)
+    for cause in (*catalogue(), ReferenceSmoothing.cause):
+        assert cause_title(cause)
+        assert cause_remedy(cause)
 
 
 def test_what_a_look_has_settled_is_not_called_invisible(
-    findings: Findings, origin: Origin
+    findings: CauseFindings, origin: FindingsOrigin
 ) -> None:
-    blind = tuple(NotTestable(c, None, "the gain takes it") for c in ("axis_swap", "tilt_zero"))
-    upright = RawEvidence("a.mcap", look_at_gain(np.eye(3)))
-    hidden = RawEvidence("a.mcap", look_at_gain(np.full((3, 3), np.nan)))
-    without = replace(findings, not_testable=blind)
-    names = [n.cause for n in document_of(without, [upright], origin).not_testable]
+    blind = tuple(UntestableCause(c, None, "the gain takes it") for c in ("axis_swap", "tilt_zero"))
+    upright = RawChecks("a.mcap", check_gain(np.eye(3)))
+    hidden = RawChecks("a.mcap", check_gain(np.full((3, 3), np.nan)))
+    without = replace(findings, untestable=blind)
+    names = [n.cause for n in build_findings_document(without, [upright], origin).not_testable]
     assert names == ["tilt_zero"]
-    assert len(document_of(without, [hidden], origin).not_testable) == 2
+    assert len(build_findings_document(without, [hidden], origin).not_testable) == 2
 
 
-def test_a_harmful_rest_limits_the_trust(findings: Findings, origin: Origin) -> None:
+def test_a_harmful_rest_limits_the_trust(findings: CauseFindings, origin: FindingsOrigin) -> None:
     """60 beyond 24 degrees of freedom: a parameter along it would move by six deviations."""
     good = Trust(verdict="good", reasons=[])
-    limited = with_findings(good, document_of(findings, [], origin))
+    limited = judge_findings(good, build_findings_document(findings, [], origin), [])
     assert limited.verdict == "limited"
     assert "depends on pan, as a gain" in limited.reasons[0]
-    assert "up to about 6 of its std" in limited.reasons[0]
-    clean = document_of(replace(findings, unexplained=None), [], origin)
-    assert with_findings(good, clean) == good
+    assert "up to about 6 standard uncertainties" in limited.reasons[0]
+    clean = build_findings_document(replace(findings, unexplained=None), [], origin)
+    assert judge_findings(good, clean, []) == good
+    unfitted = judge_findings(good, clean, ["scale_cubic"])
+    assert unfitted.verdict == "limited"
+    assert "is not part of this fit" in unfitted.reasons[0]
     refused = Trust(verdict="refused", reasons=["no"])
-    assert with_findings(refused, document_of(findings, [], origin)).verdict == "refused"
+    assert (
+        judge_findings(refused, build_findings_document(findings, [], origin), []).verdict
+        == "refused"
+    )
+
+
+def test_earlier_findings_are_kept_under_a_number(tmp_path: Path) -> None:
+    board = BoardId("GY80-0007")
+    for text in ("first", "second", "third"):
+        path = write_findings(tmp_path, board, text, f"<{text}>", {"a": f"<svg {text}>"})
+    assert path.read_text() == "third"
+    assert (path.parent / "findings-0001.yaml").read_text() == "first"
+    assert (path.parent / "findings-0002.yaml").read_text() == "second"
+    assert (path.parent / "report-0001.html").read_text() == "<first>"
+    assert (path.parent / "figures-0002" / "a.svg").read_text() == "<svg second>"

@@ -6,17 +6,17 @@ from typing import Any
 import msgspec
 import pytest
 
-from gyrorig_daemon.emulator.sealed import Seal
+from gyrorig_daemon.emulator.truth_commitment import TruthCommitment
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.check.hidden import open_seal, score, words
-from gyrorig_solver.discover.result import Findings
-from gyrorig_solver.findings.build import Origin, document_of
-from gyrorig_solver.findings.document import FindingsDocument
+from gyrorig_solver.check.injected_causes import score_causes, score_text, verify_commitment
+from gyrorig_solver.discover.cause_findings import CauseFindings
+from gyrorig_solver.findings.findings_builder import FindingsOrigin, build_findings_document
+from gyrorig_solver.findings.findings_document import FindingsDocument
 
 
 @pytest.fixture
-def document(findings: Findings, origin: Origin) -> FindingsDocument:
-    return document_of(findings, [], origin)
+def document(findings: CauseFindings, origin: FindingsOrigin) -> FindingsDocument:
+    return build_findings_document(findings, [], origin)
 
 
 def truth(*causes: tuple[str, float, str], board: str | None = None) -> dict[str, Any]:
@@ -31,18 +31,20 @@ def truth(*causes: tuple[str, float, str], board: str | None = None) -> dict[str
 
 
 def scores(document: FindingsDocument, hidden: dict[str, Any]) -> list[tuple[str, str]]:
-    return [(one.cause, one.score) for one in score(document, hidden)]
+    return [(one.cause, one.score) for one in score_causes(document, hidden)]
 
 
 def test_a_named_cause_is_right(document: FindingsDocument) -> None:
-    scored = score(document, truth(("backlash", 0.00105, "rad")))
+    scored = score_causes(document, truth(("backlash", 0.00105, "rad")))
     assert [(one.cause, one.score) for one in scored] == [("backlash", "right")]
-    assert "size 60.2 mdeg, was hidden and named: right, found 57.3 mdeg" in words(document, scored)
+    assert "size 60.2 mdeg, was injected and named: right, estimated 57.3 mdeg" in score_text(
+        document, scored
+    )
 
 
-def test_a_stated_set_counts_as_that(findings: Findings, origin: Origin) -> None:
+def test_a_stated_set_counts_as_that(findings: CauseFindings, origin: FindingsOrigin) -> None:
     one = replace(findings.causes[0], one_of=("lost_steps",))
-    document = document_of(replace(findings, causes=(one,)), [], origin)
+    document = build_findings_document(replace(findings, causes=(one,)), [], origin)
     assert scores(document, truth(("lost_steps", 0.01, "rad"))) == [("lost_steps", "among")]
 
 
@@ -73,21 +75,21 @@ def test_another_boards_cause_is_not_this_ones(document: FindingsDocument) -> No
 
 def test_nothing_hidden_and_nothing_named_is_said(document: FindingsDocument) -> None:
     clean = msgspec.structs.replace(document, causes=[])
-    assert "nothing was hidden, and nothing was named" in words(clean, score(clean, {}))
+    assert "no cause was injected and none was named" in score_text(clean, score_causes(clean, {}))
 
 
 def test_the_seal_of_the_emulator_opens_and_another_does_not() -> None:
     """The emulator seals, the desk opens: two programs, one recipe."""
     hidden = truth(("backlash", 0.001, "rad"))
-    seal = Seal(hidden)
-    opened = seal.opened(hidden)
-    open_seal(opened, seal.sha256)
-    open_seal(hidden, None)
+    seal = TruthCommitment(hidden)
+    opened = seal.revealed_document(hidden)
+    verify_commitment(opened, seal.sha256)
+    verify_commitment(hidden, None)
     opened["hidden"]["causes"][0]["size"]["value"] = 0.002
-    with pytest.raises(InputError, match="not the one that was sealed"):
-        open_seal(opened, seal.sha256)
+    with pytest.raises(InputError, match="does not have the published hash"):
+        verify_commitment(opened, seal.sha256)
 
 
 def test_a_truth_that_makes_no_sense_is_refused(document: FindingsDocument) -> None:
     with pytest.raises(InputError):
-        score(document, {"hidden": {"causes": [{"cause": "backlash"}]}})
+        score_causes(document, {"hidden": {"causes": [{"cause": "backlash"}]}})

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.result import FitDiagnostics, GyroFit, Observability
-from gyrorig_solver.findings.plain import findings_of_fit
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.checks.fit_residual import findings_from_fit
+from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit, ObservabilityReport
 
 N, STEP_S, DENSITY = 1500, 0.1, 1e-8
 
@@ -43,7 +43,7 @@ def fit_of(left: FloatArray | None, seed: int) -> GyroFit:
         std={},
         order=(),
         covariance=np.zeros((0, 0)),
-        observability=Observability(12, 12, 1.0, (), ()),
+        observability=ObservabilityReport(12, 12, 1.0, (), ()),
         noise=None,
         reduced_chi2=1.0,
         samples=N,
@@ -58,7 +58,7 @@ def fit_of(left: FloatArray | None, seed: int) -> GyroFit:
 
 def test_noise_alone_raises_few_alarms() -> None:
     """Four tests share 1 in 200: three in 150 by chance are rarer than 5 in 100."""
-    alarms = sum(findings_of_fit(fit_of(None, k)).verdict == "unexplained" for k in range(150))
+    alarms = sum(findings_from_fit(fit_of(None, k)).verdict == "unexplained" for k in range(150))
     assert alarms <= 3
 
 
@@ -72,10 +72,10 @@ def test_a_shape_is_told_by_what_it_depends_on(covariate: str) -> None:
         "time": 3e-4 * rate.rate_rad_s * late,
         "bias_time": 3e-4 * np.ones((N, 3)) * late,
     }[covariate]
-    found = findings_of_fit(fit_of(left, 1))
+    found = findings_from_fit(fit_of(left, 1))
     assert found.verdict == "unexplained"
     assert found.unexplained is not None
-    assert found.unexplained.best.covariate == covariate
+    assert found.unexplained.leading.covariate == covariate
     assert found.causes == ()
 
 
@@ -84,4 +84,4 @@ def test_what_gain_bias_and_lag_take_is_not_seen() -> None:
     assert data is not None
     slope = np.gradient(data.rate_rad_s, STEP_S, axis=0)
     left = 0.01 * data.rate_rad_s[:, ::-1] + 0.002 + 0.001 * slope
-    assert findings_of_fit(fit_of(left, 2)).verdict == "adequate"
+    assert findings_from_fit(fit_of(left, 2)).verdict == "adequate"

@@ -10,8 +10,8 @@ from typing import Any
 import fsspec  # type: ignore[import-untyped] # it has no types
 import pytest
 
-from gyrorig_solver.fleet.rows import Row
-from gyrorig_solver.places import bucket as buckets
+from gyrorig_solver.fleet.store.index_rows import IndexRow
+from gyrorig_solver.storage import bucket as buckets
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -27,13 +27,13 @@ class OneByOne:
         self._lock = threading.RLock()
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(self.inner, name)
-        if not callable(found):
-            return found
+        result = getattr(self.inner, name)
+        if not callable(result):
+            return result
 
         def alone(*arguments: Any, **more: Any) -> Any:
             with self._lock:
-                return found(*arguments, **more)
+                return result(*arguments, **more)
 
         return alone
 
@@ -41,10 +41,10 @@ class OneByOne:
 @pytest.fixture(autouse=True)
 def memory(monkeypatch: pytest.MonkeyPatch) -> Iterator[OneByOne]:
     """What is below `memory://` in a test, and gone after it."""
-    one = OneByOne()
-    monkeypatch.setitem(buckets._systems, "memory", one)
-    yield one
-    one.inner.store.clear()
+    item = OneByOne()
+    monkeypatch.setitem(buckets._file_systems, "memory", item)
+    yield item
+    item.inner.store.clear()
 
 
 @pytest.fixture(scope="session")
@@ -60,7 +60,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return sorted(folder.glob("*/*.mcap"))
 
 
-def row(key: str, board: str = "B", **more: object) -> Row:
+def row(key: str, board: str = "B", **more: object) -> IndexRow:
     plain: dict[str, object] = {
         "key": key,
         "status": "ok",
@@ -72,4 +72,4 @@ def row(key: str, board: str = "B", **more: object) -> Row:
         "version": 1,
         "parameters": {"bias_x": 0.25, "bias_x_std": 0.5},
     }
-    return Row(**{**plain, **more})  # type: ignore[arg-type] # as the test says
+    return IndexRow(**{**plain, **more})  # type: ignore[arg-type] # as the test says

@@ -11,60 +11,67 @@ from tests.unit.fleet.conftest import row
 
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.store import STORE_FILE
-from gyrorig_solver.fleet import bucket_ledger
-from gyrorig_solver.fleet.batch import Summary, run_batch
-from gyrorig_solver.fleet.bucket_index import BucketIndex
-from gyrorig_solver.fleet.bucket_ledger import BucketClaims, BucketJournal
-from gyrorig_solver.fleet.bucket_store import make_store, store_at
-from gyrorig_solver.fleet.lanes import Lane
-from gyrorig_solver.fleet.shelf import Chosen, newest, rebuild_index, versions_of
-from gyrorig_solver.fleet.task import Settings
-from gyrorig_solver.fleet.verifying import verify
-from gyrorig_solver.places.bucket import Bucket
-from gyrorig_solver.places.choose import place_at
-from gyrorig_solver.places.folder import Folder
-from gyrorig_solver.places.place import Place
+from gyrorig_solver.calibration.calibration_store import STORE_FILE
+from gyrorig_solver.fleet.jobs.batch_run import BatchSummary, run_batch
+from gyrorig_solver.fleet.jobs.session_job import SolveSettings
+from gyrorig_solver.fleet.jobs.workers import WorkerPool
+from gyrorig_solver.fleet.store import bucket_coordination
+from gyrorig_solver.fleet.store.bucket_coordination import BucketClaims, BucketJournal
+from gyrorig_solver.fleet.store.bucket_index import BucketIndex
+from gyrorig_solver.fleet.store.bucket_store import create_store, open_calibration_store
+from gyrorig_solver.fleet.store.store_queries import (
+    VersionFilter,
+    all_versions,
+    newest_versions,
+    rebuild_index,
+)
+from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.storage.bucket import Bucket
+from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.storage.location import storage_at
+from gyrorig_solver.storage.storage_protocol import Storage
 
 BOARD = BoardId("GY80-1")
-SETTINGS = Settings(solver_version="0.1.0")
+SETTINGS = SolveSettings(solver_version="0.1.0", extend=())
 
 
 @pytest.fixture
 def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bucket:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    place = place_at(f"memory://{tmp_path.name}/fleet")
-    assert isinstance(place, Bucket)
-    return place
+    storage = storage_at(f"memory://{tmp_path.name}/fleet")
+    assert isinstance(storage, Bucket)
+    return storage
 
 
-def night(spool: Place | Path, store: Place, **more: object) -> Summary:
+def night(spool: Storage | Path, store: Storage, **more: object) -> BatchSummary:
     # In threads: the bucket of these tests is of this process.
-    lanes = [Lane(lambda: ThreadPoolExecutor(1)) for _ in range(2)]
-    return run_batch(spool, store, SETTINGS, lanes, **more)  # type: ignore[arg-type]
+    pools = [WorkerPool(lambda: ThreadPoolExecutor(1)) for _ in range(2)]
+    return run_batch(spool, store, SETTINGS, pools, **more)  # type: ignore[arg-type]
 
 
-def test_a_night_from_a_bucket_into_a_bucket(bucket: Bucket, recorded: list[Path]) -> None:
+def test_a_batch_from_a_bucket_into_a_bucket(bucket: Bucket, recorded: list[Path]) -> None:
     spool, store = (
         Bucket("memory", f"{bucket.prefix}/spool"),
         Bucket("memory", f"{bucket.prefix}/s"),
     )
     for number, path in enumerate(recorded):
-        spool.put(f"day{number}/{path.name}", path.read_bytes())
-    spool.put("foreign.mcap", b"hello")
-    spool.put("day0/b.mcap.part", b"x")
-    spool.put("unclean/b.mcap", b"x")
+        spool.write(f"day{number}/{path.name}", path.read_bytes())
+    spool.write("foreign.mcap", b"hello")
+    spool.write("day0/b.mcap.part", b"x")
+    spool.write("unclean/b.mcap", b"x")
     first = night(spool, store)
-    assert (first.ended, first.put_off_why) == (Counter(ok=2, rejected=1), "")
+    assert (first.sessions_by_status, first.deferral_reason) == (Counter(ok=2, rejected=1), "")
     assert first.spool.unfinished == 1
-    assert len(store_at(store).versions(BOARD)) == 2
-    found = verify(store)
-    assert (found.faults, found.sealed) == ((), 4)
+    assert len(open_calibration_store(store).versions(BOARD)) == 2
+    result = verify(store)
+    assert (result.faults, result.manifest_files) == ((), 4)
     # Two workers: which of the two nights got the second version is chance; the later is newest.
-    starts = {one["version"]: one["start"] for one in versions_of(store, Chosen(), 10)}
-    assert [one["version"] for one in newest(store, Chosen(), 10)] == [max(starts, key=starts.get)]  # type: ignore[arg-type]
-    assert not list(store.entries("journal"))
-    assert not list(store.entries("alive"))
+    starts = {item["version"]: item["start"] for item in all_versions(store, VersionFilter(), 10)}
+    assert [item["version"] for item in newest_versions(store, VersionFilter(), 10)] == [
+        max(starts, key=lambda version: starts[version])
+    ]
+    assert not list(store.list_files("journal"))
+    assert not list(store.list_files("alive"))
     again = night(spool, store)
     assert (again.done_before, again.to_do) == (3, 0)
     assert rebuild_index(store) == 2
@@ -72,117 +79,121 @@ def test_a_night_from_a_bucket_into_a_bucket(bucket: Bucket, recorded: list[Path
     assert night(spool, store).done_before == 3
 
 
-def test_claims_outlive_nobody_but_a_living_batch(
+def test_claims_are_kept_only_while_a_batch_lives(
     bucket: Bucket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    make_store(bucket)
-    rival, mine = BucketClaims(bucket, "rival"), BucketClaims(bucket, "mine")
-    with rival.begin(BucketIndex(bucket)), mine.begin(BucketIndex(bucket)):
-        assert rival.take("aa1")
-        assert rival.take("aa1")  # it is its own
-        assert not mine.take("aa1")
-        rival.done("aa1")
-        rival.take("aa2")
-        assert not mine.take("aa2")
-        rival.give_back("aa2")
-        rival.give_back("aa3")  # which it never had
-        assert mine.take("aa2")
-        rival.take("aa4")
+    create_store(bucket)
+    other, mine = BucketClaims(bucket, "rival"), BucketClaims(bucket, "mine")
+    with other.begin_batch(BucketIndex(bucket)), mine.begin_batch(BucketIndex(bucket)):
+        assert other.try_claim("aa1")
+        assert other.try_claim("aa1")  # it is its own
+        assert not mine.try_claim("aa1")
+        other.mark_done("aa1")
+        other.try_claim("aa2")
+        assert not mine.try_claim("aa2")
+        other.release("aa2")
+        other.release("aa3")  # which it never had
+        assert mine.try_claim("aa2")
+        other.try_claim("aa4")
     third = BucketClaims(bucket, "third")
-    with third.begin(BucketIndex(bucket)):
-        assert not list(bucket.entries("claims"))  # nobody ran when it began
-    rival.take("aa4")
-    monkeypatch.setattr(bucket_ledger, "DEAD_AFTER_S", -1.0)  # everyone is taken for dead
-    assert third.take("aa4")
-    assert [one.name for one in bucket.entries("claims")] == [
+    with third.begin_batch(BucketIndex(bucket)):
+        assert not list(bucket.list_files("claims"))  # nobody ran when it began
+    other.try_claim("aa4")
+    monkeypatch.setattr(
+        bucket_coordination, "HEARTBEAT_TIMEOUT_S", -1.0
+    )  # everyone is taken for dead
+    assert third.try_claim("aa4")
+    assert [item.name for item in bucket.list_files("claims")] == [
         "claims/aa/aa4.0000",
         "claims/aa/aa4.0001",
     ]
 
 
-def test_a_batch_that_begins_beside_another_keeps_its_sign_of_life(
+def test_a_batch_that_starts_during_another_keeps_its_heartbeat(
     bucket: Bucket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    make_store(bucket)
-    living, late = bucket_ledger.living, BucketClaims(bucket, "late")
+    create_store(bucket)
+    living, late = bucket_coordination.live_batches, BucketClaims(bucket, "late")
     journals: list[BucketJournal] = []
 
-    def asked(place: Place, probe: str) -> set[str]:
-        found = living(place, probe)
-        monkeypatch.setattr(bucket_ledger, "living", living)
-        journals.append(late.begin(BucketIndex(bucket)))
-        assert late.take("aa1")
-        return found
+    def answer(storage: Storage, probe: str) -> set[str]:
+        result = living(storage, probe)
+        monkeypatch.setattr(bucket_coordination, "live_batches", living)
+        journals.append(late.begin_batch(BucketIndex(bucket)))
+        assert late.try_claim("aa1")
+        return result
 
-    monkeypatch.setattr(bucket_ledger, "living", asked)
+    monkeypatch.setattr(bucket_coordination, "live_batches", answer)
     early = BucketClaims(bucket, "early")
-    with early.begin(BucketIndex(bucket)), journals[0]:
+    with early.begin_batch(BucketIndex(bucket)), journals[0]:
         assert living(bucket, "early") == {"early", "late"}
-        assert not early.take("aa1")
+        assert not early.try_claim("aa1")
 
 
-def test_a_dead_batchs_rows_are_folded_and_a_sleepers_later_ones_too(bucket: Bucket) -> None:
-    make_store(bucket)
+def test_rows_of_a_dead_batch_and_later_rows_of_a_sleeper_are_merged(bucket: Bucket) -> None:
+    create_store(bucket)
     sleeper = BucketClaims(bucket, "sleeper")
-    journal = sleeper.begin(BucketIndex(bucket))
+    journal = sleeper.begin_batch(BucketIndex(bucket))
     journal.add([row("k1")])
     bucket.remove(["alive/sleeper"])  # its lid is shut
     index = BucketIndex(bucket)
-    assert index.fold_left_behind() == 1
+    assert index.merge_abandoned_journals() == 1
     journal.add([row("k2")])
     with journal:
         pass
-    assert index.fold_left_behind() == 1
-    assert index.done() == {"k1", "k2"}
-    assert index.fold_left_behind() == 0
+    assert index.merge_abandoned_journals() == 1
+    assert index.finished_keys() == {"k1", "k2"}
+    assert index.merge_abandoned_journals() == 0
 
 
-def test_a_piece_that_a_lost_answer_left_behind_is_not_overwritten(bucket: Bucket) -> None:
-    make_store(bucket)
-    journal = BucketClaims(bucket, "night").begin(BucketIndex(bucket))
+def test_an_object_of_a_put_with_a_lost_answer_is_not_overwritten(bucket: Bucket) -> None:
+    create_store(bucket)
+    journal = BucketClaims(bucket, "night").begin_batch(BucketIndex(bucket))
     with journal:
-        bucket.put("journal/night-0000/000000.jsonl", b"")
+        bucket.write("journal/night-0000/000000.jsonl", b"")
         journal.add([row("k1")])
-    assert BucketIndex(bucket).done() == {"k1"}
+    assert BucketIndex(bucket).finished_keys() == {"k1"}
 
 
-@pytest.mark.parametrize("doing", [BucketIndex.fold_left_behind, BucketIndex.done])
-def test_a_part_that_another_folds_while_it_is_read_is_in_the_index_once(
+@pytest.mark.parametrize("doing", [BucketIndex.merge_abandoned_journals, BucketIndex.finished_keys])
+def test_a_part_merged_by_another_batch_while_read_counts_once(
     bucket: Bucket, monkeypatch: pytest.MonkeyPatch, doing: Callable[[BucketIndex], object]
 ) -> None:
-    make_store(bucket)
-    with BucketClaims(bucket, "night").begin(BucketIndex(bucket)) as journal:
+    create_store(bucket)
+    with BucketClaims(bucket, "night").begin_batch(BucketIndex(bucket)) as journal:
         journal.add([row("k1")])
     read = Bucket.read
 
     def late(self: Bucket, name: str) -> bytes | None:
         if name.startswith("journal/"):
             monkeypatch.setattr(Bucket, "read", read)
-            assert BucketIndex(bucket).fold_left_behind() == 1
+            assert BucketIndex(bucket).merge_abandoned_journals() == 1
         return read(self, name)
 
     monkeypatch.setattr(Bucket, "read", late)
     assert doing(BucketIndex(bucket)) in (1, {"k1"})
-    assert BucketIndex(bucket).ask("SELECT key FROM all_rows") == [("k1",)]
-    assert not list(bucket.entries("journal"))
+    assert BucketIndex(bucket).query("SELECT key FROM all_rows") == [("k1",)]
+    assert not list(bucket.list_files("journal"))
 
 
-def test_work_that_a_waking_batch_did_too_has_one_version(
+def test_a_job_repeated_by_a_waking_batch_has_one_version(
     bucket: Bucket, recorded: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two batches solve one recording at once, each thinking the other dead."""
     spool = tmp_path / "spool"
     spool.mkdir()
     shutil.copy(recorded[0], spool / "a.mcap")
-    with monkeypatch.context() as patched, ThreadPoolExecutor(2) as both:
-        patched.setattr(bucket_ledger, "DEAD_AFTER_S", -1.0)
-        told = [one.result() for one in [both.submit(night, spool, bucket) for _ in range(2)]]
-    assert sum(one.ended["ok"] for one in told) >= 1
-    assert len(store_at(bucket).versions(BOARD)) == 1
+    with monkeypatch.context() as patched, ThreadPoolExecutor(2) as processes:
+        patched.setattr(bucket_coordination, "HEARTBEAT_TIMEOUT_S", -1.0)
+        reported = [
+            item.result() for item in [processes.submit(night, spool, bucket) for _ in range(2)]
+        ]
+    assert sum(item.sessions_by_status["ok"] for item in reported) >= 1
+    assert len(open_calibration_store(bucket).versions(BOARD)) == 1
     assert verify(bucket).versions == 1
 
 
-def test_an_outage_of_a_moment_costs_nothing(
+def test_a_brief_outage_loses_nothing(
     bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spool = tmp_path / "spool"
@@ -190,7 +201,7 @@ def test_an_outage_of_a_moment_costs_nothing(
     for number in range(12):
         (spool / f"{number}.mcap").write_bytes(b"%d" % number)
     calls = 0
-    put_new = Bucket.put_new
+    put_new = Bucket.write_new
 
     def sometimes(self: Bucket, name: str, data: bytes) -> bool:
         nonlocal calls
@@ -199,47 +210,51 @@ def test_an_outage_of_a_moment_costs_nothing(
             raise MachineError("the bucket does not answer", "wait")
         return put_new(self, name, data)
 
-    make_store(bucket)
+    create_store(bucket)
     with monkeypatch.context() as patched:
-        patched.setattr(Bucket, "put_new", sometimes)
+        patched.setattr(Bucket, "write_new", sometimes)
         first = night(spool, bucket)
-    assert sum(first.ended.values()) + first.put_off == 12
-    assert first.in_part
+    assert sum(first.sessions_by_status.values()) + first.deferred == 12
+    assert first.is_partial
     last = night(spool, bucket)
     assert last.done_before + last.finished == 12
-    assert last.put_off == 0
-    assert BucketIndex(bucket).ask("SELECT count(*), count(DISTINCT key) FROM rows") == [(12, 12)]
+    assert last.deferred == 0
+    assert BucketIndex(bucket).query("SELECT count(*), count(DISTINCT key) FROM rows") == [(12, 12)]
     assert verify(bucket).faults == ()
 
 
-def test_a_recording_that_the_bucket_does_not_give_is_put_off(
+def test_a_recording_that_the_bucket_does_not_deliver_is_deferred(
     bucket: Bucket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spool, store = (Bucket("memory", f"{bucket.prefix}/{name}") for name in ("spool", "store"))
     for name in ("a.mcap", "b.mcap"):
-        spool.put(name, name.encode())
-    local = Bucket.local
+        spool.write(name, name.encode())
+    local = Bucket.local_copy
 
     def given(self: Bucket, name: str) -> object:
         if name == "a.mcap":
             raise MachineError("the bucket does not answer", "wait")
         return local(self, name)
 
-    monkeypatch.setattr(Bucket, "local", given)
+    monkeypatch.setattr(Bucket, "local_copy", given)
     first = night(spool, store)
-    assert (first.ended, first.put_off, first.not_begun) == (Counter(rejected=1), 1, 0)
-    assert "does not answer" in first.put_off_why
-    monkeypatch.setattr(Bucket, "local", local)
-    assert night(spool, store).ended == Counter(rejected=1)
-    assert BucketIndex(store).ask("SELECT count(*) FROM rows") == [(2,)]
+    assert (first.sessions_by_status, first.deferred, first.not_started) == (
+        Counter(rejected=1),
+        1,
+        0,
+    )
+    assert "does not answer" in first.deferral_reason
+    monkeypatch.setattr(Bucket, "local_copy", local)
+    assert night(spool, store).sessions_by_status == Counter(rejected=1)
+    assert BucketIndex(store).query("SELECT count(*) FROM rows") == [(2,)]
 
 
 def test_a_newer_or_foreign_store_is_refused_in_one_line(bucket: Bucket) -> None:
-    bucket.put("thesis.tex", b"x")
-    with pytest.raises(UsageError, match=r"holds thesis\.tex"):
-        make_store(bucket)
-    bucket.put(STORE_FILE, b'schema: "gyrorig/store/9"\n')
+    bucket.write("thesis.tex", b"x")
+    with pytest.raises(UsageError, match=r"contains thesis\.tex"):
+        create_store(bucket)
+    bucket.write(STORE_FILE, b'schema: "gyrorig/store/9"\n')
     with pytest.raises(InputError, match="gyrorig/store/9"):
-        make_store(bucket)
-    with pytest.raises(UsageError, match="no store of a fleet"):
+        create_store(bucket)
+    with pytest.raises(UsageError, match="not a calibration store"):
         verify(Folder(Path("/nonexistent")))

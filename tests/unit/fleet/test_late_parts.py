@@ -8,15 +8,15 @@ from tests.unit.fleet.test_batch import night
 from tests.unit.recorder.test_parts_in_motion import recorded
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.document import parse_calibration
-from gyrorig_solver.calibration.store import make_sharded
-from gyrorig_solver.fleet.index import Index
+from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.fleet.store.store_index import StoreIndex
 
 PROGRAMS = Path(__file__).resolve().parents[3] / "config" / "programs"
 BOARD = BoardId("B-1")
 
 
-def test_a_part_that_comes_later_makes_the_session_new(tmp_path: Path) -> None:
+def test_a_later_part_makes_the_session_new(tmp_path: Path) -> None:
     program = (PROGRAMS / "survey-40.yaml").read_bytes()
     _, parts = recorded(tmp_path / "rig", 30.0, program)
     assert len(parts) == 2
@@ -25,17 +25,19 @@ def test_a_part_that_comes_later_makes_the_session_new(tmp_path: Path) -> None:
     for number, part in enumerate(parts, 1):
         shutil.copy(part.path, spool)
         done = night(spool, store)
-        assert (done.done_before, done.ended) == (0, Counter(ok=1)), done.wrong
-        versions = make_sharded(store).versions(BOARD)
+        assert (done.done_before, done.sessions_by_status) == (0, Counter(ok=1)), (
+            done.unsuccessful_rows
+        )
+        versions = create_sharded_store(store).versions(BOARD)
         assert len(versions) == number
         made = parse_calibration(versions[-1].data(), "newest")
-        assert {one.sha256 for one in made.inputs} == {one.sha256 for one in parts[:number]}
+        assert {item.sha256 for item in made.inputs} == {item.sha256 for item in parts[:number]}
     assert night(spool, store).done_before == 1
-    rows = Index(store).ask("SELECT version, len(inputs) FROM rows ORDER BY version")
+    rows = StoreIndex(store).query("SELECT version, len(inputs) FROM rows ORDER BY version")
     assert rows == [(1, 1), (2, 2)]
 
 
-def test_parts_wait_for_the_one_that_is_being_written(tmp_path: Path) -> None:
+def test_parts_wait_for_an_unfinished_part(tmp_path: Path) -> None:
     program = (PROGRAMS / "survey-40.yaml").read_bytes()
     _, (first, second) = recorded(tmp_path / "rig", 30.0, program)
     spool, store = tmp_path / "spool", tmp_path / "store"
@@ -45,5 +47,5 @@ def test_parts_wait_for_the_one_that_is_being_written(tmp_path: Path) -> None:
     shutil.copy(second.path, open_part)
     assert night(spool, store).sessions == 0
     open_part.rename(spool / second.path.name)
-    assert night(spool, store).ended == Counter(ok=1)
-    assert len(make_sharded(store).versions(BOARD)) == 1
+    assert night(spool, store).sessions_by_status == Counter(ok=1)
+    assert len(create_sharded_store(store).versions(BOARD)) == 1

@@ -18,13 +18,13 @@ from cryptography.hazmat.primitives.serialization import (
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.cli import run
-from gyrorig_solver.fleet.batch import run_batch
-from gyrorig_solver.fleet.lanes import Lane
-from gyrorig_solver.fleet.manifest import public_key_of, seal, signer_of
-from gyrorig_solver.fleet.shelf import rebuild_index
-from gyrorig_solver.fleet.task import Settings
-from gyrorig_solver.fleet.verifying import verify
-from gyrorig_solver.places.folder import Folder
+from gyrorig_solver.fleet.jobs.batch_run import run_batch
+from gyrorig_solver.fleet.jobs.session_job import SolveSettings
+from gyrorig_solver.fleet.jobs.workers import WorkerPool
+from gyrorig_solver.fleet.store.manifest import read_public_key, read_signer, write_manifests
+from gyrorig_solver.fleet.store.store_queries import rebuild_index
+from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.storage.folder import Folder
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +46,13 @@ def sealed(
     (folder / "spool").mkdir()
     for number, path in enumerate(recorded):
         shutil.copy(path, folder / "spool" / f"{number}.mcap")
-    lanes = [Lane(lambda: ThreadPoolExecutor(1))]
+    pools = [WorkerPool(lambda: ThreadPoolExecutor(1))]
     run_batch(
         folder / "spool",
         folder / "store",
-        Settings(solver_version="0.1.0"),
-        lanes,
-        signer=signer_of(keys[0]),
+        SolveSettings(solver_version="0.1.0", extend=()),
+        pools,
+        signer=read_signer(keys[0]),
     )
     return folder / "store"
 
@@ -62,17 +62,17 @@ def store(sealed: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(sealed, tmp_path / "store"))
 
 
-def one(store: Path, pattern: str) -> Path:
+def item(store: Path, pattern: str) -> Path:
     return min(store.glob(pattern))
 
 
 def test_a_signed_store_verifies(store: Path, keys: tuple[Path, Path]) -> None:
-    found = verify(store, public_key_of(keys[1]))
-    assert (found.faults, found.versions, found.sealed) == ((), 2, 4)
+    result = verify(store, read_public_key(keys[1]))
+    assert (result.faults, result.versions, result.manifest_files) == ((), 2, 4)
 
 
-def test_other_programs_check_it_too(store: Path, keys: tuple[Path, Path]) -> None:
-    manifest = one(store, "manifest/*.sha256")
+def test_sha256sum_and_openssl_check_manifests(store: Path, keys: tuple[Path, Path]) -> None:
+    manifest = item(store, "manifest/*.sha256")
     if shutil.which("sha256sum"):
         done = subprocess.run(
             ["sha256sum", "--check", "--strict", str(manifest.relative_to(store))],
@@ -106,51 +106,51 @@ def garbled(path: Path) -> None:
         ("manifest/*.sig", Path.unlink, "unsigned"),
     ],
 )
-def test_what_was_changed_is_named(
+def test_changed_files_are_reported(
     store: Path,
     keys: tuple[Path, Path],
     pattern: str,
     harm: Callable[[Path], None],
     kind: str,
 ) -> None:
-    harm(one(store, pattern))
-    assert kind in {fault.kind for fault in verify(store, public_key_of(keys[1])).faults}
+    harm(item(store, pattern))
+    assert kind in {fault.kind for fault in verify(store, read_public_key(keys[1])).faults}
 
 
-def test_a_forger_who_mends_every_digest_is_seen(store: Path, keys: tuple[Path, Path]) -> None:
+def test_a_forgery_with_correct_digests_is_detected(store: Path, keys: tuple[Path, Path]) -> None:
     """The last version, its row and its manifest are all made anew: only the key knows."""
-    path = one(store, "calib/*/*/*/v0002.yaml")
+    path = item(store, "calib/*/*/*/v0002.yaml")
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("verdict: ", "verdict:  ", 1), encoding="utf-8")
     rebuild_index(store)
     assert verify(store).faults == ()
-    assert {fault.kind for fault in verify(store, public_key_of(keys[1])).faults} == {"unsigned"}
-    rebuild_index(store, signer_of(keys[0]))
-    assert verify(store, public_key_of(keys[1])).faults == ()
+    assert {fault.kind for fault in verify(store, read_public_key(keys[1])).faults} == {"unsigned"}
+    rebuild_index(store, read_signer(keys[0]))
+    assert verify(store, read_public_key(keys[1])).faults == ()
 
 
-def test_a_seal_that_was_cut_off_is_made_by_the_next_batch(store: Path) -> None:
-    manifest = one(store, "manifest/*.sha256")
+def test_the_next_batch_completes_interrupted_manifests(store: Path) -> None:
+    manifest = item(store, "manifest/*.sha256")
     before = manifest.read_bytes()
     manifest.unlink()
-    assert seal(Folder(store), None) == 1
+    assert write_manifests(Folder(store), None) == 1
     assert manifest.read_bytes() == before
-    assert seal(Folder(store), None) == 0
+    assert write_manifests(Folder(store), None) == 0
 
 
-def test_what_is_no_key_is_refused(keys: tuple[Path, Path], tmp_path: Path) -> None:
+def test_an_invalid_key_is_refused(keys: tuple[Path, Path], tmp_path: Path) -> None:
     other = tmp_path / "other.pem"
     form = (Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     other.write_bytes(generate_private_key(SECP256R1()).private_bytes(*form))
     for path in (keys[1], other, tmp_path / "none"):
         with pytest.raises(UsageError, match="openssl genpkey"):
-            signer_of(path)
+            read_signer(path)
     for path in (keys[0], tmp_path / "none"):
         with pytest.raises(UsageError, match="openssl pkey"):
-            public_key_of(path)
+            read_public_key(path)
 
 
-def test_the_command_leaves_with_3_where_the_key_is_another(
+def test_the_command_exits_with_3_for_another_key(
     store: Path, keys: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["store", "verify", str(store), "--key", str(keys[1])]) == 0
@@ -158,4 +158,4 @@ def test_the_command_leaves_with_3_where_the_key_is_another(
     form = (Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     other.write_bytes(Ed25519PrivateKey.generate().public_key().public_bytes(*form))
     assert run(["store", "verify", str(store), "--key", str(other)]) == 3
-    assert "this key has not signed it" in capsys.readouterr().out
+    assert "it is not signed with this key" in capsys.readouterr().out

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from gyrorig_solver.fleet.constants import common_constant
-from gyrorig_solver.fleet.population import between, mahalanobis, population, spread_of
+from gyrorig_solver.fleet.drift.common_offsets import common_offset
+from gyrorig_solver.fleet.drift.population import (
+    cochran_q_test,
+    fit_population,
+    fit_spread,
+    mahalanobis_p_values,
+)
 
 RNG = np.random.default_rng(20261121)
 
@@ -25,56 +30,56 @@ def restricted(tau2: float, y: np.ndarray, v: np.ndarray) -> float:
 @pytest.mark.parametrize("spread", [0.0, 0.3e-3, 2e-3, 20e-3])
 def test_the_spread_maximises_the_restricted_likelihood(spread: float) -> None:
     y, s = fleet(40, spread)
-    found = population("scale_x", y, s)
+    result = fit_population("scale_x", y, s)
     best = minimize_scalar(
         restricted, args=(y, s * s), bounds=(0.0, 1e-3), method="bounded", options={"xatol": 1e-13}
     )
-    assert restricted(found.spread**2, y, s * s) <= best.fun + 1e-6
+    assert restricted(result.spread**2, y, s * s) <= best.fun + 1e-6
 
 
-def test_means_and_spreads_cover_what_they_say() -> None:
+def test_means_and_spreads_have_the_stated_coverage() -> None:
     """400 fleets: 95 % intervals of the mean, and the spread's own deviation."""
     inside, off = 0, []
     for _ in range(400):
         y, s = fleet(60, 2e-3)
-        found = population("scale_x", y, s)
-        inside += abs(found.mean - 1.0) < 1.96 * found.mean_std
-        off.append((found.spread - 2e-3) / found.spread_std)
+        result = fit_population("scale_x", y, s)
+        inside += abs(result.mean - 1.0) < 1.96 * result.mean_std
+        off.append((result.spread - 2e-3) / result.spread_std)
     assert 0.92 <= inside / 400 <= 0.98
     assert abs(np.mean(off)) < 0.25
     assert 0.85 < np.std(off) < 1.15
 
 
-def test_shrunk_values_are_nearer_to_the_truth_and_say_how_near() -> None:
+def test_shrinkage_estimates_are_closer_with_correct_uncertainty() -> None:
     rng = np.random.default_rng(5)
     raw, shrunk, z = [], [], []
     for _ in range(200):
         truth = rng.normal(0.0, 1.0, 50)
         s = rng.uniform(0.5, 3.0, 50)
         y = truth + rng.normal(0.0, s)
-        found = population("bias_x", y, s)
+        result = fit_population("bias_x", y, s)
         raw.append(np.mean((y - truth) ** 2))
-        shrunk.append(np.mean((found.shrunk - truth) ** 2))
-        z.append((found.shrunk - truth) / found.shrunk_std)
+        shrunk.append(np.mean((result.shrunk - truth) ** 2))
+        z.append((result.shrunk - truth) / result.shrunk_std)
     assert np.mean(shrunk) < 0.4 * np.mean(raw)
     assert 0.95 < np.std(z) < 1.1
 
 
-def test_one_odd_board_is_named_and_does_not_widen_the_spread() -> None:
+def test_one_outlier_does_not_increase_the_spread() -> None:
     y, s = fleet(50, 2e-3)
-    alone = population("scale_x", y, s)
+    alone = fit_population("scale_x", y, s)
     y[7] += 0.1
-    found = population("scale_x", y, s)
-    assert list(np.flatnonzero(found.odd)) == [7]
-    assert found.spread < 1.2 * alone.spread
+    result = fit_population("scale_x", y, s)
+    assert list(np.flatnonzero(result.is_outlier)) == [7]
+    assert result.spread < 1.2 * alone.spread
 
 
-def test_boards_that_say_little_are_named_as_the_priors() -> None:
+def test_uncertain_boards_are_prior_dominated() -> None:
     y, s = fleet(30, 1e-3)
     s[3], y[3] = 0.1, 1.2
-    found = population("scale_x", y, s)
-    assert found.prior_dominated[3]
-    assert abs(found.shrunk[3] - 1.0) < 2e-3
+    result = fit_population("scale_x", y, s)
+    assert result.prior_dominated[3]
+    assert abs(result.shrunk[3] - 1.0) < 2e-3
 
 
 def test_a_bad_lot_is_found_and_equal_lots_are_not() -> None:
@@ -82,79 +87,81 @@ def test_a_bad_lot_is_found_and_equal_lots_are_not() -> None:
     p_values = []
     for _ in range(200):
         y, s = fleet(60, 2e-3)
-        found = between(population("scale_x", y, s), y, s, lots)
-        assert found is not None
-        p_values.append(found.p_value)
+        result = cochran_q_test(fit_population("scale_x", y, s), y, s, lots)
+        assert result is not None
+        p_values.append(result.p_value)
     assert 0.01 < np.mean(np.array(p_values) < 0.05) < 0.1
     y, s = fleet(60, 2e-3)
     y[20:40] += 5e-3
-    bad = between(population("scale_x", y, s), y, s, lots)
+    bad = cochran_q_test(fit_population("scale_x", y, s), y, s, lots)
     assert bad is not None
-    assert (bad.most, bad.p_value < 1e-6) == ("b", True)
-    assert bad.most_by == pytest.approx(5e-3 * 2 / 3, rel=0.4)
+    assert (bad.extreme_group, bad.p_value < 1e-6) == ("b", True)
+    assert bad.extreme_offset == pytest.approx(5e-3 * 2 / 3, rel=0.4)
 
 
-def test_one_group_is_no_question() -> None:
+def test_one_group_is_not_tested() -> None:
     y, s = fleet(20, 2e-3)
-    assert between(population("scale_x", y, s), y, s, ["a"] * 20) is None
+    assert cochran_q_test(fit_population("scale_x", y, s), y, s, ["a"] * 20) is None
 
 
-def test_the_same_on_every_unit_is_told_from_different_per_unit() -> None:
+def test_a_common_offset_is_distinguished_from_spread() -> None:
     # 16 for 900 pi / 180 = 15.71: the constant of peers.md section 5, item 7
     y, s = fleet(100, 2e-3, mean=16.0 / (900.0 * np.pi / 180.0))
-    assert common_constant(population("scale_x", y, s), 1.0).is_common
+    assert common_offset(fit_population("scale_x", y, s), 1.0).is_common
     y, s = fleet(100, 20e-3)
-    assert not common_constant(population("scale_x", y, s), 1.0).is_common
+    assert not common_offset(fit_population("scale_x", y, s), 1.0).is_common
 
 
-def test_odd_over_all_parameters_is_a_chi_squared() -> None:
+def test_the_mahalanobis_distance_is_chi_squared() -> None:
     mixing = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.0, 0.5, 0.87]])
     z = RNG.normal(size=(4000, 3)) @ mixing.T
-    p = mahalanobis(z)
+    p = mahalanobis_p_values(z)
     assert 0.03 < np.mean(p < 0.05) < 0.07
     z[0] = [3.0, -3.0, 0.0]  # each alone is nothing; together, against their correlation
-    assert mahalanobis(z)[0] < 1e-6
+    assert mahalanobis_p_values(z)[0] < 1e-6
 
 
 def test_too_few_boards_are_refused() -> None:
     with pytest.raises(ValueError, match="too few"):
-        population("scale_x", np.ones(3), np.ones(3))
+        fit_population("scale_x", np.ones(3), np.ones(3))
 
 
-def test_mean_and_spread_are_the_plain_ones_where_all_say_as_much() -> None:
+def test_with_equal_uncertainties_mean_and_spread_are_the_plain_ones() -> None:
     y = np.random.default_rng(8).normal(1.0, 2e-3, 40)
-    found = spread_of(y, np.full(40, 1e-3))
-    assert found.mean == pytest.approx(np.mean(y), rel=1e-12)
-    assert found.spread == pytest.approx(np.sqrt(np.var(y, ddof=1) - 1e-6), rel=1e-6)
-    assert found.mean_std == pytest.approx(np.std(y, ddof=1) / np.sqrt(40), rel=1e-6)
+    result = fit_spread(y, np.full(40, 1e-3))
+    assert result.mean == pytest.approx(np.mean(y), rel=1e-12)
+    assert result.spread == pytest.approx(np.sqrt(np.var(y, ddof=1) - 1e-6), rel=1e-6)
+    assert result.mean_std == pytest.approx(np.std(y, ddof=1) / np.sqrt(40), rel=1e-6)
 
 
-def test_boards_that_are_all_the_same_are_not_called_different() -> None:
+def test_equal_boards_are_not_different() -> None:
     rng = np.random.default_rng(9)
-    p = [population("scale_x", *fleet(60, 0.0, rng=rng)).equal_p for _ in range(200)]
+    p = [
+        fit_population("scale_x", *fleet(60, 0.0, rng=rng)).homogeneity_p_value for _ in range(200)
+    ]
     assert 0.01 < np.mean(np.array(p) < 0.05) < 0.1
-    assert population("scale_x", *fleet(60, 3e-3, rng=rng)).equal_p < 1e-6
+    assert fit_population("scale_x", *fleet(60, 3e-3, rng=rng)).homogeneity_p_value < 1e-6
 
 
-def test_a_lot_that_is_far_off_as_a_whole_is_a_bad_lot() -> None:
+def test_a_lot_that_is_off_as_a_whole_is_a_bad_lot() -> None:
     """One of five: each of its boards is odd beside the others, and together they are a lot."""
     rng = np.random.default_rng(10)
     lots = [lot for lot in "abcde" for _ in range(20)]
     y, s = fleet(100, 2e-3, rng=rng)
     y[20:40] += 0.2
-    found = population("scale_x", y, s)
-    assert found.odd[20:40].all()
-    told = between(found, y, s, lots)
-    assert told is not None
-    assert (told.most, told.p_value < 1e-6) == ("b", True)
-    assert told.most_by == pytest.approx(0.2 * 4 / 5, rel=0.05)
+    result = fit_population("scale_x", y, s)
+    assert result.is_outlier[20:40].all()
+    reported = cochran_q_test(result, y, s, lots)
+    assert reported is not None
+    assert (reported.extreme_group, reported.p_value < 1e-6) == ("b", True)
+    assert reported.extreme_offset == pytest.approx(0.2 * 4 / 5, rel=0.05)
 
 
-def test_an_odd_board_is_not_its_lot() -> None:
+def test_an_outlier_is_not_attributed_to_its_lot() -> None:
     rng = np.random.default_rng(11)
     lots = [lot for lot in "abcde" for _ in range(20)]
     y, s = fleet(100, 2e-3, rng=rng)
     y[25] += 0.2
-    told = between(population("scale_x", y, s), y, s, lots)
-    assert told is not None
-    assert told.p_value > 1e-3
+    reported = cochran_q_test(fit_population("scale_x", y, s), y, s, lots)
+    assert reported is not None
+    assert reported.p_value > 1e-3

@@ -14,12 +14,12 @@ from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
-from gyrorig_solver.calibration.document import parse_calibration
-from gyrorig_solver.check.truth import compare
-from gyrorig_solver.importers.android import read_log
-from gyrorig_solver.importers.phone import import_phone
-from gyrorig_solver.importers.phone_clock import GRID_S, find_clock
-from gyrorig_solver.samples import load_samples
+from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.check.true_values import compare_with_truth
+from gyrorig_solver.data.samples import load_samples
+from gyrorig_solver.importers.phone_clock import GRID_S, find_phone_clock
+from gyrorig_solver.importers.phone_import import import_phone
+from gyrorig_solver.importers.phone_log import read_phone_log
 
 ROOT = Path(__file__).parents[3]
 RATE = np.array([[0.1, -0.2, 0.3], [0.11, -0.21, 0.31], [0.12, -0.22, 0.32], [0.13, 0.0, -1.0]])
@@ -70,10 +70,12 @@ SENSEI = "".join(
         ("sensei.csv", SENSEI, True),
     ],
 )
-def test_the_loggers_are_known(tmp_path: Path, name: str, text: str, corrected: bool) -> None:
+def test_the_common_loggers_are_recognised(
+    tmp_path: Path, name: str, text: str, corrected: bool
+) -> None:
     path = tmp_path / name
     path.write_text(text)
-    log = read_log(path)
+    log = read_phone_log(path)
     np.testing.assert_allclose(log.rate_rad_s, RATE, atol=1e-12)
     np.testing.assert_allclose(np.diff(log.stamp_ns), np.diff(STAMPS), atol=1500)
     assert abs(int(log.stamp_ns[0]) - STAMPS[0]) < 2_000  # never the Unix time beside it
@@ -81,37 +83,37 @@ def test_the_loggers_are_known(tmp_path: Path, name: str, text: str, corrected: 
     assert (log.accel_m_s2 is not None) is (name in ("gyro_accel.csv", "logfile.txt"))
 
 
-def test_uncalibrated_is_taken_where_both_are(tmp_path: Path) -> None:
+def test_uncalibrated_rates_are_preferred(tmp_path: Path) -> None:
     path = tmp_path / "both.txt"
     path.write_text(GET_SENSOR_DATA + GNSS_LOGGER.replace("0.3,", "0.4,"))
-    assert read_log(path).rate_rad_s[0, 2] == 0.4
+    assert read_phone_log(path).rate_rad_s[0, 2] == 0.4
 
 
-def test_stamps_that_run_back_or_repeat(tmp_path: Path) -> None:
+def test_decreasing_and_duplicate_timestamps(tmp_path: Path) -> None:
     lines = SENSEI.splitlines(keepends=True)
     path = tmp_path / "batched.csv"
     path.write_text("".join([lines[1], lines[0], lines[0], *lines[2:]]))
-    log = read_log(path)
+    log = read_phone_log(path)
     np.testing.assert_allclose(log.rate_rad_s, RATE)
-    assert any("ran back" in note for note in log.notes)
-    assert any("1 samples with the stamp of another" in note for note in log.notes)
+    assert any("decreased" in note for note in log.notes)
+    assert any("1 samples with a duplicate timestamp" in note for note in log.notes)
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("1,2,3\n4,5,6\n", "neither a header nor tags"),
-        ("time,pressure\n1,2\n", "no columns that say time"),
-        ("ACCE;1;2;3;4;5\n" * 3, "holds no gyroscope"),
-        ("timestamp,gx,gy,gz\n0,1,2,3\n300,1,2,3\n600,1,2,3\n", "in no unit"),
+        ("1,2,3\n4,5,6\n", "neither a header nor sensor tags"),
+        ("time,pressure\n1,2\n", "no columns for the time"),
+        ("ACCE;1;2;3;4;5\n" * 3, "has no gyroscope"),
+        ("timestamp,gx,gy,gz\n0,1,2,3\n300,1,2,3\n600,1,2,3\n", "not 4 to 2000 Hz in any unit"),
         ("", "neither a header"),
     ],
 )
-def test_what_is_no_log(tmp_path: Path, text: str, says: str) -> None:
+def test_files_that_are_not_logs_are_rejected(tmp_path: Path, text: str, says: str) -> None:
     path = tmp_path / "log.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=says):
-        read_log(path)
+        read_phone_log(path)
 
 
 def speeds(at_s: np.ndarray) -> np.ndarray:
@@ -131,20 +133,20 @@ def test_a_clock_from_the_motion() -> None:
     since_s = np.sort(np.arange(0.0, 90.0, 0.005) + rng.uniform(-5e-4, 5e-4, 18000))
     since_s -= since_s[0]
     capture_s = 17.1234 + (1.0 - 60e-6) * since_s
-    found = find_clock(since_s, speeds(capture_s) + rng.normal(0.0, 0.005, 18000), unit)
-    assert abs(found.offset_s - 17.1234) < 2e-3
-    assert abs(found.skew + 60e-6) < 2e-5
-    assert abs(found.capture_s(since_s) - capture_s).max() < 2e-3
+    result = find_phone_clock(since_s, speeds(capture_s) + rng.normal(0.0, 0.005, 18000), unit)
+    assert abs(result.offset_s - 17.1234) < 2e-3
+    assert abs(result.skew + 60e-6) < 2e-5
+    assert abs(result.capture_s(since_s) - capture_s).max() < 2e-3
 
 
-def test_motions_that_are_not_the_same_or_repeat() -> None:
+def test_different_and_periodic_motions_are_rejected() -> None:
     unit = speeds(np.arange(0.0, 120.0, GRID_S))
     since_s = np.arange(0.0, 90.0, 0.01)
-    with pytest.raises(InputError, match="not the unit's"):
-        find_clock(since_s, speeds(110.0 - 1.3 * since_s), unit)
+    with pytest.raises(InputError, match="differs from the unit's"):
+        find_phone_clock(since_s, speeds(110.0 - 1.3 * since_s), unit)
     again = np.abs(np.sin(np.arange(0.0, 120.0, GRID_S)))
-    with pytest.raises(InputError, match="fits in two places"):
-        find_clock(since_s, np.abs(np.sin(since_s)), again)
+    with pytest.raises(InputError, match="fits at two lags"):
+        find_phone_clock(since_s, np.abs(np.sin(since_s)), again)
 
 
 @pytest.fixture(scope="module")
@@ -170,13 +172,13 @@ def on_a_unit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dic
     return recording, log, yaml.safe_load((folder / "truth.yaml").read_text())
 
 
-def test_a_phone_on_a_unit_becomes_one_more_board(
+def test_a_phone_on_a_unit_becomes_an_additional_board(
     on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     unit, log, _ = on_a_unit
     done = import_phone(log, tmp_path / "phone.mcap", "NEXUS5", "MPU-6515", unit)
     both = read_recording(done.path)
-    assert both.complete
+    assert both.is_complete
     assert both.board_ids == (BoardId("GY80-1"), BoardId("NEXUS5"))
     board, phone = (load_samples(both, name) for name in ("GY80-1", "NEXUS5"))
     # the same samples by another clock: as far apart in time as the motion can tell
@@ -184,8 +186,8 @@ def test_a_phone_on_a_unit_becomes_one_more_board(
     assert np.abs(apart_s - np.median(apart_s)).max() < 2e-3
     for topic, messages in read_recording(unit).topics.items():
         assert len(both.topics[topic]) >= len(messages)
-    assert any("clock was found from the motion" in note for note in done.notes)
-    with pytest.raises(UsageError, match="has a board GY80-1 already"):
+    assert any("clock was estimated from the motion" in note for note in done.notes)
+    with pytest.raises(UsageError, match="already has a board GY80-1"):
         import_phone(log, tmp_path / "again.mcap", "GY80-1", "MPU-6515", unit)
     assert not list(tmp_path.glob("again*"))
 
@@ -193,7 +195,7 @@ def test_a_phone_on_a_unit_becomes_one_more_board(
 FARTHEST_SIGMA, ALL_SIGMA = 4.0, 2.0
 
 
-def test_a_phone_is_solved_to_within_what_is_stated(
+def test_the_calibration_of_a_phone_agrees_within_its_uncertainty(
     on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     """The log is GY80-1's samples by a clock of its own: what the emulator hid in that board holds.
@@ -206,12 +208,14 @@ def test_a_phone_is_solved_to_within_what_is_stated(
     out = tmp_path / "calibrations"
     assert cli.run(["solve", str(phone), "--board", "NEXUS5", "--out", str(out)]) == 0
     document = out / "NEXUS5" / "v0001.yaml"
-    found = parse_calibration(document.read_bytes(), document.name)
-    assert found.trust.verdict != "refused"
-    assert found.observability.rank == 12
+    result = parse_calibration(document.read_bytes(), document.name)
+    assert result.trust.verdict != "refused"
+    assert result.observability.rank == 12
     hidden = truth | {"boards": {"NEXUS5": truth["boards"]["GY80-1"]}}
     off = {
-        one.name: one.sigmas for one in compare(found, hidden) if not one.name.startswith("time")
+        one.name: one.sigmas
+        for one in compare_with_truth(result, hidden)
+        if not one.name.startswith("time")
     }
     assert len(off) == 12
     sigmas = np.array([abs(one) for one in off.values() if one is not None])
@@ -220,7 +224,7 @@ def test_a_phone_is_solved_to_within_what_is_stated(
     assert np.sqrt(np.mean(sigmas**2)) < ALL_SIGMA, off
 
 
-def test_a_phone_by_itself_counts_from_zero(
+def test_the_time_of_a_phone_alone_starts_at_zero(
     on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     _, log, _ = on_a_unit

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from gyrorig_protocol.documents import parse_yaml, read_as
+from gyrorig_protocol.documents import convert_document, parse_yaml
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
+from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.importers import ImportMap, check_import_map, import_measurements
-from gyrorig_solver.importers.columns import open_columns
-from gyrorig_solver.reference.turns import read_turns
-from gyrorig_solver.samples import load_samples
+from gyrorig_solver.importers.measurement_columns import open_columns
+from gyrorig_solver.reference.known_turns import read_turns
 
 BASE = """
 schema: gyrorig/import/1
@@ -34,7 +34,7 @@ gyro: {keys: [g], unit: rad/s}
 
 
 def mapped(text: str = BASE) -> ImportMap:
-    return check_import_map(read_as(parse_yaml(text, "map"), ImportMap, "map"), "map")
+    return check_import_map(convert_document(parse_yaml(text, "map"), ImportMap, "map"), "map")
 
 
 def archive(path: Path, **arrays: object) -> Path:
@@ -57,10 +57,10 @@ def test_rates_survive_to_the_last_digit_kept(tmp_path: Path) -> None:
     data = sound()
     source = archive(tmp_path / "in.npz", **data)
     summary = import_measurements(source, mapped(), tmp_path / "out.mcap")
-    found = messages(summary.path, "/board/B1/imu_raw")
-    counts = np.array([m.gyro for m in found])
+    result = messages(summary.path, "/board/B1/imu_raw")
+    counts = np.array([m.gyro for m in result])
     assert np.abs(counts * 1e-7 - data["g"]).max() <= 0.5e-7 * 1.0001
-    first = found[0]
+    first = result[0]
     assert first.host_time.sec * 10**9 + first.host_time.nanosec == 10**9
     assert first.device_time == 10**9
     assert summary.samples == 200
@@ -96,8 +96,8 @@ def test_arrivals_keep_the_sample_count_as_the_clock(tmp_path: Path) -> None:
     summary = import_measurements(
         archive(tmp_path / "in.npz", **data), mapped(text), tmp_path / "o.mcap"
     )
-    found = messages(summary.path, "/board/B1/imu_raw")
-    assert [m.device_time for m in found] == list(range(50))
+    result = messages(summary.path, "/board/B1/imu_raw")
+    assert [m.device_time for m in result] == list(range(50))
 
 
 @pytest.mark.parametrize(("first_s", "later_s"), [(0.0, 1.0), (7.0, 0.0)])
@@ -114,8 +114,8 @@ def test_a_turn_of_samples_in_bursts_holds_every_sample(
     samples = load_samples(recording, "B1")
     (turn,) = read_turns(recording.events(), samples.origin_ns).turns
     assert samples.time_s[0] == pytest.approx(-0.04, abs=1e-6)
-    assert turn.over.begin_s == pytest.approx(samples.time_s[0], abs=1e-6)
-    assert turn.over.end_s == pytest.approx(samples.time_s[-1], abs=1e-6)
+    assert turn.interval.begin_s == pytest.approx(samples.time_s[0], abs=1e-6)
+    assert turn.interval.end_s == pytest.approx(samples.time_s[-1], abs=1e-6)
     first = messages(summary.path, "/board/B1/imu_raw")[0].host_time
     assert first.sec + first.nanosec * 1e-9 == pytest.approx(first_s + later_s)
 
@@ -147,11 +147,11 @@ def test_accel_with_other_times_is_taken_from_the_nearest(tmp_path: Path) -> Non
     summary = import_measurements(
         archive(tmp_path / "in.npz", **data), mapped(text), tmp_path / "o.mcap"
     )
-    found = messages(summary.path, "/board/B1/imu_raw")
-    valid = [bool(m.status & 1 << 8) for m in found]
+    result = messages(summary.path, "/board/B1/imu_raw")
+    valid = [bool(m.status & 1 << 8) for m in result]
     assert valid == [i % 2 == 0 for i in range(100)]
-    assert found[0].accel[0] == 9810000
-    assert "50 samples without one, largest shift 1.000 ms" in summary.notes[0]
+    assert result[0].accel[0] == 9810000
+    assert "50 samples have none, the largest shift is 1.000 ms" in summary.notes[0]
 
 
 def test_turns_and_rests_become_phases(tmp_path: Path) -> None:
@@ -179,25 +179,28 @@ def test_turns_and_rests_become_phases(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda d: d["t"].__setitem__(7, d["t"][6]), "stands still or runs back at row 8: sort"),
-        (lambda d: d["t"].__setitem__(7, np.nan), "row 8 has the time nan"),
-        (lambda d: d["t"].__setitem__(slice(None), d["t"] * 1e12), "correct time: unit in the map"),
+        (lambda d: d["t"].__setitem__(7, d["t"][6]), "do not increase at row 8. Sort"),
+        (lambda d: d["t"].__setitem__(7, np.nan), "has the time nan s in row 8"),
+        (
+            lambda d: d["t"].__setitem__(slice(None), d["t"] * 1e12),
+            "Correct `unit` under `time` in the import map",
+        ),
         (
             lambda d: d["g"].__setitem__((3, 1), 1e30),
-            "gyro of sample 4 is beyond any sensor",
+            "gyro of sample 4 is beyond the range of any sensor",
         ),
         (lambda d: d["g"].__setitem__((3, 1), np.inf), None),
-        (lambda d: d["g"].fill(np.nan), "hold no numbers"),
-        (lambda d: d.__setitem__("g", d["g"][:, :2]), "has 2 columns, not 3"),
+        (lambda d: d["g"].fill(np.nan), "contain no numbers"),
+        (lambda d: d.__setitem__("g", d["g"][:, :2]), "has 2 columns, and 3 are needed"),
         (lambda d: d.__setitem__("t", d["t"][:-1]), "199 times for 200 rows"),
-        (lambda d: d.pop("g"), "has no 'g'"),
-        (lambda d: d.__setitem__("g", np.array([object()] * 9)), "g holds no numbers"),
-        (lambda d: d.__setitem__("g", d["g"] * 1j), "g holds no numbers but complex128: save it"),
+        (lambda d: d.pop("g"), "has no array 'g'"),
+        (lambda d: d.__setitem__("g", np.array([object()] * 9)), "g contains objects"),
+        (lambda d: d.__setitem__("g", d["g"] * 1j), "g contains complex128. Save it"),
         (lambda d: d.__setitem__("g", d["g"][None]), "differ in length"),
-        (lambda d: d.__setitem__("t", np.array(["x"] * 200)), "t holds no numbers"),
+        (lambda d: d.__setitem__("t", np.array(["x"] * 200)), "t contains <U1"),
     ],
 )
-def test_hostile_archives_are_refused_in_one_line(
+def test_hostile_archives_are_rejected_in_one_line(
     tmp_path: Path, change: Callable[[dict[str, np.ndarray]], object], says: str | None
 ) -> None:
     data = sound()
@@ -218,9 +221,12 @@ def test_hostile_archives_are_refused_in_one_line(
         (b"", "is empty"),
         (b"t,gx,gy,gz\n", "header and no rows"),
         (b"t,gx,gy\n1,2,3\n", "no column 'gz'"),
-        (b"t,gx,gy,gz\n0,2,3,4\n\n1,2,3,x\n", r"row 3: 'x' in column gz is no number: correct it"),
-        (b"t,gx,gy,gz\n1,2,3\n", "row 1 has 3 columns: it may be cut off"),
-        (b"\xff\xfe\x00\x01" * 30, "no column"),
+        (
+            b"t,gx,gy,gz\n0,2,3,4\n\n1,2,3,x\n",
+            r"row 3 has 'x' in column gz, which is not a number. Correct",
+        ),
+        (b"t,gx,gy,gz\n1,2,3\n", "row 1 has 3 columns. Correct or remove"),
+        (b"\xff\xfe\x00\x01" * 30, "is a binary file, not a text table"),
     ],
 )
 def test_hostile_tables_are_refused(tmp_path: Path, content: bytes, says: str) -> None:
@@ -249,16 +255,16 @@ def test_bytes_never_raise_anything_else(tmp_path: Path, content: bytes, suffix:
     ("text", "says"),
     [
         (BASE + "colour: red\n", "map has the unknown key 'colour'"),
-        (BASE.replace("rad/s", "rpm"), "gyro: unit is the text 'rpm': give one of"),
-        (BASE.replace("unit: rad/s", "unit: counts"), "without scale_rad_s"),
-        (BASE.replace("{key: t, unit: s}", "{unit: s}"), "wants one of key"),
-        (BASE.replace("{key: t, unit: s}", "{key: t, stamp: arrival}"), "arrival times want"),
+        (BASE.replace("rad/s", "rpm"), "gyro: unit is the text 'rpm'. Give one of"),
+        (BASE.replace("unit: rad/s", "unit: counts"), "no scale_rad_s"),
+        (BASE.replace("{key: t, unit: s}", "{unit: s}"), "needs exactly one of key"),
+        (BASE.replace("{key: t, unit: s}", "{key: t, stamp: arrival}"), "arrival times need"),
         (BASE.replace("[g]", "[gx, gy]"), "2 keys"),
         (BASE + "turns: [{axis: [0.0, 0.0, 2.0], angle_deg: 1.0, std_deg: 1.0}]\n", "turn axis"),
         (BASE + "sections: {name: ../x.json}\n", "sections: name is the text"),
     ],
 )
-def test_maps_that_make_no_sense_are_refused(text: str, says: str) -> None:
+def test_inconsistent_maps_are_rejected(text: str, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         mapped(text)
 
@@ -273,11 +279,11 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
 
 def test_a_recording_ends_in_mcap(tmp_path: Path) -> None:
     source = archive(tmp_path / "in.npz", **sound())
-    with pytest.raises(UsageError, match="end it in"):
+    with pytest.raises(UsageError, match=r"ends in \.mcap"):
         import_measurements(source, mapped(), tmp_path / "o.bag")
 
 
-def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_file_remains_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise MachineError("no space left")
 

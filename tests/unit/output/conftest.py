@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrorig_solver.calibration.build import Provenance
-from gyrorig_solver.calibration.document import Board, BoardConfig, SolvedInput
-from gyrorig_solver.estimate.result import (
-    Clock,
+from gyrorig_solver.calibration.calibration_builder import Provenance
+from gyrorig_solver.calibration.calibration_document import BoardRecord, BoardSettings, SolvedInput
+from gyrorig_solver.estimate.gyro_fit import (
+    ClockQuality,
     FitDiagnostics,
     GyroFit,
     NoiseLevels,
-    Observability,
+    ObservabilityReport,
 )
-from gyrorig_solver.model.gain import GainFactors
+from gyrorig_solver.model.gain_matrix import GainFactors
 
 NAMES = (
     *("bias.x", "bias.y", "bias.z", "scale.x", "scale.y", "scale.z"),
@@ -67,7 +67,9 @@ def good_fit() -> GyroFit:
         std={**dict.fromkeys(NAMES, 2.0**-12), "time_offset": 2.0**-14},
         order=NAMES,
         covariance=np.diag([2.0**-24] * 12 + [2.0**-28]),
-        observability=Observability(rank=12, of=12, condition=2.5, unobservable=(), reasons=()),
+        observability=ObservabilityReport(
+            rank=12, of=12, condition=2.5, unobservable=(), reasons=()
+        ),
         noise=NoiseLevels(
             angle_random_walk=np.array([0.0005, 0.0005, 0.00075]),
             bias_instability=np.array([0.0001, 0.0001, 0.0001]),
@@ -82,7 +84,7 @@ def good_fit() -> GyroFit:
         rms_before_rad_s=0.03125,
         rms_after_rad_s=0.001953125,
         temperature_range_degc=(24.5, 26.0),
-        clock=Clock(
+        clock=ClockQuality(
             skew_ppm=-31.5,
             wander_bound_s=4e-06,
             latency_median_s=0.0011,
@@ -112,7 +114,7 @@ def limited_fit(good_fit: GyroFit) -> GyroFit:
         std={n: v for n, v in good_fit.std.items() if n.split(".")[0] not in unknown},
         order=("bias.x", "bias.y", "bias.z", "time_offset"),
         covariance=np.diag([2.0**-24] * 3 + [2.0**-28]),
-        observability=Observability(
+        observability=ObservabilityReport(
             rank=6,
             of=12,
             condition=1.5,
@@ -126,11 +128,11 @@ def limited_fit(good_fit: GyroFit) -> GyroFit:
 def provenance() -> Provenance:
     """A board and one recording."""
     return Provenance(
-        board=Board(
+        board=BoardRecord(
             id="GY80-0007",
             uid="0123456789abcdef",
             sensor="L3G4200D",
-            config=BoardConfig(
+            config=BoardSettings(
                 odr_hz=100.0,
                 bandwidth_hz=25.0,
                 gyro_full_scale_dps=250.0,

@@ -11,7 +11,8 @@ import pytest
 
 from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.store import CalibrationStore, write_whole
+from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.storage.file_writing import write_file
 
 BOARD = BoardId("GY80-0007")
 
@@ -22,8 +23,8 @@ def names(folder: Path) -> list[str]:
 
 def test_versions_count_up_and_name_the_digest_before(tmp_path: Path) -> None:
     store = CalibrationStore(tmp_path)
-    first = store.add(BOARD, lambda n, before: f"{n} {before}\n")
-    second = store.add(BOARD, lambda n, before: f"{n} {before}\n")
+    first = store.add_version(BOARD, lambda n, before: f"{n} {before}\n")
+    second = store.add_version(BOARD, lambda n, before: f"{n} {before}\n")
     assert first.path.name == "v0001.yaml"
     assert first.path.read_text() == "1 None\n"
     digest = hashlib.sha256(first.path.read_bytes()).hexdigest()
@@ -40,10 +41,10 @@ def test_a_lost_race_takes_the_next_number_and_the_new_digest(tmp_path: Path) ->
     def text(number: int, before: str | None) -> str:
         calls.append(number)
         if number == 1:  # another solver is faster
-            rival.add(BOARD, lambda n, _: f"rival {n}\n")
+            rival.add_version(BOARD, lambda n, _: f"rival {n}\n")
         return f"mine {number} {before}\n"
 
-    mine = store.add(BOARD, text)
+    mine = store.add_version(BOARD, text)
     assert calls == [1, 2]
     assert (tmp_path / BOARD / "v0001.yaml").read_text() == "rival 1\n"
     digest = hashlib.sha256(b"rival 1\n").hexdigest()
@@ -54,14 +55,14 @@ RIVAL = """
 import sys
 from pathlib import Path
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.calibration.store import CalibrationStore
+from gyrorig_solver.calibration.calibration_store import CalibrationStore
 store = CalibrationStore(Path(sys.argv[1]))
 for k in range(15):
-    store.add(BoardId("B"), lambda n, before: f"{sys.argv[2]}-{k} {before}\\n")
+    store.add_version(BoardId("B"), lambda n, before: f"{sys.argv[2]}-{k} {before}\\n")
 """
 
 
-def test_two_processes_at_once_lose_nothing(tmp_path: Path) -> None:
+def test_two_processes_write_without_loss(tmp_path: Path) -> None:
     rivals = [subprocess.Popen([sys.executable, "-c", RIVAL, str(tmp_path), name]) for name in "ab"]
     assert [rival.wait() for rival in rivals] == [0, 0]
     versions = CalibrationStore(tmp_path).versions(BoardId("B"))
@@ -72,41 +73,41 @@ def test_two_processes_at_once_lose_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EPERM, errno.EIO])
-def test_a_refused_write_leaves_nothing(
+def test_failed_write_leaves_no_file(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = CalibrationStore(tmp_path)
-    store.add(BOARD, lambda _n, _b: "first\n")
+    store.add_version(BOARD, lambda _n, _b: "first\n")
 
     def refuse(*_: object) -> None:
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "link", refuse)
     with pytest.raises(MachineError) as refused:
-        store.add(BOARD, lambda _n, _b: "second\n")
-    assert ": " in str(refused.value)
+        store.add_version(BOARD, lambda _n, _b: "second\n")
+    assert refused.value.remedy
     assert "\n" not in str(refused.value)
     assert names(tmp_path / BOARD) == ["v0001.yaml"]
 
 
-def test_foreign_files_do_not_count(tmp_path: Path) -> None:
+def test_other_files_are_not_versions(tmp_path: Path) -> None:
     (tmp_path / BOARD).mkdir()
     for name in ("v1.yaml", "v0007.report.html", ".v0009.yaml.abc", "notes.txt"):
         (tmp_path / BOARD / name).write_text("x")
-    assert CalibrationStore(tmp_path).add(BOARD, lambda n, _: str(n)).number == 1
+    assert CalibrationStore(tmp_path).add_version(BOARD, lambda n, _: str(n)).number == 1
 
 
-def test_a_file_in_the_way_is_said_before_any_work(tmp_path: Path) -> None:
+def test_file_in_the_place_of_the_folder_is_reported_first(tmp_path: Path) -> None:
     (tmp_path / BOARD).write_text("in the way")
     with pytest.raises(MachineError, match="--out"):
-        CalibrationStore(tmp_path).prepare(BOARD)
+        CalibrationStore(tmp_path).prepare_folder(BOARD)
 
 
-def test_write_whole_replaces_only_when_told(tmp_path: Path) -> None:
+def test_write_file_replaces_only_if_asked(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    assert write_whole(path, b"one", replace=False)
-    assert not write_whole(path, b"two", replace=False)
+    assert write_file(path, b"one", replace=False)
+    assert not write_file(path, b"two", replace=False)
     assert path.read_bytes() == b"one"
-    assert write_whole(path, b"three", replace=True)
+    assert write_file(path, b"three", replace=True)
     assert path.read_bytes() == b"three"
     assert names(tmp_path) == ["report.html"]

@@ -5,17 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_protocol.recording.losses import Loss, LossCause
+from gyrorig_protocol.recording.mcap.losses import Loss, LossCause
 from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
 from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver import cli
-from gyrorig_solver.check.health import BoardHealth, Health, UnitHealth
-from gyrorig_solver.check.remarks import problems, verdict
-from gyrorig_solver.estimate.result import Observability
+from gyrorig_solver.check.health_messages import health_problems, health_verdict
+from gyrorig_solver.check.recording_health import BoardHealth, RecordingHealth, UnitHealth
+from gyrorig_solver.estimate.gyro_fit import ObservabilityReport
 
 Captured = pytest.CaptureFixture[str]
-ALL = Observability(rank=12, of=12, condition=2.0, unobservable=(), reasons=())
-REST = Observability(
+ALL = ObservabilityReport(rank=12, of=12, condition=2.0, unobservable=(), reasons=())
+REST = ObservabilityReport(
     rank=3,
     of=12,
     condition=1.0,
@@ -39,7 +39,7 @@ BOARD = BoardHealth(
     observability=ALL,
 )
 UNIT = UnitHealth(100, 10.0, 0, (-90.0, 90.0), (-30.0, 30.0), 12, 0)
-SOUND = Health(
+SOUND = RecordingHealth(
     name="one.mcap",
     complete=True,
     losses=(),
@@ -53,15 +53,15 @@ SOUND = Health(
     boards=(BOARD,),
 )
 FAULTY = replace(
-    BOARD, board="GY80-2", observability=None, fault="board GY80-2 is dumb: mend its cable"
+    BOARD, board="GY80-2", observability=None, fault="board GY80-2 does not answer. Fix its cable."
 )
 
 
-def with_board(**change: object) -> Health:
+def with_board(**change: object) -> RecordingHealth:
     return replace(SOUND, boards=(replace(BOARD, **change),))  # type: ignore[arg-type]
 
 
-def with_loss(cause: LossCause) -> Health:
+def with_loss(cause: LossCause) -> RecordingHealth:
     return replace(SOUND, complete=False, losses=(Loss(cause, 0, 10, 1, "10 bytes are no use"),))
 
 
@@ -73,50 +73,50 @@ def with_loss(cause: LossCause) -> Health:
         (with_board(lost=500), "usable, with remarks"),
         (with_board(observability=REST), "sound, but cannot calibrate all"),
         (
-            with_board(observability=None, no_reference="no reference: record the unit"),
+            with_board(observability=None, no_reference="there is no reference. Record the unit."),
             "sound, but cannot calibrate all",
         ),
         (with_board(observability=REST, restarts=1),
          "usable, with remarks, but cannot calibrate all"),
         (replace(SOUND, boards=()), "not usable"),
         (replace(SOUND, boards=(FAULTY,)), "not usable"),
-        (replace(SOUND, boards=(BOARD, FAULTY)), "usable in part: not GY80-2"),
+        (replace(SOUND, boards=(BOARD, FAULTY)), "usable in part, without GY80-2"),
     ],
 )  # fmt: skip
-def test_the_verdict_is_one_of_few(health: Health, says: str) -> None:
-    assert verdict(health) == says
+def test_the_verdict_is_one_of_few(health: RecordingHealth, says: str) -> None:
+    assert health_verdict(health) == says
 
 
 REMARKS = [
     *((with_loss(cause), "10 bytes are no use") for cause in LossCause),
-    (replace(SOUND, dropped={"/a": 3}), "make room"),
+    (replace(SOUND, dropped={"/a": 3}), "Free space"),
     (replace(SOUND, faults=("board GY80-1 has sent no sample for 2 s",)), "gyrorigd doctor"),
-    (replace(SOUND, boards=()), "connect one"),
-    (replace(SOUND, boards=(FAULTY,)), "mend its cable"),
-    (replace(SOUND, unit=replace(UNIT, unsynchronised=3)), "check its cable"),
-    (with_board(lost=500), "lower its output rate"),
+    (replace(SOUND, boards=()), "Connect one"),
+    (replace(SOUND, boards=(FAULTY,)), "Fix its cable"),
+    (replace(SOUND, unit=replace(UNIT, unsynchronised=3)), "Check its cable"),
+    (with_board(lost=500), "Lower its output rate"),
     (with_board(saturated=5), "larger full scale"),
     (with_board(repeated=500), "raise its output rate"),
-    (with_board(restarts=2), "check its supply"),
-    (with_board(clock_steps=2), "do not suspend"),
+    (with_board(restarts=2), "Check its supply"),
+    (with_board(clock_steps=2), "Do not suspend"),
     (with_board(observability=REST), "sweep both axes"),
-    (with_board(observability=replace(REST, reasons=())), "turn it about every axis"),
-    (with_board(observability=None, no_reference="no reference: record the unit"), "record the"),
+    (with_board(observability=replace(REST, reasons=())), "Turn it about every axis"),
+    (with_board(observability=None, no_reference="no reference. Record the unit."), "Record the"),
 ]
 
 
 @pytest.mark.parametrize(("health", "remedy"), REMARKS)
-def test_every_remark_says_what_to_do(health: Health, remedy: str) -> None:
-    (told,) = problems(health)
+def test_every_remark_says_what_to_do(health: RecordingHealth, remedy: str) -> None:
+    (told,) = health_problems(health)
     assert remedy in told
-    what, _, to_do = told.partition(": ")
+    what, _, to_do = told.partition(". ")
     assert len(what) > 8
     assert len(to_do) > 8
     assert "\n" not in told
 
 
 def test_a_sound_recording_has_no_remark() -> None:
-    assert problems(SOUND) == ()
+    assert health_problems(SOUND) == ()
 
 
 def test_a_recording_without_a_board_is_not_usable(tmp_path: Path, capsys: Captured) -> None:
@@ -127,4 +127,4 @@ def test_a_recording_without_a_board_is_not_usable(tmp_path: Path, capsys: Captu
     assert cli.run(["check", str(tmp_path / "empty.mcap")]) == 4
     text = capsys.readouterr().out
     assert text.startswith("empty.mcap: not usable;")
-    assert "connect one" in text
+    assert "Connect one" in text

@@ -12,12 +12,12 @@ import yaml
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver import cli
-from gyrorig_solver.calibration.document import parse_calibration
-from gyrorig_solver.commands.terminal import finite, printable
-from gyrorig_solver.model.terms.catalogue import term
+from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.commands.terminal import finite_json, printable
+from gyrorig_solver.model.catalogue import find_term
 
 ROOT = Path(__file__).parents[3]
-COMMANDS = ["demo", "import", "check", "solve", "apply", "export", "report", "plan"]
+COMMANDS = ["demo", "import", "check", "solve", "compare", "apply", "export", "report", "plan"]
 Captured = pytest.CaptureFixture[str]
 
 
@@ -54,7 +54,7 @@ def test_texts_from_strangers_do_not_steer_the_terminal(capsys: Captured) -> Non
 
 
 def test_numbers_that_json_does_not_know_are_null() -> None:
-    assert finite({"a": [float("nan"), 1.0], "b": (float("inf"),)}) == {
+    assert finite_json({"a": [float("nan"), 1.0], "b": (float("inf"),)}) == {
         "a": [None, 1.0],
         "b": [None],
     }
@@ -109,10 +109,10 @@ def test_a_group_by_itself_shows_its_help_in_lines(arguments: list[str], capsys:
 
 
 def test_a_cause_that_is_misspelt_is_guessed() -> None:
-    with pytest.raises(UsageError, match=r"'backlsh': did you mean backlash\?"):
-        term("backlsh")
-    with pytest.raises(UsageError, match=r"'xyzzy': there are acceleration_error"):
-        term("xyzzy")
+    with pytest.raises(UsageError, match=r"'backlsh' is not a cause.* Did you mean backlash\?"):
+        find_term("backlsh")
+    with pytest.raises(UsageError, match=r"'xyzzy' is not a cause.* `gyrorigd causes` lists all"):
+        find_term("xyzzy")
 
 
 @pytest.mark.parametrize("command", ["check", "solve"])
@@ -219,7 +219,7 @@ def test_check_of_a_rest_says_what_is_missing_and_why(
     text = capsys.readouterr().out
     assert "sound, but cannot calibrate all" in text
     assert "3 of 12" in text
-    assert "cannot show scale, " in text
+    assert "cannot be determined. " in text
 
 
 def test_check_of_a_cut_recording_says_what_is_lost(
@@ -248,16 +248,18 @@ def test_several_recordings_one_bad_is_done_in_part(
 def test_solving_twice_changes_no_number_and_chains_the_versions(
     simulated: Callable[[str, int], Path], tmp_path: Path, capsys: Captured
 ) -> None:
-    path = str(simulated("quick", 3))
+    path = str(simulated("survey-40", 3))  # quick rests at too few tilts
     for _ in range(2):
         assert cli.run(["solve", path, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "version 1: good\n  Every parameter was observable" in said
-    assert "  Next: put it to use with `gyrorig apply`" in said
+    assert "version 1: good\n  All 12 parameters were determined" in said
+    assert "  Next: use it with `gyrorig apply`" in said
     first, second = (tmp_path / "GY80-1" / f"v000{n}.yaml" for n in (1, 2))
     digest = "sha256:" + hashlib.sha256(first.read_bytes()).hexdigest()
     assert parse_calibration(second.read_bytes(), "v0002").previous == digest
     old, new = yaml.safe_load(first.read_text()), yaml.safe_load(second.read_text())
+    assert old.pop("findings")["file"] == "v0001.findings.yaml"
+    assert new.pop("findings")["file"] == "v0002.findings.yaml"
     for key in ("version", "previous", "created"):
         old.pop(key, None)
         new.pop(key, None)
@@ -283,7 +285,7 @@ def test_a_page_is_made_again_with_its_recordings_or_without(
     other = tmp_path / "other.mcap"
     other.write_bytes(path.read_bytes()[:-9000])
     assert cli.run(["report", document, str(other)]) == 3
-    assert "name every recording of the calibration" in capsys.readouterr().err
+    assert "Give all recordings of the calibration" in capsys.readouterr().err
     assert cli.run(["report", str(path)]) == 3
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrorig_protocol.documents import parse_yaml, read_as
-from gyrorig_solver.importers.mapping import ImportMap, check_import_map
+from gyrorig_protocol.documents import convert_document, parse_yaml
+from gyrorig_solver.importers.import_map import ImportMap, check_import_map
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
@@ -109,7 +109,7 @@ def test_printed_import_maps_can_be_used() -> None:
         for block in re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
             if "schema: gyrorig/import/1" in block:
                 check_import_map(
-                    read_as(parse_yaml(block, page.name), ImportMap, page.name), page.name
+                    convert_document(parse_yaml(block, page.name), ImportMap, page.name), page.name
                 )
                 found += 1
     assert found

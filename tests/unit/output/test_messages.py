@@ -1,4 +1,4 @@
-"""What every message names exists: options, commands, files, keys; and every error has a remedy."""
+"""Options, commands, files and keys named in messages exist; every error has a remedy."""
 
 import re
 from collections.abc import Iterator
@@ -9,19 +9,20 @@ import msgspec
 import pytest
 from tests.unit.output.spoken import ROOT, Said, errors, findings, texts
 
-from gyrorig_daemon.commands import cli as gyrorigd
-from gyrorig_daemon.config.document import RigConfig
+from gyrorig_daemon.commands.command_group import cli as gyrorigd
+from gyrorig_daemon.config.rig_document import RigConfig
 from gyrorig_solver.cli import cli as gyrorig
 
-# Of other programs, which messages tell people to run.
+# Options of other programs, in commands that messages recommend.
 OTHERS = {"--host", "--no-dashboard", "--nthreads", "--can", "--now"}
-# After a program's name, and no command: words about it.
-PROSE = {"metadata", "lacks", "unknown"}
-# Why a schema or a message is refused: `recording/collect.py` says whose, and what to do.
-REASONS = ("recording/cdr.py", "recording/cdr_stream.py", "recording/ros2msg.py",
-           "recording/messages.py", "recording/collect.py")  # fmt: skip
-# The process of the ports is gone: `_lose_ports` has said what to do when it went.
-SAID_BEFORE = ("{self._gone}",)
+# Words after a program's name that are not commands.
+PROSE = {"metadata", "lacks", "unknown", "that", "made"}
+# Reasons why a schema or a message is invalid: `recording/topic_collector.py` adds the remedy.
+REASONS = ("recording/encoding/cdr_codec.py", "recording/encoding/cdr_layout.py",
+           "recording/encoding/ros2msg.py", "recording/messages.py",
+           "recording/topic_collector.py")  # fmt: skip
+# `explain_wrong_schema` returns problem and remedy together.
+SAID_BEFORE = ("{*wrong_schema}",)
 
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 _COMMAND = re.compile(r"\b(gyrorigd?) ([a-z]+(?:-[a-z]+)*)(?: ([a-z]+(?:-[a-z]+)*))?([^`;,.:()|]*)")
@@ -51,7 +52,7 @@ def _options(command: click.Command) -> set[str]:
     return {"--help", *words}
 
 
-# `gyrorig record` and `emulate` hand their words on to gyrorigd, which reads them.
+# `gyrorig record` and `serve_emulated_rig` hand their words on to gyrorigd, which reads them.
 OPTIONS = {name: _options(command) for name, command in COMMANDS.items()}
 for _word in ("record", "emulate"):
     OPTIONS[f"gyrorig {_word}"] |= OPTIONS[f"gyrorigd {_word}"]
@@ -59,13 +60,13 @@ ALL = set().union(*OPTIONS.values())
 TEXTS = tuple(texts())
 
 
-def test_there_is_much_to_look_at() -> None:
+def test_texts_are_found() -> None:
     assert len(TEXTS) > 1500
     assert len(list(errors())) > 450
     assert len(list(findings())) > 60
 
 
-def test_every_option_that_a_message_names_exists() -> None:
+def test_options_in_messages_exist() -> None:
     wrong = {
         (one.place, option)
         for one in TEXTS
@@ -75,7 +76,7 @@ def test_every_option_that_a_message_names_exists() -> None:
     assert not wrong
 
 
-def test_every_command_that_a_message_names_exists_with_its_options() -> None:
+def test_commands_in_messages_exist_with_their_options() -> None:
     wrong = set()
     for one in TEXTS:
         for program, command, below, rest in _COMMAND.findall(one.text):
@@ -95,7 +96,7 @@ def test_every_command_that_a_message_names_exists_with_its_options() -> None:
     assert not wrong
 
 
-def test_every_file_and_target_that_a_message_names_exists() -> None:
+def test_files_and_targets_in_messages_exist() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     wrong = {
         (one.place, name) for one in TEXTS for name in _FILE.findall(one.text)
@@ -119,7 +120,7 @@ def _fields(kind: msgspec.inspect.Type) -> Iterator[msgspec.inspect.Field]:
             yield from _fields(kind.item_type)
 
 
-def test_every_key_of_a_rig_that_a_message_names_exists() -> None:
+def test_rig_keys_in_messages_exist() -> None:
     wrong = set()
     for one in TEXTS:
         for first, rest in _KEYS.findall(re.sub(r"{[^}]*}", "", one.text)):
@@ -139,7 +140,7 @@ def _without_remedy(said: Iterator[Said]) -> set[tuple[str, str]]:
     return {(one.place, one.text) for one in said if not one.remedy}
 
 
-def test_every_error_says_what_to_do() -> None:
+def test_every_error_has_a_remedy() -> None:
     lacking = {
         (place, text) for place, text in _without_remedy(errors())
         if not any(name in place for name in REASONS) and text not in SAID_BEFORE
@@ -147,12 +148,12 @@ def test_every_error_says_what_to_do() -> None:
     assert not lacking
 
 
-def test_every_finding_says_what_to_do() -> None:
+def test_every_finding_has_a_remedy() -> None:
     assert not _without_remedy(one for one in findings() if one.kind in ("fault", "warning"))
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_option_says_what_it_is_and_what_holds_without_it(name: str) -> None:
+def test_every_option_has_help_and_a_default(name: str) -> None:
     for one in COMMANDS[name].params:
         if not isinstance(one, click.Option):
             continue
@@ -160,4 +161,6 @@ def test_every_option_says_what_it_is_and_what_holds_without_it(name: str) -> No
         if one.is_flag or one.required or one.show_default or one.opts == ["--version"]:
             continue
         says = "default" in one.help or one.multiple
-        assert says or one.help.startswith(("Only ", "Of ", "With ", "In place of ")), one.opts
+        assert says or one.help.startswith(
+            ("Only ", "Of ", "With ", "In place of ", "Instead of ", "For ")
+        ), one.opts

@@ -1,4 +1,4 @@
-"""Figures of the pages: ticks that read back, marks where their values are, valid SVG."""
+"""Panels of figures: tick labels, positions of marks, valid SVG."""
 
 import re
 from xml.etree import ElementTree
@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrorig_solver.report.panels import Figure, Panel
-from gyrorig_solver.report.ticks import Axis
+from gyrorig_solver.report.axis_ticks import Axis
+from gyrorig_solver.report.svg_panels import Figure, Panel
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -21,7 +21,7 @@ def value(text: str) -> float:
 def paths(figure: Figure) -> list[str]:
     text = figure.svg().replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1)
     root = ElementTree.fromstring(text)  # noqa: S314 - our own text
-    return [str(one.get("d")) for one in root.iter(f"{SVG}path")]
+    return [str(path.get("d")) for path in root.iter(f"{SVG}path")]
 
 
 def points(path: str) -> np.ndarray:
@@ -35,7 +35,7 @@ def points(path: str) -> np.ndarray:
     span=st.floats(1e-6, 1e7),
     most=st.integers(2, 12),
 )
-def test_ticks_read_back_as_where_they_stand(low: float, span: float, most: int) -> None:
+def test_tick_labels_match_their_positions(low: float, span: float, most: int) -> None:
     axis = Axis.linear(np.array([low, low + span]), most)
     assert 1 <= len(axis.ticks) <= most + 1
     width = axis.high - axis.low
@@ -48,7 +48,7 @@ def test_ticks_read_back_as_where_they_stand(low: float, span: float, most: int)
 
 
 @given(low=st.floats(-12.0, 6.0), decades=st.floats(0.01, 14.0))
-def test_decades_read_back_as_where_they_stand(low: float, decades: float) -> None:
+def test_decade_labels_match_their_positions(low: float, decades: float) -> None:
     axis = Axis.decades(10.0 ** np.array([low, low + decades]))
     width = axis.high - axis.low
     for share, text in axis.ticks:
@@ -56,13 +56,13 @@ def test_decades_read_back_as_where_they_stand(low: float, decades: float) -> No
 
 
 @pytest.mark.parametrize("values", [[], [np.nan], [3.0], [0.0, 0.0], [-1e-9, 1e-9]])
-def test_an_axis_of_next_to_nothing_has_a_width(values: list[float]) -> None:
+def test_axis_of_one_value_has_a_width(values: list[float]) -> None:
     axis = Axis.linear(np.array(values), 5)
     assert axis.high > axis.low
     assert axis.ticks
 
 
-def test_a_line_lies_where_its_values_are() -> None:
+def test_line_is_at_its_values() -> None:
     x, y = np.linspace(-3.0, 8.0, 40), np.random.default_rng(1).normal(size=40)
     panel = Panel()
     panel.plot(x, y, colour="var(--x)")
@@ -73,7 +73,7 @@ def test_a_line_lies_where_its_values_are() -> None:
         assert got == pytest.approx(np.polyval(np.polyfit(wanted, got, 1), wanted), abs=0.02)
 
 
-def test_a_gap_in_the_values_is_a_gap_in_the_line_and_the_band() -> None:
+def test_gap_in_values_is_a_gap_in_line_and_band() -> None:
     x, y = np.arange(9.0), np.ones(9)
     y[4] = np.nan
     panel = Panel()
@@ -84,14 +84,14 @@ def test_a_gap_in_the_values_is_a_gap_in_the_line_and_the_band() -> None:
     assert len(bands) == 2
 
 
-def test_everything_at_once_is_valid_and_escaped() -> None:
+def test_all_marks_together_are_valid_escaped_svg() -> None:
     above, below = Panel(), Panel()
     x = np.geomspace(0.01, 50.0, 30)
     for panel in (above, below):
         panel.dots(x, 0.1 * x, 0.01 * x, colour="var(--x)", label="a < b & c")
         panel.level(0.2, colour="var(--soft)", linewidth=1.0, linestyle="--", label="level")
         panel.ylabel = panel.xlabel = "<deg/s>"
-        panel.key = panel.decades = True
+        panel.has_key = panel.is_logarithmic = True
     text = Figure((above, below), 300.0).svg()
     assert "a &lt; b &amp; c" in text
     assert "nan" not in text

@@ -1,4 +1,4 @@
-"""The report: one file, nothing from outside, hostile names harmless, every part there."""
+"""The calibration report: one self-contained file, hostile names escaped, every section present."""
 
 import re
 from dataclasses import replace
@@ -10,26 +10,26 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.profile import SensorProfile, parse_profile
-from gyrorig_solver.calibration.build import Provenance, calibration_of
-from gyrorig_solver.calibration.document import (
-    Calibration,
-    Findings,
-    Level,
-    OwnOfRecording,
+from gyrorig_solver.calibration.calibration_builder import Provenance, build_calibration
+from gyrorig_solver.calibration.calibration_document import (
+    CalibrationDocument,
+    FindingsReference,
+    LevelRecord,
     Parameter,
+    RecordingParameters,
 )
-from gyrorig_solver.clocks.course import ClockCourse
-from gyrorig_solver.estimate.result import GyroFit
-from gyrorig_solver.report import html
-from gyrorig_solver.report.data import ReportData
-from gyrorig_solver.report.html import render
+from gyrorig_solver.data.clocks.clock_trace import ClockTrace
+from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.report import calibration_page
+from gyrorig_solver.report.calibration_page import render_calibration
+from gyrorig_solver.report.report_data import ReportData
 
 BOARDS = Path(__file__).parents[3] / "config" / "boards"
 EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> {{7*7}} $x^2$"
 
 
 class Page(HTMLParser):
-    """What a browser would find in the page."""
+    """Tags, attributes and texts of a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -51,18 +51,20 @@ def page_of(text: str) -> Page:
     return page
 
 
-def made(fit: GyroFit, origin: Provenance) -> Calibration:
-    return calibration_of(fit, origin, version=1, previous=None, created="2026-01-31T02:30:00Z")
+def made(fit: GyroFit, origin: Provenance) -> CalibrationDocument:
+    return build_calibration(fit, origin, version=1, previous=None, created="2026-01-31T02:30:00Z")
 
 
 def report(fit: GyroFit, origin: Provenance) -> str:
     profile = parse_profile((BOARDS / "L3G4200D.yaml").read_text(), "L3G4200D.yaml")
     document = made(fit, origin)
-    return render(ReportData(document, fit.diagnostics, fit.clock, profile, fit.reference))
+    return render_calibration(
+        ReportData(document, fit.diagnostics, fit.clock, profile, fit.reference)
+    )
 
 
 @pytest.mark.parametrize("name", ["good", "limited"])
-def test_the_page_needs_nothing_from_outside(
+def test_page_is_self_contained(
     name: str, request: pytest.FixtureRequest, provenance: Provenance
 ) -> None:
     page = page_of(report(request.getfixturevalue(f"{name}_fit"), provenance))
@@ -72,7 +74,7 @@ def test_the_page_needs_nothing_from_outside(
     assert not re.search(r"url\((?!#)", " ".join(v for _, v in page.attributes))
 
 
-def test_references_inside_the_figures_resolve_and_are_unique(
+def test_references_in_figures_resolve_and_are_unique(
     good_fit: GyroFit, provenance: Provenance
 ) -> None:
     page = page_of(report(good_fit, provenance))
@@ -83,11 +85,11 @@ def test_references_inside_the_figures_resolve_and_are_unique(
     assert used <= set(names)
 
 
-def test_the_verdict_comes_first_then_the_numbers(
+def test_verdict_comes_before_numbers(
     good_fit: GyroFit, limited_fit: GyroFit, provenance: Provenance
 ) -> None:
     words = " ".join(page_of(report(good_fit, provenance)).words)
-    assert words.index("Good") < words.index("Before and after") < words.index("What was found")
+    assert words.index("Good") < words.index("Rate and angle error") < words.index("Parameters")
     assert "+1.03125" in words
     assert "12 of 12" in words
     limited = " ".join(page_of(report(limited_fit, provenance)).words)
@@ -96,62 +98,79 @@ def test_the_verdict_comes_first_then_the_numbers(
     assert limited.count("not observable from this motion") == 9
 
 
-def test_a_refused_result_is_not_offered_for_use(good_fit: GyroFit, provenance: Provenance) -> None:
+def test_refused_result_has_no_application_section(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
     refused = " ".join(page_of(report(replace(good_fit, reduced_chi2=400.0), provenance)).words)
     assert "Refused" in refused
-    assert "How to use it" not in refused
-    assert "How to use it" in " ".join(page_of(report(good_fit, provenance)).words)
+    assert "Application" not in refused
+    assert "Application" in " ".join(page_of(report(good_fit, provenance)).words)
 
 
-def test_hostile_names_are_only_text(good_fit: GyroFit, provenance: Provenance) -> None:
-    document = made(replace(good_fit, warnings=(EVIL,), distrust=(EVIL,)), provenance)
+def test_hostile_names_are_escaped(good_fit: GyroFit, provenance: Provenance) -> None:
+    document = made(replace(good_fit, warnings=(EVIL,), limited_reasons=(EVIL,)), provenance)
     board = msgspec.structs.replace(document.board, id=EVIL, uid=EVIL, sensor=EVIL)
     inputs = [msgspec.structs.replace(document.inputs[0], name=EVIL)]
     document = msgspec.structs.replace(document, board=board, inputs=inputs)
-    text = render(ReportData(document, good_fit.diagnostics, good_fit.clock, None, EVIL))
+    text = render_calibration(
+        ReportData(document, good_fit.diagnostics, good_fit.clock, None, EVIL)
+    )
     page = page_of(text)
     assert not {"script", "img"} & set(page.tags)
     assert not any(name.startswith("on") for name, _ in page.attributes)
     assert "{{7*7}}" in "".join(page.words)
 
 
-def test_a_fit_without_arrays_or_clock_still_has_a_page(
-    good_fit: GyroFit, provenance: Provenance
+def test_first_line_summarises_the_result(
+    good_fit: GyroFit, limited_fit: GyroFit, provenance: Provenance
 ) -> None:
+    words = " ".join(page_of(report(good_fit, provenance)).words)
+    assert (
+        "Calibrated on 2026-01-31. Fit for use from -57 to 72 deg/s. "
+        "Scale factor error 3.12 % before, 0.0479 % after (95 %)."
+    ) in words
+    assert "rates from -57 to 72 deg/s" in words
+    at_rest = replace(limited_fit, rate_range_rad_s=(0.0, 0.0))
+    resting = " ".join(page_of(report(at_rest, provenance)).words)
+    assert "The board did not turn, therefore only values at rest are calibrated." in resting
+    assert "angle error after 1 s" not in resting
+    refused = " ".join(page_of(report(replace(good_fit, reduced_chi2=400.0), provenance)).words)
+    assert "Calibrated on 2026-01-31. Not fit for use." in refused
+
+
+def test_fit_without_arrays_or_clock_has_a_page(good_fit: GyroFit, provenance: Provenance) -> None:
     bare = replace(good_fit, diagnostics=None, clock=None, noise=None)
-    words = " ".join(page_of(render(ReportData(made(bare, provenance)))).words)
-    assert "Before and after" not in words
-    assert "What was found" in words
+    words = " ".join(page_of(render_calibration(ReportData(made(bare, provenance)))).words)
+    assert "Rate and angle error" not in words
+    assert "Parameters" in words
 
 
-def test_the_same_fit_makes_the_same_page(good_fit: GyroFit, provenance: Provenance) -> None:
+def test_report_is_deterministic(good_fit: GyroFit, provenance: Provenance) -> None:
     assert report(good_fit, provenance) == report(good_fit, provenance)
 
 
-def test_level_and_what_is_each_recordings_own_are_said(
+def test_leveling_and_values_per_recording_are_shown(
     good_fit: GyroFit, provenance: Provenance
 ) -> None:
-    level = Level(0.0035, 0.0002, [0.01, -0.002], [0.001, 0.001], 14)
-    own = [
-        OwnOfRecording("a.mcap", [0.01, None, -0.02], [0.001, None, 0.001], 0.004, 1e-5),
-        OwnOfRecording("b.mcap", [0.011, 0.0, -0.02], [0.001, 0.001, 0.001], None, None),
+    level = LevelRecord(0.0035, 0.0002, [0.01, -0.002], [0.001, 0.001], 14)
+    recordings = [
+        RecordingParameters("a.mcap", [0.01, None, -0.02], [0.001, None, 0.001], 0.004, 1e-5),
+        RecordingParameters("b.mcap", [0.011, 0.0, -0.02], [0.001, 0.001, 0.001], None, None),
     ]
     document = made(good_fit, provenance)
-    plain = render(ReportData(document, None, None, None, ""))
-    assert "How the unit stands" not in plain
-    quality = msgspec.structs.replace(document.quality, level=level, recordings=own)
+    plain = render_calibration(ReportData(document, None, None, None, ""))
+    assert "Leveling" not in plain
+    quality = msgspec.structs.replace(document.quality, level=level, recordings=recordings)
     fuller = msgspec.structs.replace(document, quality=quality)
-    said = " ".join(page_of(render(ReportData(fuller, None, None, None, ""))).words)
-    assert "14 rests" in said
-    assert "+0.201 ± 0.011°" in said  # 0.0035 rad
-    assert "+4.000 ± 0.010" in said  # ms
-    assert "not shown" in said
+    words = " ".join(page_of(render_calibration(ReportData(fuller, None, None, None, ""))).words)
+    assert "14 static intervals" in words
+    assert "+0.201 ± 0.011 deg" in words  # 0.0035 rad
+    assert "+4.000 ± 0.010" in words  # ms
+    assert "not observable" in words
 
 
-def test_every_part_that_people_look_for_is_there(
-    good_fit: GyroFit, provenance: Provenance
-) -> None:
-    course = ClockCourse(*[np.linspace(0.0, 1.0, 50)] * 4)
+def test_full_report_has_every_section(good_fit: GyroFit, provenance: Provenance) -> None:
+    course = ClockTrace(*[np.linspace(0.0, 1.0, 50)] * 4)
     assert good_fit.clock is not None
     assert good_fit.diagnostics is not None
     angle = np.stack([np.sin(good_fit.diagnostics.time_s), np.cos(good_fit.diagnostics.time_s)])
@@ -160,17 +179,21 @@ def test_every_part_that_people_look_for_is_there(
         clock=replace(good_fit.clock, course=course),
         diagnostics=replace(good_fit.diagnostics, angle_rad=angle),
     )
-    found = msgspec.structs.replace(
+    document = msgspec.structs.replace(
         made(fit, provenance),
-        findings=Findings(verdict="explained", causes=["backlash"], file="v0001.findings.yaml"),
+        findings=FindingsReference(
+            verdict="explained", causes=["backlash"], file="v0001.findings.yaml"
+        ),
     )
     profile = parse_profile((BOARDS / "L3G4200D.yaml").read_text(), "L3G4200D.yaml")
-    page = page_of(render(ReportData(found, fit.diagnostics, fit.clock, profile, fit.reference)))
+    page = page_of(
+        render_calibration(ReportData(document, fit.diagnostics, fit.clock, profile, fit.reference))
+    )
     words = " ".join(page.words)
     for part in (
-        *("seconds of integration", "Allan deviation", "pan, deg", "tilt, deg", "late by, ms"),
-        *("the data sheet allows -25.0 to 25.0 deg/s", "white noise (angle random walk)"),
-        *("taken into the fit: backlash", "v0001.findings.html", "not seen"),
+        *("integration time, s", "Allan deviation", "pan, deg", "tilt, deg", "latency, ms"),
+        *("the data sheet allows -25.0 to 25.0 deg/s", "angle random walk", "deg/√h", "one-sided"),
+        *("included in the fit: backlash", "v0001.findings.html", "not estimated"),
     ):
         assert part in words, part
     assert page.tags.count("figure") == 8
@@ -180,18 +203,18 @@ def sheet(name: str) -> SensorProfile:
     return parse_profile((BOARDS / f"{name}.yaml").read_text(), name)
 
 
-def test_the_bias_is_held_against_the_range_of_its_full_scale(
+def test_bias_is_compared_with_the_range_of_its_full_scale(
     good_fit: GyroFit, provenance: Provenance
 ) -> None:
     document = made(good_fit, provenance)
     config = msgspec.structs.replace(document.board.config, gyro_full_scale_dps=500.0)
     board = msgspec.structs.replace(document.board, config=config)
     wide = msgspec.structs.replace(document, board=board)
-    page = page_of(render(ReportData(wide, None, None, sheet("L3G4200D"), "")))
+    page = page_of(render_calibration(ReportData(wide, None, None, sheet("L3G4200D"), "")))
     assert "the data sheet allows -37.5 to 37.5 deg/s" in " ".join(page.words)
 
 
-def test_causes_and_noise_are_held_against_the_data_sheet(
+def test_causes_and_noise_are_compared_with_the_data_sheet(
     good_fit: GyroFit, provenance: Provenance
 ) -> None:
     more = {
@@ -201,42 +224,39 @@ def test_causes_and_noise_are_held_against_the_data_sheet(
     }
     document = made(good_fit, provenance)
     document = msgspec.structs.replace(document, parameters=document.parameters | more)
-    page = page_of(render(ReportData(document, None, None, sheet("BMI088"), "")))
+    page = page_of(render_calibration(ReportData(document, None, None, sheet("BMI088"), "")))
     words = " ".join(page.words)
-    # 0.015 deg/s/K; 0.03 %/K; 0.1 deg/s of 1 g
-    assert "the data sheet allows -0.000262 to 0.000262 rad/s/K" in words
-    assert "the data sheet allows -0.000300 to 0.000300 1/K" in words
-    assert "the data sheet allows -0.000178 to 0.000178 rad/s/(m/s^2)" in words
+    assert "the data sheet allows -0.0150 to 0.0150 deg/s/K" in words
+    assert "the data sheet allows -300 to 300 ppm/K" in words
+    assert "the data sheet allows -0.100 to 0.100 deg/s/g" in words
     labels = [v for n, v in page.attributes if n == "aria-label" and "data sheet" in v]
-    assert [v.split(" ")[0] for v in labels if "rad/s/K" in v] == ["inside", "inside", "outside"]
-    assert [v.split(" ")[0] for v in labels if "(m/s^2)" in v] == ["inside", "outside"] * 3
-    best = page_of(render(ReportData(document, None, None, sheet("ADIS16470"), "")))
-    assert "12.0 (Allan floor 8.00)" in best.words  # 8 deg/h in run
+    assert [v.split(" ")[0] for v in labels if "deg/s/K" in v] == ["inside", "inside", "outside"]
+    assert [v.split(" ")[0] for v in labels if "deg/s/g" in v] == ["inside", "outside"] * 3
+    best = page_of(render_calibration(ReportData(document, None, None, sheet("ADIS16470"), "")))
+    assert "12.0 (Allan minimum 8.00)" in best.words  # 8 deg/h in run
 
 
-def test_a_phone_shows_each_interval_under_its_value(
+def test_phone_shows_each_interval_below_its_value(
     good_fit: GyroFit, provenance: Provenance
 ) -> None:
-    """The column of intervals has no room there; the same text stands under each value."""
+    """The column of intervals has no room there; its text is below each value."""
     text = report(good_fit, provenance)
     column = re.findall(r'<td class="n wide">([^<]+)</td>', text)
     under = re.findall(r'<td class="n">[^<]+<small class="under">([^<]+)</small></td>', text)
     assert len(column) == 13
     assert under == column
-    style = (Path(html.__file__).parent / "page.css").read_text()
+    style = (Path(calibration_page.__file__).parent / "page.css").read_text()
     narrow = style[style.index("@media (max-width: 40rem)") :]
     assert ".under { display:none }" in style[: style.index("@media (max-width")]
     assert ".wide { display:none } .under { display:block" in narrow
 
 
-def test_what_a_recording_does_not_have_is_left_out(
-    good_fit: GyroFit, provenance: Provenance
-) -> None:
+def test_missing_parts_are_omitted(good_fit: GyroFit, provenance: Provenance) -> None:
     page = page_of(report(good_fit, provenance))
     words = " ".join(page.words)
     assert "pan, deg" not in words
-    assert "late by, ms" not in words
-    assert "What a search for causes found" not in words
-    nothing = render(ReportData(made(good_fit, provenance)))
+    assert "latency, ms" not in words
+    assert "Causes of errors" not in words
+    nothing = render_calibration(ReportData(made(good_fit, provenance)))
     assert "<figure" not in nothing
-    assert "white noise" in nothing
+    assert "noise density" in nothing

@@ -9,12 +9,12 @@ import yaml
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver import cli
-from gyrorig_solver.apply.correction import correction_of
-from gyrorig_solver.calibration.document import parse_calibration
-from gyrorig_solver.estimate.noise import Sampling
-from gyrorig_solver.estimate.series import too_short
-from gyrorig_solver.places.folder import Folder
-from gyrorig_solver.plan.rig import load_rig
+from gyrorig_solver.apply.correction import build_correction
+from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.estimate.noise.noise_model import Sampling
+from gyrorig_solver.estimate.series import too_short_error
+from gyrorig_solver.plan.rig_model import load_rig
+from gyrorig_solver.storage.folder import Folder
 
 GOLDEN = Path(__file__).parent / "golden" / "good.yaml"
 Captured = pytest.CaptureFixture[str]
@@ -26,34 +26,36 @@ def test_a_gain_of_two_axes_asks_for_a_motion_about_three() -> None:
     flat = msgspec.structs.replace(
         found.matrices, STM=[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
     )
-    with pytest.raises(InputError, match="cannot be told apart: record a motion about all three"):
-        correction_of(msgspec.structs.replace(found, matrices=flat))
+    with pytest.raises(
+        InputError, match=r"measure the same rate\. Record a motion about all three"
+    ):
+        build_correction(msgspec.structs.replace(found, matrices=flat))
 
 
 def test_a_file_that_is_gone_meanwhile(tmp_path: Path) -> None:
     with (
-        pytest.raises(InputError, match="it was removed meanwhile: run again"),
-        Folder(tmp_path).local("a.mcap"),
+        pytest.raises(InputError, match="It was removed while the program ran"),
+        Folder(tmp_path).local_copy("a.mcap"),
     ):
         pass
 
 
 def test_too_short_says_how_long() -> None:
-    said = str(too_short(Sampling(100.0, 8, None, 0.0, differentiated=False)))
-    assert "without a gap lasts 0.64 s: record for longer; a gap above 2 s" in said
+    said = str(too_short_error(Sampling(100.0, 8, None, 0.0, differentiated=False)))
+    assert "without a gap lasts 0.64 s. Record for longer. A gap above 2 s" in said
 
 
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"No such file or directory: name a rig's file, such as"):
+    with pytest.raises(UsageError, match=r"No such file or directory\. Name a rig's file, such as"):
         load_rig(tmp_path / "none.yaml")
 
 
 @pytest.mark.parametrize(
     ("number", "says"),
     [
-        (errno.ENOENT, "name one that exists"),
-        (errno.ENOSPC, "make room on its disk"),
-        (errno.EIO, "look at the disk"),
+        (errno.ENOENT, "Give a name that exists."),
+        (errno.ENOSPC, "Free some space on its disk."),
+        (errno.EIO, "Check the disk and the permissions."),
     ],
 )
 def test_what_the_computer_refuses_has_a_remedy(
@@ -65,5 +67,5 @@ def test_what_the_computer_refuses_has_a_remedy(
     monkeypatch.setattr(cli.cli, "main", refuse)
     assert cli.run(["check", "x.mcap"]) == 1
     said = capsys.readouterr().err
-    assert said.startswith("gyrorig: /a/file cannot be used, so it is: ")
+    assert said.startswith("gyrorig: /a/file cannot be used, so it is. ")
     assert says in said

@@ -117,7 +117,7 @@ def test_the_wheel_holds_what_is_needed_without_a_checkout(installed: Path) -> N
     for name in (
         "gyrorig_solver/cli.py",
         "gyrorig_solver/report/page.html.j2",
-        "gyrorig_solver/fleet/web/index.html",
+        "gyrorig_solver/fleet/page/web/index.html",
         "gyrorig_protocol/py.typed",
         "share/gyrorig/config/rig.yaml",
         "share/gyrorig/config/boards/L3G4200D.yaml",
@@ -178,14 +178,14 @@ def test_what_an_extra_would_bring_is_named(installed: Path) -> None:
 
 def test_live_alone_makes_a_live_view(installed: Path) -> None:
     code = (
-        "from gyrorig_daemon.live import live_view\n"
-        "view = live_view('127.0.0.1:0', print)\n"
-        "view.status({'state': 'ready'})\n"
+        "from gyrorig_daemon.live.foxglove_view import open_live_view\n"
+        "view = open_live_view('127.0.0.1:0', print)\n"
+        "view.show_status({'state': 'ready'})\n"
         "view.close()\n"
     )
     done = run(installed, "live", "python", code)
     assert done.returncode == 0, done.stderr
-    assert re.fullmatch(r"live view at ws://127\.0\.0\.1:\d+\n", done.stdout)
+    assert re.fullmatch(r"Live view at ws://127\.0\.0\.1:\d+\n", done.stdout)
     without = run(installed, "", "python", code)
     assert without.returncode == 1
     assert "pip install 'gyrorig[live]'" in without.stderr

@@ -13,9 +13,9 @@ from docs.paper import check_estimators, check_paths, check_tables
 from docs.paper.motion import along, calibrated, paths, rotation_about_tilt_axis
 from docs.paper.printed import GY80, MPU
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate import paper_angles, paper_matrices
-from gyrorig_solver.estimate.paper import PaperResult
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.paper import paper_angles, paper_matrices
+from gyrorig_solver.estimate.paper.paper_method import PaperResult
 
 HALF = 5.001e-5  # of the fourth digit
 
@@ -37,7 +37,7 @@ def test_products_of_table_3() -> None:
 
 
 def test_gy80_rotation_vector_and_mpu_misprint() -> None:
-    assert paper_matrices.rotation_fault(GY80.M) < 2e-4
+    assert paper_matrices.orthogonality_error(GY80.M) < 2e-4
     M = GY80.M
     twist = np.array([M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]])
     angle = np.arccos((np.trace(M) - 1.0) / 2.0)
@@ -46,16 +46,16 @@ def test_gy80_rotation_vector_and_mpu_misprint() -> None:
     assert np.linalg.norm(MPU.M[1]) == pytest.approx(0.989, abs=5e-4)
     assert MPU.M[0] @ MPU.M[1] == pytest.approx(0.025, abs=5e-4)
     assert np.linalg.det(MPU.M) == pytest.approx(0.9887, abs=HALF)
-    assert check_tables.mended_row(MPU) == pytest.approx([-0.0361, 0.9989, 0.0309], abs=HALF)
-    mended = MPU.S @ MPU.T @ check_tables.mended(MPU)
-    assert mended[1, 0] == pytest.approx(-0.0002, abs=HALF)
+    assert check_tables.corrected_row(MPU) == pytest.approx([-0.0361, 0.9989, 0.0309], abs=HALF)
+    corrected = MPU.S @ MPU.T @ check_tables.corrected(MPU)
+    assert corrected[1, 0] == pytest.approx(-0.0002, abs=HALF)
 
 
 def test_sensing_axes() -> None:
     assert check_tables.axis_angles_deg(GY80.STM)[2] == pytest.approx(98.5, abs=0.05)
     assert check_tables.axis_angles_deg(MPU.STM) == pytest.approx([86.5, 87.2, 88.0], abs=0.05)
-    mended = check_tables.axis_angles_deg(MPU.S @ MPU.T @ check_tables.mended(MPU))
-    assert np.abs(mended - 90.0).max() == pytest.approx(2.8, abs=0.05)
+    corrected = check_tables.axis_angles_deg(MPU.S @ MPU.T @ check_tables.corrected(MPU))
+    assert np.abs(corrected - 90.0).max() == pytest.approx(2.8, abs=0.05)
 
 
 def test_lu_of_the_printed_product() -> None:

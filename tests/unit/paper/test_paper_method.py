@@ -7,11 +7,11 @@ import pytest
 from docs.paper.motion import along, calibrated, paths, rotation_about_tilt_axis
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate import paper_angles, paper_matrices
-from gyrorig_solver.estimate.paper import (
-    AS_TABLED,
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.estimate.paper import paper_angles, paper_matrices
+from gyrorig_solver.estimate.paper.paper_method import (
     FAILURES,
+    READING_OF_TABLE_3,
     PaperReading,
     PaperResult,
     calibrate_as_printed,
@@ -24,7 +24,7 @@ def _corners(start: str) -> list[tuple[float, float]]:
     return next(corners for name, corners in paths().items() if name.startswith(start))
 
 
-def _perfect(start: str, reading: PaperReading = AS_TABLED) -> PaperResult:
+def _perfect(start: str, reading: PaperReading = READING_OF_TABLE_3) -> PaperResult:
     motion = along(_corners(start), static_s=SHORT_S)
     return calibrated(motion, motion.body_rate_rad_s(), "static", reading)
 
@@ -75,7 +75,7 @@ def test_default_is_as_printed() -> None:
     assert result.reading == PaperReading("printed", "printed", "quasi_static", "line", "by_shape")
     assert result.failures[0] == "eq6_order"
     assert "u_rank_by_rounding" in result.failures
-    tabled = calibrated(motion, motion.body_rate_rad_s(), "quasi_static", AS_TABLED)
+    tabled = calibrated(motion, motion.body_rate_rad_s(), "quasi_static", READING_OF_TABLE_3)
     np.testing.assert_allclose(result.U_rad[[1, 2, 0]], tabled.U_rad)
 
 
@@ -100,7 +100,7 @@ def _factors(reading: PaperReading) -> PaperResult:
 
 
 def test_lu_by_shape_breaks_the_product_and_the_rotation() -> None:
-    result = _factors(replace(AS_TABLED, factors="by_shape"))
+    result = _factors(replace(READING_OF_TABLE_3, factors="by_shape"))
     assert result.S is not None
     assert result.T is not None
     assert result.ST is not None
@@ -109,9 +109,9 @@ def test_lu_by_shape_breaks_the_product_and_the_rotation() -> None:
 
 
 def test_lu_by_position_keeps_the_product_but_not_the_diagonal() -> None:
-    result = _factors(replace(AS_TABLED, factors="by_position"))
+    result = _factors(replace(READING_OF_TABLE_3, factors="by_position"))
     assert result.M is not None
-    assert paper_matrices.rotation_fault(result.M) < 1e-12
+    assert paper_matrices.orthogonality_error(result.M) < 1e-12
     assert "s_not_diagonal" in result.failures
     assert not {"lu_order", "m_not_rotation"} & set(result.failures)
 
@@ -136,16 +136,16 @@ def test_pinv_is_numpys_where_u_has_full_rank() -> None:
     fit = paper_matrices.gain_by_pseudoinverse(Y, U)
     np.testing.assert_allclose(fit.gain, Y @ np.linalg.pinv(U), atol=1e-12)
     assert fit.rank == 3
-    assert fit.unseen.shape == (3, 0)
+    assert fit.unseen_directions.shape == (3, 0)
 
 
 @pytest.mark.parametrize("slope", ["line", "mean"])
-def test_bias_of_a_turning_away_rest(slope: paper_angles.Slope) -> None:
+def test_bias_of_a_turning_away_rest(slope: paper_angles.SlopeEstimate) -> None:
     """A constant rate is found by both slopes, in the static and the quasi-static test."""
     bias = np.radians([0.106, -0.004, -0.034])
     motion = along([(0.0, 0.0), (0.0, 0.0)], duration_s=10.0, static_s=SHORT_S)
     rate = np.tile(bias, (motion.time_s.size, 1))
-    result = calibrated(motion, rate, "static", replace(AS_TABLED, slope=slope))
+    result = calibrated(motion, rate, "static", replace(READING_OF_TABLE_3, slope=slope))
     assert result.bias_static_rad_s == pytest.approx(bias)
     assert result.bias_quasi_static_rad_s == pytest.approx(bias)
     assert result.rank == 0
@@ -199,7 +199,7 @@ def test_a_mirrored_axis_is_named() -> None:
 
 
 @pytest.mark.parametrize("path", ["A pan", "B rect", "B2", "C both", "D tilt", "H pan"])
-@pytest.mark.parametrize("reading", [PaperReading(), AS_TABLED])
+@pytest.mark.parametrize("reading", [PaperReading(), READING_OF_TABLE_3])
 def test_every_failure_has_words(path: str, reading: PaperReading) -> None:
     result = _perfect(path, reading)
     assert set(result.failures) <= FAILURES.keys()

@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from gyrorig_protocol.program import MotionProgram, parse_program
-from gyrorig_solver.calibration.profiles import find_profile
-from gyrorig_solver.plan.rig import Rig, load_rig
-from gyrorig_solver.plan.sensor import SensorModel
+from gyrorig_solver.calibration.sensor_profiles import find_profile
+from gyrorig_solver.plan.rig_model import RigModel, load_rig
+from gyrorig_solver.plan.sensor_model import SensorModel
 
 ROOT = Path(__file__).parents[3]
 RIG = ROOT / "config" / "rig.yaml"
@@ -21,12 +21,12 @@ Record = Callable[..., tuple[Path, dict[str, Any]]]
 
 
 @pytest.fixture(scope="session")
-def rig() -> Rig:
+def rig() -> RigModel:
     return load_rig(RIG)
 
 
 @pytest.fixture(scope="session")
-def sensor(rig: Rig) -> SensorModel:
+def sensor(rig: RigModel) -> SensorModel:
     profile = find_profile(rig.sensor_name)
     assert profile is not None
     return rig.sensor(profile)

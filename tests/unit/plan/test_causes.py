@@ -10,15 +10,20 @@ from scipy.fft import dct
 
 from gyrorig_protocol.program import MotionProgram
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.estimate.information import NAMES
+from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import prior_std
-from gyrorig_solver.model.terms.scene import Site
-from gyrorig_solver.plan.causes import Foreseen, Outlook, foresee, noncentrality
-from gyrorig_solver.plan.looks import scenes_of
-from gyrorig_solver.plan.predict import Prediction, predict
-from gyrorig_solver.plan.rig import Rig
-from gyrorig_solver.plan.sensor import SensorModel
-from gyrorig_solver.solve import solve_recordings
+from gyrorig_solver.model.signal_state import Site
+from gyrorig_solver.numerics.distributions import detection_noncentrality
+from gyrorig_solver.pipeline.fit_board import solve_recordings
+from gyrorig_solver.plan.detectability import (
+    CauseDetectability,
+    DetectabilityReport,
+    predict_detectability,
+)
+from gyrorig_solver.plan.prediction import Prediction, predict_program
+from gyrorig_solver.plan.rig_model import RigModel
+from gyrorig_solver.plan.scan_templates import signal_states
+from gyrorig_solver.plan.sensor_model import SensorModel
 
 ROOT = Path(__file__).parents[3]
 Record = Callable[..., tuple[Path, dict[str, Any]]]
@@ -27,29 +32,37 @@ Shipped = Callable[[str], MotionProgram]
 
 
 @pytest.fixture(scope="module")
-def full(rig: Rig, sensor: SensorModel, shipped: Shipped) -> Outlook:
-    return foresee(predict(shipped("full"), rig.unit, sensor), sensor, rig.site)
+def full(rig: RigModel, sensor: SensorModel, shipped: Shipped) -> DetectabilityReport:
+    return predict_detectability(
+        predict_program(shipped("full"), rig.unit, sensor), sensor, rig.site
+    )
 
 
 @pytest.fixture(scope="module")
-def paper(rig: Rig, sensor: SensorModel, shipped: Shipped) -> Outlook:
-    return foresee(predict(shipped("paper"), rig.unit, sensor), sensor, rig.site)
+def paper(rig: RigModel, sensor: SensorModel, shipped: Shipped) -> DetectabilityReport:
+    return predict_detectability(
+        predict_program(shipped("paper"), rig.unit, sensor), sensor, rig.site
+    )
 
 
-def one(outlook: Outlook, cause: str, place: str | None = None) -> Foreseen:
-    return next(f for f in outlook.foreseen if (f.term.cause, f.place) == (cause, place))
+def one(outlook: DetectabilityReport, cause: str, place: str | None = None) -> CauseDetectability:
+    return next(f for f in outlook.causes if (f.term.cause, f.place) == (cause, place))
 
 
 def test_noncentrality_of_one_degree_is_two_normal_quantiles() -> None:
     # z(1 - 0.01/2) + z(0.8) = 2.5758 + 0.8416; the far tail adds nothing. Of 100 tests:
     # z(1 - 0.00005) = 3.8906.
-    assert noncentrality(1, 1) == pytest.approx((2.57583 + 0.84162) ** 2, rel=1e-4)
-    assert noncentrality(1, 100) == pytest.approx((3.89059 + 0.84162) ** 2, rel=1e-4)
-    assert noncentrality(3, 100) > noncentrality(2, 100) > noncentrality(1, 100)
+    assert detection_noncentrality(1, 1) == pytest.approx((2.57583 + 0.84162) ** 2, rel=1e-4)
+    assert detection_noncentrality(1, 100) == pytest.approx((3.89059 + 0.84162) ** 2, rel=1e-4)
+    assert (
+        detection_noncentrality(3, 100)
+        > detection_noncentrality(2, 100)
+        > detection_noncentrality(1, 100)
+    )
 
 
-# Measured with another simulator and another finder, 300 s, four tilts and speeds (notes on
-# discovery, sections 2 and 5). `full` lasts 132 s, has other starts and other noise folds:
+# Measured with another simulator and another finder, 300 s, four tilts and speeds. `full` lasts
+# 132 s, has other starts and other noise folds:
 # the same order is meant, a factor of four either way.
 MEASURED = [
     ("axis_nonorthogonality", None, 2.2e-3),
@@ -74,32 +87,36 @@ MEASURED = [
 
 @pytest.mark.parametrize(("cause", "place", "size"), MEASURED)
 def test_detectable_sizes_are_those_measured_elsewhere(
-    full: Outlook, cause: str, place: str | None, size: float
+    full: DetectabilityReport, cause: str, place: str | None, size: float
 ) -> None:
     found = one(full, cause, place)
-    assert found.visible
-    assert size / 4.0 < found.largest < 4.0 * size
+    assert found.is_detectable
+    assert size / 4.0 < found.worst_direction_size < 4.0 * size
 
 
-def test_the_dangerous_causes_are_the_silent_ones(full: Outlook, paper: Outlook) -> None:
+def test_the_dangerous_causes_are_the_silent_ones(
+    full: DetectabilityReport, paper: DetectabilityReport
+) -> None:
     """Non-orthogonality: 0.993 absorbed, 46 deviations; backlash below 0.3 (same notes)."""
     silent = one(full, "axis_nonorthogonality")
     assert silent.absorbed > 0.98
-    assert 15.0 < silent.harm < 140.0
-    assert one(full, "backlash", "pan").harm < 0.5
-    assert one(full, "worm_error", "pan").harm < 0.3
+    assert 15.0 < silent.parameter_bias_sigma < 140.0
+    assert one(full, "backlash", "pan").parameter_bias_sigma < 0.5
+    assert one(full, "worm_error", "pan").parameter_bias_sigma < 0.3
     # Pan at one tilt: undetectable at any size, and still harmful.
     unseen = one(paper, "axis_nonorthogonality")
-    assert not unseen.visible
-    assert unseen.largest > 0.1
-    assert unseen.harm > 1.0
+    assert not unseen.is_detectable
+    assert unseen.worst_direction_size > 0.1
+    assert unseen.parameter_bias_sigma > 1.0
     for outlook in (full, paper):
-        assert not one(outlook, "step_resolution", "pan").visible  # a gauge, exactly
-        assert {t.cause for t in outlook.gauges} >= {"tilt_zero", "wrong_full_scale"}
+        assert not one(outlook, "step_resolution", "pan").is_detectable  # a gauge, exactly
+        assert {t.cause for t in outlook.fully_absorbed} >= {"tilt_zero", "wrong_full_scale"}
 
 
-def test_confusable_causes_are_those_that_were_confused(full: Outlook, paper: Outlook) -> None:
-    pairs = {frozenset(pair.causes) for pair in full.pairs}
+def test_confusable_causes_are_those_that_were_confused(
+    full: DetectabilityReport, paper: DetectabilityReport
+) -> None:
+    pairs = {frozenset(pair.causes) for pair in full.confusable_pairs}
     # R2 of 0.84, 0.99, 0.81, 0.73 and 0.53 in the notes.
     for pair in (
         ("scale_asymmetry", "scale_quadratic"),
@@ -110,8 +127,8 @@ def test_confusable_causes_are_those_that_were_confused(full: Outlook, paper: Ou
     ):
         assert frozenset(pair) in pairs, pair
     assert frozenset(("backlash", "base_compliance")) not in pairs
-    assert all(0.5 < pair.share < 1.0 + 1e-9 for pair in full.pairs)
-    assert len(paper.pairs) > len(full.pairs)
+    assert all(0.5 < pair.share < 1.0 + 1e-9 for pair in full.confusable_pairs)
+    assert len(paper.confusable_pairs) > len(full.confusable_pairs)
 
 
 @pytest.mark.parametrize(
@@ -123,35 +140,40 @@ def test_a_hidden_cause_moves_the_calibration_as_foreseen(
     place: str | None,
     size: float,
     record: Record,
-    rig: Rig,
+    rig: RigModel,
     sensor: SensorModel,
     shipped: Shipped,
 ) -> None:
     """The emulator shares no code with the model. Half the detectable size, same noise."""
     program = ROOT / "config" / "programs" / "quick.yaml"
-    prediction = predict(shipped("quick"), rig.unit, sensor)
-    foreseen = one(foresee(prediction, sensor, rig.site), cause, place)
-    assert size < foreseen.largest
+    prediction = predict_program(shipped("quick"), rig.unit, sensor)
+    foreseen = one(predict_detectability(prediction, sensor, rig.site), cause, place)
+    assert size < foreseen.worst_direction_size
     fits = []
     for hide in ((), (f"{cause}@{place}:{size}" if place else f"{cause}:{size}",)):
         recording = read_recording(record(program, 6, *hide)[0])
         fits.append(solve_recordings([recording], recording.board_ids[0]))
     clean, moved = (fit.misalignment_rad if place is None else fit.scale for fit in fits)
-    group, axis = foreseen.moves.split(".")
+    group, axis = foreseen.biased_parameter.split(".")
     assert group == ("misalignment" if place is None else "scale")
-    told = foreseen.harm * size / foreseen.largest * prediction.std[foreseen.moves]
+    told = (
+        foreseen.parameter_bias_sigma
+        * size
+        / foreseen.worst_direction_size
+        * prediction.std[foreseen.biased_parameter]
+    )
     k = "xyz".index(axis)
     assert abs(moved[k] - clean[k]) == pytest.approx(told, rel=0.1)
 
 
 def test_projection_agrees_with_dense_least_squares(
-    rig: Rig, sensor: SensorModel, shipped: Shipped
+    rig: RigModel, sensor: SensorModel, shipped: Shipped
 ) -> None:
     """Every column and every unknown of the motion in one dense matrix, whitened by hand."""
-    prediction = predict(shipped("quick"), rig.unit, sensor)
-    outlook = foresee(prediction, sensor)
+    prediction = predict_program(shipped("quick"), rig.unit, sensor)
+    outlook = predict_detectability(prediction, sensor)
     design, white, knowledge = dense(prediction, sensor)
-    scene = scenes_of(prediction.made, sensor, rig.site)[0]
+    scene = signal_states(prediction.session, sensor, rig.site)[0]
     rows = [white(column) for column in design]
     base = np.concatenate([np.stack(rows, axis=1), knowledge])
     for cause, place in (
@@ -162,30 +184,32 @@ def test_projection_agrees_with_dense_least_squares(
     ):
         found = one(outlook, cause, place)
         sizes = ["x", "y", "z"] if place == "y" else ["pan", "tilt"]
-        column = found.term.directions(scene, found.look.values)[sizes.index(place) if place else 0]
+        column = found.term.tangent_signals(scene, found.template.values)[
+            sizes.index(place) if place else 0
+        ]
         effect = np.concatenate([white(column), np.zeros(len(knowledge))])
         solution, *_ = np.linalg.lstsq(base, effect, rcond=None)
         left = float(np.sum((effect - base @ solution) ** 2))
         tests = sum(
-            max(1, len({f.place for f in outlook.foreseen if f.term is term}))
-            for term in {f.term for f in outlook.foreseen}
+            max(1, len({f.place for f in outlook.causes if f.term is term}))
+            for term in {f.term for f in outlook.causes}
         )
-        wanted = noncentrality(1, tests * found.look.scanned)
+        wanted = detection_noncentrality(1, tests * found.template.template_count)
         # The motion's derivatives are taken on another grid here.
-        assert found.largest == pytest.approx(np.sqrt(wanted / left), rel=0.01), cause
+        assert found.worst_direction_size == pytest.approx(np.sqrt(wanted / left), rel=0.01), cause
 
 
 def dense(
     prediction: Prediction, sensor: SensorModel
 ) -> tuple[list[Array], Callable[[Array], Array], Array]:
     """Columns (n, 3) of gain, bias, offset and the motion; whitening; knowledge as rows."""
-    series, reference = prediction.made.series, prediction.made.reference
-    n = series.blocks
-    scene = scenes_of(prediction.made, sensor, Site())[0]
-    fine_edges = series.block_edges_s(slice(0, n), scene.fine)
+    series, reference = prediction.session.series, prediction.session.reference
+    n = series.block_count
+    scene = signal_states(prediction.session, sensor, Site())[0]
+    fine_edges = series.block_edges_s(slice(0, n), scene.intervals_per_instant)
     found = reference.evaluate(fine_edges)
     columns: list[Array] = []
-    rate = scene.seen(found.rate_rad_s)
+    rate = scene.measure_sensor_rate(found.rate_rad_s)
     for row in range(3):
         for column in range(3):
             entry = np.zeros((n, 3))
@@ -198,20 +222,22 @@ def dense(
     early = reference.evaluate(fine_edges - 1e-5, derivatives=False).rate_rad_s
     late = reference.evaluate(fine_edges + 1e-5, derivatives=False).rate_rad_s
     slope = np.where(np.isfinite(late - early), (late - early) / 2e-5, 0.0)
-    columns.append(-scene.seen_at_stage(slope))
+    columns.append(-scene.measure_stage_rate(slope))
     local, shared = reference.information.size
     motion = np.zeros((local + shared, len(found.rate_rad_s), 3))
     for part in found.local:
-        motion[part.unknown, part.first : part.first + len(part.values)] += part.values
+        motion[part.unknown, part.first_interval : part.first_interval + len(part.values)] += (
+            part.values
+        )
     motion[local : local + len(found.shared)] = found.shared
-    columns += [scene.seen_at_stage(one) for one in motion]
-    deviation = np.sqrt(sensor.noise.variance(n))
+    columns += [scene.measure_stage_rate(one) for one in motion]
+    deviation = np.sqrt(sensor.noise.dct_variance(n))
 
     def white(column: Array) -> Array:
         return np.asarray(dct(column, axis=0, norm="ortho") / deviation).ravel()
 
     information = np.zeros((13 + local + shared,) * 2)
-    information[:13, :13] = np.diag(prior_std(NAMES) ** -2.0)
+    information[:13, :13] = np.diag(prior_std(PARAMETER_NAMES) ** -2.0)
     information[13:, 13:] = reference.information.to_dense()
     values, vectors = np.linalg.eigh(information)
     return columns, white, np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T

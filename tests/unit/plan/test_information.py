@@ -1,4 +1,4 @@
-"""The information of a motion against closed forms, and against the peers' notes, section 3."""
+"""The information of a motion against closed forms and published designs."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -6,11 +6,11 @@ from typing import Self
 import numpy as np
 import pytest
 
-from gyrorig_solver.arrow import Arrow
-from gyrorig_solver.estimate.information import motion_information, white_information
-from gyrorig_solver.estimate.noise import NoiseModel, Sampling
+from gyrorig_solver.estimate.information import motion_information, white_noise_information
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
 from gyrorig_solver.estimate.series import Series
-from gyrorig_solver.reference.motion import Evaluated
+from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
+from gyrorig_solver.reference.reference_motion import EvaluatedMotion
 
 N = np.radians(0.03)  # rad/s/sqrt(Hz)
 HZ, SECONDS = 100.0, 75.0
@@ -26,18 +26,18 @@ class KnownMotion:
     pan: np.ndarray
     tilt: np.ndarray
     description: str = "straight lines"
-    common_std_s: float = 0.0
-    differentiated: bool = False
+    common_shift_std_s: float = 0.0
+    is_differentiated: bool = False
 
     @property
-    def information(self) -> Arrow:
-        return Arrow.zero(0, 0)
+    def information(self) -> ArrowheadMatrix:
+        return ArrowheadMatrix.zero(0, 0)
 
     @property
-    def pull(self) -> np.ndarray:
+    def prior_offset(self) -> np.ndarray:
         return np.zeros(0)
 
-    def evaluate(self, edges_s: np.ndarray, derivatives: bool = True) -> Evaluated:
+    def evaluate(self, edges_s: np.ndarray, derivatives: bool = True) -> EvaluatedMotion:
         pan, tilt = (np.interp(edges_s, self.time_s, a) for a in (self.pan, self.tilt))
         width = np.diff(edges_s)
         middle = (tilt[1:] + tilt[:-1]) / 2.0
@@ -45,9 +45,9 @@ class KnownMotion:
         rate = np.column_stack(
             [np.diff(tilt) / width, speed * np.sin(middle), speed * np.cos(middle)]
         )
-        return Evaluated(rate, (), np.zeros((0, width.size, 3)))
+        return EvaluatedMotion(rate, (), np.zeros((0, width.size, 3)))
 
-    def moved(self, step: np.ndarray) -> Self:
+    def with_step(self, step: np.ndarray) -> Self:
         return self
 
 
@@ -73,7 +73,9 @@ def series() -> Series:
     count = int(SECONDS * HZ)
     time_s = np.asarray((np.arange(count) + 0.5) / HZ, dtype=np.float64)
     zero, good = np.zeros((count, 3)), np.ones(count, dtype=np.bool_)
-    return Series(time_s, zero, good, block=1, fine=5, bandwidth_hz=None)
+    return Series(
+        time_s, zero, good, samples_per_block=1, intervals_per_sample=5, bandwidth_hz=None
+    )
 
 
 def by_closed_form(tilt_rad: float) -> np.ndarray:
@@ -89,7 +91,7 @@ def by_closed_form(tilt_rad: float) -> np.ndarray:
     return np.asarray(N / np.sqrt(2.0 * np.array(squares)))
 
 
-# Peers' notes, section 3, "pan sweeps at +T and -T": ppm of columns x, y, z.
+# Pan sweeps at +T and -T, by an independent calculation: ppm of columns x, y, z.
 TABLE = {2.0: (2264.0, 1529.0, 53.0), 10.0: (453.0, 307.0, 54.0), 30.0: (151.0, 107.0, 62.0)}
 
 
@@ -113,7 +115,7 @@ def test_pan_at_one_tilt_shows_nine_of_twelve() -> None:
         time_s, PAN / 2.0 * np.cos(np.pi * np.arange(76)), np.full(76, np.radians(20.0))
     )
     rate = motion.evaluate(np.linspace(0.0, SECONDS, 3751)).rate_rad_s
-    values = np.linalg.eigvalsh(white_information(rate, 0.02, np.full(3, N**2))[:12, :12])
+    values = np.linalg.eigvalsh(white_noise_information(rate, 0.02, np.full(3, N**2))[:12, :12])
     # One column, tilt's, is not excited at all; of pan's two only one combination is.
     assert np.sum(values > 1e-6 * values[-1]) == 6
 
@@ -121,7 +123,7 @@ def test_pan_at_one_tilt_shows_nine_of_twelve() -> None:
 def test_quick_look_agrees_where_the_noise_is_white() -> None:
     motion = sweeps_at_plus_and_minus(np.radians(30.0))
     rate = motion.evaluate(np.linspace(0.0, SECONDS, 3751)).rate_rad_s
-    quick = white_information(rate, SECONDS / 3750, np.full(3, N**2))
+    quick = white_noise_information(rate, SECONDS / 3750, np.full(3, N**2))
     std = np.sqrt(np.diag(np.linalg.inv(quick)))
     wanted = by_closed_form(np.radians(30.0))
     assert std[:3] == pytest.approx(wanted[:3], rel=0.05)
@@ -132,8 +134,8 @@ def test_what_is_loose_costs_what_a_fit_of_it_costs() -> None:
     """One unknown that mimics the pan column: its variance adds to the column's own."""
     rate = np.zeros((4000, 3))
     rate[:, 2] = np.sin(np.arange(4000) * 0.01)
-    alone = white_information(rate, 0.01, np.full(3, N**2))
+    alone = white_noise_information(rate, 0.01, np.full(3, N**2))
     loose = 1e-3 * rate[None, :, :]
-    with_it = white_information(rate, 0.01, np.full(3, N**2), loose)
+    with_it = white_noise_information(rate, 0.01, np.full(3, N**2), loose)
     assert alone[8, 8] > 0.0
     assert 1.0 / with_it[8, 8] == pytest.approx(1.0 / alone[8, 8] + 1e-6, rel=1e-6)

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_protocol.program import MotionProgram, parse_program, unrolled
+from gyrorig_protocol.program import MotionProgram, parse_program, unroll_steps
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
-from gyrorig_solver.model.gain import FACTOR_NAMES
+from gyrorig_solver.model.gain_matrix import FACTOR_NAMES
+from gyrorig_solver.pipeline.fit_board import solve_recording
 from gyrorig_solver.plan.criterion import bias_excess, cost
-from gyrorig_solver.plan.document import program_text
-from gyrorig_solver.plan.family import Space, drawn, program_of
-from gyrorig_solver.plan.predict import predict
-from gyrorig_solver.plan.rig import Rig
-from gyrorig_solver.plan.search import find_program
-from gyrorig_solver.plan.sensor import SensorModel
-from gyrorig_solver.plan.timeline import lay_out
-from gyrorig_solver.solve import solve_recording
+from gyrorig_solver.plan.prediction import predict_program
+from gyrorig_solver.plan.program_family import MotionSpace, build_program, draw_design
+from gyrorig_solver.plan.program_file import program_text
+from gyrorig_solver.plan.program_search import find_program
+from gyrorig_solver.plan.program_timeline import simulate_program
+from gyrorig_solver.plan.rig_model import RigModel
+from gyrorig_solver.plan.sensor_model import SensorModel
 
 ROOT = Path(__file__).parents[3]
 RIG = str(ROOT / "config" / "rig.yaml")
@@ -32,13 +32,13 @@ Record = Callable[[Path, int], tuple[Path, dict[str, Any]]]
 
 @pytest.fixture(scope="module")
 def planned(
-    rig: Rig,
+    rig: RigModel,
     sensor: SensorModel,
     shipped: Callable[[str], MotionProgram],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:
     """A program made by the command, no longer than the paper's."""
-    paper = predict(shipped("paper"), rig.unit, sensor)
+    paper = predict_program(shipped("paper"), rig.unit, sensor)
     out = tmp_path_factory.mktemp("planned") / "planned.yaml"
     seconds = f"{paper.duration_s + 0.02:.2f}"
     asked = ["--rig", RIG, "--seconds", seconds, "--out", str(out), "--no-causes", "--json"]
@@ -47,10 +47,10 @@ def planned(
 
 
 def test_beats_the_paper_at_equal_duration(
-    planned: Path, rig: Rig, sensor: SensorModel, shipped: Callable[[str], MotionProgram]
+    planned: Path, rig: RigModel, sensor: SensorModel, shipped: Callable[[str], MotionProgram]
 ) -> None:
-    ours = predict(parse_program(planned.read_bytes(), "planned"), rig.unit, sensor)
-    paper = predict(shipped("paper"), rig.unit, sensor)
+    ours = predict_program(parse_program(planned.read_bytes(), "planned"), rig.unit, sensor)
+    paper = predict_program(shipped("paper"), rig.unit, sensor)
     assert ours.duration_s <= paper.duration_s + 0.02
     assert (ours.observability.rank, paper.observability.rank) == (12, 9)
     assert not ours.observability.unobservable
@@ -68,24 +68,24 @@ def test_beats_the_paper_at_equal_duration(
 
 
 def test_emulated_rig_confirms_it(
-    planned: Path, record: Record, rig: Rig, sensor: SensorModel
+    planned: Path, record: Record, rig: RigModel, sensor: SensorModel
 ) -> None:
     path, truth = record(planned, 4)
     recording = read_recording(path)
     fit = solve_recording(recording, recording.board_ids[0])
     assert fit.observability.rank == 12
-    assert not fit.distrust
+    assert not fit.limited_reasons
     assert fit.noise is not None
     levels = [fit.noise.angle_random_walk, fit.noise.bias_instability, fit.noise.rate_random_walk]
     noisy = replace(sensor, levels=np.column_stack([*levels, np.zeros(3)]) ** 2)
-    found = predict(parse_program(planned.read_bytes(), "planned"), rig.unit, noisy)
+    found = predict_program(parse_program(planned.read_bytes(), "planned"), rig.unit, noisy)
     for name, std in fit.std.items():
         assert found.std[name] == pytest.approx(std, rel=0.2), name
     off = fit.gain - np.array(truth["boards"]["GY80-1"]["STM"])
     assert np.abs(off / found.gain_std).max() < 4.0
 
 
-def test_same_seed_same_program_and_criteria_differ(rig: Rig, sensor: SensorModel) -> None:
+def test_same_seed_same_program_and_criteria_differ(rig: RigModel, sensor: SensorModel) -> None:
     one = find_program(rig.unit, sensor, 35.0, "mean", seed=3)
     two = find_program(rig.unit, sensor, 35.0, "mean", seed=3)
     assert one.program == two.program
@@ -98,31 +98,35 @@ def test_same_seed_same_program_and_criteria_differ(rig: Rig, sensor: SensorMode
 
 @pytest.mark.parametrize("once", [False, True])
 @pytest.mark.parametrize("seed", range(8))
-def test_every_design_stays_inside_and_in_time(seed: int, once: bool, rig: Rig) -> None:
+def test_every_design_stays_inside_and_in_time(seed: int, once: bool, rig: RigModel) -> None:
     rng = np.random.default_rng(seed)
-    design = drawn(rng, once)
-    space = Space.of(rig.unit, 187.5)
-    for places in (design.cycle(space), design.cycle(space, 2), *design.stays(space)):
+    design = draw_design(rng, once)
+    space = MotionSpace.of(rig.unit, 187.5)
+    for places in (
+        design.cycle_waypoints(space),
+        design.cycle_waypoints(space, 2),
+        *design.stay_waypoints(space),
+    ):
         assert places[0][:2] == places[-1][:2]
-    made = program_of(design, space, rig.unit, 900.0)
-    timeline = lay_out(made, rig.unit)  # raises where a limit is left
+    made = build_program(design, space, rig.unit, 900.0)
+    timeline = simulate_program(made, rig.unit)  # raises where a limit is left
     assert 899.0 < timeline.duration_s <= 900.0
     assert timeline.end_steps == (0, 0)
     assert parse_program(program_text(made), "made") == made
-    assert sum(1 for _ in unrolled(made.steps, "made")) > 4
+    assert sum(1 for _ in unroll_steps(made.steps, "made")) > 4
 
 
 @pytest.mark.parametrize("once", [False, True])
 def test_no_program_of_the_family_turns_in_the_mean(
-    once: bool, rig: Rig, sensor: SensorModel
+    once: bool, rig: RigModel, sensor: SensorModel
 ) -> None:
     """What the mean rate is, the gain's uncertainty brings into the bias: it has to vanish."""
-    space = Space.of(rig.unit, 187.5)
+    space = MotionSpace.of(rig.unit, 187.5)
     for seed in range(4):
-        made = program_of(drawn(np.random.default_rng(seed), once), space, rig.unit, 400.0)
-        timeline = lay_out(made, rig.unit)
+        made = build_program(draw_design(np.random.default_rng(seed), once), space, rig.unit, 400.0)
+        timeline = simulate_program(made, rig.unit)
         edges_s = np.arange(0.0, timeline.duration_s, 1e-3)
-        pan, tilt = np.radians(timeline.steps(edges_s) * 185.142857 / 3600.0).T
+        pan, tilt = np.radians(timeline.position_steps(edges_s) * 185.142857 / 3600.0).T
         middle = (tilt[1:] + tilt[:-1]) / 2.0
         area = np.diff(pan) @ np.column_stack([np.sin(middle), np.cos(middle)])
         # Of one sweep's angle, about 5 rad, nothing is left over but what polls shift.
@@ -130,14 +134,14 @@ def test_no_program_of_the_family_turns_in_the_mean(
 
 
 def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
-    assert cli.run(["plan", "--rig", RIG, "--program", PAPER]) == 4
+    assert cli.run(["plan", "--rig", RIG, "--program", PAPER, "--details"]) == 4
     said = capsys.readouterr().out
-    assert "axis_nonorthogonality cannot be seen with this program at any size" in said
-    assert "it needs pan swept at three tilts" in said
-    assert "wrong_full_scale cannot be seen in any motion" in said
-    assert "scale_asymmetry" in said.partition("looks like")[0]
+    assert "axis_nonorthogonality cannot be detected with this program at any possible size" in said
+    assert "It needs pan sweeps at three or more tilts" in said
+    assert "wrong_full_scale is absorbed completely by the calibration" in said
+    assert "scale_asymmetry" in said.partition("cannot distinguish")[0]
     assert "9 of 12" in said
-    assert "paper cannot show column y of the gain" in said
+    assert "paper cannot determine column y of the gain" in said
     assert cli.run(["plan", "--rig", RIG, "--program", PAPER, "--json"]) == 4
     told = json.loads(capsys.readouterr().out)
     assert told["exit_code"] == 4
@@ -154,15 +158,15 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--seconds", "1"], "out of reach"),
-        (["--seconds", "nan"], "out of reach"),
-        (["--seconds", "1e9"], "out of reach"),
+        (["--seconds", "1"], "is not between 5 and 900"),
+        (["--seconds", "nan"], "is not between 5 and 900"),
+        (["--seconds", "1e9"], "is not between 5 and 900"),
         (["--seconds", "8"], "too short for a program that shows all parameters"),
-        (["--seconds", "25", "--for", "causes"], "that tells causes apart: give --seconds 39"),
-        (["--out", "x.yaml", "--program", PAPER], "give --seconds"),
-        (["--sensor", "../../etc"], "no profile of"),
-        (["--sensor", "missing.yaml"], "cannot be read, No such file or directory: name a profile"),
-        (["--program", "missing.yaml"], "cannot be read, No such file or directory: name a pro"),
+        (["--seconds", "25", "--for", "causes"], "that separates causes. Give --seconds 39"),
+        (["--out", "x.yaml", "--program", PAPER], "Give --seconds"),
+        (["--sensor", "../../etc"], "has no profile of"),
+        (["--sensor", "missing.yaml"], "cannot be read, No such file or directory. Name a profile"),
+        (["--program", "missing.yaml"], "cannot be read, No such file or directory. Name a pro"),
         (["--criterion", "best"], "criterion"),
     ],
 )
@@ -197,15 +201,15 @@ def test_bad_rigs_are_one_line(text: str, tmp_path: Path, capsys: Captured) -> N
 def test_a_place_that_cannot_be_written_is_refused_before_the_search(
     tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gyrorig_solver.commands.plan.find_program", None)  # would raise
+    monkeypatch.setattr("gyrorig_solver.commands.plan_command.find_program", None)  # would raise
     out = tmp_path / "none" / "p.yaml"
     assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--out", str(out)]) == 2
-    assert f"there is no folder {out.parent}: make it first" in capsys.readouterr().err
+    assert f"the folder {out.parent} does not exist. Create it" in capsys.readouterr().err
 
 
 def test_never_overwrites(planned: Path, capsys: Captured) -> None:
     before = planned.read_bytes()
     assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--out", str(planned)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists" in capsys.readouterr().err
     assert planned.read_bytes() == before
     assert [p.name for p in planned.parent.iterdir()] == ["planned.yaml"]

@@ -11,13 +11,13 @@ import pytest
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.estimate.result import NoiseLevels
-from gyrorig_solver.plan.predict import predict
-from gyrorig_solver.plan.rig import Rig, load_rig
-from gyrorig_solver.plan.sensor import SensorModel
-from gyrorig_solver.plan.timeline import lay_out
-from gyrorig_solver.samples import load_samples
-from gyrorig_solver.solve import solve_recording
+from gyrorig_solver.data.samples import load_samples
+from gyrorig_solver.estimate.gyro_fit import NoiseLevels
+from gyrorig_solver.pipeline.fit_board import solve_recording
+from gyrorig_solver.plan.prediction import predict_program
+from gyrorig_solver.plan.program_timeline import simulate_program
+from gyrorig_solver.plan.rig_model import RigModel, load_rig
+from gyrorig_solver.plan.sensor_model import SensorModel
 
 PROGRAMS = Path(__file__).parents[3] / "config" / "programs"
 Record = Callable[[Path, int], tuple[Path, dict[str, Any]]]
@@ -34,7 +34,7 @@ def test_as_solve_says_of_itself(
     name: str,
     seed: int,
     record: Record,
-    rig: Rig,
+    rig: RigModel,
     sensor: SensorModel,
     shipped: Callable[[str], MotionProgram],
 ) -> None:
@@ -43,7 +43,7 @@ def test_as_solve_says_of_itself(
     board = recording.board_ids[0]
     fit = solve_recording(recording, board)
     assert fit.noise is not None
-    found = predict(shipped(name), rig.unit, with_noise(sensor, fit.noise))
+    found = predict_program(shipped(name), rig.unit, with_noise(sensor, fit.noise))
     assert found.observability.unobservable == fit.observability.unobservable
     assert found.observability.rank == fit.observability.rank
     for parameter, std in fit.std.items():
@@ -54,12 +54,12 @@ def test_as_solve_says_of_itself(
 
 
 def test_paper_program_cannot_show_the_roll_column(
-    rig: Rig, sensor: SensorModel, shipped: Callable[[str], MotionProgram]
+    rig: RigModel, sensor: SensorModel, shipped: Callable[[str], MotionProgram]
 ) -> None:
-    found = predict(shipped("paper"), rig.unit, sensor)
+    found = predict_program(shipped("paper"), rig.unit, sensor)
     assert found.observability.rank == 9
     assert np.isnan(found.gain_std[:, 1]).all()
-    assert "sweep it at +T and at -T" in found.observability.reasons[0]
+    assert "sweep it at a positive and at a negative tilt" in found.observability.reasons[0]
 
 
 def program(text: str) -> MotionProgram:
@@ -77,14 +77,14 @@ def program(text: str) -> MotionProgram:
         ("{repeat: {times: 9999, steps: [{rest: {seconds: 80000.0}}]}}", "lasts longer than"),
     ],
 )
-def test_programs_that_cannot_be(rig: Rig, sensor: SensorModel, steps: str, said: str) -> None:
+def test_programs_that_cannot_be(rig: RigModel, sensor: SensorModel, steps: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
-        predict(program(steps), rig.unit, sensor)
+        predict_program(program(steps), rig.unit, sensor)
 
 
-def test_axes_that_start_together_move_together(rig: Rig) -> None:
-    timeline = lay_out(program("{move: {pan_deg: 90.0, tilt_deg: 20.0}}"), rig.unit)
-    pan, tilt = (courses[0] for courses in timeline.courses)
+def test_axes_that_start_together_move_together(rig: RigModel) -> None:
+    timeline = simulate_program(program("{move: {pan_deg: 90.0, tilt_deg: 20.0}}"), rig.unit)
+    pan, tilt = (courses[0] for courses in timeline.profiles)
     assert pan.start_s[0] == tilt.start_s[0]
     assert [e.command for e in timeline.exchanges] == [
         "PS583",

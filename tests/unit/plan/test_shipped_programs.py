@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_protocol.program import MotionProgram, Move, unrolled
+from gyrorig_protocol.program import MotionProgram, Move, unroll_steps
 from gyrorig_solver import cli
-from gyrorig_solver.plan.causes import foresee
 from gyrorig_solver.plan.criterion import bias_excess
-from gyrorig_solver.plan.predict import predict
-from gyrorig_solver.plan.rig import Rig
-from gyrorig_solver.plan.sensor import SensorModel
+from gyrorig_solver.plan.detectability import predict_detectability
+from gyrorig_solver.plan.prediction import predict_program
+from gyrorig_solver.plan.rig_model import RigModel
+from gyrorig_solver.plan.sensor_model import SensorModel
 
 ROOT = Path(__file__).parents[3]
 PROGRAMS = ROOT / "config" / "programs"
@@ -42,9 +42,9 @@ def test_the_planner_would_ship_it_again(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", PLANNED)
 def test_it_shows_everything_in_its_time(
-    name: str, rig: Rig, sensor: SensorModel, shipped: Shipped
+    name: str, rig: RigModel, sensor: SensorModel, shipped: Shipped
 ) -> None:
-    found = predict(shipped(name), rig.unit, sensor)
+    found = predict_program(shipped(name), rig.unit, sensor)
     words = asked(name)
     seconds = float(words[words.index("--seconds") + 1])
     assert seconds - 0.2 < found.duration_s <= seconds
@@ -52,17 +52,17 @@ def test_it_shows_everything_in_its_time(
     # Surveys are chosen for causes first: at 40 s one is 0.2 % above the bias's floor.
     most = 0.005 if name.startswith("survey") else 0.001
     assert bias_excess(found.decision, found.bias_floor_rad_s) < most
-    steps = unrolled(shipped(name).steps, name)
+    steps = unroll_steps(shipped(name).steps, name)
     tilts = {s.tilt_deg for s in steps if isinstance(s, Move) and s.tilt_deg is not None}
     assert len(tilts) >= 3  # with two, axes that are not square are not seen at any size
 
 
 @pytest.mark.parametrize(("planned", "by_hand"), [("survey-130", "full"), ("survey-40", "quick")])
 def test_surveys_know_more_by_name_than_programs_by_hand(
-    planned: str, by_hand: str, rig: Rig, sensor: SensorModel, shipped: Shipped
+    planned: str, by_hand: str, rig: RigModel, sensor: SensorModel, shipped: Shipped
 ) -> None:
-    ours, theirs = (predict(shipped(name), rig.unit, sensor) for name in (planned, by_hand))
+    ours, theirs = (predict_program(shipped(name), rig.unit, sensor) for name in (planned, by_hand))
     assert ours.gain_std.max() < theirs.gain_std.max()
-    seen, known = (foresee(one, sensor, rig.site) for one in (ours, theirs))
-    assert seen.blindness < 0.8 * known.blindness
-    assert seen.worst_harm < known.worst_harm
+    seen, known = (predict_detectability(one, sensor, rig.site) for one in (ours, theirs))
+    assert seen.mean_identifiable_size < 0.8 * known.mean_identifiable_size
+    assert seen.max_parameter_bias_sigma < known.max_parameter_bias_sigma

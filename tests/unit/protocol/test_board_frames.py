@@ -31,8 +31,8 @@ from gyrorig_protocol.board import (
     cobs,
     decode_payload,
 )
-from gyrorig_protocol.board.crc import crc16
-from gyrorig_protocol.board.wire import frame_bytes
+from gyrorig_protocol.board.crc import compute_crc16
+from gyrorig_protocol.board.frame_encoding import encode_frame
 from gyrorig_protocol.errors import UsageError
 
 VECTORS = Path(__file__).resolve().parents[3] / "firmware_protocol" / "vectors"
@@ -109,7 +109,7 @@ FRAMES = st.one_of(
 
 
 @given(payload=st.lists(st.just(0) | st.integers(0, 255), max_size=253).map(bytes))
-def test_cobs_is_that_of_pypi(payload: bytes) -> None:
+def test_cobs_equals_the_pypi_package(payload: bytes) -> None:
     stuffed = cobs.encode(payload)
     assert stuffed == pypi_cobs.encode(payload)
     assert len(stuffed) == len(payload) + 1
@@ -118,12 +118,12 @@ def test_cobs_is_that_of_pypi(payload: bytes) -> None:
 
 
 @given(stuffed=st.binary(min_size=1, max_size=254).map(lambda data: data.replace(b"\0", b"\1")))
-def test_cobs_refuses_what_pypi_refuses(stuffed: bytes) -> None:
+def test_cobs_rejects_what_the_pypi_package_rejects(stuffed: bytes) -> None:
     try:
-        wanted = pypi_cobs.decode(stuffed)
+        expected = pypi_cobs.decode(stuffed)
     except pypi_cobs.DecodeError:
-        wanted = None
-    assert cobs.decode(stuffed) == wanted
+        expected = None
+    assert cobs.decode(stuffed) == expected
 
 
 def test_cobs_bounds() -> None:
@@ -134,18 +134,18 @@ def test_cobs_bounds() -> None:
 
 
 @given(data=st.binary(max_size=300))
-def test_crc_is_the_definition(data: bytes) -> None:
-    assert crc16(data) == bitwise_crc(data)
+def test_crc_follows_its_definition(data: bytes) -> None:
+    assert compute_crc16(data) == bitwise_crc(data)
 
 
 def test_crc_check_value() -> None:
     # The check value of CRC-16/CCITT-FALSE in the catalogue of CRC algorithms.
-    assert crc16(b"123456789") == 0x29B1
+    assert compute_crc16(b"123456789") == 0x29B1
 
 
 @given(frame=FRAMES)
 def test_frames_round_trip_and_match_the_independent_encoder(frame: Any) -> None:
-    payload = frame.payload()
+    payload = frame.encode_payload()
     checked = payload + bitwise_crc(payload).to_bytes(2, "little")
     wire = b"\0" + pypi_cobs.encode(checked) + b"\0"
     assert frame.encode() == wire
@@ -171,25 +171,23 @@ def test_vectors(case: dict[str, Any]) -> None:
 
 
 @given(payload=st.binary(max_size=248))
-def test_any_checked_payload_gives_a_record_or_a_cause(payload: bytes) -> None:
+def test_any_payload_gives_a_frame_or_a_fault_cause(payload: bytes) -> None:
     decoded = decode_payload(payload)
     assert isinstance(decoded, (FaultCause, *TYPES))
 
 
 @given(frame=FRAMES, cut=st.integers(1, 40))
-def test_a_payload_cut_short_or_made_longer_is_never_taken_for_its_type(
-    frame: Any, cut: int
-) -> None:
-    payload = frame.payload()
+def test_a_payload_of_wrong_length_is_never_accepted(frame: Any, cut: int) -> None:
+    payload = frame.encode_payload()
     for damaged in (payload[: max(len(payload) - cut, 0)], payload + b"\1" * cut):
         decoded = decode_payload(damaged)
         # A request is a HELLO without JSON; a batch may be cut into no other batch, because
-        # its count stands in its head.
+        # its count is in its head.
         assert isinstance(decoded, FaultCause) or decoded == HelloRequest()
 
 
 @given(kind=st.sampled_from([0x10, 0x30, 0x31]), text=st.text(max_size=100) | st.binary())
-def test_hostile_json_gives_a_cause(kind: int, text: str | bytes) -> None:
+def test_untrusted_json_gives_a_fault_cause(kind: int, text: str | bytes) -> None:
     data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
     assert isinstance(decode_payload(bytes([kind]) + data), (FaultCause, *TYPES))
 
@@ -222,7 +220,7 @@ SENSOR = '{"who":211,"fs":250,"lsb":0.00875}'
         (GOOD % SENSOR) + "x",
     ],
 )
-def test_a_hello_that_is_none(text: str) -> None:
+def test_an_invalid_hello_is_rejected(text: str) -> None:
     assert decode_payload(b"\x10" + text.encode()) is FaultCause.CONTENT
 
 
@@ -245,7 +243,7 @@ def test_a_hello_of_two_sensors_fits_into_a_frame() -> None:
     assert event.frame == hello
 
 
-def test_what_does_not_fit_is_refused_before_it_is_sent() -> None:
+def test_values_out_of_range_are_rejected_before_sending() -> None:
     triple = (0, 0, 0)
     for frame in (
         Sample(0, 0, 0, (32768, 0, 0), triple, 0),
@@ -262,11 +260,11 @@ def test_what_does_not_fit_is_refused_before_it_is_sent() -> None:
         with pytest.raises(UsageError):
             frame.encode()
     with pytest.raises(UsageError):
-        frame_bytes(bytes(249))
-    assert len(frame_bytes(bytes(248))) == 253
+        encode_frame(bytes(249))
+    assert len(encode_frame(bytes(248))) == 253
 
 
-def test_a_sample_takes_27_bytes_and_its_neighbour_may_share_one() -> None:
+def test_a_sample_has_27_bytes_and_shares_a_delimiter() -> None:
     wire = Sample(4, 1, 2, (3, 4, 5), (6, 7, 8), 9).encode()
     assert len(wire) == 27
     assert len(FrameParser().feed(wire + wire[1:], 0)) == 2
@@ -274,24 +272,24 @@ def test_a_sample_takes_27_bytes_and_its_neighbour_may_share_one() -> None:
 
 @given(frame=SAMPLES)
 def test_the_layout_is_the_documented_one(frame: Sample) -> None:
-    _, flags, sequence, time, *values = struct.unpack("<BBHI7h", frame.payload())
+    _, flags, sequence, time, *values = struct.unpack("<BBHI7h", frame.encode_payload())
     assert (flags, sequence, time) == (frame.flags, frame.sequence, frame.device_time)
     assert tuple(values) == (*frame.gyro, *(frame.accel or ()), frame.temperature)
 
 
-def test_what_a_source_has_not_is_sent_as_zero() -> None:
+def test_missing_values_are_sent_as_zero() -> None:
     (event,) = FrameParser().feed(Sample(0, 1, None, (1, 2, 3)).encode(), 0)
     assert isinstance(event, FrameEvent)
     assert event.frame == Sample(0, 1, 0, (1, 2, 3), (0, 0, 0), 0)
 
 
-def test_a_batch_gives_its_samples_with_stamps_that_wrap() -> None:
+def test_a_batch_gives_samples_with_timestamps_that_wrap() -> None:
     rows = ((1, 2, 3), (4, 5, 6), (7, 8, 9))
-    samples = Batch(SampleFlag.SATURATED, 65534, 1500, rows, rows[::-1], 9).samples(1250.0)
+    samples = Batch(SampleFlag.SATURATED, 65534, 1500, rows, rows[::-1], 9).to_samples(1250.0)
     assert [s.sequence for s in samples] == [65534, 65535, 0]
     assert [s.device_time for s in samples] == [2**32 - 1000, 250, 1500]
     assert [s.gyro for s in samples] == list(rows)
     assert [s.accel for s in samples] == list(rows[::-1])
     fifo = SampleFlag.SATURATED | SampleFlag.STAMP_FROM_FIFO
     assert [s.flags for s in samples] == [fifo, fifo, SampleFlag.SATURATED]
-    assert Batch(0, 0, 0, rows, None, 9).samples(1.0)[0].accel is None
+    assert Batch(0, 0, 0, rows, None, 9).to_samples(1.0)[0].accel is None

@@ -17,7 +17,7 @@ from gyrorig_protocol.board import (
     Sample,
     TimeReply,
 )
-from gyrorig_protocol.board.pieces import PieceSplitter
+from gyrorig_protocol.board.delimiter_splitter import DelimiterSplitter
 
 MAX_STUFFED_BYTES = 251
 FRAME = Sample(4, 7, 123456, (1, -2, 300), (0, 256, -16384), -128)
@@ -29,8 +29,8 @@ STREAMS = st.lists(_PIECES | st.binary(max_size=30), max_size=20).map(b"".join)
 def parse(pieces: list[bytes]) -> list[tuple[Any, ...]]:
     parser = FrameParser()
     events = []
-    for at, piece in enumerate(pieces):
-        events += parser.feed(piece, at)
+    for index, piece in enumerate(pieces):
+        events += parser.feed(piece, index)
         assert parser.buffered_bytes <= MAX_STUFFED_BYTES
     assert parser.frames == sum(isinstance(event, FrameEvent) for event in events)
     assert sum(parser.faults.values()) == len(events) - parser.frames
@@ -38,21 +38,21 @@ def parse(pieces: list[bytes]) -> list[tuple[Any, ...]]:
 
 
 def split(stream: bytes, cuts: list[int]) -> list[bytes]:
-    places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
-    return [stream[a:b] for a, b in itertools.pairwise(places)]
+    bounds = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
+    return [stream[a:b] for a, b in itertools.pairwise(bounds)]
 
 
 @given(stream=STREAMS, cuts=st.lists(st.integers(0, 900), max_size=8))
 def test_cuts_do_not_change_events(stream: bytes, cuts: list[int]) -> None:
-    whole = parse([stream])
-    assert parse(split(stream, cuts)) == whole
-    assert parse([bytes([byte]) for byte in stream]) == whole
+    complete = parse([stream])
+    assert parse(split(stream, cuts)) == complete
+    assert parse([bytes([byte]) for byte in stream]) == complete
 
 
 @given(before=STREAMS, after=STREAMS)
 def test_garbage_on_both_sides_costs_no_frame(before: bytes, after: bytes) -> None:
     events = parse([before, WIRE, after])
-    assert (FRAME, FRAME.payload()) in events
+    assert (FRAME, FRAME.encode_payload()) in events
 
 
 @given(stream=st.binary(max_size=2000))
@@ -63,16 +63,16 @@ def test_pure_garbage_raises_nothing_and_faults_are_bounded(stream: bytes) -> No
 
 
 @given(stream=STREAMS, cut=st.integers(0, 900), limit=st.integers(1, 40))
-def test_the_splitter_keeps_every_byte_of_every_piece_within_the_limit(
+def test_the_splitter_keeps_every_byte_within_the_limit(
     stream: bytes, cut: int, limit: int
 ) -> None:
-    splitter = PieceSplitter(b"\0", limit)
+    splitter = DelimiterSplitter(b"\0", limit)
     pieces = splitter.feed(stream[:cut]) + splitter.feed(stream[cut:] + b"\0")
     assert [piece for piece, _ in pieces] == [part[: limit + 1] for part in stream.split(b"\0")]
     assert splitter.buffered_bytes == 0
 
 
-def test_stamp_and_place_are_of_the_read_that_held_the_last_byte() -> None:
+def test_timestamp_and_offset_are_those_of_the_last_byte() -> None:
     parser = FrameParser()
     assert parser.feed(WIRE[:10], 100) == []
     assert parser.feed(WIRE[10:-1], 200) == []
@@ -89,7 +89,7 @@ def test_an_endless_stream_without_a_delimiter_is_reported_once() -> None:
     assert [type(event) for event in parser.feed(b"\1\0" + WIRE, 0)] == [FrameEvent]
 
 
-def test_reset_forgets_half_a_frame() -> None:
+def test_reset_drops_an_unfinished_frame() -> None:
     parser = FrameParser()
     parser.feed(WIRE[:12], 0)
     parser.reset()
@@ -110,17 +110,17 @@ def test_no_flipped_bit_lost_byte_or_doubled_byte_gives_a_wrong_sample() -> None
     tried = accepted_wrong = lost = 0
     for _ in range(6):
         frames = [_random_sample(chance) for _ in range(3)]
-        sent = {frame.payload() for frame in frames}
+        sent = {frame.encode_payload() for frame in frames}
         stream = b"\0" + b"".join(frame.encode()[1:] for frame in frames)
         begin, end = 26, 26 + 27
-        for place in range(begin, end):
+        for location in range(begin, end):
             damaged = [
-                stream[:place] + bytes([stream[place] ^ (1 << bit)]) + stream[place + 1 :]
+                stream[:location] + bytes([stream[location] ^ (1 << bit)]) + stream[location + 1 :]
                 for bit in range(8)
             ]
-            damaged.append(stream[:place] + stream[place + 1 :])
-            damaged.append(stream[:place] + stream[place : place + 1] + stream[place:])
-            damaged.append(stream[:place] + bytes([chance.randrange(256)]) + stream[place:])
+            damaged.append(stream[:location] + stream[location + 1 :])
+            damaged.append(stream[:location] + stream[location : location + 1] + stream[location:])
+            damaged.append(stream[:location] + bytes([chance.randrange(256)]) + stream[location:])
             for bad in damaged:
                 right, wrong = _accepted(bad, sent)
                 tried += 1
@@ -149,7 +149,7 @@ def test_a_long_noisy_stream_gives_no_wrong_sample(kind: str) -> None:
             noisy.append(byte ^ (1 << chance.randrange(8)))
         elif kind == "insert":
             noisy += bytes([byte, chance.randrange(256)])
-    right, wrong = _accepted(bytes(noisy), {frame.payload() for frame in frames})
+    right, wrong = _accepted(bytes(noisy), {frame.encode_payload() for frame in frames})
     assert faults > 100
     assert wrong == 0
     assert 3000 - right <= 1.15 * faults

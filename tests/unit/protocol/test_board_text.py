@@ -17,7 +17,7 @@ from gyrorig_protocol.board import (
     Sample,
     TextLineParser,
 )
-from gyrorig_protocol.board.frames import Triple
+from gyrorig_protocol.board.board_frames import Triple
 
 PLAIN = ColumnMap(gyro=(0, 1, 2))
 FULL = ColumnMap(gyro=(1, 2, 3), accel=(4, 5, 6), time=0, temperature=7, columns=8)
@@ -28,8 +28,8 @@ STREAMS = st.lists(_PIECES | st.binary(max_size=20), max_size=20).map(b"".join)
 def parse(pieces: list[bytes], columns: ColumnMap = PLAIN, limit: int = 64) -> list[Any]:
     parser = TextLineParser(columns, mid_stream=False, max_line_bytes=limit)
     events = []
-    for at, piece in enumerate(pieces):
-        events += parser.feed(piece, at)
+    for index, piece in enumerate(pieces):
+        events += parser.feed(piece, index)
         assert parser.buffered_bytes <= limit
     assert parser.frames == sum(isinstance(event, FrameEvent) for event in events)
     assert sum(parser.faults.values()) == len(events) - parser.frames
@@ -38,10 +38,10 @@ def parse(pieces: list[bytes], columns: ColumnMap = PLAIN, limit: int = 64) -> l
 
 @given(stream=STREAMS, cuts=st.lists(st.integers(0, 300), max_size=8), limit=st.integers(1, 64))
 def test_cuts_do_not_change_events(stream: bytes, cuts: list[int], limit: int) -> None:
-    places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
-    whole = parse([stream], limit=limit)
-    assert parse([stream[a:b] for a, b in itertools.pairwise(places)], limit=limit) == whole
-    assert parse([bytes([byte]) for byte in stream], limit=limit) == whole
+    bounds = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
+    complete = parse([stream], limit=limit)
+    assert parse([stream[a:b] for a, b in itertools.pairwise(bounds)], limit=limit) == complete
+    assert parse([bytes([byte]) for byte in stream], limit=limit) == complete
 
 
 @given(before=STREAMS, after=STREAMS)
@@ -127,16 +127,16 @@ def test_time_units(unit: str, text: str, ticks: int | None, tick_hz: float | No
 @pytest.mark.parametrize(
     "field", ["nan", "inf", "1_0", "1.5", "1e99", "0x10", "", "2147483648", "1e999", "٣", "--1"]
 )
-def test_what_is_no_count(field: str) -> None:
+def test_invalid_counts_are_faults(field: str) -> None:
     columns = msgspec.structs.replace(PLAIN, separator=",")
     assert parse([f"{field},2,3\n".encode()], columns) == [FaultCause.NUMBER]
 
 
-@pytest.mark.parametrize("at", range(8))
-def test_every_named_column_must_be_a_number(at: int) -> None:
+@pytest.mark.parametrize("index", range(8))
+def test_every_named_column_must_be_a_number(index: int) -> None:
     fields = ["1"] * 8
     assert len(parse([(",".join(fields) + "\n").encode()], FULL)) == 1
-    fields[at] = "x"
+    fields[index] = "x"
     assert parse([(",".join(fields) + "\n").encode()], FULL) == [FaultCause.NUMBER]
 
 
@@ -161,14 +161,14 @@ def test_columns() -> None:
         msgspec.convert({"gyro": [0, 1, 256]}, ColumnMap)
 
 
-def test_comments_blank_lines_and_header_lines_say_nothing() -> None:
+def test_comments_blank_lines_and_header_lines_are_skipped() -> None:
     columns = msgspec.structs.replace(PLAIN, skip_lines=2, comment="//")
     assert parse([b"x,y,z\n1,1,1\n\n  \r\n// 3,3,3\n4,5,6\n"], columns) == [
         Sample(0, 0, None, (4, 5, 6))
     ]
 
 
-def test_a_bad_line_shows_as_a_gap_and_a_sequence_column_is_kept() -> None:
+def test_an_invalid_line_is_a_gap_and_a_sequence_column_is_kept() -> None:
     events = parse([b"1,1,1\n1,x,1\n2,2,2\n"])
     assert [e.sequence for e in events if isinstance(e, Sample)] == [0, 2]
     columns = msgspec.structs.replace(PLAIN, sequence=3)
@@ -177,7 +177,7 @@ def test_a_bad_line_shows_as_a_gap_and_a_sequence_column_is_kept() -> None:
     assert fault is FaultCause.NUMBER
 
 
-def test_the_first_line_of_a_stream_is_dropped_for_it_may_be_half_a_line() -> None:
+def test_the_first_line_of_a_stream_is_dropped_as_incomplete() -> None:
     parser = TextLineParser(PLAIN)
     events = parser.feed(b"23,4,5\n123,4,5\n", 9)
     assert events == [FrameEvent(Sample(0, 0, None, (123, 4, 5)), 9, 14, b"123,4,5")]
@@ -186,7 +186,7 @@ def test_the_first_line_of_a_stream_is_dropped_for_it_may_be_half_a_line() -> No
     assert parser.feed(b"3,4,5\n", 9) == []
 
 
-def test_an_overlong_line_is_one_fault() -> None:
+def test_a_line_that_is_too_long_is_one_fault() -> None:
     parser = TextLineParser(PLAIN, mid_stream=False, max_line_bytes=10)
     (fault,) = parser.feed(b"1" * 50, 3)
     assert fault == FrameFault(FaultCause.OVERSIZE, 3, 49, b"1" * 11)

@@ -13,9 +13,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrorig_protocol.documents import dump_yaml, parse_yaml, read_as
+from gyrorig_protocol.documents import convert_document, dump_yaml, parse_yaml
 from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
-from gyrorig_protocol.misfits import first_misfit
+from gyrorig_protocol.schema_errors import find_schema_error
 
 BOMB = "a0: &a0 [x, x]\n" + "".join(
     f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 10)
@@ -50,7 +50,7 @@ def outcome(call: Callable[[], object]) -> tuple[object, GyrorigError | None]:
 
 
 @given(document=DOCUMENTS)
-def test_what_is_dumped_is_parsed_alike(document: dict[str, Any]) -> None:
+def test_dumped_documents_round_trip(document: dict[str, Any]) -> None:
     text = dump_yaml(document)
     assert parse_yaml(text, "it") == document
     assert parse_yaml(text.encode(), "it") == document
@@ -78,18 +78,18 @@ def test_enumerations_and_numpy_floats_are_dumped_as_numbers() -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, b"x", {1, 2}, np.int64(3), 1j])
-def test_what_has_no_place_in_a_document(value: object) -> None:
+def test_unsupported_types_cannot_be_dumped(value: object) -> None:
     with pytest.raises(TypeError):
         dump_yaml({"a": [value]})
 
 
-def test_a_value_that_stands_twice_is_written_twice() -> None:
+def test_a_repeated_value_is_written_twice() -> None:
     part = {"x": [1, 2]}
     assert "&" not in dump_yaml({"a": part, "b": part, "c": [part, part]})
 
 
 @given(text=st.text(max_size=200) | st.binary(max_size=200))
-def test_hostile_text_gives_a_value_or_the_named_error(text: str | bytes) -> None:
+def test_untrusted_text_gives_a_value_or_the_named_error(text: str | bytes) -> None:
     _, error = outcome(lambda: parse_yaml(text, "it", InputError))
     assert error is None or type(error) is InputError
 
@@ -130,7 +130,7 @@ def _assert_plain(value: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         (BOMB, "alias"),
         ("a: *b", "alias"),
@@ -167,16 +167,16 @@ def _assert_plain(value: object) -> None:
     ],
     ids=lambda value: str(value)[:24].encode("unicode_escape").decode(),
 )
-def test_what_is_refused(text: str, says: str) -> None:
+def test_unsupported_yaml_is_rejected(text: str, message: str) -> None:
     for kind in (UsageError, InputError):
-        with pytest.raises(kind, match=says) as caught:
+        with pytest.raises(kind, match=message) as caught:
             parse_yaml(text, "rig.yaml", kind)
         assert type(caught.value) is kind
         assert str(caught.value).startswith("rig.yaml ")
         assert len(str(caught.value)) < 300
 
 
-def test_depth_of_20_levels_is_taken() -> None:
+def test_20_levels_are_accepted() -> None:
     assert parse_yaml("[" * 20 + "]" * 20, "it") is not None
 
 
@@ -194,7 +194,7 @@ def test_depth_of_20_levels_is_taken() -> None:
         ("{a: 1, 'a ': 2, A: 3}", {"a": 1, "a ": 2, "A": 3}),
     ],
 )
-def test_what_is_taken(text: str, value: object) -> None:
+def test_supported_yaml_is_accepted(text: str, value: object) -> None:
     assert parse_yaml(text, "it") == value
 
 
@@ -219,25 +219,25 @@ class _Outer(msgspec.Struct, forbid_unknown_fields=True):
 @pytest.mark.parametrize(
     ("value", "path"),
     [
-        ({"ptu": {"port": 5}}, "it: ptu: port is 5: give a text"),
+        ({"ptu": {"port": 5}}, "it: ptu: port is 5. Give a text"),
         (
             {"ptu": {"port": "x", "bauds": 5}},
-            "it: ptu has the unknown key 'bauds': did you mean baud\\? the keys there are port, b",
+            "it: ptu has the unknown key 'bauds'. Did you mean baud\\? The valid keys are port, b",
         ),
-        ({"ptu": {"port": "x", "baud": True}}, "it: ptu: baud is true: give a whole number"),
-        ({"ptu": {"port": "x", "baud": "9600"}}, "ptu: baud is the text '9600': give a whole"),
-        ({"ptu": {"port": "x"}, "speed": "1e5"}, "speed is the text '1e5': give a number"),
-        ({"ptu": {}}, "it: ptu lacks the key port: give it a text"),
-        ({"ptu": [1]}, "it: ptu is a list of 1: give keys with values: port, baud"),
-        ({"pt": {}}, "it has the unknown key 'pt': did you mean ptu"),
-        ({1: 2}, "it has 1 for a key: the keys there are ptu, speed"),
-        (None, "it holds no keys"),
-        ([], "it holds no keys"),
+        ({"ptu": {"port": "x", "baud": True}}, "it: ptu: baud is true. Give a whole number"),
+        ({"ptu": {"port": "x", "baud": "9600"}}, "ptu: baud is the text '9600'. Give a whole"),
+        ({"ptu": {"port": "x"}, "speed": "1e5"}, "speed is the text '1e5'. Give a number"),
+        ({"ptu": {}}, "it: ptu lacks the key port. Give it a text"),
+        ({"ptu": [1]}, "it: ptu is a list of 1. Give keys with values: port, baud"),
+        ({"pt": {}}, "it has the unknown key 'pt'. Did you mean ptu"),
+        ({1: 2}, "it has 1 as a key. The valid keys are ptu, speed"),
+        (None, "it has no lines of the form `key: value`"),
+        ([], "it has no lines of the form `key: value`"),
     ],
 )
-def test_values_of_another_shape_are_refused_with_their_place(value: object, path: str) -> None:
+def test_wrong_values_are_rejected_with_their_location(value: object, path: str) -> None:
     with pytest.raises(InputError, match=path):
-        read_as(value, _Outer, "it", InputError)
+        convert_document(value, _Outer, "it", InputError)
 
 
 class _Part(msgspec.Struct, forbid_unknown_fields=True):
@@ -260,24 +260,24 @@ _PAN = {"of": "pan"}
 
 
 @pytest.mark.parametrize(
-    ("value", "says"),
+    ("value", "message"),
     [
-        ({"parts": []}, "parts is a list of 0: give a list of 1 to 3 entries, each keys with"),
-        ({"parts": [_PAN, {"of": "roll"}]}, "parts, entry 2: of is the text 'roll': give one of p"),
-        ({"parts": [{"of": "pan", "deg": 91}]}, "deg is 91: give a number from -90 to 90"),
-        ({"parts": [{"of": "pan", "many": 0}]}, "many is 0: give a whole number above 0"),
+        ({"parts": []}, "parts is a list of 0. Give a list of 1 to 3 entries, each keys with"),
+        ({"parts": [_PAN, {"of": "roll"}]}, "parts, entry 2: of is the text 'roll'. Give one of p"),
+        ({"parts": [{"of": "pan", "deg": 91}]}, "deg is 91. Give a number from -90 to 90"),
+        ({"parts": [{"of": "pan", "many": 0}]}, "many is 0. Give a whole number above 0"),
         ({"parts": [{"of": "pan", "parts": [{}]}]}, "entry 1: parts, entry 1 lacks the key of"),
-        ({"parts": [_PAN], "sizes": [1, 2]}, "sizes is a list of 2: give a list of 3 entries"),
-        ({"parts": [_PAN], "sizes": [1, None, 2]}, "sizes, entry 2 is empty: give a number"),
-        ({"parts": [_PAN], "named": {"a": _PAN, "b": 1}}, "named: b is 1: give keys with values"),
-        ({"parts": [_PAN], "kind": "whole/2"}, "kind is the text 'whole/2': give whole/1"),
-        ({"parts": [_PAN], "name": "A"}, "'A': give a text of at most 3 characters of the form"),
-        ({"parts": [_PAN], "either": "x"}, "either is the text 'x': give a number or a list, each"),
+        ({"parts": [_PAN], "sizes": [1, 2]}, "sizes is a list of 2. Give a list of 3 entries"),
+        ({"parts": [_PAN], "sizes": [1, None, 2]}, "sizes, entry 2 is empty. Give a number"),
+        ({"parts": [_PAN], "named": {"a": _PAN, "b": 1}}, "named: b is 1. Give keys with values"),
+        ({"parts": [_PAN], "kind": "whole/2"}, "kind is the text 'whole/2'. Give whole/1"),
+        ({"parts": [_PAN], "name": "A"}, "'A'. Give a text of at most 3 characters of the form"),
+        ({"parts": [_PAN], "either": "x"}, "either is the text 'x'. Give a number or a list, each"),
     ],
 )
-def test_what_does_not_fit_is_said_with_what_does(value: object, says: str) -> None:
-    with pytest.raises(UsageError, match=says):
-        read_as(value, _Whole, "it")
+def test_the_error_gives_the_allowed_values(value: object, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        convert_document(value, _Whole, "it")
 
 
 _LIKELY = st.sampled_from(
@@ -291,39 +291,41 @@ _LIKE_WHOLE = st.recursive(
 
 
 @given(value=st.dictionaries(_LIKELY, _LIKE_WHOLE, max_size=5) | DOCUMENTS)
-def test_a_misfit_is_found_where_msgspec_refuses_and_nowhere_else(value: object) -> None:
-    found = first_misfit(value, _Whole)
+def test_a_schema_error_is_found_exactly_if_msgspec_rejects(value: object) -> None:
+    actual = find_schema_error(value, _Whole)
     try:
         msgspec.convert(value, type=_Whole, strict=True)
     except msgspec.ValidationError:
-        assert found is not None
-        assert found.remedy
+        assert actual is not None
+        assert actual.remedy
     else:
-        assert found is None
+        assert actual is None
 
 
 def test_a_long_unknown_key_does_not_make_a_long_error() -> None:
     with pytest.raises(UsageError) as caught:
-        read_as({"ptu": {"port": "x"}, "k" * 100_000: 1}, _Outer, "it")
+        convert_document({"ptu": {"port": "x"}, "k" * 100_000: 1}, _Outer, "it")
     assert len(str(caught.value)) < 300
 
 
 @given(value=VALUES)
 def test_reading_any_value_gives_the_structure_or_the_named_error(value: object) -> None:
-    read, error = outcome(lambda: read_as(value, _Outer, "it"))
-    assert isinstance(read, _Outer) or type(error) is UsageError
+    parsed, error = outcome(lambda: convert_document(value, _Outer, "it"))
+    assert isinstance(parsed, _Outer) or type(error) is UsageError
 
 
 @pytest.mark.parametrize(
-    ("text", "place", "what"),
+    ("text", "place", "problem"),
     [
         ("a: [1", "line 2, column 1", "while parsing a flow sequence that begins in line 1"),
         ("a: 1\nb: c: d", "line 2, column 5", "mapping values are not allowed"),
     ],
 )
-def test_where_a_document_is_broken_is_said(text: str, place: str, what: str) -> None:
+def test_the_error_gives_the_position_of_a_syntax_error(
+    text: str, place: str, problem: str
+) -> None:
     _, fault = outcome(lambda: parse_yaml(text, "rig.yaml"))
     assert fault is not None
     assert f"rig.yaml is not a YAML document, {place}" in str(fault)
-    assert what in str(fault)
+    assert problem in str(fault)
     assert "byte string" not in str(fault)

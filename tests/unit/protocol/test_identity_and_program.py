@@ -9,15 +9,8 @@ from hypothesis import strategies as st
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.errors import GyrorigError, InputError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.program import (
-    Home,
-    MotionProgram,
-    Move,
-    Rest,
-    parse_program,
-    unrolled,
-)
-from gyrorig_protocol.program.document import MAX_STEPS
+from gyrorig_protocol.program import Home, MotionProgram, Move, Rest, parse_program, unroll_steps
+from gyrorig_protocol.program.program_document import MAX_STEPS
 
 
 def outcome(call: Callable[[], object]) -> tuple[object, GyrorigError | None]:
@@ -55,13 +48,13 @@ def test_board_names(name: str) -> None:
         "a.b",
     ],
 )
-def test_what_is_no_board_name(name: str) -> None:
-    with pytest.raises(InputError, match="no board name"):
+def test_invalid_board_names_are_rejected(name: str) -> None:
+    with pytest.raises(InputError, match="is not a valid board name"):
         BoardId(name)
 
 
 @given(name=st.text(max_size=40))
-def test_a_board_name_is_safe_in_a_path_or_refused(name: str) -> None:
+def test_a_board_name_is_safe_in_a_path_or_rejected(name: str) -> None:
     board, error = outcome(lambda: BoardId(name))
     if error is not None:
         assert type(error) is InputError
@@ -77,8 +70,8 @@ def program(steps: str, head: str = "name: p\n") -> MotionProgram:
     return parse_program(f"{head}steps:\n{steps}", "p.yaml")
 
 
-def test_a_program_is_unrolled_in_order() -> None:
-    read = program(
+def test_repeats_are_expanded_in_order() -> None:
+    parsed = program(
         "- {rest: {seconds: 1.0, phase: static}}\n"
         "- repeat:\n"
         "    times: 2\n"
@@ -88,20 +81,20 @@ def test_a_program_is_unrolled_in_order() -> None:
         "- {home: {}}\n"
     )
     move, rest = Move(pan_deg=5.0), Rest(seconds=2.0)
-    wanted = [Rest(1.0, "static"), move, rest, rest, move, rest, rest, Home()]
-    assert list(unrolled(read.steps, "p")) == wanted
+    expected = [Rest(1.0, "static"), move, rest, rest, move, rest, rest, Home()]
+    assert list(unroll_steps(parsed.steps, "p")) == expected
 
 
 @pytest.mark.parametrize(
-    ("steps", "says"),
+    ("steps", "message"),
     [
-        ("", "steps is empty: give a list"),
+        ("", "steps is empty. Give a list"),
         ("  []", "no steps"),
         ("- {}", "step 1 of p.yaml is empty"),
         ("- {rest: {seconds: 1}, home: {}}", "step 1 of p.yaml is rest and home"),
         ("- {home: {}}\n- {move: {}}", "step 2 of p.yaml moves nowhere"),
         ("- {repeat: {times: 2, steps: [{home: {}}, {move: {speed_deg_s: 5}}]}}", "step 1.2 of"),
-        ("- {move: {pan_deg: 5, speed: 5}}", "unknown key 'speed': did you mean speed_deg_s"),
+        ("- {move: {pan_deg: 5, speed: 5}}", "unknown key 'speed'. Did you mean speed_deg_s"),
         ("- {move: {pan_deg: 5, speed_deg_s: 0}}", "speed_deg_s"),
         ("- {move: {pan_deg: 5, speed_deg_s: -1}}", "speed_deg_s"),
         ("- {move: {pan_deg: .nan}}", "finite"),
@@ -116,16 +109,16 @@ def test_a_program_is_unrolled_in_order() -> None:
         ("- {repeat: {times: 10001, steps: [{home: {}}]}}", "times"),
         ("- {repeat: {times: 1.5, steps: [{home: {}}]}}", "times"),
         ("- {repeat: {times: 2, steps: []}}", "steps"),
-        ("- {jump: {}}", "unknown key 'jump': the keys there are rest, move, repeat, home"),
+        ("- {jump: {}}", "unknown key 'jump'. The valid keys are rest, move, repeat, home"),
     ],
 )
-def test_what_is_no_program(steps: str, says: str) -> None:
-    with pytest.raises(UsageError, match=says) as caught:
+def test_invalid_programs_are_rejected(steps: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message) as caught:
         program(steps)
     assert "p.yaml" in str(caught.value)
 
 
-def test_a_repeat_explosion_is_refused_without_being_written_out() -> None:
+def test_too_many_repeats_are_rejected_without_expansion() -> None:
     steps = "{rest: {seconds: 1}}"
     for _ in range(4):
         steps = f"{{repeat: {{times: 10000, steps: [{steps}]}}}}"
@@ -133,7 +126,7 @@ def test_a_repeat_explosion_is_refused_without_being_written_out() -> None:
         program(f"- {steps}")
 
 
-def test_the_most_steps_that_are_taken() -> None:
+def test_the_largest_number_of_steps() -> None:
     repeat = "- {repeat: {times: 10000, steps: [%s]}}\n"
     ten = ", ".join(["{home: {}}"] * 10)
     assert program(repeat % ten).steps
@@ -143,8 +136,8 @@ def test_the_most_steps_that_are_taken() -> None:
 
 def test_schema_and_settings() -> None:
     head = "schema: gyrorig/program/1\nname: p\nsettings: {base_speed_deg_s: 3.0}\n"
-    read = program("- {home: {}}", head)
-    assert read.settings.base_speed_deg_s == 3.0
+    parsed = program("- {home: {}}", head)
+    assert parsed.settings.base_speed_deg_s == 3.0
     for wrong in ("schema: gyrorig/program/2\nname: p\n", "name: 5\n", "nam: p\n"):
         with pytest.raises(UsageError):
             program("- {home: {}}", wrong)
@@ -174,8 +167,8 @@ def test_a_dumped_program_is_read_back(
             {"repeat": {"times": times, "steps": [{"move": {"pan_deg": pan_deg}}]}},
         ],
     }
-    read = parse_program(dump_yaml(document), "p.yaml")
-    assert read.name == name
-    parts = list(unrolled(read.steps, "p"))
+    parsed = parse_program(dump_yaml(document), "p.yaml")
+    assert parsed.name == name
+    parts = list(unroll_steps(parsed.steps, "p"))
     assert parts[0] == Rest(seconds, "static")
     assert parts[1:] == [Move(pan_deg=pan_deg)] * times

@@ -9,15 +9,15 @@ from typing import Literal
 
 import pytest
 
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
 from gyrorig_daemon.emulator.ptu import EmulatedPtu
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import PtuSettings, RigSettings
 from gyrorig_protocol.ptu import (
     PROBE,
+    AnswerKind,
     Axis,
     Dialect,
     LimitFlag,
-    Power,
     PtuCommand,
     PtuEvent,
     PtuReplyParser,
@@ -25,15 +25,14 @@ from gyrorig_protocol.ptu import (
     Refusal,
     RefusalKind,
     Reply,
-    StepMode,
     ValueFault,
-    assign,
-    commands,
+    assign_quantity,
+    dialect_features,
     dialect_from_probe,
     dialect_from_version,
-    offers,
-    query,
-    read,
+    ptu_commands,
+    query_quantity,
+    read_value,
 )
 
 MODE_CHANGES = ("", "ED", "EE", "FT", "FV")
@@ -41,17 +40,21 @@ E_SERIES_ONLY = ("B", "BT", "CNT", "CNF", "VM", "VS")
 
 
 def every_command() -> list[PtuCommand]:
-    found = [value for value in vars(commands).values() if isinstance(value, PtuCommand)]
-    found = [command for command in found if command.text not in MODE_CHANGES]
+    actual = [value for value in vars(ptu_commands).values() if isinstance(value, PtuCommand)]
+    actual = [command for command in actual if command.text not in MODE_CHANGES]
     for axis in Axis:
-        found += [query(axis, quantity) for quantity in Quantity]
-        found += [commands.query_step_mode(axis), commands.query_hold_power(axis)]
-        found += [commands.query_move_power(axis), commands.halt(axis)]
-        found += [assign(axis, Quantity.POSITION, 100), assign(axis, Quantity.BASE_SPEED, 57)]
-        found += [commands.set_hold_power(axis, Power.LOW)]
-        found += [commands.set_move_power(axis, Power.REGULAR)]
-        found += [commands.set_step_mode(axis, StepMode.HALF), commands.reset(axis)]
-    return found
+        actual += [query_quantity(axis, quantity) for quantity in Quantity]
+        actual += [ptu_commands.query_step_mode(axis), ptu_commands.query_hold_power(axis)]
+        actual += [ptu_commands.query_move_power(axis), ptu_commands.halt_axis(axis)]
+        actual += [
+            assign_quantity(axis, Quantity.POSITION, 100),
+            assign_quantity(axis, Quantity.BASE_SPEED, 57),
+        ]
+        actual += [PtuCommand(f"{axis.value}HL", AnswerKind.DONE)]  # low holding current
+        actual += [PtuCommand(f"{axis.value}MR", AnswerKind.DONE)]  # regular moving current
+        actual += [PtuCommand(f"W{axis.value}H", AnswerKind.DONE, 90.0)]  # half steps
+        actual += [ptu_commands.reset_axis(axis)]
+    return actual
 
 
 class Unit:
@@ -83,7 +86,7 @@ class Unit:
     list(itertools.product(["d46", "e46"], [False, True], [False, True])),
 )
 @pytest.mark.parametrize("unit_text", ["sec^2", "sec/sec"])
-def test_every_answer_is_read(
+def test_every_answer_of_the_emulator_is_read(
     dialect: Literal["d46", "e46"],
     echo: bool,
     verbose: bool,
@@ -95,22 +98,22 @@ def test_every_answer_is_read(
     for command in every_command():
         reply = unit.ask(command)
         assert reply.echo == (command.text if echo else "")
-        reading = read(command, reply)
+        reading = read_value(command, reply)
         assert not isinstance(reading, ValueFault), (command.text, reply.raw)
         if isinstance(reading, Refusal):
             assert dialect == "d46"
             assert command.text in E_SERIES_ONLY
             assert reading.kind is RefusalKind.ILLEGAL_COMMAND
-    beyond = assign(Axis.PAN, Quantity.POSITION, 5000)
-    refusal = read(beyond, unit.ask(beyond))
+    beyond = assign_quantity(Axis.PAN, Quantity.POSITION, 5000)
+    refusal = read_value(beyond, unit.ask(beyond))
     assert isinstance(refusal, Refusal)
     assert (refusal.kind, refusal.bound) == (RefusalKind.POSITION, 3090)
 
 
 @pytest.mark.parametrize("dialect", ["d46", "e46"])
-def test_the_dialect_is_recognised(dialect: Literal["d46", "e46"]) -> None:
+def test_the_dialect_of_the_emulator_is_identified(dialect: Literal["d46", "e46"]) -> None:
     unit = Unit(PtuSettings(dialect=dialect))
     assert dialect_from_probe(unit.ask(PROBE)) is Dialect(dialect)
-    assert dialect_from_version(unit.ask(commands.QUERY_VERSION).text) is Dialect(dialect)
-    motion = unit.ask(commands.QUERY_MOTION_AND_COUNTER)
-    assert motion.ok is offers(Dialect(dialect)).motion_with_counter
+    assert dialect_from_version(unit.ask(ptu_commands.QUERY_VERSION).text) is Dialect(dialect)
+    motion = unit.ask(ptu_commands.QUERY_MOTION_AND_COUNTER)
+    assert motion.ok is dialect_features(Dialect(dialect)).motion_with_counter

@@ -23,28 +23,34 @@ def test_a_profile() -> None:
     assert profile.noise_density_dps_rthz is None
 
 
-def test_the_zero_rate_goes_with_the_full_scale() -> None:
+def test_the_zero_rate_limit_depends_on_the_full_scale() -> None:
     profile = parse_profile((BOARDS / "L3G4200D.yaml").read_bytes(), "L3G4200D")
-    assert [profile.zero_rate_at(dps) for dps in (250.0, 500.0, 2000.0)] == [25.0, 37.5, 187.5]
-    assert profile.zero_rate_at(None) == profile.zero_rate_at(1000.0) == 25.0  # the part's
+    assert [profile.zero_rate_limit_dps(dps) for dps in (250.0, 500.0, 2000.0)] == [
+        25.0,
+        37.5,
+        187.5,
+    ]
+    assert (
+        profile.zero_rate_limit_dps(None) == profile.zero_rate_limit_dps(1000.0) == 25.0
+    )  # the part's
     alike = parse_profile((BOARDS / "BMI088.yaml").read_bytes(), "BMI088")
-    assert alike.zero_rate_at(2000.0) == alike.zero_rate_dps == 1.0
-    assert parse_profile(GOOD, "l3g.yaml").zero_rate_at(250.0) is None
+    assert alike.zero_rate_limit_dps(2000.0) == alike.zero_rate_dps == 1.0
+    assert parse_profile(GOOD, "l3g.yaml").zero_rate_limit_dps(250.0) is None
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("8.75", "0.0", "sensitivity_mdps"),
         ("8.75", ".inf", "finite"),
         ("8.75", "8.75, zero_rate_dps: -1.0", "zero_rate_dps"),
         ("gyrorig/sensor/1", "gyrorig/sensor/2", "schema"),
-        ("low_pass", "lowpass", "unknown key 'lowpass': did you mean low_pass"),
+        ("low_pass", "lowpass", "unknown key 'lowpass'. Did you mean low_pass"),
         ("[12.5, 25.0]", "12.5", "bandwidth_hz"),
     ],
 )
-def test_what_is_no_profile(old: str, new: str, says: str) -> None:
-    with pytest.raises(UsageError, match=says):
+def test_invalid_profiles_are_rejected(old: str, new: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         parse_profile(GOOD.replace(old, new), "l3g.yaml")
 
 
@@ -71,4 +77,4 @@ def test_a_shipped_profile(name: str) -> None:
             assert 0.99 < reach_dps / entry.full_scale_dps < 1.16
     sizes = [entry.full_scale_dps for entry in profile.ranges]
     assert sizes == sorted(set(sizes))
-    assert all(max(at.bandwidth_hz) < 2.0 * at.odr_hz for at in profile.low_pass)
+    assert all(max(index.bandwidth_hz) < 2.0 * index.odr_hz for index in profile.low_pass)

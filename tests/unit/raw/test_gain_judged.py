@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.raw.gain import look_at_gain, nearest
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.stream.gain_checks import check_gain, nearest_signed_permutation
 
 SCALE = np.diag([0.97, 1.04, 1.01])
 RNG = np.random.default_rng(4)
@@ -18,11 +18,11 @@ def mounted(deg: float = 4.0) -> FloatArray:
 
 
 def causes(gain: FloatArray) -> list[tuple[str, tuple[str, ...]]]:
-    return [(f.cause, f.where) for look in look_at_gain(gain) for f in look.findings]
+    return [(f.cause, f.where) for look in check_gain(gain) for f in look.findings]
 
 
 @pytest.mark.parametrize("deg", [0.0, 3.0, 15.0])
-def test_a_board_as_it_should_be_is_not_named(deg: float) -> None:
+def test_a_correct_board_gives_no_finding(deg: float) -> None:
     assert causes(mounted(deg)) == []
 
 
@@ -40,35 +40,35 @@ def test_a_turned_sign_is_named(axis: int) -> None:
     assert causes(gain) == [("sign_flip", ("xyz"[axis],))]
 
 
-def test_a_turned_mount_is_said_and_no_cause_named() -> None:
+def test_a_rotated_mount_is_reported_without_a_cause() -> None:
     """A quarter turn is a mount too: nothing in a recording tells it from exchanged axes."""
     gain = mounted() @ Rotation.from_euler("z", 90, degrees=True).as_matrix()
     assert causes(gain) == []
-    assert "turned on the stage" in look_at_gain(gain)[0].said
+    assert "mounted rotated" in check_gain(gain)[0].summary
 
 
-def test_a_mirror_beside_a_turn_is_told_as_one() -> None:
+def test_a_mirrored_and_rotated_mount_is_one_finding() -> None:
     gain = mounted() @ Rotation.from_euler("z", 90, degrees=True).as_matrix()
     gain[2] *= -1.0
     assert [cause for cause, _ in causes(gain)] == ["sign_flip"]
 
 
 @pytest.mark.parametrize(("factor", "doublings"), [(0.5, -1.0), (2.0, 1.0), (0.125, -3.0)])
-def test_another_range_is_named(factor: float, doublings: float) -> None:
-    (look,) = [x for x in look_at_gain(factor * mounted()) if x.findings]
+def test_a_wrong_full_scale_is_named(factor: float, doublings: float) -> None:
+    (look,) = [x for x in check_gain(factor * mounted()) if x.findings]
     assert look.findings[0].cause == "wrong_full_scale"
     assert look.findings[0].size == doublings
 
 
-def test_an_odd_scale_is_no_other_range() -> None:
+def test_an_unusual_scale_is_not_a_wrong_full_scale() -> None:
     assert causes(0.76 * mounted()) == []  # an uncalibrated MTi's counts, measured
 
 
-def test_what_is_not_known_is_not_judged() -> None:
+def test_an_unknown_gain_is_not_checked() -> None:
     gain = mounted()
     gain[:, 0] = np.nan
     assert causes(gain) == []
-    assert all("not looked for" in look.said for look in look_at_gain(gain))
+    assert all("not checked" in look.summary for look in check_gain(gain))
 
 
 def test_the_nearest_is_that_of_the_best_assignment() -> None:
@@ -80,4 +80,4 @@ def test_the_nearest_is_that_of_the_best_assignment() -> None:
             continue
         plain = np.zeros((3, 3))
         plain[range(3), at] = np.sign(turn[range(3), at])
-        assert np.array_equal(nearest(turn), plain)
+        assert np.array_equal(nearest_signed_permutation(turn), plain)

@@ -9,12 +9,12 @@ import pytest
 from scipy.signal import butter, lfilter
 from scipy.stats import poisson
 
-from gyrorig_solver.clocks import ClockMap, map_clock
-from gyrorig_solver.columns import Column
-from gyrorig_solver.raw.checks import findings_of, look_at
-from gyrorig_solver.raw.repeats import without_repeats
-from gyrorig_solver.raw.result import RawFinding, poisson_tail
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.clocks import ClockMap, map_clock
+from gyrorig_solver.data.count_columns import CountColumn
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.data.stream.count_stream import StreamFinding, poisson_tail
+from gyrorig_solver.data.stream.exact_repeats import without_repeats
+from gyrorig_solver.data.stream.stream_checks import check_stream
 
 RATE_HZ, QUANTUM = 100.0, 1.5e-4
 N = 12_000
@@ -53,21 +53,23 @@ def samples_of(
         host_s=number / RATE_HZ,
         number=number.astype(np.int64),
         segment=clock.segment,
-        rate_rad_s=Column(counts, QUANTUM),
-        good=np.ones(counts.shape[0], dtype=np.bool_),
+        rate_rad_s=CountColumn(counts, QUANTUM),
+        usable=np.ones(counts.shape[0], dtype=np.bool_),
         accel_m_s2=accel,
         temperature_degc=None,
         quantum_rad_s=QUANTUM,
         clock=clock,
-        floor=None,
+        latency_bounds=None,
         lost=int(number[-1] + 1 - number.size),
         repeated=0,
         late=0,
     )
 
 
-def found_in(samples: GyroSamples) -> dict[str, RawFinding]:
-    return {one.cause: one for one in findings_of(look_at(samples))}
+def found_in(samples: GyroSamples) -> dict[str, StreamFinding]:
+    return {
+        finding.cause: finding for result in check_stream(samples) for finding in result.findings
+    }
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -85,7 +87,7 @@ def test_repeats_are_counted_one_by_one() -> None:
     assert found.times_s == pytest.approx(rows / RATE_HZ, abs=1e-3)
 
 
-def test_held_packets_are_told_by_six_words_where_three_are_coarse() -> None:
+def test_repeats_are_detected_by_six_words_if_three_are_coarse() -> None:
     """At a noise of one count, 90 chance repeats hide 60 real ones; the accelerations do not."""
     rng = np.random.default_rng(8)
     counts = clean_counts(5, 1.0).copy()
@@ -107,7 +109,7 @@ def test_one_flipped_bit_is_enough(bit: int) -> None:
     assert found.times_s == pytest.approx((61.0,), abs=1e-3)
 
 
-def test_torn_words_are_told() -> None:
+def test_torn_words_are_detected() -> None:
     """The high byte of the sample before, where a rest lies at a byte's edge."""
     counts = clean_counts().copy()
     counts[:, 2] = counts[:, 2] + 256
@@ -121,7 +123,7 @@ def test_torn_words_are_told() -> None:
     assert 3 <= found.count <= rows.size
 
 
-def test_a_tap_is_no_damage() -> None:
+def test_a_tap_is_not_a_damaged_word() -> None:
     """A blow through the low-pass touches several samples, and all axes."""
     counts = clean_counts().astype(np.float64)
     low = butter(2, 25.0, fs=RATE_HZ)
@@ -131,7 +133,7 @@ def test_a_tap_is_no_damage() -> None:
     assert found_in(samples_of(counts)) == {}
 
 
-def test_a_stuck_axis_and_a_flat_top_are_told_apart() -> None:
+def test_a_stuck_axis_and_clipping_are_distinguished() -> None:
     stuck = clean_counts().copy()
     stuck[4000:9000, 0] = stuck[4000, 0]
     found = found_in(samples_of(stuck))
@@ -144,7 +146,7 @@ def test_a_stuck_axis_and_a_flat_top_are_told_apart() -> None:
     assert found["saturation"].size == pytest.approx(5000 * QUANTUM)
 
 
-def test_an_axis_that_never_lives_is_stuck() -> None:
+def test_an_axis_without_any_change_is_stuck() -> None:
     counts = clean_counts().copy()
     counts[:, 1] = 17
     (found,) = found_in(samples_of(counts)).values()
@@ -158,14 +160,14 @@ def test_missing_numbers_are_counted() -> None:
     assert "in 2 gaps" in found["lost_samples"].seen_as
 
 
-def test_a_full_range_told_by_the_board_counts() -> None:
+def test_the_saturation_status_of_the_board_is_counted() -> None:
     samples = samples_of(clean_counts())
-    good = samples.good.copy()
+    good = samples.usable.copy()
     good[200:220] = False
-    assert found_in(replace(samples, good=good))["saturation"].count == 20
+    assert found_in(replace(samples, usable=good))["saturation"].count == 20
 
 
-def test_values_of_a_file_are_not_taken_for_words() -> None:
+def test_physical_values_are_not_checked_for_damaged_words() -> None:
     counts = clean_counts().astype(np.int32) * 10_000
     counts[5000, 0] += 1 << 24
     assert "corrupt_samples" not in found_in(samples_of(counts))
@@ -177,12 +179,12 @@ def test_the_tail_is_that_of_poisson(count: int, expected: float) -> None:
     assert math.isclose(poisson_tail(3, 0.0), 0.0)
 
 
-def test_true_repeats_are_set_aside_and_chance_ones_are_not() -> None:
+def test_only_significant_repeats_are_excluded() -> None:
     counts = clean_counts().copy()
     rows = np.arange(500, 11_500, 1000)
     counts[rows] = counts[rows - 1]
     kept = without_repeats(samples_of(counts))
-    assert np.array_equal(np.flatnonzero(~kept.good), rows)
+    assert np.array_equal(np.flatnonzero(~kept.usable), rows)
     assert kept.repeated == rows.size
     assert kept.counts.dtype == np.int16
     coarse = samples_of(clean_counts(5, 0.3))

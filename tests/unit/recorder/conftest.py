@@ -1,11 +1,11 @@
-"""Disks that fail, and what a folder of recordings tells afterwards."""
+"""Disks that fail, and what a folder of recordings contains afterwards."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from gyrorig_protocol.recording.disk_file import Disk, DiskFile
+from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
 from gyrorig_protocol.recording.messages import SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 
@@ -75,7 +75,7 @@ def sequences(folder: Path) -> list[int]:
     found: list[int] = []
     for path in sorted(folder.glob("*.mcap")):
         recording = read_recording(path)
-        assert recording.complete, recording.losses
+        assert recording.is_complete, recording.losses
         if TOPIC in recording.topics:
             array = recording.array(TOPIC)
             found += array["message_sequence"].tolist()

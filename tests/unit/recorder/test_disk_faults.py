@@ -1,6 +1,6 @@
-"""Whatever the disk refuses, and whenever: the recording goes on, and nothing is lost.
+"""Disk errors of every kind at every moment: the recording continues, and nothing is lost.
 
-Rows 12 and 13 of the fault matrix (reference: reliability.md section 3).
+Rows 12 and 13 of the fault table in docs/faults.md.
 """
 
 import errno
@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecorderState, RecordingPlan
-from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
+from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
 from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.recording.messages import EventKind, ImuRaw, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
@@ -56,7 +56,7 @@ def once(found: list[int]) -> list[int]:
     return sorted(set(found))
 
 
-SURVIVE = RecorderSettings(part_s=6.0, survive=True)
+SURVIVE = RecorderSettings(part_s=6.0, survives_faults=True)
 
 
 CODES = (errno.ENOSPC, errno.EROFS, errno.EIO)
@@ -76,7 +76,7 @@ def fail_at(
     session.recorder.close()
     assert session.recorder.state is RecorderState.CLOSED
     reports = recover_folder(folder)
-    assert all(report.outcome is not Outcome.FAILED for report in reports)
+    assert all(report.outcome is not RecoveryOutcome.FAILED for report in reports)
     found = sequences_in(folder)
     assert sorted(set(found)) == list(range(session.k))
     assert session.recorder.counts.lost == 0
@@ -129,33 +129,33 @@ def test_the_last_minutes_are_kept(
     tmp_path: Path, failing_disk: Any, sequences_in: Sequences, events_in: Any
 ) -> None:
     disk = failing_disk()
-    session = Session(tmp_path, RecorderSettings(survive=True, ring_s=60.0), disk)
+    session = Session(tmp_path, RecorderSettings(survives_faults=True, ram_s=60.0), disk)
     session.run(10)
     disk.decide = lambda _: errno.EROFS
     session.run(40)
     recorder = session.recorder
     assert state(recorder) == "degraded"
-    assert "cannot" in recorder.degraded
+    assert "cannot" in recorder.degraded_reason
     assert recorder.counts.memory_messages > 39 * PER_SECOND
     assert recorder.counts.open_failures >= 5
     disk.decide = lambda _: 0
     session.run(20)
     assert state(recorder) == "recording"
-    assert recorder.degraded == ""
+    assert recorder.degraded_reason == ""
     recorder.close()
     recover_folder(tmp_path)
     assert once(sequences_in(tmp_path)) == list(range(session.k))
-    assert any("goes on in memory" in text for text in events_in(tmp_path))
-    assert any("goes on in a_p001.mcap" in text for text in events_in(tmp_path))
+    assert any("continues in memory" in text for text in events_in(tmp_path))
+    assert any("continues in a_p001.mcap" in text for text in events_in(tmp_path))
     parts = [read_recording(path).metadata["gyrorig"] for path in sorted(tmp_path.glob("*.mcap"))]
     assert [(own["part"], own["previous"]) for own in parts] == [("0", ""), ("1", "a.mcap")]
 
 
-def test_memory_is_bounded_and_what_it_forgets_is_a_gap(
+def test_memory_is_bounded_and_dropped_messages_are_a_gap(
     tmp_path: Path, failing_disk: Any, sequences_in: Sequences
 ) -> None:
     disk = failing_disk()
-    settings = RecorderSettings(survive=True, ring_bytes=100_000, ring_s=1e9)
+    settings = RecorderSettings(survives_faults=True, ram_bytes=100_000, ram_s=1e9)
     session = Session(tmp_path, settings, disk)
     session.run(10)
     disk.decide = lambda _: errno.ENOSPC
@@ -178,14 +178,14 @@ def test_the_reserve_is_kept_free(
     tmp_path: Path, failing_disk: Any, sequences_in: Sequences
 ) -> None:
     disk = failing_disk()
-    settings = RecorderSettings(survive=True, reserve_bytes=1 << 30)
+    settings = RecorderSettings(survives_faults=True, reserve_bytes=1 << 30)
     session = Session(tmp_path, settings, disk)
     session.run(10)
     disk.free = (1 << 30) - 1
     session.run(10)
     recorder = session.recorder
     assert state(recorder) == "degraded"
-    assert "MiB are free" in recorder.degraded
+    assert "MiB are free" in recorder.degraded_reason
     assert recorder.counts.room_stops == 1
     # Closed cleanly while there was room, not torn by ENOSPC.
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
@@ -200,7 +200,7 @@ def test_the_reserve_is_kept_free(
     assert sequences_in(tmp_path) == list(range(session.k))
 
 
-def test_making_room_comes_before_stopping(tmp_path: Path, failing_disk: Any) -> None:
+def test_space_is_freed_before_recording_stops(tmp_path: Path, failing_disk: Any) -> None:
     disk = failing_disk()
     asked: list[int] = []
 
@@ -208,7 +208,7 @@ def test_making_room_comes_before_stopping(tmp_path: Path, failing_disk: Any) ->
         asked.append(1)
         disk.free = 3 << 30
 
-    settings = RecorderSettings(survive=True, reserve_bytes=1 << 30)
+    settings = RecorderSettings(survives_faults=True, reserve_bytes=1 << 30)
     recorder = Recorder(False, settings, make_room, disk)
     disk.free = 1
     recorder.open(RecordingPlan(tmp_path / "a.mcap", METADATA, ()))
@@ -219,10 +219,12 @@ def test_making_room_comes_before_stopping(tmp_path: Path, failing_disk: Any) ->
     recorder.close()
 
 
-def test_no_room_at_the_beginning_is_said(tmp_path: Path, failing_disk: Any) -> None:
+def test_missing_space_at_the_start_is_an_error(tmp_path: Path, failing_disk: Any) -> None:
     disk = failing_disk()
     disk.free = 1
-    recorder = Recorder(False, RecorderSettings(survive=True, reserve_bytes=1 << 30), disk=disk)
+    recorder = Recorder(
+        False, RecorderSettings(survives_faults=True, reserve_bytes=1 << 30), disk=disk
+    )
     with pytest.raises(MachineError, match="MiB are free"):
         recorder.open(RecordingPlan(tmp_path / "a.mcap", METADATA, ()))
     assert recorder.state is RecorderState.IDLE

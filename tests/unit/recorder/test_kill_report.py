@@ -23,7 +23,7 @@ SOUND = Kill("recovered", 0.3, 800)
         ([], 1),
     ],
 )
-def test_what_it_ends_with(
+def test_the_exit_status_of_the_report(
     kills: list[Kill], code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert report(kills) == code

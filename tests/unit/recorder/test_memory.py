@@ -1,6 +1,6 @@
 """Hours of messages, a failing disk among them, in bounded memory.
 
-Row 17 of the fault matrix (reference: reliability.md section 3).
+Row 17 of the fault table in docs/faults.md.
 """
 
 import json
@@ -12,7 +12,7 @@ SOAK = """
 import errno, gc, json, sys
 from pathlib import Path
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
-from gyrorig_protocol.recording.disk_file import Disk, DiskFile
+from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
 from gyrorig_protocol.recording.messages import ImuRaw
 class Dying(Disk):
     dead = False
@@ -36,7 +36,7 @@ def rss_kib():
     return int(next(line for line in lines if line.startswith("VmRSS")).split()[1])
 
 out, disk = Path(sys.argv[1]), Dying()
-settings = RecorderSettings(part_s=60.0, survive=True, ring_bytes=4 << 20, ring_s=1e9)
+settings = RecorderSettings(part_s=60.0, survives_faults=True, ram_bytes=4 << 20, ram_s=1e9)
 recorder = Recorder(False, settings, disk=disk)
 own = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
 recorder.open(RecordingPlan(out / "a.mcap", {"gyrorig": own}, ()))
@@ -64,7 +64,7 @@ print(json.dumps({"rss_kib": told, "ring": ring, "counts": recorder.counts.value
 """
 
 
-def test_memory_stays_where_it_is(tmp_path: Path) -> None:
+def test_memory_use_stays_constant(tmp_path: Path) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", SOAK, str(tmp_path)], capture_output=True, text=True, check=False
     )

@@ -1,4 +1,4 @@
-"""A recording in parts: each stands alone, none is missing anything."""
+"""A recording in parts: each is self-contained, and no message is missing."""
 
 import subprocess
 import sys
@@ -76,7 +76,7 @@ def test_parts_follow_each_other_without_a_gap(tmp_path: Path, contract_judge: P
     assert judged.returncode == 0, judged.stdout
 
 
-def test_a_part_says_which_phases_it_begins_in(tmp_path: Path) -> None:
+def test_a_part_repeats_the_open_phases(tmp_path: Path) -> None:
     recorder = opened(tmp_path, RecorderSettings(part_s=10.0))
     say(recorder, 0, EventKind.PHASE_BEGIN, "program", "p")
     say(recorder, 0, EventKind.PHASE_BEGIN, "static", "long")
@@ -90,7 +90,7 @@ def test_a_part_says_which_phases_it_begins_in(tmp_path: Path) -> None:
     numbers = []
     for path in recorder.paths:
         recording = read_recording(path)
-        stamped = recording.topics[EVENTS].stamped
+        stamped = recording.topics[EVENTS].timed_messages
         events = [one.message for one in stamped]
         told.append([(e.kind, e.phase) for e in events if isinstance(e, SessionEvent)])
         numbers.append([m.message_sequence for m in stamped])
@@ -114,24 +114,26 @@ def test_parts_by_size(tmp_path: Path) -> None:
     assert max(sizes) < 12_000  # a chunk and the summary more
 
 
-def test_facts_that_come_late_are_in_this_part_and_all_others(tmp_path: Path) -> None:
+def test_late_metadata_is_in_this_part_and_all_later_ones(tmp_path: Path) -> None:
     recorder = opened(tmp_path, RecorderSettings(part_s=10.0))
     late = {"gyrorig.board.B-2": {**BOARD, "uid": "late"}}
     for k in range(250):
         put(recorder, k)
         if k == 50:
-            recorder.add_facts(late, (Attachment("hello.B-2.0.json", "application/json", b"{}"),))
+            recorder.add_metadata(
+                late, (Attachment("hello.B-2.0.json", "application/json", b"{}"),)
+            )
     recorder.close()
     for path in recorder.paths:
         recording = read_recording(path)
-        assert recording.complete, recording.losses
+        assert recording.is_complete, recording.losses
         assert recording.metadata["gyrorig.board.B-2"]["uid"] == "late"
         assert recording.metadata["gyrorig.board.B-1"]["uid"] == "u"
         names = [attachment.name for attachment in recording.attachments]
         assert names == ["rig.yaml", "hello.B-2.0.json"]
 
 
-def test_a_name_that_is_taken_is_stepped_over(tmp_path: Path) -> None:
+def test_a_taken_file_name_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "a_p001.mcap").write_bytes(b"precious")
     recorder = opened(tmp_path, RecorderSettings(part_s=10.0))
     for k in range(150):

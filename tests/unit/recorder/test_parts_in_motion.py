@@ -1,25 +1,25 @@
-"""A part that begins in the middle of a move: a solver knows the whole move from it."""
+"""A part that starts in the middle of a move contains the whole move for the solver."""
 
 from pathlib import Path
 
 import numpy as np
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import parse_rig
-from gyrorig_daemon.description import SessionOrder
-from gyrorig_daemon.emulated import rig_settings
-from gyrorig_daemon.emulator.rig import EmulatedRig
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.recorder import Recorder, RecorderSettings
-from gyrorig_daemon.recorder.ring import Record
-from gyrorig_daemon.recorder.unit_state import MOST_ORDERS, UnitState
-from gyrorig_daemon.session import Surroundings, record_session
+from gyrorig_daemon.recorder.pending_commands import MAX_COMMANDS, PendingCommands
+from gyrorig_daemon.recorder.ram_buffer import Record
+from gyrorig_daemon.session.emulator_process import emulated_rig_settings
+from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session_description import SessionRequest
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.messages import PtuCommandRecord, PtuPosition
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_solver.reference.ptu import PtuReference
-from gyrorig_solver.reference.ptu_recording import ptu_reference
+from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
+from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 
 ORIGIN_NS = 5_000_000_000
 UTC_NS = 1_790_000_000_000_000_000
@@ -47,9 +47,9 @@ def recorded(
     folder: Path, part_s: float, program: bytes = PROGRAM
 ) -> tuple[EmulatedRig, list[Recording]]:
     config = parse_rig(RIG, "rig.yaml")
-    rig = EmulatedRig(rig_settings(config, 3), ORIGIN_NS)
+    rig = EmulatedRig(emulated_rig_settings(config, 3), ORIGIN_NS)
     hub, capture = VirtualHub(rig), CaptureClock(UTC_NS, ORIGIN_NS)
-    order = SessionOrder(
+    order = SessionRequest(
         config=config,
         config_text=RIG.encode(),
         program=parse_program(program, "program.yaml"),
@@ -58,7 +58,7 @@ def recorded(
         session="t",
         home=False,
     )
-    around = Surroundings(
+    around = SessionEnvironment(
         capture,
         lambda: HostClocks(hub.now_ns(), hub.now_ns(), capture.utc_ns(hub.now_ns()), 0.0, 0.0, 0),
         False,
@@ -69,25 +69,25 @@ def recorded(
     return rig, [read_recording(path) for path in sorted(folder.glob("*.mcap"))]
 
 
-def test_every_part_tells_its_motion(tmp_path: Path) -> None:
+def test_every_part_contains_its_motion(tmp_path: Path) -> None:
     rig, parts = recorded(tmp_path, 2.5)
     assert len(parts) > 8
     in_motion = 0
     for part in parts[1:-1]:
         samples = part.array("/board/B-1/imu_raw")
         begin_ns, end_ns = times_ns(samples["host_time"][[0, -1]])
-        reference = ptu_reference(part, UTC_NS)
+        reference = read_pan_tilt_reference(part, UTC_NS)
         at_s = np.arange((begin_ns - UTC_NS) * 1e-9 + 0.1, (end_ns - UTC_NS) * 1e-9 - 0.1, 0.1)
         stage = (rig.stage.pan, rig.stage.tilt)
         truth = np.degrees([[float(axis.angles_rad(t, 0.1, 1)[0]) for t in at_s] for axis in stage])
         turns = np.ptp(truth, axis=1).max() > 1.0
         in_motion += turns
         if turns:
-            assert isinstance(reference, PtuReference)
+            assert isinstance(reference, PanTiltReference)
             told = np.degrees(reference.angles_rad(at_s))
             off = np.abs(told - truth)
             assert off.max() < 2.0 * STEP_DEG, part.path.name
-            assert not reference.motion.unknown, part.path.name
+            assert not reference.motion.unknown_spans, part.path.name
         for topic in ("/ptu/command", "/ptu/position"):  # the daemon's own numbers: no gap
             if topic in part.topics:
                 numbers = part.array(topic)["message_sequence"] if topic[5] == "p" else ()
@@ -105,53 +105,53 @@ def command(k: int, text: str, at_ns: int, code: int = 0) -> Record:
     return Record("/ptu/command", message.TYPE, message.encode(), at_ns, at_ns, k)
 
 
-def said(state: UnitState) -> list[tuple[str, int]]:
-    return [(record.topic, record.sequence) for record in state.restated()]
+def said(state: PendingCommands) -> list[tuple[str, int]]:
+    return [(record.topic, record.sequence) for record in state.replay_records()]
 
 
-def test_what_is_said_again(tmp_path: Path) -> None:
-    state = UnitState()
+def test_which_commands_are_repeated(tmp_path: Path) -> None:
+    state = PendingCommands()
     for k in range(3):
-        state.follow(position(k, 0, k * 10_000_000))
-    state.follow(command(0, "V", 25_000_000))
+        state.observe(position(k, 0, k * 10_000_000))
+    state.observe(command(0, "V", 25_000_000))
     assert said(state) == []  # nothing was ordered
-    state.follow(command(1, "PS500", 31_000_000))
-    state.follow(command(2, "TS9", 31_000_000, code=1))  # refused
-    state.follow(command(3, "PP900", 32_000_000))
+    state.observe(command(1, "PS500", 31_000_000))
+    state.observe(command(2, "TS9", 31_000_000, code=1))  # refused
+    state.observe(command(3, "PP900", 32_000_000))
     for k in range(3, 20):
-        state.follow(position(k, 50 * k, k * 10_000_000))
-    again = state.restated()
+        state.observe(position(k, 50 * k, k * 10_000_000))
+    again = state.replay_records()
     assert [record.log_ns for record in again] == [20_000_000, 31_000_000, 32_000_000]
     assert said(state) == [("/ptu/position", 19), ("/ptu/command", 2), ("/ptu/command", 3)]
-    state.follow(position(20, 900, 200_000_000))
-    state.follow(position(21, 900, 210_000_000))
+    state.observe(position(20, 900, 200_000_000))
+    state.observe(position(21, 900, 210_000_000))
     assert said(state) == []  # it has arrived
 
 
-def test_after_a_halt_it_has_to_stand_for_a_while(tmp_path: Path) -> None:
-    state = UnitState()
-    state.follow(position(0, 0, 0))
-    state.follow(command(0, "PP900", 1))
-    state.follow(position(1, 90, 10))
-    state.follow(command(1, "H", 20))
-    state.follow(position(2, 99, 30))
-    state.follow(position(3, 99, 30 + SECOND // 2))
+def test_standstill_after_a_halt_takes_a_second(tmp_path: Path) -> None:
+    state = PendingCommands()
+    state.observe(position(0, 0, 0))
+    state.observe(command(0, "PP900", 1))
+    state.observe(position(1, 90, 10))
+    state.observe(command(1, "H", 20))
+    state.observe(position(2, 99, 30))
+    state.observe(position(3, 99, 30 + SECOND // 2))
     assert len(said(state)) == 3
-    state.follow(position(4, 99, 30 + SECOND))
+    state.observe(position(4, 99, 30 + SECOND))
     assert said(state) == []
 
 
-def test_what_is_not_sure_is_not_said(tmp_path: Path) -> None:
-    state = UnitState()
-    state.follow(command(0, "PP900", 1))
+def test_uncertain_commands_are_not_repeated(tmp_path: Path) -> None:
+    state = PendingCommands()
+    state.observe(command(0, "PP900", 1))
     assert said(state) == []  # where it came from was never asked
-    state = UnitState()
-    state.follow(position(0, 0, 0))
-    for k in range(MOST_ORDERS + 1):
-        state.follow(command(k, f"PP{k}", k + 1))
+    state = PendingCommands()
+    state.observe(position(0, 0, 0))
+    for k in range(MAX_COMMANDS + 1):
+        state.observe(command(k, f"PP{k}", k + 1))
     assert said(state) == []
-    state.forget()
-    state.follow(position(1, 7, SECOND))
-    state.follow(position(2, 7, 3 * SECOND))
-    state.follow(command(MOST_ORDERS + 1, "PP8", 4 * SECOND))
+    state.invalidate()
+    state.observe(position(1, 7, SECOND))
+    state.observe(position(2, 7, 3 * SECOND))
+    state.observe(command(MAX_COMMANDS + 1, "PP8", 4 * SECOND))
     assert len(said(state)) == 2

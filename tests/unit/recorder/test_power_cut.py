@@ -1,6 +1,6 @@
 """After a power cut at any moment: what was synced is there, and nothing is damaged.
 
-Row 14 of the fault matrix (reference: reliability.md sections 1 and 3).
+Row 14 of the fault table in docs/faults.md.
 """
 
 import shutil
@@ -10,12 +10,12 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from tests.support.power_cut_disk import PowerCut, PowerCutDisk, State, power_cuts
 
-from gyrorig_daemon.emulator.forgetful_disk import ForgetfulDisk, PowerCut, State, power_cuts
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
-from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
+from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.recording.disk_file import Disk, DiskFile
+from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
 from gyrorig_protocol.recording.messages import ImuRaw
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.salvage import read_strictly
@@ -41,10 +41,10 @@ class Unsynced(Disk):
         pass
 
 
-def record(folder: Path, seconds: int, sync_s: float = SYNC_S) -> tuple[ForgetfulDisk, list[int]]:
+def record(folder: Path, seconds: int, sync_s: float = SYNC_S) -> tuple[PowerCutDisk, list[int]]:
     """Record in parts of 3 s; the log, and how many samples were given at each operation."""
-    disk = ForgetfulDisk(folder)
-    settings = RecorderSettings(part_s=3.0, sync_s=sync_s, survive=True)
+    disk = PowerCutDisk(folder)
+    settings = RecorderSettings(part_s=3.0, sync_s=sync_s, survives_faults=True)
     recorder = Recorder(False, settings, disk=disk)
     recorder.open(RecordingPlan(folder / "a.mcap", METADATA, ()))
     given: list[int] = []
@@ -89,7 +89,7 @@ def check(cut: PowerCut, folder: Path, sequences_in: Sequences) -> set[int]:
     for path in folder.glob("*.mcap"):
         read_strictly(path)  # nothing unfinished ever has a final name
     reports = recover_folder(folder, disk=Unsynced())
-    assert all(report.outcome is not Outcome.FAILED for report in reports), reports
+    assert all(report.outcome is not RecoveryOutcome.FAILED for report in reports), reports
     assert not list(folder.glob("*.part"))
     for path in folder.glob("*.mcap"):
         read_strictly(path)
@@ -151,8 +151,8 @@ def test_a_power_cut_while_recovering(tmp_path: Path, sequences_in: Sequences) -
     before = unclean(tmp_path / "live")
     work = tmp_path / "work"
     materialise(before, work)
-    disk = ForgetfulDisk(work)
-    assert [r.outcome for r in recover_folder(work, disk=disk)] == [Outcome.RECOVERED]
+    disk = PowerCutDisk(work)
+    assert [r.outcome for r in recover_folder(work, disk=disk)] == [RecoveryOutcome.RECOVERED]
     wanted = sequences_in(work)
     assert wanted
     states = list(power_cuts(disk.log, before))

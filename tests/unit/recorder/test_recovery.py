@@ -1,4 +1,4 @@
-"""Recovery beside a living recorder, beside another recovery, and of odd leftovers."""
+"""Recovery next to a running recorder, next to another recovery, and of damaged files."""
 
 import subprocess
 import sys
@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
-from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
-from gyrorig_protocol.recording.disk_file import Disk, held
+from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
+from gyrorig_protocol.recording.mcap.disk_file import Disk, hold_lock
 from gyrorig_protocol.recording.messages import ImuRaw
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
@@ -24,7 +24,7 @@ def leave_unfinished(folder: Path, name: str = "a.mcap", count: int = 500) -> Pa
         writer.write(TOPIC, ImuRaw(k, k, k, 0, 0, (k, k, k)))
         if k % 100 == 99:
             writer.flush()
-    writer.salvage()  # lets go of the lock, as the system does of a killed process's
+    writer.truncate_and_close()  # lets go of the lock, as the system does of a killed process's
     return writer.path
 
 
@@ -36,16 +36,16 @@ def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     recorder = Recorder(False, RecorderSettings())
     recorder.open(RecordingPlan(tmp_path / "live.mcap", METADATA, ()))
     leave_unfinished(tmp_path)
-    assert [report.outcome for report in recover_folder(tmp_path)] == [Outcome.RECOVERED]
+    assert [report.outcome for report in recover_folder(tmp_path)] == [RecoveryOutcome.RECOVERED]
     for k in range(10):
         recorder.put(TOPIC, ImuRaw(k, k, k, 0, 0, (0, 0, 0)), k)
     assert count(recorder.close()) == 10
     assert sorted(path.name for path in tmp_path.glob("*.mcap")) == ["a.mcap", "live.mcap"]
 
 
-def test_what_another_process_recovers_is_left_to_it(tmp_path: Path) -> None:
+def test_a_file_that_another_process_recovers_is_left_alone(tmp_path: Path) -> None:
     part = leave_unfinished(tmp_path)
-    with held(part) as free:
+    with hold_lock(part) as free:
         assert free
         assert recover_folder(tmp_path) == []
     assert len(recover_folder(tmp_path)) == 1
@@ -54,8 +54,9 @@ def test_what_another_process_recovers_is_left_to_it(tmp_path: Path) -> None:
 RECOVER = """
 import sys
 from pathlib import Path
-from gyrorig_daemon.recorder.recovery import Outcome, recover_folder
-print(sum(one.outcome is Outcome.RECOVERED for one in recover_folder(Path(sys.argv[1]))))
+from gyrorig_daemon.recorder.recovery import RecoveryOutcome, recover_folder
+reports = recover_folder(Path(sys.argv[1]))
+print(sum(report.outcome is RecoveryOutcome.RECOVERED for report in reports))
 """
 
 
@@ -73,12 +74,12 @@ def test_recoveries_at_once(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*.recovering"))
 
 
-def test_what_holds_nothing_is_set_aside(tmp_path: Path) -> None:
+def test_a_file_without_messages_is_set_aside(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap.part").touch()
     (tmp_path / "noise.mcap.part").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     (tmp_path / "half.mcap.recovering").write_bytes(b"half")
     reports = recover_folder(tmp_path)
-    assert [report.outcome for report in reports] == [Outcome.EMPTY, Outcome.EMPTY]
+    assert [report.outcome for report in reports] == [RecoveryOutcome.EMPTY, RecoveryOutcome.EMPTY]
     names = sorted(path.name for path in (tmp_path / "unclean").iterdir())
     assert [name for name in names if name.endswith(".part")] == [
         "empty.mcap.part",
@@ -102,16 +103,16 @@ class Full(Disk):
         return 1000
 
 
-def test_without_room_it_waits(tmp_path: Path) -> None:
+def test_recovery_waits_for_free_space(tmp_path: Path) -> None:
     part = leave_unfinished(tmp_path)
     (report,) = recover_folder(tmp_path, disk=Full())
-    assert report.outcome is Outcome.FAILED
-    assert "room" in report.text
+    assert report.outcome is RecoveryOutcome.FAILED
+    assert "Free some space" in report.text
     assert part.exists()
-    assert recover_folder(tmp_path)[0].outcome is Outcome.RECOVERED
+    assert recover_folder(tmp_path)[0].outcome is RecoveryOutcome.RECOVERED
 
 
 @pytest.mark.parametrize("name", ["nowhere", "file"])
-def test_no_folder_is_no_fault(tmp_path: Path, name: str) -> None:
+def test_a_missing_folder_is_not_an_error(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").touch()
     assert recover_folder(tmp_path / name) == []

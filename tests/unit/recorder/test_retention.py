@@ -1,4 +1,4 @@
-"""Deleting: oldest first, by a written rule only, and never what is cited."""
+"""Deleting: oldest first, only by a written rule, and never what is cited."""
 
 import hashlib
 import os
@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.recorder.retention import RetentionRules, tidy
+from gyrorig_daemon.recorder.retention import RetentionRules, apply_retention
 from gyrorig_protocol.errors import MachineError, UsageError
-from gyrorig_protocol.recording.disk_file import Disk, DiskFile
+from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
 
 DAY = 86_400
 NOW = 1_790_000_000
@@ -48,8 +48,8 @@ def store_citing(folder: Path, *words: str) -> Path:
     return store
 
 
-def test_without_a_rule_nothing_goes(spool: Path) -> None:
-    assert tidy(spool, RetentionRules(), []).deleted == ()
+def test_nothing_is_deleted_without_a_rule(spool: Path) -> None:
+    assert apply_retention(spool, RetentionRules(), []).deleted == ()
     assert len(left(spool)) == 5
 
 
@@ -62,44 +62,44 @@ def test_without_a_rule_nothing_goes(spool: Path) -> None:
         (RetentionRules(max_days=3.5, max_bytes=250), 3),
     ],
 )
-def test_the_oldest_go_first(spool: Path, rules: RetentionRules, gone: int) -> None:
-    done = tidy(spool, rules, [])
+def test_the_oldest_are_deleted_first(spool: Path, rules: RetentionRules, gone: int) -> None:
+    done = apply_retention(spool, rules, [])
     assert [path.name for path in done.deleted] == [f"r{k}.mcap" for k in range(gone)]
     assert done.deleted_bytes == 100 * gone
-    assert done.left_bytes == 500 - 100 * gone
+    assert done.remaining_bytes == 500 - 100 * gone
     assert left(spool) == [f"r{k}.mcap" for k in range(gone, 5)]
 
 
-def test_until_there_is_room(spool: Path) -> None:
-    tidy(spool, RetentionRules(room_bytes=650), [], disk=Full(spool))
+def test_deletes_until_there_is_space(spool: Path) -> None:
+    apply_retention(spool, RetentionRules(room_bytes=650), [], disk=Full(spool))
     assert left(spool) == ["r2.mcap", "r3.mcap", "r4.mcap"]
 
 
-def test_what_is_cited_stays_by_digest_or_by_name(spool: Path, tmp_path: Path) -> None:
+def test_cited_recordings_are_kept(spool: Path, tmp_path: Path) -> None:
     digest = hashlib.sha256((spool / "r0.mcap").read_bytes()).hexdigest()
     store = store_citing(tmp_path, f"- {{name: 'other.mcap', sha256: '{digest}'}}", "- r1.mcap")
-    done = tidy(spool, RetentionRules(max_bytes=1), [store])
+    done = apply_retention(spool, RetentionRules(max_bytes=1), [store])
     assert [path.name for path in done.cited] == ["r0.mcap", "r1.mcap"]
     assert left(spool) == ["r0.mcap", "r1.mcap"]
 
 
 def test_a_broken_document_still_protects(spool: Path, tmp_path: Path) -> None:
     store = store_citing(tmp_path, "\x00 {{{ sha256:", hashlib.sha256(b"\x02" * 100).hexdigest())
-    tidy(spool, RetentionRules(max_bytes=1), [store])
+    apply_retention(spool, RetentionRules(max_bytes=1), [store])
     assert left(spool) == ["r2.mcap"]
 
 
-def test_a_store_that_is_not_there_stops_everything(spool: Path, tmp_path: Path) -> None:
-    with pytest.raises(MachineError, match="not there"):
-        tidy(spool, RetentionRules(max_bytes=1), [tmp_path / "nowhere"])
+def test_a_missing_store_prevents_deletion(spool: Path, tmp_path: Path) -> None:
+    with pytest.raises(MachineError, match="does not exist"):
+        apply_retention(spool, RetentionRules(max_bytes=1), [tmp_path / "nowhere"])
     assert len(left(spool)) == 5
 
 
-def test_a_store_that_cannot_be_read_stops_everything(spool: Path, tmp_path: Path) -> None:
+def test_an_unreadable_store_prevents_deletion(spool: Path, tmp_path: Path) -> None:
     store = store_citing(tmp_path)
     (store / "B-1" / "v0002.yaml").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(MachineError, match="nothing is deleted"):
-        tidy(spool, RetentionRules(max_bytes=1), [store])
+    with pytest.raises(MachineError, match="no recording can be deleted"):
+        apply_retention(spool, RetentionRules(max_bytes=1), [store])
     assert len(left(spool)) == 5
 
 
@@ -109,44 +109,46 @@ def test_citations_behind_links_count(spool: Path, tmp_path: Path) -> None:
     store.mkdir()
     (store / "more").symlink_to(far)
     (far / "round").symlink_to(store)
-    tidy(spool, RetentionRules(max_bytes=1), [store])
+    apply_retention(spool, RetentionRules(max_bytes=1), [store])
     assert left(spool) == ["r0.mcap"]
 
 
-def test_the_running_session_and_files_being_written_stay(spool: Path) -> None:
+def test_the_running_session_and_open_files_are_kept(spool: Path) -> None:
     open_file = DiskFile(spool / "r5.mcap")
     open_file.write(b"x" * 100)
     os.utime(spool / "r5.mcap", (NOW - DAY, NOW - DAY))
-    tidy(spool, RetentionRules(max_bytes=1), [], keep=[spool / "r3.mcap"])
+    apply_retention(spool, RetentionRules(max_bytes=1), [], keep=[spool / "r3.mcap"])
     assert left(spool) == ["r3.mcap", "r5.mcap"]
     open_file.close()
 
 
-def test_a_clock_that_jumps_costs_nothing(spool: Path) -> None:
+def test_a_clock_jump_deletes_nothing(spool: Path) -> None:
     for k in range(5):  # all recorded in 1970, by a Pi without a clock
         os.utime(spool / f"r{k}.mcap", (k * DAY, k * DAY))
-    assert tidy(spool, RetentionRules(max_days=100), []).deleted == ()
+    assert apply_retention(spool, RetentionRules(max_days=100), []).deleted == ()
     os.utime(spool / "r4.mcap", (NOW * 2, NOW * 2))  # and one in a far future
-    assert tidy(spool, RetentionRules(max_days=1), [], clock_is_sound=False).deleted == ()
+    assert (
+        apply_retention(spool, RetentionRules(max_days=1), [], clock_is_sound=False).deleted == ()
+    )
     assert len(left(spool)) == 5
 
 
-def test_originals_go_with_their_notes(spool: Path) -> None:
+def test_originals_are_deleted_with_their_notes(spool: Path) -> None:
     aside = spool / "unclean"
     aside.mkdir()
     for name in ("u.mcap.part", "u.mcap.part.json"):
         (aside / name).write_bytes(b"u")
         os.utime(aside / name, (NOW - DAY, NOW - DAY))
-    tidy(spool, RetentionRules(max_bytes=500), [])
+    apply_retention(spool, RetentionRules(max_bytes=500), [])
     assert left(aside) == []
     assert len(left(spool)) == 6
 
 
-def test_links_and_other_files_are_not_ours(spool: Path, tmp_path: Path) -> None:
+def test_links_and_other_files_are_ignored(spool: Path, tmp_path: Path) -> None:
     (tmp_path / "far.mcap").write_bytes(b"far")
     (spool / "link.mcap").symlink_to(tmp_path / "far.mcap")
     (spool / "notes.txt").write_text("mine")
-    tidy(spool, RetentionRules(max_bytes=1), [])
+    apply_retention(spool, RetentionRules(max_bytes=1), [])
     assert left(spool) == ["link.mcap", "notes.txt"]
     assert (tmp_path / "far.mcap").exists()
 

@@ -1,4 +1,4 @@
-"""A disk that takes its time, in real time: nobody waits for it."""
+"""A slow disk in real time: nobody waits for it."""
 
 import shutil
 import threading
@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
-from gyrorig_daemon.recorder import spool as spool_module
+from gyrorig_daemon.recorder import part_writer as spool_module
 from gyrorig_daemon.recorder.recovery import recover_folder
-from gyrorig_protocol.recording.disk_file import Disk, DiskFile
+from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
 from gyrorig_protocol.recording.messages import ImuRaw
 from gyrorig_protocol.recording.reader import read_recording
 
@@ -115,7 +115,7 @@ class StuckFromTheStart(StuckDisk):
         return file
 
 
-def test_a_kill_before_the_first_sync_is_through(tmp_path: Path, sequences_in: Sequences) -> None:
+def test_a_kill_before_the_first_sync_is_done(tmp_path: Path, sequences_in: Sequences) -> None:
     disk = StuckFromTheStart()
     feed = Feed(tmp_path, RecorderSettings(), disk)  # was waited for: up to 4 s were lost so
     feed.give(1_000)
@@ -157,15 +157,15 @@ def test_a_disk_that_fails_and_comes_back(
 ) -> None:
     monkeypatch.setattr(spool_module, "RETRY_NS", 50_000_000)
     disk = StuckDisk()
-    feed = Feed(tmp_path, RecorderSettings(survive=True), disk)
+    feed = Feed(tmp_path, RecorderSettings(survives_faults=True), disk)
     recorder, counts = feed.recorder, feed.recorder.counts
     feed.give(1_000)
     disk.code = 30  # EROFS
-    feed.give_until(lambda: bool(recorder.degraded))
+    feed.give_until(lambda: bool(recorder.degraded_reason))
     feed.give(20_000)
     wait_for(lambda: counts.memory_messages >= 20_000)
     disk.code = 0
-    feed.give_until(lambda: not recorder.degraded and counts.memory_messages == 0)
+    feed.give_until(lambda: not recorder.degraded_reason and counts.memory_messages == 0)
     recorder.close()
     assert counts.resumes == 1
     assert counts.lost == 0

@@ -24,8 +24,8 @@ from gyrorig_protocol.recording.messages import (
     PtuPosition,
     ReferenceAttitude,
     SessionEvent,
-    clock_topic,
-    imu_topic,
+    clock_ping_topic,
+    imu_raw_topic,
 )
 from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
 
@@ -74,10 +74,10 @@ class Script:
         return path
 
     def by_topic(self, count: int | None = None) -> dict[str, list[Message]]:
-        found: dict[str, list[Message]] = {}
+        actual: dict[str, list[Message]] = {}
         for topic, message, _ in self.entries[:count]:
-            found.setdefault(topic, []).append(message)
-        return found
+            actual.setdefault(topic, []).append(message)
+        return actual
 
 
 def make_script(steps: int, flush_every: int = 10) -> Script:
@@ -96,7 +96,7 @@ def make_script(steps: int, flush_every: int = 10) -> Script:
         t = START_NS + k * 10_000_000
         for board in BOARDS:
             imu = ImuRaw(t + 7, k * 10_000, k, 0x104, -k, triple(), triple(), triple())
-            add(imu_topic(board), imu, t + 7)
+            add(imu_raw_topic(board), imu, t + 7)
         position = PtuPosition(t, t + 3, t + 5, k, -k, k * 0.1, -k * 0.1, 2**40 + k, k, 3)
         add(PTU_POSITION_TOPIC, position, t + 5)
         if k % 3 == 0:
@@ -104,7 +104,7 @@ def make_script(steps: int, flush_every: int = 10) -> Script:
             add(PTU_COMMAND_TOPIC, command, t + 2)
             event = SessionEvent(t, EventKind.NOTE, "sweep", "x" * (k % 7))
             add(SESSION_EVENT_TOPIC, event, t)
-            add(clock_topic(BOARDS[0]), ClockPing(t, t + 9, k, k + 1, k, 1), t + 9)
+            add(clock_ping_topic(BOARDS[0]), ClockPing(t, t + 9, k, k + 1, k, 1), t + 9)
             add(HOST_CLOCK_TOPIC, HostClock(k, k + 1, t, 0.5, 1e-6, 64), t)
             attitude = ReferenceAttitude(t, (0.0, 0.6, 0.0, 0.8), 1e-4, 1)
             add(REFERENCE_ATTITUDE_TOPIC, attitude, t)
@@ -137,7 +137,7 @@ def as_plain(value: Any) -> Any:
     if names and not isinstance(value, str):
         return {n: as_plain(getattr(value, n)) for n in names if n[0].islower()}
     if isinstance(value, list | tuple):
-        return [as_plain(one) for one in value]
+        return [as_plain(item) for item in value]
     return value
 
 

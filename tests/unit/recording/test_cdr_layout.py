@@ -9,9 +9,9 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.recording.cdr import fixed_layout
-from gyrorig_protocol.recording.ros2msg import same_definition
-from gyrorig_protocol.recording.schemas import IMU_RAW, SCHEMAS, SEPARATOR
+from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
+from gyrorig_protocol.recording.encoding.message_schemas import IMU_RAW, SCHEMAS, SEPARATOR
+from gyrorig_protocol.recording.encoding.ros2msg import have_same_fields
 
 NUMBERS = {
     "bool": (0, 1),
@@ -45,13 +45,13 @@ class RandomSchema:
         self.table["p/Top"] = self.fields()
 
     def fields(self) -> list[tuple[str, int | None, str]]:
-        known = list(self.table)
-        found = []
+        previous = list(self.table)
+        actual = []
         for i in range(self.random.randint(1, 5)):
-            kind = self.random.choice([*NUMBERS, *known, *known])
+            kind = self.random.choice([*NUMBERS, *previous, *previous])
             length = self.random.choice([None, None, 1, 2, 3])
-            found.append((kind, length, f"f{i}"))
-        return found
+            actual.append((kind, length, f"f{i}"))
+        return actual
 
     def lines(self, name: str) -> str:
         rows = [
@@ -77,8 +77,8 @@ class RandomSchema:
             if kind in NUMBERS:
                 drawn = [self.value(kind) for _ in range(length or 1)]
                 leaves += drawn
-                one = np.array(drawn, NUMPY.get(kind, kind))
-                values.append(drawn[0] if length is None else one)
+                item = np.array(drawn, NUMPY.get(kind, kind))
+                values.append(drawn[0] if length is None else item)
             else:
                 parts = [self.message(store, kind, leaves) for _ in range(length or 1)]
                 values.append(parts[0] if length is None else parts)
@@ -91,8 +91,8 @@ def leaves_of(value: Any, dtype: np.dtype[Any]) -> Iterator[Any]:
         for name in dtype.names:
             yield from leaves_of(value[name], dtype[name])
     elif dtype.subdtype is not None:
-        for one in value:
-            yield from leaves_of(one, dtype.subdtype[0])
+        for item in value:
+            yield from leaves_of(item, dtype.subdtype[0])
     else:
         yield value.item()
 
@@ -108,16 +108,16 @@ def test_layout_agrees_with_rosbags(block: int) -> None:
         store.register(types)
         leaves: list[Any] = []
         payload = bytes(store.serialize_cdr(schema.message(store, "p/Top", leaves), "p/msg/Top"))
-        layout = fixed_layout("p/msg/Top", schema.text())
+        layout = derive_fixed_layout("p/msg/Top", schema.text())
         assert layout is not None
-        assert layout.size == len(payload), schema.text()
+        assert layout.size_bytes == len(payload), schema.text()
         value = np.frombuffer(payload, layout.dtype, 1, 4)[0]
         assert list(leaves_of(value, layout.dtype)) == leaves, schema.text()
 
 
 @pytest.mark.parametrize("kind", ["string a", "int32[] a", "int32[<=3] a", "string<=5 a", ""])
-def test_what_varies_in_size_has_no_layout(kind: str) -> None:
-    assert fixed_layout("p/msg/T", kind + "\n") is None
+def test_messages_of_variable_size_have_no_layout(kind: str) -> None:
+    assert derive_fixed_layout("p/msg/T", kind + "\n") is None
 
 
 @pytest.mark.parametrize(
@@ -134,28 +134,28 @@ def test_what_varies_in_size_has_no_layout(kind: str) -> None:
         f"int8 a\n{SEPARATOR}\nno name here",
     ],
 )
-def test_hostile_schemas_are_refused(text: str) -> None:
+def test_untrusted_schemas_are_rejected(text: str) -> None:
     try:
-        found = fixed_layout("p/msg/T", text)
+        actual = derive_fixed_layout("p/msg/T", text)
     except InputError:
         return
-    assert found is not None
-    assert found.size < 1 << 17
+    assert actual is not None
+    assert actual.size_bytes < 1 << 17
 
 
 def test_comments_constants_and_order_do_not_matter() -> None:
-    own, dependency = IMU_RAW.split(SEPARATOR + "\n")
+    main_record, dependency = IMU_RAW.split(SEPARATOR + "\n")
     other = (
         "# header\nuint8 X=1\n"
-        + own.replace("int32[3] mag", "int32[3]  mag # raw")
+        + main_record.replace("int32[3] mag", "int32[3]  mag # raw")
         + f"{SEPARATOR}\n"
         + dependency.replace("builtin_interfaces/Time", "builtin_interfaces/msg/Time")
     )
-    assert same_definition("gyrorig_msgs/msg/ImuRaw", IMU_RAW, other)
+    assert have_same_fields("gyrorig_msgs/msg/ImuRaw", IMU_RAW, other)
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_another_field_matters(name: str) -> None:
     other = SCHEMAS[name].replace("uint32 nanosec", "int32 nanosec")
-    assert not same_definition(name, SCHEMAS[name], other)
-    assert same_definition(name, SCHEMAS[name], SCHEMAS[name])
+    assert not have_same_fields(name, SCHEMAS[name], other)
+    assert have_same_fields(name, SCHEMAS[name], SCHEMAS[name])

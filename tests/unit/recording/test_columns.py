@@ -10,13 +10,13 @@ from mcap.writer import Writer
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording import collect
-from gyrorig_protocol.recording.imu_columns import FOR_SOLVING, Columns
-from gyrorig_protocol.recording.mapped import Passage, map_file
-from gyrorig_protocol.recording.messages import ImuRaw, imu_topic
+from gyrorig_protocol.recording import topic_collector
+from gyrorig_protocol.recording.encoding.message_schemas import IMU_RAW
+from gyrorig_protocol.recording.imu_columns import SOLVER_FIELDS, GrowingColumns
+from gyrorig_protocol.recording.mcap.mapped_file import PageReleaser, map_file
+from gyrorig_protocol.recording.messages import ImuRaw, imu_raw_topic
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording, times_ns
-from gyrorig_protocol.recording.schemas import IMU_RAW
 from gyrorig_protocol.recording.writer import RecordingWriter
 
 T = 1_790_000_000_000_000_000
@@ -26,7 +26,7 @@ B1 = BoardId("B-1")
 @pytest.fixture
 def long(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every recording counts as a long one."""
-    monkeypatch.setattr(collect, "KEPT_BYTES", 0)
+    monkeypatch.setattr(topic_collector, "MAX_RECORD_BYTES", 0)
 
 
 def write(path: Path, metadata: Any, gyro: np.ndarray, chunks: int = 4) -> Path:
@@ -47,7 +47,7 @@ def write(path: Path, metadata: Any, gyro: np.ndarray, chunks: int = 4) -> Path:
             out.write_imu_array(B1, publish_time_ns=None, **part)
             out.flush()
             if k == 1:
-                out.skip(imu_topic(B1), 3)
+                out.skip_sequence(imu_raw_topic(B1), 3)
     return path
 
 
@@ -61,9 +61,9 @@ def check_columns(recording: Recording, records: Any) -> None:
     assert np.array_equal(columns.host_time_ns, times_ns(records["host_time"]))
     assert np.array_equal(columns.device_time, records["device_time"].astype(np.int64))
     for name in ("sequence", "status", "temperature", "gyro"):
-        found = getattr(columns, name)
-        assert found.dtype.itemsize <= records[name].dtype.itemsize
-        assert np.array_equal(found, records[name]), name
+        actual = getattr(columns, name)
+        assert actual.dtype.itemsize <= records[name].dtype.itemsize
+        assert np.array_equal(actual, records[name]), name
     assert np.array_equal(recording.imu_field(B1, "accel"), records["accel"])
     assert np.array_equal(recording.imu_field(B1, "mag"), records["mag"])
     assert np.array_equal(recording.imu_field(B1, "host_time"), times_ns(records["host_time"]))
@@ -76,54 +76,54 @@ def test_columns_of_kept_records(tmp_path: Path, contract_metadata: Any) -> None
 
 
 @pytest.mark.parametrize("wide", [None, 0, 2600, 4999])
-def test_a_long_recording_is_read_alike(
+def test_a_long_recording_gives_the_same_data(
     tmp_path: Path, contract_metadata: Any, monkeypatch: pytest.MonkeyPatch, wide: int | None
 ) -> None:
     gyro = small(5000)
     if wide is not None:
         gyro[wide, 1] = 2**15  # one count that 16 bits do not hold
     path = write(tmp_path / "r.mcap", contract_metadata, gyro)
-    kept = read_recording(path)
-    monkeypatch.setattr(collect, "KEPT_BYTES", 0)
-    found = read_recording(path)
-    assert found.topics[imu_topic(B1)].array is None
+    remaining = read_recording(path)
+    monkeypatch.setattr(topic_collector, "MAX_RECORD_BYTES", 0)
+    actual = read_recording(path)
+    assert actual.topics[imu_raw_topic(B1)].array is None
     # Once from what the first reading kept, and once more from the file.
     for _ in range(2):
-        check_columns(found, kept.imu(B1))
-    assert found.imu_columns(B1).gyro.dtype == (np.int16 if wide is None else np.int32)
-    assert np.array_equal(found.imu(B1), kept.imu(B1))
-    assert found.span_ns == kept.span_ns
-    assert found.sha256 == kept.sha256
-    for topic, wanted in kept.topics.items():
-        assert len(found.topics[topic]) == len(wanted)
-        assert found.topics[topic].dropped == wanted.dropped == 3
-        assert found.topics[topic].span_ns == wanted.span_ns
+        check_columns(actual, remaining.imu(B1))
+    assert actual.imu_columns(B1).gyro.dtype == (np.int16 if wide is None else np.int32)
+    assert np.array_equal(actual.imu(B1), remaining.imu(B1))
+    assert actual.span_ns == remaining.span_ns
+    assert actual.sha256 == remaining.sha256
+    for topic, expected in remaining.topics.items():
+        assert len(actual.topics[topic]) == len(expected)
+        assert actual.topics[topic].missing_count == expected.missing_count == 3
+        assert actual.topics[topic].span_ns == expected.span_ns
 
 
 @pytest.mark.usefixtures("long")
-def test_everything_else_of_a_long_recording_is_there(tmp_path: Path, script: Any) -> None:
+def test_a_long_recording_has_all_other_data(tmp_path: Path, script: Any) -> None:
     recording = read_recording(script.write(tmp_path / "r.mcap"))
-    wanted = script.by_topic()
-    assert {topic: recording.messages(topic) for topic in recording.topics} == wanted
-    with pytest.raises(InputError, match="holds no samples of B-3"):
+    expected = script.by_topic()
+    assert {topic: recording.messages(topic) for topic in recording.topics} == expected
+    with pytest.raises(InputError, match="has no samples of board B-3"):
         recording.imu_columns(BoardId("B-3"))
 
 
 @pytest.mark.usefixtures("long")
-def test_damage_of_a_long_recording_is_stated_alike(
+def test_damage_of_a_long_recording_is_reported_equally(
     tmp_path: Path, contract_metadata: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write(tmp_path / "r.mcap", contract_metadata, small(4000), chunks=8)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
     path.write_bytes(content)
-    found = read_recording(path)
-    assert len(found.topics[imu_topic(B1)]) == len(found.imu_columns(B1).sequence) == 3500
-    monkeypatch.setattr(collect, "KEPT_BYTES", 1 << 30)
-    kept = read_recording(path)
-    assert found.losses == kept.losses
-    assert found.losses
-    check_columns(found, kept.imu(B1))
+    actual = read_recording(path)
+    assert len(actual.topics[imu_raw_topic(B1)]) == len(actual.imu_columns(B1).sequence) == 3500
+    monkeypatch.setattr(topic_collector, "MAX_RECORD_BYTES", 1 << 30)
+    remaining = read_recording(path)
+    assert actual.losses == remaining.losses
+    assert actual.losses
+    check_columns(actual, remaining.imu(B1))
 
 
 @pytest.mark.usefixtures("long")
@@ -135,7 +135,7 @@ def test_two_channels_of_one_topic_are_merged(tmp_path: Path, contract_metadata:
         for name, record in contract_metadata.items():
             writer.add_metadata(name, {**record, **({"format": "1"} if name == "gyrorig" else {})})
         schema = writer.register_schema("gyrorig_msgs/msg/ImuRaw", "ros2msg", IMU_RAW.encode())
-        numbers = [writer.register_channel(imu_topic(B1), "cdr", schema, {}) for _ in range(2)]
+        numbers = [writer.register_channel(imu_raw_topic(B1), "cdr", schema, {}) for _ in range(2)]
         for i in range(100):
             payload = ImuRaw(T + i, i, i, 0, 0, (i, -i, i)).encode()
             writer.add_message(numbers[i // 10 % 2], T + i, payload, T + i, i)
@@ -145,7 +145,7 @@ def test_two_channels_of_one_topic_are_merged(tmp_path: Path, contract_metadata:
 
 
 @pytest.mark.usefixtures("long")
-def test_messages_of_another_size_are_lost_and_stated(
+def test_messages_of_wrong_size_are_reported_as_lost(
     tmp_path: Path, contract_metadata: Any
 ) -> None:
     path = tmp_path / "r.mcap"
@@ -155,25 +155,25 @@ def test_messages_of_another_size_are_lost_and_stated(
         for name, record in contract_metadata.items():
             writer.add_metadata(name, {**record, **({"format": "1"} if name == "gyrorig" else {})})
         schema = writer.register_schema("gyrorig_msgs/msg/ImuRaw", "ros2msg", IMU_RAW.encode())
-        number = writer.register_channel(imu_topic(B1), "cdr", schema, {})
+        number = writer.register_channel(imu_raw_topic(B1), "cdr", schema, {})
         for i in range(50):
             payload = ImuRaw(T + i, i, i, 0, 0, (i, -i, i)).encode()
             writer.add_message(number, T + i, payload[: 64 - 20 * (i % 10 == 9)], T + i, i)
         writer.finish()  # type: ignore[no-untyped-call]
     recording = read_recording(path)
     assert [loss.messages for loss in recording.losses] == [5]
-    wanted = [i for i in range(50) if i % 10 != 9]
-    assert recording.imu_columns(B1).sequence.tolist() == wanted
+    expected = [i for i in range(50) if i % 10 != 9]
+    assert recording.imu_columns(B1).sequence.tolist() == expected
 
 
 def test_columns_grow(tmp_path: Path, contract_metadata: Any) -> None:
     records = read_recording(write(tmp_path / "r.mcap", contract_metadata, small(700))).imu(B1)
-    columns = Columns((*FOR_SOLVING, "mag"), 3)
+    columns = GrowingColumns((*SOLVER_FIELDS, "mag"), 3)
     for begin in range(0, 700, 70):
         columns.append(records[begin : begin + 70])
     assert columns.count == 700
-    assert np.array_equal(columns.imu().gyro, records["gyro"])
-    assert np.array_equal(columns.array("mag"), records["mag"])
+    assert np.array_equal(columns.to_imu_columns().gyro, records["gyro"])
+    assert np.array_equal(columns.column("mag"), records["mag"])
 
 
 def resident_bytes(address_of: memoryview) -> int:
@@ -194,19 +194,19 @@ def resident_bytes(address_of: memoryview) -> int:
     not (Path("/proc/self/smaps").exists() and hasattr(mmap, "MADV_DONTNEED")),
     reason="this system does not say what is resident",
 )
-def test_pages_behind_a_passage_are_let_go(tmp_path: Path) -> None:
+def test_pages_are_released_behind_the_reader(tmp_path: Path) -> None:
     path = tmp_path / "large"
     content = np.random.default_rng(1).bytes(48 << 20)
     path.write_bytes(content)
     data = map_file(path)
-    passage, most = Passage(data), 0
-    for at in range(0, len(data), 1 << 20):
-        assert data[at : at + (1 << 20)] == content[at : at + (1 << 20)]
-        passage.reached(at)
+    passage, most = PageReleaser(data), 0
+    for index in range(0, len(data), 1 << 20):
+        assert data[index : index + (1 << 20)] == content[index : index + (1 << 20)]
+        passage.release_before(index)
         most = max(most, resident_bytes(data))
     assert most < 20 << 20
     assert data[:100] == content[:100]
 
 
-def test_bytes_in_memory_have_no_pages_to_let_go() -> None:
-    Passage(memoryview(b"x")).reached(1 << 40)
+def test_plain_bytes_have_no_pages_to_release() -> None:
+    PageReleaser(memoryview(b"x")).release_before(1 << 40)

@@ -17,11 +17,11 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.losses import LossCause
-from gyrorig_protocol.recording.messages import ImuRaw, imu_topic
+from gyrorig_protocol.recording.encoding.message_schemas import IMU_RAW
+from gyrorig_protocol.recording.mcap.losses import LossCause
+from gyrorig_protocol.recording.messages import ImuRaw, imu_raw_topic
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_protocol.recording.schemas import IMU_RAW
 
 T = 1_790_000_000_000_000_000
 B1 = BoardId("B-1")
@@ -39,8 +39,8 @@ def read_bytes(folder: Path, content: bytes) -> Recording | InputError:
 
 
 def contents(recording: Recording) -> dict[str, list[Any]]:
-    found = {topic: recording.messages(topic) for topic in recording.topics}
-    return {topic: messages for topic, messages in found.items() if messages}
+    actual = {topic: recording.messages(topic) for topic in recording.topics}
+    return {topic: messages for topic, messages in actual.items() if messages}
 
 
 def chunk_ends(path: Path) -> list[tuple[int, int]]:
@@ -48,23 +48,23 @@ def chunk_ends(path: Path) -> list[tuple[int, int]]:
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    total, found = 0, []
-    whole = path.read_bytes()
+    total, actual = 0, []
+    complete = path.read_bytes()
     for chunk in summary.chunk_indexes:
-        for at in chunk.message_index_offsets.values():
-            total += struct.unpack_from("<I", whole, at + 11)[0] // 16
-        found.append((chunk.chunk_start_offset + chunk.chunk_length, total))
-    return found
+        for index in chunk.message_index_offsets.values():
+            total += struct.unpack_from("<I", complete, index + 11)[0] // 16
+        actual.append((chunk.chunk_start_offset + chunk.chunk_length, total))
+    return actual
 
 
 def record_ends(whole: bytes) -> tuple[list[int], int]:
     """Where the top-level records end, and where the data section does."""
-    at, ends, data_end = len(MAGIC), [len(MAGIC)], 0
-    while at < len(whole) - len(MAGIC):
-        opcode, length = struct.unpack_from("<BQ", whole, at)
-        at += 9 + length
-        ends.append(at)
-        data_end = at if opcode == 0x0F else data_end
+    index, ends, data_end = len(MAGIC), [len(MAGIC)], 0
+    while index < len(whole) - len(MAGIC):
+        opcode, length = struct.unpack_from("<BQ", whole, index)
+        index += 9 + length
+        ends.append(index)
+        data_end = index if opcode == 0x0F else data_end
     return ends, data_end
 
 
@@ -72,45 +72,45 @@ def record_ends(whole: bytes) -> tuple[list[int], int]:
 def test_cut_at_every_byte(tmp_path: Path, scripted: Any, block: int) -> None:
     script = scripted(4, flush_every=5)
     path = script.write(tmp_path / "a.mcap")
-    whole = path.read_bytes()
+    complete = path.read_bytes()
     ends = chunk_ends(path)
     assert len(ends) >= 4
-    records, data_end = record_ends(whole)
-    wanted = [script.by_topic(count) for count in range(len(script.entries) + 1)]
-    for length in range(block, len(whole), 8):
-        found = read_bytes(tmp_path, whole[:length])
+    records, data_end = record_ends(complete)
+    expected = [script.by_topic(count) for count in range(len(script.entries) + 1)]
+    for length in range(block, len(complete), 8):
+        actual = read_bytes(tmp_path, complete[:length])
         count = max((n for end, n in ends if end <= length), default=0)
-        if isinstance(found, InputError):
+        if isinstance(actual, InputError):
             assert count == 0
             continue
-        assert contents(found) == wanted[count], length
-        assert not found.complete
-        causes = {loss.cause for loss in found.losses}
+        assert contents(actual) == expected[count], length
+        assert not actual.is_complete
+        causes = {loss.cause for loss in actual.losses}
         assert causes <= {LossCause.UNFINISHED, LossCause.TRUNCATED, LossCause.SUMMARY}
-        for loss in found.losses:
+        for loss in actual.losses:
             assert loss.offset + loss.bytes == length
         # Whatever lies behind the last whole record is stated, to the byte.
         used = max(end for end in records if end <= min(length, data_end))
-        assert sum(loss.bytes for loss in found.losses) == length - used
+        assert sum(loss.bytes for loss in actual.losses) == length - used
 
 
 def is_stated(found: Recording, whole: Recording, wanted: dict[str, list[Any]]) -> bool:
     """The same, or a subset in order with the difference stated."""
-    there = contents(found)
-    if found.metadata != whole.metadata or there.keys() - wanted.keys():
+    present = contents(found)
+    if found.metadata != whole.metadata or present.keys() - wanted.keys():
         return False
     missing = 0
     for topic, messages in wanted.items():
         rest = iter(messages)
-        if not all(message in rest for message in there.get(topic, [])):
+        if not all(message in rest for message in present.get(topic, [])):
             return False
-        missing += len(messages) - len(there.get(topic, []))
-    if found.attachments != whole.attachments and found.complete:
+        missing += len(messages) - len(present.get(topic, []))
+    if found.attachments != whole.attachments and found.is_complete:
         return False
-    if missing and found.complete:
+    if missing and found.is_complete:
         return False
-    known = found.lost_messages
-    return known is None or missing == 0 or known >= missing
+    previous = found.lost_messages
+    return previous is None or missing == 0 or previous >= missing
 
 
 def flip(whole: bytes, bit: int) -> bytes:
@@ -124,29 +124,29 @@ def test_single_bit_flips(tmp_path: Path, scripted: Any, block: int) -> None:
     script = scripted(3, flush_every=5)
     path = script.write(tmp_path / "a.mcap")
     intact = path.read_bytes()
-    whole = read_recording(path)
-    wanted = script.by_topic()
+    complete = read_recording(path)
+    expected = script.by_topic()
     # Every byte of the file once, the blocks together; which bit of it, by its place.
-    for at in range(block, len(intact), 8):
-        bit = 8 * at + (at // 8 + block) % 8
-        found = read_bytes(tmp_path, flip(intact, bit))
-        assert isinstance(found, InputError) or is_stated(found, whole, wanted), bit
+    for index in range(block, len(intact), 8):
+        bit = 8 * index + (index // 8 + block) % 8
+        actual = read_bytes(tmp_path, flip(intact, bit))
+        assert isinstance(actual, InputError) or is_stated(actual, complete, expected), bit
 
 
 @pytest.mark.parametrize("tail", ["part", "whole"])
 def test_bit_flips_in_an_unfinished_file(tmp_path: Path, script: Any, tail: str) -> None:
     path = script.write(tmp_path / "a.mcap")
     end, count = chunk_ends(path)[-2]
-    whole = path.read_bytes()
-    intact = whole[: end + 20] if tail == "part" else whole
+    complete = path.read_bytes()
+    intact = complete[: end + 20] if tail == "part" else complete
     first = read_bytes(tmp_path, intact)
     assert isinstance(first, Recording)
-    wanted = script.by_topic(count) if tail == "part" else script.by_topic()
+    expected = script.by_topic(count) if tail == "part" else script.by_topic()
     bits = random.Random(5)
     for _ in range(500):
         bit = bits.randrange(8 * len(intact))
-        found = read_bytes(tmp_path, flip(intact, bit))
-        assert isinstance(found, InputError) or is_stated(found, first, wanted), bit
+        actual = read_bytes(tmp_path, flip(intact, bit))
+        assert isinstance(actual, InputError) or is_stated(actual, first, expected), bit
 
 
 @settings(
@@ -160,93 +160,101 @@ def test_any_damage_never_raises_anything_else(
     path = tmp_path / "a.mcap"
     path = path if path.exists() else script.write(path)
     intact = path.read_bytes()
-    at = data.draw(st.integers(0, len(intact)))
+    index = data.draw(st.integers(0, len(intact)))
     width = data.draw(st.integers(0, 200))
     noise = data.draw(st.binary(max_size=200))
-    found = read_bytes(tmp_path, intact[:at] + noise + intact[at + width :])
-    if isinstance(found, Recording) and noise != intact[at : at + width]:
-        wanted = script.by_topic()
-        for topic, messages in contents(found).items():
-            rest = iter(wanted[topic])
+    actual = read_bytes(tmp_path, intact[:index] + noise + intact[index + width :])
+    if isinstance(actual, Recording) and noise != intact[index : index + width]:
+        expected = script.by_topic()
+        for topic, messages in contents(actual).items():
+            rest = iter(expected[topic])
             assert all(message in rest for message in messages)
 
 
-def test_every_sound_chunk_behind_a_damaged_one_is_read(tmp_path: Path, script: Any) -> None:
+def test_every_valid_chunk_after_a_damaged_one_is_read(tmp_path: Path, script: Any) -> None:
     path = script.write(tmp_path / "a.mcap")
     intact = path.read_bytes()
     (first_end, first), (second_end, second), *_ = chunk_ends(path)
-    at = intact.rindex(b"zstd", first_end, second_end)
+    index = intact.rindex(b"zstd", first_end, second_end)
     last = len(script.entries)
-    wanted: dict[str, list[Any]] = {}
+    expected: dict[str, list[Any]] = {}
     for k, (topic, message, _) in enumerate(script.entries):
         if not first <= k < second:
-            wanted.setdefault(topic, []).append(message)
-    chunk_at = at - 41  # opcode, length, three times u64, CRC, length of the text
-    for damaged_at in (at + 40, at - 5, chunk_at, chunk_at + 1, chunk_at + 8, at + 1, at + 5):
+            expected.setdefault(topic, []).append(message)
+    chunk_at = index - 41  # opcode, length, three times u64, CRC, length of the text
+    for damaged_at in (
+        index + 40,
+        index - 5,
+        chunk_at,
+        chunk_at + 1,
+        chunk_at + 8,
+        index + 1,
+        index + 5,
+    ):
         for tail in (len(intact), chunk_ends(path)[-1][0]):  # finished, and not
             damaged = bytearray(intact[:tail])
             damaged[damaged_at] ^= 0x10
-            found = read_bytes(tmp_path, bytes(damaged))
-            assert isinstance(found, Recording)
-            assert contents(found) == wanted, damaged_at - chunk_at
-            causes = {loss.cause for loss in found.losses}
+            actual = read_bytes(tmp_path, bytes(damaged))
+            assert isinstance(actual, Recording)
+            assert contents(actual) == expected, damaged_at - chunk_at
+            causes = {loss.cause for loss in actual.losses}
             assert causes & {LossCause.DAMAGED, LossCause.REFUSED}
             if tail == len(intact):
-                assert (found.lost_messages or second - first) >= second - first
+                assert (actual.lost_messages or second - first) >= second - first
     assert last > second
 
 
 def test_the_first_chunk_of_an_unfinished_file_is_damaged(tmp_path: Path, script: Any) -> None:
     path = script.write(tmp_path / "a.mcap")
     (first_end, first), *_, (last_end, last) = chunk_ends(path)
-    wanted: dict[str, list[Any]] = {}
+    expected: dict[str, list[Any]] = {}
     for topic, message, _ in script.entries[first:last]:
-        wanted.setdefault(topic, []).append(message)
+        expected.setdefault(topic, []).append(message)
     chunk_at = path.read_bytes().index(b"zstd") - 41
     for damaged_at in (chunk_at, chunk_at + 5, chunk_at + 43, first_end - 5):
         damaged = bytearray(path.read_bytes()[:last_end])
         damaged[damaged_at] ^= 0x11
-        found = read_bytes(tmp_path, bytes(damaged))
-        assert isinstance(found, Recording)
-        assert contents(found) == wanted
-        assert found.lost_messages in {first, None}
+        actual = read_bytes(tmp_path, bytes(damaged))
+        assert isinstance(actual, Recording)
+        assert contents(actual) == expected
+        assert actual.lost_messages in {first, None}
 
 
 def test_a_wrong_index_does_not_matter(tmp_path: Path, script: Any) -> None:
     path = script.write(tmp_path / "a.mcap")
     intact = path.read_bytes()
-    whole = read_recording(path)
+    complete = read_recording(path)
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
     random_ = random.Random(1)
     for chunk in summary.chunk_indexes:
         damaged = bytearray(intact)
-        for at in chunk.message_index_offsets.values():
-            size = struct.unpack_from("<I", intact, at + 11)[0]
-            for k in range(at + 15, at + 15 + size):
+        for index in chunk.message_index_offsets.values():
+            size = struct.unpack_from("<I", intact, index + 11)[0]
+            for k in range(index + 15, index + 15 + size):
                 damaged[k] = random_.randrange(256)
-        found = read_bytes(tmp_path, bytes(damaged))
-        assert isinstance(found, Recording)
-        assert contents(found) == contents(whole)
-        assert found.complete
+        actual = read_bytes(tmp_path, bytes(damaged))
+        assert isinstance(actual, Recording)
+        assert contents(actual) == contents(complete)
+        assert actual.is_complete
 
 
-def test_zeros_behind_a_power_cut(tmp_path: Path, script: Any) -> None:
+def test_zeros_after_a_power_cut(tmp_path: Path, script: Any) -> None:
     path = script.write(tmp_path / "a.mcap")
     end, count = chunk_ends(path)[2]
-    found = read_bytes(tmp_path, path.read_bytes()[:end] + bytes(5000))
-    assert isinstance(found, Recording)
-    assert contents(found) == script.by_topic(count)
-    assert sum(loss.bytes for loss in found.losses) == 5000
+    actual = read_bytes(tmp_path, path.read_bytes()[:end] + bytes(5000))
+    assert isinstance(actual, Recording)
+    assert contents(actual) == script.by_topic(count)
+    assert sum(loss.bytes for loss in actual.losses) == 5000
 
 
-def test_metadata_changed_is_restored_from_its_copy(tmp_path: Path, script: Any) -> None:
+def test_changed_metadata_is_restored_from_its_copy(tmp_path: Path, script: Any) -> None:
     intact = script.write(tmp_path / "a.mcap").read_bytes()
-    found = read_bytes(tmp_path, intact.replace(b"0.000153", b"0.000152", 1))
-    assert isinstance(found, Recording)
-    assert found.metadata["gyrorig.board.B-1"]["gyro_scale_rad_s"] == "0.000153"
-    assert [loss.cause for loss in found.losses] == [LossCause.METADATA]
+    actual = read_bytes(tmp_path, intact.replace(b"0.000153", b"0.000152", 1))
+    assert isinstance(actual, Recording)
+    assert actual.metadata["gyrorig.board.B-1"]["gyro_scale_rad_s"] == "0.000153"
+    assert [loss.cause for loss in actual.losses] == [LossCause.METADATA]
 
 
 def record(opcode: int, content: bytes) -> bytes:
@@ -263,8 +271,8 @@ def chunk(packed: bytes, compression: bytes, unpacked_size: int, crc: int = 0) -
 
 
 def file_of(*records: bytes) -> bytes:
-    own = text(b"format") + text(b"1")
-    head = record(1, text(b"ros2") + text(b"x")) + record(12, text(b"gyrorig") + text(own))
+    main_record = text(b"format") + text(b"1")
+    head = record(1, text(b"ros2") + text(b"x")) + record(12, text(b"gyrorig") + text(main_record))
     return MAGIC + head + b"".join(records)
 
 
@@ -287,7 +295,9 @@ def lz4_bomb() -> bytes:
 
 @pytest.mark.parametrize("claim", ["honest", "below the limit", "by ratio", "small"])
 @pytest.mark.parametrize("kind", ["zstd", "zstd without size", "lz4"])
-def test_bombs_are_refused_without_memory(tmp_path: Path, kind: str, claim: str) -> None:
+def test_decompression_bombs_are_rejected_without_memory(
+    tmp_path: Path, kind: str, claim: str
+) -> None:
     bomb = lz4_bomb() if kind == "lz4" else zstd_bomb(with_size=kind == "zstd")
     size = {
         "honest": GIGABYTE,
@@ -297,17 +307,19 @@ def test_bombs_are_refused_without_memory(tmp_path: Path, kind: str, claim: str)
     }[claim]
     tracemalloc.start()
     try:
-        found = read_bytes(tmp_path, file_of(chunk(bomb, kind.split(maxsplit=1)[0].encode(), size)))
+        actual = read_bytes(
+            tmp_path, file_of(chunk(bomb, kind.split(maxsplit=1)[0].encode(), size))
+        )
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert isinstance(found, Recording)
-    assert found.losses[-1].cause in {LossCause.REFUSED, LossCause.DAMAGED}
+    assert isinstance(actual, Recording)
+    assert actual.losses[-1].cause in {LossCause.REFUSED, LossCause.DAMAGED}
     # Sixty-four megabytes are allowed, and unpacking holds them twice; not a gigabyte.
     assert peak < 160 << 20
 
 
-def test_a_schema_cannot_ask_for_memory(tmp_path: Path) -> None:
+def test_a_schema_cannot_allocate_memory(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=1 << 22)
@@ -315,53 +327,53 @@ def test_a_schema_cannot_ask_for_memory(tmp_path: Path) -> None:
         writer.add_metadata("gyrorig", {"format": "1"})
         schema = writer.register_schema("x/msg/X", "ros2msg", b"uint8[65000] a")
         number = writer.register_channel("/x", "cdr", schema, {})
-        for k in range(20_000):  # an honest index of messages that are far too short
+        for k in range(20_000):  # a correct index of messages that are far too short
             writer.add_message(number, k, b"\0\1\0\0", k)
         writer.finish()  # type: ignore[no-untyped-call]
     tracemalloc.start()
     try:
-        found = read_recording(path)
+        actual = read_recording(path)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert [loss.cause for loss in found.losses] == [LossCause.MESSAGE]
-    assert found.lost_messages == 20_000
+    assert [loss.cause for loss in actual.losses] == [LossCause.MESSAGE]
+    assert actual.lost_messages == 20_000
     assert peak < 80 << 20
 
 
-def test_messages_that_are_not_of_their_type_are_lost_and_stated(tmp_path: Path) -> None:
+def test_messages_that_do_not_match_their_type_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    good = [ImuRaw(T + k, k, k, 0, 0, (k, k, k)) for k in range(30)]
+    valid = [ImuRaw(T + k, k, k, 0, 0, (k, k, k)) for k in range(30)]
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.NONE, index_types=IndexType.ALL)
         writer.start(profile="ros2", library="x")
         writer.add_metadata("gyrorig", {"format": "1"})
         schema = writer.register_schema("gyrorig_msgs/msg/ImuRaw", "ros2msg", IMU_RAW.encode())
-        number = writer.register_channel(imu_topic(B1), "cdr", schema, {})
-        for k, message in enumerate(good):
+        number = writer.register_channel(imu_raw_topic(B1), "cdr", schema, {})
+        for k, message in enumerate(valid):
             payload = message.encode()
             writer.add_message(number, T + k, payload, T + k)
             for wrong in (payload[:-1], payload + b"x", b"\0\0" + payload[2:], b""):
                 writer.add_message(number, T + k, wrong, T + k)
         writer.finish()  # type: ignore[no-untyped-call]
-    found = read_recording(path)
-    assert found.messages(imu_topic(B1)) == good
-    assert found.lost_messages == 120
+    actual = read_recording(path)
+    assert actual.messages(imu_raw_topic(B1)) == valid
+    assert actual.lost_messages == 120
 
 
-def test_messages_outside_chunks_are_stated(tmp_path: Path) -> None:
+def test_messages_outside_chunks_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:
         writer = Writer(file, use_chunking=False)
         writer.start(profile="ros2", library="x")
         writer.add_metadata("gyrorig", {"format": "1"})
         schema = writer.register_schema("gyrorig_msgs/msg/ImuRaw", "ros2msg", IMU_RAW.encode())
-        number = writer.register_channel(imu_topic(B1), "cdr", schema, {})
+        number = writer.register_channel(imu_raw_topic(B1), "cdr", schema, {})
         writer.add_message(number, T, ImuRaw(T, 0, 0, 0, 0, (0, 0, 0)).encode(), T)
         writer.finish()  # type: ignore[no-untyped-call]
-    found = read_recording(path)
-    assert found.lost_messages == 1
-    assert found.losses[0].cause is LossCause.REFUSED
+    actual = read_recording(path)
+    assert actual.lost_messages == 1
+    assert actual.losses[0].cause is LossCause.REFUSED
 
 
 @pytest.mark.parametrize(
@@ -375,17 +387,17 @@ def test_messages_outside_chunks_are_stated(tmp_path: Path) -> None:
         record(5, struct.pack("<HIQQ", 7, 0, T, T)),  # of a channel that nothing declares
     ],
 )
-def test_a_right_checksum_over_nonsense(tmp_path: Path, inside: bytes) -> None:
-    one = chunk(inside, b"", len(inside), zlib.crc32(inside))
-    found = read_bytes(tmp_path, file_of(one))
-    assert isinstance(found, Recording)
-    assert [loss.cause for loss in found.losses] == [LossCause.UNFINISHED, LossCause.DAMAGED]
-    assert not found.topics
+def test_a_valid_checksum_over_invalid_content(tmp_path: Path, inside: bytes) -> None:
+    item = chunk(inside, b"", len(inside), zlib.crc32(inside))
+    actual = read_bytes(tmp_path, file_of(item))
+    assert isinstance(actual, Recording)
+    assert [loss.cause for loss in actual.losses] == [LossCause.UNFINISHED, LossCause.DAMAGED]
+    assert not actual.topics
 
 
 def test_many_damaged_records_take_linear_time(tmp_path: Path) -> None:
     content = file_of(*[record(0x7F, b"")] * 60_000)
-    found = read_bytes(tmp_path, content)
-    assert isinstance(found, Recording)
-    assert sum(loss.bytes for loss in found.losses) == 9 * 60_000
-    assert len(found.losses) < 5
+    actual = read_bytes(tmp_path, content)
+    assert isinstance(actual, Recording)
+    assert sum(loss.bytes for loss in actual.losses) == 9 * 60_000
+    assert len(actual.losses) < 5

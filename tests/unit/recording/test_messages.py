@@ -11,7 +11,8 @@ from mcap_ros2._dynamic import generate_dynamic
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.recording.cdr import fixed_layout
+from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
+from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS, SEPARATOR
 from gyrorig_protocol.recording.messages import (
     ClockPing,
     HostClock,
@@ -23,7 +24,6 @@ from gyrorig_protocol.recording.messages import (
     SessionEvent,
 )
 from gyrorig_protocol.recording.recording import MESSAGE_TYPES
-from gyrorig_protocol.recording.schemas import SCHEMAS, SEPARATOR
 from gyrorig_protocol.recording.standard_messages import Diagnostics, DiagnosticStatus, Log
 
 Plain = Callable[[Any], Any]
@@ -32,7 +32,7 @@ times = st.integers(0, 2**31 * 10**9 - 1)
 u8, u16, u32, u64 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32, 64))
 i16, i32 = (st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (16, 32))
 floats = st.floats(allow_nan=False)
-# A NUL is escaped on writing, and a lone surrogate is no text.
+# A NUL is escaped on writing, and a lone surrogate is not text.
 texts = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
 triples = st.tuples(i32, i32, i32)
 
@@ -76,19 +76,23 @@ def test_round_trip(message: Message) -> None:
 
 @given(message=any_message)
 def test_fixed_sizes_are_those_of_the_schema(message: Message) -> None:
-    layout = fixed_layout(message.TYPE, SCHEMAS[message.TYPE])
+    layout = derive_fixed_layout(message.TYPE, SCHEMAS[message.TYPE])
     if layout is not None:
-        assert len(message.encode()) == layout.size
+        assert len(message.encode()) == layout.size_bytes
 
 
 @pytest.mark.parametrize("kind", MESSAGES, ids=lambda kind: kind.__name__)
 @given(data=st.data())
 def test_any_bytes_decode_or_raise_input_error(kind: type[Any], data: st.DataObject) -> None:
-    whole = data.draw(MESSAGES[kind]).encode()
-    at = data.draw(st.integers(0, len(whole) - 1))
+    complete = data.draw(MESSAGES[kind]).encode()
+    index = data.draw(st.integers(0, len(complete) - 1))
     damaged = data.draw(
         st.sampled_from(
-            [whole[:at], whole + b"x", whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :]]
+            [
+                complete[:index],
+                complete + b"x",
+                complete[:index] + bytes([complete[index] ^ 0x55]) + complete[index + 1 :],
+            ]
         )
         | st.binary(max_size=80)
     )
@@ -105,12 +109,12 @@ def test_the_stock_decoder_reads_the_same(plain: Plain, message: Message) -> Non
 
 
 def test_rosbags_reads_the_same(plain: Plain) -> None:
-    # rosbags: a third implementation; one message of each type is enough beside the above.
+    # rosbags: a third implementation; one message of each type is enough in addition.
     store = get_typestore(Stores.EMPTY)
     types: dict[str, Any] = {}
     for name, text in SCHEMAS.items():
-        own, *dependencies = text.split(SEPARATOR + "\n")
-        types |= get_types_from_msg(own, name)
+        main_record, *dependencies = text.split(SEPARATOR + "\n")
+        types |= get_types_from_msg(main_record, name)
         for part in dependencies:
             head, _, body = part.partition("\n")
             types |= get_types_from_msg(body, head.removeprefix("MSG: ").replace("/", "/msg/"))
@@ -122,8 +126,8 @@ def test_rosbags_reads_the_same(plain: Plain) -> None:
         Diagnostics(t, (DiagnosticStatus(1, "a", "b", "c", {"k": "v"}),), "f"),
         Log(t, 20, "n", "m", "f", "g", 7),
     ):
-        found = store.deserialize_cdr(message.encode(), message.TYPE)
-        assert plain(found) == expected(message)
+        actual = store.deserialize_cdr(message.encode(), message.TYPE)
+        assert plain(actual) == expected(message)
 
 
 def expected(message: Any) -> dict[str, Any]:
@@ -131,25 +135,25 @@ def expected(message: Any) -> dict[str, Any]:
     if isinstance(message, Diagnostics):
         status = [
             {
-                "level": one.level,
-                "name": one.name,
-                "message": one.message,
-                "hardware_id": one.hardware_id,
-                "values": [{"key": k, "value": v} for k, v in one.values.items()],
+                "level": item.level,
+                "name": item.name,
+                "message": item.message,
+                "hardware_id": item.hardware_id,
+                "values": [{"key": k, "value": v} for k, v in item.values.items()],
             }
-            for one in message.status
+            for item in message.status
         ]
         return {
             "header": {"stamp": message.stamp_ns, "frame_id": message.frame_id},
             "status": status,
         }
-    found = {}
+    actual = {}
     for name in type(message).__slots__:
         value = getattr(message, name)
         for unit in ("_ns", "_rad", "_s"):
             name = name.removesuffix(unit)  # noqa: PLW2901
-        found[name] = list(value) if isinstance(value, tuple) else value
-    return found
+        actual[name] = list(value) if isinstance(value, tuple) else value
+    return actual
 
 
 @pytest.mark.parametrize(
@@ -161,7 +165,7 @@ def expected(message: Any) -> dict[str, Any]:
         PtuCommandRecord(0, 0, 0, 0, 256, "", ""),
     ],
 )
-def test_values_that_do_not_fit_are_refused(message: Message) -> None:
+def test_values_out_of_range_are_rejected(message: Message) -> None:
     with pytest.raises(ValueError, match="does not fit"):
         message.encode()
 

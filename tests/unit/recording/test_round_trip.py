@@ -18,17 +18,17 @@ from rosbags.highlevel import AnyReader
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.encoding.message_schemas import IMU_RAW, SCHEMAS
 from gyrorig_protocol.recording.messages import (
     PTU_POSITION_TOPIC,
     SESSION_EVENT_TOPIC,
     ImuRaw,
     SessionEvent,
-    imu_topic,
+    imu_raw_topic,
 )
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording, times_ns
 from gyrorig_protocol.recording.salvage import read_strictly
-from gyrorig_protocol.recording.schemas import IMU_RAW, SCHEMAS
 from gyrorig_protocol.recording.writer import RecordingWriter
 
 Plain = Callable[[Any], Any]
@@ -42,9 +42,9 @@ def same(recording: Recording, entries: Mapping[str, list[Any]]) -> bool:
     return {topic: recording.messages(topic) for topic in recording.topics} == entries
 
 
-def test_everything_comes_back(tmp_path: Path, script: Any, contract_metadata: Any) -> None:
+def test_a_recording_round_trips(tmp_path: Path, script: Any, contract_metadata: Any) -> None:
     recording = read_recording(script.write(tmp_path / "a.mcap"))
-    assert recording.complete
+    assert recording.is_complete
     assert recording.notes == ()
     assert same(recording, script.by_topic())
     assert recording.metadata["gyrorig.board.B-2"] == contract_metadata["gyrorig.board.B-2"]
@@ -58,7 +58,7 @@ def test_everything_comes_back(tmp_path: Path, script: Any, contract_metadata: A
     assert numbers == list(range(len(numbers)))
 
 
-def test_shortcuts(tmp_path: Path, script: Any) -> None:
+def test_the_shortcuts_return_the_written_messages(tmp_path: Path, script: Any) -> None:
     recording = read_recording(script.write(tmp_path / "a.mcap"))
     by_topic = script.by_topic()
     positions = recording.ptu_positions()
@@ -70,7 +70,7 @@ def test_shortcuts(tmp_path: Path, script: Any) -> None:
     assert len(recording.clock_pings(BoardId("B-2"))) == 0
     assert recording.host_clock()["ntp_status"].tolist() == [64] * 4
     assert recording.reference_attitude()["orientation"].shape == (4, 4)
-    with pytest.raises(InputError, match="name one that it holds: B-1, B-2"):
+    with pytest.raises(InputError, match="Give one of B-1, B-2"):
         recording.imu(BoardId("B-3"))
 
 
@@ -96,36 +96,36 @@ def test_any_order_of_messages_and_flushes(
     tmp_path_factory: pytest.TempPathFactory, contract_metadata: Any, steps: Any
 ) -> None:
     path = tmp_path_factory.mktemp("any") / "a.mcap"
-    wanted: dict[str, list[Any]] = {}
+    expected: dict[str, list[Any]] = {}
     with RecordingWriter(path, contract_metadata) as out:
         t = T
-        for later_ns, device, counts, text, what in steps:
+        for later_ns, device, counts, text, problem in steps:
             t += later_ns
-            if what == "flush":
+            if problem == "flush":
                 out.flush()
                 continue
-            imu = what == "imu"
-            topic = imu_topic(B1) if imu else SESSION_EVENT_TOPIC
+            imu = problem == "imu"
+            topic = imu_raw_topic(B1) if imu else SESSION_EVENT_TOPIC
             message: Any = (
                 ImuRaw(t, device, 1, 2, 3, counts) if imu else SessionEvent(t, 2, "dwell", text)
             )
             out.write(topic, message, publish_time_ns=t - 5)
-            wanted.setdefault(topic, []).append(message)
+            expected.setdefault(topic, []).append(message)
     recording = read_recording(path)
-    assert recording.complete
-    assert same(recording, wanted)
-    for topic in wanted:
-        stamped = recording.stamped(topic)
+    assert recording.is_complete
+    assert same(recording, expected)
+    for topic in expected:
+        stamped = recording.timed_messages(topic)
         assert [s.publish_time_ns for s in stamped] == [s.log_time_ns - 5 for s in stamped]
-    if wanted:  # and so does mcap's own reader, by the chunks and by the message indexes
-        assert read_strictly(path) == {topic: len(them) for topic, them in wanted.items()}
+    if expected:  # and so does mcap's own reader, by the chunks and by the message indexes
+        assert read_strictly(path) == {topic: len(them) for topic, them in expected.items()}
         with path.open("rb") as file:
             indexed = list(make_reader(file, validate_crcs=True).iter_messages())
         times = [message.log_time for _, _, message in indexed]
         assert times == sorted(times)
-        for topic, them in wanted.items():
-            found = [message.data for _, channel, message in indexed if channel.topic == topic]
-            assert found == [one.encode() for one in them]
+        for topic, them in expected.items():
+            actual = [message.data for _, channel, message in indexed if channel.topic == topic]
+            assert actual == [item.encode() for item in them]
 
 
 def test_arrays_write_what_messages_write(tmp_path: Path, contract_metadata: Any) -> None:
@@ -153,7 +153,7 @@ def test_arrays_write_what_messages_write(tmp_path: Path, contract_metadata: Any
             vectors = [(int(v[i, 0]), int(v[i, 1]), int(v[i, 2])) for v in (gyro, accel, mag)]
             sequence, status, temperature = (int(v) for v in other[:, i] * (1, 1, -1))
             imu = ImuRaw(int(host[i]), int(device[i]), sequence, status, temperature, *vectors)
-            out.write(imu_topic(B1), imu, publish_time_ns=int(host[i]) - 9)
+            out.write(imu_raw_topic(B1), imu, publish_time_ns=int(host[i]) - 9)
     a, b = (read_recording(tmp_path / name) for name in ("a.mcap", "b.mcap"))
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
     assert (a.imu(B1) == b.imu(B1)).all()
@@ -162,37 +162,37 @@ def test_arrays_write_what_messages_write(tmp_path: Path, contract_metadata: Any
 
 def ours(recording: Recording, topic: str) -> list[tuple[int, Any]]:
     """Log time and fields, named as in the schema."""
-    found = recording.topics[topic]
-    if found.array is None:
+    actual = recording.topics[topic]
+    if actual.array is None:
         names = ("request_time", "first_byte_time", "reply_time", "host_time")
         rows = []
-        for one in found.stamped:
-            slots = vars(type(one.message))["__slots__"]
-            fields = {name.removesuffix("_ns"): getattr(one.message, name) for name in slots}
+        for item in actual.timed_messages:
+            slots = vars(type(item.message))["__slots__"]
+            fields = {name.removesuffix("_ns"): getattr(item.message, name) for name in slots}
             assert any(name in fields for name in names)
-            rows.append((one.log_time_ns, fields))
+            rows.append((item.log_time_ns, fields))
         return rows
     columns: dict[str, list[Any]] = {}
-    for name in (found.array.dtype.names or ())[3:]:
-        column = found.array[name]
+    for name in (actual.array.dtype.names or ())[3:]:
+        column = actual.array[name]
         columns[name] = (times_ns(column) if column.dtype.names else column).tolist()
     values = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    return list(zip(found.array["log_time"].tolist(), values, strict=True))
+    return list(zip(actual.array["log_time"].tolist(), values, strict=True))
 
 
 def by_stock(path: Path, plain: Plain) -> dict[str, list[tuple[int, Any]]]:
-    found: dict[str, list[tuple[int, Any]]] = {}
+    actual: dict[str, list[tuple[int, Any]]] = {}
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
-            found.setdefault(channel.topic, []).append((message.log_time, plain(decoded)))
-    return found
+            actual.setdefault(channel.topic, []).append((message.log_time, plain(decoded)))
+    return actual
 
 
-def test_the_sample_reads_as_the_stock_reader_reads_it(contracts: Path, plain: Plain) -> None:
+def test_the_sample_gives_the_same_as_the_mcap_reader(contracts: Path, plain: Plain) -> None:
     path = contracts / "sample.mcap"
     recording = read_recording(path)
-    assert recording.complete
+    assert recording.is_complete
     stock = by_stock(path, plain)
     assert set(stock) == set(recording.topics)
     for topic, messages in stock.items():
@@ -205,15 +205,17 @@ def test_independent_readers_read_our_files(tmp_path: Path, script: Any, plain: 
     stock = by_stock(path, plain)
     for topic, messages in stock.items():
         assert ours(recording, topic) == messages
-    found: dict[str, list[tuple[int, Any]]] = {}
+    actual: dict[str, list[tuple[int, Any]]] = {}
     with AnyReader([path]) as reader:
         for connection, time_ns, raw in reader.messages():
             decoded = plain(reader.deserialize(raw, connection.msgtype))
-            found.setdefault(connection.topic, []).append((time_ns, decoded))
-    assert found == stock
+            actual.setdefault(connection.topic, []).append((time_ns, decoded))
+    assert actual == stock
 
 
-def test_the_judge_accepts_our_files(tmp_path: Path, script: Any, contract_judge: Path) -> None:
+def test_the_contract_checker_accepts_our_files(
+    tmp_path: Path, script: Any, contract_judge: Path
+) -> None:
     path = script.write(tmp_path / "a.mcap")
     judged = subprocess.run(
         [sys.executable, str(contract_judge), str(path)],
@@ -243,7 +245,9 @@ def foreign(
 
 def fill_imu(writer: Writer, channels: int = 1, count: int = 100) -> None:
     schema = writer.register_schema("gyrorig_msgs/msg/ImuRaw", "ros2msg", IMU_RAW.encode())
-    numbers = [writer.register_channel(imu_topic(B1), "cdr", schema, {}) for _ in range(channels)]
+    numbers = [
+        writer.register_channel(imu_raw_topic(B1), "cdr", schema, {}) for _ in range(channels)
+    ]
     for i in range(count):
         payload = ImuRaw(T + i, i, i, 0, 0, (i, -i, i)).encode()
         writer.add_message(numbers[i % channels], T + i, payload, T + i, i)
@@ -264,18 +268,18 @@ def test_other_writers_options(
         enable_data_crcs=channels == 3,
     )
     recording = read_recording(path)
-    assert recording.complete
+    assert recording.is_complete
     assert recording.imu(B1)["sequence"].tolist() == list(range(100))
     assert recording.imu(B1)["gyro"][:, 1].tolist() == [-i for i in range(100)]
 
 
 def test_chunks_without_a_checksum_are_noted(tmp_path: Path) -> None:
     recording = read_recording(foreign(tmp_path / "a.mcap", fill_imu, enable_crcs=False))
-    assert recording.notes == ("1 chunks carry no checksum to check",)
+    assert recording.notes == ("1 chunks have no checksum",)
     assert len(recording.imu(B1)) == 100
 
 
-def test_unknown_topics_are_noted_and_left_alone(tmp_path: Path) -> None:
+def test_unknown_topics_are_noted_and_not_read(tmp_path: Path) -> None:
     def fill(writer: Writer) -> None:
         fill_imu(writer)
         text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
@@ -290,7 +294,7 @@ def test_unknown_topics_are_noted_and_left_alone(tmp_path: Path) -> None:
         writer.add_message(number, T, ImuRaw(T, 0, 0, 0, 0, (0, 0, 0)).encode(), T)
 
     recording = read_recording(foreign(tmp_path / "a.mcap", fill))
-    assert recording.complete
+    assert recording.is_complete
     assert recording.array("/p")["p"].tolist() == [[1.5, 2.5]]
     assert recording.array("/p")["q"].tolist() == [7]
     assert recording.board_ids == ("B-1",)
@@ -299,39 +303,39 @@ def test_unknown_topics_are_noted_and_left_alone(tmp_path: Path) -> None:
         recording.array("/s")
 
 
-def test_metadata_given_twice_is_said(tmp_path: Path) -> None:
+def test_repeated_metadata_is_noted(tmp_path: Path) -> None:
     def fill(writer: Writer) -> None:
         writer.add_metadata("gyrorig", {"format": "1", "session": "other"})
 
     recording = read_recording(foreign(tmp_path / "a.mcap", fill))
-    assert recording.notes == ("metadata 'gyrorig' is there twice; the last one counts",)
+    assert recording.notes == ("metadata 'gyrorig' occurs twice; the last one is used",)
     assert recording.metadata["gyrorig"]["session"] == "other"
 
 
 def other_fields(writer: Writer) -> None:
     text = IMU_RAW.replace("int32[3] mag\n", "")
     schema = writer.register_schema("gyrorig_msgs/msg/ImuRaw", "ros2msg", text.encode())
-    number = writer.register_channel(imu_topic(B1), "cdr", schema, {})
+    number = writer.register_channel(imu_raw_topic(B1), "cdr", schema, {})
     writer.add_message(number, T, b"\0\1\0\0" + bytes(48), T)
 
 
 @pytest.mark.parametrize(
     ("fill", "metadata", "word"),
     [
-        (fill_imu, {}, "no gyrorig metadata"),
+        (fill_imu, {}, "without gyrorig metadata"),
         (fill_imu, {"gyrorig": {"format": "2"}}, "format '2'"),
         (fill_imu, {"gyrorig": {}}, "format None"),
-        (other_fields, OWN, "other fields"),
+        (other_fields, OWN, "differ from those of format 1"),
     ],
 )
-def test_what_is_not_of_format_1(tmp_path: Path, fill: Any, metadata: Any, word: str) -> None:
+def test_other_formats_are_rejected(tmp_path: Path, fill: Any, metadata: Any, word: str) -> None:
     with pytest.raises(InputError, match=word) as caught:
         read_recording(foreign(tmp_path / "a.mcap", fill, metadata))
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("content", [b"", b"x", b"\x89MCAP0\r", b"%PDF-1.7" * 99, bytes(4096)])
-def test_what_is_no_recording(tmp_path: Path, content: bytes) -> None:
+def test_other_files_are_rejected(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(InputError) as caught:
@@ -339,7 +343,7 @@ def test_what_is_no_recording(tmp_path: Path, content: bytes) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_no_file_and_a_folder(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_rejected(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.mcap")  # to open it would wait for ever
     for path in (
         tmp_path,
@@ -351,7 +355,7 @@ def test_no_file_and_a_folder(tmp_path: Path) -> None:
             read_recording(path)
 
 
-def test_digest_is_of_the_file(tmp_path: Path, script: Any) -> None:
+def test_the_checksum_is_that_of_the_file(tmp_path: Path, script: Any) -> None:
     path = script.write(tmp_path / "a.mcap")
     judged = subprocess.run(["sha256sum", str(path)], capture_output=True, text=True, check=True)
     assert judged.stdout.split()[0] == read_recording(path).sha256

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_protocol.recording.disk_file import Disk, DiskFile
+from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_protocol.recording.salvage import RECOVERED, is_finished, read_strictly, salvage
+from gyrorig_protocol.recording.salvage import RECOVERED_RECORD, is_finished, read_strictly, salvage
 
 
 class _Unsynced(Disk):
@@ -29,23 +29,23 @@ ABOUT = {"original": "a.mcap.part", "original_sha256": "00"}
 
 
 def contents(recording: Recording) -> dict[str, list[Any]]:
-    found = {topic: recording.messages(topic) for topic in recording.topics}
-    return {topic: messages for topic, messages in found.items() if messages}
+    actual = {topic: recording.messages(topic) for topic in recording.topics}
+    return {topic: messages for topic, messages in actual.items() if messages}
 
 
 def salvaged(source: Path, target: Path) -> Recording | None:
     """The recovered recording, seen by both readers; None where nothing could be."""
     target.unlink(missing_ok=True)
     try:
-        told = salvage(source, target, ABOUT, QUICK)
+        reports = salvage(source, target, ABOUT, QUICK)
     except InputError:
         assert not target.exists()
         return None
-    assert read_strictly(target) == dict(told.messages)
+    assert read_strictly(target) == dict(reports.messages)
     assert is_finished(target)
     recording = read_recording(target)
-    assert recording.complete, recording.losses
-    assert recording.metadata[RECOVERED]["lost_bytes"] == str(told.lost_bytes)
+    assert recording.is_complete, recording.losses
+    assert recording.metadata[RECOVERED_RECORD]["lost_bytes"] == str(reports.lost_bytes)
     return recording
 
 
@@ -61,21 +61,21 @@ def check(source: Path, target: Path) -> int:
         assert contents(before) == {}
         return 0
     assert contents(recording) == contents(before)
-    assert {k: v for k, v in recording.metadata.items() if k != RECOVERED} == before.metadata
+    assert {k: v for k, v in recording.metadata.items() if k != RECOVERED_RECORD} == before.metadata
     assert [a.data for a in recording.attachments] == [a.data for a in before.attachments]
     return sum(map(len, contents(recording).values()))
 
 
 def cut(folder: Path, script: Any, step: int) -> int:
     """Salvage a small recording cut at every `step`th byte; how many files that were."""
-    whole = script.write(folder / "a.mcap").read_bytes()
+    complete = script.write(folder / "a.mcap").read_bytes()
     source, target, last = folder / "b.mcap.part", folder / "b.mcap", 0
-    lengths = range(0, len(whole), step)
+    lengths = range(0, len(complete), step)
     for length in lengths:
-        source.write_bytes(whole[:length])
-        found = check(source, target)
-        assert found >= last  # a longer file never tells less
-        last = found
+        source.write_bytes(complete[:length])
+        actual = check(source, target)
+        assert actual >= last  # a longer file never gives less
+        last = actual
     assert last > 0
     return len(lengths)
 
@@ -91,39 +91,41 @@ def test_cut_at_every_byte(tmp_path: Path, scripted: Any) -> None:
     sys.stdout.write(f"salvaged and read strictly: {cuts} cuts\n")
 
 
-def test_damage_anywhere(tmp_path: Path, scripted: Any) -> None:
-    whole = scripted(6, flush_every=4).write(tmp_path / "a.mcap").read_bytes()
+def test_salvage_after_damage_anywhere(tmp_path: Path, scripted: Any) -> None:
+    complete = scripted(6, flush_every=4).write(tmp_path / "a.mcap").read_bytes()
     source, target = tmp_path / "b.mcap.part", tmp_path / "b.mcap"
     chance = random.Random(3)
     for _ in range(120):
-        damaged = bytearray(whole[: chance.randrange(len(whole) // 2, len(whole))])
+        damaged = bytearray(complete[: chance.randrange(len(complete) // 2, len(complete))])
         for _ in range(chance.randrange(1, 4)):
-            at = chance.randrange(len(damaged))
-            damaged[at : at + chance.randrange(1, 300)] = chance.randbytes(chance.randrange(1, 9))
+            index = chance.randrange(len(damaged))
+            damaged[index : index + chance.randrange(1, 300)] = chance.randbytes(
+                chance.randrange(1, 9)
+            )
         source.write_bytes(damaged)
         check(source, target)
 
 
-def test_a_finished_file_stays_what_it_is(tmp_path: Path, scripted: Any) -> None:
+def test_a_finished_file_is_recognised(tmp_path: Path, scripted: Any) -> None:
     path = scripted(6, flush_every=4).write(tmp_path / "a.mcap")
     assert is_finished(path)
     assert check(path, tmp_path / "b.mcap") == len(scripted(6).entries)
 
 
-def test_the_summary_alone_finishes_nothing(tmp_path: Path, scripted: Any) -> None:
+def test_a_summary_alone_is_not_a_finished_file(tmp_path: Path, scripted: Any) -> None:
     """A power cut may leave the end on the disk, and any page before it not."""
     path = scripted(6, flush_every=10).write(tmp_path / "a.mcap")
-    whole = path.read_bytes()
+    complete = path.read_bytes()
     finished = 0
-    for at in range(0, len(whole), 64):
-        path.write_bytes(whole[:at] + bytes(64) + whole[at + 64 :])
+    for index in range(0, len(complete), 64):
+        path.write_bytes(complete[:index] + bytes(64) + complete[index + 64 :])
         if is_finished(path):
-            assert read_recording(path).complete, at
+            assert read_recording(path).is_complete, index
             finished += 1
     assert finished <= 3  # pages of what the summary itself repeats
 
 
-def test_nothing_to_salvage(tmp_path: Path, scripted: Any) -> None:
+def test_files_without_a_message_are_rejected(tmp_path: Path, scripted: Any) -> None:
     path = scripted(2).write(tmp_path / "a.mcap")
     target = tmp_path / "b.mcap"
     for content in (b"", b"\x89MCAP0\r\n", b"no recording", path.read_bytes()[:400]):

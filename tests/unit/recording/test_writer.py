@@ -15,21 +15,21 @@ from mcap.reader import make_reader
 
 from gyrorig_protocol.errors import MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.losses import LossCause
+from gyrorig_protocol.recording.mcap.losses import LossCause
 from gyrorig_protocol.recording.messages import (
     HOST_CLOCK_TOPIC,
     SESSION_EVENT_TOPIC,
     HostClock,
     ImuRaw,
     SessionEvent,
-    imu_topic,
+    imu_raw_topic,
 )
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
 
 T = 1_790_000_000_000_000_000
 B1 = BoardId("B-1")
-TOPIC = imu_topic(B1)
+TOPIC = imu_raw_topic(B1)
 
 
 def imu(time_ns: int, k: int = 0) -> ImuRaw:
@@ -41,7 +41,7 @@ def out(tmp_path: Path, contract_metadata: Any) -> RecordingWriter:
     return RecordingWriter(tmp_path / "a.mcap", contract_metadata)
 
 
-def test_it_is_a_part_until_it_closes(out: RecordingWriter, tmp_path: Path) -> None:
+def test_the_file_has_its_final_name_after_close(out: RecordingWriter, tmp_path: Path) -> None:
     part = tmp_path / "a.mcap.part"
     assert out.path == part
     out.write(TOPIC, imu(T))
@@ -61,7 +61,7 @@ def test_nothing_is_overwritten(tmp_path: Path, contract_metadata: Any, name: st
     assert (tmp_path / name).read_bytes() == b"precious"
 
 
-def test_a_file_that_appears_meanwhile_is_kept(out: RecordingWriter, tmp_path: Path) -> None:
+def test_a_file_created_by_another_program_is_kept(out: RecordingWriter, tmp_path: Path) -> None:
     out.write(TOPIC, imu(T))
     (tmp_path / "a.mcap").write_bytes(b"precious")
     with pytest.raises(MachineError):
@@ -70,21 +70,21 @@ def test_a_file_that_appears_meanwhile_is_kept(out: RecordingWriter, tmp_path: P
     assert len(read_recording(out.path).imu(B1)) == 1
 
 
-def test_no_folder(tmp_path: Path, contract_metadata: Any) -> None:
+def test_a_missing_folder_is_a_machine_error(tmp_path: Path, contract_metadata: Any) -> None:
     with pytest.raises(MachineError, match="No such file"):
         RecordingWriter(tmp_path / "none" / "a.mcap", contract_metadata)
 
 
-def test_messages_lost_before_the_writer_leave_a_gap(out: RecordingWriter) -> None:
-    out.skip(TOPIC, 5)  # nothing before it that a gap could follow
+def test_skipped_messages_leave_a_gap(out: RecordingWriter) -> None:
+    out.skip_sequence(TOPIC, 5)  # nothing before it that a gap could follow
     out.write(TOPIC, imu(T))
-    out.skip(TOPIC, 2)
+    out.skip_sequence(TOPIC, 2)
     out.write(TOPIC, imu(T + 1))
     out.write(TOPIC, imu(T + 2))
     assert read_recording(out.close()).imu(B1)["message_sequence"].tolist() == [0, 3, 4]
 
 
-def test_mistakes_of_the_caller(out: RecordingWriter) -> None:
+def test_invalid_calls_raise(out: RecordingWriter) -> None:
     out.write(TOPIC, imu(T))
     mistakes: list[Callable[[], None]] = [
         lambda: out.write(TOPIC, imu(T - 1)),
@@ -112,7 +112,7 @@ def test_mistakes_of_the_caller(out: RecordingWriter) -> None:
         {"sequence": np.array([1])},
     ],
 )
-def test_mistakes_in_arrays(out: RecordingWriter, wrong: dict[str, Any]) -> None:
+def test_invalid_arrays_raise(out: RecordingWriter, wrong: dict[str, Any]) -> None:
     zeros = np.zeros(2, int)
     right: dict[str, Any] = {
         "host_time_ns": np.array([T, T]),
@@ -146,7 +146,7 @@ def test_mistakes_in_arrays(out: RecordingWriter, wrong: dict[str, Any]) -> None
         },
     ],
 )
-def test_metadata_against_the_contract(tmp_path: Path, metadata: Any) -> None:
+def test_invalid_metadata_raise(tmp_path: Path, metadata: Any) -> None:
     with pytest.raises(ValueError, match=r"metadata|format"):
         RecordingWriter(tmp_path / "a.mcap", metadata)
     assert not list(tmp_path.iterdir())
@@ -208,12 +208,12 @@ def fill_until_refused(path: Path, metadata: Any) -> tuple[RecordingWriter | Non
 def test_a_full_disk_at_any_byte(
     tmp_path: Path, contract_metadata: Any, monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
-    with RecordingWriter(tmp_path / "whole.mcap", contract_metadata) as whole:
+    with RecordingWriter(tmp_path / "whole.mcap", contract_metadata) as complete:
         for k in range(400):
-            whole.write(TOPIC, imu(T + k, k))
+            complete.write(TOPIC, imu(T + k, k))
             if k % 20 == 19:
-                whole.flush()
-    length = whole.path.stat().st_size
+                complete.flush()
+    length = complete.path.stat().st_size
     steps = random.Random(block)
     for number, limit in enumerate(steps.sample(range(length), 60)):
         path = tmp_path / f"{block}-{number}.mcap"
@@ -226,11 +226,11 @@ def test_a_full_disk_at_any_byte(
         assert out.closed
         assert out.path.name.endswith(".part")
         assert out.path.stat().st_size <= limit
-        kept = read_recording(out.path)
-        found = kept.messages(TOPIC) if TOPIC in kept.topics else []
-        assert found == [imu(T + k, k) for k in range(len(found))]
-        assert len(found) + out.lost_messages == taken
-        assert [loss.cause for loss in kept.losses] == [LossCause.UNFINISHED]
+        remaining = read_recording(out.path)
+        actual = remaining.messages(TOPIC) if TOPIC in remaining.topics else []
+        assert actual == [imu(T + k, k) for k in range(len(actual))]
+        assert len(actual) + out.lost_messages == taken
+        assert [loss.cause for loss in remaining.losses] == [LossCause.UNFINISHED]
         with pytest.raises(MachineError):
             out.write(TOPIC, imu(T + 500))
 
@@ -256,19 +256,19 @@ except MachineError as error:
 """
 
 
-def test_a_limit_of_the_system_on_the_file(tmp_path: Path) -> None:
+def test_a_file_size_limit_of_the_system(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     ended = subprocess.run(
         [sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, check=False
     )
     assert ended.returncode == 1, ended.stderr
-    assert "are whole and kept" in ended.stdout
+    assert "are complete and kept" in ended.stdout
     part = path.with_name("a.mcap.part")
-    kept = read_recording(part)
-    times = [event.host_time_ns for event in kept.events()]
+    remaining = read_recording(part)
+    times = [event.host_time_ns for event in remaining.events()]
     assert len(times) >= 100
     assert times == list(range(len(times)))
-    assert kept.losses[0].cause is LossCause.UNFINISHED
+    assert remaining.losses[0].cause is LossCause.UNFINISHED
     assert part.stat().st_size <= 100_000
 
 
@@ -296,15 +296,15 @@ def test_kill_at_any_time_leaves_the_prefix(tmp_path: Path, lines: int) -> None:
         assert writer.stdout is not None
         last = [writer.stdout.readline() for _ in range(lines)][-1]
         os.kill(writer.pid, signal.SIGKILL)
-    kept = read_recording(path.with_name("a.mcap.part"))
-    events = kept.events()
-    # Simulated 10 ms a message: at most a second's worth, 100, may be missing.
+    remaining = read_recording(path.with_name("a.mcap.part"))
+    events = remaining.events()
+    # Simulated 10 ms a message: at most 100, one second, can be missing.
     assert len(events) >= int(last) + 1 - 100
     assert events == [SessionEvent(k, 2, "sweep", "x" * (k % 50)) for k in range(len(events))]
-    assert not kept.complete
+    assert not remaining.is_complete
 
 
-def test_the_file_carries_its_indexes(out: RecordingWriter) -> None:
+def test_the_file_has_its_indexes(out: RecordingWriter) -> None:
     for k in range(50):
         out.write(TOPIC, imu(T + k, k), publish_time_ns=T + k - 3)
         out.write(SESSION_EVENT_TOPIC, SessionEvent(T + k, 2, "", ""))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.clocks import ClockMap
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.clocks import ClockMap
+from gyrorig_solver.data.samples import GyroSamples
 
 # The scripts of docs are run from the checkout, where a reader finds them.
 ROOT = Path(__file__).resolve().parents[3]
@@ -46,12 +46,12 @@ def make_samples(
         number=np.arange(n),
         segment=np.zeros(n, np.int64),
         rate_rad_s=rate_rad_s,
-        good=np.ones(n, np.bool_),
+        usable=np.ones(n, np.bool_),
         accel_m_s2=accel_m_s2,
         temperature_degc=None,
         quantum_rad_s=1e-7,
         clock=clock,
-        floor=None,
+        latency_bounds=None,
         lost=0,
         repeated=0,
         late=0,

@@ -12,11 +12,15 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.discover.attitude import AttitudeExplained, Beside, explain_beside
-from gyrorig_solver.model.terms.scene import Setting
-from gyrorig_solver.reference.attitude import read_attitude
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.discover.attitude.explain_attitudes import (
+    AttitudeExplanation,
+    AttitudeRecording,
+    explain_attitudes,
+)
+from gyrorig_solver.model.signal_state import RecordingContext
+from gyrorig_solver.reference.attitude_reference import read_attitude
 
 SPAN_S, GYRO_HZ, CAMERA_HZ, LAG_S = 90.0, 200.0, 100.0, 0.004
 REST_S = 12.0  # at both ends
@@ -72,7 +76,7 @@ def explained(
     seed: int,
     effect: Callable[[FloatArray, FloatArray], FloatArray] | None = None,
     width_s: float = 0.0,
-) -> AttitudeExplained:
+) -> AttitudeExplanation:
     """Explain a session; `effect` takes rate and force of the board to a change of the rate."""
     hand, rng = Hand(seed), np.random.default_rng(500 + seed)
     time_s = np.arange(int(SPAN_S * GYRO_HZ)) / GYRO_HZ
@@ -84,12 +88,12 @@ def explained(
     at_s = np.arange(0.5, SPAN_S - 0.5, 1.0 / CAMERA_HZ)
     reference = read_attitude(at_s, hand.seen(at_s, width_s).as_quat(), np.zeros(at_s.size))
     samples = make(time_s, measured, force)
-    setting = Setting(begin_s=0.0, end_s=SPAN_S)
-    return explain_beside([Beside("made", samples, reference, setting)])
+    setting = RecordingContext(begin_s=0.0, end_s=SPAN_S)
+    return explain_attitudes([AttitudeRecording("made", samples, reference, setting)])
 
 
-def names(found: AttitudeExplained) -> list[str]:
-    return [one.cause for one in found.findings.causes]
+def names(result: AttitudeExplanation) -> list[str]:
+    return [one.cause for one in result.findings.causes]
 
 
 def odd_nulls(make: Maker, gain: FloatArray, seeds: range) -> list[int]:
@@ -116,30 +120,30 @@ def test_a_smoothed_reference_is_told_from_the_gyro(
     samples_of: Maker, true_gain: FloatArray
 ) -> None:
     width_s = 0.012
-    found = explained(samples_of, true_gain, 3, width_s=width_s)
-    assert names(found) == ["reference_smoothing"]
-    variance = found.findings.causes[0].values[0]
+    result = explained(samples_of, true_gain, 3, width_s=width_s)
+    assert names(result) == ["reference_smoothing"]
+    variance = result.findings.causes[0].values[0]
     assert abs(variance.value - width_s**2) < 3.0 * variance.std
     assert variance.std < 0.15 * width_s**2
-    gain = found.findings.causes[0].gain
+    gain = result.findings.causes[0].gain
     assert gain is not None
     assert gain.log_likelihood.low > 0.0
 
 
 def test_gravity_felt_is_named_with_its_matrix(samples_of: Maker, true_gain: FloatArray) -> None:
     k = 1.8e-4 * np.array([[1.0, -2.0, 0.5], [0.3, 1.5, -1.0], [-1.0, 0.4, 2.0]])
-    found = explained(samples_of, true_gain, 4, lambda _, force: force @ k.T)
-    assert names(found) == ["g_sensitivity"]
-    values = found.findings.causes[0].values
+    result = explained(samples_of, true_gain, 4, lambda _, force: force @ k.T)
+    assert names(result) == ["g_sensitivity"]
+    values = result.findings.causes[0].values
     score = [(v.value - t) / v.std for v, t in zip(values, k.ravel(), strict=True)]
     assert np.sqrt(np.mean(np.square(score))) < 2.0
 
 
 def test_a_bent_scale_is_named(samples_of: Maker, true_gain: FloatArray) -> None:
     size = np.array([0.0, 4e-4, 0.0])
-    found = explained(samples_of, true_gain, 5, lambda rate, _: size * (rate @ true_gain.T) ** 3)
-    assert names(found) == ["scale_cubic"]
-    (y,) = [v for v in found.findings.causes[0].values if v.name == "coefficient.y"]
+    result = explained(samples_of, true_gain, 5, lambda rate, _: size * (rate @ true_gain.T) ** 3)
+    assert names(result) == ["scale_cubic"]
+    (y,) = [v for v in result.findings.causes[0].values if v.name == "coefficient.y"]
     assert abs(y.value - 4e-4) < 4.0 * y.std
 
 
@@ -151,26 +155,26 @@ def test_a_bias_of_motion_gets_no_name(samples_of: Maker, true_gain: FloatArray)
         runs: FloatArray = (np.linalg.norm(rate, axis=1) > 0.05).astype(np.float64)
         return np.outer(runs, shift)
 
-    found = explained(samples_of, true_gain, 6, moving)
-    assert names(found) == []
-    rest = found.findings.unexplained
+    result = explained(samples_of, true_gain, 6, moving)
+    assert names(result) == []
+    rest = result.findings.unexplained
     assert rest is not None
-    assert rest.best.covariate == "moving_bias"
-    assert any("on data left out" in remark for remark in found.remarks)
+    assert rest.leading.covariate == "moving_bias"
+    assert any("on data left out" in remark for remark in result.remarks)
 
 
 @pytest.mark.parametrize("cause", ["backlash", "thermal_bias", "motor_coupling", "tilt_zero"])
 def test_what_cannot_be_looked_at_is_said(
     samples_of: Maker, true_gain: FloatArray, cause: str
 ) -> None:
-    blind = {one.cause: one.reason for one in still(samples_of, true_gain).findings.not_testable}
+    blind = {one.cause: one.reason for one in still(samples_of, true_gain).findings.untestable}
     assert blind[cause]
 
 
-_STILL: list[AttitudeExplained] = []
+_STILL: list[AttitudeExplanation] = []
 
 
-def still(make: Maker, gain: FloatArray) -> AttitudeExplained:
+def still(make: Maker, gain: FloatArray) -> AttitudeExplanation:
     """Return one session without any effect, made once."""
     if not _STILL:
         _STILL.append(explained(make, gain, 1))

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.gravity import fit_gravity
-from gyrorig_solver.reference.gravity import calibrate_accel, find_poses
-from gyrorig_solver.reference.turns import Interval
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.gravity_fit import fit_gravity
+from gyrorig_solver.reference.gravity_reference import calibrate_accelerometer, find_poses
+from gyrorig_solver.reference.known_turns import TimeInterval
 
 Maker = Callable[..., GyroSamples]
 GRAVITY = 9.81
@@ -58,11 +58,11 @@ def handheld(
 
 def test_accelerometer_is_found_from_exact_poses() -> None:
     force = GRAVITY * Rotation.random(20, random_state=1).apply([0.0, 0.0, 1.0])
-    found = calibrate_accel(force @ np.linalg.inv(TRUE_U).T + OFFSET, GRAVITY)
-    np.testing.assert_allclose(found.matrix, TRUE_U, atol=1e-9)
-    np.testing.assert_allclose(found.offset_m_s2, OFFSET, atol=1e-8)
-    assert found.residual_m_s2 < 1e-9
-    assert found.condition < 100.0
+    result = calibrate_accelerometer(force @ np.linalg.inv(TRUE_U).T + OFFSET, GRAVITY)
+    np.testing.assert_allclose(result.matrix, TRUE_U, atol=1e-9)
+    np.testing.assert_allclose(result.offset_m_s2, OFFSET, atol=1e-8)
+    assert result.residual_m_s2 < 1e-9
+    assert result.condition < 100.0
 
 
 def test_rests_are_found_where_they_are(
@@ -70,7 +70,7 @@ def test_rests_are_found_where_they_are(
 ) -> None:
     samples = handheld(samples_of, true_gain, true_bias_rad_s, 2)
     assert samples.accel_m_s2 is not None
-    poses = find_poses(samples.time_s, samples.accel_m_s2, GRAVITY, Interval(0.0, 10.0))
+    poses = find_poses(samples.time_s, samples.accel_m_s2, GRAVITY, TimeInterval(0.0, 10.0))
     assert len(poses.rests) == 31
     for k, rest in enumerate(poses.rests[1:]):
         begin_s = 14.0 + 5.0 * k
@@ -98,7 +98,7 @@ def test_a_nominal_scale_a_quarter_off_is_found(
     gain = 0.75 * true_gain
     fit = fit_gravity(handheld(samples_of, gain, true_bias_rad_s, 11), GRAVITY)
     assert np.abs((fit.gain - gain) / fit.gain_std).max() < 4.5
-    assert not fit.distrust or all("time offset" in text for text in fit.distrust)
+    assert not fit.limited_reasons or all("time offset" in text for text in fit.limited_reasons)
 
 
 def test_turns_about_two_axes_hide_the_third(
@@ -121,6 +121,6 @@ def test_few_poses_no_accelerometer_and_gaps_are_refused(
     with pytest.raises(InputError, match="no accelerometer"):
         fit_gravity(samples_of(few.time_s, few.rate_rad_s), GRAVITY)
     whole = handheld(samples_of, true_gain, true_bias_rad_s, 5, moves=12)
-    whole.good[::50] = False
+    whole.usable[::50] = False
     with pytest.raises(InputError, match="0 moves between rests"):
         fit_gravity(whole, GRAVITY)

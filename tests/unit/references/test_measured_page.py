@@ -16,7 +16,7 @@ from docs.measured import held_out_moves, sessions, write
 from docs.measured.printed import IMU_TK
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.solve import solve_recordings
+from gyrorig_solver.pipeline.fit_board import solve_recordings
 
 DECIMAL = re.compile(r"\d+\.\d+")
 # The first of them runs every command.
@@ -34,7 +34,7 @@ def document() -> str:
     return write.DOCUMENT.read_text(encoding="utf-8")
 
 
-def test_commands_leave_with_the_codes_of_the_contract(measured: sessions.Measured) -> None:
+def test_the_exit_statuses_follow_the_contract(measured: sessions.Measured) -> None:
     refused = []
     for done in measured.done.values():
         for one in done:
@@ -46,7 +46,7 @@ def test_commands_leave_with_the_codes_of_the_contract(measured: sessions.Measur
                 assert one.complained == ""
     # The two that the page shows: no gyro in it, and no rest for the bias.
     assert ["can_frames" in one.line for one in refused] == [False, True]
-    assert "no rest to take the bias from" in refused[0].complained
+    assert "the board never rests" in refused[0].complained
 
 
 def test_what_they_write_keeps_the_contracts(
@@ -105,10 +105,10 @@ def test_imu_tk_method_run_here_gives_what_its_program_printed(
     moves, _ = held_out_moves.find_moves(samples, loaded.rests[0])
     scale_rad_s = samples.quantum_rad_s
     first = (IMU_TK.b_counts - held_out_moves.OFFSET_COUNTS) * scale_rad_s
-    found = held_out_moves.gain_as_imu_tk(samples, moves, first, 0.76 * np.eye(3))
+    result = held_out_moves.gain_as_imu_tk(samples, moves, first, 0.76 * np.eye(3))
     std = IMU_TK.spread(lambda gain: gain, scale_rad_s)
     assert len(moves) == 37  # as its program counts them
-    assert np.abs((found - IMU_TK.gain(scale_rad_s)) / std).max() < 1.0 / 3.0
+    assert np.abs((result - IMU_TK.gain(scale_rad_s)) / std).max() < 1.0 / 3.0
 
 
 def test_without_the_data_the_script_says_what_to_do(tmp_path: Path) -> None:

@@ -23,8 +23,8 @@ def test_products_equal_one_by_one(n: int) -> None:
             product = product * Rotation.from_rotvec(vector)
             if path == 0:
                 np.testing.assert_allclose(prefix[k], product.as_matrix(), atol=1e-12)
-        found = total_rotation(vectors)[path]
-        assert (found.inv() * product).magnitude() < 1e-12
+        result = total_rotation(vectors)[path]
+        assert (result.inv() * product).magnitude() < 1e-12
 
 
 def test_signs_of_quaternions_do_not_matter() -> None:

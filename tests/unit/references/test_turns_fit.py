@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.estimate.turns import fit_turns
-from gyrorig_solver.reference.turns import Interval, KnownTurn, TurnReference, read_turns
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.turn_fit import fit_turns
+from gyrorig_solver.reference.known_turns import KnownTurn, TimeInterval, TurnReference, read_turns
 
 Maker = Callable[..., GyroSamples]
 STD_RAD = float(np.radians(1.0))
@@ -33,7 +33,7 @@ def turning(
     rng = np.random.default_rng(seed)
     hz, turns, rests, rates = 100.0, [], [], [np.zeros((500, 3))]
     at_s = 5.0
-    rests.append(Interval(0.0, 4.99))
+    rests.append(TimeInterval(0.0, 4.99))
     for axis in axes:
         true_angle, true_axis = angle_rad, axis
         if seed is not None:
@@ -43,8 +43,8 @@ def turning(
         phase = (np.arange(400) + 0.5) / 400.0
         speed = true_angle / 4.0 * (1.0 - np.cos(2 * np.pi * phase))
         rates += [speed[:, None] * true_axis, np.zeros((500, 3))]
-        turns.append(KnownTurn(Interval(at_s, at_s + 3.99), axis, angle_rad, STD_RAD))
-        rests.append(Interval(at_s + 4.0, at_s + 8.99))
+        turns.append(KnownTurn(TimeInterval(at_s, at_s + 3.99), axis, angle_rad, STD_RAD))
+        rests.append(TimeInterval(at_s + 4.0, at_s + 8.99))
         at_s += 9.0
     rate = np.concatenate(rates)
     noise = np.random.default_rng(99).normal(size=rate.shape) * 1e-4
@@ -89,7 +89,7 @@ def test_turns_about_x_show_only_x(
     assert np.isnan(fit.gain[:, 1:]).all()
     assert "scale.y" in fit.observability.unobservable
     assert any(
-        "column y of the gain: no turn about the stage's y axis" in text
+        "column y of the gain: there is no turn about the stage's y axis" in text
         for text in fit.observability.reasons
     )
 
@@ -97,19 +97,19 @@ def test_turns_about_x_show_only_x(
 def test_rest_and_turns_may_be_two_recordings(
     samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
 ) -> None:
-    samples, found = turning(samples_of, true_gain, true_bias_rad_s, np.eye(3), None)
-    alone = (samples, TurnReference(found.turns, ()))
-    with pytest.raises(InputError, match="no rest to take the bias from"):
+    samples, result = turning(samples_of, true_gain, true_bias_rad_s, np.eye(3), None)
+    alone = (samples, TurnReference(result.turns, ()))
+    with pytest.raises(InputError, match="the board never rests"):
         fit_turns([alone])
-    fit = fit_turns([alone, (samples, TurnReference((), found.rests))])
+    fit = fit_turns([alone, (samples, TurnReference((), result.rests))])
     np.testing.assert_allclose(fit.gain, true_gain, atol=2e-4)
 
 
 def test_coarse_counts_do_not_stop_the_bias(samples_of: Maker) -> None:
-    samples, found = turning(samples_of, np.eye(3), np.array([0.0004, 0.0, 0.0]), np.eye(3), None)
+    samples, result = turning(samples_of, np.eye(3), np.array([0.0004, 0.0, 0.0]), np.eye(3), None)
     quantum = 0.001
     coarse = np.rint(samples.rate_rad_s / quantum + 0.25) * quantum
-    fit = fit_turns([(samples_of(samples.time_s, coarse), found)])
+    fit = fit_turns([(samples_of(samples.time_s, coarse), result)])
     assert np.abs(fit.bias_rad_s).max() < quantum
 
 
@@ -129,7 +129,7 @@ def event(time_ns: int, kind: EventKind, phase: str, text: str = "") -> SessionE
         '{"axis": [1, 0, 0], "angle_rad": 1, "std_rad": 0}',
     ],
 )
-def test_turns_that_are_none_are_refused(text: str) -> None:
+def test_invalid_turns_are_rejected(text: str) -> None:
     events = [
         event(0, EventKind.PHASE_BEGIN, "turn", text),
         event(10**9, EventKind.PHASE_END, "turn", text),
@@ -138,7 +138,7 @@ def test_turns_that_are_none_are_refused(text: str) -> None:
         read_turns(events, 0)
 
 
-def test_what_a_fault_broke_off_is_no_turn_and_no_rest() -> None:
+def test_interrupted_phases_are_not_used() -> None:
     text = '{"axis": [0, 0, 1], "angle_rad": 6.28, "std_rad": 0.1}'
     second = 10**9
     events = [
@@ -150,9 +150,9 @@ def test_what_a_fault_broke_off_is_no_turn_and_no_rest() -> None:
         event(9 * second, EventKind.PHASE_BEGIN, "static"),
         event(12 * second, EventKind.PHASE_END, "static", "aborted"),
     ]
-    found = read_turns(events, 0)
-    assert found.turns == ()
-    assert found.rests == (Interval(0.0, 5.0),)
+    result = read_turns(events, 0)
+    assert result.turns == ()
+    assert result.rests == (TimeInterval(0.0, 5.0),)
 
 
 @given(
@@ -163,8 +163,8 @@ def test_what_a_fault_broke_off_is_no_turn_and_no_rest() -> None:
         max_size=20,
     )
 )
-def test_events_in_any_order_never_crash(told: list[tuple[int, int, str]]) -> None:
+def test_events_in_any_order_never_crash(output: list[tuple[int, int, str]]) -> None:
     text = '{"axis": [0, 0, 1], "angle_rad": -6.28, "std_rad": 0.1}'
-    events = [event(t, EventKind(kind), phase, text) for t, kind, phase in told]
-    found = read_turns(events, 0)
-    assert all(i.end_s > i.begin_s for i in found.rests)
+    events = [event(t, EventKind(kind), phase, text) for t, kind, phase in output]
+    result = read_turns(events, 0)
+    assert all(i.end_s > i.begin_s for i in result.rests)

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrorig_daemon.config import CommandLimits
-from gyrorig_daemon.motion.facts import AxisFacts, UnitFacts
-from gyrorig_daemon.motion.plan import PlannedMove, plan_program
+from gyrorig_daemon.motion.motion_plan import PlannedMove, plan_program
+from gyrorig_daemon.motion.unit_facts import AxisFacts, UnitFacts
 from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_protocol.ptu import Axis, Dialect

@@ -1,4 +1,4 @@
-"""A daemon in service on an emulated rig, under simulated time and a wall clock of its own."""
+"""A service on an emulated rig, in simulated time and with a system time of its own."""
 
 import heapq
 from collections.abc import Callable, Iterator
@@ -9,23 +9,26 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import parse_rig
-from gyrorig_daemon.emulated import rig_settings
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import BoardFaults, RigSettings
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import BoardFaults, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.links.capture_clock import CaptureClock, HostClocks
-from gyrorig_daemon.rig import Rig
-from gyrorig_daemon.service.counts import ServiceCounts
-from gyrorig_daemon.service.daemon import Daemon, Ending
-from gyrorig_daemon.service.jobs import JobQueue, put
-from gyrorig_daemon.service.keeper import Keeper
-from gyrorig_daemon.service.memory import Memory
-from gyrorig_daemon.service.notify import Notifier
-from gyrorig_daemon.service.orders import Orders
-from gyrorig_daemon.service.parts import Clocks, Parts
+from gyrorig_daemon.service.housekeeping import Housekeeping
+from gyrorig_daemon.service.job_queue import JobQueue, enqueue_job
+from gyrorig_daemon.service.persistent_state import PersistentState
 from gyrorig_daemon.service.schedule import Schedule
-from gyrorig_daemon.service.state import StateFolder
+from gyrorig_daemon.service.service_context import (
+    OperatorRequests,
+    ServiceClocks,
+    ServiceContext,
+    ServiceCounts,
+)
+from gyrorig_daemon.service.service_loop import LoopExit, ServiceLoop
+from gyrorig_daemon.service.state_folder import StateFolder
+from gyrorig_daemon.service.systemd_notifier import SystemdNotifier
+from gyrorig_daemon.session.connected_rig import Rig
+from gyrorig_daemon.session.emulator_process import emulated_rig_settings
 
 ORIGIN_NS = 5_000_000_000
 UTC_S = 1_790_000_000.0
@@ -47,14 +50,14 @@ steps:
 """
 
 
-class Spoken(Notifier):
+class Spoken(SystemdNotifier):
     """Remembers what systemd would be told."""
 
     def __init__(self) -> None:
         super().__init__(None, 10.0)
         self.words: list[str] = []
 
-    def _say(self, text: str) -> None:
+    def _send(self, text: str) -> None:
         self.words.append(text)
 
 
@@ -68,10 +71,10 @@ class Bench:
         change: Callable[[RigSettings], RigSettings] | None = None,
     ) -> None:
         config = parse_rig(rig_text, "rig.yaml")
-        settings = rig_settings(config, 3)
+        settings = emulated_rig_settings(config, 3)
         self.rig = EmulatedRig(change(settings) if change else settings, ORIGIN_NS)
         self.hub = VirtualHub(self.rig)
-        self.orders = Orders()
+        self.orders = OperatorRequests()
         self.notifier = Spoken()
         self.log: list[str] = []
         self.statuses: list[dict[str, Any]] = []
@@ -81,15 +84,15 @@ class Bench:
         self._plans: list[tuple[int, int, Callable[[], None]]] = []
         self.due_ns = ORIGIN_NS
         self.state = StateFolder(folder / "state").__enter__()
-        self.parts = Parts(
-            state=self.state,
+        self.parts = ServiceContext(
+            state_folder=self.state,
             queue=JobQueue(self.state.queue),
             schedule=Schedule(config.schedule, self.state.schedule, self.now_s()),
-            memory=Memory(self.state.memory, self.utc_s()),
-            orders=self.orders,
+            persistent=PersistentState(self.state.persistent_state, self.utc_s()),
+            requests=self.orders,
             counts=ServiceCounts(),
             notifier=self.notifier,
-            clocks=Clocks(
+            clocks=ServiceClocks(
                 lambda: CaptureClock(int(self.utc_s() * 1e9), self.hub.now_ns()),
                 self.read_host,
                 self.now_s,
@@ -98,17 +101,19 @@ class Bench:
             host="host",
             config_text=rig_text.encode(),
             read_program=lambda name: SHORT.encode(),
-            reread=lambda: self.refusal,
+            reload_config=lambda: self.refusal,
             publish=self.statuses.append,
-            hanging=list,
+            stalled_loops=list,
             dropped_bytes=lambda: 0,
             log=self.log.append,
-            keeper=Keeper(self.state, lambda: config.service, lambda: True, self.log.append),
+            housekeeping=Housekeeping(
+                self.state, lambda: config.service, lambda: True, self.log.append
+            ),
             threaded_writer=False,
         )
         capture = CaptureClock(int(self.utc_s() * 1e9), self.hub.now_ns())
         self.opened = Rig(self.hub, config, capture, stop=self.orders.stop, seed=1)
-        self.daemon = Daemon(self.opened, self.parts)
+        self.daemon = ServiceLoop(self.opened, self.parts)
         self.opened.pump.add_timer(self)
 
     def now_s(self) -> float:
@@ -129,18 +134,18 @@ class Bench:
     def fire(self, now_ns: int) -> None:
         self.due_ns = now_ns + 50_000_000
         if self._enough is not None and self._enough():
-            self.orders.ask_to_end("enough")
+            self.orders.request_termination("enough")
         while self._plans and self._plans[0][0] <= now_ns:
             heapq.heappop(self._plans)[2]()
 
-    def serve(self, until_s: float, enough: Callable[[], bool] | None = None) -> Ending:
+    def serve(self, until_s: float, enough: Callable[[], bool] | None = None) -> LoopExit:
         """Let time pass until then, or until `enough`."""
         self._enough = enough
-        self.at(until_s, lambda: self.orders.ask_to_end("SIGTERM"))
+        self.at(until_s, lambda: self.orders.request_termination("SIGTERM"))
         return self.daemon.run()
 
     def put(self, program: str = SHORT, **more: Any) -> Path:
-        return put(self.state.queue, program.encode(), "program.yaml", **more)
+        return enqueue_job(self.state.queue, program.encode(), "program.yaml", **more)
 
     def recordings(self) -> list[Path]:
         return sorted(self.state.recordings.rglob("*.mcap"))

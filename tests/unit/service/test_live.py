@@ -11,11 +11,17 @@ from typing import Any
 import pytest
 from websocket import WebSocket, create_connection
 
-from gyrorig_daemon.live import NO_VIEW, STATUS_TOPIC, FoxgloveView, Thinning, live_view
-from gyrorig_daemon.service.watch import picture
+from gyrorig_daemon.live import NO_VIEW
+from gyrorig_daemon.live.foxglove_view import (
+    STATUS_TOPIC,
+    FoxgloveView,
+    SampleThinning,
+    open_live_view,
+)
+from gyrorig_daemon.service.status_screen import render_status
 from gyrorig_protocol.errors import BusyError, UsageError
+from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS
 from gyrorig_protocol.recording.messages import ImuRaw, Message, SessionEvent
-from gyrorig_protocol.recording.schemas import SCHEMAS
 
 TOPIC = "/board/B-1/imu_raw"
 IMU = ImuRaw(5_000_000_000, 123, 7, 0, 21, (1, -2, 3), (4, 5, -6))
@@ -70,8 +76,8 @@ def until_watched(view: FoxgloveView, topic: str) -> None:
 
 
 def test_a_viewer_gets_the_recordings_own_bytes(view: FoxgloveView) -> None:
-    view.take(TOPIC, IMU, IMU.host_time_ns)
-    view.status({"state": "ready"})
+    view.show_message(TOPIC, IMU, IMU.host_time_ns)
+    view.show_status({"state": "ready"})
     viewer = Viewer(view.port)
     assert viewer.info["capabilities"] == []  # nobody commands a rig this way
     viewer.subscribe(TOPIC)
@@ -80,7 +86,7 @@ def test_a_viewer_gets_the_recordings_own_bytes(view: FoxgloveView) -> None:
     assert channel["schemaName"] == ImuRaw.TYPE
     assert channel["schema"] == SCHEMAS[ImuRaw.TYPE]
     until_watched(view, TOPIC)
-    view.take(TOPIC, LATER, LATER.host_time_ns)
+    view.show_message(TOPIC, LATER, LATER.host_time_ns)
     assert viewer.message() == (6_000_000_000, LATER.encode())
     assert STATUS_TOPIC in view._channels
     viewer.close()
@@ -92,43 +98,43 @@ def test_a_fault_ends_the_view_and_nothing_else() -> None:
     view = FoxgloveView("127.0.0.1", 0, said.append)
     strange = SessionEvent(1, 0, "program", "x")
     view._channels["/x"] = object()  # has no has_sinks
-    view.take("/x", strange, 1)
-    view.take("/x", strange, 2)
+    view.show_message("/x", strange, 1)
+    view.show_message("/x", strange, 2)
     assert len(said) == 1
-    assert "the recording goes on" in said[0]
+    assert "the recording continues" in said[0]
 
 
 def test_an_address_that_is_taken(view: FoxgloveView) -> None:
-    with pytest.raises(BusyError, match="choose another"):
-        live_view(f"127.0.0.1:{view.port}", print)
+    with pytest.raises(BusyError, match="Choose another"):
+        open_live_view(f"127.0.0.1:{view.port}", print)
 
 
 @pytest.mark.parametrize("told", ["8765", ":8765", "localhost:", "localhost:x", "h:70000"])
 def test_what_is_no_address(told: str) -> None:
-    with pytest.raises(UsageError, match="is no HOST:PORT"):
-        live_view(told, print)
+    with pytest.raises(UsageError, match="is not a valid HOST:PORT"):
+        open_live_view(told, print)
 
 
 def test_without_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(UsageError, match=r"gyrorig\[live\]"):
-        live_view("127.0.0.1:0", print)
-    assert live_view(None, print) is NO_VIEW
+        open_live_view("127.0.0.1:0", print)
+    assert open_live_view(None, print) is NO_VIEW
 
 
 @pytest.mark.parametrize(
     ("rate_hz", "least", "most"), [(50, 50, 50), (105, 95, 105), (800, 90, 110)]
 )
 def test_fast_boards_are_thinned(rate_hz: int, least: int, most: int) -> None:
-    thinning = Thinning()
-    shown = sum(thinning.shows(TOPIC, 7 + round(k * 1e9 / rate_hz)) for k in range(10 * rate_hz))
+    thinning = SampleThinning()
+    shown = sum(thinning.is_due(TOPIC, 7 + round(k * 1e9 / rate_hz)) for k in range(10 * rate_hz))
     assert 10 * least <= shown <= 10 * most + 1
 
 
 def test_a_clock_anchored_anew_goes_on() -> None:
-    thinning = Thinning()
-    assert thinning.shows(TOPIC, 10**18)
-    assert thinning.shows(TOPIC, 10**18 - 5 * 10**9)
+    thinning = SampleThinning()
+    assert thinning.is_due(TOPIC, 10**18)
+    assert thinning.is_due(TOPIC, 10**18 - 5 * 10**9)
 
 
 class Seen:
@@ -137,10 +143,10 @@ class Seen:
     def __init__(self) -> None:
         self.topics: Counter[str] = Counter()
 
-    def take(self, topic: str, message: Message, log_ns: int) -> None:
+    def show_message(self, topic: str, message: Message, log_ns: int) -> None:
         self.topics[topic] += 1
 
-    def status(self, document: dict[str, Any]) -> None:
+    def show_status(self, document: dict[str, Any]) -> None:
         self.topics[STATUS_TOPIC] += 1
 
     def close(self) -> None:
@@ -207,7 +213,7 @@ def test_between_sessions_the_status_tells_where_the_unit_stands(
     assert after["session"] is None
     assert after["unit"]["pan_deg"] == pytest.approx(20.0, abs=0.06)  # a step is 185 arc seconds
     assert after["unit"]["tilt_deg"] == pytest.approx(-5.0, abs=0.06)
-    assert ", pan +" in picture(after)
+    assert ", pan +" in render_status(after)
 
 
 def test_how_long_polls_take_is_told_apart_from_motions(make_bench: Callable[..., Any]) -> None:

@@ -1,4 +1,4 @@
-"""The commands of the service as a person types them."""
+"""The commands of the service, on the command line."""
 
 import json
 import tempfile
@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from gyrorig_daemon.cli import run
-from gyrorig_daemon.service.counts import ServiceCounts
-from gyrorig_daemon.service.server import StatusServer
+from gyrorig_daemon.service.service_context import ServiceCounts
+from gyrorig_daemon.service.state_folder import StateFolder
+from gyrorig_daemon.service.status_server import StatusServer
 
 Make = Callable[..., Any]
 Capture = pytest.CaptureFixture[str]
@@ -34,7 +35,7 @@ def test_check(tmp_path: Path, capsys: Capture) -> None:
     config = tmp_path / "rig.yaml"
     config.write_text(RIG)
     assert run(["run", "--check", "--config", str(config)]) == 0
-    assert "rig r, 1 boards: can be used" in capsys.readouterr().out
+    assert "the configuration is valid (rig r, 1 boards)" in capsys.readouterr().out
     config.write_text(RIG + "schedule: [{name: a, program: p.yaml, every_h: 1.0}]\n")
     assert run(["run", "--check", "--config", str(config)]) == 2  # no such program
     (tmp_path / "p.yaml").write_text(PROGRAM)
@@ -50,13 +51,18 @@ def test_enqueue(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatc
     program.write_text(PROGRAM)
     arguments = ["enqueue", "--program", str(program), "--session", "s-1", "--json"]
     assert run([*arguments, "--state", str(tmp_path)]) == 1
-    assert "takes no job" in capsys.readouterr().err
+    assert "the job cannot be written to" in capsys.readouterr().err
     (tmp_path / "queue").mkdir()
     monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}:/else")
     assert run(arguments) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert Path(told["file"]).parent == tmp_path / "queue"
-    assert "session: 's-1'" in Path(told["file"]).read_text().replace('"', "'")
+    output = capsys.readouterr()
+    job = json.loads(output.out)
+    assert Path(job["file"]).parent == tmp_path / "queue"
+    assert "session: 's-1'" in Path(job["file"]).read_text().replace('"', "'")
+    assert output.err.startswith(f"No daemon is running in {tmp_path}. The job starts when")
+    with StateFolder(tmp_path):
+        assert run(arguments) == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_status(make_bench: Make, served: StatusServer, capsys: Capture) -> None:
@@ -81,6 +87,6 @@ def test_nobody_there(tmp_path: Path, capsys: Capture, monkeypatch: pytest.Monke
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     for command in ("status", "clear", "stop-motion", "reload"):
         assert run([command]) == 1
-        told = capsys.readouterr().err
-        assert f"no daemon answers at {tmp_path}/gyrorigd.sock" in told
-        assert told.count("\n") == 1
+        error = capsys.readouterr().err
+        assert f"no daemon is running at {tmp_path}/gyrorigd.sock" in error
+        assert error.count("\n") == 1

@@ -1,7 +1,7 @@
-"""A disk that fails under a session of the service: said, counted, and orders still taken.
+"""A disk that fails during a session of the service: reported, counted, and a halt still works.
 
-Rows 12 and 13 of the fault matrix (reference: reliability.md section 3), as whoever watches a
-rig sees them: the status on the socket, the metrics, and a halt.
+Rows 12 and 13 of docs/faults.md, as seen by an operator: the status on the socket, the metrics, and
+a halt.
 """
 
 import errno
@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from gyrorig_daemon.recorder import Recorder
-from gyrorig_daemon.service import running
-from gyrorig_daemon.service.client import ask
+from gyrorig_daemon.service import session_runner
 from gyrorig_daemon.service.metrics import MetricsWriter
-from gyrorig_daemon.service.server import StatusServer
-from gyrorig_protocol.recording.disk_file import Disk, DiskFile
+from gyrorig_daemon.service.service_client import send_command
+from gyrorig_daemon.service.status_server import StatusServer
+from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
 
 FAR = "name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n"
 FAILS_S, LOOKS_S, HALTS_S = 7.0, 10.0, 11.0  # the move ends at 16 s or so
@@ -54,7 +54,7 @@ class Failing(Disk):
 
 def metric(writer: MetricsWriter, name: str) -> float:
     """The value in the metrics' file once it is written: a thread of its own does that."""
-    assert writer.settle(60.0)
+    assert writer.wait_until_idle(60.0)
     lines = writer.path.read_text().splitlines()
     (line,) = [line for line in lines if line.startswith(f"{name} ")]
     return float(line.split()[1])
@@ -69,13 +69,13 @@ def test_it_is_said_and_a_halt_is_still_answered(
     make_bench: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, code: int, words: str
 ) -> None:
     bench, disk = make_bench(), Failing()
-    monkeypatch.setattr(running, "Recorder", partial(Recorder, disk=disk))
+    monkeypatch.setattr(session_runner, "Recorder", partial(Recorder, disk=disk))
     metrics = MetricsWriter(bench.state.metrics, every=1)
     told: dict[str, Any] = {}
 
     def handle(command: str, _: object) -> str:
         if command == "halt":
-            bench.orders.ask_to_halt("the test")
+            bench.orders.request_halt("the test")
         return f"{command} heard"
 
     with tempfile.TemporaryDirectory() as folder:  # a socket's path must be short
@@ -87,7 +87,7 @@ def test_it_is_said_and_a_halt_is_still_answered(
             metrics.publish(status)
 
         def look(when: str) -> None:
-            told[when] = ask(server.path, "status")["status"]["recorder"]
+            told[when] = send_command(server.path, "status")["status"]["recorder"]
             told[f"{when} metric"] = metric(metrics, "gyrorig_recorder_degraded")
 
         bench.parts.publish = publish
@@ -95,7 +95,7 @@ def test_it_is_said_and_a_halt_is_still_answered(
         bench.at(FAILS_S - 1.0, lambda: look("before"))
         bench.at(FAILS_S, lambda: setattr(disk, "code", code))
         bench.at(LOOKS_S, lambda: look("while it fails"))
-        bench.at(HALTS_S, lambda: told.update(halt=ask(server.path, "halt")))
+        bench.at(HALTS_S, lambda: told.update(halt=send_command(server.path, "halt")))
         with server:
             bench.serve(20.0)
     metrics.close()
@@ -106,7 +106,7 @@ def test_it_is_said_and_a_halt_is_still_answered(
     assert told["while it fails"]["counts"]["disk_faults"] >= 1
     assert told["while it fails"]["counts"]["memory_messages"] > 100
     assert told["halt"] == {"ok": True, "said": "halt heard"}
-    halted_s = [order[1] for order in bench.rig.stage.pan.orders if order[0] == "halt"]
+    halted_s = [order[1] for order in bench.rig.stage.pan.commands if order[0] == "halt"]
     assert any(HALTS_S <= at_s < HALTS_S + 1.0 for at_s in halted_s)
     assert bench.state_at(15.0)["state"] == "fault"  # held: an operator's halt
     assert bench.pan_deg() < 100.0  # of 150

@@ -1,4 +1,4 @@
-"""The queue's folder: what people and programs put into it, and what comes out."""
+"""The job queue: accepted and rejected files, results."""
 
 import json
 import os
@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.service import jobs
-from gyrorig_daemon.service.jobs import JobQueue, put, read_job
+from gyrorig_daemon.service import job_queue
+from gyrorig_daemon.service.job_queue import JobQueue, enqueue_job, parse_job
 from gyrorig_protocol.errors import MachineError, UsageError
 
 PROGRAM = b"name: short\nsteps:\n  - rest: {seconds: 1.0}\n"
@@ -22,12 +22,12 @@ def reasons(folder: Path) -> list[str]:
 
 def test_in_and_out(tmp_path: Path) -> None:
     queue = JobQueue(tmp_path)
-    path = put(tmp_path, PROGRAM, "p.yaml", session="mine", home=True)
-    assert queue.waiting() == [path.stem]
-    job = queue.take()
+    path = enqueue_job(tmp_path, PROGRAM, "p.yaml", session="mine", home=True)
+    assert queue.waiting_jobs() == [path.stem]
+    job = queue.take_next()
     assert job is not None
     assert (job.session, job.home, job.program_text) == ("mine", True, PROGRAM)
-    assert queue.take() is None
+    assert queue.take_next() is None
     queue.finish(job, True, {"reason": ""})
     assert {p.suffix for p in (tmp_path / "done").iterdir()} == {".yaml", ".json"}
 
@@ -35,18 +35,18 @@ def test_in_and_out(tmp_path: Path) -> None:
 def test_a_bare_program_is_a_job(tmp_path: Path) -> None:
     queue = JobQueue(tmp_path)
     (tmp_path / "dropped.yaml").write_bytes(PROGRAM)
-    job = queue.take()
+    job = queue.take_next()
     assert job is not None
     assert (job.name, job.program.name, job.home) == ("dropped", "short", False)
 
 
 def test_a_job_may_wait_again(tmp_path: Path) -> None:
     queue = JobQueue(tmp_path)
-    put(tmp_path, PROGRAM, "p.yaml")
-    job = queue.take()
+    enqueue_job(tmp_path, PROGRAM, "p.yaml")
+    job = queue.take_next()
     assert job is not None
-    queue.give_back(job)
-    assert queue.waiting() == [job.name]
+    queue.requeue(job)
+    assert queue.waiting_jobs() == [job.name]
 
 
 def test_what_is_no_job_is_put_aside_and_the_next_one_taken(tmp_path: Path) -> None:
@@ -54,7 +54,7 @@ def test_what_is_no_job_is_put_aside_and_the_next_one_taken(tmp_path: Path) -> N
     (tmp_path / "a.yaml").write_bytes(b"[}")
     (tmp_path / "b.yaml").write_bytes(b"name: p\nsteps: []\n")
     (tmp_path / "c.yaml").write_bytes(b"\xff\xfe")
-    (tmp_path / "d.yaml").write_bytes(b"x" * (jobs.MAX_JOB_BYTES + 1))
+    (tmp_path / "d.yaml").write_bytes(b"x" * (job_queue.MAX_JOB_BYTES + 1))
     (tmp_path / "e.yaml").symlink_to("/etc/passwd")
     os.mkfifo(tmp_path / "f.yaml")
     (tmp_path / "g.yaml").mkdir()
@@ -63,30 +63,30 @@ def test_what_is_no_job_is_put_aside_and_the_next_one_taken(tmp_path: Path) -> N
     (tmp_path / "j.yaml").write_bytes(b"schema: gyrorig/job/1\nsession: ../x\nprogram: ''\n")
     (tmp_path / ".hidden.yaml").write_bytes(b"[}")
     (tmp_path / "z.yaml").write_bytes(PROGRAM)
-    job = queue.take()
+    job = queue.take_next()
     assert job is not None
     assert job.name == "z"
-    assert queue.refused == len(reasons(tmp_path)) == 10
+    assert queue.rejected_count == len(reasons(tmp_path)) == 10
     assert all(reasons(tmp_path))
     assert (tmp_path / ".hidden.yaml").exists()
     assert Path("/etc/passwd").exists()
 
 
 def test_a_job_that_ran_when_the_daemon_died_is_not_begun_again(tmp_path: Path) -> None:
-    put(tmp_path, PROGRAM, "p.yaml")
-    assert JobQueue(tmp_path).take() is not None
+    enqueue_job(tmp_path, PROGRAM, "p.yaml")
+    assert JobQueue(tmp_path).take_next() is not None
     again = JobQueue(tmp_path)
-    assert again.take() is None
+    assert again.take_next() is None
     (reason,) = reasons(tmp_path)
-    assert reason.startswith("the daemon ended while it ran: look at the rig")
+    assert reason.startswith("The daemon ended while the job was running. Check the rig")
 
 
 def test_old_results_are_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jobs, "KEPT_RESULTS", 3)
+    monkeypatch.setattr(job_queue, "MAX_KEPT_RESULTS", 3)
     queue = JobQueue(tmp_path)
     for number in range(6):
         (tmp_path / f"{number}.yaml").write_bytes(PROGRAM)
-        job = queue.take()
+        job = queue.take_next()
         assert job is not None
         queue.finish(job, True, {})
     assert sorted(path.name for path in (tmp_path / "done").glob("*.yaml")) == [
@@ -98,12 +98,12 @@ def test_old_results_are_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_what_cannot_be_handed_in(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="is no name for a session"):
-        put(tmp_path, PROGRAM, "p.yaml", session="a b")
+    with pytest.raises(UsageError, match="is not a valid session name"):
+        enqueue_job(tmp_path, PROGRAM, "p.yaml", session="a b")
     with pytest.raises(UsageError, match="not a YAML document"):
-        put(tmp_path, b"[}", "p.yaml")
-    with pytest.raises(MachineError, match="takes no job"):
-        put(tmp_path / "none", PROGRAM, "p.yaml")
+        enqueue_job(tmp_path, b"[}", "p.yaml")
+    with pytest.raises(MachineError, match="the job cannot be written"):
+        enqueue_job(tmp_path / "none", PROGRAM, "p.yaml")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -115,5 +115,5 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
 
 def test_the_program_is_kept_verbatim(tmp_path: Path) -> None:
     text = b"# by hand: \xc3\xa4 \ttab\nname: 'x'\nsteps:\n  - rest: {seconds: 1.0}\n\n"
-    path = put(tmp_path, text, "p.yaml")
-    assert read_job(path.read_bytes(), path.name).program_text == text
+    path = enqueue_job(tmp_path, text, "p.yaml")
+    assert parse_job(path.read_bytes(), path.name).program_text == text

@@ -1,4 +1,4 @@
-"""The daemon's loop under simulated time: what begins a session, what ends one, what holds."""
+"""The main loop in simulated time: start and end of sessions, motion lock."""
 
 import gc
 import json
@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from gyrorig_daemon.links.hub import PortsGoneError
+from gyrorig_daemon.links.ports.port_hub import PortsGoneError
 from gyrorig_daemon.recorder import Recorder
-from gyrorig_daemon.service.daemon import Ending
-from gyrorig_daemon.service.memory import Memory
-from gyrorig_daemon.session import Session
+from gyrorig_daemon.service.persistent_state import PersistentState
+from gyrorig_daemon.service.service_loop import LoopExit
+from gyrorig_daemon.session.session import Session
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
@@ -44,10 +44,10 @@ def say(bench: Any, data: bytes) -> Callable[[], None]:
 def test_a_job_is_carried_out_and_put_aside(make_bench: Make) -> None:
     bench = make_bench()
     bench.at(3.0, lambda: bench.put(session="first"))
-    assert bench.serve(15.0) is Ending.END
+    assert bench.serve(15.0) is LoopExit.END
     (path,) = bench.recordings()
     recording = read_recording(path)
-    assert recording.complete
+    assert recording.is_complete
     assert recording.metadata["gyrorig"]["session"] == "first"
     assert len(recording.array("/board/B-1/imu_raw")) > 200
     (result,) = bench.results("done")
@@ -65,16 +65,16 @@ def test_the_unit_is_halted_before_anything_else_and_before_readiness(make_bench
     bench = make_bench()
     bench.rig.ptu.receive(b"PS200 PP3000 ", bench.hub.now_ns())  # somebody left it turning
     ready_at: list[float] = []
-    said = bench.notifier._say
+    said = bench.notifier._send
 
     def note(text: str) -> None:
         said(text)
         if text == "READY=1":
             ready_at.append(bench.pan_deg())
 
-    bench.notifier._say = note
+    bench.notifier._send = note
     bench.serve(20.0)
-    assert bench.rig.stage.pan.orders[1][0] == "halt"
+    assert bench.rig.stage.pan.commands[1][0] == "halt"
     assert ready_at == [pytest.approx(bench.pan_deg(), abs=1e-9)]  # it stood by then
     assert bench.pan_deg() < 3.0
 
@@ -109,14 +109,14 @@ def test_a_recording_tells_of_its_own_losses_only(make_bench: Make, faulty_board
 def test_a_stop_in_motion_halts_closes_and_ends(make_bench: Make) -> None:
     bench = make_bench()
     bench.put(FAR)
-    assert bench.serve(6.0) is Ending.END
+    assert bench.serve(6.0) is LoopExit.END
     assert 2.0 < bench.pan_deg() < 60.0
     assert bench.is_still()
     assert bench.now_s() - 5.0 < 6.0 + 3.0  # of 30 that systemd allows
     recording = read_recording(*bench.recordings())
-    assert recording.complete
+    assert recording.is_complete
     (result,) = bench.results("failed")
-    assert "SIGTERM; the unit is halted" in json.loads(result.read_text())["reason"]
+    assert "SIGTERM. The unit is halted" in json.loads(result.read_text())["reason"]
     assert bench.parts.counts.sessions_stopped == 1
 
 
@@ -126,7 +126,7 @@ def test_a_job_of_which_nothing_was_done_waits_again(make_bench: Make) -> None:
     bench.at(5.0, bench.put)  # and just then, before it is known again, the unit goes away
     bench.hub.unplug("ptu", begin_ns + 5_600_000_000, begin_ns + 9_000_000_000)
     bench.serve(30.0, bench.ended("done", 1))
-    assert any("did not begin and waits" in line for line in bench.log)
+    assert any("could not start and waits" in line for line in bench.log)
     assert len(bench.results("done")) == 1
     assert bench.results("failed") == []
     assert len(bench.recordings()) == 1
@@ -146,15 +146,15 @@ def test_a_fault_of_the_motion_holds_everything_until_cleared(make_bench: Make) 
     rows = first.array("/board/B-1/imu_raw")["log_time"]
     # the recording went on after the halt, until it was cleared
     assert int(rows[-1]) * 1e-9 - begun_s[-1] > 8.0
-    assert first.complete
+    assert first.is_complete
     assert bench.state_at(10.0)["state"] == "fault"
     assert bench.state_at(10.0)["queue"]["waiting"] == 1
     (result,) = bench.results("failed")
     assert json.loads(result.read_text())["session"] == "bad"
     assert second.metadata["gyrorig"]["session"] == "waits"
     assert bench.parts.counts.motion_faults == 1
-    why = "the unit no longer knows where it stands: its pan axis met its limit"
-    assert f"cleared: {why}" in bench.log
+    (released,) = [line for line in bench.log if line.startswith("Motion lock released: ")]
+    assert "its pan axis met its limit" in released
 
 
 def test_ports_that_are_lost_after_a_fault_leave_a_closed_recording(make_bench: Make) -> None:
@@ -171,10 +171,10 @@ def test_ports_that_are_lost_after_a_fault_leave_a_closed_recording(make_bench: 
     bench.hub.read = lose
     with pytest.raises(PortsGoneError):
         bench.serve(60.0)
-    assert read_recording(*bench.recordings()).complete
+    assert read_recording(*bench.recordings()).is_complete
     (result,) = bench.results("failed")
     assert "the acquisition process ended" in json.loads(result.read_text())["reason"]
-    assert bench.parts.memory.hold is not None
+    assert bench.parts.persistent.motion_lock is not None
 
 
 def test_after_lost_steps_nothing_moves_without_homing(make_bench: Make) -> None:
@@ -196,7 +196,7 @@ def test_after_lost_steps_nothing_moves_without_homing(make_bench: Make) -> None
 def test_an_operators_halt_stops_the_session_and_holds(make_bench: Make) -> None:
     bench = make_bench()
     bench.put(FAR)
-    bench.at(6.0, lambda: bench.orders.ask_to_halt("user 1000"))
+    bench.at(6.0, lambda: bench.orders.request_halt("user 1000"))
     bench.at(8.0, bench.put)
     bench.at(14.0, bench.orders.clear.set)
     bench.serve(40.0, bench.ended("done", 1))
@@ -208,14 +208,14 @@ def test_an_operators_halt_stops_the_session_and_holds(make_bench: Make) -> None
 
 def test_an_operators_halt_between_sessions(make_bench: Make) -> None:
     bench = make_bench()
-    bench.at(4.0, lambda: bench.orders.ask_to_halt("user 0"))
+    bench.at(4.0, lambda: bench.orders.request_halt("user 0"))
     bench.at(5.0, bench.put)
     bench.serve(12.0)
     assert bench.state_at(10.0)["state"] == "fault"
     assert bench.recordings() == []
-    again = Memory(bench.state.memory, bench.utc_s())  # a restart has not looked
-    assert again.hold == bench.parts.memory.hold
-    assert again.hold is not None
+    again = PersistentState(bench.state.persistent_state, bench.utc_s())  # a restart has not looked
+    assert again.motion_lock == bench.parts.persistent.motion_lock
+    assert again.motion_lock is not None
 
 
 @pytest.mark.parametrize(
@@ -252,14 +252,14 @@ service: {board_patience_s: 5.0}
     bench.hub.unplug("board:B-2", bench.hub.now_ns(), bench.hub.now_ns() + 14_000_000_000)
     bench.put("name: p\nsteps:\n  - rest: {seconds: 20.0}\n  - move: {pan_deg: 5.0}\n", session="s")
     bench.serve(60.0)
-    assert bench.state_at(4.0)["reason"] == "no word from board B-2: check its cable and its power"
+    assert bench.state_at(4.0)["reason"] == "no data from board B-2. Check its cable and its power"
     assert bench.state_at(9.0)["state"] == "running"
     recording = read_recording(*bench.recordings())
     assert "gyrorig.board.B-2" in recording.metadata  # it came while the session ran
     rows = recording.array("/board/B-2/imu_raw")
     first = recording.array("/board/B-1/imu_raw")
     assert 500 < len(rows) < len(first) - 500
-    assert any("takes part from here on" in e.text for e in events(recording))
+    assert any("takes part from now on" in e.text for e in events(recording))
 
 
 def test_a_disk_without_room_is_waited_for(make_bench: Make) -> None:
@@ -283,7 +283,7 @@ def test_a_unit_that_is_away_is_waited_for_and_halted_when_it_comes(make_bench: 
     bench.serve(40.0, bench.ended("done", 1))
     assert bench.state_at(6.0)["state"] == "waiting"
     assert bench.notifier.words.count("READY=1") == 1
-    halted_s = next(order[1] for order in bench.rig.stage.pan.orders if order[0] == "halt")
+    halted_s = next(order[1] for order in bench.rig.stage.pan.commands if order[0] == "halt")
     assert 9.9 < halted_s < 12.0
     assert len(bench.results("done")) == 1
 
@@ -301,8 +301,8 @@ def test_a_unit_unplugged_in_motion_ends_the_session_and_is_halted_on_its_return
     assert bench.is_still()
     assert bench.state_at(14.0)["state"] == "fault"
     (result,) = bench.results("failed")
-    assert "hung up" in json.loads(result.read_text())["reason"]
-    orders = [order for order in bench.rig.stage.pan.orders if order[0] == "halt"]
+    assert "unplugged" in json.loads(result.read_text())["reason"]
+    orders = [order for order in bench.rig.stage.pan.commands if order[0] == "halt"]
     assert any(9.0 <= order[1] < 12.0 for order in orders)
     assert [json.loads(p.read_text())["session"] for p in bench.results("done")] == ["again"]
 
@@ -313,7 +313,7 @@ def test_a_unit_that_was_away_for_a_moment_is_asked_who_it_is(make_bench: Make) 
     bench.hub.unplug("ptu", begin_ns + 5_000_000_000, begin_ns + 5_020_000_000)
     bench.serve(12.0)
     assert bench.parts.counts.unit_lost == 1
-    halts_s = [order[1] for order in bench.rig.stage.pan.orders if order[0] == "halt"]
+    halts_s = [order[1] for order in bench.rig.stage.pan.commands if order[0] == "halt"]
     assert any(5.0 < halt_s < 9.0 for halt_s in halts_s)
     assert bench.state_at(11.0)["unit"]["state"] == "stands"
 
@@ -337,7 +337,7 @@ def test_a_reload_reopens_when_idle_and_a_broken_one_changes_nothing(make_bench:
     bench.put(FAR)
     bench.at(8.0, lambda: setattr(bench, "refusal", ""))
     bench.at(9.0, bench.orders.reload.set)
-    assert bench.serve(60.0) is Ending.REOPEN
+    assert bench.serve(60.0) is LoopExit.REOPEN
     assert 5.0 + 15.0 < bench.now_s() < 5.0 + 35.0  # not before the session's end
     assert bench.parts.counts.reloads == bench.parts.counts.reloads_refused == 1
     assert len(bench.results("done")) == 1
@@ -364,7 +364,7 @@ def test_the_wall_clock_may_jump_both_ways_in_a_session(make_bench: Make) -> Non
     rows = first.array("/board/B-1/imu_raw")["log_time"].astype("i8")
     assert (rows[1:] >= rows[:-1]).all()
     assert 9.0 < (rows[-1] - rows[0]) * 1e-9 < 14.0
-    steps = [e.text for e in events(first) if "wall clock" in e.text]
+    steps = [e.text for e in events(first) if "system time" in e.text]
     assert [text.split()[-2] for text in steps] == ["+30000000.000", "-730000000.000"]
     assert bench.parts.counts.clock_steps == 2
     real_s = first.array("/host/clock")["realtime"]["sec"].astype("i8")
@@ -386,21 +386,23 @@ def test_two_sessions_of_one_name_in_one_second_do_not_meet(make_bench: Make) ->
 
 def test_a_scheduled_session_that_cannot_begin_is_tried_again(make_bench: Make) -> None:
     bench = make_bench(SCHEDULED.replace("0.01", "1.0"))
-    bench.parts.memory.steps_are_sure = False
-    bench.at(20.0, lambda: setattr(bench.parts.memory, "steps_are_sure", True))
+    bench.parts.persistent.steps_are_sure = False
+    bench.at(20.0, lambda: setattr(bench.parts.persistent, "steps_are_sure", True))
     bench.serve(60.0, lambda: len(bench.recordings()) == 1)
     assert bench.parts.counts.sessions_put_off == 1
     assert bench.parts.counts.sessions_failed == 0
-    (waits,) = [line for line in bench.log if "did not begin and waits" in line]
-    assert "for 30 s at least" in waits
+    (waits,) = [line for line in bench.log if "could not start and waits" in line]
+    assert "for at least 30 s" in waits
     assert len(bench.recordings()) == 1
 
 
 def test_a_rig_that_is_lost_is_opened_anew(make_bench: Make) -> None:
     bench = make_bench()
-    bench.at(4.0, lambda: setattr(bench.parts, "lost_rig", lambda: "the emulated rig has ended"))
-    assert bench.serve(60.0) is Ending.REOPEN
-    assert "the emulated rig has ended; it is started again" in bench.log
+    bench.at(
+        4.0, lambda: setattr(bench.parts, "reopen_reason", lambda: "the emulated rig has ended")
+    )
+    assert bench.serve(60.0) is LoopExit.REOPEN
+    assert "The emulated rig has ended. It is started again." in bench.log
 
 
 def test_a_schedule_is_kept(make_bench: Make) -> None:

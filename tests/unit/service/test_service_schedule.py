@@ -1,4 +1,4 @@
-"""When a schedule's entries are due, on days that do not go as days should."""
+"""When the entries of a schedule are due, also if the system time changes."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gyrorig_daemon.config import parse_rig
-from gyrorig_daemon.config.service import ScheduleEntry
+from gyrorig_daemon.config.service_settings import ScheduleEntry
 from gyrorig_daemon.service.schedule import Schedule
 from gyrorig_protocol.errors import UsageError
 
@@ -36,9 +36,9 @@ class Days:
         for _ in range(int(seconds / step_s)):
             self.now_s += step_s
             self.utc_s += step_s
-            entry = self.schedule.due(self.now_s, self.utc_s)
+            entry = self.schedule.due_entry(self.now_s, self.utc_s)
             if entry is not None:
-                self.schedule.begun(entry.name, self.now_s, self.utc_s)
+                self.schedule.record_start(entry.name, self.now_s, self.utc_s)
                 begun.append(self.utc_s - MIDNIGHT_S)
         return begun
 
@@ -46,7 +46,7 @@ class Days:
 def test_daily(tmp_path: Path) -> None:
     days = Days(tmp_path, NIGHTLY)
     assert days.pass_time(3 * DAY_S) == [AT_S, DAY_S + AT_S, 2 * DAY_S + AT_S]
-    assert days.schedule.next_s(NIGHTLY, days.now_s, days.utc_s) == AT_S
+    assert days.schedule.seconds_until_due(NIGHTLY, days.now_s, days.utc_s) == AT_S
 
 
 def test_a_restart_does_not_repeat_the_days_session(tmp_path: Path) -> None:
@@ -62,15 +62,15 @@ def test_what_could_not_begin_is_tried_again(tmp_path: Path) -> None:
     for _ in range(int(2 * DAY_S / 10.0)):
         days.now_s += 10.0
         days.utc_s += 10.0
-        entry = days.schedule.due(days.now_s, days.utc_s)
+        entry = days.schedule.due_entry(days.now_s, days.utc_s)
         if entry is not None:
             at_s = days.utc_s - MIDNIGHT_S
-            days.schedule.begun(entry.name, days.now_s, days.utc_s)
+            days.schedule.record_start(entry.name, days.now_s, days.utc_s)
             tried.append((entry.name, at_s))
             if entry is NIGHTLY and at_s < DAY_S:
-                wait_s = days.schedule.put_off(entry.name, days.now_s)
+                wait_s = days.schedule.postpone(entry.name, days.now_s)
                 assert wait_s is not None
-                next_s = days.schedule.next_s(NIGHTLY, days.now_s, days.utc_s)
+                next_s = days.schedule.seconds_until_due(NIGHTLY, days.now_s, days.utc_s)
                 assert next_s == pytest.approx(wait_s)
     hourly = [at_s for name, at_s in tried if name == "hourly"]
     assert len(hourly) == 48  # one that cannot begin keeps no other from it
@@ -83,10 +83,10 @@ def test_what_could_not_begin_is_tried_again(tmp_path: Path) -> None:
 def test_what_could_not_begin_is_due_after_a_restart(tmp_path: Path) -> None:
     days = Days(tmp_path, NIGHTLY)
     assert days.pass_time(AT_S + 60.0) == [AT_S]
-    days.schedule.put_off("nightly", days.now_s)
+    days.schedule.postpone("nightly", days.now_s)
     days.restart()
     assert days.pass_time(600.0) == [AT_S + 120.0]
-    assert days.schedule.put_off("of another configuration", days.now_s) is None
+    assert days.schedule.postpone("of another configuration", days.now_s) is None
 
 
 def test_switched_on_a_little_late_and_too_late(tmp_path: Path) -> None:
@@ -156,10 +156,10 @@ def test_the_longest_waiting_goes_first_and_a_disk_that_refuses_is_lived_with(
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("{name: a, program: p}", "schedule: a says not when: give it every_h, or"),
-        ('{name: a, program: p, every_h: 1.0, at_utc: "01:00"}', "schedule: a says twice when"),
-        ('{name: a, program: p, at_utc: "25:00"}', "is no time of day"),
-        ("{name: ../a, program: p, every_h: 1.0}", "is no board name"),
+        ("{name: a, program: p}", "schedule: a has no time. Give either every_h or"),
+        ('{name: a, program: p, every_h: 1.0, at_utc: "01:00"}', "schedule: a has two times"),
+        ('{name: a, program: p, at_utc: "25:00"}', "is not a time of day"),
+        ("{name: ../a, program: p, every_h: 1.0}", "is not a valid board name"),
         ("{name: a, program: p, every_h: 1.0}, {name: a, program: p, every_h: 2.0}", "twice"),
         ("{name: a, program: p, every_h: 0.0}", "schedule"),
     ],

@@ -1,4 +1,4 @@
-"""The local socket: who is told what, who is dropped, and what never happens to the loop."""
+"""The local socket: permissions, disconnected clients, independence of the main loop."""
 
 import json
 import os
@@ -13,10 +13,14 @@ from typing import Any
 
 import pytest
 
-from gyrorig_daemon.service import server as server_module
-from gyrorig_daemon.service.client import RefusedRequestError, ask, listen
-from gyrorig_daemon.service.counts import ServiceCounts
-from gyrorig_daemon.service.server import Peer, StatusServer
+from gyrorig_daemon.service import status_server as server_module
+from gyrorig_daemon.service.service_client import (
+    RefusedRequestError,
+    send_command,
+    stream_responses,
+)
+from gyrorig_daemon.service.service_context import ServiceCounts
+from gyrorig_daemon.service.status_server import Peer, StatusServer
 from gyrorig_protocol.errors import BusyError, MachineError
 
 
@@ -65,15 +69,15 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 
 def test_status_and_commands(served: Served) -> None:
-    assert ask(served.path, "status") == {"ok": True, "status": {"state": "ready"}}
-    assert ask(served.path, "halt")["said"] == "halt heard"
-    assert ask(served.path, "clear")["said"] == "clear heard"
+    assert send_command(served.path, "status") == {"ok": True, "status": {"state": "ready"}}
+    assert send_command(served.path, "halt")["said"] == "halt heard"
+    assert send_command(served.path, "clear")["said"] == "clear heard"
     assert served.handled == ["halt", "clear"]
     assert served.path.stat().st_mode & 0o777 == 0o660
 
 
 def test_watching(served: Served) -> None:
-    answers = listen(served.path, "watch")
+    answers = stream_responses(served.path, "watch")
     assert next(answers)["status"] == {"state": "ready"}
     served.server.publish({"state": "running"})
     assert next(answers)["status"] == {"state": "running"}
@@ -84,9 +88,9 @@ def test_who_may_command(served: Served, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(server_module.Peer, "may_command", property(lambda self: self.uid == 12345))
     for command in ("clear", "reload"):
         with pytest.raises(RefusedRequestError, match="is for root"):
-            ask(served.path, command)
-    assert ask(served.path, "halt")["ok"]
-    assert ask(served.path, "status")["ok"]
+            send_command(served.path, command)
+    assert send_command(served.path, "halt")["ok"]
+    assert send_command(served.path, "status")["ok"]
     assert served.handled == ["halt"]
     assert served.counts.requests_refused == 2
 
@@ -118,7 +122,7 @@ def test_what_is_no_request(served: Served, data: bytes) -> None:
     assert answer["ok"] is False
     assert answer["error"]
     assert served.handled == []
-    assert ask(served.path, "status")["ok"]  # it lives
+    assert send_command(served.path, "status")["ok"]  # it lives
 
 
 def test_a_reader_that_never_reads_is_dropped_and_nobody_else_waits(served: Served) -> None:
@@ -135,7 +139,7 @@ def test_a_reader_that_never_reads_is_dropped_and_nobody_else_waits(served: Serv
             longest_s = max(longest_s, time.monotonic() - before_s)
             if served.counts.clients_slow:
                 break
-            assert ask(served.path, "status")["ok"]
+            assert send_command(served.path, "status")["ok"]
         assert served.counts.clients_slow == 1
         assert longest_s < 5.0
         assert time.monotonic() - begun_s < 60.0
@@ -144,7 +148,7 @@ def test_a_reader_that_never_reads_is_dropped_and_nobody_else_waits(served: Serv
 def test_a_client_that_says_nothing_is_dropped(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server_module, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(server_module, "CLIENT_TIMEOUT_S", 0.1)
     with served.connect() as idle:
         assert idle.recv(1) == b""
     assert served.counts.clients_slow == 0  # it was not slow, only idle
@@ -173,7 +177,7 @@ def test_too_many_clients(served: Served, monkeypatch: pytest.MonkeyPatch) -> No
     for connection in held:
         connection.close()
     wait_for(lambda: not served.server._clients)
-    assert ask(served.path, "status")["ok"]
+    assert send_command(served.path, "status")["ok"]
 
 
 def test_a_socket_of_a_daemon_that_lives_and_of_one_that_died(served: Served) -> None:
@@ -191,7 +195,7 @@ def test_a_thread_that_sees_the_end_first_does_not_make_it_a_fault() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "s"
         with StatusServer(path, lambda *_: "", ServiceCounts()) as server:
-            server._ended = True
+            server._stopping = True
             server._thread.join(60.0)
             assert not server._thread.is_alive()
             server.publish({"state": "ready"})  # the loop goes on without it
@@ -199,9 +203,9 @@ def test_a_thread_that_sees_the_end_first_does_not_make_it_a_fault() -> None:
 
 
 def test_nobody_there(tmp_path: Path) -> None:
-    with pytest.raises(MachineError, match="no daemon answers"):
-        ask(tmp_path / "none", "status")
-    with pytest.raises(MachineError, match="no socket can be made"):
+    with pytest.raises(MachineError, match="no daemon is running"):
+        send_command(tmp_path / "none", "status")
+    with pytest.raises(MachineError, match="cannot be created"):
         StatusServer(tmp_path / ("x" * 120), lambda *_: "", ServiceCounts()).__enter__()
 
 
@@ -211,7 +215,7 @@ def test_a_stranger_behind_the_socket() -> None:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stranger:
             stranger.bind(str(path))
             stranger.listen(1)
-            answers = listen(path, "status")
+            answers = stream_responses(path, "status")
 
             def speak() -> None:
                 connection, _ = stranger.accept()
@@ -221,6 +225,6 @@ def test_a_stranger_behind_the_socket() -> None:
 
             thread = threading.Thread(target=speak)
             thread.start()
-            with pytest.raises(MachineError, match="is no gyrorigd"):
+            with pytest.raises(MachineError, match="is not gyrorigd"):
                 next(answers)
             thread.join()

@@ -4,29 +4,29 @@ from typing import Any
 
 import numpy as np
 
-from gyrorig_solver.clocks import ClockMap, map_clock
-from gyrorig_solver.reference.moves import Exchange, MotionReader
-from gyrorig_solver.reference.polls import Polls, fit_starts
-from gyrorig_solver.reference.ptu import PtuReference
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.clocks import ClockMap, map_clock
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.reference.unit.move_fit import UnitPolls, fit_moves
+from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
+from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
 
 RAD_PER_STEP = float(np.radians(185.142857 / 3600.0))
 
 
-def reference_of(rig: Any) -> PtuReference:
+def reference_of(rig: Any) -> PanTiltReference:
     """The unit's motion, as the solver knows it from orders and polls."""
     settings = {
         f"{a}_{k}": v
         for a in ("pan", "tilt")
         for k, v in (("base_speed", 0.0), ("acceleration", 4000.0))
     }
-    exchanges = [Exchange(a, b, True, c) for a, b, c in rig.exchanges]
+    exchanges = [UnitExchange(a, b, True, c) for a, b, c in rig.exchanges]
     first = (int(rig.poll_steps[0][0]), int(rig.poll_steps[0][1]))
     motion = MotionReader(settings, first).read(exchanges)
     valid = np.ones((rig.poll_lo_s.size, 2), dtype=np.bool_)
-    polls = Polls(rig.poll_lo_s, rig.poll_hi_s, rig.poll_steps, valid)
+    polls = UnitPolls(rig.poll_lo_s, rig.poll_hi_s, rig.poll_steps, valid)
     span = (float(rig.poll_lo_s[0]), float(rig.poll_hi_s[-1]))
-    return PtuReference.of(motion, fit_starts(motion, polls), (RAD_PER_STEP, RAD_PER_STEP), span)
+    return PanTiltReference.of(motion, fit_moves(motion, polls), (RAD_PER_STEP, RAD_PER_STEP), span)
 
 
 def samples_of(time_s: np.ndarray, rate: np.ndarray, clock: ClockMap | None = None) -> GyroSamples:
@@ -42,12 +42,12 @@ def samples_of(time_s: np.ndarray, rate: np.ndarray, clock: ClockMap | None = No
         number=np.arange(n),
         segment=own.segment,
         rate_rad_s=rate,
-        good=np.ones(n, np.bool_),
+        usable=np.ones(n, np.bool_),
         accel_m_s2=None,
         temperature_degc=None,
         quantum_rad_s=1.527e-4,
         clock=own,
-        floor=None,
+        latency_bounds=None,
         lost=0,
         repeated=0,
         late=0,

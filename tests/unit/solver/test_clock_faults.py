@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-
-from gyrorig_solver.clocks import FaultKind, map_clock, unwrap_ticks
-from gyrorig_solver.clocks.simulated import (
+from tests.support.simulated_clocks import (
     FAULTS,
     WRAP,
     fault_trial,
-    judged_wrong,
+    is_misclassified,
     raw_ticks,
-    uart,
+    uart_arrivals,
 )
+
+from gyrorig_solver.data.clocks import ClockFaultKind, map_clock, unwrap_ticks
 
 TICK_HZ = 1e6
 
@@ -21,16 +21,16 @@ def wrong_trials(fault: str, seeds: range) -> list[int]:
     for seed in seeds:
         trial = fault_trial(fault, seed)
         clock = unwrap_ticks(trial.ticks, trial.host_s, TICK_HZ, 32, trial.sequence)
-        begins = tuple(found.index for found in clock.faults)
-        late = np.flatnonzero(clock.late)
-        if judged_wrong(trial, begins, clock.steps, late) or clock.wraps != trial.wraps:
+        begins = tuple(result.index for result in clock.faults)
+        late = np.flatnonzero(clock.late_mask)
+        if is_misclassified(trial, begins, clock.steps, late) or clock.wraps != trial.wraps:
             wrong.append(seed)
     return wrong
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_is_found_and_nothing_else(fault: str) -> None:
-    """30 trials each; `make bench` runs 300 (time synchronisation notes, section 5)."""
+    """30 trials each; `make bench` runs 300."""
     assert wrong_trials(fault, range(1000, 1030)) == []
 
 
@@ -41,7 +41,7 @@ def test_each_fault_is_found_300_times(fault: str) -> None:
 
 
 @pytest.mark.parametrize("fault", [name for name in FAULTS if "reset" not in name][:-1])
-def test_without_a_sample_counter_nothing_is_found_where_nothing_is(fault: str) -> None:
+def test_no_false_alarm_without_a_sample_counter(fault: str) -> None:
     for seed in range(20):
         trial = fault_trial(fault, seed)
         clock = unwrap_ticks(trial.ticks, trial.host_s, TICK_HZ, 32)
@@ -57,7 +57,7 @@ def test_a_pair_swapped_across_the_wrap_of_both_counters() -> None:
     clock = unwrap_ticks(ticks, true_s, TICK_HZ, 32, sequence)
     assert clock.faults == ()
     assert clock.wraps == 1
-    assert np.flatnonzero(clock.late).tolist() == [3000]
+    assert np.flatnonzero(clock.late_mask).tolist() == [3000]
     assert np.max(np.abs(np.sort(clock.device_s) - true_s)) < 2e-6
 
 
@@ -65,19 +65,19 @@ def test_a_host_clock_that_steps_back_is_a_step() -> None:
     """A latency floor cannot fall: the device ran on, its stamps and counter agree."""
     rng = np.random.default_rng(1)
     true_s = np.arange(12_000) / 100.0
-    host_s = uart(true_s, rng, 3e-4)
+    host_s = uart_arrivals(true_s, rng, 3e-4)
     host_s[6000:] -= 0.05
     # As a recording has them: what arrived later is never stamped earlier.
     host_s = np.maximum.accumulate(host_s)
     clock = unwrap_ticks(raw_ticks(true_s), host_s, TICK_HZ, 32, np.arange(12_000) % 65_536)
-    assert [found.kind for found in clock.faults] == [FaultKind.STEP]
+    assert [result.kind for result in clock.faults] == [ClockFaultKind.STEP]
     assert abs(clock.faults[0].index - 6000) < 30
 
 
 def test_every_segment_has_times_of_its_own() -> None:
     trial = fault_trial("reset", 3)
     clock = map_clock(trial.ticks, trial.host_s, TICK_HZ, 32, trial.sequence)
-    assert clock.segments == 2
+    assert clock.segment_count == 2
     assert clock.restarts == 1
     assert clock.latency_s[0] < 1e-3
     assert np.all(np.abs(trial.host_s - clock.time_s) < 0.25)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support import simulated_clocks as sim
+from tests.support.simulated_clocks import unwrap_counter
 
-from gyrorig_solver.clocks import map_clock, numbering, unwrap
-from gyrorig_solver.clocks import simulated as sim
-from gyrorig_solver.clocks.envelope import lower_hull
-from gyrorig_solver.clocks.numbering import number_samples
-from gyrorig_solver.clocks.unwrap import unwrap_sequence
+from gyrorig_solver.data.clocks import map_clock, sample_numbering, tick_unwrapping
+from gyrorig_solver.data.clocks.lower_envelope import lower_hull
+from gyrorig_solver.data.clocks.sample_numbering import number_samples
 
 
 def plainly(
@@ -26,7 +26,7 @@ def plainly(
         if inside.size > 1 and not np.any(np.diff(sequence[inside].astype(np.int64))):
             number[inside] = np.arange(inside.size)
             continue
-        count = unwrap_sequence(sequence[inside], expected)
+        count = unwrap_counter(sequence[inside], expected)
         _, first = np.unique(count, return_index=True)
         alone = np.zeros(inside.size, dtype=np.bool_)
         alone[first] = True
@@ -40,15 +40,17 @@ def plainly(
 def agree(sequence: np.ndarray, time_s: np.ndarray, segment: np.ndarray) -> None:
     number, keep, lost = plainly(sequence, time_s, segment)
     for overwrite in (False, True):
-        found = number_samples(sequence.copy(), time_s, segment, overwrite=overwrite)
-        assert np.array_equal(found.number, number)
-        assert found.lost == lost
-        assert np.array_equal(np.ones_like(keep) if found.keep is None else found.keep, keep)
+        result = number_samples(sequence.copy(), time_s, segment, overwrite=overwrite)
+        assert np.array_equal(result.numbers, number)
+        assert result.lost == lost
+        assert np.array_equal(
+            np.ones_like(keep) if result.keep_mask is None else result.keep_mask, keep
+        )
 
 
 @pytest.fixture
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(numbering, "PIECE", 7)
+    monkeypatch.setattr(sample_numbering, "PIECE_SAMPLES", 7)
 
 
 @pytest.mark.usefixtures("small_pieces")
@@ -76,7 +78,7 @@ def test_streams_with_every_fault(seed: int, modulus: int, dtype: type) -> None:
 @pytest.mark.usefixtures("small_pieces")
 @pytest.mark.parametrize("first", [0, 65_500, 2**32 - 50])
 @pytest.mark.parametrize("step", [0, 1])
-def test_a_plain_counter_and_one_that_stands_still(first: int, step: int) -> None:
+def test_a_regular_counter_and_a_constant_counter(first: int, step: int) -> None:
     modulus = 2**16 if first < 2**16 else 2**32
     sequence = ((first + step * np.arange(300)) % modulus).astype(np.uint32)
     agree(sequence, np.arange(300) * 1e-3, np.zeros(300, np.int64))
@@ -90,24 +92,24 @@ def test_numbers_beyond_31_bits_are_not_folded() -> None:
 def test_numbers_take_the_memory_of_the_counter() -> None:
     sequence = np.arange(100, 200, dtype=np.uint32)
     time_s = np.asarray(np.arange(100) * 1e-3, np.float64)
-    found = number_samples(sequence, time_s, np.zeros(100, np.int64), overwrite=True)
-    assert np.shares_memory(found.number, sequence)
-    assert found.keep is None
+    result = number_samples(sequence, time_s, np.zeros(100, np.int64), overwrite=True)
+    assert np.shares_memory(result.numbers, sequence)
+    assert result.keep_mask is None
 
 
 @pytest.mark.parametrize("fault", ["none", "wrap", "reset", "clock step", "swapped"])
 def test_a_map_in_place_is_the_same_map(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
     trial = sim.fault_trial(fault, 3)
     wanted = map_clock(trial.ticks, trial.host_s, sim.TICK_HZ, 32, trial.sequence)
-    monkeypatch.setattr(unwrap, "PIECE", 1000)
+    monkeypatch.setattr(tick_unwrapping, "PIECE_SAMPLES", 1000)
     ticks, host_s = trial.ticks.copy(), trial.host_s.copy()
-    found = map_clock(
+    result = map_clock(
         ticks, host_s, sim.TICK_HZ, 32, trial.sequence.astype(np.uint32), overwrite=True
     )
-    assert np.array_equal(found.time_s, wanted.time_s)
-    assert np.array_equal(found.segment, wanted.segment)
-    assert found.faults == wanted.faults or np.isnan(found.faults[0].shift_s)
-    assert np.shares_memory(found.time_s, ticks)
+    assert np.array_equal(result.time_s, wanted.time_s)
+    assert np.array_equal(result.segment, wanted.segment)
+    assert result.faults == wanted.faults or np.isnan(result.faults[0].shift_s)
+    assert np.shares_memory(result.time_s, ticks)
     assert np.max(np.abs(host_s - trial.host_s)) < 1e-10
 
 
@@ -118,7 +120,7 @@ def test_hull_of_pieces_is_the_hull_of_all(seed: int) -> None:
     y = np.round(rng.exponential(3.0, 300) + 0.01 * (x - 100.0) ** 2 * rng.integers(0, 2))
     whole = lower_hull(x, y)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gyrorig_solver.clocks.envelope._PIECE", 50)
+        patch.setattr("gyrorig_solver.data.clocks.lower_envelope._PIECE_POINTS", 50)
         pieces = lower_hull(x, y)
     assert np.array_equal(x[whole], x[pieces])
     assert np.array_equal(y[whole], y[pieces])

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
+from tests.support.simulated_clocks import latency_bounds_of_samples, unwrap_counter
 
-from gyrorig_solver.clocks import map_clock, unwrap_ticks
-from gyrorig_solver.clocks.envelope import hull_line, lower_hull, piecewise_envelope
-from gyrorig_solver.clocks.pings import Pings, link_floor
-from gyrorig_solver.clocks.unwrap import unwrap_sequence
+from gyrorig_solver.data.clocks import map_clock, unwrap_ticks
+from gyrorig_solver.data.clocks.latency_bounds import PingExchanges
+from gyrorig_solver.data.clocks.lower_envelope import hull_line, lower_hull, piecewise_envelope
 
 WRAP = 2**32
 
@@ -68,13 +68,13 @@ def test_hull_line_is_the_linear_programme_of_moon() -> None:
         bounds=[(None, None)] * 2,
     )
     ends = np.array([x[0], x[-1]])
-    assert np.allclose(hull_line(x, y).at(ends), exact.x[0] * ends + exact.x[1], atol=1e-9)
+    assert np.allclose(hull_line(x, y).delay_at(ends), exact.x[0] * ends + exact.x[1], atol=1e-9)
 
 
 @pytest.mark.parametrize(("seconds", "rate_hz"), [(75.0, 400.0), (75.0, 100.0), (600.0, 100.0)])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_mapping_wanders_little(seconds: float, rate_hz: float, seed: int) -> None:
-    """Bar of the notes, section 2: a line under n points errs by 3 mu/n; ticks are 1 us."""
+    """A line under n exponential delays errs by at most 3 mu/n; ticks are 1 us."""
     true, ticks, host = simulated_clock(seconds, rate_hz, 0.3e-3, seed)
     clock = map_clock(ticks, host, 1e6, 32)
     wander_s = float(np.std(clock.time_s - true))
@@ -84,16 +84,16 @@ def test_mapping_wanders_little(seconds: float, rate_hz: float, seed: int) -> No
     assert clock.skew_ppm == pytest.approx(50.0, abs=1.0)
 
 
-def test_one_swapped_pair_is_no_wrap() -> None:
+def test_a_swapped_pair_is_not_a_wrap() -> None:
     _, ticks, host = simulated_clock(60.0, 100.0, 0.3e-3, 2)
     ticks[[2000, 2001]] = ticks[[2001, 2000]]
     clock = unwrap_ticks(ticks, host, 1e6, 32)
     assert clock.restarts == 0
-    assert clock.late.nonzero()[0].tolist() == [2001]
+    assert clock.late_mask.nonzero()[0].tolist() == [2001]
 
 
 @pytest.mark.parametrize("gap_s", [1.0, 600.0, 4000.0, 10_800.0])
-def test_gaps_with_wraps_inside_are_no_restart(gap_s: float) -> None:
+def test_gaps_with_wraps_are_not_restarts(gap_s: float) -> None:
     _, ticks, host = simulated_clock(60.0, 100.0, 0.3e-3, 5)
     later = np.arange(6000) >= 3000
     ticks = np.where(later, (ticks + round(gap_s * 1e6)) % WRAP, ticks)
@@ -115,8 +115,8 @@ def test_a_restart_is_found(uptime_s: float) -> None:
 @given(start=st.integers(0, 65535), lost=st.integers(0, 200_000))
 def test_sequence_numbers_unwrap_over_gaps(start: int, lost: int) -> None:
     true = np.concatenate([np.arange(50), 50 + lost + np.arange(50)])
-    found = unwrap_sequence((start + true) % 65536, true * 1.001)
-    assert np.array_equal(found, true)
+    result = unwrap_counter((start + true) % 65536, true * 1.001)
+    assert np.array_equal(result, true)
 
 
 def test_piecewise_envelope_stays_below_and_follows_a_bend() -> None:
@@ -125,8 +125,8 @@ def test_piecewise_envelope_stays_below_and_follows_a_bend() -> None:
     floor = np.where(x < 150.0, 1e-6 * x, 150e-6 + 3e-6 * (x - 150.0))
     y = floor + rng.exponential(3e-4, x.size)
     envelope = piecewise_envelope(x, y, 10.0, 1e3)
-    assert np.all(y - envelope.at(x) > -1e-9)
-    assert float(np.std(envelope.at(x) - floor)) < 2e-6
+    assert np.all(y - envelope.delay_at(x) > -1e-9)
+    assert float(np.std(envelope.delay_at(x) - floor)) < 2e-6
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -140,16 +140,16 @@ def test_pings_hold_the_least_latency_between_bounds(seed: int) -> None:
     sent = np.sort(rng.uniform(1.0, 59.0, 300))
     received = sent + up_s + rng.exponential(3e-4, 300)
     answered = received + 1e-4
-    pings = Pings(
+    pings = PingExchanges(
         sent,
         answered + floor_s + rng.exponential(3e-4, 300),
         np.floor(received * 1e6 * (1.0 + 40e-6)).astype(np.int64),
         np.floor(answered * 1e6 * (1.0 + 40e-6)).astype(np.int64),
     )
-    bounds = link_floor(pings, ticks, host, clock, 1e6, 32)
+    bounds = latency_bounds_of_samples(pings, ticks, host, clock, 1e6, 32)
     assert bounds is not None
     shift = float(np.mean(clock.time_s - true))
     assert bounds.low_s - 2e-6 < shift < bounds.high_s + 2e-6
-    assert bounds.middle_s == pytest.approx(
+    assert bounds.midpoint_s == pytest.approx(
         (floor_s - up_s) / 2.0 + (floor_s + up_s) / 2.0, abs=2e-4
     )

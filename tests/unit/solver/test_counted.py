@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from gyrorig_solver.clocks import map_clock
-from gyrorig_solver.estimate.motion import fit_motion
-from gyrorig_solver.model.gain import factorise
-from gyrorig_solver.on_unit import PTU_WORDS
-from gyrorig_solver.reference.counted import CountedReference, counted_reference
-from gyrorig_solver.reference.course import Instruction, Limits, lay
-from gyrorig_solver.reference.kinematics import stage_rate
-from gyrorig_solver.reference.moves import Exchange, MotionReader
-from gyrorig_solver.reference.polls import Polls
-from gyrorig_solver.reference.ptu import PtuReference
-from gyrorig_solver.reference.ptu_recording import explained_reference
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.clocks import map_clock
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.motion_fit import fit_motion
+from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.reference.unit.counted_reference import CountedReference, counted_reference
+from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
+from gyrorig_solver.reference.unit.move_fit import UnitPolls
+from gyrorig_solver.reference.unit.pan_tilt_recording import choose_reference
+from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
+from gyrorig_solver.reference.unit.stage_kinematics import stage_rate
+from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
 
 STEP_RAD = float(np.radians(185.142857 / 3600.0))
-LAW = Limits(1200.0, 4000.0, 60.0)
+LAW = MotionLimits(1200.0, 4000.0, 60.0)
 # Seconds, axis, target: pan at three tilts.
 MOVES = [(2.0, 1, -500), (4.5, 0, 1500), (8.0, 0, -1000), (12.0, 1, 300), (14.0, 0, 1500),
          (18.0, 0, -1200), (22.0, 1, 0), (24.0, 0, 0)]  # fmt: skip
@@ -38,7 +38,7 @@ class Made:
 
     time_s: np.ndarray
     steps: np.ndarray  # (2, n), true
-    polls: Polls
+    polls: UnitPolls
 
 
 def make(seed: int) -> Made:
@@ -48,7 +48,7 @@ def make(seed: int) -> Made:
     stood = [0.0, 0.0]
     for told_s, axis, target in MOVES:
         start_s = told_s + float(rng.uniform(0.0, 0.01))
-        course = lay(stood[axis], [Instruction(start_s, "to", float(target), LAW)])
+        course = plan_motion(stood[axis], [ProfileCommand(start_s, "to", float(target), LAW)])
         after = time_s >= start_s
         steps[axis, after] = course.position_steps(time_s[after])
         stood[axis] = float(target)
@@ -58,22 +58,22 @@ def make(seed: int) -> Made:
     true = np.stack([np.interp(at_s, time_s, s) for s in steps])
     rising = np.stack([np.interp(at_s + 1e-3, time_s, s) for s in steps]) >= true
     counted = np.where(rising, np.floor(true + 1e-6), np.ceil(true - 1e-6)).T
-    polls = Polls(request_s, hi_s, counted, np.ones(counted.shape, dtype=np.bool_))
+    polls = UnitPolls(request_s, hi_s, counted, np.ones(counted.shape, dtype=np.bool_))
     return Made(time_s, steps, polls)
 
 
 def reference_of(made: Made) -> CountedReference:
-    return counted_reference(made.polls, (STEP_RAD, STEP_RAD), "no move was told")
+    return counted_reference(made.polls, (STEP_RAD, STEP_RAD), "no move was commanded")
 
 
 def test_counts_alone_follow_the_motion() -> None:
     made = make(1)
     reference = reference_of(made)
-    assert reference.unknown == ()
-    found = reference.angles_rad(made.time_s) / STEP_RAD
+    assert reference.unknown_spans == ()
+    result = reference.angles_rad(made.time_s) / STEP_RAD
     # The count lags by up to a step, which is the lag's own parameter.
-    assert np.sqrt(np.mean((found - made.steps) ** 2)) < 0.6
-    assert np.abs(found - made.steps).max() < 2.5
+    assert np.sqrt(np.mean((result - made.steps) ** 2)) < 0.6
+    assert np.abs(result - made.steps).max() < 2.5
 
 
 def test_derivatives_are_the_differences() -> None:
@@ -86,11 +86,13 @@ def test_derivatives_are_the_differences() -> None:
     for k in [0, 3, 5, 7, 40, size // 2, size - 30, size - 1]:
         step = np.zeros(size)
         step[k] = 1e-3
-        change = reference.moved(step).evaluate(edges, derivatives=False).rate_rad_s
+        change = reference.with_step(step).evaluate(edges, derivatives=False).rate_rad_s
         column = np.zeros_like(change)
         if k < len(here.local):
             local = here.local[k]
-            column[local.first : local.first + local.values.shape[0]] = local.values
+            column[local.first_interval : local.first_interval + local.values.shape[0]] = (
+                local.values
+            )
         else:
             column = here.shared[k - len(here.local)]
         assert (change - here.rate_rad_s) / 1e-3 == pytest.approx(column, abs=2e-6)
@@ -108,47 +110,49 @@ def test_a_board_is_calibrated_by_counts_alone(seed: int) -> None:
     every = round(FINE_HZ / 100.0)
     y = (seen @ gain.T + bias)[::every]
     y = y + rng.normal(scale=3e-3, size=y.shape)
-    found = fit_motion(samples_of(made.time_s[::every], y), reference_of(made), PTU_WORDS)
-    assert found.identified
+    result = fit_motion(samples_of(made.time_s[::every], y), reference_of(made), UNIT_REMEDIES)
+    assert result.identified
     factors = factorise(gain)
     true = [*bias, *factors.scale, *factors.nonorthogonality, *factors.misalignment_rad]
-    error = np.array([found.value(name) for name in found.order[:12]]) - true
-    covariance = found.covariance[:12, :12]
+    error = np.array([result.value(name) for name in result.order[:12]]) - true
+    covariance = result.covariance[:12, :12]
     assert np.abs(error / np.sqrt(np.diag(covariance))).max() < 4.0
     # scipy.stats.chi2.ppf(0.999, 12) = 32.9
     assert error @ np.linalg.solve(covariance, error) < 32.9
-    assert max(found.std[name] for name in found.order[3:12]) < 2e-3
+    assert max(result.std[name] for name in result.order[3:12]) < 2e-3
 
 
-def test_commands_are_used_where_they_explain_the_counts() -> None:
+def test_commands_are_used_if_they_explain_the_counts() -> None:
     made = make(5)
-    told = [Exchange(at, at + 0.005, True, f"{'PT'[axis]}P{to}") for at, axis, to in MOVES]
+    output = [UnitExchange(at, at + 0.005, True, f"{'PT'[axis]}P{to}") for at, axis, to in MOVES]
 
-    def chosen(exchanges: list[Exchange]) -> PtuReference | CountedReference:
-        motion = MotionReader(SETTINGS, (0, 0), made.polls.resting).read(exchanges)
-        return explained_reference(motion, made.polls, (STEP_RAD, STEP_RAD))
+    def chosen(exchanges: list[UnitExchange]) -> PanTiltReference | CountedReference:
+        motion = MotionReader(SETTINGS, (0, 0), made.polls.count_at_rest).read(exchanges)
+        return choose_reference(motion, made.polls, (STEP_RAD, STEP_RAD))
 
-    whole = chosen(told)
-    assert isinstance(whole, PtuReference)
+    whole = chosen(output)
+    assert isinstance(whole, PanTiltReference)
     assert whole.warnings == ()
-    without = chosen([*told[:2], *told[3:]])
-    assert isinstance(without, PtuReference)
+    without = chosen([*output[:2], *output[3:]])
+    assert isinstance(without, PanTiltReference)
     assert any("do not follow" in words for words in without.warnings)
     rate = without.evaluate(np.array([9.0, 9.01, 15.0, 15.01])).rate_rad_s
     assert np.isnan(rate[0]).all()
     assert np.isfinite(rate[2]).all()
     none = chosen([])
     assert isinstance(none, CountedReference)
-    assert any("no move was told" in words for words in none.warnings)
+    assert any("no move was commanded" in words for words in none.warnings)
 
 
-def test_a_recording_that_ends_on_the_way_says_so() -> None:
+def test_a_recording_that_ends_during_a_move_has_a_warning() -> None:
     made = make(6)
-    early = made.polls.lo_s < 15.0
+    early = made.polls.earliest_s < 15.0
     polls = made.polls
-    cut = Polls(polls.lo_s[early], polls.hi_s[early], polls.steps[early], polls.valid[early])
-    reference = counted_reference(cut, (STEP_RAD, STEP_RAD), "no move was told")
-    assert any("ends on the way" in words for words in reference.warnings)
+    cut = UnitPolls(
+        polls.earliest_s[early], polls.latest_s[early], polls.steps[early], polls.valid[early]
+    )
+    reference = counted_reference(cut, (STEP_RAD, STEP_RAD), "no move was commanded")
+    assert any("ends during a move" in words for words in reference.warnings)
     rate = reference.evaluate(np.array([5.0, 5.01, 14.5, 14.51])).rate_rad_s
     assert np.isfinite(rate[0]).all()
     assert np.isnan(rate[2]).all()
@@ -166,12 +170,12 @@ def samples_of(time_s: np.ndarray, rate_rad_s: np.ndarray) -> GyroSamples:
         number=np.arange(n),
         segment=np.zeros(n, dtype=np.int64),
         rate_rad_s=rate_rad_s,
-        good=np.ones(n, dtype=np.bool_),
+        usable=np.ones(n, dtype=np.bool_),
         accel_m_s2=None,
         temperature_degc=None,
         quantum_rad_s=1e-6,
         clock=clock,
-        floor=None,
+        latency_bounds=None,
         lost=0,
         repeated=0,
         late=0,

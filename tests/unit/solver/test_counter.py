@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrorig_solver.reference.counter import counter_instants
+from gyrorig_solver.reference.unit.controller_counter import counter_instants
 
 HZ = 90e6
 
@@ -23,35 +23,35 @@ def exchanges(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_instants_are_right_but_for_one_constant(seed: int) -> None:
+def test_sampling_times_are_right_up_to_one_constant(seed: int) -> None:
     at, lo, hi, ticks = exchanges(seed)
-    found = counter_instants(ticks, lo, hi, HZ)
-    assert found is not None
-    error = found.at_s - at
+    result = counter_instants(ticks, lo, hi, HZ)
+    assert result is not None
+    error = result.at_s - at
     # Two hulls of 3750 points with mean delays of 0.2 and 0.4 ms: some microseconds.
     assert np.std(error) < 3e-6
-    assert np.abs(error).max() < found.width_s / 2.0
-    assert found.width_s == pytest.approx(0.005, abs=1e-4)
-    assert found.skew_ppm == pytest.approx(40.0, abs=0.2)
+    assert np.abs(error).max() < result.width_s / 2.0
+    assert result.width_s == pytest.approx(0.005, abs=1e-4)
+    assert result.skew_ppm == pytest.approx(40.0, abs=0.2)
 
 
 def test_long_recordings_follow_a_wandering_clock() -> None:
     at, lo, hi, _ = exchanges(9, seconds=600.0)
     wander = 5e-4 * np.sin(2.0 * np.pi * at / 600.0)
     ticks = np.floor((at + wander + 1.0) * HZ).astype(np.int64) % 2**32
-    found = counter_instants(ticks, lo, hi, HZ)
-    assert found is not None
-    assert np.std(found.at_s - at) < 2e-5
+    result = counter_instants(ticks, lo, hi, HZ)
+    assert result is not None
+    assert np.std(result.at_s - at) < 2e-5
 
 
 def test_a_wrong_nominal_rate_does_not_matter() -> None:
     at, lo, hi, ticks = exchanges(1)
-    found = counter_instants(ticks, lo, hi, HZ * 1.01)
-    assert found is not None
-    assert np.std(found.at_s - at) < 3e-6
+    result = counter_instants(ticks, lo, hi, HZ * 1.01)
+    assert result is not None
+    assert np.std(result.at_s - at) < 3e-6
 
 
-def test_a_counter_that_is_no_clock_is_not_used() -> None:
+def test_an_irregular_counter_is_not_used() -> None:
     _, lo, hi, ticks = exchanges(1)
     assert counter_instants(np.zeros_like(ticks), lo, hi, HZ) is None
     assert counter_instants(ticks[:20], lo[:20], hi[:20], HZ) is None

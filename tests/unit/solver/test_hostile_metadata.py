@@ -7,8 +7,8 @@ import pytest
 
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.reference.ptu_recording import ptu_reference
-from gyrorig_solver.samples import load_samples
+from gyrorig_solver.data.samples import load_samples
+from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
 
 KEYS = (
     ("gyrorig.ptu", "baud"),
@@ -33,11 +33,11 @@ def test_any_text_is_read_or_refused_in_one_line(
     changed = {name: dict(entries) for name, entries in recording.metadata.items()}
     changed[section][key] = text
     hostile = replace(recording, metadata=changed)
-    said = ""
+    message = ""
     try:
         samples = load_samples(hostile, "GY80-P4242")
-        ptu_reference(hostile, samples.origin_ns)
+        read_pan_tilt_reference(hostile, samples.origin_ns)
     except GyrorigError as refused:
-        said = str(refused)
-    assert "\n" not in said
-    assert len(said) < 200
+        message = str(refused)
+    assert "\n" not in message
+    assert len(message) < 200

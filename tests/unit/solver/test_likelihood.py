@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from tests.unit.solver.made import reference_of, samples_of
 
-from gyrorig_solver.estimate.motion import fit_motion
-from gyrorig_solver.estimate.result import GyroFit
-from gyrorig_solver.model.gain import factorise
-from gyrorig_solver.on_unit import PTU_WORDS
+from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.estimate.motion_fit import fit_motion
+from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.model.gain_matrix import factorise
 
 LOW_PASS_DELAY_S = np.sqrt(2.0) / (2.0 * np.pi * 25.0)  # Butterworth, second order, 25 Hz
 
@@ -19,7 +19,7 @@ Simulate = Callable[..., Any]
 
 def fit(rig: Any, rate: np.ndarray | None = None) -> GyroFit:
     samples = samples_of(rig.time_s, rig.rate_rad_s if rate is None else rate)
-    return fit_motion(samples, reference_of(rig), PTU_WORDS)
+    return fit_motion(samples, reference_of(rig), UNIT_REMEDIES)
 
 
 def truth(rig: Any) -> dict[str, float]:
@@ -36,7 +36,7 @@ def truth(rig: Any) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("off_count", [0.0, 0.5])
-def test_errors_are_as_large_as_claimed(simulate: Simulate, off_count: float) -> None:
+def test_errors_match_the_stated_uncertainty(simulate: Simulate, off_count: float) -> None:
     """Eight boards: joint chi-squared inside its 99.8 % span; no parameter beyond 4 sigma.
 
     Once the unit rests exactly on its counts, once anywhere within them.
@@ -52,13 +52,13 @@ def test_errors_are_as_large_as_claimed(simulate: Simulate, off_count: float) ->
         z = error / np.sqrt(np.diag(found.covariance))
         assert np.abs(z).max() < 4.0
         total += float(error @ np.linalg.solve(found.covariance, error))
-        assert (reference_of(rig).starts.rest_variance > 0.05 / 12.0) == (off_count > 0.0)
+        assert (reference_of(rig).move_fit.rest_variance > 0.05 / 12.0) == (off_count > 0.0)
     # 8 x 13 degrees of freedom; scipy.stats.chi2.ppf([0.001, 0.999], 104) = 65.1, 154.3. A
     # little lower, because the constant of the polls is the same in all eight and is uniform.
     assert 55.0 < total < 154.3
 
 
-def test_without_noise_the_truth_comes_back(simulate: Simulate) -> None:
+def test_noise_free_data_recover_the_truth(simulate: Simulate) -> None:
     rig = simulate(3, noise=0.0)
     found = fit(rig)
     assert np.allclose(found.gain, rig.gain, atol=3e-4)
@@ -66,7 +66,7 @@ def test_without_noise_the_truth_comes_back(simulate: Simulate) -> None:
     assert found.rms_after_rad_s < 0.05 * found.rms_before_rad_s
 
 
-def test_pan_at_one_tilt_hides_the_roll_column(simulate: Simulate) -> None:
+def test_pan_at_one_tilt_leaves_roll_unobservable(simulate: Simulate) -> None:
     rig = simulate(1, tilts=(0, 400, 0, 400, 0))
     rate = rig.rate_rad_s
     found = fit(simulate(1, tilts=(0,)), None)
@@ -79,7 +79,7 @@ def test_pan_at_one_tilt_hides_the_roll_column(simulate: Simulate) -> None:
     assert found.observability.rank == 6
 
 
-def test_spikes_cost_nothing(simulate: Simulate) -> None:
+def test_outliers_do_not_bias_the_fit(simulate: Simulate) -> None:
     rig = simulate(2)
     rng = np.random.default_rng(0)
     spiked = rig.rate_rad_s.copy()

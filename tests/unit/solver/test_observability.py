@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from gyrorig_solver.estimate.observability import BIAS_NAMES, conclude, decide
-from gyrorig_solver.model.gain import GAIN_NAMES
+from gyrorig_solver.estimate.derived_parameters import derive_parameters
+from gyrorig_solver.estimate.observability import BIAS_NAMES, analyse_observability
+from gyrorig_solver.model.gain_matrix import GAIN_NAMES
 
 NAMES = (*GAIN_NAMES, *BIAS_NAMES)
 IDENTITY = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
@@ -14,17 +15,19 @@ def information(columns: str, std: float = 1e-3) -> np.ndarray:
     return np.diag(np.where(seen, std**-2.0, 0.0))
 
 
-def test_everything_seen() -> None:
-    found = conclude(IDENTITY, NAMES, decide(information("xyz"), NAMES), {})
+def test_all_parameters_observable() -> None:
+    found = derive_parameters(IDENTITY, NAMES, analyse_observability(information("xyz"), NAMES), {})
     assert found.observability.rank == 12
     assert found.observability.unobservable == ()
     assert np.isclose(found.observability.condition, 1.0)
     assert all(np.isfinite(v) for v in found.values.values())
 
 
-def test_a_column_that_nothing_turned() -> None:
+def test_unexcited_column_is_unobservable() -> None:
     words = {"y": "sweep pan at +T and -T"}
-    found = conclude(IDENTITY, NAMES, decide(information("xz"), NAMES), words)
+    found = derive_parameters(
+        IDENTITY, NAMES, analyse_observability(information("xz"), NAMES), words
+    )
     assert found.observability.rank == 9
     assert np.isnan(found.gain[:, 1]).all()
     assert "scale.y" in found.observability.unobservable
@@ -33,7 +36,7 @@ def test_a_column_that_nothing_turned() -> None:
     assert found.covariance.shape == (len(found.order), len(found.order))
 
 
-def test_two_columns_seen_only_together() -> None:
+def test_two_columns_observable_only_together() -> None:
     """Pan at one tilt t: only sin(t) column y + cos(t) column z is seen."""
     t = 0.5
     total = np.diag([0.0] * 9 + [1e6] * 3)
@@ -42,20 +45,22 @@ def test_two_columns_seen_only_together() -> None:
         direction[3 * row + 1 : 3 * row + 3] = np.sin(t), np.cos(t)
         total += 1e6 * np.outer(direction, direction)
         total[3 * row, 3 * row] += 1e6
-    found = conclude(IDENTITY, NAMES, decide(total, NAMES), {"y": "one tilt", "z": "one tilt"})
+    found = derive_parameters(
+        IDENTITY, NAMES, analyse_observability(total, NAMES), {"y": "one tilt", "z": "one tilt"}
+    )
     assert found.observability.rank == 9
     assert np.isnan(found.gain[:, 1:]).all()
     assert np.isfinite(found.gain[:, 0]).all()
 
 
-def test_units_do_not_decide() -> None:
+def test_units_do_not_change_the_decision() -> None:
     """Knowing the bias a million times better than the gain leaves the rank as it is."""
     weighed = information("xyz")
     weighed[9:, 9:] *= 1e12
-    assert decide(weighed, NAMES).rank == 12
+    assert analyse_observability(weighed, NAMES).rank == 12
 
 
-def test_columns_with_one_reason_are_named_together() -> None:
+def test_columns_with_one_reason_share_a_sentence() -> None:
     words = {"x": "it lay still", "y": "it lay still", "z": "it lay still"}
-    found = conclude(IDENTITY, NAMES, decide(information(""), NAMES), words)
+    found = derive_parameters(IDENTITY, NAMES, analyse_observability(information(""), NAMES), words)
     assert found.observability.reasons == ("columns x, y, z of the gain: it lay still",)

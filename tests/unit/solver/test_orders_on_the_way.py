@@ -10,18 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from gyrorig_daemon.emulator.rig import EmulatedRig
-from gyrorig_daemon.emulator.settings import PtuSettings, RigSettings
+from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_solver.clocks import map_clock
-from gyrorig_solver.estimate.motion import fit_motion
-from gyrorig_solver.model.gain import factorise
-from gyrorig_solver.on_unit import PTU_WORDS
-from gyrorig_solver.reference.counter import counter_instants
-from gyrorig_solver.reference.moves import Exchange, MotionReader
-from gyrorig_solver.reference.polls import Polls, fit_starts
-from gyrorig_solver.reference.ptu import PtuReference
-from gyrorig_solver.samples import GyroSamples
+from gyrorig_solver.data.clocks import map_clock
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.motion_fit import fit_motion
+from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.reference.unit.controller_counter import counter_instants
+from gyrorig_solver.reference.unit.move_fit import UnitPolls, fit_moves
+from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
+from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange
 
 ORIGIN_NS = 7_000_000_000
 ANSWER = re.compile(rb"\* P\((-?\d+),(-?\d+)\) S\((-?\d+),(-?\d+)\) (\d+)")
@@ -49,8 +49,8 @@ class Played:
     """What the host saw, times in s since the rig's power-up."""
 
     rig: EmulatedRig
-    exchanges: list[Exchange]
-    polls: Polls
+    exchanges: list[UnitExchange]
+    polls: UnitPolls
     counter: np.ndarray
 
 
@@ -85,28 +85,32 @@ def play(seed: int, baud: int = 115200) -> Played:
         else:
             done_s = (hub.now_ns() - ORIGIN_NS) * 1e-9
             arrived_s = now_s + (len(command) + 1) * byte_s
-            exchanges.append(Exchange(arrived_s, done_s, b"*" in reply, command))
+            exchanges.append(UnitExchange(arrived_s, done_s, b"*" in reply, command))
     table = np.array(rows)
     valid = np.ones((len(rows), 2), dtype=np.bool_)
-    polls = Polls(table[:, 0], table[:, 1], table[:, 2:4], valid)
+    polls = UnitPolls(table[:, 0], table[:, 1], table[:, 2:4], valid)
     return Played(rig, exchanges, polls, np.array([row[6] for row in rows], dtype=np.int64))
 
 
-def reference_of(played: Played, counter: bool = True) -> PtuReference:
+def reference_of(played: Played, counter: bool = True) -> PanTiltReference:
     settings: dict[str, float] = {}
     for axis, low, high in (("pan", -3090, 3090), ("tilt", -907, 604)):
         settings |= {f"{axis}_base_speed": BASE, f"{axis}_acceleration": RAMP}
         settings |= {f"{axis}_min_steps": low, f"{axis}_max_steps": high}
     polls = played.polls
-    found = counter_instants(played.counter, polls.lo_s, polls.hi_s, 90e6) if counter else None
+    found = (
+        counter_instants(played.counter, polls.earliest_s, polls.latest_s, 90e6)
+        if counter
+        else None
+    )
     if found is not None:
-        polls = Polls(found.at_s, found.at_s, polls.steps, polls.valid, found.width_s)
-    motion = MotionReader(settings, (0, 0), polls.resting).read(played.exchanges)
-    span = (float(polls.lo_s[0]), float(polls.hi_s[-1]))
-    return PtuReference.of(motion, fit_starts(motion, polls), (STEP_RAD, STEP_RAD), span)
+        polls = UnitPolls(found.at_s, found.at_s, polls.steps, polls.valid, found.width_s)
+    motion = MotionReader(settings, (0, 0), polls.count_at_rest).read(played.exchanges)
+    span = (float(polls.earliest_s[0]), float(polls.latest_s[-1]))
+    return PanTiltReference.of(motion, fit_moves(motion, polls), (STEP_RAD, STEP_RAD), span)
 
 
-def angle_errors(played: Played, reference: PtuReference) -> np.ndarray:
+def angle_errors(played: Played, reference: PanTiltReference) -> np.ndarray:
     """Return found minus true angle in steps, (2, n), the common shift in time taken out."""
     period_s, n = 1e-3, round((LENGTH_S - 1.0) * 1e3)
     time_s = 0.5 + period_s * np.arange(n, dtype=np.float64)
@@ -115,7 +119,7 @@ def angle_errors(played: Played, reference: PtuReference) -> np.ndarray:
     found = reference.angles_rad(time_s) / STEP_RAD
     speed = np.gradient(true, period_s, axis=1)
     shift_s = np.sum(speed * (found - true)) / np.sum(speed**2)
-    assert abs(shift_s) < 3.0 * reference.common_std_s
+    assert abs(shift_s) < 3.0 * reference.common_shift_std_s
     return found - true - shift_s * speed
 
 
@@ -124,15 +128,15 @@ def angle_errors(played: Played, reference: PtuReference) -> np.ndarray:
 def test_every_kind_of_order_is_followed(seed: int, baud: int, counter: bool) -> None:
     played = play(seed, baud)
     reference = reference_of(played, counter)
-    assert reference.motion.unknown == ()
-    assert reference.starts.explained
+    assert reference.motion.unknown_spans == ()
+    assert reference.move_fit.counts_follow_commands
     error = angle_errors(played, reference)
     # A tenth of a step is 0.005 deg; at 1800 steps/s a start's 0.3 ms is half a step. At
     # 9600 baud there is an answer in 45 ms.
     allowed = 1.0 if baud == 115200 else 2.0
     assert np.sqrt(np.mean(error**2)) < 0.1 * allowed
     assert np.abs(error).max() < 1.0 * allowed
-    assert reference.starts.rest_variance < 0.05 / 12.0
+    assert reference.move_fit.rest_variance < 0.05 / 12.0
 
 
 def test_a_board_is_calibrated_through_it_all() -> None:
@@ -147,7 +151,7 @@ def test_a_board_is_calibrated_through_it_all() -> None:
         bias = rng.normal(scale=0.02, size=3)
         seen = rate @ gain.T + bias + rng.normal(scale=2e-3, size=rate.shape)
         found = fit_motion(
-            samples_of(0.5 + np.arange(n) / hz, seen), reference_of(played), PTU_WORDS
+            samples_of(0.5 + np.arange(n) / hz, seen), reference_of(played), UNIT_REMEDIES
         )
         assert found.identified
         off = np.concatenate([(found.gain - gain).ravel(), found.bias_rad_s - bias])
@@ -172,12 +176,12 @@ def samples_of(time_s: np.ndarray, rate_rad_s: np.ndarray) -> GyroSamples:
         number=np.arange(n),
         segment=np.zeros(n, dtype=np.int64),
         rate_rad_s=rate_rad_s,
-        good=np.ones(n, dtype=np.bool_),
+        usable=np.ones(n, dtype=np.bool_),
         accel_m_s2=None,
         temperature_degc=None,
         quantum_rad_s=1e-6,
         clock=clock,
-        floor=None,
+        latency_bounds=None,
         lost=0,
         repeated=0,
         late=0,

@@ -10,11 +10,11 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.writer import RecordingWriter
-from gyrorig_solver.arrays import FloatArray
-from gyrorig_solver.check.capability import capability
-from gyrorig_solver.columns import Column, Physical, column_of
-from gyrorig_solver.reference.rest import RestReference
-from gyrorig_solver.samples import GyroSamples, load_samples
+from gyrorig_solver.check.recording_health import predict_observability
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.count_columns import CountColumn, PhysicalField, stored_column
+from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.reference.rest_reference import RestReference
 
 START_NS = 1_790_000_000_000_000_000
 N = 4000
@@ -94,7 +94,7 @@ def test_lost_samples_leave_gaps(written: Write) -> None:
     assert samples.number[-1] == N - 1
 
 
-def test_swapped_and_doubled_samples_are_set_aside(written: Write) -> None:
+def test_swapped_and_repeated_samples_are_excluded(written: Write) -> None:
     sequence = (65_000 + np.arange(N)) % 65_536
     ticks = ((np.arange(N) / 100.0 + 4290.0) * 1e6).astype(np.int64) % 2**32
     for column in (sequence, ticks):
@@ -119,9 +119,7 @@ def test_a_restart_begins_a_segment(written: Write) -> None:
     assert np.diff(samples.time_s) == pytest.approx(0.01, abs=2e-3)
 
 
-def test_stretches_end_at_gaps_and_restarts(
-    written: Write, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slices_end_at_gaps_and_restarts(written: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     keep = np.r_[0:1000, 1007:N]
     t = np.arange(N)[keep] / 100.0
     restarted = keep >= 3000
@@ -135,28 +133,28 @@ def test_stretches_end_at_gaps_and_restarts(
     )
     restart = int(np.argmax(restarted))
     for piece in (1 << 16, 999, 10):
-        monkeypatch.setattr("gyrorig_solver.samples.PIECE", piece)
-        assert samples.stretches(8) == [slice(0, restart), slice(restart, keep.size)]
-        assert samples.stretches(7)[0] == slice(0, 1000)
+        monkeypatch.setattr("gyrorig_solver.data.samples.PIECE_SAMPLES", piece)
+        assert samples.contiguous_slices(8) == [slice(0, restart), slice(restart, keep.size)]
+        assert samples.contiguous_slices(7)[0] == slice(0, 1000)
     assert samples.period_s == pytest.approx(0.01, rel=1e-6)
 
 
-def test_saturated_and_repeated_samples_are_not_good(written: Write) -> None:
+def test_saturated_and_repeated_samples_are_not_usable(written: Write) -> None:
     status = np.zeros(N, np.int64)
     status[100], status[200] = 1 << 1, 1 << 3
     gyro = np.zeros((N, 3), np.int64)
     gyro[300, 1] = -32768
     samples = written(status=status, gyro=gyro)
-    assert np.flatnonzero(~samples.good).tolist() == [100, 200, 300]
+    assert np.flatnonzero(~samples.usable).tolist() == [100, 200, 300]
 
 
-def test_a_board_that_is_not_there(written: Write) -> None:
-    with pytest.raises(InputError, match=r"no board .C. in r\.mcap: name one that is in it: B"):
+def test_a_missing_board_is_an_error(written: Write) -> None:
+    with pytest.raises(InputError, match=r"r\.mcap has no board .C.\. Choose one of B"):
         written(asked="C")
 
 
 @pytest.mark.parametrize("scale", ["", "nan", "-1", "a lot"])
-def test_a_scale_that_is_none(written: Write, scale: str) -> None:
+def test_an_invalid_scale_is_rejected(written: Write, scale: str) -> None:
     with pytest.raises(InputError, match="gyro_scale_rad_s"):
         written(meta={"gyro_scale_rad_s": scale})
 
@@ -177,10 +175,10 @@ def test_only_samples_with_a_temperature_have_one(written: Write) -> None:
 
 def test_a_motion_that_is_nowhere_known_shows_nothing(written: Write) -> None:
     with pytest.raises(InputError, match="motion is not known while board B sampled"):
-        capability(written(), RestReference(()), {})
+        predict_observability(written(), RestReference(()), {})
 
 
-def test_rates_stay_counts_until_asked_for(written: Write) -> None:
+def test_rates_stay_counts_until_requested(written: Write) -> None:
     accel = np.random.default_rng(2).integers(-300, 300, (N, 3))
     status = np.full(N, 1 << 8)
     sequence = (65_000 + np.arange(N)) % 65_536
@@ -200,7 +198,7 @@ def test_rates_stay_counts_until_asked_for(written: Write) -> None:
     assert samples.temperature_degc is None
 
 
-def test_arrivals_are_read_when_asked_for(written: Write) -> None:
+def test_arrivals_are_read_on_request(written: Write) -> None:
     host = START_NS + np.arange(N) * 10_000_000 + np.random.default_rng(3).integers(0, 10**6, N)
     samples = written(host=host)
     assert samples.host_s == pytest.approx((host - host[0]) * 1e-9, abs=1e-15)
@@ -218,10 +216,10 @@ def test_a_long_recording_gives_the_same_samples(
     }
     accel = np.random.default_rng(2).integers(-300, 300, (N, 3))
     short = written(status=status, accel=accel, meta=meta)
-    monkeypatch.setattr("gyrorig_protocol.recording.collect.KEPT_BYTES", 0)
+    monkeypatch.setattr("gyrorig_protocol.recording.topic_collector.MAX_RECORD_BYTES", 0)
     (tmp_path / "r.mcap").unlink()
     long = written(status=status, accel=accel, meta=meta)
-    for name in ("time_s", "host_s", "number", "segment", "counts", "good", "rate_rad_s"):
+    for name in ("time_s", "host_s", "number", "segment", "counts", "usable", "rate_rad_s"):
         assert np.array_equal(getattr(long, name), getattr(short, name)), name
     for name in ("accel_m_s2", "temperature_degc"):
         assert np.array_equal(getattr(long, name), getattr(short, name), equal_nan=True), name
@@ -232,15 +230,15 @@ def test_a_long_recording_gives_the_same_samples(
 
 def test_values_and_columns_give_the_same_fields() -> None:
     class Owner:
-        field: Physical[FloatArray] = Physical()
+        field: PhysicalField[FloatArray] = PhysicalField()
 
     counts = np.arange(12, dtype=np.int16).reshape(4, 3)
     given, column = Owner(), Owner()
     given.field = np.asarray(counts * 0.5, np.float64)
-    column.field = Column(lambda: counts, 0.5)
+    column.field = CountColumn(lambda: counts, 0.5)
     assert np.array_equal(given.field, column.field)
     assert column.field is column.field  # worked out once
-    kept, plain = column_of(column, "field"), column_of(given, "field")
+    kept, plain = stored_column(column, "field"), stored_column(given, "field")
     assert kept is not None
     assert kept.counts is counts
     assert plain is not None

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
-from gyrorig_solver.clocks.shared import FEWEST, Exchanges, Moved, shared_time
+from gyrorig_solver.data.clocks.shared_time_base import (
+    MIN_COMMON_EDGES,
+    ClockExchanges,
+    TimeCorrection,
+    fit_shared_time,
+)
 
 ORIGIN_NS = 1_790_000_000_000_000_000
 LATCH_S = 5e-6  # mean delay of an interrupt
-# Time synchronisation notes, section 4: 0.42 us between boards with these delays, at 5 Hz and
+# Simulated reference: 0.42 us between boards with these delays, at 5 Hz and
 # 75 s. Room for what is drawn, said before the first run: half as much again over 20 trials.
 APART_S = 0.63e-6
 
@@ -32,14 +37,14 @@ class Bus:
         """How late a board's map is."""
         return np.asarray(self.offset_s[k] + self.slope[k] * at_s)
 
-    def seen(self, k: int, keep: np.ndarray | None = None) -> Exchanges:
+    def seen(self, k: int, keep: np.ndarray | None = None) -> ClockExchanges:
         """What one board has of the edges."""
         latched_s = self.edges_s + self.rng.exponential(LATCH_S, self.edges_s.size)
         time_s = latched_s + self.error_s(k, self.edges_s) - self.late_ns[k] * 1e-9
         use = slice(None) if keep is None else keep
-        return Exchanges(self.asked_ns[use], time_s[use], ORIGIN_NS + int(self.late_ns[k]))
+        return ClockExchanges(self.asked_ns[use], time_s[use], ORIGIN_NS + int(self.late_ns[k]))
 
-    def apart_s(self, moved: dict[str, Moved]) -> float:
+    def apart_s(self, moved: dict[str, TimeCorrection]) -> float:
         """How far the boards' times are from each other afterwards, rms."""
         at_s = np.linspace(self.edges_s[0], self.edges_s[-1], 400)
         left = []
@@ -47,27 +52,27 @@ class Bus:
             k = int(name)
             own_s = at_s - self.late_ns[k] * 1e-9
             before_s = own_s.copy()
-            one.off(own_s)
+            one.apply(own_s)
             left.append(self.error_s(k, at_s) + own_s - before_s)
         return float(np.sqrt(np.mean((np.array(left) - np.mean(left, axis=0)) ** 2)))
 
 
-def test_boards_share_one_time_to_what_the_interrupts_leave() -> None:
+def test_boards_share_one_time_up_to_the_interrupt_delay() -> None:
     apart = []
     for seed in range(20):
         bus = Bus(seed)
-        moved = shared_time({str(k): bus.seen(k) for k in range(6)})
+        moved = fit_shared_time({str(k): bus.seen(k) for k in range(6)})
         assert len(moved) == 6
         apart.append(bus.apart_s(moved))
-        assert all(one.boards == 6 and one.edges == 375 for one in moved.values())
+        assert all(one.board_count == 6 and one.edge_count == 375 for one in moved.values())
     assert np.sqrt(np.mean(np.square(apart))) < APART_S
 
 
 def test_the_time_that_all_share_is_the_mean_of_their_own() -> None:
     bus = Bus(3)
-    moved = shared_time({str(k): bus.seen(k) for k in range(6)})
+    moved = fit_shared_time({str(k): bus.seen(k) for k in range(6)})
     at_s = np.linspace(5.0, 70.0, 50)
-    late = [one.late.at(at_s - bus.late_ns[int(name)] * 1e-9) for name, one in moved.items()]
+    late = [one.late.delay_at(at_s - bus.late_ns[int(name)] * 1e-9) for name, one in moved.items()]
     assert np.mean(late, axis=0) == pytest.approx(np.zeros(50), abs=1e-9)
 
 
@@ -77,7 +82,7 @@ def test_edges_that_a_board_missed_are_the_others() -> None:
     for k in range(6):
         keep = bus.rng.random(bus.edges_s.size) < 0.7
         boards[str(k)] = bus.seen(k, keep)
-    moved = shared_time(boards)
+    moved = fit_shared_time(boards)
     assert len(moved) == 6
     assert bus.apart_s(moved) < 2.0 * APART_S
 
@@ -89,7 +94,7 @@ def test_a_late_interrupt_does_not_move_the_time() -> None:
         boards = {str(k): bus.seen(k) for k in range(6)}
         for one in boards.values():
             one.time_s[bus.rng.random(one.time_s.size) < 0.05] += 1e-3
-        assert bus.apart_s(shared_time(boards)) < 3.0 * APART_S
+        assert bus.apart_s(fit_shared_time(boards)) < 3.0 * APART_S
 
 
 def test_hours_are_followed_by_a_chain_of_lines() -> None:
@@ -100,44 +105,44 @@ def test_hours_are_followed_by_a_chain_of_lines() -> None:
         seen = bus.seen(k)
         seen.time_s[:] += 20e-6 * np.sin(bus.edges_s / 900.0 + k)
         boards[str(k)] = seen
-    moved = shared_time(boards)
+    moved = fit_shared_time(boards)
     at_s = np.linspace(60.0, 7100.0, 500)
     left = [
         bus.error_s(k, at_s)
         + 20e-6 * np.sin(at_s / 900.0 + k)
-        - moved[str(k)].late.at(at_s - bus.late_ns[k] * 1e-9)
+        - moved[str(k)].late.delay_at(at_s - bus.late_ns[k] * 1e-9)
         for k in range(4)
     ]
     apart = np.array(left) - np.mean(left, axis=0)
     assert np.sqrt(np.mean(apart**2)) < 1.5e-6
 
 
-def test_a_board_that_was_away_for_long_keeps_its_time() -> None:
+def test_a_board_absent_for_long_keeps_its_time() -> None:
     bus = Bus(11, seconds=600.0, boards=4)
     boards = {str(k): bus.seen(k) for k in range(3)}
     boards["3"] = bus.seen(3, bus.edges_s < 250.0)
-    moved = shared_time(boards)
+    moved = fit_shared_time(boards)
     assert set(moved) == {"0", "1", "2"}
     assert bus.apart_s(moved) < 2.0 * APART_S
 
 
-def test_boards_that_saw_no_common_edge_keep_their_time() -> None:
+def test_boards_without_common_edges_keep_their_time() -> None:
     bus, other = Bus(7), Bus(8)
-    assert shared_time({"0": bus.seen(0)}) == {}
-    assert shared_time({"0": bus.seen(0), "1": other.seen(1)}) == {}
-    few = np.arange(bus.edges_s.size) < FEWEST - 1
-    assert shared_time({"0": bus.seen(0), "1": bus.seen(1, few)}) == {}
+    assert fit_shared_time({"0": bus.seen(0)}) == {}
+    assert fit_shared_time({"0": bus.seen(0), "1": other.seen(1)}) == {}
+    few = np.arange(bus.edges_s.size) < MIN_COMMON_EDGES - 1
+    assert fit_shared_time({"0": bus.seen(0), "1": bus.seen(1, few)}) == {}
     three = {"0": bus.seen(0), "1": bus.seen(1), "far": other.seen(2)}
-    assert set(shared_time(three)) == {"0", "1"}
+    assert set(fit_shared_time(three)) == {"0", "1"}
 
 
 def test_each_bus_has_a_time_of_its_own() -> None:
     one, two = Bus(9), Bus(10)
     boards = {f"a{k}": one.seen(k) for k in range(3)} | {f"b{k}": two.seen(k) for k in range(2)}
-    both = shared_time(boards)
-    assert {name: found.boards for name, found in both.items()} == {
+    both = fit_shared_time(boards)
+    assert {name: result.board_count for name, result in both.items()} == {
         "a0": 3, "a1": 3, "a2": 3, "b0": 2, "b1": 2,
     }  # fmt: skip
-    apart = shared_time({name: seen for name, seen in boards.items() if name.startswith("a")})
-    for name, found in apart.items():
-        assert both[name].late.delay_s == pytest.approx(found.late.delay_s, abs=1e-15)
+    apart = fit_shared_time({name: seen for name, seen in boards.items() if name.startswith("a")})
+    for name, result in apart.items():
+        assert both[name].late.delay_s == pytest.approx(result.late.delay_s, abs=1e-15)

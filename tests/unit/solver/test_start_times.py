@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from gyrorig_solver.reference import evidence, ptu_recording
-from gyrorig_solver.reference.course import Instruction, Limits, lay
-from gyrorig_solver.reference.motion import LocalColumn
-from gyrorig_solver.reference.moves import Exchange, Motion, MotionReader
-from gyrorig_solver.reference.polls import Polls, StartTimes, fit_starts
-from gyrorig_solver.reference.ptu import PtuReference
-from gyrorig_solver.reference.ptu_recording import unexplained
-from gyrorig_solver.reference.rests import DETENT_VARIANCE, VARIANCES
-from gyrorig_solver.reference.slopes import slopes
+from gyrorig_solver.reference.reference_motion import LocalDerivative
+from gyrorig_solver.reference.unit import pan_tilt_recording, poll_likelihood
+from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
+from gyrorig_solver.reference.unit.move_fit import MoveFit, UnitPolls, fit_moves
+from gyrorig_solver.reference.unit.pan_tilt_recording import unexplained_spans
+from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
+from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move
+from gyrorig_solver.reference.unit.rest_variance import DETENT_VARIANCE, VARIANCE_CANDIDATES
+from gyrorig_solver.reference.unit.unit_moves import MotionReader, UnitExchange, UnitMotion
 
 BASE, RAMP = 100.0, 4000.0
 SPEEDS = (600.0, 1500.0)
@@ -36,8 +36,8 @@ AGREE = 5e-3  # standard deviations; what a solve is stopped at is some 1e-3
 class Made:
     """A motion, what was polled of it, and where it was at the polls."""
 
-    motion: Motion
-    polls: Polls
+    motion: UnitMotion
+    polls: UnitPolls
     starts_s: np.ndarray
 
 
@@ -50,18 +50,18 @@ def make(seed: int, moves: int = 10, off_steps: float = 0.0, change: bool = Fals
         axis, speed = int(k % 3 == 2), SPEEDS[k % 2]
         name = "PT"[axis]
         target = int(stood[axis] + rng.choice([-1.0, 1.0]) * rng.uniform(300.0, 700.0))
-        law = Limits(speed * 1.0004, RAMP * 1.002, BASE)
+        law = MotionLimits(speed * 1.0004, RAMP * 1.002, BASE)
         given = [(told_s, f"{name}S{speed:.0f}"), (told_s + 0.01, f"{name}P{target}")]
         starts.append(told_s + 0.01 + 0.004 + rng.uniform(0.0, 0.003))
         end = off_steps * rng.uniform(-0.5, 0.5)
-        orders = [Instruction(starts[-1], "to", target + end, law)]
+        orders = [ProfileCommand(starts[-1], "to", target + end, law)]
         if change and k == 4:
             target = stood[axis]
             given.append((told_s + 0.25, f"{name}P{target}"))
             starts.append(told_s + 0.25 + 0.004 + rng.uniform(0.0, 0.003))
-            orders.append(Instruction(starts[-1], "to", target + end, law))
-        exchanges += [Exchange(at, at + 0.004, True, command) for at, command in given]
-        course = lay(stood[axis] + off[axis], orders)
+            orders.append(ProfileCommand(starts[-1], "to", target + end, law))
+        exchanges += [UnitExchange(at, at + 0.004, True, command) for at, command in given]
+        course = plan_motion(stood[axis] + off[axis], orders)
         legs.append((axis, course))
         stood[axis], off[axis] = target, end
         told_s = course.end_s + 0.4
@@ -74,7 +74,7 @@ def make(seed: int, moves: int = 10, off_steps: float = 0.0, change: bool = Fals
         steps[after, axis] = course.position_steps(at_s[after])
     valid = rng.uniform(size=steps.shape) > 0.02
     motion = MotionReader(SETTINGS, (0, 0)).read(exchanges)
-    polls = Polls(request_s, hi_s, np.rint(steps), valid)
+    polls = UnitPolls(request_s, hi_s, np.rint(steps), valid)
     return Made(motion, polls, np.array(starts))
 
 
@@ -87,25 +87,25 @@ class Dense:
     rest_variance: float
 
 
-def dense_fit(made: Made, near: StartTimes) -> Dense:
+def dense_fit(made: Made, near: MoveFit) -> Dense:
     """Return the dense solution, with the scatter of the instants that `near` found."""
     motion, polls = made.motion, made.polls
-    first = np.concatenate([[0], np.cumsum([len(m.orders) for m in motion.moves])])
+    first = np.concatenate([[0], np.cumsum([len(m.commands) for m in motion.moves])])
     starts, rests = int(first[-1]), len(motion.rests)
     speed = starts + rests
-    ramp = speed + motion.classes
+    ramp = speed + motion.speed_class_count
     size = ramp + 5
     prior = np.zeros(size)
     changes = np.ones(starts, dtype=bool)
     changes[first[:-1]] = False
     prior[:starts] = np.where(changes, 0.02**-2, 1.0)
-    prior[speed:] = [1e4] * (motion.classes + 2) + [4.0, 4.0, 0.3**-2]
-    told = np.array([order.told_s for m in motion.moves for order in m.orders])
-    width = polls.hi_s - polls.lo_s
+    prior[speed:] = [1e4] * (motion.speed_class_count + 2) + [4.0, 4.0, 0.3**-2]
+    output = np.array([order.command_time_s for m in motion.moves for order in m.commands])
+    width = polls.latest_s - polls.earliest_s
     least = np.percentile(width, 1.0)
     extra = np.clip(width - least, 0.0, None)
     values = np.zeros(size)
-    values[:starts] = told + 0.006
+    values[:starts] = output + 0.006
     values[-1] = 0.5
     guess = values[:starts].copy()
     standing = np.arange(starts, speed)
@@ -115,8 +115,8 @@ def dense_fit(made: Made, near: StartTimes) -> Dense:
         for k, move in enumerate(motion.moves):
             own = np.arange(first[k], first[k + 1])
             log_speed, log_ramp = values[speed:ramp], float(values[ramp + move.axis])
-            course = move.course(values[own], log_speed, log_ramp)
-            at = polls.lo_s + least / 2.0 + values[-1] * extra
+            course = move.profile(values[own], log_speed, log_ramp)
+            at = polls.earliest_s + least / 2.0 + values[-1] * extra
             inside = (at > values[own[0]]) & (at < course.end_s) & polls.valid[:, move.axis]
             spacing = np.median(np.diff(at[inside]))
             position = course.position_steps(at)
@@ -125,14 +125,14 @@ def dense_fit(made: Made, near: StartTimes) -> Dense:
             rate = course.speed_steps_s(at)
             inside &= rate != 0.0
             at, position, rate = at[inside], position[inside], rate[inside]
-            share, sign = course.share(at), np.sign(rate)
+            share, sign = course.progress(at), np.sign(rate)
             before = next(starts + n for n, r in enumerate(motion.rests) if r.departure == k)
             model = position + (1 - share) * values[before] + share * values[before + 1]
-            by = slopes(move, values[own], log_speed, log_ramp, at)
+            by = differentiate_move(move, values[own], log_speed, log_ramp, at)
             jacobian = np.zeros((at.size, size))
             jacobian[:, own] = by.starts.T
             jacobian[:, before], jacobian[:, before + 1] = 1 - share, share
-            jacobian[:, [speed + c for c in move.classes]] = by.speeds.T
+            jacobian[:, [speed + c for c in move.speed_classes]] = by.speeds.T
             jacobian[:, ramp + move.axis] = by.acceleration
             jacobian[:, -3], jacobian[:, -2] = 1.0, -sign
             jacobian[:, -1] = rate * extra[inside]
@@ -141,8 +141,8 @@ def dense_fit(made: Made, near: StartTimes) -> Dense:
             weight /= STEP_VARIANCE + (rate * near.instant_std_s) ** 2
             gram += (jacobian.T * weight) @ jacobian
             score += jacobian.T @ (weight * residual)
-        seen = np.median((values[:starts] - told)[~changes])
-        centre = np.concatenate([np.where(changes, told + seen, guess), np.zeros(size - starts)])
+        seen = np.median((values[:starts] - output)[~changes])
+        centre = np.concatenate([np.where(changes, output + seen, guess), np.zeros(size - starts)])
         centre[-1] = 0.5
         gram[np.arange(size), np.arange(size)] += prior
         score += prior * (centre - values)
@@ -168,27 +168,32 @@ def likeliest(gram: np.ndarray, score: np.ndarray, standing: np.ndarray, at: np.
     values, vectors = np.linalg.eigh(own)
     pull = vectors.T @ pull
     likelihood = [
-        np.sum(pull**2 / (values + 1.0 / v)) - np.sum(np.log1p(v * values)) for v in VARIANCES
+        np.sum(pull**2 / (values + 1.0 / v)) - np.sum(np.log1p(v * values))
+        for v in VARIANCE_CANDIDATES
     ]
-    return VARIANCES[int(np.argmax(likelihood))]
+    return VARIANCE_CANDIDATES[int(np.argmax(likelihood))]
 
 
 @pytest.mark.parametrize(
     ("seed", "off_steps", "change"), [(1, 0.0, False), (2, 1.0, False), (3, 1.0, True)]
 )
-def test_bands_say_what_dense_matrices_say(seed: int, off_steps: float, change: bool) -> None:
+def test_banded_and_dense_solutions_are_equal(seed: int, off_steps: float, change: bool) -> None:
     made = make(seed, 10, off_steps, change)
-    found = fit_starts(made.motion, made.polls)
-    dense = dense_fit(made, found)
-    table, at = found.table, found.found
-    acting = table.starts + table.rests
+    result = fit_moves(made.motion, made.polls)
+    dense = dense_fit(made, result)
+    table, at = result.table, result.parameters
+    acting = table.command_count + table.rest_count
     std = np.sqrt(np.diag(np.linalg.inv(dense.information)))
-    values = np.concatenate([at.starts_s, at.rest_steps, at.log_speed, at.log_acceleration])
-    assert found.rest_variance == dense.rest_variance
+    values = np.concatenate(
+        [at.start_times_s, at.rest_offset_steps, at.log_speed, at.log_acceleration]
+    )
+    assert result.rest_variance == dense.rest_variance
     assert np.abs((values - dense.values[:-3]) / std).max() < AGREE
     # The same covariance: counted rests and the count's unknowns marginalised.
-    covariance = np.linalg.inv(found.information.to_dense())
-    shared = np.arange(acting + table.rests, acting + table.rests + table.classes + 2)
+    covariance = np.linalg.inv(result.information.to_dense())
+    shared = np.arange(
+        acting + table.rest_count, acting + table.rest_count + table.speed_class_count + 2
+    )
     index = np.concatenate([np.arange(acting), shared])
     other = np.linalg.inv(dense.information)
     scale = np.outer(std, std)
@@ -200,12 +205,12 @@ def test_starts_are_where_they_were_within_what_is_claimed() -> None:
     total, count = 0.0, 0
     for seed in range(10, 20):
         made = make(seed, 12)
-        found = fit_starts(made.motion, made.polls)
-        covariance = np.linalg.inv(found.information.to_dense())
+        result = fit_moves(made.motion, made.polls)
+        covariance = np.linalg.inv(result.information.to_dense())
         starts = made.starts_s.size
         # All starts may shift together by what no poll can show.
-        covariance = covariance[:starts, :starts] + found.common_std_s**2
-        error = found.found.starts_s - made.starts_s
+        covariance = covariance[:starts, :starts] + result.common_shift_std_s**2
+        error = result.parameters.start_times_s - made.starts_s
         total += float(error @ np.linalg.solve(covariance, error))
         count += starts
     # scipy.stats.chi2.interval(0.999, 120) = (75.5, 177.6)
@@ -213,10 +218,10 @@ def test_starts_are_where_they_were_within_what_is_claimed() -> None:
     assert 75.5 < total < 177.6
 
 
-def reference_of(made: Made) -> PtuReference:
-    span = (float(made.polls.lo_s[0]), float(made.polls.hi_s[-1]))
-    found = fit_starts(made.motion, made.polls)
-    return PtuReference.of(made.motion, found, (STEP_RAD, STEP_RAD), span)
+def reference_of(made: Made) -> PanTiltReference:
+    span = (float(made.polls.earliest_s[0]), float(made.polls.latest_s[-1]))
+    result = fit_moves(made.motion, made.polls)
+    return PanTiltReference.of(made.motion, result, (STEP_RAD, STEP_RAD), span)
 
 
 @pytest.mark.parametrize("change", [False, True])
@@ -224,30 +229,30 @@ def test_derivatives_are_the_differences(change: bool) -> None:
     made = make(4, 9, change=change)
     reference = reference_of(made)
     # Away from corners: there a difference smears what jumps.
-    edges = np.linspace(1.0, float(made.polls.hi_s[-1]) - 0.5, 4001)
+    edges = np.linspace(1.0, float(made.polls.latest_s[-1]) - 0.5, 4001)
     here = reference.evaluate(edges)
     local, shared = reference.information.size
-    table = reference.starts.table
-    acting = table.starts + table.rests
+    table = reference.move_fit.table
+    acting = table.command_count + table.rest_count
     assert sorted(c.unknown for c in here.local) == list(range(acting))
-    assert local == acting + table.rests
+    assert local == acting + table.rest_count
     assert shared == here.shared.shape[0] + 3
     for k in [*range(acting), *range(local, local + here.shared.shape[0])]:
         step = np.zeros(local + shared)
-        step[k] = 1e-6 if k < table.starts else 1e-5
-        ahead = reference.moved(step).evaluate(edges, derivatives=False).rate_rad_s
-        behind = reference.moved(-step).evaluate(edges, derivatives=False).rate_rad_s
+        step[k] = 1e-6 if k < table.command_count else 1e-5
+        ahead = reference.with_step(step).evaluate(edges, derivatives=False).rate_rad_s
+        behind = reference.with_step(-step).evaluate(edges, derivatives=False).rate_rad_s
         column = here.shared[k - local] if k >= local else np.zeros_like(ahead)
         for one in here.local:
             if one.unknown == k:
-                column[one.first : one.first + one.values.shape[0]] = one.values
+                column[one.first_interval : one.first_interval + one.values.shape[0]] = one.values
         off = np.abs((ahead - behind) / (2.0 * step[k]) - column)
         assert np.mean(np.any(off > 1e-4 * np.abs(column).max() + 1e-9, axis=1)) < 2e-3
     # What only polls know of changes no rate.
     step = np.zeros(local + shared)
     step[acting:local] = 0.1
     step[-3:] = 0.1
-    still = reference.moved(step).evaluate(edges, derivatives=False).rate_rad_s
+    still = reference.with_step(step).evaluate(edges, derivatives=False).rate_rad_s
     assert np.array_equal(still, here.rate_rad_s)
 
 
@@ -255,51 +260,53 @@ def test_derivatives_are_the_differences(change: bool) -> None:
 def test_a_window_is_a_piece_of_the_whole(change: bool) -> None:
     made = make(5, 9, change=change)
     reference = reference_of(made)
-    edges = np.linspace(0.5, float(made.polls.hi_s[-1]), 3001)
+    edges = np.linspace(0.5, float(made.polls.latest_s[-1]), 3001)
     whole = reference.evaluate(edges)
     rng = np.random.default_rng(0)
     for begin, size in zip(rng.integers(0, 2900, 40), rng.integers(2, 700, 40), strict=True):
         piece = slice(int(begin), min(3000, int(begin + size)))
-        found = reference.evaluate(edges[piece.start : piece.stop + 1])
-        assert np.allclose(found.rate_rad_s, whole.rate_rad_s[piece], atol=1e-12, equal_nan=True)
-        assert np.allclose(found.shared, whole.shared[:, piece], atol=1e-9)
-        told = dense_columns(found.local, piece.stop - piece.start)
+        result = reference.evaluate(edges[piece.start : piece.stop + 1])
+        assert np.allclose(result.rate_rad_s, whole.rate_rad_s[piece], atol=1e-12, equal_nan=True)
+        assert np.allclose(result.shared, whole.shared[:, piece], atol=1e-9)
+        output = dense_columns(result.local, piece.stop - piece.start)
         expected = dense_columns(whole.local, 3000)
         for unknown, column in expected.items():
-            here = told.get(unknown, np.zeros((piece.stop - piece.start, 3)))
+            here = output.get(unknown, np.zeros((piece.stop - piece.start, 3)))
             assert np.allclose(here, column[piece], atol=1e-9)
         angles = reference.angles_rad(edges[piece])
         assert np.allclose(angles, reference.angles_rad(edges)[:, piece], atol=1e-12)
 
 
-def dense_columns(local: tuple[LocalColumn, ...], size: int) -> dict[int, np.ndarray]:
+def dense_columns(local: tuple[LocalDerivative, ...], size: int) -> dict[int, np.ndarray]:
     columns: dict[int, np.ndarray] = {}
     for one in local:
         column = columns.setdefault(one.unknown, np.zeros((size, 3)))
-        column[one.first : one.first + one.values.shape[0]] += one.values
+        column[one.first_interval : one.first_interval + one.values.shape[0]] += one.values
     return columns
 
 
-def test_a_window_costs_as_much_as_itself() -> None:
+def test_the_cost_of_a_window_depends_on_its_length() -> None:
     """A window of a long recording returns the columns of its own moves only."""
     made = make(6, 120)
     reference = reference_of(made)
-    middle_s = float(made.polls.hi_s[-1]) / 2.0
-    found = reference.evaluate(np.linspace(middle_s, middle_s + 5.0, 501))
-    assert 4 <= len(found.local) <= 20
+    middle_s = float(made.polls.latest_s[-1]) / 2.0
+    result = reference.evaluate(np.linspace(middle_s, middle_s + 5.0, 501))
+    assert 4 <= len(result.local) <= 20
 
 
-def test_pieces_of_the_polls_say_what_all_say(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polls_in_pieces_give_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
     made = make(7, 9, change=True)
     # A stretch of counts from somewhere else, and one that begins a piece.
     made.polls.steps[400:420, 0] += 300.0
     made.polls.steps[450:453, 1] -= 300.0
     reference = reference_of(made)
-    spans, share = unexplained(reference, made.polls)
+    spans, share = unexplained_spans(reference, made.polls)
     assert len(spans) == 2
     for size in (50, 64, 1000):
-        monkeypatch.setattr(evidence, "AT_ONCE", size)
-        monkeypatch.setattr(ptu_recording, "AT_ONCE", size)
-        again = fit_starts(made.motion, made.polls)
-        assert np.allclose(again.found.starts_s, reference.starts.found.starts_s, atol=1e-9)
-        assert unexplained(reference, made.polls) == (spans, share)
+        monkeypatch.setattr(poll_likelihood, "POLLS_PER_PIECE", size)
+        monkeypatch.setattr(pan_tilt_recording, "POLLS_PER_PIECE", size)
+        again = fit_moves(made.motion, made.polls)
+        assert np.allclose(
+            again.parameters.start_times_s, reference.move_fit.parameters.start_times_s, atol=1e-9
+        )
+        assert unexplained_spans(reference, made.polls) == (spans, share)

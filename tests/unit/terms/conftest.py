@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
-from gyrorig_solver.model.terms.scene import Scene, Setting, Site
-from gyrorig_solver.model.terms.temperature import Temperature
+from gyrorig_solver.model.board_temperature import BoardTemperature
+from gyrorig_solver.model.signal_state import RecordingContext, SignalState, Site
 
 Array = NDArray[np.float64]
 
@@ -63,11 +63,11 @@ def temperature_of(time_s: Array) -> Array:
 class Rig:
     """The scene of a whole run, and how the same run goes in fine steps."""
 
-    scene: Scene
+    scene: SignalState
     pan: Callable[[Array], Array]
     tilt: Callable[[Array], Array]
     temperature: Callable[[Array], Array]
-    build: Callable[..., Scene]
+    build: Callable[..., SignalState]
     gain: Array
 
     @cached_property
@@ -92,7 +92,7 @@ class Rig:
         """
         per = 8  # steps to a fine interval of the scene
         step_s = 1.0 / RATE_HZ / FINE / per
-        n = (self.scene.n) * per
+        n = (self.scene.interval_count) * per
         time_s = self.scene.edges_s[0] + step_s * (np.arange(n) + 0.5)
         # Second-order Butterworth, w^2/(s^2 + sqrt(2) w s + w^2), held over each step.
         w = 2 * np.pi * bandwidth_hz
@@ -145,14 +145,14 @@ def build(
     site: Site | None = None,
     with_temperature: bool = True,
     fine: int = FINE,
-) -> Scene:
+) -> SignalState:
     """The scene of a run; pulses want a finer grid than the solver's before they agree."""
     n = round(seconds * RATE_HZ)
     edges = (np.arange(n * fine + 1) - fine / 2) / fine / RATE_HZ
     grid = np.arange(-1.0, seconds + 2.0)
-    temperature = Temperature(grid, temperature_of(grid), 26.0)
+    temperature = BoardTemperature(grid, temperature_of(grid), 26.0)
     step = 0.0514 * np.pi / 180
-    setting = Setting(
+    setting = RecordingContext(
         site=site or Site(52.0, 30.0),
         temperature=temperature if with_temperature else None,
         rad_per_step=(step, step),
@@ -163,16 +163,16 @@ def build(
         quantum_rad_s=1.5e-4,
         sample_period_s=1.0 / RATE_HZ,
     )
-    return Scene.build(
+    return SignalState.build(
         edges,
         np.stack([pan_of(edges), tilt_of(edges)]),
         np.ones(n, dtype=np.bool_),
-        block=BLOCK,
-        fine=fine,
+        instants_per_block=BLOCK,
+        intervals_per_instant=fine,
         bandwidth_hz=BANDWIDTH_HZ,
         gain=GAIN,
         bias_rad_s=np.array([0.01, -0.02, 0.005]),
-        setting=setting,
+        context=setting,
     )
 
 

@@ -7,16 +7,27 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.model.terms.level_rests import level_by_rests
-from gyrorig_solver.model.terms.leveling import (
+from gyrorig_solver.model.leveling import (
     LEVEL_STD_RAD,
-    lean_by_gyro,
-    tilt_zero_from_accelerometer,
+    LevelEstimate,
+    estimate_level,
+    level_from_rests,
 )
 
 TILTS = np.radians([-60.0, -35.0, -10.0, 15.0, 30.0])
 PANS = np.radians([-150.0, -60.0, 20.0, 110.0])
 STD = 0.002
+
+
+def lean_forward(
+    level: LevelEstimate,
+    misalignment_x_rad: float,
+    misalignment_std_rad: float,
+    die_tolerance_rad: float = 0.02,
+) -> tuple[float, float]:
+    """The pan axis' lean forward at the rests' pans, from gyro and gravity, and its std."""
+    spread = np.hypot(np.hypot(level.upright_std_rad, misalignment_std_rad), die_tolerance_rad)
+    return level.upright_rad + misalignment_x_rad, float(spread)
 
 
 def about(axis: str, angle_rad: Any) -> Rotation:
@@ -47,7 +58,7 @@ def grid() -> tuple[np.ndarray, np.ndarray]:
     return pan.ravel(), tilt.ravel()
 
 
-def test_offset_and_lean_come_back_with_their_errors() -> None:
+def test_offset_and_lean_are_recovered() -> None:
     pan, tilt = grid()
     rng = np.random.default_rng(3)
     off = []
@@ -55,26 +66,24 @@ def test_offset_and_lean_come_back_with_their_errors() -> None:
         zero, mount_x = rng.normal(0.0, 0.01, 2)
         lean = (float(rng.normal(0.0, 0.01)), float(rng.normal(0.0, 0.01)))
         mount = Rotation.from_rotvec([mount_x, 0.0, 0.0])
-        found = tilt_zero_from_accelerometer(
-            pan, tilt, readings(pan, tilt, zero, mount, lean, rng), STD
-        )
+        found = estimate_level(pan, tilt, readings(pan, tilt, zero, mount, lean, rng), STD)
         off.append(
             [
                 (found.offset_rad - (zero - mount_x)) / found.offset_std_rad,
                 *((found.lean_rad - np.array(lean)) / found.lean_std_rad),
             ]
         )
-        assert found.pans_tell
+        assert found.pans_separate_lean
     spread = np.std(off, axis=0)
     assert np.all((spread > 0.85) & (spread < 1.15))
     assert np.all(np.abs(np.mean(off, axis=0)) < 0.25)
 
 
-def test_mount_and_zero_are_one() -> None:
+def test_mount_and_tilt_zero_are_inseparable() -> None:
     """The same readings from a zero and from a mount: nothing may tell them apart."""
     pan, tilt = grid()
     found = [
-        tilt_zero_from_accelerometer(
+        estimate_level(
             pan,
             tilt,
             readings(
@@ -93,38 +102,38 @@ def test_mount_and_zero_are_one() -> None:
         assert one.offset_rad == pytest.approx(0.02, abs=4 * one.offset_std_rad)
 
 
-def test_at_one_pan_lean_and_offset_are_one() -> None:
+def test_at_one_pan_lean_and_offset_are_inseparable() -> None:
     pan = np.full(TILTS.size, 0.6)
     lean = (0.01, 0.02)
     rng = np.random.default_rng(1)
     reading = readings(pan, TILTS, 0.005, Rotation.identity(), lean, rng)
-    found = tilt_zero_from_accelerometer(pan, TILTS, reading, STD)
-    assert not found.pans_tell
+    found = estimate_level(pan, TILTS, reading, STD)
+    assert not found.pans_separate_lean
     assert found.offset_std_rad == pytest.approx(LEVEL_STD_RAD, rel=0.1)
     forward = lean[1] * np.cos(0.6) - lean[0] * np.sin(0.6)
     assert found.upright_rad == pytest.approx(0.005 + forward, abs=4 * found.upright_std_rad)
     assert found.upright_std_rad < 1e-3
     # The gyro, which knows m - z = -0.005 by the rates, brings out the lean.
-    value, std = lean_by_gyro(found, -0.005, 1e-4, die_tolerance_rad=0.01)
+    value, std = lean_forward(found, -0.005, 1e-4, die_tolerance_rad=0.01)
     assert value == pytest.approx(forward, abs=4 * found.upright_std_rad)
     assert 0.01 < std < 0.0101
 
 
-def test_other_mounts_are_turned_back_first() -> None:
+def test_nominal_mount_is_removed() -> None:
     pan, tilt = grid()
     upside = Rotation.from_matrix(np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]))
     reading = readings(pan, tilt, 0.015, upside, (0.0, 0.0), np.random.default_rng(2))
-    found = tilt_zero_from_accelerometer(pan, tilt, reading, STD, nominal=upside.as_matrix())
+    found = estimate_level(pan, tilt, reading, STD, nominal=upside.as_matrix())
     assert found.offset_rad == pytest.approx(0.015, abs=4 * found.offset_std_rad)
     assert found.bias_m_s2 == pytest.approx([0.3, -0.4, 0.8], abs=0.03)
     assert found.reduced_chi2 == pytest.approx(1.0, abs=0.6)
 
 
 @pytest.mark.parametrize("tilts", [[0.0, 0.0, 0.001], [0.0, 0.1, 0.2], [-0.5, 0.5]])
-def test_too_small_an_arc_is_refused(tilts: list[float]) -> None:
+def test_too_small_tilt_range_is_rejected(tilts: list[float]) -> None:
     pan, tilt = np.zeros(len(tilts)), np.array(tilts)
-    with pytest.raises(InputError, match="do not separate"):
-        tilt_zero_from_accelerometer(pan, tilt, np.zeros((len(tilts), 3)), STD)
+    with pytest.raises(InputError, match="cannot separate"):
+        estimate_level(pan, tilt, np.zeros((len(tilts), 3)), STD)
 
 
 def recorded(rest_scatter: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -149,16 +158,16 @@ def recorded(rest_scatter: float, seed: int) -> tuple[np.ndarray, np.ndarray, np
 
 
 @pytest.mark.parametrize("rest_scatter", [0.0, 0.02])
-def test_a_recording_is_levelled_by_its_rests(rest_scatter: float) -> None:
+def test_level_is_estimated_from_rests(rest_scatter: float) -> None:
     off = []
     for seed in range(60):
-        found = level_by_rests(*recorded(rest_scatter, seed))
+        found = level_from_rests(*recorded(rest_scatter, seed))
         assert found.rests == 20
         off.append((found.offset_rad - 0.01) / found.offset_std_rad)
     assert 0.75 < np.std(off) < 1.25
 
 
-def test_a_unit_that_never_stands_is_refused() -> None:
+def test_recording_without_rests_is_rejected() -> None:
     time_s = np.arange(0.0, 10.0, 0.01)
-    with pytest.raises(InputError, match="never stands still"):
-        level_by_rests(time_s, np.zeros((time_s.size, 3)), np.stack([time_s, 0.0 * time_s]))
+    with pytest.raises(InputError, match="no rest of the unit"):
+        level_from_rests(time_s, np.zeros((time_s.size, 3)), np.stack([time_s, 0.0 * time_s]))

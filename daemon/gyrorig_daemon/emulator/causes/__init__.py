@@ -1,12 +1,22 @@
-"""What an emulated rig can hide: the causes of the results contract's catalogue.
+"""The causes that an emulated rig can inject: those of the results contract's catalogue.
 
-What to use when: `parse_hide` for what a person asks for, `draw_hidden` for the causes with
-their parameters, `hang` to put them on a rig's hooks; `CAUSES` for names, units and sizes.
+What to use when: `parse_injection` for a request as text, `sample_injected_causes` for the causes
+with their parameters, `apply_causes` for the hooks of a rig; `CAUSES` for names, units and sizes.
+A cause is one class in a separate file, see `cause.Cause`.
 """
 
-from gyrorig_daemon.emulator.causes.cause import Cause, Hidden, Quantity
-from gyrorig_daemon.emulator.causes.draw import draw_hidden, hang
-from gyrorig_daemon.emulator.causes.order import RANDOM, parse_hide
-from gyrorig_daemon.emulator.causes.registry import CAUSES
+from gyrorig_daemon.emulator.causes.cause import Cause, InjectedCause, Quantity
+from gyrorig_daemon.emulator.causes.cause_catalogue import CAUSES
+from gyrorig_daemon.emulator.causes.cause_sampling import apply_causes, sample_injected_causes
+from gyrorig_daemon.emulator.causes.injection_request import RANDOM, parse_injection
 
-__all__ = ["CAUSES", "RANDOM", "Cause", "Hidden", "Quantity", "draw_hidden", "hang", "parse_hide"]
+__all__ = [
+    "CAUSES",
+    "RANDOM",
+    "Cause",
+    "InjectedCause",
+    "Quantity",
+    "apply_causes",
+    "parse_injection",
+    "sample_injected_causes",
+]

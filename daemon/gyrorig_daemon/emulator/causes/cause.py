@@ -1,19 +1,26 @@
-"""What a cause is: its name, its part of the rig, its sizes, and how it gets into a rig.
+"""The base class of the causes that an emulated rig can inject, and their parameters.
 
-`draw` turns a size into parameters, with directions, phases and times from the seed; the
-parameters are all that the truth document says and all that `hang` needs to put the effect
-on the rig. Helpers for both are below.
+A cause is one class in a separate file. Its class attributes describe it (`Cause`),
+`sample_parameters` turns a size into physical parameters, and `apply` puts the effect on a
+rig. Directions, phases and times are sampled from the rig's seed. The truth document lists
+the parameters; `apply` needs nothing else.
+
+The physics is part of the class too: an instance of a cause is its effect on one rig, behind
+one of the interfaces in `physics.effects`. A cause that only changes a number of the rig (a
+scale error, a window, a cut-off) has no instances.
 """
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.physics.effects.hooks import BoardHooks, RigHooks
-from gyrorig_daemon.emulator.settings import BoardSettings, RigSettings
+from gyrorig_daemon.emulator.emulator_settings import BoardSettings, RigSettings
+from gyrorig_daemon.emulator.physics.effects.board_effects import MotionSamples
+from gyrorig_daemon.emulator.physics.effects.rig_hooks import AxisHooks, BoardHooks, RigHooks
 
 FloatArray = NDArray[np.float64]
 Part = Literal["clock", "link", "sensor", "ptu", "mount", "environment"]
@@ -24,47 +31,50 @@ UNIT_AXES = ("pan", "tilt")
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number, or one for each axis, and its unit."""
+    """A number, or one number per axis, and its unit."""
 
     value: float | tuple[float, ...]
     unit: str
 
     @property
     def number(self) -> float:
-        """The value of a quantity that is one number."""
+        """The value of a scalar quantity."""
         if isinstance(self.value, tuple):
-            raise TypeError("this quantity has a value for each axis")
+            raise TypeError("this quantity has one value per axis")
         return self.value
 
     @property
     def array(self) -> FloatArray:
-        """The values of a quantity that has several."""
+        """The values of a quantity per axis."""
         return np.array(self.value, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
-class Draw:
-    """What the parameters of a cause are drawn from."""
+class ParameterSampling:
+    """What `Cause.sample_parameters` uses: the size, the component, the rig and a generator."""
 
     size: float
-    place: str  # one of the cause's places, "" for all of them together
+    component: str  # one of the cause's components, "" for all of them together
     rng: np.random.Generator
     rig: RigSettings
     board: BoardSettings
 
     def event_s(self) -> float:
-        """Return an instant in the middle of the session, since power-up."""
+        """Sample an instant in the middle of the session, in seconds since power-up."""
         begin_s, end_s = self.rig.session_s
         return begin_s + (end_s - begin_s) * float(self.rng.uniform(0.35, 0.65))
 
     def phase_rad(self) -> float:
-        """Return any phase."""
+        """Sample a phase, uniform over one turn."""
         return float(self.rng.uniform(-np.pi, np.pi))
 
     def by_axis(self, unit: str) -> Quantity:
-        """Return the size on one sensor axis, or in a random direction: at most it on each."""
-        if self.place in SENSOR_AXES:
-            direction = np.eye(3)[SENSOR_AXES.index(self.place)]
+        """Return the size on the chosen sensor axis, or along a random direction.
+
+        The largest component of a random direction equals the size.
+        """
+        if self.component in SENSOR_AXES:
+            direction = np.eye(3)[SENSOR_AXES.index(self.component)]
         else:
             direction = self.rng.standard_normal(3)
             direction = direction / np.abs(direction).max()
@@ -72,93 +82,142 @@ class Draw:
 
 
 @dataclass(frozen=True, slots=True)
-class Hidden:
-    """A cause with its parameters, as it is hung on a rig and told in the truth."""
+class InjectedCause:
+    """A cause with its parameters, as applied to a rig and written to the truth document."""
 
     cause: str
     part: Part
-    where: str
+    component: str
     board: str | None
     size: Quantity
     parameters: Mapping[str, Quantity]
 
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The axes on which the cause acts."""
+        return tuple(self.component.split(","))
+
     def number(self, name: str) -> float:
-        """Return a parameter that is one number."""
+        """Return a scalar parameter."""
         return self.parameters[name].number
 
     def array(self, name: str) -> FloatArray:
-        """Return a parameter that has several."""
+        """Return a parameter that has one value per axis."""
         return self.parameters[name].array
 
+    def board_hooks(self, hooks: RigHooks) -> BoardHooks:
+        """Return the hooks of the board on which the cause acts."""
+        return hooks.board(self.board or "")
+
+    def axis_hooks(self, hooks: RigHooks) -> list[AxisHooks]:
+        """Return the hooks of the unit's axes on which the cause acts."""
+        return [hooks.axis(name) for name in self.components]
+
     def to_document(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return plain values for the truth document."""
         return {
             "cause": self.cause,
             "part": self.part,
-            "where": self.where,
+            "where": self.component,
             "board": self.board,
             "size": _plain(self.size),
-            "parameters": {name: _plain(told) for name, told in self.parameters.items()},
+            "parameters": {name: _plain(quantity) for name, quantity in self.parameters.items()},
         }
 
 
-def _plain(told: Quantity) -> dict[str, Any]:
-    value = list(told.value) if isinstance(told.value, tuple) else told.value
-    return {"value": value, "unit": told.unit}
+def _plain(quantity: Quantity) -> dict[str, Any]:
+    value = list(quantity.value) if isinstance(quantity.value, tuple) else quantity.value
+    return {"value": value, "unit": quantity.unit}
 
 
-Drawer = Callable[[Draw], dict[str, Quantity]]
-Hanger = Callable[[Hidden, RigHooks, np.random.Generator], None]
+class Cause(ABC):
+    """A physical cause that a rig can inject. The class attributes are its catalogue entry."""
 
+    name: ClassVar[str]  # the id in the contract's catalogue
+    size_meaning: ClassVar[str]
+    part: ClassVar[Part]
+    unit: ClassVar[str]  # of the size
+    typical: ClassVar[float]
+    sampled_min: ClassVar[float]  # sizes are sampled log-uniformly from here ...
+    sampled_max: ClassVar[float]  # ... to here
+    max_size: ClassVar[float]  # larger sizes are rejected
+    min_size: ClassVar[float] = 0.0  # smaller sizes are rejected
+    components: ClassVar[tuple[str, ...]] = ()
+    acts_on_all: ClassVar[bool] = False  # without a named component: on all, not on one of them
+    is_signed: ClassVar[bool] = True
+    allowed_sizes: ClassVar[tuple[float, ...]] = ()  # if given, only these are sampled
+    is_integer: ClassVar[bool] = False
+    neutral_size: ClassVar[float] = 0.0  # the size that has no effect
+    parameter: ClassVar[str] = ""  # name of the only parameter, which is the size
 
-@dataclass(frozen=True, slots=True)
-class Cause:
-    """A physical cause that a rig can hide."""
+    @classmethod
+    def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
+        """Return the physical parameters for a size; here, `parameter` alone."""
+        return {cls.parameter: Quantity(sampling.size, cls.unit)}
 
-    name: str
-    size_is: str  # what its size means
-    part: Part
-    unit: str  # of the size
-    typical: float
-    lowest: float  # sizes are drawn from here ...
-    highest: float  # ... to here, evenly in the logarithm
-    most: float  # larger ones are refused
-    draw: Drawer
-    hang: Hanger
-    places: tuple[str, ...] = ()
-    together: bool = False  # without a place named: all of them, not one of them
-    signed: bool = True
-    least: float = 0.0  # smaller ones are refused
-    sizes: tuple[float, ...] = ()  # the only ones that are drawn, where there are such
-    whole: bool = False  # only whole sizes make sense
-    neutral: float = 0.0  # the size at which there is nothing
-    most_on: Callable[[BoardSettings], float] | None = None  # less than `most` on this board
+    @classmethod
+    @abstractmethod
+    def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
+        """Put the effect on a rig; `rng` is for effects that are random at run time."""
 
-    @property
-    def on_board(self) -> bool:
-        """True when it is one board's, not the unit's or the world's."""
-        return self.part in ("clock", "link", "sensor", "mount")
+    @classmethod
+    def is_on_board(cls) -> bool:
+        """Return whether the cause belongs to a board, not to the unit or the environment."""
+        return cls.part in ("clock", "link", "sensor", "mount")
 
-    def to_document(self) -> dict[str, Any]:
-        """Return plain values: what can be asked for."""
+    @classmethod
+    def max_size_on(cls, board: BoardSettings) -> float:
+        """Return the largest size on a board with these settings."""
+        return cls.max_size
+
+    @classmethod
+    def to_document(cls) -> dict[str, Any]:
+        """Return the catalogue entry as plain values."""
         return {
-            "cause": self.name,
-            "part": self.part,
-            "places": list(self.places),
-            "size": self.size_is,
-            "unit": self.unit,
-            "typical": self.typical,
-            "drawn": list(self.sizes) or [self.lowest, self.highest],
-            "signed": self.signed,
-            "nothing_at": self.neutral,
+            "cause": cls.name,
+            "part": cls.part,
+            "places": list(cls.components),
+            "size": cls.size_meaning,
+            "unit": cls.unit,
+            "typical": cls.typical,
+            "drawn": list(cls.allowed_sizes) or [cls.sampled_min, cls.sampled_max],
+            "signed": cls.is_signed,
+            "nothing_at": cls.neutral_size,
         }
 
 
-def board_of(hidden: Hidden, hooks: RigHooks) -> BoardHooks:
-    """Return the hooks of the board that a cause sits on."""
-    return hooks.board(hidden.board or "")
+class SensorCause(Cause):
+    """A cause in the sensor, with a component per sensor axis."""
+
+    part = "sensor"
+    components = SENSOR_AXES
+    acts_on_all = True
+
+    @classmethod
+    def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
+        """Return the physical parameters for a size; here, `parameter` alone, per axis."""
+        return {cls.parameter: sampling.by_axis(cls.unit)}
 
 
-def axes_of(hidden: Hidden) -> tuple[str, ...]:
-    """Return the axes that a cause sits on."""
-    return tuple(hidden.where.split(","))
+@dataclass(frozen=True, eq=False)
+class RateCause(SensorCause, ABC):
+    """A cause that adds to the rate at the sensor element, with a coefficient per axis."""
+
+    coefficient: FloatArray  # (3,)
+
+    @classmethod
+    def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
+        """See `Cause`."""
+        effect = cls(injected.array(cls.parameter))
+        injected.board_hooks(hooks).rate_effects.append(effect)
+
+    @abstractmethod
+    def added_rad_s(self, samples: MotionSamples) -> FloatArray:
+        """See `board_effects.RateEffect`."""
+
+
+class UnitCause(Cause):
+    """A cause in the pan-tilt unit, with a component per axis of the unit."""
+
+    part = "ptu"
+    components = UNIT_AXES

@@ -1,8 +1,8 @@
-"""The physics of an emulated rig: what really happens, whatever is said on the wire.
+"""Physics of the emulated rig: the true motion and the true signals.
 
-What to use when: `motion_law`, `train` and `axis` for a stepper axis (counted steps apart
-from the true angle); `stage` for the body rate and gravity of the platform; `lowpass`,
-`noise`, `temperature` and `imu` for what a sensor makes of them; `effects` for what else may
-be wrong with any of it; `clock` for every counter that is not the host's; `latency` for when
-bytes reach the host's hands.
+What to use when: `motion_law`, `step_train` and `stepper_axis` for a stepper axis, whose counted
+steps differ from its true angle; `stage_motion` for the body rate and gravity on the platform;
+`lowpass`, `bias_noise`, `temperature` and `imu` for a sensor; `effects` for the interfaces of
+further errors; `device_clock` for the clocks of devices; `host_latency` for the arrival times at
+the host.
 """

@@ -1,11 +1,11 @@
-"""A board's inertial sensor: from the motion of the stage to raw counts.
+"""Inertial sensor of a board: from the motion of the stage to raw counts.
 
     y = G omega(t - tau) filtered + bias + noise,   counts = round(y / scale), clipped
 
-with G = S T M. Samples come in blocks on a fixed grid of the sensor's own oscillator. A
-block is computed ahead of time; when a command changes the motion inside it, it is
-computed again from the same draws, so that what was already sent stays true and nothing
-depends on who asked when. What else may be wrong with a sensor hangs on `hooks`.
+with G = S T M. Samples are computed in blocks on a fixed grid of the sensor's own oscillator. A
+block is computed in advance. If a command changes the motion within it, it is computed again from
+the same random draws, so that samples that were already sent stay true and nothing depends on the
+order of queries. Further errors of a sensor are in `hooks`.
 """
 
 import math
@@ -15,24 +15,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.physics.effects.hooks import BoardHooks
-from gyrorig_daemon.emulator.physics.effects.sensor import Moments
+from gyrorig_daemon.emulator.physics.bias_noise import BiasWander, white_step_sigma
+from gyrorig_daemon.emulator.physics.effects.board_effects import MotionSamples
+from gyrorig_daemon.emulator.physics.effects.rig_hooks import BoardHooks
 from gyrorig_daemon.emulator.physics.lowpass import block_filter
-from gyrorig_daemon.emulator.physics.noise import BiasWander, white_step_sigma
-from gyrorig_daemon.emulator.physics.stage import Stage, StageMotion
+from gyrorig_daemon.emulator.physics.stage_motion import Stage, StageMotion
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SUBSTEP_HZ = 8000.0  # at least; an edge inside one keeps its area, and so its time
+SUBSTEP_HZ = 8000.0  # at least; an edge within a substep keeps its area, and therefore its time
 BLOCK_S = 0.08
 INT16_MAX = 32767
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuTruth:
-    """What the sensor really is. Scales are nominal, errors are in `gain`."""
+    """True properties of a sensor. Scales are nominal; errors are in `gain`."""
 
     odr_hz: float  # true rate of the sensor's own oscillator
     bandwidth_hz: float  # -3 dB of the second-order Butterworth
@@ -42,9 +42,9 @@ class ImuTruth:
     noise_density_rad_s_rthz: FloatArray  # one-sided, before the low-pass, (3,)
     bias_instability_rad_s: FloatArray  # flicker coefficient, (3,)
     rate_random_walk: FloatArray  # rad/s per sqrt(s), (3,)
-    tau_s: float  # lag of a sample behind the motion, apart from the low-pass
+    tau_s: float  # lag of a sample behind the motion, without the low-pass
     gyro_scale_rad_s: float  # per count, nominal
-    gyro_limit_rad_s: float  # full scale: beyond it the sample is marked saturated
+    gyro_limit_rad_s: float  # full scale; samples beyond it are flagged as saturated
     accel_scale_m_s2: float
     accel_gain: FloatArray  # (3,)
     accel_bias_m_s2: FloatArray  # (3,)
@@ -56,7 +56,7 @@ class ImuTruth:
     soak_s: tuple[float, float] = (0.0, 120.0)
 
     def without_noise(self) -> "ImuTruth":
-        """Return the same sensor as it would be if it had no noise and did not wander."""
+        """Return the same sensor without noise and bias wander."""
         return replace(
             self,
             noise_density_rad_s_rthz=np.zeros(3),
@@ -68,12 +68,12 @@ class ImuTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBlock:
-    """Samples in the order of time."""
+    """Samples in order of time."""
 
     first: int  # number of the first sample since the sensor started
     time_s: FloatArray  # of data-ready, since the origin, (n,)
     gyro: IntArray  # (n, 3)
-    rate_rad_s: FloatArray  # what the gyro's words were made of, (n, 3)
+    rate_rad_s: FloatArray  # before rounding to counts, (n, 3)
     accel: IntArray  # (n, 3)
     temperature_degc: FloatArray  # (n,)
     saturated: NDArray[np.bool_]  # (n,)
@@ -81,16 +81,16 @@ class SampleBlock:
 
 
 class BiasPath:
-    """The true bias second by second: small enough to keep for a night."""
+    """True bias per second of time, small enough to keep for a night."""
 
     def __init__(self) -> None:
-        """Begin without any."""
+        """Start without values."""
         self._seconds: list[int] = []
         self._sums: list[FloatArray] = []
         self._counts: list[int] = []
 
     def add(self, time_s: float, bias: FloatArray) -> None:
-        """Note the mean bias of a block; blocks come in the order of time."""
+        """Add the mean bias of a block; blocks come in order of time."""
         second = int(time_s)
         if not self._seconds or self._seconds[-1] != second:
             self._seconds.append(second)
@@ -100,12 +100,12 @@ class BiasPath:
         self._counts[-1] += 1
 
     def mean(self, first_s: float, last_s: float) -> FloatArray | None:
-        """Return the mean over the whole seconds that touch a time, None without any."""
-        at = slice(
+        """Return the mean over all seconds that overlap a time, None without values."""
+        interval = slice(
             bisect_left(self._seconds, int(first_s)), bisect_right(self._seconds, int(last_s))
         )
-        count = sum(self._counts[at])
-        return np.asarray(sum(self._sums[at], np.zeros(3)) / count) if count else None
+        count = sum(self._counts[interval])
+        return np.asarray(sum(self._sums[interval], np.zeros(3)) / count) if count else None
 
 
 class ImuModel:
@@ -124,11 +124,11 @@ class ImuModel:
 
         Args:
             truth: the sensor.
-            stage: what it sits on.
-            start_s: when it is switched on.
-            rng: where its noise comes from.
-            multiple: a block has a multiple of so many samples.
-            hooks: what is wrong with it besides its noise and its gain.
+            stage: the stage on which it is mounted.
+            start_s: time of power-on.
+            rng: source of its noise.
+            multiple: the number of samples per block is a multiple of this.
+            hooks: errors other than its noise and its gain.
         """
         self.truth = truth
         self._hooks = hooks or BoardHooks()
@@ -160,17 +160,17 @@ class ImuModel:
         self._wander_from, self._wander_to = np.zeros(3), np.zeros(3)
         self._noise: FloatArray = np.zeros((0, 3))
         self._accel_noise: FloatArray = np.zeros((0, 3))
-        self._early: FloatArray | None = None
+        self._jitter_substeps: FloatArray | None = None
         self._first = -self._samples
         self._revision = -1
         self._block: SampleBlock | None = None
 
     def samples_before(self, time_s: float) -> int:
-        """Return how many samples are ready before a time."""
+        """Return the number of samples that are ready before a time."""
         return max(math.ceil((time_s - self._start_s) / self._period_s) - 1, 0)
 
     def next_block(self) -> SampleBlock:
-        """Draw and compute the block after the last one."""
+        """Draw and compute the next block."""
         self._first += self._samples
         self._state = self._end_state
         self._wander_from, self._wander_to = self._wander_to, self._wander.advance()
@@ -182,15 +182,15 @@ class ImuModel:
         self._accel_noise = self.truth.accel_noise_m_s2 * self._accel_rng.standard_normal(
             (self._samples, 3)
         )
-        for effect in self._hooks.words:
+        for effect in self._hooks.count_effects:
             effect.draw(self._samples)
         if self._hooks.jitter is not None:
-            late_s = self._hooks.jitter.draw_s(self._samples)
-            self._early = np.minimum(late_s / self._dt_s, self._substeps)
+            lag_s = self._hooks.jitter.draw_s(self._samples)
+            self._jitter_substeps = np.minimum(lag_s / self._dt_s, self._substeps)
         return self._compute()
 
-    def refreshed(self) -> SampleBlock | None:
-        """Return the current block again if a command has changed the motion, else None."""
+    def recompute_if_moved(self) -> SampleBlock | None:
+        """Return the present block again if a command has changed the motion, else None."""
         if self._first < 0 or self._stage.revision == self._revision:
             return None
         return self._compute()
@@ -202,21 +202,29 @@ class ImuModel:
         lag_s, growth = hooks.lag(ready_s)
         motion_s = ready_s - truth.tau_s - lag_s
         dt_s = self._dt_s * (1.0 - growth)
-        felt = self._felt(self._stage.motion(motion_s, dt_s, n * self._substeps), ready_s)
-        output, self._end_state = self._filter.run(self._state, felt + self._noise, self._early)
-        part = (np.arange(n) + 1.0)[:, None] / n
-        bias = truth.bias_rad_s + self._wander_from + part * (self._wander_to - self._wander_from)
+        sensor_rad_s = self._sensor_rate(
+            self._stage.motion(motion_s, dt_s, n * self._substeps), ready_s
+        )
+        output, self._end_state = self._filter.run(
+            self._state, sensor_rad_s + self._noise, self._jitter_substeps
+        )
+        block_share = (np.arange(n) + 1.0)[:, None] / n
+        bias = (
+            truth.bias_rad_s
+            + self._wander_from
+            + block_share * (self._wander_to - self._wander_from)
+        )
         time_s: FloatArray = ready_s + self._period_s * (np.arange(n, dtype=np.float64) + 1.0)
-        for effect in hooks.biases:
+        for effect in hooks.bias_effects:
             bias = bias + effect.added_rad_s(time_s, self._temperature)
         measured = output + bias
         if hooks.limit_rad_s is not None:
             measured = np.clip(measured, -hooks.limit_rad_s, hooks.limit_rad_s)
         measured = measured * hooks.count_factor
         counts = np.rint(measured / truth.gyro_scale_rad_s).astype(np.int64)
-        beyond = (np.abs(counts) > INT16_MAX) | (np.abs(measured) > truth.gyro_limit_rad_s)
+        is_saturated = (np.abs(counts) > INT16_MAX) | (np.abs(measured) > truth.gyro_limit_rad_s)
         counts = np.clip(counts, -INT16_MAX - 1, INT16_MAX)
-        for word in hooks.words:
+        for word in hooks.count_effects:
             counts = word.changed(counts)
         return SampleBlock(
             first=self._first,
@@ -225,46 +233,48 @@ class ImuModel:
             rate_rad_s=measured,
             accel=self._accel(motion_s + self._period_s, time_s),
             temperature_degc=self._temperature.degc(time_s),
-            saturated=np.asarray(beyond.any(axis=1)),
+            saturated=np.asarray(is_saturated.any(axis=1)),
             bias_rad_s=bias.mean(axis=0),
         )
 
-    def _felt(self, motion: StageMotion, ready_s: float) -> FloatArray:
-        """Return the rate that the sensor element feels in each substep, (m, 3)."""
+    def _sensor_rate(self, motion: StageMotion, ready_s: float) -> FloatArray:
+        """Return the rate at the sensor element in each substep, (m, 3)."""
         truth, hooks = self.truth, self._hooks
-        if not hooks.mounts and not hooks.rates:
+        if not hooks.mount_effects and not hooks.rate_effects:
             return np.asarray(motion.body_rate_rad_s @ truth.gain.T)
         middles = np.arange(len(motion.pan_rad), dtype=np.float64) + 0.5
         time_s: FloatArray = ready_s + self._dt_s * middles
         force: FloatArray = self._stage.gravity_at_tilt_m_s2(motion.tilt_rad) @ truth.mounting.T
-        felt: FloatArray = motion.body_rate_rad_s @ truth.gain.T
-        if hooks.mounts:
+        sensor_rad_s: FloatArray = motion.body_rate_rad_s @ truth.gain.T
+        if hooks.mount_effects:
             rates: FloatArray = motion.body_rate_rad_s @ truth.mounting.T
-            for mount in hooks.mounts:
+            for mount in hooks.mount_effects:
                 rates, force = mount.turned(time_s, rates), mount.turned(time_s, force)
-            felt = rates @ (truth.gain @ truth.mounting.T).T
-        moments = Moments(
+            sensor_rad_s = rates @ (truth.gain @ truth.mounting.T).T
+        samples = MotionSamples(
             time_s=time_s,
             pan_rad=motion.pan_rad,
             tilt_rad=motion.tilt_rad,
             pan_rate_rad_s=motion.pan_rate_rad_s,
             tilt_rate_rad_s=motion.tilt_rate_rad_s,
-            sensor_rad_s=felt,
+            sensor_rad_s=sensor_rad_s,
             force_m_s2=force,
             temperature=self._temperature,
             pan=self._stage.pan,
             tilt=self._stage.tilt,
         )
-        for effect in hooks.rates:
-            felt = felt + effect.added_rad_s(moments)
-        return felt
+        for effect in hooks.rate_effects:
+            sensor_rad_s = sensor_rad_s + effect.added_rad_s(samples)
+        return sensor_rad_s
 
     def _accel(self, start_s: float, time_s: FloatArray) -> IntArray:
         truth = self.truth
         stage = self._stage.gravity_stage_m_s2(start_s, self._period_s, self._samples)
-        turned = stage @ truth.mounting.T
-        for mount in self._hooks.mounts:
-            turned = mount.turned(time_s, turned)
-        felt = turned * truth.accel_gain + truth.accel_bias_m_s2
-        counts = np.rint((felt + self._accel_noise) / truth.accel_scale_m_s2).astype(np.int64)
+        sensor_m_s2 = stage @ truth.mounting.T
+        for mount in self._hooks.mount_effects:
+            sensor_m_s2 = mount.turned(time_s, sensor_m_s2)
+        measured_m_s2 = sensor_m_s2 * truth.accel_gain + truth.accel_bias_m_s2
+        counts = np.rint((measured_m_s2 + self._accel_noise) / truth.accel_scale_m_s2).astype(
+            np.int64
+        )
         return np.clip(counts, -INT16_MAX - 1, INT16_MAX)

@@ -1,8 +1,8 @@
-"""The sensor's low-pass: a second-order Butterworth filter, solved exactly in blocks.
+"""Low-pass of the sensor: a second-order Butterworth filter, solved exactly in blocks.
 
-The input is constant over each substep; under that the discrete state space is exact. A
-block of substeps becomes a few small matrix products, the same for real time and for fast
-mode, so that both give the same numbers.
+The input is constant over each substep, so that the discrete state space is exact. A block of
+substeps becomes a few small matrix products, the same in real and in simulated time, so that both
+give the same numbers.
 """
 
 import math
@@ -40,44 +40,52 @@ def butterworth_step(cutoff_hz: float, period_s: float) -> tuple[FloatArray, Flo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockFilter:
-    """Matrices that take a block of substeps to its outputs and its final state."""
+    """Matrices that map a block of substeps to its outputs and its final state."""
 
-    samples: int  # outputs a block
-    substeps: int  # substeps an output
+    samples: int  # outputs per block
+    substeps: int  # substeps per output
     free: FloatArray  # (samples, 2): outputs from the state at the start
     forced: FloatArray  # (samples, samples * substeps): outputs from the input
     end_free: FloatArray  # (2, 2)
     end_forced: FloatArray  # (2, samples * substeps)
-    free_by_reach: FloatArray  # (samples * substeps + 1, 2): output after so many substeps
-    response: FloatArray  # (samples * substeps,): output so many substeps after a unit input
+    free_by_reach: FloatArray  # (samples * substeps + 1, 2): output after k substeps
+    response: FloatArray  # (samples * substeps,): output k substeps after a unit input
 
     def run(
-        self, state: FloatArray, inputs: FloatArray, early: FloatArray | None = None
+        self, state: FloatArray, inputs: FloatArray, early_substeps: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Return outputs (samples, k) and the final state (2, k).
 
         Args:
             state: at the start of the block, shape (2, k).
-            inputs: one row a substep, shape (samples * substeps, k).
-            early: substeps by which each output is taken too early, 0 to `substeps`, need
-                not be whole, shape (samples,).
+            inputs: one row per substep, shape (samples * substeps, k).
+            early_substeps: substeps by which each output is taken too early, 0 to `substeps`, can
+                be fractional, shape (samples,).
         """
-        free, forced = (self.free, self.forced) if early is None else self._early(early)
+        free, forced = (
+            (self.free, self.forced)
+            if early_substeps is None
+            else self._matrices_for_early_outputs(early_substeps)
+        )
         outputs = free @ state + forced @ inputs
         return outputs, self.end_free @ state + self.end_forced @ inputs
 
-    def _early(self, early: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return `free` and `forced` of outputs taken early: between two whole substeps."""
-        whole = np.minimum(np.floor(early).astype(np.int64), self.substeps - 1)
-        part = (early - whole)[:, None]
-        reach = self.substeps * np.arange(1, self.samples + 1) - whole
+    def _matrices_for_early_outputs(
+        self, early_substeps: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return `free` and `forced` for early outputs, interpolated between substeps."""
+        whole_substeps = np.minimum(np.floor(early_substeps).astype(np.int64), self.substeps - 1)
+        fraction = (early_substeps - whole_substeps)[:, None]
+        reach = self.substeps * np.arange(1, self.samples + 1) - whole_substeps
         matrices = []
         for steps in (reach, reach - 1):
             delay = steps[:, None] - 1 - np.arange(self.samples * self.substeps)
             forced = np.where(delay >= 0, self.response[np.maximum(delay, 0)], 0.0)
             matrices.append((self.free_by_reach[steps], forced))
         (free, forced), (free_before, forced_before) = matrices
-        return (1 - part) * free + part * free_before, (1 - part) * forced + part * forced_before
+        return (1 - fraction) * free + fraction * free_before, (
+            1 - fraction
+        ) * forced + fraction * forced_before
 
 
 @lru_cache(maxsize=16)
@@ -88,16 +96,16 @@ def block_filter(cutoff_hz: float, period_s: float, substeps: int, samples: int)
         cutoff_hz: -3 dB frequency.
         period_s: length of a substep.
         substeps: substeps from one output to the next.
-        samples: outputs a block.
+        samples: outputs per block.
     """
     ad, bd = butterworth_step(cutoff_hz, period_s)
-    total = samples * substeps
-    powers = np.empty((total + 1, 2, 2))
+    total_substeps = samples * substeps
+    powers = np.empty((total_substeps + 1, 2, 2))
     powers[0] = np.eye(2)
-    for k in range(total):
+    for k in range(total_substeps):
         powers[k + 1] = ad @ powers[k]
-    response = powers[:total] @ bd  # (total, 2): state k substeps after a unit input
-    forced = np.zeros((samples, total))
+    response = powers[:total_substeps] @ bd  # (total, 2): state k substeps after a unit input
+    forced = np.zeros((samples, total_substeps))
     for j in range(samples):
         reach = (j + 1) * substeps
         forced[j, :reach] = response[:reach, 0][::-1]
@@ -106,7 +114,7 @@ def block_filter(cutoff_hz: float, period_s: float, substeps: int, samples: int)
         substeps=substeps,
         free=powers[substeps::substeps, 0, :].copy(),
         forced=forced,
-        end_free=powers[total],
+        end_free=powers[total_substeps],
         end_forced=response[::-1].T.copy(),
         free_by_reach=powers[:, 0, :].copy(),
         response=response[:, 0].copy(),

@@ -1,4 +1,4 @@
-"""Rotations by vectors."""
+"""Rotation matrices from rotation vectors."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,12 +1,12 @@
-"""What the unit answers about itself: modes, positions, counter, identity, supply.
+"""Queries of the emulated unit: modes, positions, counter, identity, supply.
 
-Nothing here changes the unit; `unit_commands` puts these answers behind their commands.
+Nothing here changes the unit; `unit_commands` maps the commands to these replies.
 """
 
 import math
 
-from gyrorig_daemon.emulator.ptu.language import Answer, always
-from gyrorig_daemon.emulator.ptu.unit import PtuUnit
+from gyrorig_daemon.emulator.ptu.axis_commands import Reply, fixed_reply
+from gyrorig_daemon.emulator.ptu.unit_controller import UnitController
 
 VERSIONS = {
     "d46": "Pan-Tilt Controller v2.14.0r1(D46-C14/E), (C)1991-2006 Directed Perception, Inc., "
@@ -19,41 +19,41 @@ MODEL = "PTU-E46-17.5"
 _MOTOR_WARM_UP_S = 600.0
 
 
-def echo(unit: PtuUnit, _time_s: float) -> Answer:
-    """E: is what comes sent back?"""
-    return always("Echoing ON" if unit.echo else "Echoing OFF")
+def echo(unit: UnitController, _time_s: float) -> Reply:
+    """E: echo mode."""
+    return fixed_reply("Echoing ON" if unit.echo else "Echoing OFF")
 
 
-def feedback(unit: PtuUnit, _time_s: float) -> Answer:
-    """F: full answers or short ones?"""
-    return always(f"ASCII {'verbose' if unit.verbose else 'terse'} mode")
+def feedback(unit: UnitController, _time_s: float) -> Reply:
+    """F: verbose or terse replies."""
+    return fixed_reply(f"ASCII {'verbose' if unit.verbose else 'terse'} mode")
 
 
-def limits(unit: PtuUnit, _time_s: float) -> Answer:
-    """L: which bounds hold?"""
+def limits(unit: UnitController, _time_s: float) -> Reply:
+    """L: limits in force."""
     texts = {
         "E": "Limit bounds are ENABLED (soft limits enabled)",
         "D": "Limit bounds are DISABLED",
         "U": "Limit bounds are user defined bounds",
     }
-    return always(texts[unit.limits])
+    return fixed_reply(texts[unit.limits])
 
 
-def execution(unit: PtuUnit, _time_s: float) -> Answer:
-    """IQ: do orders wait?"""
-    return always("SLAVED execution mode" if unit.slaved else "IMMEDIATE execution mode")
+def execution(unit: UnitController, _time_s: float) -> Reply:
+    """IQ: immediate or slaved execution."""
+    return fixed_reply("SLAVED execution mode" if unit.is_slaved else "IMMEDIATE execution mode")
 
 
-def mode(unit: PtuUnit, _time_s: float) -> Answer:
-    """C: speed by position, or by velocity?"""
-    name = "Velocity" if unit.velocity else "Independent"
+def mode(unit: UnitController, _time_s: float) -> Reply:
+    """C: position or velocity mode."""
+    name = "Velocity" if unit.in_velocity_mode else "Independent"
     if unit.settings.dialect == "e46":
-        return always(f"PTU is in {name} Mode")
-    long_name = "pure velocity" if unit.velocity else "independent (default)"
-    return always(f"PTU is in {long_name} speed control mode")
+        return fixed_reply(f"PTU is in {name} Mode")
+    long_name = "pure velocity" if unit.in_velocity_mode else "independent (default)"
+    return fixed_reply(f"PTU is in {long_name} speed control mode")
 
 
-def _motion_text(unit: PtuUnit, time_s: float) -> str:
+def _motion_text(unit: UnitController, time_s: float) -> str:
     pan, tilt = unit.pan_tilt()
     return (
         f"P({pan.count(time_s)},{tilt.count(time_s)}) "
@@ -61,64 +61,68 @@ def _motion_text(unit: PtuUnit, time_s: float) -> str:
     )
 
 
-def motion(unit: PtuUnit, time_s: float) -> Answer:
+def motion(unit: UnitController, time_s: float) -> Reply:
     """B: positions and speeds."""
-    return always(_motion_text(unit, time_s))
+    return fixed_reply(_motion_text(unit, time_s))
 
 
-def _counter_value(unit: PtuUnit, time_s: float) -> int:
+def _counter_value(unit: UnitController, time_s: float) -> int:
     return int(unit.clock.ticks(unit.to_ns(time_s)) % 2**unit.settings.counter_bits)
 
 
-def motion_with_counter(unit: PtuUnit, time_s: float) -> Answer:
+def motion_with_counter(unit: UnitController, time_s: float) -> Reply:
     """BT: positions, speeds and the counter."""
-    return always(f"{_motion_text(unit, time_s)} {_counter_value(unit, time_s)}")
+    return fixed_reply(f"{_motion_text(unit, time_s)} {_counter_value(unit, time_s)}")
 
 
-def counter(unit: PtuUnit, time_s: float) -> Answer:
+def counter(unit: UnitController, time_s: float) -> Reply:
     """CNT: the counter."""
-    return always(str(_counter_value(unit, time_s)))
+    return fixed_reply(str(_counter_value(unit, time_s)))
 
 
-def counter_hz(unit: PtuUnit, _time_s: float) -> Answer:
-    """CNF: its rate."""
-    return always(str(round(unit.settings.counter_hz)))
+def counter_hz(unit: UnitController, _time_s: float) -> Reply:
+    """CNF: frequency of the counter."""
+    return fixed_reply(str(round(unit.settings.counter_hz)))
 
 
-def power_up_query(unit: PtuUnit, _time_s: float) -> Answer:
-    """RQ: does it home by itself?"""
-    return always("Reset at power up is " + ("ON" if unit.resets_at_power_up else "OFF"))
+def power_up_query(unit: UnitController, _time_s: float) -> Reply:
+    """RQ: homing at power-up."""
+    return fixed_reply("Reset at power up is " + ("ON" if unit.resets_at_power_up else "OFF"))
 
 
-def version(unit: PtuUnit, _time_s: float) -> Answer:
-    """V: the whole version."""
-    return always(VERSIONS[unit.settings.dialect])
+def version(unit: UnitController, _time_s: float) -> Reply:
+    """V: the full version text."""
+    return fixed_reply(VERSIONS[unit.settings.dialect])
 
 
-def short_version(_unit: PtuUnit, _time_s: float) -> Answer:
-    """VV: its number."""
-    return always(SHORT_VERSION)
+def short_version(_unit: UnitController, _time_s: float) -> Reply:
+    """VV: the version number."""
+    return fixed_reply(SHORT_VERSION)
 
 
-def model(_unit: PtuUnit, _time_s: float) -> Answer:
+def model(_unit: UnitController, _time_s: float) -> Reply:
     """VM: the model."""
-    return always(MODEL)
+    return fixed_reply(MODEL)
 
 
-def serial(unit: PtuUnit, _time_s: float) -> Answer:
+def serial(unit: UnitController, _time_s: float) -> Reply:
     """VS: the serial number."""
-    return always(unit.settings.serial)
+    return fixed_reply(unit.settings.serial)
 
 
-def power(unit: PtuUnit, time_s: float) -> Answer:
-    """Supply and temperatures in deg F; the motors warm the head over ten minutes."""
-    warm = -math.expm1(-time_s / _MOTOR_WARM_UP_S)
-    head, pan, tilt = (round(start + gain * warm) for start, gain in ((77, 9), (79, 18), (78, 16)))
+def power(unit: UnitController, time_s: float) -> Reply:
+    """O: supply, and temperatures in deg F; the motors heat the head over ten minutes."""
+    warmed_share = -math.expm1(-time_s / _MOTOR_WARM_UP_S)
+    head, pan, tilt = (
+        round(start + gain * warmed_share) for start, gain in ((77, 9), (79, 18), (78, 16))
+    )
     if unit.settings.dialect == "d46":
-        return always(f"Input 30 VDC @ {head} degF")
-    return always(f"30.0,{head},{pan},{tilt}")
+        return fixed_reply(f"Input 30 VDC @ {head} degF")
+    return fixed_reply(f"30.0,{head},{pan},{tilt}")
 
 
-def menu(_unit: PtuUnit, _time_s: float) -> Answer:
-    """?: the commands."""
-    return always("Commands: PP TP PO TO PS TS PD TD PA TA PB TB PU TU PL TL PR TR PN TN PX TX")
+def menu(_unit: UnitController, _time_s: float) -> Reply:
+    """?: list of commands."""
+    return fixed_reply(
+        "Commands: PP TP PO TO PS TS PD TD PA TA PB TB PU TU PL TL PR TR PN TN PX TX"
+    )

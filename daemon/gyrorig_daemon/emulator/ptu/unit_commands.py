@@ -1,33 +1,33 @@
-"""Commands of the unit as a whole: modes, resets, orders to both axes.
+"""Commands of the whole emulated unit: modes, resets, commands to both axes.
 
-`run_command` is the entrance: it finds the command in the tables here or among those of
-an axis, and answers what the firmware answers to an unknown one.
+`run_command` is the entry point. It looks up the command here and among those of an axis, and
+returns the firmware's reply to an unknown command.
 """
 
 import re
 from collections.abc import Callable
 
+from gyrorig_daemon.emulator.emulator_settings import StepMode
 from gyrorig_daemon.emulator.ptu import unit_answers as answers
-from gyrorig_daemon.emulator.ptu.language import (
+from gyrorig_daemon.emulator.ptu.axis_commands import (
     DONE,
     ILLEGAL,
-    Answer,
-    always,
+    Reply,
     check_position,
     check_speed,
-    refuse,
+    error_reply,
+    fixed_reply,
     run_axis_command,
-    value,
+    value_reply,
 )
-from gyrorig_daemon.emulator.ptu.unit import LETTERS, AxisState, Letter, PtuUnit
-from gyrorig_daemon.emulator.settings import StepMode
+from gyrorig_daemon.emulator.ptu.unit_controller import LETTERS, AxisState, Letter, UnitController
 
-UnitHandler = Callable[[PtuUnit, float], Answer]
+UnitHandler = Callable[[UnitController, float], Reply]
 
 BAUDS = (600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 
 
-def run_command(unit: PtuUnit, text: str, time_s: float) -> Answer:
+def run_command(unit: UnitController, text: str, time_s: float) -> Reply:
     """Run one command, upper case and without its delimiter, at a time."""
     handler = _COMMANDS.get(text)
     if handler is not None:
@@ -42,7 +42,7 @@ def run_command(unit: PtuUnit, text: str, time_s: float) -> Answer:
 
 
 def _set_echo(on: bool) -> UnitHandler:
-    def handler(unit: PtuUnit, _time_s: float) -> Answer:
+    def handler(unit: UnitController, _time_s: float) -> Reply:
         unit.echo = on
         return DONE
 
@@ -50,46 +50,46 @@ def _set_echo(on: bool) -> UnitHandler:
 
 
 def _set_feedback(verbose: bool) -> UnitHandler:
-    def handler(unit: PtuUnit, _time_s: float) -> Answer:
+    def handler(unit: UnitController, _time_s: float) -> Reply:
         unit.verbose = verbose
         return DONE
 
     return handler
 
 
-def _limits_enabled(unit: PtuUnit, _time_s: float) -> Answer:
+def _limits_enabled(unit: UnitController, _time_s: float) -> Reply:
     unit.limits = "E"
     return DONE
 
 
-def _limits_disabled(unit: PtuUnit, _time_s: float) -> Answer:
+def _limits_disabled(unit: UnitController, _time_s: float) -> Reply:
     unit.limits = "D"
     return DONE
 
 
-def _limits_user(unit: PtuUnit, _time_s: float) -> Answer:
+def _limits_user(unit: UnitController, _time_s: float) -> Reply:
     unit.limits = "U"
     return DONE
 
 
-def _immediate(unit: PtuUnit, time_s: float) -> Answer:
-    unit.slaved = False
-    unit.release(time_s)
+def _immediate(unit: UnitController, time_s: float) -> Reply:
+    unit.is_slaved = False
+    unit.start_pending(time_s)
     return DONE
 
 
-def _slaved(unit: PtuUnit, _time_s: float) -> Answer:
-    unit.slaved = True
+def _slaved(unit: UnitController, _time_s: float) -> Reply:
+    unit.is_slaved = True
     return DONE
 
 
-def _await(unit: PtuUnit, time_s: float) -> Answer:
-    unit.release(time_s)
-    return Answer(done_s=unit.rests_at_s())
+def _await(unit: UnitController, time_s: float) -> Reply:
+    unit.start_pending(time_s)
+    return Reply(done_s=unit.rests_at_s())
 
 
 def _halt(letters: tuple[Letter, ...]) -> UnitHandler:
-    def handler(unit: PtuUnit, time_s: float) -> Answer:
+    def handler(unit: UnitController, time_s: float) -> Reply:
         for letter in letters:
             unit.halt(unit.axes[letter], time_s)
         return DONE
@@ -98,24 +98,24 @@ def _halt(letters: tuple[Letter, ...]) -> UnitHandler:
 
 
 def _set_velocity(on: bool) -> UnitHandler:
-    def handler(unit: PtuUnit, time_s: float) -> Answer:
-        if unit.velocity != on:
+    def handler(unit: UnitController, time_s: float) -> Reply:
+        if unit.in_velocity_mode != on:
             for state in unit.axes.values():
                 unit.halt(state, time_s)
-        unit.velocity = on
+        unit.in_velocity_mode = on
         return DONE
 
     return handler
 
 
 def _reset(letters: tuple[Letter, ...]) -> UnitHandler:
-    def handler(unit: PtuUnit, time_s: float) -> Answer:
-        return Answer(done_s=run_homing(unit, time_s, letters))
+    def handler(unit: UnitController, time_s: float) -> Reply:
+        return Reply(done_s=run_homing(unit, time_s, letters))
 
     return handler
 
 
-def run_homing(unit: PtuUnit, time_s: float, letters: tuple[Letter, ...]) -> float:
+def run_homing(unit: UnitController, time_s: float, letters: tuple[Letter, ...]) -> float:
     """Home axes one after the other and return when the last one is done."""
     for letter in letters:
         time_s = unit.home(unit.axes[letter], time_s)
@@ -123,21 +123,21 @@ def run_homing(unit: PtuUnit, time_s: float, letters: tuple[Letter, ...]) -> flo
 
 
 def _power_up_reset(on: bool) -> UnitHandler:
-    def handler(unit: PtuUnit, _time_s: float) -> Answer:
+    def handler(unit: UnitController, _time_s: float) -> Reply:
         unit.resets_at_power_up = on
         return DONE
 
     return handler
 
 
-def _save(unit: PtuUnit, _time_s: float) -> Answer:
+def _save(unit: UnitController, _time_s: float) -> Reply:
     unit.eeprom_writes += 1
     return DONE
 
 
-def _restore(unit: PtuUnit, time_s: float) -> Answer:
+def _restore(unit: UnitController, time_s: float) -> Reply:
     settings = unit.settings
-    unit.velocity = unit.slaved = False
+    unit.in_velocity_mode = unit.is_slaved = False
     unit.limits, unit.echo, unit.verbose = "E", settings.echo, settings.verbose
     for state in unit.axes.values():
         state.speed = round(settings.speed_steps_s * state.ratio)
@@ -149,7 +149,7 @@ def _restore(unit: PtuUnit, time_s: float) -> Answer:
     return DONE
 
 
-def _monitor_off(_unit: PtuUnit, _time_s: float) -> Answer:
+def _monitor_off(_unit: UnitController, _time_s: float) -> Reply:
     return DONE
 
 
@@ -170,58 +170,58 @@ _COMMANDS: dict[str, UnitHandler] = {
 }  # fmt: skip
 _E_SERIES = frozenset({"B", "BT", "CNT", "CNF", "IQ", "VV", "VM", "VS"})
 
-Parsed = Callable[[PtuUnit, float, "re.Match[str]"], Answer]
+Parsed = Callable[[UnitController, float, "re.Match[str]"], Reply]
 
 
-def _set_motion(unit: PtuUnit, time_s: float, match: "re.Match[str]") -> Answer:
+def _set_motion(unit: UnitController, time_s: float, match: "re.Match[str]") -> Reply:
     pan, tilt, pan_speed, tilt_speed = (int(text) for text in match.groups())
-    wanted = ((unit.axes["P"], pan, pan_speed), (unit.axes["T"], tilt, tilt_speed))
-    for state, steps, speed in wanted:
-        fault = check_position(unit, state, steps) or check_speed(state, speed)
-        if fault is not None:
-            return fault
-    for state, steps, speed in wanted:
+    requests = ((unit.axes["P"], pan, pan_speed), (unit.axes["T"], tilt, tilt_speed))
+    for state, steps, speed in requests:
+        refusal = check_position(unit, state, steps) or check_speed(state, speed)
+        if refusal is not None:
+            return refusal
+    for state, steps, speed in requests:
         state.speed = speed
-        unit.begin(state, time_s, steps)
+        unit.request_position(state, time_s, steps)
     return DONE
 
 
-def _step_mode(unit: PtuUnit, time_s: float, match: "re.Match[str]") -> Answer:
+def _step_mode(unit: UnitController, time_s: float, match: "re.Match[str]") -> Reply:
     state: AxisState = unit.axes["P" if match[1] == "P" else "T"]
     names: dict[str, str] = {
         "F": "FULL", "H": "HALF", "Q": "QUARTER", "E": "EIGHTH", "A": "AUTO",
     }  # fmt: skip
     if not match[2]:
-        return always(f"{state.name} step mode is {names[state.step_mode]}")
+        return fixed_reply(f"{state.name} step mode is {names[state.step_mode]}")
     modes: dict[str, StepMode] = {"F": "F", "H": "H", "Q": "Q", "E": "E", "A": "A"}
-    # The axis recalibrates: it homes, in the old steps, and counts in the new ones after.
+    # The axis recalibrates: it homes in the old steps, and counts in the new ones afterwards.
     done_s = unit.home(state, time_s)
     unit.change_step_mode(state, modes[match[2]])
-    return Answer(done_s=done_s)
+    return Reply(done_s=done_s)
 
 
-def _reset_at_speed(unit: PtuUnit, time_s: float, match: "re.Match[str]") -> Answer:
+def _reset_at_speed(unit: UnitController, time_s: float, match: "re.Match[str]") -> Reply:
     state = unit.axes["P" if match[1] == "P" else "T"]
     speed = int(match[2])
     if speed < 1:
-        return refuse("Motor speed cannot be less than 1 pos/sec")
-    return Answer(done_s=unit.home(state, time_s, speed / state.ratio))
+        return error_reply("Motor speed cannot be less than 1 pos/sec")
+    return Reply(done_s=unit.home(state, time_s, speed / state.ratio))
 
 
-def _baud(unit: PtuUnit, _time_s: float, match: "re.Match[str]") -> Answer:
+def _baud(unit: UnitController, _time_s: float, match: "re.Match[str]") -> Reply:
     baud = int(match[1])
     if baud not in BAUDS or unit.unit_id > 0:
-        return refuse("Value is out of range")
+        return error_reply("Value is out of range")
     unit.new_baud = baud
     return DONE
 
 
-def _unit_id(unit: PtuUnit, _time_s: float, match: "re.Match[str]") -> Answer:
+def _unit_id(unit: UnitController, _time_s: float, match: "re.Match[str]") -> Reply:
     if not match[1]:
-        return value("Unit ID is {}", unit.unit_id)
+        return value_reply("Unit ID is {}", unit.unit_id)
     number = int(match[1])
     if number > 127:
-        return refuse("Value is out of range")
+        return error_reply("Value is out of range")
     unit.unit_id, unit.selected = number, number == 0 or unit.selected
     return DONE
 

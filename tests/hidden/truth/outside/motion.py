@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.physics.effects.motor import Memory, Motor, StepEffect
+from gyrorig_daemon.emulator.physics.effects.axis_effects import Motor, StateHistory, StepEffect
 from gyrorig_daemon.emulator.physics.motion_law import Segment
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +32,7 @@ class Creep:
     def __init__(self, share: float, time_constant_s: float) -> None:
         """Take the share of the way that is late, and how late."""
         self._share, self._late_s = share, time_constant_s
-        self._memory: Memory[float] = Memory(0.0)
+        self._memory: StateHistory[float] = StateHistory(0.0)
 
     def added_rad(
         self, motor: Motor, start_s: float, offsets_s: FloatArray, _angle_rad: FloatArray
@@ -55,7 +55,7 @@ class Creep:
         self._memory.forget(time_s)
 
     def _state_at(self, motor: Motor, wanted: Segment) -> float:
-        known_s, state = self._memory.before(wanted.start_s)
+        known_s, state = self._memory.last_before(wanted.start_s)
         if known_s == wanted.start_s:
             return state
         pieces = [piece for piece, _ in motor.planned(known_s, wanted.start_s)]

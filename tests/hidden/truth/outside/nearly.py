@@ -11,12 +11,12 @@ from tests.hidden.truth.outside.sensing import SlowThermal, SmoothAsymmetry, Sof
 from tests.hidden.truth.outside.shape import Shape, Site
 
 from gyrorig_daemon.emulator.causes import Quantity
-from gyrorig_daemon.emulator.physics.axis import ARCSEC_RAD
-from gyrorig_daemon.emulator.physics.effects.angles import Harmonic
-from gyrorig_daemon.emulator.physics.effects.bias import WarmUp
-from gyrorig_daemon.emulator.physics.effects.play import Play
-from gyrorig_daemon.emulator.physics.effects.ringing import Ringing
-from gyrorig_daemon.emulator.settings import PtuSettings
+from gyrorig_daemon.emulator.causes.backlash import Backlash
+from gyrorig_daemon.emulator.causes.ringing import Ringing
+from gyrorig_daemon.emulator.causes.warm_up import WarmUp
+from gyrorig_daemon.emulator.emulator_settings import PtuSettings
+from gyrorig_daemon.emulator.physics.effects.harmonic import Harmonic
+from gyrorig_daemon.emulator.physics.stepper_axis import ARCSEC_RAD
 
 _WORM_TURNS = 17.5
 _WIDTHS = (0.25, 0.75, 1.25, 1.75)  # of the gap's mean
@@ -33,15 +33,15 @@ def _phase(site: Site) -> float:
 def _soft_play(site: Site) -> dict[str, Quantity]:
     unit = site.rig.ptu or PtuSettings()
     gap_steps = site.size / (unit.resolution_arcsec * ARCSEC_RAD)
-    plays = tuple(Play(gap_steps * width) for width in _WIDTHS)
-    site.hooks.pan.steps.append(SoftPlay(plays))
+    plays = tuple(Backlash(gap_steps * width) for width in _WIDTHS)
+    site.hooks.pan.step_effects.append(SoftPlay(plays))
     return {"mean_gap": Quantity(site.size, "rad")}
 
 
 def _slow_thermal(site: Site) -> dict[str, Quantity]:
     slope = site.size * site.direction()
     first_s, second_s = (float(site.rng.uniform(*span)) for span in ((20.0, 40.0), (60.0, 120.0)))
-    site.hooks.board(site.board).biases.append(SlowThermal(slope, first_s, second_s))
+    site.hooks.board(site.board).bias_effects.append(SlowThermal(slope, first_s, second_s))
     return {"slope": _vector(slope, "rad/s/K"), "first_lag": Quantity(first_s, "s"),
             "second_lag": Quantity(second_s, "s")}  # fmt: skip
 
@@ -50,14 +50,14 @@ def _double_warm_up(site: Site) -> dict[str, Quantity]:
     start = site.size * site.direction()
     fast_s, slow_s = (float(site.rng.uniform(*span)) for span in ((12.0, 25.0), (120.0, 240.0)))
     board = site.hooks.board(site.board)
-    board.biases += [WarmUp(0.6 * start, fast_s), WarmUp(0.4 * start, slow_s)]
+    board.bias_effects += [WarmUp(0.6 * start, fast_s), WarmUp(0.4 * start, slow_s)]
     return {"at_power_up": _vector(start, "rad/s"), "fast": Quantity(fast_s, "s"),
             "slow": Quantity(slow_s, "s")}  # fmt: skip
 
 
 def _rich(site: Site, first: float, second: float, share: float) -> dict[str, Quantity]:
     phases = _phase(site), _phase(site)
-    site.hooks.pan.angles += [
+    site.hooks.pan.angle_effects += [
         Harmonic(site.size, first, phases[0]), Harmonic(share * site.size, second, phases[1])
     ]  # fmt: skip
     return {"amplitude": Quantity(site.size, "rad"), "phase": Quantity(phases[0], "rad"),
@@ -75,19 +75,22 @@ def _rich_worm(site: Site) -> dict[str, Quantity]:
 
 def _two_modes(site: Site) -> dict[str, Quantity]:
     low_hz, high_hz = (float(site.rng.uniform(*span)) for span in ((5.0, 8.0), (11.0, 15.0)))
-    site.hooks.pan.angles += [Ringing(site.size, low_hz, 0.05), Ringing(site.size, high_hz, 0.05)]
+    site.hooks.pan.angle_effects += [
+        Ringing(site.size, low_hz, 0.05),
+        Ringing(site.size, high_hz, 0.05),
+    ]
     return {"share": Quantity(site.size, "1"), "low": Quantity(low_hz, "Hz"),
             "high": Quantity(high_hz, "Hz")}  # fmt: skip
 
 
 def _soft_zone(site: Site) -> dict[str, Quantity]:
-    site.hooks.board(site.board).rates.append(SoftDeadZone(site.size))
+    site.hooks.board(site.board).rate_effects.append(SoftDeadZone(site.size))
     return {"width": Quantity(site.size, "rad/s")}
 
 
 def _smooth_asymmetry(site: Site) -> dict[str, Quantity]:
     share, width = site.size * site.direction(), float(site.rng.uniform(0.3, 0.8))
-    site.hooks.board(site.board).rates.append(SmoothAsymmetry(share, width))
+    site.hooks.board(site.board).rate_effects.append(SmoothAsymmetry(share, width))
     return {"share": _vector(share, "1"), "width": Quantity(width, "rad/s")}
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrorig_daemon.emulator.physics.effects.motor import Motor
-from gyrorig_daemon.emulator.physics.effects.sensor import Moments
+from gyrorig_daemon.emulator.physics.effects.axis_effects import Motor
+from gyrorig_daemon.emulator.physics.effects.board_effects import MotionSamples
 from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
 
 FloatArray = NDArray[np.float64]
@@ -21,7 +21,7 @@ class Settling:
     share: float
     time_constant_s: float
 
-    def added_rad_s(self, moments: Moments) -> FloatArray:
+    def added_rad_s(self, moments: MotionSamples) -> FloatArray:
         """See `sensor.RateEffect`."""
         since = np.full(len(moments.time_s), np.inf)
         for motor in (moments.pan, moments.tilt):
@@ -49,7 +49,7 @@ class Magnet:
     bias_rad_s: FloatArray  # (3,)
     phase_rad: float
 
-    def added_rad_s(self, moments: Moments) -> FloatArray:
+    def added_rad_s(self, moments: MotionSamples) -> FloatArray:
         """See `sensor.RateEffect`."""
         return np.outer(np.cos(moments.pan_rad + self.phase_rad), self.bias_rad_s)
 
@@ -60,7 +60,7 @@ class TwistedCable:
 
     bias_rad_s: FloatArray  # (3,)
 
-    def added_rad_s(self, moments: Moments) -> FloatArray:
+    def added_rad_s(self, moments: MotionSamples) -> FloatArray:
         """See `sensor.RateEffect`."""
         return np.outer(np.sin(moments.pan_rad) * np.sin(moments.tilt_rad), self.bias_rad_s)
 
@@ -73,7 +73,7 @@ class GainDip:
     at_rad: float
     width_rad: float
 
-    def added_rad_s(self, moments: Moments) -> FloatArray:
+    def added_rad_s(self, moments: MotionSamples) -> FloatArray:
         """See `sensor.RateEffect`."""
         near = np.exp(-0.5 * ((moments.tilt_rad - self.at_rad) / self.width_rad) ** 2)
         return np.asarray(-self.depth * near[:, None] * moments.sensor_rad_s)
@@ -85,7 +85,7 @@ class RateDelay:
 
     delay_s2: float  # seconds of delay per rad/s
 
-    def added_rad_s(self, moments: Moments) -> FloatArray:
+    def added_rad_s(self, moments: MotionSamples) -> FloatArray:
         """See `sensor.RateEffect`."""
         slope = np.gradient(moments.sensor_rad_s, moments.time_s, axis=0)
         speed = np.linalg.norm(moments.sensor_rad_s, axis=1)
@@ -98,7 +98,7 @@ class CrossProduct:
 
     coefficient_s: FloatArray  # (3,)
 
-    def added_rad_s(self, moments: Moments) -> FloatArray:
+    def added_rad_s(self, moments: MotionSamples) -> FloatArray:
         """See `sensor.RateEffect`."""
         u = moments.sensor_rad_s
         return np.asarray(self.coefficient_s * u[:, [1, 2, 0]] * u[:, [2, 0, 1]])
@@ -138,7 +138,7 @@ class SoftDeadZone:
 
     width_rad_s: float
 
-    def added_rad_s(self, moments: Moments) -> FloatArray:
+    def added_rad_s(self, moments: MotionSamples) -> FloatArray:
         """See `sensor.RateEffect`."""
         u = moments.sensor_rad_s
         return np.asarray(-u * np.exp(-((u / self.width_rad_s) ** 2)))
@@ -151,7 +151,7 @@ class SmoothAsymmetry:
     share: FloatArray  # (3,)
     width_rad_s: float
 
-    def added_rad_s(self, moments: Moments) -> FloatArray:
+    def added_rad_s(self, moments: MotionSamples) -> FloatArray:
         """See `sensor.RateEffect`."""
         u = moments.sensor_rad_s
         return np.asarray(self.share * u * np.tanh(u / self.width_rad_s))

@@ -28,52 +28,52 @@ def _vector(values: np.ndarray, unit: str) -> Quantity:
 
 def _settling(site: Site) -> dict[str, Quantity]:
     constant_s = float(site.rng.uniform(0.15, 0.5))
-    site.hooks.board(site.board).rates.append(Settling(site.size, constant_s))
+    site.hooks.board(site.board).rate_effects.append(Settling(site.size, constant_s))
     return {"share": Quantity(site.size, "1"), "time_constant": Quantity(constant_s, "s")}
 
 
 def _magnet(site: Site) -> dict[str, Quantity]:
     bias, phase = site.size * site.direction(), float(site.rng.uniform(-np.pi, np.pi))
-    site.hooks.board(site.board).rates.append(Magnet(bias, phase))
+    site.hooks.board(site.board).rate_effects.append(Magnet(bias, phase))
     return {"bias": _vector(bias, "rad/s"), "phase": Quantity(phase, "rad")}
 
 
 def _bearing(site: Site) -> dict[str, Quantity]:
     phase = float(site.rng.uniform(-np.pi, np.pi))
     period_s = float(site.rng.uniform(15.0, 30.0))
-    site.hooks.pan.angles.append(WornBearing(site.size, 3.0, phase, 0.2, period_s))
+    site.hooks.pan.angle_effects.append(WornBearing(site.size, 3.0, phase, 0.2, period_s))
     return {"amplitude": Quantity(site.size, "rad"), "phase": Quantity(phase, "rad"),
             "modulation_period": Quantity(period_s, "s")}  # fmt: skip
 
 
 def _dip(site: Site) -> dict[str, Quantity]:
     at, width = float(site.rng.uniform(-45.0, 30.0)) * _DEG, float(site.rng.uniform(5, 12)) * _DEG
-    site.hooks.board(site.board).rates.append(GainDip(site.size, at, width))
+    site.hooks.board(site.board).rate_effects.append(GainDip(site.size, at, width))
     return {"depth": Quantity(site.size, "1"), "at": Quantity(at, "rad"),
             "width": Quantity(width, "rad")}  # fmt: skip
 
 
 def _creep(site: Site) -> dict[str, Quantity]:
-    site.hooks.pan.angles.append(Creep(site.size, 2.0))
+    site.hooks.pan.angle_effects.append(Creep(site.size, 2.0))
     return {"share": Quantity(site.size, "1"), "time_constant": Quantity(2.0, "s")}
 
 
 def _delay(site: Site) -> dict[str, Quantity]:
-    site.hooks.board(site.board).rates.append(RateDelay(site.size))
+    site.hooks.board(site.board).rate_effects.append(RateDelay(site.size))
     return {"delay_per_rate": Quantity(site.size, "s^2")}
 
 
 def _stick(site: Site) -> dict[str, Quantity]:
     below = float(site.rng.uniform(15.0, 30.0)) * _DEG
     pitch = float(site.rng.uniform(0.5, 1.5)) * _DEG
-    site.hooks.pan.angles.append(StickSlip(site.size, pitch, below))
+    site.hooks.pan.angle_effects.append(StickSlip(site.size, pitch, below))
     return {"amplitude": Quantity(site.size, "rad"), "pitch": Quantity(pitch, "rad"),
             "below": Quantity(below, "rad/s")}  # fmt: skip
 
 
 def _cable(site: Site) -> dict[str, Quantity]:
     bias = site.size * site.direction()
-    site.hooks.board(site.board).rates.append(TwistedCable(bias))
+    site.hooks.board(site.board).rate_effects.append(TwistedCable(bias))
     return {"bias": _vector(bias, "rad/s")}
 
 
@@ -81,14 +81,14 @@ def _telegraph(site: Site) -> dict[str, Quantity]:
     begin_s, end_s = site.rig.session_s
     waits = site.rng.exponential((end_s - begin_s) / 8.0, 200)
     bias = site.size * site.direction()
-    site.hooks.board(site.board).biases.append(Telegraph(bias, np.cumsum(waits)))
+    site.hooks.board(site.board).bias_effects.append(Telegraph(bias, np.cumsum(waits)))
     return {"half_jump": _vector(bias, "rad/s"),
             "mean_dwell": Quantity((end_s - begin_s) / 8.0, "s")}  # fmt: skip
 
 
 def _product(site: Site) -> dict[str, Quantity]:
     coefficient = site.size * site.direction()
-    site.hooks.board(site.board).rates.append(CrossProduct(coefficient))
+    site.hooks.board(site.board).rate_effects.append(CrossProduct(coefficient))
     return {"coefficient": _vector(coefficient, "s/rad")}
 
 

@@ -1,7 +1,6 @@
-"""Imperfections of the emulated rig, a physical cause or a family of causes a file.
+"""Interfaces of the effects that causes have on the emulated rig.
 
-What to use when: `hooks` for where an effect hangs on a rig. Of an axis: `play`, `slip`,
-`s_curve`, `ringing`, `compliance`, `angles`, behind the interfaces in `motor`. Of a board:
-`mount`, `nonlinear`, `crosstalk`, `bias`, `words`, `timing`, behind those in `sensor`. Of the
-world: `earth`. Names, sizes and directions are drawn in `causes`; here is the physics only.
+What to use when: `rig_hooks` for where effects are attached; `axis_effects` for interfaces of an
+axis, `board_effects` for those of a board. `harmonic` is an effect that several causes share. The
+causes themselves, with their physics, are in `emulator.causes`.
 """

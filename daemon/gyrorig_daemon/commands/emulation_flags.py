@@ -1,0 +1,69 @@
+"""The options of `record` and `emulate` that describe an emulated rig."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_daemon.session.emulation_options import EmulationOptions
+
+YAML_FILE = click.Path(path_type=Path, dir_okay=False)
+_HIDE = (
+    "Add this imperfection to the emulated rig. PLACE is an axis or a board, SIZE is in the unit "
+    "that `gyrorigd causes` lists. `random` chooses causes and keeps them secret. Can be repeated."
+)
+
+CommandFunction = Callable[..., None]
+
+
+def emulation_flags(command: CommandFunction) -> CommandFunction:
+    """Add the options that describe an emulated rig (decorator)."""
+    for option in reversed(
+        (
+            click.option(
+                "--seed",
+                type=click.IntRange(min=0),
+                help="With an emulated rig: random seed of the rig's errors and of the noise.  "
+                "[default: emulator: seed in the configuration]",
+            ),
+            click.option(
+                "--truth",
+                type=YAML_FILE,
+                help="With an emulated rig: write the true parameters to this file, as JSON if the "
+                "name ends in .json, otherwise as YAML.",
+            ),
+            click.option("--hide", multiple=True, metavar="CAUSE[@PLACE][:SIZE]", help=_HIDE),
+            click.option(
+                "--noise-free", is_flag=True, help="With an emulated rig: sensors without noise."
+            ),
+            click.option(
+                "--soak",
+                type=click.FloatRange(-60.0, 60.0),
+                default=0.0,
+                show_default=True,
+                metavar="KELVIN",
+                help="With an emulated rig: warm the room by so many kelvin and cool it again.",
+            ),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def emulation_options(options: dict[str, Any], session_s: tuple[float, float]) -> EmulationOptions:
+    """Return the options of the command line as one object."""
+    return EmulationOptions(
+        seed=options["seed"],
+        truth=options["truth"],
+        rates=options.get("rates"),
+        hide=options["hide"],
+        noise_free=options["noise_free"],
+        soak_k=options["soak"],
+        session_s=session_s,
+    )
+
+
+def print_commitment(sha256: str) -> None:
+    """Print the hash of the hidden parameters, which are published at the end."""
+    click.echo(f"Hidden parameters are secret until the end. SHA-256 {sha256}", err=True)

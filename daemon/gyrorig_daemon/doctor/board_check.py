@@ -1,0 +1,292 @@
+"""Checks of a board on a serial port: format, identity, sample rate, losses.
+
+What to use when: `check_board` for a port that can be opened. It opens the port (which resets
+many Arduinos), requests HELLO and listens for a few seconds; nothing is set.
+"""
+
+import random
+import time
+from dataclasses import dataclass, field
+
+from gyrorig_daemon.config import BoardPort
+from gyrorig_daemon.config.rig_document import BITS_PER_BYTE
+from gyrorig_daemon.doctor.finding import Finding, fault, ok, warning
+from gyrorig_daemon.doctor.port_session import open_for_check, receive, send
+from gyrorig_daemon.links.boards.board_metadata import make_parser
+from gyrorig_daemon.links.ports.serial_port import PortRefusedError, configure_raw
+from gyrorig_protocol.board import (
+    Batch,
+    FrameEvent,
+    FrameParser,
+    Hello,
+    HelloRequest,
+    Sample,
+    Slow,
+    TextLineParser,
+    TimeReply,
+    TimeRequest,
+)
+from gyrorig_protocol.board.json_frames import PROTOCOL_VERSION
+
+FIRST_BYTE_TIMEOUT_S = 5.0  # an Arduino that was reset by opening the port starts after 1 to 2 s
+REQUEST_PERIOD_S = 0.5
+MEASURE_S = 2.0  # at 100 samples per second: the rate to half a percent
+BAUD_TRIAL_S = 1.5
+MAX_KEPT_BYTES = 4096
+# The most common rates first: those that divide exactly, then those common on an Arduino.
+USUAL_BAUDS = (460800, 115200, 921600, 230400, 250000, 500000, 1000000, 57600, 38400, 9600)
+MAX_LINE_LOAD = 0.7  # of the line's capacity; beyond it the writes of an AVR block
+RATE_TOLERANCE = 0.1  # data sheets allow 5 to 8 %
+SEQUENCE_MODULUS = 1 << 16
+
+
+@dataclass(slots=True)
+class BoardTraffic:
+    """Data received from a board during the check."""
+
+    raw: bytearray = field(default_factory=bytearray)  # the beginning
+    total_bytes: int = 0
+    samples: int = 0
+    missing: int = 0
+    first_sample_s: float = 0.0  # of the first and last sample; monotonic
+    last_sample_s: float = 0.0
+    hello: Hello | None = None
+    slow: Slow | None = None
+    time_replies: int = 0
+    time_requests: int = 0
+    flags: int = 0
+    damaged_frames: int = 0
+    has_hung_up: bool = False
+    last_sequence: int | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second; 0 if there are too few samples."""
+        return (
+            (self.samples - 1) / (self.last_sample_s - self.first_sample_s)
+            if self.samples > 10
+            else 0.0
+        )
+
+
+def check_board(config: BoardPort) -> tuple[list[Finding], float]:
+    """Return the findings about the board on `config.port`, and its samples per second."""
+    subject = f"board {config.id}"
+    try:
+        with open_for_check(config.port, config.baud) as fd:
+            traffic = _listen(fd, config)
+            other_baud = (
+                None if traffic.samples or not traffic.total_bytes else _find_other_baud(fd, config)
+            )
+    except PortRefusedError as error:
+        message = f"{config.port} cannot be opened ({error})"
+        return [fault(subject, error.reason, message, "see the findings on its port")], 0.0
+    findings = _check_format(subject, config, traffic, other_baud)
+    if traffic.samples:
+        findings += [*_check_rate(subject, config, traffic), *_check_losses(subject, traffic)]
+    return findings, traffic.rate_hz
+
+
+def _listen(fd: int, config: BoardPort) -> BoardTraffic:
+    """Ask and listen until the board is known and was heard for `MEASURE_S`, or patience ends."""
+    traffic, parser = BoardTraffic(), make_parser(config)
+    has_protocol = config.format == "gcb1"
+    start_s = time.monotonic()
+    end_s, next_request_s = start_s + FIRST_BYTE_TIMEOUT_S + MEASURE_S, start_s
+    while (now_s := time.monotonic()) < end_s and not traffic.has_hung_up:
+        if has_protocol and now_s >= next_request_s:
+            next_request_s = now_s + REQUEST_PERIOD_S
+            send(fd, _next_request(traffic))
+        _parse_bytes(receive(fd, min(end_s, next_request_s)), parser, traffic)
+        is_identified = traffic.hello is not None or not has_protocol
+        if (
+            is_identified
+            and traffic.samples
+            and traffic.last_sample_s - traffic.first_sample_s >= MEASURE_S
+        ):
+            break
+        if not traffic.total_bytes and now_s - start_s > FIRST_BYTE_TIMEOUT_S:
+            break
+    traffic.damaged_frames = sum(parser.faults.values())
+    return traffic
+
+
+def _next_request(traffic: BoardTraffic) -> bytes:
+    if traffic.hello is None:
+        return HelloRequest().encode()
+    traffic.time_requests += 1
+    return TimeRequest(random.getrandbits(32), time.monotonic_ns()).encode()
+
+
+def _parse_bytes(
+    data: bytes | None, parser: FrameParser | TextLineParser, traffic: BoardTraffic
+) -> None:
+    if data is None:
+        traffic.has_hung_up = True
+        return
+    now_s = time.monotonic()
+    traffic.total_bytes += len(data)
+    traffic.raw += data[: MAX_KEPT_BYTES - len(traffic.raw)]
+    for event in parser.feed(data, 0):
+        if not isinstance(event, FrameEvent):
+            continue
+        match event.frame:
+            case Sample() | Batch():
+                _count_samples(event.frame, now_s, traffic)
+            case Hello():
+                traffic.hello = event.frame
+            case Slow():
+                traffic.slow = event.frame
+            case TimeReply():
+                traffic.time_replies += 1
+
+
+def _count_samples(frame: Sample | Batch, now_s: float, traffic: BoardTraffic) -> None:
+    count = len(frame.gyro) if isinstance(frame, Batch) else 1
+    if traffic.last_sequence is not None:
+        step = (frame.sequence - traffic.last_sequence) % SEQUENCE_MODULUS
+        if 1 < step < SEQUENCE_MODULUS // 2:
+            traffic.missing += step - 1
+    else:
+        traffic.first_sample_s = now_s
+    traffic.last_sequence = (frame.sequence + count - 1) % SEQUENCE_MODULUS
+    traffic.last_sample_s = now_s
+    traffic.samples += count
+    traffic.flags |= frame.flags
+
+
+def _find_other_baud(fd: int, config: BoardPort) -> int | None:
+    """Return another baud rate at which frames arrive, None if there is none."""
+    if config.format != "gcb1":
+        return None
+    for baud in USUAL_BAUDS:
+        if baud == config.baud:
+            continue
+        try:
+            configure_raw(fd, baud)
+        except PortRefusedError:
+            continue
+        traffic, parser, end_s = BoardTraffic(), FrameParser(), time.monotonic() + BAUD_TRIAL_S
+        while time.monotonic() < end_s and not traffic.has_hung_up:
+            _parse_bytes(receive(fd, end_s), parser, traffic)
+            if traffic.samples > 10:
+                return baud
+    return None
+
+
+def _check_format(
+    subject: str, config: BoardPort, traffic: BoardTraffic, other_baud: int | None
+) -> list[Finding]:
+    """Return whether the board sends the configured format, and its identity."""
+    port = config.port
+    if traffic.has_hung_up:
+        remedy = "check the cable and the board's power"
+        return [fault(subject, "hung_up", f"{port} hung up", remedy)]
+    if not traffic.total_bytes:
+        remedy = "check its power, the cable and its firmware; press its reset button"
+        return [fault(subject, "silent", f"{port} receives no data", remedy)]
+    if other_baud is not None:
+        message = f"it sends at {other_baud} baud, and the configuration has {config.baud}"
+        return [fault(subject, "wrong_baud", message, f"set its baud to {other_baud}")]
+    if not traffic.samples:
+        return [_unknown_data(subject, config, bytes(traffic.raw))]
+    if config.format == "text":
+        return [ok(subject, "identity", f"it sends lines of numbers at {config.baud} baud")]
+    return _check_identity(subject, config, traffic)
+
+
+def _check_identity(subject: str, config: BoardPort, traffic: BoardTraffic) -> list[Finding]:
+    """Return the identity of a GCB1 board, and whether it is sufficient."""
+    hello = traffic.hello
+    if hello is None:
+        remedy = "load the firmware of this project, or another one that answers HELLO requests"
+        return [fault(subject, "no_hello", "it sends samples but does not identify itself", remedy)]
+    sensor_names = ", ".join(_sensor_name(sensor.who) for sensor in hello.sensors)
+    message = f"{hello.board}, uid {hello.uid}, firmware {hello.fw}, sensors {sensor_names}"
+    findings = [ok(subject, "identity", f"{message}, start {hello.boot}, at {config.baud} baud")]
+    if hello.protocol != PROTOCOL_VERSION:
+        message = f"it uses protocol version {hello.protocol}, and this program {PROTOCOL_VERSION}"
+        findings.append(fault(subject, "protocol", message, "load a matching firmware"))
+    if config.facts.uid and hello.uid and hello.uid != config.facts.uid:
+        message = f"its uid is {hello.uid}, and the rig's board has {config.facts.uid}"
+        remedy = "check which board is on this port, or change its facts"
+        findings.append(fault(subject, "wrong_board", message, remedy))
+    if not hello.uid and not config.facts.uid:
+        message = "it has no unique id, so that any board on this port would get its calibration"
+        findings.append(
+            fault(subject, "no_uid", message, "set boards: facts: uid, and label the board")
+        )
+    if traffic.time_requests > 1 and not traffic.time_replies:
+        message = f"it has not answered {traffic.time_requests} time requests"
+        findings.append(warning(subject, "deaf", message, "check the line to the board (its RX)"))
+    return findings
+
+
+def _sensor_name(sensor_id: int | str) -> str:
+    return f"0x{sensor_id:02X}" if isinstance(sensor_id, int) else sensor_id
+
+
+def _unknown_data(subject: str, config: BoardPort, raw: bytes) -> Finding:
+    """Return the finding about data without samples."""
+    printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in raw)
+    if printable > 0.95 * len(raw):
+        message = f"it sends the text {raw[:40]!r}, which contains no samples"
+        if config.format == "gcb1":
+            return fault(subject, "text", message, "set format: text, and give its columns")
+        return fault(subject, "columns", message, "check its columns in the configuration")
+    message = f"it sends {raw[:16]!r}, which has no {config.format} frame at any usual rate"
+    return fault(
+        subject, "garbage", message, "check the port, the baud rate, the firmware and the wires"
+    )
+
+
+def _check_rate(subject: str, config: BoardPort, traffic: BoardTraffic) -> list[Finding]:
+    """Return whether the sample rate is nominal, and whether the line has enough capacity."""
+    rate_hz = traffic.rate_hz
+    nominal_hz = config.facts.odr_hz
+    if traffic.hello is not None:
+        nominal_hz = traffic.hello.sensors[0].rate_hz or nominal_hz
+    line_load = (
+        traffic.total_bytes
+        * BITS_PER_BYTE
+        / config.baud
+        / max(traffic.last_sample_s - traffic.first_sample_s, 0.1)
+    )
+    summary = f"{rate_hz:.0f} samples per second, {line_load:.0%} of the line capacity"
+    if nominal_hz and rate_hz and abs(rate_hz / nominal_hz - 1.0) > RATE_TOLERANCE:
+        message = f"{summary}; nominal are {nominal_hz:g}"
+        remedy = (
+            "increase the baud rate and the rate of the sensor bus (100 kHz is slow), batch "
+            "samples, or reduce the sample rate"
+        )
+        return [warning(subject, "rate", message, remedy)]
+    if line_load > MAX_LINE_LOAD:
+        remedy = "increase the baud rate, or send several samples per frame (batch)"
+        return [
+            warning(subject, "line_full", f"{summary}. It cannot catch up after a stall", remedy)
+        ]
+    return [ok(subject, "rate", summary)]
+
+
+def _check_losses(subject: str, traffic: BoardTraffic) -> list[Finding]:
+    """Return the losses during the check, and those that the board reports."""
+    findings = []
+    # the frame that was being sent when the port was opened is always damaged
+    if traffic.damaged_frames > 1 or traffic.missing:
+        message = (
+            f"{traffic.missing} samples missing and {traffic.damaged_frames} damaged frames "
+            f"of {traffic.samples}"
+        )
+        remedy = "check the cable and the ground; use a shorter cable or a lower baud rate"
+        findings.append(warning(subject, "damaged", message, remedy))
+    slow = traffic.slow
+    if slow is not None and (slow.sensor_overruns or slow.frames_dropped or slow.bus_errors):
+        message = (
+            f"since its start the board has lost {slow.sensor_overruns} samples in its sensor's "
+            f"queue and {slow.frames_dropped} frames on its line, with {slow.bus_errors} bus errors"
+        )
+        remedy = (
+            "for bus errors check its wires and pull-ups, for dropped frames increase the baud rate"
+        )
+        findings.append(warning(subject, "board_losses", message, remedy))
+    return findings

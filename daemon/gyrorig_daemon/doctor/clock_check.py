@@ -1,0 +1,76 @@
+"""Checks of the computer's clocks: whether UTC is valid, now and after the next power cut.
+
+What to use when: `check_clocks`. Intervals are not affected: they are measured with the raw
+monotonic clock. UTC is used for file names and dates.
+"""
+
+import math
+import time
+from collections.abc import Iterator
+
+from gyrorig_daemon.clocks.capture_clock import HostClocks
+from gyrorig_daemon.doctor.finding import Finding, note, ok, warning
+from gyrorig_daemon.doctor.system_files import SystemFiles
+
+SUBJECT = "time"
+STA_UNSYNC = 0x0040  # <linux/timex.h>
+# 2026-01-01, before this program was written: a clock that shows less was never set
+EARLIEST_VALID_NS = 1_767_225_600 * 1_000_000_000
+LARGE_ERROR_S = 1.0
+# as in /proc/PID/comm, at most 15 letters
+TIME_SERVICES = ("chronyd", "systemd-timesyn", "ntpd", "ntpsec", "phc2sys")
+SLOW_CLOCK_SOURCES = ("jiffies", "hpet", "acpi_pm", "refined-jiffies")  # 1 us or more per reading
+
+
+def check_clocks(system: SystemFiles, clocks: HostClocks) -> list[Finding]:
+    """Return the findings about the clocks, which were read as `clocks`."""
+    return [*_check_utc(system, clocks), *_check_rtc(system), *_check_clock_source(system)]
+
+
+def _check_utc(system: SystemFiles, clocks: HostClocks) -> Iterator[Finding]:
+    services = sorted(set(TIME_SERVICES) & system.running_programs())
+    time_text = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(clocks.realtime_ns // 10**9))
+    if clocks.realtime_ns < EARLIEST_VALID_NS:
+        message = f"the clock shows {time_text}, so that it was never set"
+        remedy = "connect a network with a time server, or set it: timedatectl set-time ..."
+        yield warning(SUBJECT, "wrong_date", message, remedy)
+        return
+    is_unsynchronised = bool(clocks.ntp_status & STA_UNSYNC)
+    is_unsynchronised &= not math.isnan(clocks.frequency_ppm)
+    if is_unsynchronised or clocks.estimated_error_s > LARGE_ERROR_S:
+        reason = (
+            f"{services[0]} runs but has not succeeded yet"
+            if services
+            else "no program synchronises it"
+        )
+        yield warning(
+            SUBJECT,
+            "not_synchronised",
+            f"UTC is not synchronised ({time_text}), {reason}. Recordings of other rigs or days "
+            "cannot be ordered by it; within a recording nothing is lost",
+            "check chronyc tracking, or timedatectl timesync-status"
+            if services
+            else "install chrony",
+        )
+        return
+    source = f" by {services[0]}" if services else ""
+    yield ok(SUBJECT, "synchronised", f"UTC is synchronised{source}")
+
+
+def _check_rtc(system: SystemFiles) -> Iterator[Finding]:
+    if not system.list_names("/sys/class/rtc", "rtc*"):
+        yield note(
+            SUBJECT,
+            "no_rtc",
+            "there is no real-time clock. After a power cut the time is wrong until the network "
+            "answers, and recordings that begin earlier have a wrong date in their names",
+            "add a real-time clock (a Pi 5 has one and needs only a battery)",
+        )
+
+
+def _check_clock_source(system: SystemFiles) -> Iterator[Finding]:
+    source = system.read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+    if source in SLOW_CLOCK_SOURCES:
+        message = f"the clock source of the kernel is {source}, which is slow and coarse"
+        remedy = "see dmesg for the reason why the processor's own counter is not used"
+        yield warning(SUBJECT, "slow_clock", message, remedy)

@@ -1,0 +1,109 @@
+"""Checks of a running service: its state, the devices that it uses, its losses.
+
+What to use when: `check_daemon` first. A running service uses the ports of the devices, so that
+its status replaces their checks.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gyrorig_daemon.doctor.finding import Finding, fault, note, ok, warning
+from gyrorig_daemon.service.service_client import RefusedRequestError, send_command
+from gyrorig_protocol.errors import MachineError
+
+SUBJECT = "daemon"
+HEALTHY_STATES = ("known",)
+LOSS_COUNTERS = ("missing", "foreign", "unidentified")
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonReport:
+    """What a running service contributes to the forecast."""
+
+    samples_hz: float
+    motion_is_locked: bool
+    steps_are_sure: bool
+
+
+def check_daemon(socket_path: Path) -> tuple[list[Finding], DaemonReport | None]:
+    """Return the findings about a running service; None if none is running."""
+    try:
+        status = send_command(socket_path, "status")["status"]
+    except (MachineError, RefusedRequestError) as error:
+        with contextlib.suppress(PermissionError):
+            if socket_path.exists():
+                return [note(SUBJECT, "no_answer", error.problem, error.remedy)], None
+        return [], None
+    findings = [
+        _check_state(status),
+        *_check_unit(status),
+        *_check_recorder(status),
+        *_check_last_session(status),
+        *(finding for board in status["boards"] for finding in _check_board(board)),
+    ]
+    rate_hz = sum((board.get("rate_hz") or 0.0 for board in status["boards"]), 0.0)
+    is_locked = status["state"] == "fault"
+    return findings, DaemonReport(rate_hz, is_locked, status["unit"]["steps_are_sure"])
+
+
+def _check_state(status: dict[str, Any]) -> Finding:
+    state, reason = status["state"], status["reason"].partition(". Check")[0]
+    if state == "fault":
+        remedy = "check the rig, then run: gyrorigd clear"
+        return fault(SUBJECT, "held", f"motion is locked ({reason})", remedy)
+    if state == "waiting":
+        remedy = "fix the named cause; sessions then start without further action"
+        return warning(SUBJECT, "waiting", f"no session can start ({reason})", remedy)
+    hours = status["uptime_s"] / 3600.0
+    message = f"the daemon is {state}, for {hours:.1f} h, process {status['pid']}"
+    return ok(SUBJECT, "running", message)
+
+
+def _check_unit(status: dict[str, Any]) -> Iterator[Finding]:
+    unit = status["unit"]
+    if unit["state"] == "absent":
+        yield fault("unit", "absent", unit["text"], "check its cable; the daemon waits for it")
+    elif unit["state"] == "silent":
+        remedy = "check its power, the cable and the baud rate; the daemon continues to try"
+        yield fault("unit", "silent", unit["text"], remedy)
+    else:
+        yield ok("unit", "seen", f"{unit['text']} ({unit['port']})")
+        if not unit["steps_are_sure"]:
+            message = "it may have lost steps, and sessions without --home are rejected"
+            remedy = "clear the rig, then run: gyrorigd enqueue --home --program PROGRAM.yaml"
+            yield warning("unit", "lost_steps", message, remedy)
+
+
+def _check_board(board: dict[str, Any]) -> Iterator[Finding]:
+    subject, counts = f"board {board['id']}", board["counts"]
+    if board["state"] not in HEALTHY_STATES:
+        message = f"the daemon reports it as {board['state']}"
+        yield fault(subject, "not_heard", message, "check its power, the cable and its firmware")
+        return
+    rate_hz = board.get("rate_hz") or 0.0
+    message = f"{rate_hz:.0f} samples per second, {counts.get('samples', 0)} so far"
+    yield ok(subject, "seen", message)
+    losses = {name: counts.get(name, 0) for name in LOSS_COUNTERS} | board.get("faults", {})
+    text = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in losses.items() if count)
+    if text:
+        remedy = "if it increases, check the cable and the ground, or use a lower baud rate"
+        yield note(subject, "losses", f"since the start of the daemon: {text}", remedy)
+
+
+def _check_recorder(status: dict[str, Any]) -> Iterator[Finding]:
+    degraded = status["recorder"].get("degraded")
+    if degraded:
+        message = f"the recording continues in memory, which will soon be full ({degraded})"
+        remedy = "free space on the disk; if there is free space, check dmesg"
+        yield fault("disk", "degraded", message, remedy)
+
+
+def _check_last_session(status: dict[str, Any]) -> Iterator[Finding]:
+    last = status["last_session"]
+    if last is not None and last["result"] != "done":
+        message = f"the last session, {last['session']}, {last['result']} ({last['reason']})"
+        remedy = "see queue/failed in the daemon's state folder for the results of others"
+        yield note(SUBJECT, "last_session", message, remedy)

@@ -1,0 +1,122 @@
+"""Encoder of the emulated firmware's samples: frames, batches, text lines; and line faults.
+
+Temperatures. A sample contains the BMP085's air temperature in 0.1 degC. SLOW also contains the
+gyro's OUT_TEMP, which decreases by one count per degree (L3G4200D) from an arbitrary zero.
+"""
+
+import hashlib
+
+from gyrorig_daemon.emulator.emulator_settings import BoardFaults, BoardSettings
+from gyrorig_daemon.emulator.physics.imu import SampleBlock
+from gyrorig_protocol.board.board_frames import Batch, Sample, SampleFlag, Triple
+
+Frame = tuple[int, bytes]  # ready_ns, bytes
+
+_OUT_TEMP_ZERO_DEGC = 50.0
+
+
+def out_temp_raw(temperature_degc: float) -> int:
+    """Return the gyro's OUT_TEMP: -1 degC per count."""
+    return round(_OUT_TEMP_ZERO_DEGC - temperature_degc)
+
+
+def bmp085_raw(temperature_degc: float) -> int:
+    """Return the pressure sensor's temperature in 0.1 degC."""
+    return round(temperature_degc * 10.0)
+
+
+class SampleEncoder:
+    """Encodes samples by a configuration."""
+
+    def __init__(self, settings: BoardSettings, changed: bool) -> None:
+        """`changed` flags every sample as taken after a change of the configuration."""
+        self._settings = settings
+        self._flags = int(SampleFlag.STAMPED_AT_DATA_READY)
+        if changed:
+            self._flags |= int(SampleFlag.CONFIGURATION_CHANGED)
+        self.samples_per_frame = settings.batch if settings.format == "gcb1" else 1
+
+    def encode(
+        self, block: SampleBlock, first: int, count: int, sequence: int, stamp: int
+    ) -> bytes:
+        """Return the bytes of `count` samples of a block from its row `first` on.
+
+        Args:
+            block: raw counts.
+            first: row of the first sample.
+            count: how many.
+            sequence: number of the first sample, not wrapped.
+            stamp: board ticks of the last sample, not wrapped.
+        """
+        last = first + count - 1
+        temperature = bmp085_raw(float(block.temperature_degc[last]))
+        gyro = [_triple(row) for row in block.gyro[first : last + 1].tolist()]
+        accel = None
+        if self._settings.accel:
+            accel = [_triple(row) for row in block.accel[first : last + 1].tolist()]
+        ticks = stamp & 0xFFFF_FFFF
+        if self._settings.format == "text":
+            return self._line(ticks, gyro[0], accel[0] if accel else None, temperature)
+        flags = self._flags
+        if block.saturated[first : last + 1].any():
+            flags |= int(SampleFlag.SATURATED)
+        number = sequence & 0xFFFF
+        if self._settings.batch > 1:
+            rows = tuple(accel) if accel else None
+            return Batch(flags, number, ticks, tuple(gyro), rows, temperature).encode()
+        return Sample(
+            flags, number, ticks, gyro[0], accel[0] if accel else None, temperature
+        ).encode()
+
+    def _line(self, ticks: int, gyro: Triple, accel: Triple | None, temperature: int) -> bytes:
+        numbers = [*gyro, *(accel or ())]
+        if self._settings.text_time:
+            numbers.insert(0, ticks)
+        if self._settings.text_temperature:
+            numbers.append(temperature)
+        return (self._settings.text_separator.join(map(str, numbers)) + "\r\n").encode()
+
+
+def inject_line_faults(faults: BoardFaults, first: int, frames: list[Frame]) -> list[Frame]:
+    """Return frames as a faulty line delivers them.
+
+    Args:
+        faults: kinds and periods.
+        first: number of the first frame since power-up, from 1.
+        frames: in order.
+    """
+    result: list[Frame] = []
+    for number, (ready_ns, data) in enumerate(frames, first):
+        if faults.garbage:
+            result.append((ready_ns, pseudo_random_bytes(number, len(data))))
+            continue
+        data_sent = data
+        if _is_nth(faults.flip_bit_every, number):
+            bit = number * 2654435761 % (len(data) * 8)
+            flipped = bytearray(data)
+            flipped[bit // 8] ^= 1 << bit % 8
+            data_sent = bytes(flipped)
+        if _is_nth(faults.garbage_every, number):
+            data_sent = pseudo_random_bytes(number, 9) + data_sent
+        if _is_nth(faults.swap_frames_every, number) and result:
+            previous_ns, previous = result[-1]
+            result[-1] = (previous_ns, data_sent)
+            data_sent = previous
+        if not _is_nth(faults.drop_frame_every, number):
+            result.append((ready_ns, data_sent))
+        if _is_nth(faults.duplicate_frame_every, number):
+            result.append((ready_ns, data_sent))
+    return result
+
+
+def pseudo_random_bytes(number: int, size: int) -> bytes:
+    """Return pseudo-random bytes, reproducible by number."""
+    return hashlib.shake_128(number.to_bytes(8, "little")).digest(size)
+
+
+def _is_nth(period: int, number: int) -> bool:
+    return period > 0 and number % period == 0
+
+
+def _triple(row: list[int]) -> Triple:
+    return row[0], row[1], row[2]

@@ -1,0 +1,79 @@
+"""Backlash: the play operator between motor and gear.
+
+The gap of a worm gear lets the wheel lag behind the worm by at most its width g. With x the
+position of the motor and y that of the wheel, y = clip(previous y, x - g, x): in the positive
+direction the wheel lags by the whole gap, in the negative direction by nothing, and after a
+reversal it stands until the gap is crossed. Between two reversals x is monotonic, so that one
+clip from the state at the last reversal is exact.
+
+Homing ends in the negative direction, from the upper stop. At the homed zero the wheel is
+therefore on the lower flank, y = x, which is the initial state.
+"""
+
+import numpy as np
+
+from gyrorig_daemon.emulator.causes.cause import FloatArray, InjectedCause, UnitCause
+from gyrorig_daemon.emulator.physics.effects.axis_effects import Motor, StateHistory
+from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
+
+_NO_OFFSET = np.zeros(1)
+
+
+class Backlash(UnitCause):
+    """The gap of one gear."""
+
+    name = "backlash"
+    size_meaning = "gap between motor and gear"
+    unit = "rad"
+    typical = 9e-4
+    sampled_min, sampled_max = 2e-4, 2.5e-3
+    max_size = 0.05
+    parameter = "gap"
+    is_signed = False
+
+    def __init__(self, gap_steps: float) -> None:
+        """Take the width of the gap in steps of the motor, not negative."""
+        self._gap = gap_steps
+        self._history: StateHistory[float | None] = StateHistory(None)
+
+    @classmethod
+    def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
+        """See `Cause`; the rig knows the angle per step, so that it makes the instance."""
+        for axis in injected.axis_hooks(hooks):
+            axis.gap_rad += injected.number("gap")
+
+    def passed_steps(
+        self, motor: Motor, start_s: float, offsets_s: FloatArray, steps: FloatArray
+    ) -> FloatArray:
+        """See `axis_effects.StepEffect`."""
+        wheel = self._wheel_before(motor, start_s)
+        reversals = motor.reversal_times_s(start_s, start_s + float(offsets_s[-1]))
+        edges = np.searchsorted(offsets_s, np.array(reversals) - start_s).tolist()
+        edges = [0, *edges, len(offsets_s)]
+        passed = np.empty_like(steps)
+        for k in range(len(edges) - 1):
+            interval = slice(edges[k], edges[k + 1])
+            passed[interval] = np.clip(wheel, steps[interval] - self._gap, steps[interval])
+            if k < len(reversals):
+                wheel = self._clipped(motor, reversals[k], wheel)
+        return passed
+
+    def forget(self, time_s: float) -> None:
+        """See `axis_effects.StepEffect`."""
+        self._history.forget(time_s)
+
+    def _wheel_before(self, motor: Motor, time_s: float) -> float:
+        known_s, known = self._history.last_before(time_s)
+        wheel = self._rotor(motor, 0.0) if known is None else known
+        for reversal_s in motor.reversal_times_s(known_s, time_s):
+            wheel = self._clipped(motor, reversal_s, wheel)
+            self._history.keep(reversal_s, wheel)
+        return wheel
+
+    def _clipped(self, motor: Motor, time_s: float, wheel: float) -> float:
+        rotor = self._rotor(motor, time_s)
+        return min(max(wheel, rotor - self._gap), rotor)
+
+    @staticmethod
+    def _rotor(motor: Motor, time_s: float) -> float:
+        return float(motor.rotor_steps(time_s, _NO_OFFSET)[0])

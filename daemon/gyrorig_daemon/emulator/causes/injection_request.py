@@ -1,0 +1,56 @@
+"""Injection requests as text: CAUSE[@PLACE][:SIZE], or `random`."""
+
+import math
+
+from gyrorig_daemon.emulator.causes.cause import Cause
+from gyrorig_daemon.emulator.causes.cause_catalogue import CAUSES
+from gyrorig_daemon.emulator.emulator_settings import InjectionRequest
+from gyrorig_protocol.errors import UsageError, sentence
+from gyrorig_protocol.suggestions import did_you_mean
+
+RANDOM = "random"
+
+
+def parse_injection(text: str) -> InjectionRequest:
+    """Parse one request.
+
+    Args:
+        text: a cause; after `@` an axis, a board, or both as BOARD.AXIS; after `:` a size in
+            the unit of the cause. An omitted parameter is sampled from the seed.
+
+    Raises:
+        UsageError: the cause or its size is not valid.
+    """
+    head, colon, size_text = text.strip().partition(":")
+    name, _, component = head.partition("@")
+    if name == RANDOM:
+        if colon or component:
+            raise UsageError(f"--hide {text} cannot have a size or place", "write --hide random")
+        return InjectionRequest(RANDOM)
+    cause = CAUSES.get(name)
+    if cause is None:
+        hint = did_you_mean(name, [*CAUSES, RANDOM])
+        raise UsageError(
+            f"{name!r:.40} is not a cause that can be hidden",
+            f"{sentence(hint)} `gyrorigd causes` lists all causes".lstrip(),
+        )
+    size = _parse_size(cause, size_text) if colon else None
+    return InjectionRequest(name, component, size)
+
+
+def _parse_size(cause: type[Cause], text: str) -> float:
+    try:
+        size = float(text)
+    except ValueError:
+        size = math.nan
+    shown = f"give a number in {cause.unit}, such as {cause.typical:g}"
+    if not math.isfinite(size):
+        raise UsageError(f"{text!r:.40} is not a size of {cause.name}", shown)
+    if size < 0.0 and not cause.is_signed:
+        raise UsageError(f"{cause.name} cannot have the negative size {size:g}", shown)
+    if not cause.min_size <= abs(size) <= cause.max_size:
+        limits = f"from {cause.min_size:g} to {cause.max_size:g}"
+        raise UsageError(f"{cause.name} of {size:g} is out of bounds", f"{shown}, {limits}")
+    if cause.is_integer and size != round(size):
+        raise UsageError(f"{cause.name} needs a whole number, not {size:g}", shown)
+    return size

@@ -1,0 +1,39 @@
+"""Saturation: the output is clipped at a rate below the full scale."""
+
+import numpy as np
+
+from gyrorig_daemon.emulator.causes.cause import (
+    SENSOR_AXES,
+    InjectedCause,
+    ParameterSampling,
+    Quantity,
+    SensorCause,
+)
+from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
+
+
+class Saturation(SensorCause):
+    """The absolute output never exceeds a limit."""
+
+    name = "saturation"
+    size_meaning = "largest rate that the output can show"
+    unit = "rad/s"
+    typical = 1.2
+    sampled_min, sampled_max = 0.8, 1.7
+    max_size = 100.0
+    is_signed = False
+    min_size = 0.01
+    neutral_size = 100.0
+
+    @classmethod
+    def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
+        """See `Cause`."""
+        return {"limit": Quantity(sampling.size, "rad/s")}
+
+    @classmethod
+    def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
+        """See `Cause`."""
+        board = injected.board_hooks(hooks)
+        limit = np.full(3, np.inf) if board.limit_rad_s is None else board.limit_rad_s
+        is_limited = [axis in injected.components for axis in SENSOR_AXES]
+        board.limit_rad_s = np.where(is_limited, np.minimum(limit, injected.number("limit")), limit)

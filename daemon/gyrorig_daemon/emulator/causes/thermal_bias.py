@@ -1,0 +1,50 @@
+"""Temperature coefficient of the bias: k (T_die - T0), with T0 the temperature at power-up.
+
+The die follows the board with a first-order lag. Size: 0.03 deg/s per kelvin is typical (I3G4250D
+data sheet, zero-rate level change with temperature).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_daemon.emulator.causes.cause import (
+    FloatArray,
+    InjectedCause,
+    ParameterSampling,
+    Quantity,
+    SensorCause,
+)
+from gyrorig_daemon.emulator.physics.effects.rig_hooks import RigHooks
+from gyrorig_daemon.emulator.physics.temperature import BoardTemperature
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThermalBias(SensorCause):
+    """The bias follows the temperature of the die."""
+
+    name = "thermal_bias"
+    size_meaning = "largest slope of the bias with the die temperature"
+    unit = "rad/s/K"
+    typical = 5e-4
+    sampled_min, sampled_max = 1e-4, 2e-3
+    max_size = 0.1
+
+    slope_rad_s_k: FloatArray  # (3,)
+    lag_s: float
+
+    @classmethod
+    def sample_parameters(cls, sampling: ParameterSampling) -> dict[str, Quantity]:
+        """See `Cause`."""
+        lag_s = float(sampling.rng.uniform(10.0, 40.0))
+        return {"slope": sampling.by_axis("rad/s/K"), "lag": Quantity(lag_s, "s")}
+
+    @classmethod
+    def apply(cls, injected: InjectedCause, hooks: RigHooks, rng: np.random.Generator) -> None:
+        """See `Cause`."""
+        effect = cls(injected.array("slope"), injected.number("lag"))
+        injected.board_hooks(hooks).bias_effects.append(effect)
+
+    def added_rad_s(self, time_s: FloatArray, temperature: BoardTemperature) -> FloatArray:
+        """See `board_effects.BiasEffect`."""
+        return np.outer(temperature.rise_k(time_s, self.lag_s), self.slope_rad_s_k)

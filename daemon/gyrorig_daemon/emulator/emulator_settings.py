@@ -1,0 +1,155 @@
+"""Settings of an emulated rig: unit, boards, faults, injected causes, seed.
+
+Everything that a test can vary is a field here. The true parameters, which are sampled from the
+seed and hidden from clients, are in `rig_truth`.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Dialect = Literal["d46", "e46"]
+
+StepMode = Literal["F", "H", "Q", "E", "A"]  # full, half, quarter, eighth, auto
+
+# 17.5:1 gear, 200 full steps per turn: 360 deg / 3500. Half of it is the 185.1428 arc-seconds
+# in the D46 user's manual v2.14.
+FULL_STEP_ARCSEC = 1296000.0 / 3500.0
+STEPS_PER_FULL_STEP = {"F": 1, "H": 2, "Q": 4, "E": 8, "A": 8}
+
+# Low-pass choices of the L3G4200D by output data rate (RIOT-OS drivers/include/l3g4200d.h).
+BANDWIDTHS_HZ = {
+    100.0: (12.5, 25.0),
+    200.0: (12.5, 25.0, 50.0, 70.0),
+    400.0: (20.0, 25.0, 50.0, 110.0),
+    800.0: (30.0, 35.0, 50.0, 110.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PtuFaults:
+    """Faults on the unit's line. Numbers count replies since power-up, from 1."""
+
+    silent: bool = False  # never answers
+    lose_byte_every: int = 0  # every n-th reply loses a byte; 0 = never
+    garbage_every: int = 0  # random bytes before every n-th reply
+    error_every: int = 0  # every n-th command is rejected as illegal and not executed
+    lose_steps_at_s: float | None = None  # once, `lost_steps` of pan are lost without a message
+    lost_steps: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PtuSettings:
+    """A PTU-E46 or D46, and its state when the port is opened."""
+
+    dialect: Dialect = "e46"
+    baud: int = 9600
+    command_time_ms: float = 1.0  # 1, 10 or 20 (E-series), 100 (D-series by the vendor)
+    sample_fraction: float = 0.5  # the count is read at this fraction of the command time
+    echo: bool = True
+    verbose: bool = True
+    leading_lf_on_cr: bool = True  # with echo off a reply to CR starts with LF
+    acceleration_text: Literal["sec^2", "sec/sec"] = "sec^2"
+    banner: bool = False
+    homed: bool = True
+    sweep_at_power_up: bool = False  # homes at power-up, then sends its banner
+    homing_speed_steps_s: float = 2000.0
+    recompute_s: float = 3.0  # PA, PB, PU: the unit recomputes its tables
+    unit_id: int = 0  # if not 0: silent until selected
+    step_mode: StepMode = "H"  # at power-up; the steps below are in this mode
+    full_step_arcsec: float = FULL_STEP_ARCSEC
+    pan_sign: int = 1
+    tilt_sign: int = 1
+    pan_min_steps: int = -3090
+    pan_max_steps: int = 3090
+    tilt_min_steps: int = -907
+    tilt_max_steps: int = 604
+    base_speed_steps_s: int = 1000
+    speed_steps_s: int = 1000
+    acceleration_steps_s2: int = 2000
+    lower_speed_steps_s: int = 31
+    upper_speed_steps_s: int = 2902
+    speed_limit_steps_s: int = 12000  # largest value of PU
+    counter_hz: float = 90e6  # CNF, E-series
+    counter_bits: int = 32
+    power_up_pan_steps: int = 0  # true position of the axes when not homed
+    power_up_tilt_steps: int = 0
+    hard_stop_margin_steps: int = 8  # from the factory limit to the end of travel
+    serial: str = "E46-0001"
+    faults: PtuFaults = PtuFaults()
+
+    @property
+    def resolution_arcsec(self) -> float:
+        """Arc-seconds per step in the mode at power-up."""
+        return self.full_step_arcsec / STEPS_PER_FULL_STEP[self.step_mode]
+
+
+@dataclass(frozen=True, slots=True)
+class BoardFaults:
+    """Faults of a board. Numbers count frames or samples, from 1; 0 = never."""
+
+    silent: bool = False
+    garbage: bool = False  # only random bytes, no frames
+    drop_frame_every: int = 0
+    duplicate_frame_every: int = 0
+    swap_frames_every: int = 0  # two neighbours exchanged
+    flip_bit_every: int = 0
+    garbage_every: int = 0
+    reset_at_s: tuple[float, ...] = ()  # reboots, seconds after the origin
+    reset_silence_s: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSettings:
+    """A GY-80 on a serial port or a CAN bus."""
+
+    name: str = "GY80-1"
+    odr_hz: float = 100.0  # nominal
+    bandwidth_hz: float = 25.0
+    full_scale_dps: float = 250.0
+    baud: int = 460800
+    format: Literal["gcb1", "text"] = "gcb1"
+    batch: int = 1  # samples per frame
+    accel: bool = True
+    text_separator: str = ","
+    text_time: bool = True  # a text line starts with the board's u32 microseconds
+    text_temperature: bool = True
+    slow_hz: float = 5.0
+    faults: BoardFaults = BoardFaults()
+    bus: str = ""  # its CAN bus, instead of a serial port
+    node: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class BusSettings:
+    """A CAN bus."""
+
+    name: str
+    bitrate: int = 1_000_000
+    is_instant: bool = False  # the host's frames take no time, see `emulated_can_bus`
+
+
+@dataclass(frozen=True, slots=True)
+class InjectionRequest:
+    """A cause to inject; omitted values are sampled from the seed. See `causes`."""
+
+    cause: str  # an id of the catalogue, or `random`
+    component: str = ""
+    size: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RigSettings:
+    """A whole emulated rig."""
+
+    seed: int = 1
+    ptu: PtuSettings | None = PtuSettings()
+    boards: tuple[BoardSettings, ...] = (BoardSettings(),)
+    buses: tuple[BusSettings, ...] = ()
+    injections: tuple[InjectionRequest, ...] = ()
+    noise_free: bool = False  # no noise and no bias wander; counts are still rounded
+    session_s: tuple[float, float] = (0.0, 60.0)  # since power-up; events are in its middle
+    soak_k: float = (
+        0.0  # temperature rise of the room, within the session, before it cools down again
+    )
+    latitude_deg: float | None = None  # of the site; sampled if unknown
+    heading_deg: float | None = None

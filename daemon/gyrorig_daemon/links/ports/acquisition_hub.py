@@ -1,0 +1,303 @@
+"""`AcquisitionHub`: the ports of a real rig in real time, through the acquisition process."""
+
+import contextlib
+import json
+import os
+import select
+import subprocess
+import sys
+from collections import deque
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import NoReturn
+
+from gyrorig_daemon.links.ports import acquisition_pipe
+from gyrorig_daemon.links.ports.acquisition import PIPE_BYTES
+from gyrorig_daemon.links.ports.halt_on_disconnect import send_final_command
+from gyrorig_daemon.links.ports.port_errors import port_error
+from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange, PortsGoneError, WriteTimes
+from gyrorig_daemon.links.ports.port_kinds import SERIAL, PortSettings
+from gyrorig_daemon.links.ports.raw_clock import raw_ns
+from gyrorig_daemon.links.ports.supervised_port import RETRY_NS
+from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, UsageError
+
+__all__ = ["AcquisitionHub", "PortSettings"]
+
+WRITE_DEADLINE_NS = 500_000_000  # a port that takes no bytes delays all others by this
+REPORT_DEADLINE_NS = 4_000_000_000
+OPEN_DEADLINE_NS = 15_000_000_000
+CLOSE_DEADLINE_S = 2.0
+RETRY_S = RETRY_NS * 1e-9
+
+
+class AcquisitionHub:
+    """A `PortHub` of real ports. Use it as a context manager, or close it."""
+
+    def __init__(
+        self, ports: dict[str, PortSettings], wait_for_ports: bool = False, retry_s: float = RETRY_S
+    ) -> None:
+        """Open the ports in the acquisition process.
+
+        A port that goes away later is tried again without limit.
+
+        Args:
+            ports: settings by the names that chunks and writes use.
+            wait_for_ports: start without ports that do not exist, are not permitted yet, or are
+                broken; they are GONE until they can be opened.
+            retry_s: mean time between two attempts to open a port.
+
+        Raises:
+            UsageError: a path is not a serial port, or two names have the same port.
+            BusyError: another program uses a port.
+            DeviceError: a port does not exist, or an adapter does not answer its driver.
+            MachineError: there is no permission, or the process did not start.
+        """
+        self._names = list(ports)
+        self._settings = list(ports.values())
+        self._index_by_name = {name: index for index, name in enumerate(self._names)}
+        self._parser = acquisition_pipe.ReportParser()
+        self._reports: deque[acquisition_pipe.AcquisitionReport] = deque()
+        self._chunks: deque[Chunk] = deque()
+        self._closed_ports: set[str] = set()
+        self._end_reason: str | None = None  # why no port can be reached
+        self.dropped_bytes = 0
+        # When the acquisition process, which answers every ping, was last heard. Not when it
+        # wrote: this process may be late, and the answer comes after all earlier reports.
+        self.last_report_ns = raw_ns()
+        self._reject_duplicate_ports()
+        arguments = {
+            "waits": wait_for_ports,
+            "pause_ns": int(retry_s * 1e9),
+            "ports": [asdict(s) for s in self._settings],
+        }
+        try:
+            self._child = subprocess.Popen(  # noqa: S603 - our own module, our own interpreter
+                [
+                    sys.executable,
+                    "-m",
+                    "gyrorig_daemon.links.ports.acquisition",
+                    json.dumps(arguments),
+                ],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                bufsize=0,
+                start_new_session=True,  # Ctrl-C must reach the daemon only
+            )
+        except OSError as fault:
+            raise MachineError(
+                f"the acquisition process cannot be started, {fault.strerror}",
+                "free memory or end other processes, and start again",
+            ) from fault
+        if self._child.stdin is None or self._child.stdout is None:
+            raise MachineError("the acquisition process has no pipes", "start again")
+        self._commands_fd = self._child.stdin.fileno()
+        self._reports_fd = self._child.stdout.fileno()
+        try:
+            self._wait_until_open()
+        except GyrorigError:
+            self.close()
+            raise
+
+    def __enter__(self) -> "AcquisitionHub":
+        """Return the hub."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close every port."""
+        self.close()
+
+    def now_ns(self) -> int:
+        """Return CLOCK_MONOTONIC_RAW in ns."""
+        return raw_ns()
+
+    def write(self, port: str, data: bytes) -> WriteTimes:
+        """Write all of `data`; what arrives meanwhile is kept for `read`.
+
+        Raises:
+            DeviceError: the port is gone, or did not take the bytes in half a second.
+            PortsGoneError: the acquisition process ended or hangs.
+        """
+        deadline_ns = raw_ns() + WRITE_DEADLINE_NS
+        index = self._index_by_name[port]
+        command = (
+            acquisition_pipe.COMMAND_HEADER.pack(
+                acquisition_pipe.WRITE, index, len(data), deadline_ns
+            )
+            + data
+        )
+        self._send(command)
+        while True:
+            report = self._next_report(deadline_ns + REPORT_DEADLINE_NS)
+            if report is None:
+                self._child.kill()
+                self._child.wait()
+                self._halt_and_raise("the acquisition process did not respond and was killed")
+            if report.port == index and report.kind == acquisition_pipe.WRITTEN:
+                return WriteTimes(report.first_ns, report.second_ns)
+            if report.port == index and report.kind == acquisition_pipe.FAULT:
+                raise DeviceError(
+                    f"{self._settings[index].path} ({port}) cannot be written, "
+                    f"{report.data.decode(errors='replace')}",
+                    "check the cable and that the device is switched on",
+                )
+            self._store_report(report)
+
+    def read(self, deadline_ns: int) -> Chunk | None:
+        """Return the next chunk, None at the deadline.
+
+        Raises:
+            PortsGoneError: the acquisition process ended.
+        """
+        while not self._chunks:
+            report = self._next_report(deadline_ns)
+            if report is None:
+                return None
+            self._store_report(report)
+            # Convert everything that arrived together, up to a change of a port.
+            while self._reports and self._reports[0].kind == acquisition_pipe.CHUNK:
+                self._store_report(self._reports.popleft())
+        return self._chunks.popleft()
+
+    @property
+    def buffered_chunks(self) -> deque[Chunk]:
+        """Chunks that were received and not handed out. See `BufferedHub`."""
+        return self._chunks
+
+    def is_up(self, port: str) -> bool:
+        """Return whether the port is open, according to the acquisition process."""
+        return port not in self._closed_ports
+
+    def reopen(self, port: str) -> None:
+        """Close a port and open it again; chunks with GONE and BACK report it.
+
+        Raises:
+            PortsGoneError: the acquisition process ended.
+        """
+        self._send(
+            acquisition_pipe.COMMAND_HEADER.pack(
+                acquisition_pipe.REOPEN, self._index_by_name[port], 0, 0
+            )
+        )
+
+    def ping(self) -> None:
+        """Ask the acquisition process for a reply, which updates `last_report_ns`.
+
+        Raises:
+            PortsGoneError: the acquisition process ended.
+        """
+        self._send(acquisition_pipe.COMMAND_HEADER.pack(acquisition_pipe.PING, 0, 0, 0))
+
+    def close(self) -> None:
+        """End the acquisition process. It may be closed twice."""
+        if self._child.stdin is None or self._child.stdin.closed:
+            return
+        with contextlib.suppress(OSError):
+            os.write(
+                self._commands_fd,
+                acquisition_pipe.COMMAND_HEADER.pack(acquisition_pipe.CLOSE, 0, 0, 0),
+            )
+        self._child.stdin.close()
+        try:
+            self._child.wait(CLOSE_DEADLINE_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        if self._child.stdout is not None:
+            self._child.stdout.close()
+
+    def _wait_until_open(self) -> None:
+        report = self._next_report(raw_ns() + OPEN_DEADLINE_NS)
+        if report is None:
+            raise MachineError(
+                f"the acquisition process did not start within {OPEN_DEADLINE_NS // 10**9} s",
+                "read its messages above. If there are none, the computer is overloaded; try again",
+            )
+        if report.kind != acquisition_pipe.REFUSED:
+            self._store_report(report)
+            return
+        reason, _, text = report.data.decode(errors="replace").partition("\n")
+        raise port_error(self._names[report.port], self._settings[report.port].path, reason, text)
+
+    def _reject_duplicate_ports(self) -> None:
+        """Reject two names of one port: a mistake in the configuration, not a busy port."""
+        path_by_key: dict[tuple[str, Path], str] = {}
+        for settings in self._settings:
+            path = Path(settings.path)
+            key = settings.kind, path.resolve() if settings.kind == SERIAL else path
+            first_path = path_by_key.setdefault(key, settings.path)
+            if first_path != settings.path:
+                raise UsageError(
+                    f"{first_path} and {settings.path} are the same port",
+                    "give each device its own port",
+                )
+
+    def _store_report(self, report: acquisition_pipe.AcquisitionReport) -> None:
+        name = self._names[report.port]
+        if report.kind == acquisition_pipe.CHUNK:
+            _, _, stamp_ns, late_ns, data = report
+            self._chunks.append(Chunk(name, stamp_ns, data, None, "", late_ns))
+        elif report.kind == acquisition_pipe.GONE:
+            self._closed_ports.add(name)
+            reason = report.data.decode(errors="replace")
+            self._chunks.append(Chunk(name, report.first_ns, b"", PortChange.GONE, reason))
+        elif report.kind == acquisition_pipe.BACK:
+            self._closed_ports.discard(name)
+            self._chunks.append(Chunk(name, report.first_ns, b"", PortChange.BACK))
+        elif report.kind == acquisition_pipe.DROPPED:
+            self.dropped_bytes += report.second_ns
+
+    def _send(self, command: bytes) -> None:
+        if self._end_reason is not None:
+            raise PortsGoneError(self._end_reason, "start again")
+        try:
+            os.write(self._commands_fd, command)
+        except OSError:
+            self._raise_process_ended()
+
+    def _next_report(self, deadline_ns: int) -> acquisition_pipe.AcquisitionReport | None:
+        while not self._reports:
+            if self._end_reason is not None:
+                raise PortsGoneError(self._end_reason, "start again")
+            wait_s = max(0.0, (deadline_ns - raw_ns()) * 1e-9)
+            ready, _, _ = select.select([self._reports_fd], [], [], wait_s)
+            if not ready:
+                return None
+            data = os.read(self._reports_fd, PIPE_BYTES)
+            if not data:
+                self._raise_process_ended()
+            self.last_report_ns = raw_ns()
+            self._reports.extend(self._parser.feed(data))
+        return self._reports.popleft()
+
+    def _raise_process_ended(self) -> NoReturn:
+        """Report that the acquisition process has ended.
+
+        Raises:
+            PortsGoneError: always.
+        """
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._child.wait(CLOSE_DEADLINE_S)
+        self._halt_and_raise(f"the acquisition process ended (status {self._child.returncode})")
+
+    def _halt_and_raise(self, reason: str) -> NoReturn:
+        """Send the final commands from here, because the process that had the ports is gone.
+
+        Raises:
+            PortsGoneError: always.
+        """
+        self._end_reason = reason
+        ports_to_halt = [settings for settings in self._settings if settings.final_command]
+        answers = [send_final_command(s.path, s.baud, s.final_command) for s in ports_to_halt]
+        if not ports_to_halt:
+            raise PortsGoneError(reason, "start again")
+        if all(answers):
+            raise PortsGoneError(reason, "the unit confirmed the halt command. Start again")
+        raise PortsGoneError(
+            reason, "check that the unit has stopped. It did not confirm the halt command"
+        )

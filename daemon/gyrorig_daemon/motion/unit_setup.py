@@ -1,0 +1,260 @@
+"""Identification and setup of the pan-tilt unit: it is known before it moves.
+
+An unknown device is not moved. First the version is requested, which only a pan-tilt unit
+answers, then it is halted, then the modes are set one at a time. Resolution and limits are read
+after homing, because an E46 does not know its gear ratio before its first reset.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from gyrorig_daemon.config import PtuPort
+from gyrorig_daemon.motion.ptu_client import DRAIN_S, PtuClient
+from gyrorig_daemon.motion.unit_facts import (
+    ARCSEC_PER_DEG,
+    UnitFacts,
+    read_facts,
+    read_integer,
+    read_resolution_arcsec,
+    read_text,
+)
+from gyrorig_protocol.errors import DeviceError, UsageError
+from gyrorig_protocol.program import PtuSettings
+from gyrorig_protocol.ptu import (
+    PROBE,
+    Axis,
+    Dialect,
+    FirmwareVersion,
+    PtuCommand,
+    Quantity,
+    assign_quantity,
+    dialect_features,
+    dialect_from_probe,
+    dialect_from_version,
+    query_quantity,
+    read_value,
+    require_done,
+)
+from gyrorig_protocol.ptu.ptu_commands import (
+    DISABLE_ECHO,
+    IMMEDIATE_EXECUTION,
+    INDEPENDENT_SPEED,
+    QUERY_LIMITS,
+    QUERY_POWER,
+    QUERY_SERIAL,
+    QUERY_VERSION,
+    RESET_BOTH_AXES,
+    TERSE_FEEDBACK,
+    query_hold_power,
+    query_move_power,
+    query_step_mode,
+)
+
+BOTH_AXES = (Axis.PAN, Axis.TILT)
+_BOUNDS = (Quantity.MINIMUM, Quantity.MAXIMUM)
+_UNITS = {
+    Quantity.UPPER_SPEED: "deg/s",
+    Quantity.BASE_SPEED: "deg/s",
+    Quantity.ACCELERATION: "deg/s^2",
+}
+
+
+class Homing(Enum):
+    """Whether the unit may, or must, sweep both axes to find its zero."""
+
+    NEVER = "never"
+    IF_NEEDED = "if needed"
+    ALWAYS = "always"  # after lost steps a unit does not know that homing is needed
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """An identified unit that is homed and at rest."""
+
+    client: PtuClient
+    facts: UnitFacts
+
+
+def identify_unit(client: PtuClient) -> FirmwareVersion:
+    """Check that a pan-tilt unit is on the port, and halt it.
+
+    An earlier program may have left it turning.
+
+    Raises:
+        DeviceError: the device is silent, is not a pan-tilt unit, or does not halt.
+    """
+    version = _wait_for_version(client)
+    client.halt()
+    return version
+
+
+def open_unit(
+    client: PtuClient,
+    config: PtuPort,
+    settings: PtuSettings,
+    version: FirmwareVersion,
+    homing: Homing,
+) -> Unit:
+    """Home the unit if needed and allowed, apply settings, read its capabilities.
+
+    Args:
+        client: the line to the unit.
+        config: dialect and signs.
+        settings: settings of the motion program.
+        version: the result of `identify_unit`.
+        homing: whether the operator agrees to a sweep of both axes over their whole range.
+
+    Raises:
+        DeviceError: it refuses a command, or is not the unit that the configuration names.
+        UsageError: it needs homing, which is not allowed, or does not support the settings.
+    """
+    for command in (DISABLE_ECHO, TERSE_FEEDBACK, INDEPENDENT_SPEED, IMMEDIATE_EXECUTION):
+        require_done(command, client.ask(command))
+    dialect = _detect_dialect(client, config, version)
+    client.min_interval_s = dialect_features(dialect).min_command_interval_s
+    if config.serial is not None:
+        _check_serial(client, config.serial, dialect)
+    _home_if_needed(client, homing)
+    client.expects_banner = False
+    _apply_settings(client, settings)
+    signs = {Axis.PAN: config.pan_sign, Axis.TILT: config.tilt_sign}
+    facts = read_facts(client, version, dialect, signs)
+    for command in _queries_to_record():
+        client.ask(command)
+    return Unit(client, facts)
+
+
+def _wait_for_version(client: PtuClient) -> FirmwareVersion:
+    client.send_spaces(3)
+    client.drain(DRAIN_S)
+    received = b""
+    for _ in range(3):
+        exchange = client.exchange(QUERY_VERSION)
+        received = received or exchange.raw
+        if exchange.reply is None:
+            continue
+        version = read_value(QUERY_VERSION, exchange.reply)
+        if isinstance(version, FirmwareVersion):
+            client.is_identified = True
+            return version
+        break
+    if not received:
+        raise DeviceError(
+            f"no pan-tilt unit answers on {client.location} at {client.baud} baud",
+            "check its power, the cable, the port and the baud rate",
+        )
+    if set(received.decode("latin-1")) <= set(QUERY_VERSION.encode().decode("ascii")):
+        raise DeviceError(
+            f"the device on {client.location} only echoes its input",
+            "wait until it stops if it is a pan-tilt unit that homes after power-up. "
+            "Otherwise check the ports in the rig's configuration",
+        )
+    raise DeviceError(
+        f"the device on {client.location} is not a pan-tilt unit, it answers {received[:32]!r}",
+        "check the ports in the rig's configuration. The device was not moved",
+    )
+
+
+def _detect_dialect(client: PtuClient, config: PtuPort, version: FirmwareVersion) -> Dialect:
+    if config.dialect != "auto":
+        return Dialect(config.dialect)
+    dialect = dialect_from_probe(client.ask(PROBE)) or dialect_from_version(version.text)
+    if dialect is None:
+        raise DeviceError(
+            f"the unit on {client.location} is of an unknown dialect",
+            "set ptu.dialect to d46 or e46",
+        )
+    return dialect
+
+
+def _check_serial(client: PtuClient, expected_serial: str, dialect: Dialect) -> None:
+    """Check the serial number, because another unit has other limits.
+
+    Raises:
+        DeviceError: it is another unit.
+        UsageError: its dialect cannot report a serial number.
+    """
+    if not dialect_features(dialect).model_and_serial_queries:
+        raise UsageError(
+            f"the unit on {client.location} cannot report its serial number", "leave out ptu.serial"
+        )
+    serial = read_text(client, QUERY_SERIAL)
+    if serial != expected_serial:
+        raise DeviceError(
+            f"the pan-tilt unit on {client.location} is {serial!r} instead of {expected_serial!r}",
+            "check the ports, or correct ptu.serial. The unit was not moved",
+        )
+
+
+def _home_if_needed(client: PtuClient, homing: Homing) -> None:
+    bounds = [
+        read_integer(client, query_quantity(axis, bound)) for axis in BOTH_AXES for bound in _BOUNDS
+    ]
+    # both limits of an axis that was never homed are 0 (manual v3.00D)
+    if any(bounds[:2]) and any(bounds[2:]) and homing is not Homing.ALWAYS:
+        return
+    if homing is Homing.NEVER:
+        raise UsageError(
+            "the unit is not homed, and homing sweeps both axes over their whole range",
+            "remove everything from its range of motion and give --home",
+        )
+    client.is_resetting = True
+    try:
+        # once: a second reset would sweep again, and the first may only be slow
+        reply = client.exchange(RESET_BOTH_AXES).reply
+        if reply is None:
+            raise client.no_answer_error(RESET_BOTH_AXES)
+        require_done(RESET_BOTH_AXES, reply)
+    finally:
+        client.is_resetting = False
+    bounds = [
+        read_integer(client, query_quantity(axis, bound)) for axis in BOTH_AXES for bound in _BOUNDS
+    ]
+    if not (any(bounds[:2]) and any(bounds[2:])):
+        raise DeviceError("the unit was homed but has no limits", "switch it off and on")
+
+
+def _apply_settings(client: PtuClient, settings: PtuSettings) -> None:
+    """Set speeds and acceleration at rest; the unit recomputes its tables for seconds."""
+    values_deg = (
+        (Quantity.UPPER_SPEED, settings.upper_speed_deg_s),
+        (Quantity.BASE_SPEED, settings.base_speed_deg_s),
+        (Quantity.ACCELERATION, settings.acceleration_deg_s2),
+    )
+    for axis in BOTH_AXES:
+        arcsec = read_resolution_arcsec(client, axis)
+        for quantity, value_deg in values_deg:
+            if value_deg is None:
+                continue
+            steps = round(value_deg * ARCSEC_PER_DEG / arcsec)
+            if read_integer(client, query_quantity(axis, quantity)) != steps:
+                _set_axis_value(client, axis, quantity, steps, value_deg)
+
+
+def _set_axis_value(
+    client: PtuClient, axis: Axis, quantity: Quantity, steps: int, value_deg: float
+) -> None:
+    name = f"{axis.label} {quantity.name.lower().replace('_', ' ')}"
+    reply = client.ask(assign_quantity(axis, quantity, steps))
+    if not reply.ok:
+        raise UsageError(
+            f"the unit refuses a {name} of {value_deg:g} {_UNITS[quantity]}: {reply.text}",
+            "choose another value in the program's settings",
+        )
+    readback = read_integer(client, query_quantity(axis, quantity))
+    if readback != steps:
+        raise UsageError(
+            f"the unit set a {name} of {readback} steps instead of {steps} "
+            f"({value_deg:g} {_UNITS[quantity]})",
+            "choose a value that it supports in the program's settings",
+        )
+
+
+def _queries_to_record() -> tuple[PtuCommand, ...]:
+    """Return queries whose replies are only recorded; a refusal is recorded, too."""
+    mode_queries = [
+        make_query(axis)
+        for axis in BOTH_AXES
+        for make_query in (query_step_mode, query_hold_power, query_move_power)
+    ]
+    return (QUERY_LIMITS, *mode_queries, QUERY_POWER)

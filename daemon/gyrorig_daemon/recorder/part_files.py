@@ -1,0 +1,187 @@
+"""Part files: metadata and attachments are repeated, so that each part is self-contained.
+
+What to use when: under `part_writer`. `PartOpener` creates parts in the disk thread;
+`PartCloser` has them closed there; `part_path` names them; `SessionMetadata` is their metadata
+and attachments. The session state at the start of a part comes from `state_replay`.
+"""
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrorig_daemon.recorder.disk_worker import DiskJob, DiskWorker
+from gyrorig_daemon.recorder.recorder_counts import RecorderCounts
+from gyrorig_daemon.recorder.recorder_settings import RecorderSettings, RecordingPlan
+from gyrorig_protocol.errors import GyrorigError, MachineError
+from gyrorig_protocol.recording.mcap.disk_file import Disk
+from gyrorig_protocol.recording.writer import Attachment, RecordingWriter
+
+MetadataRecords = dict[str, dict[str, str]]
+
+
+def part_path(first: Path, number: int) -> Path:
+    """Return the path of a part; parts sort by name."""
+    return first if number == 0 else first.with_name(f"{first.stem}_p{number:03d}.mcap")
+
+
+class SessionMetadata:
+    """Metadata and attachments of a session; they can grow."""
+
+    def __init__(
+        self, metadata: Mapping[str, Mapping[str, str]], attachments: Sequence[Attachment]
+    ) -> None:
+        self._metadata: list[tuple[str, dict[str, str]]] = [
+            (name, dict(record)) for name, record in metadata.items()
+        ]
+        self._attachments = list(attachments)
+        self._lock = threading.Lock()  # parts are opened in another thread
+        self._additions: list[tuple[MetadataRecords, tuple[Attachment, ...]]] = []
+
+    @property
+    def version(self) -> int:
+        """Number of additions."""
+        return len(self._additions)
+
+    def add(
+        self, metadata: Mapping[str, Mapping[str, str]], attachments: Sequence[Attachment]
+    ) -> None:
+        """Add metadata and attachments."""
+        added = {name: dict(record) for name, record in metadata.items()}
+        with self._lock:
+            self._additions.append((added, tuple(attachments)))
+
+    def added_since(self, version: int) -> tuple[MetadataRecords, list[Attachment]]:
+        """Return what was added after the first `version` additions."""
+        metadata: MetadataRecords = {}
+        attachments: list[Attachment] = []
+        for added, files in self._additions[version:]:
+            metadata |= added
+            attachments += files
+        return metadata, attachments
+
+    def for_part(self, number: int, previous: str) -> tuple[int, MetadataRecords, list[Attachment]]:
+        """Return the version, and all metadata and attachments for the start of a part."""
+        with self._lock:
+            version = self.version
+            metadata = dict(self._metadata)
+            added, files = self.added_since(0)
+        metadata = {name: dict(record) for name, record in (metadata | added).items()}
+        if number:
+            metadata["gyrorig"] |= {"part": str(number), "previous": previous}
+        return version, metadata, [*self._attachments, *files]
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedPart:
+    """A part that was just created."""
+
+    writer: RecordingWriter
+    number: int
+    metadata_version: int  # version of the metadata in it
+
+
+class PartOpener:
+    """Creates the parts of one session; its methods can be as slow as the disk."""
+
+    def __init__(
+        self,
+        plan: RecordingPlan,
+        settings: RecorderSettings,
+        disk: Disk,
+        make_room: Callable[[], object] | None,
+    ) -> None:
+        self._first_path, self._settings = plan.path, settings
+        self._disk, self._make_room = disk, make_room
+        self.session_metadata = SessionMetadata(plan.metadata, plan.attachments)
+
+    def open(self, number: int, previous: str, room_bytes: int) -> OpenedPart:
+        """Create a part.
+
+        Args:
+            number: number of the part.
+            previous: file name of the part before it, empty for the first.
+            room_bytes: must be free, if there is a reserve.
+
+        Raises:
+            UsageError: a file of that name exists.
+            MachineError: the disk fails, or has too little free space.
+        """
+        if self._settings.reserve_bytes and self.free_bytes(room_bytes) < room_bytes:
+            raise MachineError(
+                f"less than {room_bytes >> 20} MiB are free in {self._first_path.parent}",
+                "free some space. Recording then resumes automatically",
+            )
+        version, metadata, attachments = self.session_metadata.for_part(number, previous)
+        path = part_path(self._first_path, number)
+        # The session waits for the first part, and a busy disk can take seconds to sync it
+        # (measured). Later parts are opened in advance.
+        lasting = number > 0
+        writer = RecordingWriter(
+            path, metadata, attachments, disk=self._disk, owner_syncs=True, sync_at_start=lasting
+        )
+        return OpenedPart(writer, number, version)
+
+    def free_bytes(self, wanted_bytes: int) -> int:
+        """Return the free space; make room first if it is less than wanted.
+
+        Raises:
+            MachineError: the disk does not report it.
+        """
+        free_bytes = self._free_bytes()
+        if free_bytes < wanted_bytes and self._make_room is not None:
+            with suppress(GyrorigError, OSError):  # then the space stays as it is
+                self._make_room()
+            free_bytes = self._free_bytes()
+        return free_bytes
+
+    def _free_bytes(self) -> int:
+        folder = self._first_path.parent
+        try:
+            return self._disk.free_bytes(folder)
+        except OSError as fault:
+            raise MachineError(
+                f"{folder} cannot be read, {fault.strerror}",
+                f"check `ls -ld {folder}` and its disk",
+            ) from fault
+
+
+class PartCloser:
+    """Closes files in the disk thread and gives them their final names."""
+
+    MAX_WAITING = 4  # with more files waiting the disk hardly works
+
+    def __init__(self, worker: DiskWorker, counts: RecorderCounts) -> None:
+        self._worker, self._counts = worker, counts
+        self._jobs: list[DiskJob[Path]] = []
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no more files should be added."""
+        return len(self._jobs) >= self.MAX_WAITING
+
+    def add(self, writer: RecordingWriter) -> None:
+        """Close a file in the disk thread."""
+        self._jobs.append(self._worker.submit(writer.close))
+
+    def count_finished(self) -> None:
+        """Count the files that are closed."""
+        for job in [job for job in self._jobs if job.is_done]:
+            self._jobs.remove(job)
+            if job.error is None:
+                self._counts.parts_closed += 1
+            else:
+                self._counts.close_failures += 1
+
+    def finish(self) -> Path | None:
+        """Wait for all files; return the path of the last one, None if there were none.
+
+        Raises:
+            MachineError: the last one could not be closed.
+        """
+        jobs = list(self._jobs)
+        for job in jobs:
+            job.wait()
+        self.count_finished()
+        return jobs[-1].result() if jobs else None

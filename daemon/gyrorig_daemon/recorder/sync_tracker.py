@@ -1,0 +1,100 @@
+"""Tracks which messages of the open file are synced to the disk.
+
+What to use when: under `part_writer`. A disk that becomes read-only keeps what was synced and
+loses what the system had in memory. Therefore messages that are not synced are kept here, too.
+"""
+
+import errno
+import math
+from collections import deque
+
+from gyrorig_daemon.recorder.disk_worker import DiskJob, DiskWorker
+from gyrorig_daemon.recorder.ram_buffer import Record
+from gyrorig_daemon.recorder.recorder_counts import RecorderCounts
+from gyrorig_protocol.errors import MachineError
+from gyrorig_protocol.recording.writer import RecordingWriter
+
+MAX_UNSYNCED_RECORDS = 65_536  # five seconds of 16 boards at 800 Hz; with a slower disk, the newest
+_MS_NS = 1_000_000
+
+
+class SyncTracker:
+    """Syncs one file in the disk thread and keeps the messages that are not synced."""
+
+    def __init__(self, writer: RecordingWriter, worker: DiskWorker, counts: RecorderCounts) -> None:
+        self._writer, self._worker, self._counts = writer, worker, counts
+        self._records: deque[Record] = deque(maxlen=MAX_UNSYNCED_RECORDS)
+        self._written_count = 0  # messages written to the file
+        self._synced_count = 0  # of those, on the disk
+        self.synced_bytes = writer.bytes_written  # initially the header of the file
+        self._job: DiskJob[None] | None = None
+        self._job_extent = (0, 0)  # messages and bytes
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the file has no messages."""
+        return self._written_count == 0
+
+    @property
+    def is_syncing(self) -> bool:
+        """Whether a sync is in progress, or its result not collected."""
+        return self._job is not None
+
+    def add(self, record: Record) -> None:
+        """Add a message that is written to the file."""
+        self._records.append(record)
+        self._written_count += 1
+
+    def remove_last(self) -> None:
+        """Remove the last message, which was not valid."""
+        self._records.pop()
+        self._written_count -= 1
+
+    def sync(self) -> None:
+        """Sync what is complete by now, in the disk thread."""
+        writer = self._writer
+        self._job_extent = self._written_count - writer.waiting_messages, writer.bytes_written
+        self._job = self._worker.submit(writer.sync)
+
+    def poll_sync(self) -> OSError | None:
+        """Collect the result of a finished sync; return its error."""
+        job = self._job
+        if job is None or not job.is_done:
+            return None
+        self._job = None
+        counts, duration_ms = self._counts, math.ceil(job.duration_ns / _MS_NS)
+        counts.syncs += 1
+        counts.sync_last_ms = duration_ms
+        counts.sync_max_ms = max(counts.sync_max_ms, duration_ms)
+        if job.error is not None:
+            # Whatever the error number, data since the last sync may be lost.
+            return OSError(errno.EIO, getattr(job.error, "strerror", None) or str(job.error))
+        self._synced_count, self.synced_bytes = self._job_extent
+        records = self._records
+        while records and self._written_count - len(records) < self._synced_count:
+            records.popleft()
+        return None
+
+    def salvage_after_fault(self, fault: MachineError) -> tuple[deque[Record], bool]:
+        """Abandon the file after an error.
+
+        Returns:
+            The messages that are not in the file, or would be lost with the disk; and whether any
+            others are left in it. If so, the disk thread cuts the file back to those; otherwise
+            the caller decides what to do with the file.
+        """
+        writer = self._writer
+        if _is_full(fault):  # earlier data is safe
+            kept_count, position = self._written_count - writer.lost_messages, writer.bytes_written
+        else:
+            kept_count, position = self._synced_count, self.synced_bytes
+        forgotten_count = self._written_count - len(self._records)
+        unsaved = deque(list(self._records)[max(kept_count - forgotten_count, 0) :])
+        if kept_count:
+            self._worker.submit(lambda: writer.truncate_and_close(position))
+        return unsaved, kept_count > 0
+
+
+def _is_full(fault: MachineError) -> bool:
+    cause = fault.__cause__
+    return isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT)

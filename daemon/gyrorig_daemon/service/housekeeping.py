@@ -1,0 +1,182 @@
+"""Housekeeping of recordings: recovery after a crash, and retention.
+
+What to use when: one `Housekeeping` per process. Its thread first lets a child process recover
+what a crash has left, because that reads whole files. Then it deletes what the rig's document
+permits, at the start and once per hour. `free_space` does the same when a recorder needs space.
+No recording waits for any of this.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrorig_daemon.config.service_settings import ServiceSettings
+from gyrorig_daemon.recorder import Recorder
+from gyrorig_daemon.recorder.retention import RetentionRules, apply_retention
+from gyrorig_daemon.service.recording_policy import recorder_settings, retention_rules
+from gyrorig_daemon.service.state_folder import StateFolder
+from gyrorig_protocol.errors import GyrorigError
+
+RETENTION_PERIOD_S = 3_600.0
+RECOVERY_TIMEOUT_S = 3_600.0
+JOIN_TIMEOUT_S = 2.0
+
+
+@dataclass(slots=True)
+class HousekeepingCounts:
+    """Counters of recovery and retention since the start of the service."""
+
+    recovered: int = 0
+    not_recovered: int = 0
+    recovered_lost_bytes: int = 0
+    deleted: int = 0
+    deleted_bytes: int = 0
+    kept_for_calibrations: int = 0  # at the last check
+    retention_failures: int = 0
+
+
+class Housekeeping:
+    """Recovery and retention in one state folder."""
+
+    def __init__(
+        self,
+        state: StateFolder,
+        settings: Callable[[], ServiceSettings],
+        clock_is_valid: Callable[[], bool],
+        log: Callable[[str], None],
+    ) -> None:
+        """Prepare; `start` starts the thread.
+
+        Args:
+            state: the folder with the recordings.
+            settings: returns the settings of the configuration in force.
+            clock_is_valid: returns whether the system time, and therefore ages, are valid.
+            log: writes a line to the log.
+        """
+        self._state = state
+        self._settings = settings
+        self._clock_is_valid = clock_is_valid
+        self._log = log
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._wake = threading.Event()
+        self._child: subprocess.Popen[bytes] | None = None
+        self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
+        self.counts = HousekeepingCounts()
+        self.recorder: Recorder | None = None  # whose files are being written
+
+    def start(self) -> None:
+        """Start the thread, with the recovery first."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop; a recovery in progress is aborted and repeated at the next start."""
+        self._stopping.set()
+        self._wake.set()
+        child = self._child
+        if child is not None:
+            child.kill()
+        if self._thread.ident is not None:
+            self._thread.join(JOIN_TIMEOUT_S)
+
+    def storage_problem(self) -> str:
+        """Return why no recording can start, "" if one can; free space if that is permitted."""
+        settings = self._settings()
+        needed, free = recorder_settings(settings).resume_bytes, self._state.free_bytes()
+        if not os.access(self._state.recordings, os.W_OK):
+            return (
+                f"{self._state.recordings} is not writable. Give it to the daemon's user (chown), "
+                "or check the disk"
+            )
+        if free is None or free >= needed:
+            return ""
+        if settings.delete_when_full:
+            self._wake.set()
+        return (
+            f"{free / 1e9:.2f} GB are free for recordings, and {needed / 1e9:.2f} GB are needed. "
+            "Free disk space; sessions then start without further action"
+        )
+
+    def free_space(self) -> None:
+        """Delete what the rules permit, because less than the reserve is free."""
+        self._apply_retention()
+
+    def _run(self) -> None:
+        self._recover()
+        while not self._stopping.is_set():
+            self._apply_retention()
+            self._wake.wait(RETENTION_PERIOD_S)
+            self._wake.clear()
+
+    def _recover(self) -> None:
+        if not any(self._state.recordings.glob("*.mcap.part")):
+            return
+        reserve_bytes = recorder_settings(self._settings()).reserve_bytes
+        command = [sys.executable, "-m", "gyrorig_daemon", "recover", "--json"]
+        command += ["--reserve", str(reserve_bytes), str(self._state.recordings)]
+        try:
+            self._child = subprocess.Popen(command, stdout=subprocess.PIPE)  # noqa: S603 - own program
+            if self._stopping.is_set():  # `close` was called before there was a child
+                self._child.kill()
+            output, _ = self._child.communicate(timeout=RECOVERY_TIMEOUT_S)
+            self._count_recovered(json.loads(output))
+        except (OSError, ValueError, KeyError, TypeError, subprocess.TimeoutExpired) as error:
+            if self._child is not None:
+                self._child.kill()
+            if not self._stopping.is_set():
+                self.counts.not_recovered += 1
+                self._log(
+                    f"The recovery of unfinished recordings failed ({error}). The next start tries "
+                    f"again. To recover by hand: gyrorigd recover {self._state.recordings}"
+                )
+        finally:
+            self._child = None
+
+    def _count_recovered(self, report: dict[str, list[dict[str, str | int]]]) -> None:
+        for recovered in report["recovered"]:
+            self.counts.not_recovered += recovered["outcome"] == "failed"
+            self.counts.recovered += recovered["recording"] is not None
+            self.counts.recovered_lost_bytes += int(recovered["lost_bytes"])
+            self._log(str(recovered["text"]))
+
+    def _apply_retention(self) -> None:
+        settings = self._settings()
+        rules = retention_rules(settings)
+        if rules == RetentionRules():
+            return
+        recorder = self.recorder
+        protected = () if recorder is None else recorder.paths
+        with self._lock:
+            try:
+                result = apply_retention(
+                    self._state.recordings,
+                    rules,
+                    self._calibration_stores(settings),
+                    protected,
+                    clock_is_sound=self._clock_is_valid(),
+                )
+            except (GyrorigError, OSError) as error:
+                self.counts.retention_failures += 1
+                self._log(f"No recording was deleted: {error}")
+                return
+        self.counts.kept_for_calibrations = len(result.cited)
+        self.counts.deleted += len(result.deleted)
+        self.counts.deleted_bytes += result.deleted_bytes
+        if result.deleted:
+            self._log(
+                f"Deleted {len(result.deleted)} recordings ({result.deleted_bytes / 1e6:.1f} MB) "
+                "by the retention rules of the rig's configuration."
+            )
+
+    def _calibration_stores(self, settings: ServiceSettings) -> list[Path]:
+        """Return the calibration folders; folders from the settings must exist."""
+        state_store = self._state.root / "calibrations"
+        return [
+            *([state_store] if state_store.is_dir() else []),
+            *(Path(path) for path in settings.stores),
+        ]

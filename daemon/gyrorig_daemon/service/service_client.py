@@ -1,0 +1,91 @@
+"""Client of the service's socket: send a command to a running service, or watch its status."""
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from gyrorig_daemon.service.service_protocol import MAX_RESPONSE_BYTES, encode
+from gyrorig_protocol.errors import GyrorigError, MachineError
+
+RESPONSE_TIMEOUT_S = 5.0
+LOG_HINT = "see `journalctl -u gyrorigd`, or the terminal in which it ran"
+_READ_BYTES = 65_536
+
+
+class RefusedRequestError(GyrorigError):
+    """The service rejected a request.
+
+    Example: an ordinary user requests `clear`.
+    """
+
+
+def send_command(path: Path, command: str) -> dict[str, Any]:
+    """Return the service's response to one command.
+
+    Raises:
+        MachineError: no service answers.
+        RefusedRequestError: the service rejected the command.
+    """
+    return next(stream_responses(path, command))
+
+
+def stream_responses(path: Path, command: str) -> Iterator[dict[str, Any]]:
+    """Yield the service's responses to one command, until the connection ends.
+
+    Raises:
+        MachineError: no service answers, or the connection ended.
+        RefusedRequestError: the service rejected the command.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC) as connection:
+        connection.settimeout(RESPONSE_TIMEOUT_S)
+        try:
+            connection.connect(str(path))
+            connection.sendall(encode({"command": command}))
+            for line in _read_lines(connection):
+                yield _parse_response(line, path)
+        except TimeoutError as error:
+            raise MachineError(
+                f"the daemon at {path} did not answer within {RESPONSE_TIMEOUT_S:.0f} s", LOG_HINT
+            ) from error
+        except OSError as error:
+            raise _connection_error(path, error) from error
+    raise MachineError(f"the daemon at {path} closed the connection", LOG_HINT)
+
+
+def _connection_error(path: Path, error: OSError) -> MachineError:
+    if isinstance(error, FileNotFoundError | ConnectionRefusedError):
+        return MachineError(
+            f"no daemon is running at {path}",
+            "start `gyrorigd run`, or give the daemon's socket with --socket",
+        )
+    return MachineError(
+        f"the daemon at {path} cannot be reached ({error.strerror or error})",
+        "use sudo, or join the daemon's group: sudo usermod -aG gyrorig $USER",
+    )
+
+
+def _read_lines(connection: socket.socket) -> Iterator[bytes]:
+    buffer = bytearray()
+    while data := connection.recv(_READ_BYTES):
+        buffer += data
+        while (end := buffer.find(b"\n")) >= 0:
+            yield bytes(buffer[:end])
+            del buffer[: end + 1]
+        if len(buffer) > MAX_RESPONSE_BYTES:
+            return
+
+
+def _parse_response(line: bytes, path: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(line)
+    except (ValueError, RecursionError):
+        document = None
+    if not isinstance(document, dict):
+        raise MachineError(
+            f"the program at {path} is not gyrorigd", "give its socket with --socket"
+        )
+    if document.get("ok") is not True:
+        raise RefusedRequestError(str(document.get("error", "the daemon rejected the request")))
+    return document

@@ -1,0 +1,284 @@
+"""Runs one job: holds its session, handles its faults, and archives it.
+
+What to use when: `SessionRunner.run_job` from the main loop, when nothing blocks a session. It
+returns with the unit halted and the recording closed, whatever has happened. Meanwhile other
+parts of the service read `ServiceState`.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gyrorig_daemon.links.ports.port_hub import PortsGoneError
+from gyrorig_daemon.links.pump import StopRequestedError
+from gyrorig_daemon.recorder import Recorder
+from gyrorig_daemon.service.job_queue import SessionJob
+from gyrorig_daemon.service.persistent_state import MotionLock
+from gyrorig_daemon.service.recording_policy import recorder_settings
+from gyrorig_daemon.service.service_context import ServiceContext
+from gyrorig_daemon.service.unit_monitor import UnitMonitor
+from gyrorig_daemon.session.connected_rig import Rig
+from gyrorig_daemon.session.session import Session, SessionEnvironment
+from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_protocol.errors import DeviceError, GyrorigError, UsageError, sentence
+
+MIN_AFTERMATH_S = 5.0
+CLOSE_TIMEOUT_S = 12.0  # with 10 s for the halt, within the 30 s of systemd
+STEPS_UNCERTAIN = "the unit may have lost steps. Clear the rig and enqueue the job with --home"
+
+
+@dataclass(frozen=True, slots=True)
+class StatusSummary:
+    """Summary of what the main loop is doing."""
+
+    state: str  # starting, waiting, ready, running, fault
+    reason: str = ""
+    session: dict[str, Any] | None = None
+
+
+@dataclass(slots=True)
+class ServiceState:
+    """The present state of the service, for status and metrics."""
+
+    summary: StatusSummary
+    session: Session | None = None
+    last_session: dict[str, Any] | None = None  # result of the last session
+    motion_start_s: float = 0.0  # start of the first step, monotonic
+    step_start_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SessionOutcome:
+    """Result of a session: done, failed, stopped, or waits if it was not started."""
+
+    result: str
+    reason: str
+    recording: Path | None
+
+
+class SessionRunner:
+    """Runs one job after another on one rig."""
+
+    def __init__(
+        self, rig: Rig, context: ServiceContext, unit_monitor: UnitMonitor, state: ServiceState
+    ) -> None:
+        self._rig = rig
+        self._pump = rig.pump
+        self._context = context
+        self._unit_monitor = unit_monitor
+        self._state = state
+
+    def run_job(self, job: SessionJob) -> None:
+        """Hold one session and archive the job.
+
+        Raises:
+            StopRequestedError: the process must end; the job is archived before.
+            PortsGoneError: the acquisition process has ended; the job is archived before.
+        """
+        start_utc_s = self._context.clocks.utc_s()
+        home = job.home or (
+            not self._context.persistent.steps_are_sure and self._rig.config.ptu.home_without_asking
+        )
+        if not self._context.persistent.steps_are_sure and not home:
+            result = "waits" if job.path is None else "failed"
+            self._archive_job(job, SessionOutcome(result, STEPS_UNCERTAIN, None), start_utc_s)
+            return
+        session = self._open_session(job, home)
+        outcome = SessionOutcome("failed", "the daemon ended while the session was running", None)
+        try:
+            outcome = self._run_session(session, is_scheduled=job.path is None)
+        except PortsGoneError as error:
+            outcome = SessionOutcome("failed", str(error), session.recorder.path)
+            raise
+        finally:
+            for board in self._rig.boards:
+                board.unpin_identity()
+            self._context.recorder_totals.add_closed(session.recorder.counts.values())
+            self._context.housekeeping.recorder = None
+            self._state.session = None
+            self._pump.obey_stop()
+            self._unit_monitor.end_session(home and outcome.result == "done", session.facts)
+            self._archive_job(job, outcome, start_utc_s, session.recorder)
+        if self._context.requests.terminate.is_set():
+            raise StopRequestedError("the process must end")
+
+    def lock_motion(self, reason: str) -> None:
+        """Lock motion until a person releases the lock."""
+        if self._context.persistent.motion_lock is None:
+            self._context.requests.clear.clear()  # an earlier request does not apply to this fault
+            self._context.persistent.motion_lock = MotionLock(reason, self._context.clocks.utc_s())
+
+    def _open_session(self, job: SessionJob, home: bool) -> Session:
+        rig, context = self._rig, self._context
+        rig.capture.copy_anchor(context.clocks.anchor())
+        request = SessionRequest(
+            config=rig.config,
+            config_text=context.config_text,
+            program=job.program,
+            program_text=job.program_text,
+            out_dir=context.state_folder.recordings,
+            session=job.session,
+            home=home,
+        )
+        environment = SessionEnvironment(
+            capture=rig.capture,
+            read_host=context.clocks.read_host,
+            threaded_writer=context.threaded_writer,
+            host=context.host,
+            dropped_bytes=context.dropped_bytes,
+            stop=rig.stop,
+            progress=self._update_progress,
+            new_recorder=self._new_recorder,
+            close_timeout_s=CLOSE_TIMEOUT_S,
+        )
+        self._unit_monitor.begin_session()
+        boards = [board for board in rig.boards if board.is_known]
+        session = Session(rig, request, environment, boards)
+        self._state.session = session
+        summary = {"job": job.name, "session": job.session, "program": job.program.name}
+        self._state.summary = StatusSummary("running", session=summary)
+        context.log(f"Session {job.session} starts ({job.program.name}).")
+        return session
+
+    def _new_recorder(self) -> Recorder:
+        settings = recorder_settings(self._rig.config.service)
+        housekeeping = self._context.housekeeping
+        housekeeping.recorder = Recorder(
+            self._context.threaded_writer,
+            settings,
+            housekeeping.free_space,
+            view=self._context.view,
+        )
+        return housekeeping.recorder
+
+    def _run_session(self, session: Session, is_scheduled: bool) -> SessionOutcome:
+        is_prepared = False
+        motion_start_s = self._context.clocks.monotonic_s()
+        try:
+            session.prepare()
+            is_prepared, motion_start_s = True, self._context.clocks.monotonic_s()
+            session.run_program()
+            path = session.finish()
+        except StopRequestedError as request:
+            problems = self._end_early(session, str(request))
+            if not self._context.requests.acknowledge_stop():
+                self.lock_motion(str(request))
+            elif session.recorder.path is None:
+                return SessionOutcome("waits", str(request), None)
+            return SessionOutcome("stopped", _join(str(request), *problems), session.recorder.path)
+        except PortsGoneError as error:
+            session.abort_and_close(error.problem, can_halt=False)
+            raise
+        except DeviceError as error:
+            if not is_prepared:
+                return self._handle_refusal(session, error, is_scheduled)
+            spent_s = self._context.clocks.monotonic_s() - motion_start_s
+            problems = self._record_aftermath(session, error, session.planned_s - spent_s)
+            return SessionOutcome("failed", _join(str(error), *problems), session.recorder.path)
+        except GyrorigError as error:
+            return self._handle_refusal(session, error, is_scheduled)
+        except BaseException as error:
+            session.abort_and_close(f"{type(error).__name__}: {error}")
+            raise
+        lost_boards = [str(board.board_id) for board in session.boards if not board.is_known]
+        return SessionOutcome(
+            "done",
+            f"board {', '.join(lost_boards)} was missing at the end" if lost_boards else "",
+            path,
+        )
+
+    def _handle_refusal(
+        self, session: Session, fault: GyrorigError, is_scheduled: bool
+    ) -> SessionOutcome:
+        """End a session that has not reached its motion; decide whether it is tried again."""
+        problems = self._end_early(session, fault.problem)
+        can_retry = is_scheduled and not isinstance(fault, UsageError)
+        can_retry = can_retry or (isinstance(fault, DeviceError) and self._rig.client.is_port_gone)
+        if can_retry and session.recorder.path is None:
+            return SessionOutcome("waits", fault.problem, None)
+        return SessionOutcome("failed", _join(str(fault), *problems), session.recorder.path)
+
+    def _end_early(self, session: Session, reason: str) -> list[str]:
+        """Halt and close the recording; return the problems on the way."""
+        self._pump.ignore_stop()
+        problems = session.abort(reason)
+        session.close_partial()
+        return problems
+
+    def _record_aftermath(
+        self, session: Session, fault: DeviceError, planned_s: float
+    ) -> list[str]:
+        """Halt after a motion fault, and continue the recording for a while."""
+        self._context.counts.motion_faults += 1
+        self._pump.ignore_stop()
+        problems = session.abort(fault.problem)
+        self.lock_motion(fault.problem)
+        limit_s = self._rig.config.service.aftermath_s
+        aftermath_s = min(max(planned_s, MIN_AFTERMATH_S), limit_s)
+        session.note(f"motion has ended; the recording continues for {aftermath_s:.0f} s")
+        reason = f"{fault.problem}; the recording continues"
+        self._state.summary = StatusSummary("fault", reason, self._state.summary.session)
+        self._pump.obey_stop()
+        try:
+            self._pump.run_until(
+                self._pump.now_ns() + int(aftermath_s * 1e9), self._context.requests.clear.is_set
+            )
+        except StopRequestedError:
+            self._context.requests.acknowledge_stop()  # halted already
+        finally:
+            self._pump.ignore_stop()
+            session.close_partial()
+        return problems
+
+    def _archive_job(
+        self,
+        job: SessionJob,
+        outcome: SessionOutcome,
+        start_utc_s: float,
+        recorder: Recorder | None = None,
+    ) -> None:
+        if outcome.result == "waits":
+            self._postpone(job, outcome.reason)
+            return
+        counts = self._context.counts
+        name = f"sessions_{outcome.result}"
+        setattr(counts, name, getattr(counts, name) + 1)
+        document = {
+            "session": job.session,
+            "program": job.program.name,
+            "reason": outcome.reason,
+            "recording": None if outcome.recording is None else str(outcome.recording),
+            "parts": [] if recorder is None else [path.name for path in recorder.paths],
+            "messages_lost": 0 if recorder is None else recorder.counts.lost,
+            "begun_utc_s": round(start_utc_s, 3),
+            "ended_utc_s": round(self._context.clocks.utc_s(), 3),
+        }
+        self._context.queue.finish(job, outcome.result == "done", document)
+        self._state.last_session = {"job": job.name, "result": outcome.result, **document}
+        reason_text = f": {outcome.reason}" if outcome.reason else ""
+        self._context.log(sentence(f"Session {job.session} {outcome.result}{reason_text}"))
+
+    def _postpone(self, job: SessionJob, reason: str) -> None:
+        """Try a session again that was not started."""
+        context, delay_text = self._context, ""
+        if job.path is None:
+            wait_s = context.schedule.postpone(job.name, context.clocks.monotonic_s())
+            delay_text = "" if wait_s is None else f" for at least {wait_s:.0f} s"
+        else:
+            context.queue.requeue(job)
+        context.counts.sessions_put_off += 1
+        context.log(
+            f"Session {job.session} could not start and waits{delay_text}. {sentence(reason)}"
+        )
+
+    def _update_progress(self, done: int, total: int) -> None:
+        if self._state.summary.session is not None:
+            now_s = self._context.clocks.monotonic_s()
+            if done == 0:
+                self._state.motion_start_s = now_s
+            self._state.step_start_s = now_s
+            self._state.summary.session.update(step=done, steps=total)
+
+
+def _join(*texts: str) -> str:
+    return " ".join(sentence(text) for text in texts)

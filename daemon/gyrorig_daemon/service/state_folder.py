@@ -1,0 +1,109 @@
+"""State folder of the service: its lock, and the paths in it.
+
+    lock               held while the service runs
+    recordings/        recordings; unfinished files end in .part
+    queue/             jobs (see `job_queue`)
+    metrics/           gyrorig.prom for a Prometheus node exporter, unless configured otherwise
+    schedule.json      when each entry of the schedule last started
+    rig.json           the motion lock, and whether the step count is reliable
+
+What to use when: open the `StateFolder` first. A process that does not get the lock must end.
+"""
+
+import fcntl
+import os
+import re
+from pathlib import Path
+from types import TracebackType
+
+from gyrorig_protocol.errors import BusyError, MachineError
+
+DEFAULT_STATE_FOLDER = Path("/var/lib/gyrorig")  # StateDirectory= of the systemd unit
+SUBFOLDERS = ("recordings", "queue", "metrics")
+
+
+def is_in_use(root: Path) -> bool:
+    """Return whether a service uses this state folder; True if that cannot be determined."""
+    try:
+        pid = int((root / "lock").read_text(encoding="ascii"))
+        os.kill(pid, 0)
+    except (FileNotFoundError, NotADirectoryError, ProcessLookupError):
+        return False
+    except (OSError, ValueError, OverflowError):
+        return True
+    return True
+
+
+def apply_umask(mode: int) -> int:
+    """Return the permissions of a new file under the umask of this process."""
+    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    match = re.search(r"^Umask:\s*([0-7]+)", status, re.MULTILINE)
+    return mode & ~int(match[1], 8) if match else mode
+
+
+class StateFolder:
+    """The folder of one service; a context manager that holds the lock."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.recordings, self.queue, self.metrics = (root / name for name in SUBFOLDERS)
+        self.schedule = root / "schedule.json"
+        self.persistent_state = root / "rig.json"
+        self._lock: int | None = None
+
+    def __enter__(self) -> "StateFolder":
+        """Take the lock and create the folders.
+
+        Raises:
+            BusyError: another process holds the lock.
+            MachineError: the folder cannot be used.
+        """
+        lock_path = self.root / "lock"
+        try:
+            for folder in (self.root, self.recordings, self.queue):
+                folder.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.ftruncate(self._lock, 0)
+            os.write(self._lock, f"{os.getpid()}\n".encode())
+        except BlockingIOError as error:
+            holder = self._release_and_read_holder(lock_path)
+            raise BusyError(
+                f"another daemon uses {self.root}{holder}",
+                "end it, or give another folder with --state",
+            ) from error
+        except OSError as error:
+            raise MachineError(
+                f"{error.filename or self.root} cannot be used ({error.strerror})",
+                "give another folder with --state",
+            ) from error
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Release the lock."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def free_bytes(self) -> int | None:
+        """Return the free disk space for recordings, None if the system does not report it."""
+        try:
+            file_system = os.statvfs(self.recordings)
+        except OSError:
+            return None
+        return file_system.f_bavail * file_system.f_frsize
+
+    def _release_and_read_holder(self, lock_path: Path) -> str:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+        try:
+            pid = lock_path.read_text(encoding="ascii").strip()
+        except (OSError, ValueError):
+            return ""
+        return f" (process {pid})" if pid.isdecimal() else ""

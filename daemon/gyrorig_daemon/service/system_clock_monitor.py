@@ -1,0 +1,54 @@
+"""Detection of steps of the system time. They are counted, and never followed.
+
+Only file names and daily sessions use the system time; the clock of a recording is anchored
+once per session. On a computer without a real-time clock a step occurs some time after each
+start. It is reported as an event.
+"""
+
+from collections.abc import Callable
+
+from gyrorig_daemon.clocks.capture_clock import HostClocks
+
+STEP_THRESHOLD_S = 0.1  # a slew is at most 500 ppm (adjtimex(2)): 0.0005 s between two checks
+CHECK_PERIOD_NS = 1_000_000_000
+NTP_UNSYNCHRONISED = 0x40  # STA_UNSYNC of <linux/timex.h>
+
+
+class SystemClockMonitor:
+    """Compares the system time with the raw monotonic clock once per second."""
+
+    def __init__(
+        self, read: Callable[[], HostClocks], now_ns: int, on_step: Callable[[float], None]
+    ) -> None:
+        """Start to monitor.
+
+        Args:
+            read: reads the clocks.
+            now_ns: the pump's time.
+            on_step: called with the size of a step in seconds.
+        """
+        self._read = read
+        self._on_step = on_step
+        self.last_reading: HostClocks | None = None
+        self.due_ns = now_ns
+
+    def fire(self, now_ns: int) -> None:
+        """Compare the time that has passed on both clocks since the last check."""
+        self.due_ns = now_ns + CHECK_PERIOD_NS
+        clocks, previous = self._read(), self.last_reading
+        self.last_reading = clocks
+        if previous is None:
+            return
+        elapsed_ns = clocks.raw_ns - previous.raw_ns
+        step_s = (clocks.realtime_ns - previous.realtime_ns - elapsed_ns) * 1e-9
+        if abs(step_s) > STEP_THRESHOLD_S:
+            self._on_step(step_s)
+
+    @property
+    def is_synchronised(self) -> bool | None:
+        """Whether the kernel reports a synchronised clock, None before the first check."""
+        return (
+            None
+            if self.last_reading is None
+            else not self.last_reading.ntp_status & NTP_UNSYNCHRONISED
+        )

@@ -1,0 +1,67 @@
+"""Options of the command line for an emulated rig. The emulator itself is not imported here."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrorig_protocol.program import Home, MotionProgram, Move, PtuSettings, Rest, unroll_steps
+
+_TABLE_UPDATE_S = 12.5  # a unit computes its tables again for each base speed and acceleration
+_ACCELERATION_DEG_S2 = 100.0  # factory setting
+
+
+@dataclass(frozen=True, slots=True)
+class EmulationOptions:
+    """Options for an emulated rig, in addition to its configuration."""
+
+    seed: int | None = None  # replaces the seed of the configuration
+    truth: Path | None = None
+    rates: Path | None = None  # see `emulator.noise_free_rates`
+    hide: tuple[str, ...] = ()  # see `causes.parse_injection`
+    noise_free: bool = False
+    soak_k: float = 0.0
+    session_s: tuple[float, float] = (0.0, 60.0)  # start and end of the session, since power-up
+
+    def arguments(self) -> list[str]:
+        """Return the options as arguments of `gyrorigd emulate`."""
+        words = ["--from", repr(self.session_s[0]), "--until", repr(self.session_s[1])]
+        for text in self.hide:
+            words += ["--hide", text]
+        if self.seed is not None:
+            words += ["--seed", str(self.seed)]
+        if self.truth is not None:
+            words += ["--truth", str(self.truth)]
+        if self.noise_free:
+            words.append("--noise-free")
+        if self.soak_k != 0.0:
+            words += ["--soak", repr(self.soak_k)]
+        return words
+
+
+def estimate_session_s(program: MotionProgram) -> tuple[float, float]:
+    """Return the approximate start and end of a session in seconds since power-up.
+
+    Single events of hidden causes are placed between the two.
+    """
+    begin_s = _TABLE_UPDATE_S if program.settings != PtuSettings() else 0.0
+    acceleration_deg_s2 = program.settings.acceleration_deg_s2 or _ACCELERATION_DEG_S2
+    total_s = begin_s
+    default_deg_s = program.settings.default_speed_deg_s
+    position_deg = {"pan": 0.0, "tilt": 0.0}
+    for step in unroll_steps(program.steps, program.name):
+        if isinstance(step, Rest):
+            total_s += step.seconds
+            continue
+        home = Move(pan_deg=0.0, tilt_deg=0.0, speed_deg_s=step.speed_deg_s)
+        move = home if isinstance(step, Home) else step
+        duration_s = 0.0
+        for axis, to_deg, axis_speed_deg_s in (
+            ("pan", move.pan_deg, move.pan_speed_deg_s),
+            ("tilt", move.tilt_deg, move.tilt_speed_deg_s),
+        ):
+            if to_deg is not None:
+                distance_deg, position_deg[axis] = abs(to_deg - position_deg[axis]), to_deg
+                speed_deg_s = axis_speed_deg_s or move.speed_deg_s or default_deg_s
+                ramp_s = speed_deg_s / acceleration_deg_s2
+                duration_s = max(duration_s, distance_deg / speed_deg_s + ramp_s)
+        total_s += duration_s + move.settle_s
+    return begin_s, total_s

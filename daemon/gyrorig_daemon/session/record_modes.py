@@ -1,0 +1,238 @@
+"""Two ways to record a session: real time on serial ports, or an emulated rig in simulated time.
+
+Both end in `session.record_session`; only the ports and the clock differ. The emulator is
+imported only where a rig is emulated.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrorig_daemon.clocks.capture_clock import (
+    CaptureClock,
+    HostClocks,
+    anchor_now,
+    read_host_clocks,
+)
+from gyrorig_daemon.config import EMULATED, PTU_PORT, RigConfig
+from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
+from gyrorig_daemon.links.ports.raw_clock import raw_ns
+from gyrorig_daemon.links.pump import StopFlag
+from gyrorig_daemon.session.emulation_options import EmulationOptions
+from gyrorig_daemon.session.garbage_collection import collect_rarely
+from gyrorig_daemon.session.session import (
+    EventListener,
+    Progress,
+    SessionEnvironment,
+    SessionSummary,
+    ignore_event,
+    ignore_progress,
+    ignore_summary,
+    record_session,
+)
+from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_protocol.errors import DeviceError, MachineError, UsageError
+
+POWER_UP_NS = 5_000_000_000  # power-up of a simulated rig, by the rig's raw clock
+HALT_COMMAND = " H "  # sent if the daemon dies; the first space ends a truncated command
+
+
+def _ignore_commitment(_sha256: str) -> None:
+    pass
+
+
+@dataclass(frozen=True, slots=True)
+class RecordTask:
+    """The arguments of `gyrorigd record`."""
+
+    request: SessionRequest
+    config_path: Path
+    emulation: EmulationOptions
+    host: str
+    stop: StopFlag
+    progress: Progress = ignore_progress
+    on_event: EventListener = ignore_event
+    on_summary: Callable[[SessionSummary], None] = ignore_summary
+    on_commitment: Callable[[str], None] = _ignore_commitment  # hash of the hidden parameters
+
+
+def record_in_real_time(task: RecordTask) -> Path:
+    """Record through the acquisition process; start the emulator for emulated ports.
+
+    Raises:
+        GyrorigError: see `record_session`, `AcquisitionHub`.
+    """
+    config = task.request.config
+    paths = config.ports()
+    emulated = [port for port, path in paths.items() if path == EMULATED]
+    emulation = task.emulation
+    if emulation.rates is not None:
+        raise UsageError("--rates needs --simulated-time", "add it, or leave out --rates")
+    if not emulated:
+        _refuse_emulation_options(emulation)
+    ending: Callable[[], str] = str  # how the emulator has ended, "" while it runs
+    with ExitStack() as stack:
+        if emulated:
+            from gyrorig_daemon.session.emulator_process import (  # noqa: PLC0415
+                EmulatorProcess,
+                check_hidden_causes,
+            )
+
+            check_hidden_causes(config, emulation)
+            process = stack.enter_context(EmulatorProcess(task.config_path, emulation))
+            if process.commitment is not None:
+                task.on_commitment(process.commitment)
+            ending = process.ending_text
+            paths |= {port: process.paths[port] for port in emulated}
+        hub = stack.enter_context(AcquisitionHub(make_port_settings(config, paths)))
+        collect_rarely()
+        environment = SessionEnvironment(
+            capture=anchor_now(),
+            read_host=read_host_clocks,
+            threaded_writer=True,
+            host=task.host,
+            seed=time.monotonic_ns(),
+            paths=paths,
+            dropped_bytes=lambda: hub.dropped_bytes,
+            stop=task.stop,
+            progress=task.progress,
+            on_event=task.on_event,
+            on_summary=task.on_summary,
+        )
+        try:
+            return record_session(hub, task.request, environment)
+        except DeviceError as fault:
+            if ending_text := ending():
+                raise MachineError(f"{ending_text}, {fault.problem}", "record again") from fault
+            raise
+
+
+def _refuse_emulation_options(emulation: EmulationOptions) -> None:
+    if emulation.truth is not None:
+        raise UsageError(
+            "this rig is not emulated, so its true parameters are not known", "leave out --truth"
+        )
+    if emulation.hide or emulation.noise_free or emulation.soak_k:
+        raise UsageError(
+            "--hide, --noise-free and --soak need an emulated rig",
+            "leave them out, or write `emulated` as the ports in the configuration",
+        )
+
+
+def record_in_simulated_time(task: RecordTask) -> Path:
+    """Record an emulated rig under a virtual clock.
+
+    Raises:
+        UsageError: a port is not emulated.
+        GyrorigError: see `record_session`.
+    """
+    from gyrorig_daemon.emulator.emulated_rig import EmulatedRig  # noqa: PLC0415
+    from gyrorig_daemon.emulator.noise_free_rates import (  # noqa: PLC0415
+        compare_noise_free,
+        move_starts_s,
+        write_rates,
+    )
+    from gyrorig_daemon.emulator.virtual_hub import VirtualHub  # noqa: PLC0415
+    from gyrorig_daemon.session.emulator_process import (  # noqa: PLC0415
+        TruthFile,
+        check_hidden_causes,
+        emulated_rig_settings,
+    )
+
+    config = task.request.config
+    if not config.is_emulated:
+        raise UsageError(
+            "--simulated-time needs a rig that is emulated completely", "leave out --simulated-time"
+        )
+    check_hidden_causes(config, task.emulation)
+    settings = emulated_rig_settings(config, emulation=task.emulation)
+    rig = EmulatedRig(settings, POWER_UP_NS)
+    truth = TruthFile(task.emulation, rig)
+    if truth.commitment is not None:
+        task.on_commitment(truth.commitment)
+    hub = VirtualHub(rig)
+    capture = CaptureClock(time.time_ns(), hub.now_ns())
+
+    def read_host() -> HostClocks:
+        now_ns = hub.now_ns()
+        return HostClocks(now_ns, now_ns, capture.utc_ns(now_ns), 0.0, 0.0, 0)
+
+    environment = SessionEnvironment(
+        capture=capture,
+        read_host=read_host,
+        threaded_writer=False,
+        host=task.host,
+        seed=settings.seed,
+        stop=task.stop,
+        progress=task.progress,
+        on_event=task.on_event,
+        on_summary=task.on_summary,
+    )
+    path = record_session(hub, task.request, environment)
+    truth.write_full_truth(POWER_UP_NS, hub.now_ns())
+    if task.emulation.rates is not None:
+        rates = compare_noise_free(rig, hub.now_ns())
+        write_rates(task.emulation.rates, rates, move_starts_s(rig))
+    return path
+
+
+def make_port_settings(config: RigConfig, paths: dict[str, str]) -> dict[str, PortSettings]:
+    """Return how to open every port of a rig.
+
+    Args:
+        config: the rig.
+        paths: the present path of each port.
+    """
+    bauds = {PTU_PORT: config.ptu.baud, **{b.hub_port: b.baud for b in config.serial_boards}}
+    settings = {
+        port: PortSettings(paths[port], baud, HALT_COMMAND if port == PTU_PORT else "")
+        for port, baud in bauds.items()
+    }
+    for bus in config.buses:
+        settings[bus.hub_port] = PortSettings(paths[bus.hub_port], bus.bitrate, kind="can")
+    return settings
+
+
+def serve_emulated_rig(
+    config: RigConfig,
+    emulation: EmulationOptions,
+    announce: Callable[[Mapping[str, str], str | None], None],
+    stop: threading.Event,
+    links: Path | None = None,
+) -> None:
+    """Open the emulated devices on pseudo-terminals and serve them until `stop` is set.
+
+    Args:
+        config: the rig; only its ports that are `emulated` are opened.
+        emulation: hidden causes, and the file for the true parameters.
+        announce: called once with the path of each port, and with the hash of the hidden
+            parameters if they are secret.
+        stop: set to stop.
+        links: a folder for symbolic links with the names of the ports.
+
+    Raises:
+        UsageError: no port is emulated, or a cause cannot be hidden.
+        MachineError: there is no pseudo-terminal, or the truth file cannot be written.
+    """
+    from gyrorig_daemon.emulator.emulated_rig import EmulatedRig  # noqa: PLC0415
+    from gyrorig_daemon.emulator.pty_server import serve_rig  # noqa: PLC0415
+    from gyrorig_daemon.session.emulator_process import (  # noqa: PLC0415
+        TruthFile,
+        check_hidden_causes,
+        emulated_rig_settings,
+    )
+
+    if EMULATED not in config.ports().values():
+        raise UsageError(
+            "no port of this rig is emulated",
+            "write `emulated` as the port of the unit or of a board, as in config/rig.yaml",
+        )
+    check_hidden_causes(config, emulation)
+    begin_ns = raw_ns()
+    rig = EmulatedRig(emulated_rig_settings(config, emulation=emulation, is_instant=True), begin_ns)
+    truth = TruthFile(emulation, rig)
+    serve_rig(rig, lambda ports: announce(ports, truth.commitment), stop.is_set, links)
+    truth.write_full_truth(begin_ns, raw_ns())

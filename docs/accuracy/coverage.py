@@ -1,0 +1,70 @@
+"""The table of coverage per program and parameter, from what bench_coverage.py wrote."""
+
+import json
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from docs.markdown import Block, show, table
+from tests.bench.accuracy.coverage import ALL_NAMES, coverage_rows, verdict
+
+RESULTS = Path(__file__).resolve().parent / "coverage.json"
+
+
+@cache
+def results() -> dict[str, Any]:
+    """Return what the bench wrote last, by program; the shortest program first."""
+    found: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return dict(sorted(found.items(), key=lambda item: float(item[1]["duration_s"])))
+
+
+def coverage() -> str:
+    """Coverage of the 95 % intervals of each parameter under each program, in per cent."""
+    found = results()
+    rows = [
+        (
+            f"`{name}`" if "," not in name else name.replace("time_offset", "`time_offset`"),
+            *(_cell(one["parameters"][name], one["runs"]) for one in found.values()),
+        )
+        for name in ALL_NAMES
+    ]
+    head = (
+        "parameter",
+        *(f"`{program.removesuffix('.yaml')}`, {one['runs']}" for program, one in found.items()),
+    )
+    return table(head, rows)
+
+
+def _cell(figures: dict[str, Any], runs: int) -> str:
+    if "value" not in figures:
+        return "null"
+    value, low, high = (100.0 * figures[key] for key in ("value", "low", "high"))
+    text = f"{value:.1f} ({low:.1f} to {high:.1f})"
+    if figures["nulls"]:
+        text += f", {figures['nulls']} of {runs} null"
+    return f"**{text}**" if verdict(figures) == "NO" else text
+
+
+def misses() -> str:
+    """How many coverages meet the goal, and those that do not."""
+    rows = list(coverage_rows(results()))
+    missed = [row for row in rows if row.verdict != "yes"]
+    beyond = sum(row.verdict == "NO" for row in missed)
+    text = (
+        f"{len(rows) - len(missed)} of {len(rows)} coverages are within the goal; "
+        f"{len(missed) - beyond} miss it within chance, {beyond} beyond chance."
+    )
+    beyond_rows = [(row.item, row.goal, row.figure) for row in missed if row.verdict == "NO"]
+    if not beyond_rows:
+        return text
+    return f"{text}\n\n" + table(("beyond chance", "goal", "measured"), beyond_rows)
+
+
+BLOCKS: dict[str, Block] = {"coverage-parameters": coverage, "coverage-misses": misses}
+
+
+if __name__ == "__main__":
+    show(BLOCKS)

@@ -1,0 +1,1 @@
+"""Message encoding: CDR payloads, and ROS 2 schemas with the numpy layouts derived from them."""

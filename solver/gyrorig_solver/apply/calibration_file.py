@@ -1,0 +1,88 @@
+"""Reading a calibration file for use: parsed, and with every parameter known.
+
+What to use when: `read_calibration` before a calibration is applied, exported or shown.
+It needs numpy and nothing of the extra `solver`.
+"""
+
+import hashlib
+import pkgutil
+from pathlib import Path
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.suggestions import did_you_mean
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
+from gyrorig_solver.model import causes
+
+BASE_PARAMETERS = ("bias", "scale", "nonorthogonality", "misalignment", "time_offset")
+# The causes that a correction applies, with their parameters.
+APPLIED_PARAMETERS = {
+    "scale_quadratic": ("scale_quadratic",),
+    "scale_cubic": ("scale_cubic",),
+    "scale_asymmetry": ("scale_asymmetry",),
+    "g_sensitivity": ("g_sensitivity",),
+    "thermal_scale": ("thermal_scale", "thermal_scale.reference"),
+    "thermal_bias": (
+        "thermal_bias",
+        "thermal_bias.slope",
+        "thermal_bias.square",
+        "thermal_bias.cube",
+        "thermal_bias.lag",
+        "thermal_bias.reference",
+    ),
+}
+
+
+def read_calibration(path: Path) -> tuple[CalibrationDocument, str]:
+    """Return the calibration in a file, and `sha256:` with the digest of the file.
+
+    Raises:
+        InputError: the file cannot be read, is not a calibration, or has a parameter that
+            this version does not know.
+    """
+    text = read_document(path)
+    document = parse_calibration(text, str(path))
+    check_parameters(document, str(path))
+    return document, "sha256:" + hashlib.sha256(text).hexdigest()
+
+
+def read_document(path: Path) -> bytes:
+    """Return the bytes of a document.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as fault:
+        raise InputError(
+            f"cannot read {path}, {fault.strerror}",
+            "give a calibration file, for example GY80-1/v0001.yaml",
+        ) from fault
+
+
+def check_parameters(document: CalibrationDocument, name: str) -> None:
+    """Check the names of a calibration's parameters against the catalogue of causes.
+
+    Args:
+        document: the calibration.
+        name: how to name it in an error, usually its file name.
+
+    Raises:
+        InputError: a name is not known, or a base parameter is missing.
+    """
+    # One module per cause; the modules themselves are not imported.
+    cause_ids = {module.name for module in pkgutil.iter_modules(causes.__path__)}
+    for parameter in document.parameters:
+        cause = parameter.partition(".")[0].partition("@")[0]
+        known = (*BASE_PARAMETERS, *sorted(cause_ids))
+        if cause in cause_ids:  # the parameters of other causes are not applied
+            known = APPLIED_PARAMETERS.get(cause, (parameter,))
+        if parameter not in known:
+            suggestion = did_you_mean(parameter, known, 1)
+            raise InputError(
+                f"{name} has the unknown parameter {parameter[:60]!r}",
+                suggestion or "correct its name, or use the version of gyrorig that wrote the file",
+            )
+    missing = [entry for entry in BASE_PARAMETERS if entry not in document.parameters]
+    if missing:
+        raise InputError(f"{name} lacks the parameter {missing[0]!r}", "solve the recording again")

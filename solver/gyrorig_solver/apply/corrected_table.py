@@ -1,0 +1,225 @@
+"""Applying a calibration to a text table: a copy with columns of the true rates.
+
+What to use when: `apply_to_table` for a CSV file of any length. The text of the table is
+copied unchanged; three columns are added on the right. Rows are processed in blocks, so that
+memory does not grow with the length.
+"""
+
+import csv
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from io import StringIO
+from itertools import islice
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError, MachineError, UsageError
+from gyrorig_solver.apply.board_calibration import Calibration, ReadingUnit
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.text_table import check_text_table
+
+RATE_COLUMNS = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
+TIME_COLUMN = "time_of_motion_s"
+ROWS_PER_BLOCK = 100_000
+MAX_HEADER_CHARS = 100_000
+_RATE_FORMAT = "%.9g"  # a rate of 10 rad/s to 1e-8: below the quantum of any gyro
+TIME_UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumns:
+    """The names of the columns to read."""
+
+    gyro: tuple[str, str, str]
+    unit: ReadingUnit = "counts"
+    temperature: str | None = None  # degC
+    time: str | None = None  # adds a column with the time of the motion
+    time_unit: str = "s"
+
+    @property
+    def names(self) -> list[str]:
+        """All columns to read, in reading order."""
+        return [*self.gyro, *(n for n in (self.temperature, self.time) if n is not None)]
+
+
+@dataclass(frozen=True, slots=True)
+class TableSummary:
+    """Counts of what was written."""
+
+    rows: int
+    outside: int  # rates above the range of the calibration's recordings
+    without: int  # rows with a reading that is not a number; their rates stay empty
+
+
+def apply_to_table(
+    calibration: Calibration, source: Path, out: Path, columns: TableColumns
+) -> TableSummary:
+    """Write `source` to `out` with columns of the true rates, in rad/s.
+
+    Raises:
+        InputError: `source` is not a table, or a column is missing.
+        UsageError: `out` exists, or a needed column is not given.
+        MachineError: the disk cannot be written; no file remains.
+    """
+    if out.exists():
+        raise UsageError(f"{out} exists", "choose another file with -o")
+    if calibration.correction.needs_force:
+        raise UsageError(
+            "this calibration depends on the specific force, and a table does not contain it",
+            "apply it to a recording, or solve without g_sensitivity",
+        )
+    if calibration.correction.needs_temperature and columns.temperature is None:
+        raise UsageError(
+            "this calibration depends on the temperature", "name its column with --temperature"
+        )
+    temporary: Path | None = None
+    try:
+        check_text_table(source)
+        lines = source.open(encoding="utf-8", errors="surrogateescape", newline="")
+    except OSError as fault:
+        raise InputError(
+            f"cannot read {source}, {fault.strerror}", "give a readable table (CSV)"
+        ) from fault
+    with lines:
+        try:
+            handle, name = tempfile.mkstemp(prefix=f".{out.name}.", dir=out.parent)
+            temporary = Path(name)
+            with os.fdopen(
+                handle, "w", encoding="utf-8", errors="surrogateescape", newline=""
+            ) as target:
+                summary = _TableWriter(calibration, source.name, columns).copy(lines, target)
+                os.fchmod(target.fileno(), 0o644)
+            temporary.replace(out)
+        except OSError as fault:
+            raise MachineError(
+                f"cannot write {out}, {fault.strerror}",
+                "free space on the disk, or choose another file with -o",
+            ) from fault
+        finally:
+            if temporary is not None:
+                with suppress(FileNotFoundError):
+                    temporary.unlink()
+    return summary
+
+
+class _TableWriter:
+    """Copies one table and adds the corrected columns."""
+
+    def __init__(self, calibration: Calibration, name: str, columns: TableColumns) -> None:
+        self._calibration, self._name, self._columns = calibration, name, columns
+        low, high = calibration.document.validity.rate_rad_s
+        self._limit_rad_s = max(abs(low), abs(high))
+
+    def copy(self, lines: TextIO, target: TextIO) -> TableSummary:
+        """Copy the header and the rows, and append the rates."""
+        header = lines.readline(MAX_HEADER_CHARS)
+        delimiter = max(",;\t", key=header.count)
+        names = [n.strip() for n in next(csv.reader(StringIO(header), delimiter=delimiter), [])]
+        column_indices = self._column_indices(names)
+        added = [*RATE_COLUMNS, *([TIME_COLUMN] if self._columns.time else [])]
+        existing = [name for name in added if name in names]
+        if existing:
+            raise InputError(
+                f"{self._name} already has a column {existing[0]}: a calibration was applied to it",
+                "apply the calibration to the original table",
+            )
+        target.write(header.rstrip("\r\n") + delimiter + delimiter.join(added) + "\n")
+        rows = outside = without = 0
+        row_text = delimiter.join([_RATE_FORMAT] * 3 + (["%.9f"] if self._columns.time else []))
+        empty = delimiter * (len(added) - 1)
+        for block in _blocks(lines):
+            values = self._parse_block(block, delimiter, column_indices, rows)
+            corrected = self._corrected(values)
+            is_invalid = ~np.isfinite(corrected).all(axis=1)
+            outside += int(
+                np.sum(np.abs(corrected[~is_invalid, :3]).max(axis=1) > self._limit_rad_s)
+            )
+            without += int(is_invalid.sum())
+            cells = [row_text % tuple(row) for row in corrected.tolist()]
+            for at in np.flatnonzero(is_invalid).tolist():
+                cells[at] = empty
+            target.write(
+                "".join(
+                    f"{line}{delimiter}{text}\n" for line, text in zip(block, cells, strict=True)
+                )
+            )
+            rows += len(block)
+        if not rows:
+            raise InputError(f"{self._name} has a header and no rows", "give a table with readings")
+        return TableSummary(rows, outside, without)
+
+    def _column_indices(self, names: Sequence[str]) -> list[int]:
+        """Return the indices of the columns to read."""
+        for name in self._columns.names:
+            if name not in names:
+                column_names = ", ".join(n[:40] for n in names[:12]) or "nothing"
+                raise InputError(
+                    f"{self._name} has no column {name!r}", f"choose one of {column_names}"
+                )
+        return [names.index(name) for name in self._columns.names]
+
+    def _parse_block(
+        self, block: Sequence[str], delimiter: str, column_indices: Sequence[int], rows_before: int
+    ) -> FloatArray:
+        """Return the columns of some rows, shape (n, k); nan for an empty cell."""
+        try:
+            return np.loadtxt(
+                block,
+                delimiter=delimiter,
+                usecols=column_indices,
+                ndmin=2,
+                comments=None,
+                quotechar='"',
+            )
+        except (ValueError, IndexError):  # an empty cell, or a row that is cut
+            return np.array(
+                [
+                    self._parse_row(line, delimiter, column_indices, rows_before + k)
+                    for k, line in enumerate(block)
+                ]
+            )
+
+    def _parse_row(
+        self, line: str, delimiter: str, column_indices: Sequence[int], number: int
+    ) -> list[float]:
+        cells = next(csv.reader([line], delimiter=delimiter), [])
+        if max(column_indices) >= len(cells):
+            raise InputError(
+                f"{self._name}: row {number + 1} has {len(cells)} columns",
+                "correct or remove the row; it may be cut off",
+            )
+        return [
+            self._parse_cell(cells[at], name, number)
+            for at, name in zip(column_indices, self._columns.names, strict=True)
+        ]
+
+    def _parse_cell(self, text: str, column: str, number: int) -> float:
+        try:
+            return float(text) if text.strip() else float("nan")
+        except ValueError as error:
+            raise InputError(
+                f"{self._name}: row {number + 1} has {text[:40]!r} in column {column}, which is "
+                "not a number",
+                "correct the cell or leave it empty",
+            ) from error
+
+    def _corrected(self, values: FloatArray) -> FloatArray:
+        """Return the rates, and the times if requested, shape (n, 3) or (n, 4)."""
+        columns = self._columns
+        temperature = values[:, 3] if columns.temperature is not None else None
+        rates = self._calibration.rates(values[:, :3], columns.unit, temperature_degc=temperature)
+        if columns.time is None:
+            return rates
+        times = self._calibration.times(values[:, -1] * TIME_UNITS_S[columns.time_unit])
+        return np.column_stack([rates, times])
+
+
+def _blocks(lines: TextIO) -> Iterator[list[str]]:
+    """Yield blocks of rows without line ends and without empty rows."""
+    while block := list(islice(lines, ROWS_PER_BLOCK)):
+        yield [line.rstrip("\r\n") for line in block if line.strip()]

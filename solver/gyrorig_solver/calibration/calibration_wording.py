@@ -1,0 +1,189 @@
+"""Names and sentences that describe a calibration to people.
+
+What to use when: `verdict_sentence` and `next_step` for the verdict; `determined_text` for how
+many parameters have a value; `value_std_pairs` for a parameter's values with their standard
+uncertainties; `cause_groups` for parameters beyond the base model.
+"""
+
+import math
+from collections.abc import Sequence
+
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument, Parameter
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.parameter_units import (
+    PARAMETER_GROUPS,
+    ParameterGroup,
+    display_unit,
+    format_quantity,
+    format_short,
+)
+
+VERDICT_TITLES = {"good": "Good", "limited": "Limited", "refused": "Refused"}
+REDUCED_CHI2_LIMIT = 1.25  # above it a fit to a motion is limited, see `estimate.motion_fit`
+
+# The next step, for a terminal; the report has a section for it.
+_NEXT_STEPS = {
+    "good": "use it with `gyrorig apply` or `gyrorig export`, and read the report.",
+    "limited": "follow the lines marked !, record again and solve both recordings together.",
+    "refused": "follow the lines marked ! and record again.",
+}
+
+
+def verdict_sentence(calibration: CalibrationDocument) -> str:
+    """Return what the verdict means, with the numbers that were tested."""
+    verdict, observability = calibration.trust.verdict, calibration.observability
+    if verdict == "refused" and calibration.solver.method == "paper":
+        return "Do not use this calibration. It is the result of the paper's method as printed."
+    if verdict == "refused":
+        return "Do not use this calibration. Fix the problems below and record again."
+    if verdict == "limited" and observability.unobservable:
+        return (
+            "Some parameters could not be determined. The values shown are valid; read the "
+            "notes below."
+        )
+    determined = f"All {observability.of} parameters were determined."
+    if verdict == "limited":
+        return f"{determined} Read the notes below before you use the values."
+    sentences = [determined]
+    chi2 = calibration.quality.reduced_chi2
+    if chi2 is not None:
+        sentences.append(f"Reduced chi-square {format_short(chi2)}{_limit_text(calibration)}.")
+    sentences.append(_exclusion_sentence(calibration))
+    if calibration.uncertainty is not None:
+        sentences.append("The total uncertainties are within their limits.")
+    return " ".join(sentences)
+
+
+def _limit_text(calibration: CalibrationDocument) -> str:
+    # A fit to known turns has another limit, and no noise model.
+    return f" (limit {REDUCED_CHI2_LIMIT:g})" if calibration.noise else " (expected 1)"
+
+
+def _exclusion_sentence(calibration: CalibrationDocument) -> str:
+    """Return what the fit alone does not exclude, or what a search for causes found."""
+    findings = calibration.findings
+    if findings is None:
+        if calibration.quality.remaining_effects is not None:
+            return "Tests of the residual found no further effect."
+        subject = "Rig errors below this limit are" if calibration.noise else "Rig errors are"
+        return f"{subject} not excluded; run `gyrorig explain`."
+    fitted = [name for name in findings.causes if name in calibration.solver.terms]
+    if fitted:
+        names = ", ".join(name.replace("_", " ") for name in fitted)
+        return f"The fit includes the causes that a search found: {names}."
+    return "A search for further causes found none in the rates."
+
+
+def next_step(calibration: CalibrationDocument) -> str:
+    """Return what to do with a calibration of this verdict."""
+    if calibration.solver.method == "paper":
+        return "solve again with `--method likelihood`."
+    return _NEXT_STEPS[calibration.trust.verdict]
+
+
+def determined_text(calibration: CalibrationDocument) -> str:
+    """Return how many parameters the motion determined: "12 of 12, and the time offset"."""
+    observability = calibration.observability
+    offset = calibration.parameters.get("time_offset")
+    has_offset = offset is not None and offset.value is not None
+    return f"{observability.rank} of {observability.of}" + (
+        ", and the time offset" if has_offset else ""
+    )
+
+
+def missing_value_text(calibration: CalibrationDocument) -> str:
+    """Return the text shown instead of a value that is null."""
+    if calibration.solver.method == "paper":
+        return "not given by the paper's method"
+    return "not observable from this motion"
+
+
+def collapse_groups(names: Sequence[str]) -> list[str]:
+    """Return parameter names, with the name of the group where all of its values are present."""
+    collapsed_names = []
+    for group in PARAMETER_GROUPS:
+        group_names = [f"{group.name}.{label}" for label in group.labels if label] or [group.name]
+        present = [name for name in group_names if name in names]
+        collapsed_names += [group.name] if len(present) == len(group_names) else present
+    return collapsed_names + [
+        name for name in names if name.split(".")[0] not in {g.name for g in PARAMETER_GROUPS}
+    ]
+
+
+def cause_groups(calibration: CalibrationDocument) -> tuple[ParameterGroup, ...]:
+    """Return the parameters of a document that are not in the base model."""
+    base = {group.name for group in PARAMETER_GROUPS}
+    return tuple(
+        ParameterGroup(
+            name,
+            _entry_labels(name, len(value_std_pairs(p))),
+            "beyond the base model",
+            *display_unit(p.unit),
+        )
+        for name, p in calibration.parameters.items()
+        if name not in base
+    )
+
+
+def _entry_labels(name: str, count: int) -> tuple[str, ...]:
+    """Return the component labels of a cause's parameter: `cause` or `cause.parameter`."""
+    cause, _, parameter_name = name.partition(".")
+    parameters = catalogue()[cause].parameters if cause in catalogue() else ()
+    for parameter in parameters:
+        if parameter_name in ("", parameter.name) and len(parameter.components) == count:
+            return parameter.components
+    return {1: ("",), 3: ("x", "y", "z")}.get(count, tuple(str(i) for i in range(count)))
+
+
+def value_std_pairs(parameter: Parameter) -> list[tuple[float | None, float | None]]:
+    """Return (value, standard uncertainty) of each entry, in the document's unit."""
+    value, std = parameter.value, parameter.std
+    values = value if isinstance(value, list) else [value]
+    std_values = std if isinstance(std, list) else [std]
+    return list(zip(values, std_values, strict=True))
+
+
+def white_noise_units(values: Sequence[float | None]) -> list[tuple[str, str, str]]:
+    """Return the white noise of three axes as rows of name, values and unit.
+
+    Args:
+        values: one-sided densities, rad/s/sqrt(Hz); None where not estimated.
+
+    A one-sided density n is an angle random walk N = n / sqrt(2), IEEE Std 952 annex C.
+    """
+    density_dps = [None if v is None else math.degrees(v) for v in values]
+    walk = [None if v is None else 60.0 * v / math.sqrt(2.0) for v in density_dps]
+    return [
+        ("noise density", axes_text(density_dps), "deg/s/√Hz, one-sided"),
+        ("angle random walk", axes_text(walk), "deg/√h"),
+    ]
+
+
+def axes_text(values: Sequence[float | None]) -> str:
+    """Return the values of three axes, in one text."""
+    return ", ".join("not estimated" if v is None else format_short(v) for v in values)
+
+
+def level_sentence(
+    tilt_zero_rad: tuple[float, float],
+    lean_rad: Sequence[float],
+    lean_std_rad: Sequence[float],
+    rests: int,
+) -> str:
+    """Return the unit's leveling, as estimated from the board's accelerometer.
+
+    Args:
+        tilt_zero_rad: value and standard uncertainty.
+        lean_rad: of the pan axis, to the right and forward.
+        lean_std_rad: standard uncertainties of `lean_rad`.
+        rests: number of static intervals used.
+    """
+    tilt, right, forward = (
+        " ± ".join(format_quantity(math.degrees(value), math.degrees(std)))
+        for value, std in (tilt_zero_rad, *zip(lean_rad, lean_std_rad, strict=True))
+    )
+    return (
+        f"The board's accelerometer in {rests} static intervals gives a tilt zero of {tilt} deg "
+        "(minus the board's mounting angle about x, which it cannot separate) and a pan axis that "
+        f"leans {right} deg to the right and {forward} deg forward."
+    )

@@ -1,0 +1,211 @@
+"""The paper's method on a recording, and its result as a calibration document.
+
+For comparison only. The document contains the method's results where the schema has a place for
+them; everything else is null and listed with the reason.
+"""
+
+import math
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.messages import EventKind, PtuStatus
+from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_solver.calibration.calibration_builder import Provenance
+from gyrorig_solver.calibration.calibration_document import (
+    CalibrationDocument,
+    Covariance,
+    Matrices,
+    Matrix,
+    ObservabilityRecord,
+    Parameter,
+    Quality,
+    SolverRecord,
+    Trust,
+    Units,
+    Validity,
+)
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.paper.paper_method import FAILURES, PaperResult, calibrate_as_printed
+from gyrorig_solver.model.gain_matrix import rotation_vector
+from gyrorig_solver.reference.unit.pan_tilt_recording import UNUSABLE_STATUS
+
+_EXACT = 1e-9  # tolerance of S T M = STM and of M being a rotation, as in the schema
+
+
+def solve_with_paper_method(
+    recording: Recording, board: BoardId, samples: GyroSamples
+) -> PaperResult:
+    """Return the result of eq. 6 to 12 for one board of one recording.
+
+    Raises:
+        InputError: the recording has no positions of a pan-tilt unit, or no motion.
+    """
+    if "/ptu/position" not in recording.topics:
+        raise InputError(
+            f"{recording.path.name} has no positions of a pan-tilt unit",
+            "use --method likelihood, because the paper's method needs the unit's angles",
+        )
+    time_s, pan, tilt, span = _interpolated_angles(recording, samples)
+    used = samples.usable & (time_s >= span[0]) & (time_s <= span[1])
+    used[1:] &= np.diff(time_s) > 0.0
+    try:
+        return calibrate_as_printed(
+            time_s[used],
+            samples.rate_rad_s[used],
+            pan[used],
+            tilt[used],
+            _static_samples(recording, samples)[used],
+        )
+    except ValueError as fault:
+        raise InputError(
+            f"the paper's method cannot use board {board}, {fault}",
+            "record a program with static intervals and moves, such as survey-40, or use --method "
+            "likelihood",
+        ) from fault
+
+
+def build_paper_calibration(
+    result: PaperResult,
+    rate_range_rad_s: tuple[float, float],
+    origin: Provenance,
+    *,
+    version: int,
+    previous: str | None,
+    created: str,
+) -> CalibrationDocument:
+    """Return the document of the paper's result."""
+    matrices = _matrices(result)
+    known = matrices.S[0][0] is not None
+    parameters = _parameters(result, known)
+    unobservable = [
+        f"{name}.{entry}"
+        for name, entries in _ENTRIES.items()
+        if name != "bias" and parameters[name].value == [None] * 3
+        for entry in entries
+    ] + ["time_offset"]
+    return CalibrationDocument(
+        schema="gyrorig/calibration/1",
+        board=origin.board,
+        version=version,
+        previous=previous,
+        created=created,
+        inputs=list(origin.inputs),
+        solver=SolverRecord(
+            version=origin.software,
+            method="paper",
+            terms=["bias", "scale", "nonorthogonality", "misalignment"],
+            config_sha256=origin.settings_sha256,
+        ),
+        units=Units(),
+        model="y = S T M u + b t, angles: the paper's eq. 6 to 12 as printed",
+        parameters=parameters,
+        matrices=matrices,
+        covariance=Covariance(order=[], matrix=[]),
+        observability=ObservabilityRecord(
+            rank=13 - len(unobservable), of=12, unobservable=unobservable, condition=None
+        ),
+        noise={},
+        quality=Quality(
+            reduced_chi2=None,
+            warnings=["the paper's method gives no standard uncertainties and no time offset"],
+        ),
+        trust=Trust(
+            verdict="refused" if result.failures else "limited",
+            reasons=[f"{name}: {FAILURES[name]}" for name in result.failures]
+            or ["no standard uncertainties are given. Use --method likelihood"],
+        ),
+        validity=Validity(
+            rate_rad_s=[float(v) for v in rate_range_rad_s],
+            config_hash=origin.board.config.config_hash,
+        ),
+    )
+
+
+_ENTRIES = {
+    "bias": ("x", "y", "z"),
+    "scale": ("x", "y", "z"),
+    "nonorthogonality": ("xy", "zx", "zy"),
+    "misalignment": ("x", "y", "z"),
+}
+
+
+def _matrices(result: PaperResult) -> Matrices:
+    """Return S, T and M if they are valid factors of STM, else null; STM always."""
+    unknown: Matrix = [[None] * 3 for _ in range(3)]
+    S, T, M = result.S, result.T, result.M
+    if S is None or T is None or M is None:
+        return Matrices(S=unknown, T=unknown, M=unknown, STM=_matrix_rows(result.STM))
+    product_agrees = float(np.abs(S @ T @ M - result.STM).max()) < _EXACT
+    is_rotation = float(np.abs(M.T @ M - np.eye(3)).max()) < _EXACT and np.linalg.det(M) > 0.0
+    if not (product_agrees and is_rotation):
+        return Matrices(S=unknown, T=unknown, M=unknown, STM=_matrix_rows(result.STM))
+    return Matrices(
+        S=_matrix_rows(S), T=_matrix_rows(T), M=_matrix_rows(M), STM=_matrix_rows(result.STM)
+    )
+
+
+def _parameters(result: PaperResult, known: bool) -> dict[str, Parameter]:
+    unknown: list[float | None] = [None] * 3
+    scale, nonorthogonality, misalignment = unknown, unknown, unknown
+    S, T, M = result.S, result.T, result.M
+    if known and S is not None and T is not None and M is not None:
+        if np.allclose(S, np.diag(np.diag(S)), atol=_EXACT):
+            scale = [float(v) for v in np.diag(S)]
+        if np.allclose(T, np.tril(T), atol=_EXACT) and np.allclose(np.diag(T), 1.0, atol=_EXACT):
+            nonorthogonality = [float(T[1, 0]), float(T[2, 0]), float(T[2, 1])]
+        misalignment = [float(v) for v in rotation_vector(M)]
+    return {
+        "bias": Parameter([float(v) for v in result.bias_rad_s], unknown, "rad/s"),
+        "scale": Parameter(scale, unknown, "1"),
+        "nonorthogonality": Parameter(nonorthogonality, unknown, "1"),
+        "misalignment": Parameter(misalignment, unknown, "rad"),
+        "time_offset": Parameter(None, None, "s"),
+    }
+
+
+def _matrix_rows(values: FloatArray) -> Matrix:
+    return [[float(v) + 0.0 if math.isfinite(v) else None for v in row] for row in values]
+
+
+def _interpolated_angles(
+    recording: Recording, samples: GyroSamples
+) -> tuple[FloatArray, FloatArray, FloatArray, tuple[float, float]]:
+    """Return sample times, pan and tilt interpolated to them, and the span of the polls."""
+    polls = recording.ptu_positions()
+    polls = polls[polls["status"] & UNUSABLE_STATUS == 0]
+    middle = (times_ns(polls["request_time"]) + times_ns(polls["reply_time"])) // 2
+    middle_s = (middle - samples.origin_ns) * 1e-9
+    angles, start_s, end_s = [], -math.inf, math.inf
+    for axis, valid in (("pan", PtuStatus.PAN_ANSWERED), ("tilt", PtuStatus.TILT_ANSWERED)):
+        answered = polls["status"] & valid != 0
+        if int(answered.sum()) < 2:
+            raise InputError(
+                f"{recording.path.name} has fewer than two {axis} positions",
+                "remove `rate_hz` under `ptu: poll` from the rig file, so that the daemon polls "
+                "often, and record again",
+            )
+        angles.append(np.interp(samples.time_s, middle_s[answered], polls[axis][answered]))
+        start_s, end_s = (
+            max(start_s, float(middle_s[answered][0])),
+            min(end_s, float(middle_s[answered][-1])),
+        )
+    return samples.time_s, angles[0], angles[1], (start_s, end_s)
+
+
+def _static_samples(recording: Recording, samples: GyroSamples) -> BoolArray:
+    """Return which samples are in a phase `static`."""
+    is_static = np.zeros(samples.time_s.size, dtype=np.bool_)
+    begin_s: float | None = None
+    for event in recording.events():
+        if event.phase != "static":
+            continue
+        at_s = (event.host_time_ns - samples.origin_ns) * 1e-9
+        if event.kind == EventKind.PHASE_BEGIN:
+            begin_s = at_s
+        elif event.kind == EventKind.PHASE_END and begin_s is not None:
+            is_static |= (samples.time_s >= begin_s) & (samples.time_s < at_s)
+            begin_s = None
+    return is_static

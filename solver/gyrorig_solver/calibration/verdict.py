@@ -1,0 +1,79 @@
+"""The verdict on a calibration: whether to use it, and the reasons with their remedies."""
+
+import math
+from typing import Literal
+
+from gyrorig_protocol.profile import SensorProfile
+from gyrorig_solver.calibration.calibration_document import Trust
+from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.model.parameter_units import plural
+
+_REFUSED_CHI2 = 25.0  # above it, the standard uncertainties are meaningless
+_LOST_SHARE = 0.02  # of the samples; fewer gaps only reduce the precision
+_OUTLIER_SHARE = 0.01
+_DEG = 180.0 / math.pi
+
+Verdict = Literal["good", "limited", "refused"]
+
+
+def judge_fit(fit: GyroFit) -> Trust:
+    """Return the verdict on a fit.
+
+    refused: no parameter was observable, or the residual is far larger than the noise.
+    limited: the fit reports a problem, or too many samples were lost or were outliers.
+    """
+    verdict: Verdict = "good"
+    reasons = list(fit.limited_reasons or fit.observability.reasons)
+    if fit.observability.unobservable and not reasons:
+        unobservable = ", ".join(fit.observability.unobservable)
+        reasons.append(
+            f"{unobservable} not observable. Record a program that turns about every axis"
+        )
+    total = fit.samples + fit.lost
+    if fit.lost > _LOST_SHARE * max(total, 1):
+        reasons.append(
+            f"{fit.lost} of {total} samples were lost. Lower the output rate or raise the baud rate"
+        )
+    if fit.outliers > _OUTLIER_SHARE * max(fit.samples, 1):
+        reasons.append(
+            f"{plural(fit.outliers, 'sample was', 'samples were')} rejected as outliers. Check the "
+            "sensor's bus, its supply and the reference"
+        )
+    if reasons:
+        verdict = "limited"
+    if math.isfinite(fit.reduced_chi2) and fit.reduced_chi2 > _REFUSED_CHI2:
+        reasons.append(
+            f"the residual's variance is {fit.reduced_chi2:.3g} times that of the noise, therefore "
+            "the standard uncertainties are meaningless. Check signs, axes and full scale in the "
+            "rig's configuration"
+        )
+        verdict = "refused"
+    if fit.observability.rank == 0:
+        verdict = "refused"
+    return Trust(verdict=verdict, reasons=reasons)
+
+
+def profile_warnings(
+    fit: GyroFit, profile: SensorProfile | None, full_scale_dps: float | None = None
+) -> list[str]:
+    """Return a warning for each value outside the data sheet's limits at the board's full scale."""
+    if profile is None:
+        return []
+    warnings = []
+    if profile.scale_tolerance is not None:
+        for axis, scale in zip("xyz", fit.scale, strict=True):
+            if math.isfinite(scale) and abs(abs(scale) - 1.0) > profile.scale_tolerance:
+                warnings.append(
+                    f"scale.{axis} is {scale:.4f}, outside the {profile.sensor}'s data-sheet range "
+                    f"1 ± {profile.scale_tolerance:g}. Check the full scale that the board "
+                    "reports"
+                )
+    zero_rate_dps = profile.zero_rate_limit_dps(full_scale_dps)
+    if zero_rate_dps is not None:
+        for axis, bias in zip("xyz", fit.bias_rad_s, strict=True):
+            if math.isfinite(bias) and abs(bias) * _DEG > zero_rate_dps:
+                warnings.append(
+                    f"bias.{axis} is {bias * _DEG:.1f} deg/s, outside the {profile.sensor}'s "
+                    f"data-sheet range ±{zero_rate_dps:g} deg/s. Check that the rig was at rest"
+                )
+    return warnings

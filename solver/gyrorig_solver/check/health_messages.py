@@ -1,0 +1,118 @@
+"""Messages about the health of a recording: a verdict, and problems with remedies.
+
+What to use when: `health_verdict` for the first line, `health_problems` for the lines below.
+Every problem has the form "What is wrong. What to do."
+"""
+
+from collections.abc import Iterator
+
+from gyrorig_protocol.errors import sentence
+from gyrorig_protocol.recording.mcap.losses import Loss, LossCause
+from gyrorig_solver.calibration.calibration_wording import collapse_groups
+from gyrorig_solver.check.recording_health import BoardHealth, RecordingHealth
+
+MAX_LOST_SHARE = 0.02  # above this share a calibration is limited
+
+_COPY_REMEDY = (
+    "Copy it again from the rig if it is complete there, or use the part that can be read."
+)
+_LOSS_REMEDIES = {
+    LossCause.UNFINISHED: "Run `gyrorigd recover FOLDER` on the rig to close it; no data on "
+    "the disk are lost.",
+    LossCause.TRUNCATED: _COPY_REMEDY,
+    LossCause.DAMAGED: _COPY_REMEDY,
+    LossCause.REFUSED: "It was not written by gyrorigd, or bytes were changed. " + _COPY_REMEDY,
+    LossCause.MESSAGE: "The rest is used. Record again if samples are missing.",
+    LossCause.SUMMARY: "No action is needed; the file can be read without it.",
+    LossCause.METADATA: "No action is needed now, but check the disk on which it was written.",
+    LossCause.MISSING: _COPY_REMEDY,
+}
+_FAULT_REMEDY = "Run `gyrorigd doctor --config RIG.yaml` to see if the fault remains."
+
+
+def health_verdict(health: RecordingHealth) -> str:
+    """Return the verdict on a recording, in a few words."""
+    broken = [board.board for board in health.boards if board.fault]
+    if len(broken) == len(health.boards):
+        return "not usable"
+    if broken:
+        return f"usable in part, without {', '.join(broken)}"
+    remarks = any(_quality_messages(health)) or not health.complete
+    if health.identifiable:
+        return "usable, with remarks" if remarks else "sound"
+    first = "usable, with remarks" if remarks else "sound"
+    return f"{first}, but cannot calibrate all"
+
+
+def health_problems(health: RecordingHealth) -> tuple[str, ...]:
+    """Return the problems of a recording, each with its remedy; empty if it is sound."""
+    return (*_quality_messages(health), *_capability_messages(health))
+
+
+def _loss_message(loss: Loss) -> str:
+    return f"{loss.text}. {_LOSS_REMEDIES[loss.cause]}"
+
+
+def _quality_messages(health: RecordingHealth) -> Iterator[str]:
+    """Yield defects of the recording."""
+    yield from (_loss_message(loss) for loss in health.losses)
+    for topic, count in health.dropped.items():
+        yield (
+            f"the daemon dropped {count} messages of {topic}, because its disk was full or too "
+            "slow. Free space on that disk."
+        )
+    yield from (
+        f"the daemon noted a fault during the recording, {text}. {_FAULT_REMEDY}"
+        for text in health.faults
+    )
+    if not health.boards:
+        yield (
+            "there is no board in it. Connect one, and check with `gyrorigd doctor --config "
+            "RIG.yaml` that it answers."
+        )
+    for board in health.boards:
+        yield from _board_messages(board)
+    if health.unit is not None and health.unit.unsynchronised:
+        yield (
+            f"{health.unit.unsynchronised} positions were read while the unit was not "
+            "synchronised, and are not used. Check its cable."
+        )
+
+
+def _board_messages(board: BoardHealth) -> Iterator[str]:
+    name = board.board
+    if board.fault:
+        yield f"{name} cannot be used, because {board.fault}"
+        return
+    if board.lost > MAX_LOST_SHARE * (board.samples + board.lost):
+        yield f"{name} lost {board.lost} samples. Lower its output rate or raise its baud rate."
+    if board.saturated > 0:
+        yield (
+            f"{name} has {board.saturated} saturated samples. "
+            "Use a larger full scale, or turn more slowly."
+        )
+    if board.repeated > MAX_LOST_SHARE * board.samples:
+        yield (
+            f"{name} repeats {board.repeated} samples, because it is read faster than it measures. "
+            "Read it on its data-ready signal, or raise its output rate."
+        )
+    if board.restarts:
+        yield f"{name} restarted {board.restarts} times. Check its supply and its cable."
+    if board.clock_steps:
+        yield (
+            f"the clock of {name} or of the host jumped {board.clock_steps} times. "
+            "Do not suspend the host, and check the board's firmware."
+        )
+
+
+def _capability_messages(health: RecordingHealth) -> Iterator[str]:
+    """Yield the parameters that the motion does not make observable."""
+    for board in health.boards:
+        if board.fault:
+            continue
+        if board.observability is None:
+            yield f"{board.board} cannot be calibrated alone, because {board.no_reference}"
+        elif board.observability.unobservable:
+            unobservable = ", ".join(collapse_groups(board.observability.unobservable))
+            reasons = "; ".join(board.observability.reasons) or "Turn it about every axis"
+            yield f"{unobservable} of {board.board} cannot be determined. {sentence(reasons)}"

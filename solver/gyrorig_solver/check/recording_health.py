@@ -1,0 +1,244 @@
+"""Health of a recording: its content, its defects, and the observable parameters.
+
+What to use when: `examine_recording` for all of it; `health_messages` converts it to text.
+`predict_observability` needs no fit: the Fisher information of the samples about gain, bias and
+time offset follows from the reference motion and the noise of the sensor, and does not depend
+on the counts. Its rank test is that of the estimator.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import GyrorigError, InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.mcap.losses import Loss
+from gyrorig_protocol.recording.messages import EventKind, PtuStatus, imu_raw_topic
+from gyrorig_protocol.recording.recording import Recording, times_ns
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.estimate.derived_parameters import derive_parameters
+from gyrorig_solver.estimate.gyro_fit import ObservabilityReport
+from gyrorig_solver.estimate.information import PARAMETER_NAMES, white_noise_information
+from gyrorig_solver.estimate.observability import analyse_observability
+from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.estimate.typical_board import expected_estimate
+from gyrorig_solver.pipeline.fit_board import solve_recordings
+from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference.unit.pan_tilt_recording import (
+    UNUSABLE_STATUS,
+    read_pan_tilt_reference,
+)
+
+_GRID_HZ = 50.0  # motions of a unit change within tenths of a second
+_MAX_GRID_POINTS = 200_000
+_MIN_GRID_POINTS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class BoardHealth:
+    """One board: its samples, its clock, and the observable parameters."""
+
+    board: str
+    sensor: str
+    samples: int
+    duration_s: float
+    rate_hz: float
+    lost: int  # by the board's own counter
+    repeated: int
+    saturated: int
+    restarts: int
+    skew_ppm: float
+    latency_median_s: float
+    latency_max_s: float
+    clock_pings: int
+    observability: ObservabilityReport | None  # None: it cannot be calibrated from this alone
+    no_reference: str = ""  # the reason for that
+    fault: str = ""  # why the board cannot be used
+    clock_steps: int = 0  # of its clock or the host's, without a restart
+
+
+@dataclass(frozen=True, slots=True)
+class UnitHealth:
+    """The pan-tilt unit: positions and commands."""
+
+    polls: int
+    poll_rate_hz: float
+    unsynchronised: int
+    pan_deg: tuple[float, float]
+    tilt_deg: tuple[float, float]
+    commands: int
+    refused: int  # answered with an error, or not answered
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingHealth:
+    """Health of a recording."""
+
+    name: str
+    complete: bool
+    losses: tuple[Loss, ...]
+    notes: tuple[str, ...]
+    duration_s: float
+    topics: dict[str, int]
+    dropped: dict[str, int]  # messages missing by the daemon's count, by topic
+    phases: dict[str, int]
+    faults: tuple[str, ...]  # noted by the daemon
+    unit: UnitHealth | None
+    boards: tuple[BoardHealth, ...]
+
+    @property
+    def identifiable(self) -> bool:
+        """True when every board can be calibrated in full."""
+        return bool(self.boards) and all(
+            board.observability is not None and not board.observability.unobservable
+            for board in self.boards
+        )
+
+
+def examine_recording(recording: Recording, wanted: tuple[BoardId, ...]) -> RecordingHealth:
+    """Return the health of a recording and of the requested boards."""
+    events = recording.events()
+    return RecordingHealth(
+        name=recording.path.name,
+        complete=recording.is_complete,
+        losses=tuple(recording.losses),
+        notes=recording.notes,
+        duration_s=(recording.end_ns - recording.start_ns) * 1e-9,
+        topics={name: len(topic) for name, topic in sorted(recording.topics.items())},
+        dropped=_dropped_messages(recording),
+        phases=dict(Counter(e.phase for e in events if e.kind == EventKind.PHASE_BEGIN)),
+        faults=tuple(e.text for e in events if e.kind == EventKind.FAULT),
+        unit=_unit_health(recording),
+        boards=tuple(_board_health(recording, board) for board in wanted),
+    )
+
+
+def _dropped_messages(recording: Recording) -> dict[str, int]:
+    """Return the missing messages of each array topic, by the daemon's count."""
+    return {
+        name: topic.missing_count for name, topic in recording.topics.items() if topic.missing_count
+    }
+
+
+def _unit_health(recording: Recording) -> UnitHealth | None:
+    polls = recording.ptu_positions()
+    if not polls.size:
+        return None
+    synchronised = polls[polls["status"] & UNUSABLE_STATUS == 0]
+    poll_times = times_ns(polls["reply_time"])
+    span_s = max(float(poll_times[-1] - poll_times[0]) * 1e-9, 1e-9)
+    commands = recording.ptu_commands()
+    return UnitHealth(
+        polls=int(polls.size),
+        poll_rate_hz=(polls.size - 1) / span_s,
+        unsynchronised=int(np.sum(polls["status"] & PtuStatus.SYNCHRONY_LOST != 0)),
+        pan_deg=_range_deg(synchronised["pan"]),
+        tilt_deg=_range_deg(synchronised["tilt"]),
+        commands=len(commands),
+        refused=sum(command.code != 0 for command in commands),
+    )
+
+
+def _range_deg(angle_rad: np.ndarray) -> tuple[float, float]:
+    if not angle_rad.size:
+        return 0.0, 0.0
+    return float(np.degrees(angle_rad.min())), float(np.degrees(angle_rad.max()))
+
+
+def _board_health(recording: Recording, board: BoardId) -> BoardHealth:
+    sensor = recording.metadata.get(f"gyrorig.board.{board}", {}).get("sensor", "")
+    try:
+        samples = load_samples(recording, board)
+    except GyrorigError as fault:
+        count = len(recording.topics[imu_raw_topic(board)])
+        return BoardHealth(
+            str(board), sensor, count, *(0.0, 0.0), *(0, 0, 0, 0), *(0.0, 0.0, 0.0), 0, None,
+            fault=_error_with_remedy(fault),
+        )  # fmt: skip
+    observability, no_reference = _observability(recording, samples)
+    duration_s = float(samples.time_s[-1] - samples.time_s[0])
+    clock = samples.clock
+    return BoardHealth(
+        board=str(board),
+        sensor=sensor,
+        samples=int(samples.time_s.size),
+        duration_s=duration_s,
+        rate_hz=1.0 / samples.period_s if samples.period_s > 0.0 else 0.0,
+        lost=samples.lost,
+        repeated=samples.repeated,
+        saturated=max(0, int(np.sum(~samples.usable)) - samples.repeated),
+        restarts=clock.restarts,
+        skew_ppm=clock.skew_ppm,
+        latency_median_s=float(clock.latency_s[0]),
+        latency_max_s=float(clock.latency_s[2]),
+        clock_pings=int(recording.clock_pings(board).size),
+        observability=observability,
+        no_reference=no_reference,
+        clock_steps=clock.steps,
+    )
+
+
+def _observability(
+    recording: Recording, samples: GyroSamples
+) -> tuple[ObservabilityReport | None, str]:
+    """Return the observability; or None, and why this recording alone calibrates nothing."""
+    try:
+        if recording.ptu_positions().size:
+            reference = read_pan_tilt_reference(recording, samples.origin_ns)
+            return predict_observability(samples, reference, UNIT_REMEDIES), ""
+        return solve_recordings([recording], samples.board).observability, ""
+    except GyrorigError as fault:
+        return None, _error_with_remedy(fault)
+
+
+def _error_with_remedy(fault: GyrorigError) -> str:
+    """Return the text of an error, always with a remedy."""
+    return str(fault) if fault.remedy else f"{fault}. Record again."
+
+
+def predict_observability(
+    samples: GyroSamples, reference: ReferenceMotion, reasons: dict[str, str]
+) -> ObservabilityReport:
+    """Return the observability of a fit of these samples against this motion.
+
+    Args:
+        samples: of one board.
+        reference: the stage's motion, on the samples' time axis.
+        reasons: for each gain column, `bias` and `time_offset`, why it can be unobservable.
+
+    Raises:
+        InputError: the motion is not known during the samples.
+    """
+    rate, step_s = _stage_rate(samples, reference)
+    density = np.array([_noise_density(samples, axis) for axis in range(3)])
+    information = white_noise_information(rate, step_s, density)
+    analysis = analyse_observability(information, PARAMETER_NAMES)
+    return derive_parameters(
+        expected_estimate(analysis), PARAMETER_NAMES, analysis, reasons
+    ).observability
+
+
+def _stage_rate(samples: GyroSamples, reference: ReferenceMotion) -> tuple[FloatArray, float]:
+    """Return the known mean stage rates on a uniform grid, shape (n, 3), and its step."""
+    start, end = float(samples.time_s.min()), float(samples.time_s.max())
+    count = int(np.clip((end - start) * _GRID_HZ, 16, _MAX_GRID_POINTS))
+    edges = np.linspace(start, end, count + 1)
+    rate = reference.evaluate(edges).rate_rad_s
+    known = np.isfinite(rate).all(axis=1)
+    if known.sum() < _MIN_GRID_POINTS:
+        raise InputError(
+            f"the unit's motion is not known while board {samples.board} sampled",
+            "check the faults noted in the recording, and record again",
+        )
+    return rate[known], float(edges[1] - edges[0])
+
+
+def _noise_density(samples: GyroSamples, axis: int) -> float:
+    """Return the one-sided white noise density, (rad/s)^2/Hz, from first differences."""
+    change = np.diff(samples.rate_rad_s[:, axis])
+    middle = float(np.median(np.abs(change - np.median(change))))
+    std = middle / 0.6745 / np.sqrt(2.0)  # from the median absolute deviation
+    std = max(std, samples.quantum_rad_s / np.sqrt(12.0))
+    return float(2.0 * std**2 * samples.period_s)

@@ -1,0 +1,198 @@
+"""`gyrorig apply`: correct the rates of a recording or a table with a calibration."""
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.apply.board_calibration import READING_UNITS, Calibration, ReadingUnit
+from gyrorig_solver.apply.corrected_table import (
+    RATE_COLUMNS,
+    TIME_UNITS_S,
+    TableColumns,
+    apply_to_table,
+)
+from gyrorig_solver.apply.correction import FRAMES, LAG_NOTE, Frame
+from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
+
+_RECORDING_SUFFIXES = (".mcap", ".part")
+
+
+@click.command("apply")
+@click.argument("calibration", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@output_option("File to write; it must not exist.", required=True)
+@click.option(
+    "--board", help="For a recording: board to correct.  [default: the board of the calibration]"
+)
+@click.option(
+    "--frame",
+    type=click.Choice(FRAMES),
+    default="stage",
+    show_default=True,
+    help="Axes of the corrected rates: stage, or sensor (orthogonalised).",
+)
+@click.option(
+    "--bias-only", is_flag=True, help="Subtract the bias only; keep the nominal scale factor."
+)
+@click.option(
+    "--columns", metavar="X,Y,Z", help="For a table: the three gyro columns, in sensor axes."
+)
+@click.option(
+    "--unit",
+    type=click.Choice(READING_UNITS),
+    default="counts",
+    show_default=True,
+    help="For a table: unit of --columns.",
+)
+@click.option(
+    "--temperature", metavar="COLUMN", help="For a table: column of the board temperature, degC."
+)
+@click.option(
+    "--time",
+    metavar="COLUMN",
+    help="For a table: column of the sample times; the output has the motion times, in s.",
+)
+@click.option(
+    "--time-unit",
+    type=click.Choice(tuple(TIME_UNITS_S)),
+    default="s",
+    show_default=True,
+    help="For a table: unit of --time.",
+)
+@json_option
+@click.pass_obj
+def apply_command(
+    terminal: Terminal,
+    calibration: Path,
+    source: Path,
+    out: Path,
+    board: str | None,
+    frame: Frame,
+    bias_only: bool,
+    columns: str | None,
+    unit: ReadingUnit,
+    temperature: str | None,
+    time: str | None,
+    time_unit: str,
+) -> int:
+    r"""Correct the rates of INPUT, a recording (.mcap) or a table (csv), with a calibration.
+
+    A recording is copied with the additional topic /board/ID/imu (sensor_msgs/msg/Imu). Its
+    timestamps are the times of the motion. A table is copied with the additional columns
+    rate_x_rad_s, rate_y_rad_s and rate_z_rad_s. The rates are G^-1 (y - b) in rad/s, where y is
+    the reading at the nominal scale factor: docs/conventions.md.
+
+    \b
+    Examples:
+      gyrorig apply calibrations/GY80-1/v0001.yaml drive.mcap -o drive-imu.mcap
+      gyrorig apply GY80-1.yaml log.csv --columns gx,gy,gz --unit deg/s -o log-true.csv
+    """
+    correction = Calibration.load(calibration, frame, bias_only=bias_only)
+    terminal.print_progress(f"applying {calibration.name} to {source.name}")
+    if source.suffix in _RECORDING_SUFFIXES:
+        if columns or temperature or time:
+            raise UsageError(
+                f"{source.name} is a recording; --columns, --temperature and --time are for tables",
+                "leave them out",
+            )
+        result_json = _apply_to_recording(terminal, correction, source, out, board)
+    else:
+        if board:
+            raise UsageError(f"{source.name} is a table; --board is for recordings", "leave it out")
+        table_columns = _table_columns(source, columns, unit, temperature, time, time_unit)
+        result_json = _apply_to_table(terminal, correction, source, out, table_columns)
+    not_applied = [
+        words
+        for words in correction.not_applied
+        if words != LAG_NOTE or source.suffix not in _RECORDING_SUFFIXES
+    ]
+    for words in not_applied:
+        terminal.print_result(f"  remark: {words}")
+    terminal.print_result(f"  rates       rad/s, in {correction.frame} axes\n  written     {out}")
+    about = {
+        "board": correction.board,
+        "version": correction.document.version,
+        "frame": correction.frame,
+    }
+    terminal.print_json(
+        {**about, **result_json, "not_applied": not_applied, "out": str(out), "exit_code": 0}
+    )
+    return 0
+
+
+def _table_columns(
+    source: Path,
+    columns: str | None,
+    unit: ReadingUnit,
+    temperature: str | None,
+    time: str | None,
+    time_unit: str,
+) -> TableColumns:
+    """Return the columns of a table.
+
+    Raises:
+        UsageError: the number of gyro columns is not three.
+    """
+    names = [name.strip() for name in (columns or "").split(",") if name.strip()]
+    if len(names) != len(RATE_COLUMNS):
+        raise UsageError(
+            f"{source.name} is a table, and --columns has {len(names)} names",
+            "give the three gyro columns with --columns X,Y,Z",
+        )
+    return TableColumns((names[0], names[1], names[2]), unit, temperature, time, time_unit)
+
+
+def _apply_to_recording(
+    terminal: Terminal, correction: Calibration, source: Path, out: Path, board: str | None
+) -> dict[str, Any]:
+    from gyrorig_solver.apply.corrected_recording import apply_to_recording  # noqa: PLC0415 - scipy
+
+    result = apply_to_recording(correction, source, out, board)
+    terminal.print_result(f"{source.name}: {result.messages} messages on {result.topic}")
+    if result.left_out:
+        terminal.print_result(
+            f"  remark: {result.left_out} saturated or repeated samples were left out"
+        )
+    if result.outside:
+        terminal.print_result(_rate_remark(correction, result.outside, result.messages, "samples"))
+    temperature_range = correction.document.validity.temperature_degc
+    if result.outside_warmth and temperature_range is not None:
+        low, high = temperature_range
+        terminal.print_result(
+            f"  remark: {result.outside_warmth} of {result.messages} samples were taken outside "
+            f"{low:.1f} to {high:.1f} degC, the temperatures of this calibration. Their rates are "
+            "extrapolated."
+        )
+    if correction.time_offset_s is None:
+        terminal.print_result(
+            "  remark: The time offset is unknown. Timestamps are those of the samples."
+        )
+    for text in result.losses:
+        terminal.print_result(f"  ! {text}")
+    return asdict(result)
+
+
+def _apply_to_table(
+    terminal: Terminal, correction: Calibration, source: Path, out: Path, columns: TableColumns
+) -> dict[str, Any]:
+    result = apply_to_table(correction, source, out, columns)
+    terminal.print_result(f"{source.name}: {result.rows} rows")
+    if result.without:
+        terminal.print_result(f"  remark: {result.without} rows have no reading and get no rate")
+    if result.outside:
+        terminal.print_result(_rate_remark(correction, result.outside, result.rows, "rows"))
+    return asdict(result)
+
+
+def _rate_remark(correction: Calibration, outside: int, total: int, unit: str) -> str:
+    """Return a remark on rates above the range in which the calibration was measured."""
+    limit_rad_s = max(abs(bound) for bound in correction.document.validity.rate_rad_s)
+    return (
+        f"  remark: {outside} of {total} {unit} ({100.0 * outside / total:.2g} %) turn faster than "
+        f"{math.degrees(limit_rad_s):.4g} deg/s, the fastest reading in the recordings of this "
+        "calibration. Their rates are extrapolated; a few are normal."
+    )

@@ -1,0 +1,27 @@
+"""Which boards of a recording a command works on."""
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.recording import Recording
+
+
+def select_boards(recording: Recording, wanted: str | None) -> tuple[BoardId, ...]:
+    """Return the boards to work on.
+
+    Raises:
+        InputError: the wanted board, or any board at all, is not in the recording.
+    """
+    available = recording.board_ids
+    if not available:
+        raise InputError(
+            f"{recording.path.name} holds no board",
+            "connect one, see with `gyrorigd doctor` that it answers, and record again",
+        )
+    if wanted is None:
+        return available
+    if wanted not in available:
+        raise InputError(
+            f"board {wanted!r:.50} is not in {recording.path.name}",
+            f"name one with --board that is: {', '.join(available)}",
+        )
+    return (BoardId(wanted),)

@@ -1,0 +1,145 @@
+"""`gyrorig compare`: a calibration compared with true values, or with another calibration."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_protocol.documents import parse_yaml
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.file_kinds import describe_schema
+from gyrorig_solver.apply.calibration_file import read_calibration, read_document
+from gyrorig_solver.calibration.calibration_document import (
+    SCHEMA,
+    CalibrationDocument,
+)
+from gyrorig_solver.check.true_values import (
+    ParameterComparison,
+    compare_calibrations,
+    compare_with_truth,
+)
+from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, format_table, json_option
+from gyrorig_solver.model.parameter_units import format_quantity
+
+USUAL_SIGMA = 2.0  # standard uncertainties; 95 % of differences are smaller
+WRONG_BEYOND_SIGMA = 3.5  # 13 right values exceed it in 6 of 1000 comparisons
+
+
+@click.command("compare")
+@click.argument("calibration", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("reference", type=click.Path(path_type=Path, dir_okay=False))
+@json_option
+@click.pass_obj
+def compare_command(terminal: Terminal, calibration: Path, reference: Path) -> int:
+    r"""Compare a calibration with true values, or with another calibration.
+
+    REFERENCE is the file that `gyrorigd record --truth` writes for an emulated rig, or a second
+    calibration. The last column is the difference in standard uncertainties u. A difference of
+    more than 3.5 u is marked with `!`. The column before it has the difference in total
+    uncertainties, where they are known. The exit status is 4 if a parameter has no value.
+
+    \b
+    Example:
+      gyrorig compare calibrations/GY80-1/v0001.yaml truth.yaml
+    """
+    document, _ = read_calibration(calibration)
+    rows, column = _compare(document, reference)
+    terminal.print_result(f"{document.board.id}, {document.board.sensor}")
+    terminal.print_result(comparison_table(rows, column))
+    terminal.print_result(comparison_summary(rows))
+    code = NOT_IDENTIFIABLE if any(row.estimate is None for row in rows) else 0
+    terminal.print_json(
+        {
+            "board": document.board.id,
+            "compared_with": column,
+            "parameters": [comparison_json(row) for row in rows],
+            "exit_code": code,
+        }
+    )
+    return code
+
+
+def _compare(
+    document: CalibrationDocument, reference: Path
+) -> tuple[list[ParameterComparison], str]:
+    """Return the rows, and the heading of the values compared with.
+
+    Raises:
+        InputError: the reference is neither a calibration nor a file of true values.
+    """
+    content = parse_yaml(read_document(reference), str(reference), InputError)
+    if not isinstance(content, dict):
+        raise InputError(
+            f"{reference} has no true values", "give a truth file or a second calibration"
+        )
+    if content.get("schema") == SCHEMA:
+        return compare_calibrations(document, read_calibration(reference)[0]), "other"
+    if (kind := describe_schema(content.get("schema"))) is not None:
+        raise InputError(
+            f"{reference} is {kind}. True values or a calibration are expected here",
+            "give the file that `gyrorigd record --truth` wrote, or a second calibration",
+        )
+    return compare_with_truth(document, content), "truth"
+
+
+def comparison_table(rows: Sequence[ParameterComparison], column: str = "truth") -> str:
+    """Return estimate, compared value, standard uncertainty and difference of each parameter."""
+    has_totals = any(row.total_sigmas is not None for row in rows)
+    heading = ("", "found", column, "u (k = 1)", "unit", "of total u", "difference")
+    cells: list[tuple[str, ...]] = [heading]
+    for row in rows:
+        if row.estimate is None or row.sigmas is None:
+            cells.append((row.name, "not determined", "", "", "", "", ""))
+            continue
+        value_text, std_text = format_quantity(row.estimate, row.std)
+        decimals = len(value_text.partition(".")[2])
+        mark = "" if abs(row.sigmas) <= WRONG_BEYOND_SIGMA else " !"
+        cells.append(
+            (
+                row.name,
+                value_text,
+                f"{row.truth:+.{decimals}f}",
+                std_text,
+                "" if row.unit == "1" else row.unit,
+                "" if row.total_sigmas is None else f"{row.total_sigmas:+.2f}",
+                f"{row.sigmas:+.2f} u{mark}",
+            )
+        )
+    if not has_totals:
+        cells = [(*row_cells[:5], row_cells[6]) for row_cells in cells]
+    right = (1, 2, 3, 5, 6)
+    return "\n".join(f"  {line}" for line in format_table(cells, right=right))
+
+
+def comparison_summary(rows: Sequence[ParameterComparison]) -> str:
+    """Return how many differences are within 2 and within 3.5 standard uncertainties."""
+    sizes = [abs(row.sigmas) for row in rows if row.sigmas is not None]
+    within = {
+        limit: sum(size <= limit for size in sizes) for limit in (USUAL_SIGMA, WRONG_BEYOND_SIGMA)
+    }
+    differences = (
+        f"  {within[USUAL_SIGMA]} of {len(sizes)} parameters differ by at most {USUAL_SIGMA:g} u, "
+        f"{within[WRONG_BEYOND_SIGMA]} of {len(sizes)} by at most {WRONG_BEYOND_SIGMA:g} u."
+    )
+    totals = [abs(row.total_sigmas) for row in rows if row.total_sigmas is not None]
+    if not totals:
+        return differences
+    count = sum(size <= USUAL_SIGMA for size in totals)
+    return (
+        f"  {count} of {len(totals)} parameters differ by at most {USUAL_SIGMA:g} total u.\n"
+        f"{differences}"
+    )
+
+
+def comparison_json(row: ParameterComparison) -> dict[str, Any]:
+    """Return one row as an object of `--json`."""
+    return {
+        "name": row.name,
+        "found": row.estimate,
+        "truth": row.truth,
+        "std": row.std,
+        "unit": row.unit,
+        "sigmas": row.sigmas,
+        **({} if row.total is None else {"total": row.total, "total_sigmas": row.total_sigmas}),
+    }

@@ -1,0 +1,139 @@
+"""`gyrorig explain`: find errors in the rig model and identify their causes."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.commands.board_selection import select_boards
+from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, PARTIAL, Terminal, json_option
+from gyrorig_solver.findings.findings_document import FindingsDocument, to_plain
+from gyrorig_solver.findings.findings_wording import findings_summary
+from gyrorig_solver.pipeline.explain_board import WrittenFindings, explain_boards, write_explanation
+
+
+@click.command("explain")
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--board", help="Only this board.  [default: every board in the recordings]")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("findings"),
+    show_default=True,
+    help="The folder: OUT/<board>/findings.yaml, report.html and figures; earlier findings are "
+    "kept as findings-0001.yaml.",
+)
+@click.option(
+    "--held-out",
+    type=click.Path(path_type=Path),
+    help="Another recording, to test the named causes on; nothing is fitted to it.  "
+    "[default: none]",
+)
+@json_option
+@click.pass_obj
+def explain_command(
+    terminal: Terminal,
+    recordings: tuple[Path, ...],
+    board: str | None,
+    out: Path,
+    held_out: Path | None,
+) -> int:
+    r"""Find errors in the rig model and identify their causes, as far as the data allow.
+
+    All recordings of one board are searched together, and all boards on one unit: a cause that
+    all boards show belongs to the unit. The raw samples are checked first, then the residual of
+    the model. Each cause is tested on data that it was not fitted to. Exits with status 4 when
+    no cause can be tested with these recordings; the findings list what would be needed.
+
+    With --held-out the fitted model is tested on another recording. Only bias, time offset and
+    the motion's own unknowns are fitted there; causes of one moment or one recording are
+    left out.
+
+    \b
+    Example:
+      gyrorig explain demo/session.mcap --out findings
+      gyrorig explain monday.mcap --held-out tuesday.mcap
+    """
+    held_out_recording = None if held_out is None else read_recording(held_out)
+    read_recordings: list[Recording] = []
+    failed: list[dict[str, str]] = []
+    faults: list[GyrorigError] = []
+    for path in recordings:
+        terminal.print_progress(f"reading {path.name}")
+        try:
+            recording = read_recording(path)
+            select_boards(recording, board)
+            read_recordings.append(recording)
+        except GyrorigError as fault:
+            faults.append(fault)
+            failed.append({"recording": str(path), "board": "", "error": str(fault)})
+    written: list[WrittenFindings] = []
+    recordings_of_board = recordings_by_board(read_recordings, board)
+    terminal.print_progress(f"explaining {', '.join(recordings_of_board)}")
+    for name, explanation in explain_boards(recordings_of_board, held_out_recording):
+        try:
+            if isinstance(explanation, GyrorigError):
+                raise explanation
+            written.append(write_explanation(out, explanation))
+            terminal.print_result(findings_text(written[-1]))
+        except GyrorigError as fault:
+            faults.append(fault)
+            first_path = str(recordings_of_board[name][0].path)
+            failed.append({"recording": first_path, "board": str(name), "error": str(fault)})
+    if len(faults) == 1 and not written:
+        raise faults[0]
+    for failure in failed:
+        terminal.print_error(f"{failure['board'] or failure['recording']}: {failure['error']}")
+    code = exit_code([written_board.document for written_board in written], faults)
+    terminal.print_json(
+        {"boards": [findings_json(w) for w in written], "failed": failed, "exit_code": code}
+    )
+    return code
+
+
+def recordings_by_board(
+    recordings: Sequence[Recording], wanted: str | None
+) -> dict[BoardId, list[Recording]]:
+    """Return each wanted board with its recordings."""
+    by_board: dict[BoardId, list[Recording]] = {}
+    for recording in recordings:
+        for board in recording.board_ids:
+            if wanted is None or board == wanted:
+                by_board.setdefault(board, []).append(recording)
+    return by_board
+
+
+def exit_code(documents: Sequence[FindingsDocument], faults: Sequence[GyrorigError]) -> int:
+    """Return 5 where some boards failed, 4 where a board's recordings test no cause."""
+    if faults:
+        return PARTIAL if documents else faults[0].exit_code
+    return NOT_IDENTIFIABLE if any(_nothing_testable(document) for document in documents) else 0
+
+
+def _nothing_testable(document: FindingsDocument) -> bool:
+    """Return whether only the raw samples could be checked."""
+    return document.gain is None and not document.minimal_detectable
+
+
+def findings_text(written: WrittenFindings) -> str:
+    """Return one board's findings as lines for a terminal."""
+    return (
+        f"{findings_summary(written.document)}\n  findings              {written.path}"
+        f"\n  report                {written.page}"
+    )
+
+
+def findings_json(written: WrittenFindings) -> dict[str, Any]:
+    """Return one board's findings as plain values."""
+    return {
+        "board": written.document.board.id,
+        "verdict": written.document.verdict,
+        "file": str(written.path),
+        "report": str(written.page),
+        "findings": to_plain(written.document),
+    }

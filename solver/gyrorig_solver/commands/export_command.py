@@ -1,0 +1,83 @@
+"""`gyrorig export`: convert a calibration to the format of another program."""
+
+from pathlib import Path
+
+import click
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.apply.calibration_file import read_calibration
+from gyrorig_solver.apply.correction import FRAMES, Frame
+from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
+from gyrorig_solver.export.export_formats import FORMATS, ExportOptions, export_text
+from gyrorig_solver.export.export_source import ExportSource
+from gyrorig_solver.storage.file_writing import write_file
+
+
+@click.command("export")
+@click.argument("calibration", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--format", "kind", type=click.Choice(FORMATS), required=True, help="Format of the output."
+)
+@output_option("File to write; it must not exist.  [default: standard output]")
+@click.option(
+    "--frame",
+    type=click.Choice(FRAMES),
+    default="stage",
+    show_default=True,
+    help="Axes of the corrected rates: stage, or sensor (orthogonalised).",
+)
+@click.option(
+    "--name",
+    help="c: prefix of the names [default: the board]; ros: the node [default: all]; "
+    "kalibr: the topic [default: /imu0].",
+)
+@click.option(
+    "--slot", type=int, help="px4, ardupilot: number of the gyro in the vehicle.  [default: 0]"
+)
+@click.option(
+    "--device-id",
+    type=int,
+    help="px4: identifier of the gyro, as in CAL_GYRO0_ID.  [default: not written]",
+)
+@json_option
+@click.pass_obj
+def export_command(
+    terminal: Terminal,
+    calibration: Path,
+    kind: str,
+    out: Path | None,
+    frame: Frame,
+    name: str | None,
+    slot: int | None,
+    device_id: int | None,
+) -> int:
+    r"""Convert a calibration to the format of another program.
+
+    c: a header with floating-point and fixed-point code and a self-test. ros: a parameter file.
+    kalibr: imu.yaml. px4, ardupilot: parameter files with the bias and its temperature; they
+    have no parameter for the scale factor. json: the numbers and the whole document. Each file
+    states the frame, direction, order and unit of its numbers.
+
+    \b
+    Examples:
+      gyrorig export calibrations/GY80-1/v0001.yaml --format c -o gy80_1.h
+      gyrorig export calibrations/GY80-1/v0001.yaml --format px4 --slot 0
+    """
+    if out is not None and out.exists():
+        raise UsageError(f"{out} exists", "give another file with -o")
+    document, digest = read_calibration(calibration)
+    source = ExportSource.of(document, frame, digest)
+    written = export_text(source, kind, ExportOptions(name, slot, device_id))
+    if out is None:
+        if not terminal.json:
+            click.echo(written, nl=False)  # unchanged: tabs matter, and names are already clean
+    elif not write_file(out, written.encode(), replace=False):
+        raise UsageError(f"{out} exists", "give another file with -o")
+    else:
+        terminal.print_result(
+            f"{out}: {source.document.board.id} version {source.document.version}, {kind}"
+        )
+    about = {"board": source.document.board.id, "version": source.document.version, "format": kind}
+    output = {"text": written} if out is None else {"out": str(out)}
+    terminal.print_json({**about, **output, "exit_code": 0})
+    return 0

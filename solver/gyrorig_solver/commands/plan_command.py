@@ -1,0 +1,283 @@
+"""`gyrorig plan`: predict the uncertainties of a motion program, or search for the best one."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.profile import SensorProfile, parse_profile
+from gyrorig_protocol.program import MotionProgram, parse_program
+from gyrorig_protocol.suggestions import did_you_mean
+from gyrorig_solver.calibration.sensor_profiles import find_profile
+from gyrorig_solver.commands.project_files import project_names
+from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option
+from gyrorig_solver.plan.criterion import CRITERIA, Criterion, cost
+from gyrorig_solver.plan.detectability import DetectabilityReport, predict_detectability
+from gyrorig_solver.plan.detectability_table import (
+    causes_notes,
+    causes_summary,
+    causes_table,
+    causes_to_builtins,
+)
+from gyrorig_solver.plan.prediction import Prediction, predict_program
+from gyrorig_solver.plan.prediction_table import predictions_table
+from gyrorig_solver.plan.program_file import program_text, require_new_path, write_new_file
+from gyrorig_solver.plan.program_search import AIMS, PlanResult, find_program
+from gyrorig_solver.plan.rig_model import RigModel, load_rig
+
+SHORTEST_S, LONGEST_S = 5.0, 900.0  # repeat a program for longer recordings
+PROFILE_HINT = "a profile with --sensor, such as config/boards/L3G4200D.yaml"
+PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
+
+
+@click.command("plan")
+@click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="The rig (YAML): its limits and speeds.",
+)
+@click.option(
+    "--seconds",
+    type=float,
+    help="Maximum length of the recording in seconds, 5 to 900.  [default: 75; with --program "
+    "none]",
+)
+@click.option(
+    "--program",
+    "program_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Predict this program; without --seconds nothing is searched.  [default: none]",
+)
+@click.option(
+    "--criterion",
+    type=click.Choice(CRITERIA),
+    default="worst",
+    show_default=True,
+    help="The standard uncertainty to minimise: of the gain's nine entries, or of its factors.",
+)
+@click.option(
+    "--for",
+    "aim",
+    type=click.Choice(AIMS),
+    default="calibration",
+    show_default=True,
+    help="Search for the least uncertainties, or for the best separation of causes.",
+)
+@click.option(
+    "--sensor",
+    help="A sensor profile: a name in config/boards, or a file.  [default: the rig's own]",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="A file to write the program to, for gyrorigd record.  [default: none]",
+)
+@click.option(
+    "--causes/--no-causes",
+    default=True,
+    show_default=True,
+    help="Predict which causes of errors the program can detect.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed of the random programs that are tried.",
+)
+@click.option(
+    "--details",
+    is_flag=True,
+    help="Print every cause and every note.",
+)
+@json_option
+@click.pass_obj
+def plan_command(terminal: Terminal, /, **options: Any) -> int:
+    r"""Search for the motion program with the least uncertainties in a given time.
+
+    Prints the standard uncertainties that a calibration with the program will have. With
+    --program it predicts that program; with --seconds too, both side by side. Then it prints
+    the causes of errors that the program cannot detect. Exits with status 4 when the program
+    leaves a parameter unobservable.
+
+    \b
+    Example:
+      gyrorig plan --rig config/rig.yaml --seconds 75 --out planned.yaml
+    """
+    if options["out"] is not None:
+        require_new_path(options["out"])
+    rig = load_rig(options["rig_path"])
+    sensor = rig.sensor(_sensor_profile(options["sensor"] or rig.sensor_name))
+    seconds: float | None = options["seconds"]
+    given_prediction: Prediction | None = None
+    if options["program_path"] is not None:
+        terminal.print_progress("predicting the given program")
+        given_prediction = predict_program(_read_program(options["program_path"]), rig.unit, sensor)
+    elif seconds is None:
+        seconds = 75.0
+    plan_result: PlanResult | None = None
+    if seconds is not None:
+        if not SHORTEST_S <= seconds <= LONGEST_S:
+            raise UsageError(
+                f"--seconds {seconds:g} is not between {SHORTEST_S:g} and {LONGEST_S:g}",
+                "give a valid length; repeat a program for longer recordings",
+            )
+        plan_result = find_program(
+            rig.unit,
+            sensor,
+            seconds,
+            options["criterion"],
+            options["seed"],
+            terminal.print_progress,
+            options["aim"],
+            rig.site,
+        )
+    elif options["out"] is not None:
+        raise UsageError(
+            "--out writes the program that a search found, and --seconds is missing for the search",
+            "give --seconds",
+        )
+    predictions = [
+        p
+        for p in (given_prediction, plan_result.prediction if plan_result else None)
+        if p is not None
+    ]
+    terminal.print_result(
+        f"{rig.name}, {sensor.name}: predicted standard uncertainties\n"
+        f"{predictions_table(predictions, options['details'])}"
+    )
+    for reason in predictions[0].observability.reasons:
+        terminal.print_result(f"  {predictions[0].program.name} cannot determine {reason}")
+    outlooks: dict[int, DetectabilityReport] = {}
+    if options["causes"]:
+        for prediction in predictions:
+            terminal.print_progress(f"predicting causes with {prediction.program.name}")
+            known_outlook = (
+                plan_result.detectability
+                if plan_result and prediction is plan_result.prediction
+                else None
+            )
+            outlooks[id(prediction)] = known_outlook or predict_detectability(
+                prediction, sensor, rig.site
+            )
+            _print_detectability(terminal, prediction, outlooks[id(prediction)], options["details"])
+    if plan_result is not None:
+        _write_program(terminal, plan_result, rig, options)
+    code = NOT_IDENTIFIABLE if predictions[-1].observability.unobservable else 0
+    terminal.print_json(
+        {
+            "rig": rig.name,
+            "sensor": sensor.name,
+            "given": _prediction_json(given_prediction, options["criterion"], outlooks)
+            if given_prediction
+            else None,
+            "planned": _prediction_json(plan_result.prediction, options["criterion"], outlooks)
+            if plan_result
+            else None,
+            "judged": plan_result.design_count if plan_result else 0,
+            "file": str(options["out"]) if plan_result and options["out"] else None,
+            "exit_code": code,
+        }
+    )
+    return code
+
+
+def _sensor_profile(name: str) -> SensorProfile:
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml"):
+        return parse_profile(_read_file(path, PROFILE_HINT), path.name)
+    profile = find_profile(name)
+    if profile is None:
+        suggestion = did_you_mean(name, project_names("boards"))
+        raise UsageError(
+            f"config/boards has no profile of {name!r:.60}",
+            f"{suggestion} Give the name of a profile or a file with --sensor".strip(),
+        )
+    return profile
+
+
+def _read_program(path: Path) -> MotionProgram:
+    return parse_program(_read_file(path, PROGRAM_HINT), path.name)
+
+
+def _read_file(path: Path, wanted: str) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as fault:
+        raise UsageError(f"{path} cannot be read, {fault.strerror}", f"name {wanted}") from fault
+
+
+def _write_program(
+    terminal: Terminal, plan_result: PlanResult, rig: RigModel, options: dict[str, Any]
+) -> None:
+    criterion, out = options["criterion"], options["out"]
+    terminal.print_result(
+        f"  chosen from {plan_result.design_count} programs: {criterion} standard uncertainty "
+        f"{plan_result.cost:.3g}"
+    )
+    if out is None:
+        terminal.print_result("  write the program with --out FILE")
+        return
+    program = plan_result.program
+    text = program_text(
+        MotionProgram(
+            name=out.stem,
+            steps=program.steps,
+            settings=program.settings,
+            description=_program_description(plan_result, options),
+        )
+    )
+    arguments = [f"--{name} {options[name]}" for name in ("seconds", "criterion", "sensor", "seed")]
+    arguments = [part for part in arguments if not part.endswith(" None")]
+    header = (
+        f"# Made by: gyrorig plan --rig {options['rig_path'].name} --for {options['aim']} "
+        f"{' '.join(arguments)}\n"
+    )
+    parse_program(header + text, out.name)
+    write_new_file(out, header + text)
+    terminal.print_result(f"  program               {out}")
+
+
+def _program_description(plan_result: PlanResult, options: dict[str, Any]) -> str:
+    duration_text = f"{plan_result.prediction.duration_s:.1f} s"
+    if options["aim"] == "causes":
+        return f"planned to separate causes: {plan_result.design.poses} tilts, {duration_text}"
+    return f"planned for the least {options['criterion']} standard deviation in {duration_text}"
+
+
+def _print_detectability(
+    terminal: Terminal, prediction: Prediction, outlook: DetectabilityReport, details: bool
+) -> None:
+    name = prediction.program.name
+    terminal.print_result(f"{name}: causes of errors (80 % detected, 1 % false alarms)")
+    if details:
+        terminal.print_result(causes_table(outlook))
+    for line in causes_notes(outlook) if details else causes_summary(outlook):
+        terminal.print_result(f"  {line}")
+
+
+def _prediction_json(
+    prediction: Prediction, criterion: Criterion, outlooks: dict[int, DetectabilityReport]
+) -> dict[str, Any]:
+    observability, outlook = prediction.observability, outlooks.get(id(prediction))
+    return {
+        "name": prediction.program.name,
+        "duration_s": prediction.duration_s,
+        "moves": prediction.move_count,
+        "std": dict(prediction.std),
+        "gain_std": np.asarray(prediction.gain_std).tolist(),
+        "time_offset_by_motion_std_s": prediction.motion_offset_std_s,
+        "cost": cost(prediction.decision, criterion),
+        "observability": {
+            "rank": observability.rank,
+            "of": observability.of,
+            "condition": observability.condition,
+            "unobservable": list(observability.unobservable),
+            "reasons": list(observability.reasons),
+        },
+        "causes": causes_to_builtins(outlook) if outlook else None,
+    }

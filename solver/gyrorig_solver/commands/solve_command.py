@@ -1,0 +1,227 @@
+"""`gyrorig solve`: calibrate the boards of recordings; each result is a new version."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_protocol.errors import GyrorigError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration.calibration_document import calibration_as_mapping
+from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.calibration.calibration_summary import calibration_summary
+from gyrorig_solver.commands.board_selection import select_boards
+from gyrorig_solver.commands.terminal import (
+    NOT_IDENTIFIABLE,
+    PARTIAL,
+    Terminal,
+    board_option,
+    json_option,
+)
+from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
+from gyrorig_solver.pipeline.solve_board import StoredResult, solve_and_store
+from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings, read_settings
+
+
+@click.command("solve")
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@board_option
+@click.option(
+    "--method",
+    type=click.Choice(["likelihood", "paper"]),
+    default="likelihood",
+    show_default=True,
+    help="likelihood: maximum likelihood; paper: equations 6 to 12 as printed, for comparison.",
+)
+@click.option(
+    "--extend",
+    default=AUTO,
+    show_default=True,
+    metavar="auto|none|CAUSE,...",
+    help="Causes to fit in addition to the base model: auto for those that a search finds in the "
+    "recordings, names such as thermal_bias, or none. Tests of all other causes always run.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("calibrations"),
+    show_default=True,
+    help="Folder for the results: OUT/<board>/v0001.yaml and v0001.report.html.",
+)
+@click.option(
+    "--uncertainty",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Prior sizes of the causes, and limits of the verdict, that differ from the shipped ones "
+    "(YAML); docs/units.md describes them.  [default: the shipped ones]",
+)
+@json_option
+@click.pass_obj
+def solve_command(
+    terminal: Terminal,
+    recordings: tuple[Path, ...],
+    board: str | None,
+    method: str,
+    extend: str,
+    out: Path,
+    uncertainty: Path | None,
+) -> int:
+    r"""Calibrate every board in the recordings; write a calibration and a report each.
+
+    All recordings of one board are solved together and give one version; each has its own bias
+    and time offset. Boards on the same pan-tilt unit are solved together: they share the motion
+    and any unit-related error. Boards on one CAN bus also share a time base. With --board, one
+    board is solved alone. The exit status is 4 if the motion did not determine a parameter; the
+    calibration says which, and why.
+
+    \b
+    Example:
+      gyrorig solve demo/session.mcap --out calibrations
+      gyrorig solve static.mcap monday.mcap friday.mcap --extend thermal_bias,g_sensitivity
+    """
+    causes = _requested_causes(extend, method)
+    settings = None if uncertainty is None else read_settings(uncertainty)
+    solved: list[StoredResult] = []
+    failed: list[dict[str, str]] = []
+    faults: list[GyrorigError] = []
+    read_recordings: list[Recording] = []
+    for path in recordings:
+        terminal.print_progress(f"reading {path.name}")
+        try:
+            read_recordings.append(read_recording(path))
+            select_boards(read_recordings[-1], board)
+        except GyrorigError as fault:
+            faults.append(fault)
+            failed.append({"recording": str(path), "board": "", "error": str(fault)})
+    for names, group_recordings in _boards_solved_together(
+        read_recordings, board, one_by_one=method == "paper"
+    ):
+        board_text = names[0] if len(names) == 1 else f"{len(names)} boards"
+        recording_names = ", ".join(recording.path.name for recording in group_recordings)
+        with terminal.show_progress(f"solving {board_text} of {recording_names}"):
+            ready = fit_together(group_recordings, names, method, causes)
+        for name in names:
+            try:
+                solved.append(
+                    _solve_board(
+                        out, group_recordings, name, method, causes, ready.get(name), settings
+                    )
+                )
+                terminal.print_result(
+                    _result_text(solved[-1]), solved[-1].calibration.trust.verdict
+                )
+            except GyrorigError as fault:
+                faults.append(fault)
+                failed.append(
+                    {
+                        "recording": str(group_recordings[0].path),
+                        "board": str(name),
+                        "error": str(fault),
+                    }
+                )
+    if len(faults) == 1 and not solved:
+        raise faults[0]
+    for failure in failed:
+        terminal.print_error(f"{failure['board'] or failure['recording']}: {failure['error']}")
+    if not solved:
+        terminal.print_json({"boards": [], "failed": failed, "exit_code": faults[0].exit_code})
+        return faults[0].exit_code
+    code = PARTIAL if failed else 0
+    if not failed and any(_is_incomplete(result, causes) for result in solved):
+        code = NOT_IDENTIFIABLE
+    terminal.print_json(
+        {"boards": [_result_json(result) for result in solved], "failed": failed, "exit_code": code}
+    )
+    return code
+
+
+def _requested_causes(extend: str, method: str) -> tuple[str, ...]:
+    """Return the causes to fit in addition to the base model.
+
+    Raises:
+        UsageError: the method cannot fit causes.
+    """
+    causes = tuple(name.strip() for name in extend.split(",") if name.strip() not in ("", "none"))
+    if method == "paper":
+        if causes in ((), (AUTO,)):
+            return ()
+        raise UsageError(
+            "the paper's method cannot fit causes",
+            "leave out --extend, or use --method likelihood",
+        )
+    return causes
+
+
+def _is_incomplete(solved: StoredResult, causes: Sequence[str]) -> bool:
+    """Return whether a parameter or a requested cause was not determined."""
+    calibration = solved.calibration
+    missing = set(causes) - {AUTO} - set(calibration.solver.terms)
+    return bool(calibration.observability.unobservable or missing)
+
+
+def _boards_solved_together(
+    recordings: Sequence[Recording], wanted: str | None, one_by_one: bool
+) -> Iterator[tuple[list[BoardId], list[Recording]]]:
+    """Yield groups of boards with their recordings; each group is solved together.
+
+    Boards of the same recordings are in one group.
+    """
+    pooled: dict[BoardId, list[Recording]] = {}
+    for recording in recordings:
+        for board in recording.board_ids:
+            if wanted is not None and board != wanted:
+                continue
+            if one_by_one:
+                yield [board], [recording]
+            else:
+                pooled.setdefault(board, []).append(recording)
+    boards_by_recordings: dict[tuple[int, ...], list[BoardId]] = {}
+    for board, board_recordings in pooled.items():
+        boards_by_recordings.setdefault(
+            tuple(id(recording_item) for recording_item in board_recordings), []
+        ).append(board)
+    for boards in boards_by_recordings.values():
+        yield boards, pooled[boards[0]]
+
+
+def _solve_board(
+    out: Path,
+    recordings: Sequence[Recording],
+    board: BoardId,
+    method: str,
+    causes: Sequence[str],
+    ready: CriticisedFit | GyrorigError | None,
+    uncertainty: UncertaintySettings | None = None,
+) -> StoredResult:
+    """Solve one board, or write its part of a joint solution."""
+    if isinstance(ready, GyrorigError):
+        raise ready
+    return solve_and_store(
+        CalibrationStore(out), recordings, board, method, causes, ready, uncertainty=uncertainty
+    )
+
+
+def _result_text(solved: StoredResult) -> str:
+    findings, lines = solved.calibration.findings, [calibration_summary(solved.calibration)]
+    if findings is not None:
+        causes = f": {', '.join(findings.causes)}" if findings.causes else ""
+        lines.append(f"  findings              {findings.verdict}{causes}")
+        lines.append(f"                        {solved.path.with_name(findings.file)}")
+    lines.append(f"  calibration           {solved.path}")
+    lines.append(f"  report                {solved.report}")
+    return "\n".join(lines)
+
+
+def _result_json(solved: StoredResult) -> dict[str, Any]:
+    calibration = solved.calibration
+    return {
+        "board": calibration.board.id,
+        "version": calibration.version,
+        "verdict": calibration.trust.verdict,
+        "file": str(solved.path),
+        "report": str(solved.report),
+        "calibration": calibration_as_mapping(calibration),
+    }

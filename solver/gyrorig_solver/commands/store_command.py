@@ -1,0 +1,412 @@
+"""`gyrorig store`: list, show, compare and verify the calibrations of a store."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.calibration.calibration_document import (
+    CalibrationDocument,
+    calibration_as_mapping,
+    parse_calibration,
+)
+from gyrorig_solver.calibration.calibration_store import StoredVersion
+from gyrorig_solver.calibration.calibration_summary import calibration_summary
+from gyrorig_solver.commands.terminal import Terminal, json_option
+from gyrorig_solver.fleet.column_units import column_label, column_unit
+from gyrorig_solver.fleet.drift.shrinkage_files import read_shrinkage_estimates
+from gyrorig_solver.fleet.store.index_rows import parameter_columns, parameter_values
+from gyrorig_solver.fleet.store.manifest import read_public_key, read_signer
+from gyrorig_solver.fleet.store.store_queries import (
+    VersionFilter,
+    all_versions,
+    newest_versions,
+    open_existing_store,
+    rebuild_index,
+    unsuccessful_work,
+    versions_by_measurement_time,
+)
+from gyrorig_solver.fleet.store.store_verification import REMEDIES, verify
+from gyrorig_solver.model.parameter_units import format_quantity, plural
+from gyrorig_solver.storage.location import StorageOption
+from gyrorig_solver.storage.storage_protocol import Storage
+
+_DAMAGED_STATUS = 3
+_FAULTS_SHOWN = 50
+_DATES = ["%Y-%m-%d", "%Y-%m-%dT%H:%M:%SZ"]
+_DATE = "YYYY-MM-DD[THH:MM:SSZ]"
+
+_store_argument = click.argument("folder", metavar="STORE", type=StorageOption())
+_KEY_FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
+
+
+@click.group("store")
+def store_command() -> None:
+    r"""Look at the store that `gyrorig batch` writes.
+
+    \b
+    Example:
+      gyrorig store ls calibrations --board 'GY80-*' --since 2026-01-01
+      gyrorig store verify calibrations
+    """
+
+
+@store_command.command("ls")
+@_store_argument
+@click.option("--board", help="Only boards whose name matches; * and ? are wildcards.")
+@click.option("--sensor", help="Only boards with this sensor.")
+@click.option("--rig", help="Only recordings of this rig.")
+@click.option("--config", "config_hash", help="Only boards with this configuration hash.")
+@click.option(
+    "--since",
+    type=click.DateTime(_DATES),
+    metavar=_DATE,
+    help="Only calibrations made at this time (UTC) or later.",
+)
+@click.option(
+    "--until",
+    type=click.DateTime(_DATES),
+    metavar=_DATE,
+    help="Only calibrations made before this time (UTC).",
+)
+@click.option("--all", "every", is_flag=True, help="Every version, not only the latest.")
+@click.option("--wrong", is_flag=True, help="Recordings without a calibration, and the reasons.")
+@click.option(
+    "--limit",
+    type=click.IntRange(1),
+    default=1000,
+    show_default=True,
+    help="Maximum number of lines.",
+)
+@json_option
+@click.pass_obj
+def ls_command(
+    terminal: Terminal,
+    folder: Storage,
+    board: str | None,
+    sensor: str | None,
+    rig: str | None,
+    config_hash: str | None,
+    since: datetime | None,
+    until: datetime | None,
+    every: bool,
+    wrong: bool,
+    limit: int,
+) -> int:
+    r"""List the latest calibration of each board, which is that of its last recording.
+
+    \b
+    Example:
+      gyrorig store ls calibrations
+      gyrorig store ls calibrations --board 'GY80-*' --all
+      gyrorig store ls calibrations --wrong
+    """
+    open_existing_store(folder)
+    version_filter = VersionFilter(board, sensor, rig, config_hash, since, until)
+    if wrong:
+        rows = unsuccessful_work(folder, limit)
+        columns: tuple[str, ...] = ("status", "board", "created", "names", "reason")
+    else:
+        rows = (all_versions if every else newest_versions)(folder, version_filter, limit)
+        columns = ("board", "version", "trust", "created", "start", "sensor", "rig")
+    headings = {"trust": "verdict", "start": "recorded", "names": "recordings"}
+    terminal.print_result(_table(rows, {name: headings.get(name, name) for name in columns}))
+    if len(rows) == limit:
+        terminal.print_result(f"Only the first {limit} are listed. Use a larger --limit for more.")
+    terminal.print_json({"rows": [{key: _json_value(row[key]) for key in row} for row in rows]})
+    return 0
+
+
+@store_command.command("show")
+@_store_argument
+@click.argument("board")
+@click.option(
+    "--version",
+    type=click.IntRange(1),
+    help="The version number, from 1.  [default: that of the last recording]",
+)
+@click.option(
+    "--at",
+    type=click.DateTime(_DATES),
+    metavar=_DATE,
+    help="In place of --version: the last version recorded until this time (UTC).",
+)
+@click.option(
+    "--config",
+    "config_hash",
+    help="In place of --version: the last version with this configuration hash.",
+)
+@json_option
+@click.pass_obj
+def show_command(
+    terminal: Terminal,
+    folder: Storage,
+    board: str,
+    version: int | None,
+    at: datetime | None,
+    config_hash: str | None,
+) -> int:
+    r"""Show one calibration, the recordings it was made from, and its shrinkage estimates.
+
+    Without options, the version of the last recording is shown.
+
+    \b
+    Example:
+      gyrorig store show calibrations GY80-1 --at 2026-01-31
+    """
+    if version is not None and (at, config_hash) != (None, None):
+        raise UsageError(
+            f"--version {version} already selects one calibration", "remove --at and --config"
+        )
+    path, calibration = (
+        _find_version(folder, BoardId(board), version)
+        if version is not None
+        else _read_version(_versions_in_time(folder, BoardId(board), at, config_hash)[-1])
+    )
+    terminal.print_result(calibration_summary(calibration))
+    for source in calibration.inputs:
+        terminal.print_result(
+            f"  recording             {source.name}, {source.start}, sha256 {source.sha256}"
+        )
+    terminal.print_result(f"  calibration           {path}")
+    shrunk = read_shrinkage_estimates(folder, board)
+    if shrunk:
+        terminal.print_result("  shrinkage estimates from the whole fleet:")
+    for name, estimate in shrunk.items():
+        factor, unit = column_unit(name)
+        value, std = format_quantity(factor * estimate.value, factor * estimate.std)
+        note = " (mostly the fleet's mean)" if estimate.prior_dominated else ""
+        terminal.print_result(
+            f"    {column_label(name):<19} {value} ± {std} {unit}".rstrip() + note
+        )
+    plain = {name: asdict(estimate) for name, estimate in shrunk.items()}
+    terminal.print_json(
+        {"file": str(path), "calibration": calibration_as_mapping(calibration), "shrunk": plain}
+    )
+    return 0
+
+
+@store_command.command("diff")
+@_store_argument
+@click.argument("board")
+@click.argument("old", type=click.IntRange(1), required=False)
+@click.argument("new", type=click.IntRange(1), required=False)
+@json_option
+@click.pass_obj
+def diff_command(
+    terminal: Terminal, folder: Storage, board: str, old: int | None, new: int | None
+) -> int:
+    r"""Compare two versions of a board: by default those of the last two recordings.
+
+    The last column is the change divided by the combined standard deviation. The bias of a
+    gyroscope changes from day to day by much more than its standard deviation on one day.
+
+    \b
+    Example:
+      gyrorig store diff calibrations GY80-1
+      gyrorig store diff calibrations GY80-1 1 3
+    """
+    name = BoardId(board)
+    if old is None or new is None:
+        numbers = [version.number for version in _versions_in_time(folder, name)]
+        new = numbers[-1] if new is None else new
+        before = numbers[: numbers.index(new)] if new in numbers else []
+        old = (before or [new])[-1] if old is None else old
+    _, earlier = _find_version(folder, name, old)
+    _, later = _find_version(folder, name, new)
+    rows = list(_parameter_differences(earlier, later))
+    terminal.print_result(f"{board}: {_version_text(earlier)} to {_version_text(later)}")
+    columns = ("parameter", "before", "after", "change", "unit", "sigma")
+    shown = [_difference_with_unit(row) for row in rows]
+    terminal.print_result(_table(shown, {name: name for name in columns}))
+    terminal.print_json({"from": earlier.version, "to": later.version, "parameters": rows})
+    return 0
+
+
+@store_command.command("verify")
+@_store_argument
+@click.option(
+    "--key",
+    type=_KEY_FILE,
+    help="A public Ed25519 key (PEM): every calibration must be signed with it.  "
+    "[default: signatures are not checked]",
+)
+@json_option
+@click.pass_obj
+def verify_command(terminal: Terminal, folder: Storage, key: Path | None) -> int:
+    r"""Compare every file with its SHA-256 in the next version, the index and the manifests.
+
+    Exits with status 3 when a file is damaged, missing, unknown or, with --key, not signed.
+    Without this program: sha256sum -c manifest/*.sha256, in the folder of the store.
+
+    \b
+    Example:
+      gyrorig store verify calibrations
+      gyrorig store verify s3://fleet/calibrations --key fleet-public.pem
+    """
+    result = verify(folder, None if key is None else read_public_key(key))
+    for fault in result.faults[:_FAULTS_SHOWN]:
+        terminal.print_result(f"{fault.kind:<11} {fault.file}: {fault.text}")
+    if len(result.faults) > _FAULTS_SHOWN:
+        terminal.print_result(f"and {len(result.faults) - _FAULTS_SHOWN} more")
+    counts = (
+        f"{plural(result.boards, 'board')}, {plural(result.versions, 'version')}, "
+        f"{plural(result.rows, 'index row')}, {plural(result.manifest_files, 'file')} in manifests"
+    )
+    outcome = plural(len(result.faults), "fault") if result.faults else "no faults"
+    terminal.print_result(f"{counts}: {outcome}")
+    for kind in dict.fromkeys(fault.kind for fault in result.faults):
+        terminal.print_result(f"  {kind:<11} {REMEDIES[kind].replace('STORE', folder.location)}")
+    code = _DAMAGED_STATUS if result.faults else 0
+    faults = [asdict(fault) for fault in result.faults]
+    terminal.print_json({"versions": result.versions, "faults": faults, "exit_code": code})
+    return code
+
+
+@store_command.command("rebuild-index")
+@_store_argument
+@click.option(
+    "--sign",
+    type=_KEY_FILE,
+    help="A private Ed25519 key (PEM) that signs the manifest.  [default: not signed]",
+)
+@json_option
+@click.pass_obj
+def rebuild_command(terminal: Terminal, folder: Storage, sign: Path | None) -> int:
+    r"""Write the index and the manifests again, from the calibrations in the store.
+
+    \b
+    Example:
+      gyrorig store rebuild-index calibrations --sign fleet.pem
+    """
+    count = rebuild_index(folder, None if sign is None else read_signer(sign))
+    terminal.print_result(f"{plural(count, 'version')} in the index of {folder.location}")
+    terminal.print_json({"versions": count})
+    return 0
+
+
+def _find_version(folder: Storage, board: BoardId, number: int) -> tuple[Path, CalibrationDocument]:
+    """Return one version of a board.
+
+    Raises:
+        InputError: the board or version does not exist, or is damaged.
+    """
+    versions = open_existing_store(folder).versions(board)
+    for version in versions:
+        if version.number == number:
+            return _read_version(version)
+    if not versions:
+        raise _unknown_board_error(folder, board)
+    raise InputError(
+        f"{folder.location} does not contain version {number} of board {board}",
+        f"choose a version from {versions[0].number} to {versions[-1].number}",
+    )
+
+
+def _unknown_board_error(folder: Storage, board: BoardId) -> InputError:
+    return InputError(
+        f"{folder.location} does not contain board {board}",
+        f"list its boards with `gyrorig store ls {folder.location}`",
+    )
+
+
+def _versions_in_time(
+    folder: Storage, board: BoardId, at: datetime | None = None, config_hash: str | None = None
+) -> list[StoredVersion]:
+    """Return the versions of a board in the order of their recordings, the last one last.
+
+    Args:
+        folder: the store.
+        board: whose versions.
+        at: only versions recorded until this time; None for all.
+        config_hash: only versions with this configuration hash; None for all.
+
+    Raises:
+        InputError: there is none.
+    """
+    versions = versions_by_measurement_time(folder, board)
+    matching = [
+        measured.version
+        for measured in versions
+        if (at is None or measured.start <= at) and config_hash in (None, measured.config_hash)
+    ]
+    if not versions:
+        raise _unknown_board_error(folder, board)
+    if not matching:
+        conditions = [
+            *([] if at is None else [f"recorded until {at:%Y-%m-%d %H:%M} UTC"]),
+            *([] if config_hash is None else [f"with the configuration {config_hash[:20]}"]),
+        ]
+        raise InputError(
+            f"{folder.location} contains no version of board {board} {' and '.join(conditions)}",
+            f"list its versions with `gyrorig store ls {folder.location} --all --board {board}`",
+        )
+    return matching
+
+
+def _read_version(version: StoredVersion) -> tuple[Path, CalibrationDocument]:
+    return version.path, parse_calibration(version.data(), str(version.path))
+
+
+def _parameter_differences(earlier: CalibrationDocument, later: CalibrationDocument) -> Any:
+    before, after = parameter_values(earlier), parameter_values(later)
+    for name in parameter_columns():
+        if name.endswith("_std") or name not in before or name not in after:
+            continue
+        change = after[name] - before[name]
+        combined_std = (before[f"{name}_std"] ** 2 + after[f"{name}_std"] ** 2) ** 0.5
+        yield {
+            "parameter": name,
+            "before": before[name],
+            "after": after[name],
+            "change": change,
+            "sigma": change / combined_std if combined_std else None,
+        }
+
+
+def _version_text(calibration: CalibrationDocument) -> str:
+    return f"version {calibration.version}, recorded {calibration.inputs[0].start[:10]}"
+
+
+def _difference_with_unit(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a difference in the unit that is shown to people."""
+    factor, unit = column_unit(row["parameter"])
+    values = {name: factor * row[name] for name in ("before", "after", "change")}
+    return {
+        "parameter": column_label(row["parameter"]),
+        "unit": unit,
+        "sigma": row["sigma"],
+        **values,
+    }
+
+
+def _table(rows: Sequence[dict[str, Any]], headings: dict[str, str]) -> str:
+    """Return rows as a text table; `headings` has the columns and the words above them."""
+    cells = [
+        list(headings.values()),
+        *([_cell_text(row.get(name)) for name in headings] for row in rows),
+    ]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(headings))]
+    lines = ("  ".join(f"{c:<{w}}" for c, w in zip(line, widths, strict=True)) for line in cells)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _cell_text(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, datetime):
+        return f"{value:%Y-%m-%d %H:%M}"
+    return ", ".join(value) if isinstance(value, list) else str(value)
+
+
+def _json_value(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return f"{value:%Y-%m-%dT%H:%M:%SZ}"
+    return value

@@ -1,0 +1,6 @@
+"""Measured data of a recording: samples, clocks and checks of the raw stream.
+
+What to use when: `samples.load_samples` for the gyro samples of one board on the capture clock.
+`clocks` maps device time to capture time, `stream` checks the counts without a model,
+`count_columns` keeps long columns as counts, and `arrays` has the array types.
+"""

@@ -1,0 +1,149 @@
+"""The raw stream of counts, and the result of a check."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data.samples import GyroSamples
+
+PIECE_ROWS = 1 << 17  # rows per piece; 8 h at 800 Hz are 23 million
+MAX_P_VALUE = 1e-6  # significance level of a finding
+WINDOW_SAMPLES = 64  # samples over which noise and motion are assumed to be constant
+AXES = ("x", "y", "z")
+NOISE_ROWS = 1 << 14
+MAX_REPEAT_SHARE = 0.9
+_MAX_EXAMPLES = 50
+
+
+@dataclass(frozen=True, slots=True)
+class StreamFinding:
+    """A defect of the samples."""
+
+    cause: str  # a cause id of the catalogue
+    part: str  # of the rig, as in the catalogue of causes
+    where: tuple[str, ...]  # sensor axes, () for all of them
+    count: int  # affected samples or words
+    total: int  # of this number
+    p_value: float  # probability of the finding by chance
+    quantity: str  # the name of `size`
+    size: float
+    unit: str
+    seen_as: str  # one sentence
+    remedy: str
+    times_s: tuple[float, ...] = ()  # times of some affected samples, s since the start
+
+    @property
+    def share(self) -> float:
+        """Affected share, 0 to 1."""
+        return self.count / self.total if self.total else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """The result of one check; `findings` is empty if nothing is wrong."""
+
+    check: str
+    summary: str
+    findings: tuple[StreamFinding, ...] = field(default=())
+    testable_causes: tuple[str, ...] = ()  # causes that this check can detect in this recording
+
+
+@dataclass(frozen=True, eq=False)
+class CountStream:
+    """The counts of one board, read in pieces without gaps."""
+
+    samples: GyroSamples
+
+    @property
+    def size(self) -> int:
+        """The number of samples."""
+        return int(self.samples.number.size)
+
+    @cached_property
+    def count_step(self) -> IntArray:
+        """The quantum of each axis, in counts, shape (3,).
+
+        It is 1 if the counts are the words as sent, and larger if physical values of a file
+        were converted to finer counts.
+        """
+        count_steps = []
+        for axis in range(3):
+            values = np.unique(self.samples.counts[:PIECE_ROWS, axis])
+            steps = np.diff(values.astype(np.int64))
+            count_steps.append(int(steps.min()) if steps.size else 0)
+        return np.array(count_steps, dtype=np.int64)
+
+    def pieces(self) -> Iterator[tuple[slice, IntArray]]:
+        """Yield slices without a gap, and their counts, shape (n, 3)."""
+        for contiguous in self.samples.contiguous_slices(1):
+            for start in range(contiguous.start, contiguous.stop, PIECE_ROWS):
+                # four samples of overlap, so that each neighbourhood is checked once
+                rows = slice(
+                    max(contiguous.start, start - 4), min(start + PIECE_ROWS, contiguous.stop)
+                )
+                yield rows, self.samples.counts[rows].astype(np.int64)
+
+    @cached_property
+    def repeat_share(self) -> FloatArray:
+        """Share of samples that equal the one before by noise and quantisation, shape (3,).
+
+        The larger of twice the share for white noise of the axis' standard deviation, and the
+        upper quartile over windows.
+        """
+        shares, differences = [np.zeros((0, 3))], [np.zeros((0, 3))]
+        for _, counts in self.pieces():
+            is_repeat = np.diff(counts, axis=0) == 0
+            window_count = is_repeat.shape[0] // WINDOW_SAMPLES
+            if window_count:
+                shares.append(
+                    is_repeat[: window_count * WINDOW_SAMPLES]
+                    .reshape(window_count, WINDOW_SAMPLES, 3)
+                    .mean(axis=1)
+                )
+            differences.append(np.abs(np.diff(counts[:NOISE_ROWS], 4, axis=0)))
+        window_shares, all_differences = np.concatenate(shares), np.concatenate(differences)
+        if not window_shares.shape[0] or not all_differences.shape[0]:
+            return np.full(3, MAX_REPEAT_SHARE)
+        # sum of squares of (1, -4, 6, -4, 1) is 70; equal readings of a normal: 1/(2 sqrt(pi) s)
+        deviation = (
+            np.median(all_differences, axis=0)
+            / 0.6745
+            / np.sqrt(70.0)
+            / np.maximum(self.count_step, 1)
+        )
+        white_share = 2.0 * 0.2821 / np.maximum(deviation, 1e-3)
+        usual_share = np.quantile(window_shares, 0.75, axis=0)
+        return np.asarray(
+            np.clip(np.maximum(white_share, usual_share), 1.0 / WINDOW_SAMPLES, MAX_REPEAT_SHARE)
+        )
+
+    def times_s(self, rows: IntArray) -> tuple[float, ...]:
+        """Return the times of at most `_MAX_EXAMPLES` samples, s since the first."""
+        first = self.samples.time_s[0]
+        return tuple(float(self.samples.time_s[k] - first) for k in rows[:_MAX_EXAMPLES])
+
+
+def poisson_tail(count: int, expected: float) -> float:
+    """Return the Poisson probability of `count` or more events for `expected` on average."""
+    if count <= 0:
+        return 1.0
+    if expected <= 0.0:
+        return 0.0
+    term = math.exp(min(0.0, count * math.log(expected) - expected - math.lgamma(count + 1)))
+    total, k = 0.0, count
+    while term > 1e-18 * total and k < count + 10_000:
+        total += term
+        k += 1
+        term *= expected / k
+    return min(1.0, total)
+
+
+def true_runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Return the runs [first, stop) of set flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in list(pairwise(edges))[::2]]

@@ -1,0 +1,182 @@
+"""Terms that can be tested with reference attitudes: causes of the board and of the reference.
+
+What to use when: `select_attitude_terms` for the causes that a space can be asked for.
+
+An attitude that a camera gives is often a mean over time: frames last, markers are filtered,
+attitudes are interpolated to the gyro's rate. A mean over a time of variance v makes of a body
+rate w, to second order, w + v/2 (w'' + w x w'): R(t + s) averaged over s and made a rotation
+again is R (1 + v/2 [w']x), and a rotation that is off by d = v/2 w' turns by w + d' + w x d
+(derived here; the first is a low-pass, the second is what no low-pass of each axis can be).
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.cause_search import testable_instances
+from gyrorig_solver.estimate.attitude.attitude_projector import (
+    MIN_BOARD_RATE_RAD_S,
+    AttitudeProjector,
+    AttitudeState,
+)
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.causes.g_sensitivity import GSensitivity
+from gyrorig_solver.model.causes.supply_hum import SupplyHum
+from gyrorig_solver.model.signal_arrays import split_axes
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Part, Scope, Term, TermParameter
+from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+
+MIN_FORCE_SPAN_M_S2 = 3.0  # of every component: a third of gravity
+UNNAMED_TERMS = ("moving_bias",)  # tested like causes, never named
+
+
+class ReferenceSmoothing(LinearTerm):
+    """The variance of the time over which the reference's attitudes are means."""
+
+    cause = "reference_smoothing"
+    title = "The reference attitudes are smoothed"
+    part: Part = "environment"
+    scope: Scope = "unit"  # the reference replaces a unit
+    parameters = (
+        TermParameter(
+            name="variance",
+            unit="s^2",
+            typical_size=2.5e-5,  # of 5 ms, half a frame of an ordinary camera
+            lower=0.0,
+            upper=2.5e-3,
+            prior_std=1e-3,
+        ),
+    )
+    confused_with = ("low_pass_lag", "clock_offset")
+    remedy = (
+        "export the attitudes unfiltered and at the camera's own rate with short exposures, "
+        "or compare slow turns only"
+    )
+    covariates = None
+    picture = None
+    excitation = "turns that change quickly, the axis with them"
+    effect_if_ignored = "gains come out too large, the more so the quicker the turns"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return -1/2 G (w'' + w x w'), (1, blocks, 3)."""
+        del values
+        rate, block_s = state.rate_rad_s, state.step_s * state.instants_per_block
+        across = np.cross(rate, np.gradient(rate, state.step_s, axis=0))
+        # Of block means: their differences hold less of what is faster than the band.
+        slow = state.sample_output(rate)
+        bend = np.gradient(np.gradient(slow, axis=0), axis=0) / block_s**2
+        signal = -0.5 * (bend + state.sample_output(across)) @ state.gain.T
+        return np.asarray(signal[None], dtype=np.float64)
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Explain that a unit's motion is not a mean."""
+        return None if isinstance(state, AttitudeState) else "the reference has no attitudes"
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the duration."""
+        width_s = float(np.sqrt(max(float(values[0]), 0.0)))
+        return f"the reference's attitudes are means over {width_s * 1e3:.3g} ms (rms)"
+
+
+class MovingBias(LinearTerm):
+    """A bias of the moving board minus that at rest, per axis: tested like a cause, never named.
+
+    It is compared like a cause, so that no cause is named in its place.
+    """
+
+    cause = "moving_bias"
+    part: Part = "sensor"
+    parameters = (
+        TermParameter(
+            name="bias",
+            unit="rad/s",
+            typical_size=0.1 * DEG,
+            lower=-5.0 * DEG,
+            upper=5.0 * DEG,
+            prior_std=1.0 * DEG,
+            components=XYZ,
+        ),
+    )
+    confused_with = ("scale_asymmetry", "scale_quadratic", "g_sensitivity", "dead_zone")
+    title = "The bias depends on motion"
+    remedy = ""
+    covariates = None
+    picture = None
+    excitation = "rests in several poses between motions of several speeds"
+    effect_if_ignored = "the bias of the moving board is not that of the resting one"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return where the board moves on each axis, (3, blocks, 3)."""
+        del values
+        is_moving = np.linalg.norm(state.rate_rad_s, axis=1) > MIN_BOARD_RATE_RAD_S
+        return split_axes(
+            state.sample_output(np.repeat(is_moving[:, None].astype(np.float64), 3, axis=1))
+        )
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the shifts."""
+        shifts = format_list(values / DEG * 1e3, XYZ, "mdeg/s")
+        return f"the bias of the moving board is not that of the resting one: {shifts}"
+
+
+class ForceSensitivity(GSensitivity):
+    """K against all three components of what the board's accelerometer reads."""
+
+    excitation = "an accelerometer in the recording, and poses all around"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return each component of the force on each axis, (9, blocks, 3)."""
+        del values
+        signals = np.zeros((9, state.block_count, 3))
+        force = state.measure_sensor_rate(state.specific_force_m_s2)
+        for column in range(3):
+            signals[column::3] = split_axes(np.repeat(force[:, column : column + 1], 3, axis=1))
+        return signals
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Explain that there is no accelerometer, or that gravity did not change."""
+        if not isinstance(state, AttitudeState) or state.measured_force_m_s2 is None:
+            return "the recording has no accelerometer data; record the accelerometer too"
+        if float(np.ptp(state.measured_force_m_s2, axis=0).min()) < MIN_FORCE_SPAN_M_S2:
+            return "the board was never turned over; hold it in poses all around"
+        return None
+
+
+class OutOfBandHum(SupplyHum):
+    """Lines of the mains are faster than what a reference of attitudes can judge."""
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Say so."""
+        del state
+        return "only slow rates are compared with the reference; record the board at rest"
+
+
+def select_attitude_terms(space: AttitudeProjector) -> tuple[list[Term], list[tuple[str, str]]]:
+    """Return the causes that are testable against attitudes, and the others with reasons."""
+    attitude_specific = {
+        term.cause: term
+        for term in (ReferenceSmoothing(), ForceSensitivity(), OutOfBandHum(), MovingBias())
+    }
+    terms: list[Term] = []
+    untestable: list[tuple[str, str]] = []
+    for cause, term in sorted({**catalogue(), **attitude_specific}.items()):
+        if term.kind == "effect" and not term.first_order_equivalent:
+            reasons = [
+                reason
+                for reason in (term.reason_not_testable(scene) for scene in space.states)
+                if reason is not None
+            ]
+            if reasons:
+                untestable.append((cause, reasons[0]))
+            else:
+                terms += testable_instances(term, space)
+        elif term.kind in ("gauge", "known"):
+            untestable.append((cause, _untestable_reason(term, space)))
+    return terms, untestable
+
+
+def _untestable_reason(term: Term, space: AttitudeProjector) -> str:
+    """Return why a cause without an effect on the rates cannot be tested."""
+    missing = term.reason_not_testable(space.states[0])
+    return missing if missing is not None else term.excitation

@@ -1,0 +1,396 @@
+"""Search for causes in several boards on one unit together.
+
+Each board is searched separately first. A cause that may belong to the unit, or may be confused
+with a cause of the unit, is then tested on all boards: one common size, or separate sizes
+(`scope_hypotheses`). A cause of the unit is fitted to every board with a prior from the other
+boards (`joint_projector.prior_from_others`), which equals the joint fit. Finally causes that no
+board shows alone are searched in all boards together.
+
+What to use when: `explain_jointly` from a fit of the base model to each board.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_solver.discover.boards.joint_projector import (
+    JointProjector,
+    LocalQuadratic,
+    homogeneity_p_value,
+    local_quadratic,
+    prior_from_others,
+)
+from gyrorig_solver.discover.boards.scope_hypotheses import (
+    ScopeHypothesis,
+    compare_scopes,
+    possible_owner,
+)
+from gyrorig_solver.discover.cause_findings import Attribution, FitExplanation
+from gyrorig_solver.discover.cause_search import (
+    FALSE_ALARM_RATE,
+    MAX_CANDIDATES,
+    RankedCause,
+    SearchResult,
+    confusable_labels,
+    count_tests,
+    global_p_value,
+    search_causes,
+    testable_terms,
+)
+from gyrorig_solver.discover.exact_fit import FittedCandidate
+from gyrorig_solver.discover.fit_explanation import assemble_findings
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.recording_scope import term_label
+from gyrorig_solver.model.term import Term
+
+DETECTED_NATS = 4.0  # won on a board's own data: less may be chance (once in 200 for one size)
+MAX_EVIDENCE_LAG_NATS = (
+    30.0  # of evidence behind: no more than a look at all boards might make good
+)
+MAX_MOTION_UNKNOWNS = 4000  # of a motion: beyond, a dense matrix over them takes too much memory
+MAX_JOINT_ONLY_CAUSES = 4  # causes that only all boards together show
+
+CauseByBoard = dict[int, tuple[FittedTerm, RankedCause]]  # by board: what is to be explained
+
+
+@dataclass(slots=True, eq=False)
+class _BoardSearch:
+    """The state of one board's search."""
+
+    name: str
+    base: ConvergedFit
+    result: SearchResult
+    solution: ConvergedFit
+    ranked_causes: list[RankedCause]  # of each fitted cause, in the fit's order
+    attributions: dict[str, Attribution]
+
+    def fitted_causes(self) -> list[tuple[FittedTerm, RankedCause]]:
+        fitted = [
+            extension for extension in self.solution.fitted_terms if extension.free_indices.size
+        ]
+        return list(zip(fitted, self.ranked_causes, strict=True))
+
+    def projector_without(self, dropped: FittedTerm | None) -> NuisanceProjector:
+        """Return the projector of the fit, or of the fit without one of its causes."""
+        if dropped is None:
+            return NuisanceProjector.at_fit(self.solution)
+        others = [extension for extension in self.solution.fitted_terms if extension is not dropped]
+        return NuisanceProjector.at_fit(
+            self.solution, followed_terms=others, restored_terms=[dropped]
+        )
+
+    def replace_cause(
+        self, replaced: FittedTerm | None, cause: FittedTerm, ranked: RankedCause
+    ) -> None:
+        """Fit a cause, in place of another one or in addition to all, if the fit converges."""
+        kept = [
+            (extension, ranked)
+            for extension, ranked in self.fitted_causes()
+            if extension is not replaced
+        ]
+        known_terms = [
+            extension for extension in self.solution.fitted_terms if not extension.free_indices.size
+        ]
+        refitted = refit_with_terms(
+            self.solution, [*known_terms, *(extension for extension, _ in kept), cause]
+        )
+        if refitted.converged:
+            self.ranked_causes = [*(ranked for _, ranked in kept), ranked]
+            self.solution = refitted
+
+    def drop_cause(self, dropped: FittedTerm) -> None:
+        """Refit without a cause, if that fit converges."""
+        ranked_causes = [ranked for cause, ranked in self.fitted_causes() if cause is not dropped]
+        kept = [cause for cause in self.solution.fitted_terms if cause is not dropped]
+        refitted = refit_with_terms(self.solution, kept)
+        if refitted.converged:
+            self.ranked_causes, self.solution = ranked_causes, refitted
+
+    def update_ranking(self, cause: FittedTerm, ranked: RankedCause) -> None:
+        """Replace the ranking of a cause."""
+        fitted = self.fitted_causes()
+        self.ranked_causes = [
+            ranked if extension is cause else previous for extension, previous in fitted
+        ]
+
+    def finish(self) -> SearchResult:
+        """Return the search result, with scores of the other causes for the final fit."""
+        if self.solution is self.result.solution:
+            return replace(self.result, ranked_causes=tuple(self.ranked_causes))
+        projector = NuisanceProjector.at_fit(self.solution)
+        terms = testable_terms(projector)
+        fitted_labels = {term_label(extension.term) for extension in self.solution.fitted_terms}
+        scores = scan_catalogue(
+            projector,
+            [term for term in terms if term_label(term) not in fitted_labels],
+            count_tests(terms),
+        )
+        return SearchResult(self.solution, tuple(self.ranked_causes), projector, tuple(scores))
+
+
+def explain_jointly(bases: Mapping[str, ConvergedFit]) -> dict[str, FitExplanation]:
+    """Search for causes in several boards on one unit together.
+
+    Where motions differ, or are of thousands of moves, each board is explained for itself.
+
+    Args:
+        bases: the fit of the base model to each board, of the same recordings.
+    """
+    start_s = time.monotonic()
+    boards = []
+    for name, base in bases.items():
+        result = search_causes(base)
+        boards.append(
+            _BoardSearch(name, base, result, result.solution, list(result.ranked_causes), {})
+        )
+    if len(boards) > 1 and _share_one_motion(list(bases.values())):
+        for matched in _match_causes(boards):
+            _resolve_cause(boards, matched)
+        _find_joint_only_causes(boards)
+        _attribute_remaining(boards)
+    return {
+        board.name: assemble_findings(
+            board.base, board.finish(), board.name, start_s, board.attributions
+        )
+        for board in boards
+    }
+
+
+def _share_one_motion(bases: Sequence[ConvergedFit]) -> bool:
+    """Return whether the fits have the same motion, small enough for a joint fit."""
+    sizes = [[session.reference.information.size for session in b.sessions] for b in bases]
+    many = sum(local + shared for local, shared in sizes[0])
+    return many <= MAX_MOTION_UNKNOWNS and all(one == sizes[0] for one in sizes)
+
+
+def _match_causes(boards: Sequence[_BoardSearch]) -> list[CauseByBoard]:
+    """Return causes of different boards that may be the same cause, the most significant first.
+
+    Of each board at most one cause takes part: the same, or one that was taken for it.
+    """
+    named_causes = [
+        (board_number, extension, s)
+        for board_number, board in enumerate(boards)
+        for extension, s in board.fitted_causes()
+    ]
+    named_causes.sort(key=lambda entry: -entry[2].candidate.delta_log_likelihood)
+    matches: list[CauseByBoard] = []
+    matched_terms: list[FittedTerm] = []
+    for board_number, extension, ranked in named_causes:
+        if any(extension is other for other in matched_terms):
+            continue
+        match: CauseByBoard = {board_number: (extension, ranked)}
+        names = _plausible_labels(ranked)
+        for other_board, other, rival in sorted(
+            named_causes, key=lambda e: term_label(e[1].term) != term_label(extension.term)
+        ):
+            if (
+                other_board not in match
+                and not any(other is u for u in matched_terms)
+                and names & _plausible_labels(rival)
+            ):
+                match[other_board] = (other, rival)
+        matched_terms += [extension for extension, _ in match.values()]
+        if any(possible_owner(term) != "board" for term in _candidate_terms(match).values()):
+            matches.append(match)
+    return matches
+
+
+def _plausible_labels(ranked: RankedCause) -> set[str]:
+    threshold = ranked.candidate.log_evidence - MAX_EVIDENCE_LAG_NATS
+    rivals = {term_label(w.extension.term) for w, _ in ranked.rivals if w.log_evidence > threshold}
+    return {term_label(ranked.candidate.extension.term), *rivals}
+
+
+def _candidate_terms(matched: CauseByBoard) -> dict[str, Term]:
+    """Return the candidate causes of a match, the most probable first."""
+    candidates = [
+        candidate
+        for _, s in matched.values()
+        for candidate in (s.candidate, *(r for r, _ in s.rivals))
+    ]
+    plausible = set().union(*(_plausible_labels(s) for _, s in matched.values()))
+    candidates.sort(key=lambda candidate: -candidate.log_evidence)
+    term_by_label = {
+        term_label(candidate.extension.term): candidate.extension.term for candidate in candidates
+    }
+    return {name: term for name, term in term_by_label.items() if name in plausible}
+
+
+def _resolve_cause(boards: Sequence[_BoardSearch], matched: CauseByBoard) -> None:
+    """Choose between candidates and between one common size and separate sizes; refit."""
+    projectors = [
+        board.projector_without(matched[k][0] if k in matched else None)
+        for k, board in enumerate(boards)
+    ]
+    tests = count_tests(testable_terms(projectors[0]))
+    fitted_labels = [
+        {
+            term_label(extension.term)
+            for extension in board.solution.fitted_terms
+            if k not in matched or extension is not matched[k][0]
+        }
+        for k, board in enumerate(boards)
+    ]
+    hypotheses = [
+        hypothesis
+        for name, term in _candidate_terms(matched).items()
+        if not any(name in labels for labels in fitted_labels)
+        for hypothesis in compare_scopes(projectors, term, tests)
+    ]
+    if not hypotheses:
+        return
+    hypotheses.sort(key=lambda hypothesis: -hypothesis.log_evidence)
+    if hypotheses[0].log_evidence <= 0.0:
+        # What a unit does all boards show: on one alone, and as little, it is chance.
+        for k, (cause, _) in matched.items():
+            boards[k].drop_cause(cause)
+    elif hypotheses[0].common is not None:
+        _fit_common_size(boards, projectors, matched, hypotheses)
+    else:
+        _fit_separate_sizes(boards, matched, hypotheses)
+
+
+def _fit_common_size(
+    boards: Sequence[_BoardSearch],
+    projectors: Sequence[NuisanceProjector],
+    matched: CauseByBoard,
+    hypotheses: list[ScopeHypothesis],
+) -> None:
+    """Fit a cause of the unit to all boards at one common size."""
+    joint = hypotheses[0].common
+    if joint is None:
+        return
+    quadratics = [local_quadratic(projector, joint) for projector in projectors]
+    attribution = Attribution(
+        "unit",
+        sum(quadratic.delta_log_likelihood > DETECTED_NATS for quadratic in quadratics),
+        len(quadratics),
+        homogeneity_p_value(quadratics),
+    )
+    joint_projector = JointProjector(projectors)
+    joint_quadratic = local_quadratic(joint_projector, joint)
+    for k, board in enumerate(boards):
+        prior = prior_from_others(
+            joint.extension.values[joint.extension.free_indices], joint_quadratic, quadratics[k]
+        )
+        cause = replace(joint.extension, other_boards_prior=prior)
+        best = replace(
+            joint, extension=cause, absorbed=joint_projector.board_part(k, joint.absorbed)
+        )
+        board.replace_cause(
+            matched[k][0] if k in matched else None,
+            cause,
+            _rank_hypotheses(best, hypotheses, quadratics[k]),
+        )
+        board.attributions[term_label(cause.term)] = attribution
+
+
+def _fit_separate_sizes(
+    boards: Sequence[_BoardSearch], matched: CauseByBoard, hypotheses: list[ScopeHypothesis]
+) -> None:
+    """Fit each board's own size of a cause."""
+    for k, board in enumerate(boards):
+        best = hypotheses[0].per_board[k]
+        if k not in matched or best is None:
+            continue
+        cause, _ = matched[k]
+        if term_label(cause.term) == hypotheses[0].name:
+            board.update_ranking(
+                cause, _rank_hypotheses(replace(best, extension=cause), hypotheses, None)
+            )
+        else:
+            board.replace_cause(cause, best.extension, _rank_hypotheses(best, hypotheses, None))
+
+
+def _rank_hypotheses(
+    candidate: FittedCandidate, hypotheses: list[ScopeHypothesis], quadratic: LocalQuadratic | None
+) -> RankedCause:
+    """Return the ranking of the first hypothesis, with the evidence of all boards."""
+    first = hypotheses[0]
+    evidence = np.array([hypothesis.log_evidence for hypothesis in hypotheses])
+    probabilities = np.exp(evidence - evidence.max())
+    probabilities /= probabilities.sum()
+    shares: dict[str, tuple[FittedCandidate, float]] = {}
+    for hypothesis, share in zip(hypotheses[1:], probabilities[1:], strict=True):
+        if hypothesis.name == first.name:
+            continue
+        fitted = hypothesis.common or next(w for w in hypothesis.per_board if w is not None)
+        # On the scale of the cause that is named: what all boards together lose by it.
+        rival = replace(
+            fitted,
+            delta_log_likelihood=candidate.delta_log_likelihood
+            + hypothesis.delta_log_likelihood
+            - first.delta_log_likelihood,
+            log_evidence=candidate.log_evidence + hypothesis.log_evidence - first.log_evidence,
+        )
+        previous = shares.get(hypothesis.name, (rival, 0.0))
+        shares[hypothesis.name] = previous[0], previous[1] + float(share)
+    rivals = tuple(sorted(shares.values(), key=lambda pair: -pair[1]))
+    posterior = 1.0 - sum(share for _, share in rivals)
+    return RankedCause(
+        candidate,
+        first.effective_trials,
+        rivals,
+        posterior,
+        None if quadratic is None else quadratic.delta_log_likelihood,
+    )
+
+
+def _find_joint_only_causes(boards: Sequence[_BoardSearch]) -> None:
+    """Name causes of the unit that only all boards together show."""
+    for _ in range(MAX_JOINT_ONLY_CAUSES):
+        projectors = [board.projector_without(None) for board in boards]
+        joint_projector = JointProjector(projectors)
+        terms = testable_terms(joint_projector)
+        fitted_labels = {
+            term_label(extension.term)
+            for board in boards
+            for extension in board.solution.fitted_terms
+        }
+        unfitted = [term for term in terms if term_label(term) not in fitted_labels]
+        unit_terms = [term for term in unfitted if possible_owner(term) != "board"]
+        tests = count_tests(unit_terms)
+        significant = [
+            score
+            for score in scan_catalogue(joint_projector, unit_terms, tests)
+            if score.p_value < FALSE_ALARM_RATE
+        ]
+        if not significant:
+            return
+        leading_terms = {
+            term_label(score.term): score.term for score in significant[:MAX_CANDIDATES]
+        }
+        confusable = confusable_labels(significant[0].term, unfitted)
+        leading_terms |= {
+            term_label(term): term for term in unfitted if term_label(term) in confusable
+        }
+        hypotheses = [
+            hypothesis
+            for term in leading_terms.values()
+            for hypothesis in compare_scopes(projectors, term, tests)
+        ]
+        hypotheses.sort(key=lambda hypothesis: -hypothesis.log_evidence)
+        best = hypotheses[0].common if hypotheses else None
+        if (
+            best is None
+            or global_p_value(best, hypotheses[0].effective_trials, tests) > FALSE_ALARM_RATE
+        ):
+            return
+        _fit_common_size(boards, projectors, {}, hypotheses)
+
+
+def _attribute_remaining(boards: Sequence[_BoardSearch]) -> None:
+    """Attribute the remaining causes to their boards, and count the boards that have them."""
+    names = [
+        [term_label(extension.term) for extension, _ in board.fitted_causes()] for board in boards
+    ]
+    for board, board_labels in zip(boards, names, strict=True):
+        for name in board_labels:
+            many = sum(name in other for other in names)
+            board.attributions.setdefault(name, Attribution("board", many, len(boards), None))

@@ -1,0 +1,105 @@
+"""The scope of a cause: one common size on all boards of a unit, or a size of each board.
+
+All boards show a cause of the unit at one size; a cause of a board need not be on any other. Where
+one board cannot decide (a controller that rounds its ramps, or a low-pass of the board), all
+boards are compared: the evidence of one common size against the sum of the evidence of separate
+sizes. A common size pays the Occam factor once, separate sizes once per board (Laplace's
+approximation, as in `exact_fit`).
+
+What to use when: `compare_scopes` for one candidate; `possible_owner` for its possible scopes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from gyrorig_solver.discover.boards.joint_projector import JointProjector
+from gyrorig_solver.discover.cause_search import fit_best_place
+from gyrorig_solver.discover.exact_fit import FittedCandidate
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.shared_parameters import is_unit_cause
+from gyrorig_solver.model.recording_scope import term_label
+from gyrorig_solver.model.term import Term
+
+Owner = Literal["unit", "board", "either"]
+# What is a unit's by its kind acts on all boards. That it shows on one alone takes a mount of
+# its own that yields or rings as a unit would: believed once in ten thousand.
+SINGLE_BOARD_PENALTY_NATS = 9.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScopeHypothesis:
+    """One cause with one common size, or with a separate size on each board."""
+
+    term: Term
+    common: FittedCandidate | None  # fitted to all boards at once; None: each board's own
+    per_board: tuple[FittedCandidate | None, ...]  # of each board, None where it earns nothing
+    effective_trials: float
+    log_evidence: float  # nats, all boards
+    delta_log_likelihood: float
+
+    @property
+    def name(self) -> str:
+        """The cause's label, with its recording if it is limited to one."""
+        return term_label(self.term)
+
+    @property
+    def owner(self) -> Literal["unit", "board"]:
+        """The owner: the unit if the size is common, otherwise each board."""
+        return "board" if self.common is None else "unit"
+
+
+def possible_owner(term: Term) -> Owner:
+    """Return whether a cause can belong to the unit, to a board, or to either.
+
+    A clock is either: the unit's and the host's are common to all boards, each board has
+    its own.
+    """
+    if is_unit_cause(term):
+        return "unit"
+    return "either" if term.part == "clock" else "board"
+
+
+def compare_scopes(
+    boards: Sequence[NuisanceProjector], term: Term, tests: int
+) -> list[ScopeHypothesis]:
+    """Return the hypotheses about one cause on several boards that have positive evidence.
+
+    Args:
+        boards: the nuisance projector at each board's fit without the effect to explain.
+        term: the cause.
+        tests: how many share the false alarms.
+    """
+    ownership = possible_owner(term)
+    hypotheses: list[ScopeHypothesis] = []
+    fits = [_fit_term(fitted, term, tests) for fitted in boards]
+    per_board = tuple(None if fit is None or fit[0].log_evidence <= 0.0 else fit[0] for fit in fits)
+    supporting = [fitted for fitted in per_board if fitted is not None]
+    if supporting:
+        penalty = SINGLE_BOARD_PENALTY_NATS if ownership == "unit" else 0.0
+        trials = max(fit[1] for fit in fits if fit is not None)
+        evidence, gain = (
+            sum(fitted.log_evidence for fitted in supporting),
+            sum(fitted.delta_log_likelihood for fitted in supporting),
+        )
+        hypotheses.append(ScopeHypothesis(term, None, per_board, trials, evidence - penalty, gain))
+    if ownership != "board":
+        fit = _fit_term(JointProjector(boards), term, tests)
+        if fit is not None and fit[0].log_evidence > 0.0:
+            best, trials = fit
+            hypotheses.append(
+                ScopeHypothesis(
+                    term, best, per_board, trials, best.log_evidence, best.delta_log_likelihood
+                )
+            )
+    return hypotheses
+
+
+def _fit_term(
+    projection: NuisanceProjector, term: Term, tests: int
+) -> tuple[FittedCandidate, float] | None:
+    return fit_best_place(
+        projection, scan_catalogue(projection, [term], tests, all_templates(projection, term))
+    )

@@ -1,0 +1,76 @@
+"""Changes of the calibration parameters by causes.
+
+What to use when: `CalibrationValues.of` at a fit; `changes_from` between two fits, `propagate`
+for the first-order change by an unknown effect.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.cause_findings import CalibrationChange
+from gyrorig_solver.estimate.factor_covariance import propagate_to_factors
+from gyrorig_solver.estimate.likelihood_fit import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
+from gyrorig_solver.estimate.observability import BIAS_NAMES
+from gyrorig_solver.model.gain_matrix import FACTOR_NAMES
+
+CALIBRATION_PARAMETERS = (*FACTOR_NAMES, *BIAS_NAMES, "time_offset")
+CALIBRATION_UNITS = ("1",) * 6 + ("rad",) * 3 + ("rad/s",) * 3 + ("s",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationValues:
+    """A fit's values and standard uncertainties over `CALIBRATION_PARAMETERS`."""
+
+    values: FloatArray  # (13,)
+    std: FloatArray  # (13,), NaN where the data do not determine it
+    jacobian: FloatArray  # (13, 13), from the fit's own parameters
+
+    @classmethod
+    def of(cls, solution: ConvergedFit) -> Self:
+        """Return the calibration of a fit, with the bias and time offset of its last recording."""
+        first_recording = slice(0, GAIN_PARAMETERS + SESSION_PARAMETERS)
+        derived = propagate_to_factors(
+            solution.estimate[first_recording],
+            solution.observability.covariance[first_recording, first_recording],
+            solution.observability.unobservable_covariance[first_recording, first_recording],
+        )
+        std = np.where(
+            derived.is_observable(solution.prior_std[first_recording]),
+            np.sqrt(np.clip(np.diag(derived.data), 0.0, None)),
+            np.nan,
+        )
+        return cls(derived.values, std, derived.jacobian)
+
+    def propagate(self, parameter_shift: FloatArray) -> FloatArray:
+        """Return the change of each parameter, (13,), from that of the fit's (G, b, tau)."""
+        return np.asarray(self.jacobian @ parameter_shift, dtype=np.float64)
+
+    def changes_from(self, before: FloatArray) -> tuple[CalibrationChange, ...]:
+        """Return each observable parameter's change from values (13,), the largest first."""
+        known_changes = [
+            CalibrationChange(name, float(old), float(new), float(std), unit)
+            for name, old, new, std, unit in zip(
+                CALIBRATION_PARAMETERS,
+                before,
+                self.values,
+                self.std,
+                CALIBRATION_UNITS,
+                strict=True,
+            )
+            if np.isfinite(std)
+        ]
+        return tuple(sorted(known_changes, key=lambda change: -change.sigma))
+
+
+def last_recording_part(parameter_shift: FloatArray, recordings: int) -> FloatArray:
+    """Return the last recording's part of a change of all fitted parameters, (13,)."""
+    last_start = GAIN_PARAMETERS + SESSION_PARAMETERS * (recordings - 1)
+    return np.concatenate(
+        [
+            parameter_shift[:GAIN_PARAMETERS],
+            parameter_shift[last_start : last_start + SESSION_PARAMETERS],
+        ]
+    )

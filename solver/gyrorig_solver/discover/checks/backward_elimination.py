@@ -1,0 +1,84 @@
+"""Backward elimination: each cause is removed in turn and everything else is refitted.
+
+While candidates are compared, the other parameters follow to first order. Where that is not
+accurate (a gain and a threshold, ramps that the reference fits itself, a wrong low-pass) a cause
+can seem to gain what one more step of the fit itself would gain. A cause without which the refit
+is as good is removed.
+
+Source: likelihood ratio test; Wilks, Ann. Math. Statist. 9 (1938) 60.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from gyrorig_solver.discover.checks.typical_noise import limit_to_typical
+from gyrorig_solver.discover.gain_refit import refit_gain_exactly
+from gyrorig_solver.estimate.fit_segments import negative_log_likelihood
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.model.recording_scope import term_label
+from gyrorig_solver.model.term import value_indices
+from gyrorig_solver.numerics.distributions import chi2_upper_tail
+
+# If the fit without a cause is clearly worse after this many evaluations, the cause is kept.
+# Without a large cause the fit would need many more to converge.
+FIRST_EVALUATIONS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EliminationResult:
+    """The result of backward elimination."""
+
+    solution: ConvergedFit
+    eliminated: frozenset[str]  # labels of what it can do without
+    delta_log_likelihood: Mapping[str, float]  # nats, by label, of what it cannot
+
+
+def eliminate_backward(
+    solution: ConvergedFit, known_terms: Sequence[FittedTerm], tests: int, alpha: float
+) -> EliminationResult:
+    """Remove causes whose removal, with a full refit, does not reduce the likelihood significantly.
+
+    A cause without which the fit does not converge stays.
+
+    Args:
+        solution: where a search ended.
+        known_terms: causes of the base model, which stay.
+        tests: how many share the false alarms.
+        alpha: share of recordings without any cause that may get a name.
+    """
+    eliminated: set[str] = set()
+    while True:
+        least_significant: tuple[float, str, ConvergedFit] | None = None
+        gain_by_label: dict[str, float] = {}
+        noises = [limit_to_typical(extension) for extension in solution.noises]
+        cost: float | None = None
+        for k, extension in enumerate(solution.fitted_terms):
+            sizes = sum(
+                1 for j in extension.free_indices if j in value_indices(extension.term, role="size")
+            )
+            if extension in known_terms or not sizes:
+                continue
+            kept = [other for j, other in enumerate(solution.fitted_terms) if j != k]
+            cost = negative_log_likelihood(solution, noises) if cost is None else cost
+            reduced = refit_gain_exactly(refit_with_terms(solution, kept, FIRST_EVALUATIONS))
+            gain = negative_log_likelihood(reduced, noises) - cost
+            remaining = 0.0 if reduced.converged else reduced.convergence.remaining_nats
+            if not reduced.converged and _p_value(gain - remaining, sizes) * tests > alpha:
+                reduced = refit_gain_exactly(refit_with_terms(reduced, kept))
+                gain = negative_log_likelihood(reduced, noises) - cost
+            gain_by_label[term_label(extension.term)] = gain
+            p_value = _p_value(gain, sizes) * tests
+            if not reduced.converged:
+                continue
+            if p_value > alpha and (least_significant is None or p_value > least_significant[0]):
+                least_significant = p_value, term_label(extension.term), reduced
+        if least_significant is None:
+            return EliminationResult(solution, frozenset(eliminated), gain_by_label)
+        eliminated.add(least_significant[1])
+        solution = least_significant[2]
+
+
+def _p_value(gain_nats: float, sizes: int) -> float:
+    """Return the p-value of a likelihood ratio test."""
+    return chi2_upper_tail(2.0 * max(gain_nats, 0.0), sizes)

@@ -1,0 +1,273 @@
+"""Jitter of the samples' instants: a cause that shows in the scatter, not in the mean.
+
+A sample taken d late differs by d times the slope of the rate, on all axes at once; d is
+white with deviation s. The whitened residual is cut into short blocks and each transformed
+(DCT-II); coefficient j of block b is a vector over the axes with the covariance
+
+    I + s^2 A,   A_ik = M_ik a_i a_k,   M the block's mean of slope_i slope_k,
+    a_i = (S_i(f_j) r/2)^(-1/2)
+
+since white times are not shaped by the sensor's low-pass while its noise, S, is (1/S as a
+short block's coefficient sees it, leakage and all). Along the eigenvectors of A the
+coefficients are independent, so that likelihood, estimate (Fisher scoring in s^2) and
+deviation of s are sums.
+
+What the mean model lacks at starts and stops is smooth, jitter is not: slow and fast
+coefficients must agree on s.
+
+What to use when: `estimate_jitter` at a fit; `scatter_names` makes a cause of it.
+
+Source: Whittle's likelihood for a locally stationary process, Dahlhaus, Ann. Statist. 25
+(1997) 1.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import dct
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.discover.checks.jitter_modulation import (
+    BlockMotion,
+    VarianceModulation,
+    find_modulation,
+)
+from gyrorig_solver.discover.checks.variance_trend import (
+    VarianceTrendTest,
+    fit_variance_trend,
+    speed_shapes,
+)
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.causes.sample_jitter import SampleJitter
+from gyrorig_solver.numerics.distributions import chi2_upper_tail, normal_quantile
+
+BLOCK_LENGTH = 16  # samples; an acceleration lasts some tens
+STILL_SHARE = 1e-3  # of the largest slope squared: slower changes count as none
+MIN_STILL_BLOCKS = 16  # blocks without acceleration that the noise's level is judged by
+MIN_LEAD_NATS = 3.0  # nats that another shape must be behind by: a belief of 95 %
+MIN_AGREEMENT_P = 1e-3  # chance below which slow and fast coefficients contradict each other
+MAX_SIZE_RATIO = 2.0  # and the factor of s^2 that they must differ by, too
+FREQUENCY_COUNT = 512  # over which the noise's density is averaged
+MAX_ITERATIONS = 40
+RELATIVE_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JitterEstimate:
+    """The maximum-likelihood estimate of sample-time jitter."""
+
+    deviation_s: float
+    std_s: float
+    statistic: float  # twice the log likelihood that leaving it out would cost
+    p_value: float  # one test
+    rivals: tuple[tuple[str, float], ...]  # other shapes of scatter, nats relative to jitter
+    is_consistent: bool  # slow and fast coefficients agree
+    detectable_s: float  # deviation that shows 4 times in 5, of as many tests as were given
+    remaining_trend: (
+        VarianceTrendTest  # whether the scatter grows with motion, and how fast, in addition to it
+    )
+    modulation: (
+        VarianceModulation | None
+    )  # covariate on which its size depends most; jitter has none
+
+    @property
+    def is_distinct(self) -> bool:
+        """Whether no alternative variance model fits as well."""
+        return self.is_consistent and all(nats < -MIN_LEAD_NATS for _, nats in self.rivals)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _VarianceModel:
+    """Independent coefficients of unit noise variance plus a multiple of a shape."""
+
+    squares: FloatArray  # (m,), squared
+    shape: FloatArray  # (m,), what a unit of the cause adds
+
+    def log_likelihood(self, size: float) -> float:
+        variance = 1.0 + size * self.shape
+        return -0.5 * float(np.sum(np.log(variance) + self.squares / variance))
+
+    def information(self, size: float) -> float:
+        return 0.5 * float(np.sum((self.shape / (1.0 + size * self.shape)) ** 2))
+
+    def most_likely_size(self) -> float:
+        """Return the maximum-likelihood size, not below zero."""
+        if not self.shape.any():
+            return 0.0
+        size = 0.0
+        for _ in range(MAX_ITERATIONS):
+            variance = 1.0 + size * self.shape
+            slope = 0.5 * float(np.sum(self.shape * (self.squares - variance) / variance**2))
+            after = max(size + slope / self.information(size), 0.0)
+            if abs(after - size) <= RELATIVE_TOLERANCE * max(after, size):
+                return after
+            size = after
+        return size
+
+    def log_likelihood_gain(self, size: float) -> float:
+        return self.log_likelihood(size) - self.log_likelihood(0.0)
+
+    def subset(self, mask: BoolArray) -> "_VarianceModel":
+        return _VarianceModel(self.squares[mask], self.shape[mask])
+
+
+def estimate_jitter(
+    projection: NuisanceProjector,
+    tests: int,
+    alpha: float,
+    power: float,
+    with_motion_noise: bool = False,
+) -> JitterEstimate | None:
+    """Estimate the jitter in a fit's residual; None where nothing accelerates.
+
+    Args:
+        projection: the nuisance projector at the fit.
+        tests: how many share the false alarms, for the detectable size.
+        alpha: rate of false alarms of all of them.
+        power: share of cases in which a detectable size shows.
+        with_motion_noise: beside the fit's noise in motion. Otherwise the noise is that at rest,
+            and jitter competes with noise in motion for all of the scatter.
+    """
+    blocks = _block_coefficients(projection, with_motion_noise)
+    if blocks is None:
+        return None
+    values, slopes, speeds, weights, motion = blocks
+    rises = speeds[0]
+    covariance = slopes[:, None] * weights[None, :, :, None] * weights[None, :, None, :]
+    eigenvalues, eigenvectors = np.linalg.eigh(covariance)
+    rotated = np.einsum("bjik,bji->bjk", eigenvectors, values.transpose(0, 2, 1))
+    jitter = _VarianceModel((rotated**2).ravel(), np.clip(eigenvalues, 0.0, None).ravel())
+    size = jitter.most_likely_size()
+    gain_nats = jitter.log_likelihood_gain(size)
+    flat = np.broadcast_to(np.mean(weights**2, axis=0), weights.shape)
+    like_noise = np.einsum("bii,ji->bji", slopes, flat)
+    rivals = {
+        "a scatter that grows with the acceleration as the noise's own spectrum": like_noise,
+        "a scatter that is there while the stage moves": np.broadcast_to(
+            rises[:, None, None], like_noise.shape
+        ),
+    }
+    squares = values.transpose(0, 2, 1) ** 2
+    rival_gains = []
+    for description, shape in rivals.items():
+        other = _VarianceModel(squares.ravel(), np.ascontiguousarray(shape).ravel())
+        rival_gains.append(
+            (description, other.log_likelihood_gain(other.most_likely_size()) - gain_nats)
+        )
+    information = jitter.information(0.0)
+    needed = normal_quantile(alpha / tests) + normal_quantile(1.0 - power)
+    return JitterEstimate(
+        deviation_s=float(np.sqrt(size)),
+        std_s=_root_std(size, jitter.information(size)),
+        statistic=2.0 * max(gain_nats, 0.0),
+        p_value=0.5 * chi2_upper_tail(2.0 * max(gain_nats, 0.0), 1.0),
+        rivals=tuple(rival_gains),
+        is_consistent=_bands_agree(jitter, size, eigenvalues.shape),
+        detectable_s=float(np.sqrt(needed / np.sqrt(information))),
+        remaining_trend=_remaining_trend(jitter, size, speeds, rotated.shape),
+        modulation=find_modulation(
+            rotated.reshape(len(rotated), -1) ** 2,
+            jitter.shape.reshape(len(rotated), -1),
+            size,
+            motion,
+        ),
+    )
+
+
+def _root_std(size: float, information: float) -> float:
+    """Return the standard uncertainty of the root of a size; inf for zero."""
+    return float(0.5 / np.sqrt(size * information)) if size > 0.0 else float("inf")
+
+
+def _remaining_trend(
+    jitter: _VarianceModel, size: float, speeds: FloatArray, shape: tuple[int, ...]
+) -> VarianceTrendTest:
+    """Test whether the variance, without the jitter's, still grows with motion and speed.
+
+    Args:
+        jitter: the coefficients.
+        size: of the jitter, squared.
+        speeds: shapes of a variance in each block, (k, b).
+        shape: of the coefficients, (b, BLOCK, 3).
+    """
+    excess = jitter.squares / (1.0 + size * jitter.shape) - 1.0
+    shapes = [np.broadcast_to(speed_shape[:, None, None], shape).ravel() for speed_shape in speeds]
+    return fit_variance_trend(np.stack(shapes), excess, two_sided=True)
+
+
+def _bands_agree(jitter: _VarianceModel, size: float, shape: tuple[int, ...]) -> bool:
+    """Return whether low and high frequencies give the same jitter."""
+    fast = np.zeros(shape, dtype=np.bool_)
+    fast[:, shape[1] // 2 :] = True
+    bands = [jitter.subset(band) for band in (fast.ravel(), ~fast.ravel())]
+    sizes = [band.most_likely_size() for band in bands]
+    gain_nats = sum(
+        h.log_likelihood(s) - h.log_likelihood(size) for h, s in zip(bands, sizes, strict=True)
+    )
+    if chi2_upper_tail(2.0 * max(gain_nats, 0.0), 1.0) > MIN_AGREEMENT_P:
+        return True
+    return max(sizes) < MAX_SIZE_RATIO * min(sizes)
+
+
+def _noise_weights(noise: NoiseModel) -> FloatArray:
+    """Return a_i of each coefficient, (BLOCK_LENGTH, 3): the root of the whitened unit variance."""
+    rate_hz = noise.sampling.rate_hz
+    frequency = (np.arange(FREQUENCY_COUNT) + 0.5) * rate_hz / (2.0 * FREQUENCY_COUNT)
+    power = 2.0 / (noise.density(np.asarray(frequency, np.float64)) * rate_hz)
+    lag = np.arange(BLOCK_LENGTH)
+    wave = np.cos(np.pi * np.outer(lag, np.arange(FREQUENCY_COUNT) + 0.5) / FREQUENCY_COUNT)
+    correlation = wave @ power / FREQUENCY_COUNT
+    between = correlation[np.abs(lag[:, None] - lag[None, :])]
+    basis = dct(np.eye(BLOCK_LENGTH), axis=0, norm="ortho")
+    return np.asarray(np.sqrt(np.einsum("jt,tui,ju->ji", basis, between, basis)), np.float64)
+
+
+def _block_coefficients(
+    projection: NuisanceProjector, with_motion_noise: bool
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BlockMotion] | None:
+    """Return coefficients, slopes, motion shapes, weights and motion of blocks.
+
+    Returns:
+        (b, 3, BLOCK) in units of the noise, (b, 3, 3), (k, b), (BLOCK, 3), of b; None without.
+    """
+    left = projection.orthogonal_component(projection.residual)
+    values, slopes, moving, weights, places, start = [], [], [], [], [], 0
+    rates = [model.rate for s in projection.segments for model in s.models]
+    fastest = max(float(np.linalg.norm(rate, axis=1).max(initial=0.0)) for rate in rates)
+    for s in projection.segments:
+        weights.append(_noise_weights(s.noise))
+        for scene, model in zip(s.states, s.models, strict=True):
+            n = model.used.size
+            white = left[start : start + 3 * n].reshape(3, n)
+            unit_effect = SampleJitter().unit_effect(scene)
+            if model.relative_std is not None and with_motion_noise:
+                unit_effect = unit_effect / model.relative_std.values.T
+            elif model.relative_std is not None:
+                white = white * model.relative_std.values
+            start += 3 * n
+            whole = n // BLOCK_LENGTH
+            inside = slice(0, whole * BLOCK_LENGTH)
+            used: BoolArray = np.all(model.used[inside].reshape(whole, BLOCK_LENGTH), axis=1)
+            cut = white[:, inside].reshape(3, whole, BLOCK_LENGTH).transpose(1, 0, 2)[used]
+            shape = unit_effect[inside].reshape(whole, BLOCK_LENGTH, 3)[used]
+            values.append(dct(cut, axis=-1, norm="ortho"))
+            slopes.append(np.einsum("bti,btk->bik", shape, shape) / BLOCK_LENGTH)
+            rate = np.linalg.norm(model.rate, axis=1)
+            places.append(BlockMotion.of(scene, rate, BLOCK_LENGTH, used))
+            speed = speed_shapes(rate[inside], fastest)
+            moving.append(speed.reshape(-1, whole, BLOCK_LENGTH).mean(axis=2)[:, used])
+    value, slope = np.concatenate(values), np.concatenate(slopes)
+    strength = np.einsum("bii->b", slope)
+    if not strength.size or strength.max() <= 0.0:
+        return None
+    still = strength < STILL_SHARE * strength.max()
+    level = np.ones(3)
+    if still.sum() >= MIN_STILL_BLOCKS:
+        # Levels found in the whole residual have the jitter in them.
+        level = np.sqrt(np.mean(value[still] ** 2, axis=(0, 2)))
+    slope = np.where(still[:, None, None], 0.0, slope)
+    # Recordings of one board are sampled alike; their levels are nearly the same.
+    weight = np.mean(weights, axis=0) / level
+    moved = np.concatenate(moving, axis=1)
+    return value / level[None, :, None], slope, moved, weight, BlockMotion.concatenate(places)

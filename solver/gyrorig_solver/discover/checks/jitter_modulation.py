@@ -1,0 +1,149 @@
+"""Tests whether the size of a jitter depends on a covariate, which true jitter does not.
+
+Samples are early or late whichever axis moves, at any speed and time. An axis that sticks at
+starts and stops adds variance at the same places, but on that axis and at low speed only. The
+jitter's variance is modulated by the accelerating axis, the speed and the time, and each modulation
+is score-tested with the jitter's own size free.
+
+With m independent values of variance v = 1 + s^2 a, the derivative by a modulation g of the size is
+D = a g / v, the score D e / 2 with e = value^2 / v - 1, its information D D' / 2.
+
+What to use when: `BlockMotion` for the modulations, `find_modulation` for the most significant.
+
+Source: score test, Rao, Linear Statistical Inference, 6e.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.numerics.distributions import chi2_upper_tail
+
+MODULATION_WAVES = 3  # half waves of the speed and of the time
+MIN_RELATIVE_STRENGTH = (
+    1e-7  # of the strongest: modulations that are sums of others add no information
+)
+DESCRIPTIONS = {
+    "pan_transient": "on which axis starts and stops, in its scatter",
+    "speed": "on the speed, in its scatter",
+    "time": "on the time, in its scatter",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class VarianceModulation:
+    """A score test of the modulation of a variance by a covariate."""
+
+    covariate: str
+    description: str
+    statistic: float
+    degrees_of_freedom: int
+    p_value: float  # the choice among them counted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockMotion:
+    """The motion in blocks of samples: axis, speed and time; (b,) each."""
+
+    axis_balance: FloatArray  # 1: all acceleration is pan's; -1: tilt's
+    speed: FloatArray
+    time_s: FloatArray
+
+    @classmethod
+    def of(cls, scene: SignalState, speed: FloatArray, length: int, used: BoolArray) -> Self:
+        """Average over blocks of so many block means, the used ones.
+
+        Args:
+            scene: a part of a series.
+            speed: of the stage, (n,).
+            length: of a block.
+            used: (blocks,), n // length of them.
+        """
+        jolt = np.zeros((scene.interval_count, 3))
+        if scene.has_angles:
+            rate = np.diff(scene.angle_rad, axis=1)
+            jolt[:, :2] = np.abs(np.diff(rate, axis=1, append=rate[:, -1:])).T
+        time = np.repeat(scene.time_s[:, None], 3, axis=1)
+        inside = slice(0, used.size * length)
+
+        def mean(values: FloatArray) -> FloatArray:
+            means = np.mean(values[inside].reshape(used.size, length, -1), axis=1)
+            return np.asarray(means[used], dtype=np.float64)
+
+        moved, when = (mean(one) for one in scene.sample_output(np.stack([jolt, time])))
+        both = moved[:, 0] + moved[:, 1]
+        return cls(
+            np.divide(moved[:, 0] - moved[:, 1], both, out=np.zeros_like(both), where=both > 0.0),
+            mean(speed)[:, 0],
+            when[:, 0],
+        )
+
+    @classmethod
+    def concatenate(cls, parts: list["BlockMotion"]) -> Self:
+        """Concatenate the blocks of several parts."""
+        return cls(
+            np.concatenate([part.axis_balance for part in parts]),
+            np.concatenate([part.speed for part in parts]),
+            np.concatenate([part.time_s for part in parts]),
+        )
+
+    @property
+    def modulations(self) -> dict[str, FloatArray]:
+        """The modulations that jitter must not have, (k, b), by covariate."""
+        return {
+            "pan_transient": self.axis_balance[None],
+            "speed": _cosine_basis(self.speed),
+            "time": _cosine_basis(self.time_s),
+        }
+
+
+def find_modulation(
+    value: FloatArray, shape: FloatArray, size: float, motion: BlockMotion
+) -> VarianceModulation | None:
+    """Return the most significant modulation of the jitter's variance; None if none is testable.
+
+    Args:
+        value: squares of independent coefficients, (b, m).
+        shape: what a unit of the jitter adds to their variance, (b, m).
+        size: the likeliest.
+        motion: of the blocks.
+    """
+    variance = 1.0 + size * shape
+    relative_shape, excess = shape / variance, (value / variance - 1.0).ravel()
+    modulations = motion.modulations
+    worst: VarianceModulation | None = None
+    for covariate, waves in modulations.items():
+        directions = np.concatenate(
+            [relative_shape[None], relative_shape * waves[:, :, None]]
+        ).reshape(len(waves) + 1, -1)
+        statistic, degrees = _score_statistic(directions, excess)
+        if degrees > 0:
+            p_value = min(1.0, len(modulations) * chi2_upper_tail(statistic, degrees))
+            if worst is None or p_value < worst.p_value:
+                worst = VarianceModulation(
+                    covariate, DESCRIPTIONS[covariate], statistic, degrees, p_value
+                )
+    return worst
+
+
+def _score_statistic(directions: FloatArray, excess: FloatArray) -> tuple[float, int]:
+    """Return the score statistic of all directions but the first, which is at its optimum."""
+    energy = np.sum(directions**2, axis=1)
+    kept = energy > 0.0
+    scale = np.sqrt(2.0 * energy[kept])
+    correlation = 2.0 * (directions[kept] @ directions[kept].T) / np.outer(scale, scale)
+    eigenvalues, eigenvectors = np.linalg.eigh(correlation)
+    keep = eigenvalues > MIN_RELATIVE_STRENGTH * eigenvalues[-1]
+    score = eigenvectors[:, keep].T @ (directions[kept] @ excess / scale)
+    return float(np.sum(score**2 / eigenvalues[keep])), int(keep.sum()) - 1
+
+
+def _cosine_basis(x: FloatArray) -> FloatArray:
+    span = float(np.ptp(x))
+    share = (x - x.min()) / span if span > 0.0 else np.zeros_like(x)
+    return np.asarray(
+        np.cos(np.pi * np.arange(1, MODULATION_WAVES + 1)[:, None] * share), np.float64
+    )

@@ -1,0 +1,225 @@
+"""Bias random walk as a named cause, from the noise levels of a fit.
+
+The noise levels include the random walk, therefore the residual shows nothing. The walk is named
+if the fitted levels are significantly more likely than typical ones, if a random walk fits better
+than flicker, if no other test is significant, and if no alternative cause is nearly as likely.
+
+What to use when: `detect_random_walk` for the last fit of a search; causes that the walk leaves
+possible (a step, a warm-up) are listed with it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.discover.cause_findings import FittedValue, NamedCause, RivalCause
+from gyrorig_solver.discover.cause_search import CREDIBLE_SET_LEVEL, NoiseAlternative
+from gyrorig_solver.discover.checks.typical_noise import (
+    TYPICAL_POWER_FACTOR,
+    has_typical_noise,
+    limit_to_typical,
+)
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.noise.noise_model import (
+    PRIOR_LOG_STD,
+    NoiseModel,
+    Spectrum,
+    nominal_levels,
+    quantum_density,
+    unit_densities,
+)
+from gyrorig_solver.model.causes.bias_random_walk import BiasRandomWalk
+from gyrorig_solver.model.value_format import XYZ
+from gyrorig_solver.numerics.distributions import chi2_upper_tail
+
+FLICKER, WALK = 1, 2  # which of a noise model's levels
+ACTING_NATS = 4.5  # of one axis, three deviations: there it acts
+JUMP_AVERAGING_S = (1.0, 2.0, 4.0)  # means long enough that the white noise does not hide a leap
+JUMP_KURTOSIS_SIGMA = 3.5
+MIN_MEANS = 20  # means
+MAX_LOG_LEVEL_SHIFT = (
+    12.0  # of a level's logarithm from an ordinary part's: 400 times its amplitude
+)
+LEVEL_GRID_POINTS = 241  # levels along that way
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LevelProfile:
+    """The profile log-likelihood of one noise level on one axis of one recording."""
+
+    log_levels: FloatArray  # (LOOKS,)
+    nats: FloatArray  # (LOOKS,), above what an ordinary part's level would have
+
+    @property
+    def gain_nats(self) -> float:
+        """The log-likelihood of the best level minus that of a typical part's highest."""
+        return max(float(self.nats.max()), 0.0)
+
+    def posterior_level(self) -> tuple[float, float]:
+        """Return the posterior mean of the level's root, and its standard deviation."""
+        deviation = (self.log_levels - self.log_levels.mean()) / PRIOR_LOG_STD
+        log_posterior = self.nats - 0.5 * deviation**2
+        weight = np.exp(log_posterior - log_posterior.max())
+        weight /= weight.sum()
+        root = np.exp(0.5 * self.log_levels)
+        mean = float(weight @ root)
+        return mean, float(np.sqrt(weight @ (root - mean) ** 2))
+
+
+def detect_random_walk(
+    solution: ConvergedFit,
+    tests: int,
+    alpha: float,
+    noise_alternatives: Sequence[NoiseAlternative] = (),
+) -> NamedCause | None:
+    """Return a bias random walk as a named cause; None where it is that of a typical part.
+
+    Args:
+        solution: the last fit of a search.
+        tests: how many share the false alarms.
+        alpha: rate of false alarms of all of them.
+        noise_alternatives: causes that are significant with typical noise levels only.
+    """
+    if has_typical_noise(solution):
+        return None
+    walk = [_profile_level(*profile, WALK) for profile in _axis_spectra(solution)]
+    flicker = [_profile_level(*profile, FLICKER) for profile in _axis_spectra(solution)]
+    axis_gains = np.array([profile.gain_nats for profile in walk]).reshape(-1, 3).sum(axis=0)
+    gain = float(axis_gains.sum())
+    if gain < sum(profile.gain_nats for profile in flicker):
+        return None
+    if _residual_has_jumps(solution, axis_gains > ACTING_NATS):
+        return None
+    p_value = min(1.0, chi2_upper_tail(2.0 * gain, float(np.sum(axis_gains > 0.0))) * tests)
+    if p_value >= alpha:
+        return None
+    term = BiasRandomWalk()
+    parameter = term.parameters[0]
+    values, stds = _combine_levels(walk)
+    shares = [
+        float(np.exp(min(profile.log_evidence, MAX_LOG_LEVEL_SHIFT)))
+        for profile in noise_alternatives
+    ]
+    posterior = 1.0 / (1.0 + sum(shares))
+    rivals = sorted(zip(noise_alternatives, shares, strict=True), key=lambda pair: -pair[1])
+    acting = np.flatnonzero((axis_gains > ACTING_NATS) | (axis_gains == axis_gains.max()))
+    return NamedCause(
+        term=term,
+        where=tuple(XYZ[k] for k in acting),
+        extension=FittedTerm(term, values, np.zeros(0, dtype=np.int64)),
+        values=tuple(
+            FittedValue(
+                f"{parameter.name}.{axis}",
+                float(value),
+                float(std),
+                parameter.unit,
+                parameter.typical_size,
+            )
+            for axis, value, std in zip(XYZ, values, stds, strict=True)
+        ),
+        statistic=2.0 * gain,
+        degrees_of_freedom=int(np.sum(axis_gains > 0.0)),
+        p_value=p_value,
+        posterior=posterior,
+        one_of=_credible_set(rivals, posterior),
+        rivals=_rival_causes(rivals, posterior),
+        changes=(),  # the noise levels contain it, and the standard deviations include it
+        gain=None,
+    )
+
+
+def _axis_spectra(solution: ConvergedFit) -> Iterator[tuple[Spectrum, NoiseModel, NoiseModel, int]]:
+    """Yield each recording's axes: spectrum, levels, levels limited to typical ones, axis index."""
+    for spectrum, noise in zip(solution.spectra, solution.noises, strict=True):
+        calm = limit_to_typical(noise)  # levels of a typical part at most
+        for axis in range(3):
+            yield spectrum, noise, calm, axis
+
+
+def _profile_level(
+    spectrum: Spectrum, noise: NoiseModel, limited: NoiseModel, axis: int, which: int
+) -> _LevelProfile:
+    """Profile one level of an axis, the others not above a typical part's."""
+    typical = nominal_levels(float(noise.levels[axis, 0]))
+    log_levels = np.log(typical[which]) + np.linspace(
+        -MAX_LOG_LEVEL_SHIFT, MAX_LOG_LEVEL_SHIFT, LEVEL_GRID_POINTS
+    )
+    shape = unit_densities(spectrum.frequency_hz, noise.sampling)
+    if spectrum.white_power is not None:
+        shape[0] *= spectrum.white_power[:, axis]
+    other_levels = limited.levels[axis].copy()
+    other_levels[which] = 0.0
+    other_density = other_levels @ shape + quantum_density(noise.sampling)
+    density = other_density + np.exp(log_levels)[:, None] * shape[which]
+    nats = -0.5 * (np.log(density) + spectrum.density[:, axis] / density) @ spectrum.count
+    typical_levels = log_levels <= np.log(float(TYPICAL_POWER_FACTOR * typical[which]))
+    return _LevelProfile(log_levels, nats - float(nats[typical_levels].max(initial=float(nats[0]))))
+
+
+def has_jumps(signal: FloatArray, rate_hz: float) -> bool:
+    """Return whether a signal has jumps, by the kurtosis of its increments.
+
+    Judged by the kurtosis of the differences of means, whose deviation is sqrt(24/n) for
+    normal ones (Kendall and Stuart, The Advanced Theory of Statistics, volume 1).
+
+    Args:
+        signal: shape (n, k).
+        rate_hz: of it.
+    """
+    for mean_s in JUMP_AVERAGING_S:
+        block = max(1, round(mean_s * rate_hz))
+        whole = len(signal) // block
+        if whole <= MIN_MEANS:
+            continue
+        mean = signal[: whole * block].reshape(whole, block, -1).mean(axis=1)
+        step = np.diff(mean, axis=0)
+        unit = (step - step.mean(axis=0)) / np.maximum(step.std(axis=0), 1e-30)
+        kurtosis = np.mean(unit**4, axis=0) - 3.0
+        if np.any(kurtosis > JUMP_KURTOSIS_SIGMA * np.sqrt(24.0 / len(step))):
+            return True
+    return False
+
+
+def _residual_has_jumps(solution: ConvergedFit, axes: BoolArray) -> bool:
+    return any(
+        has_jumps(np.where(used[:, None], residual, 0.0)[:, axes], session.sampling.rate_hz)
+        for session in solution.sessions
+        for residual, used in zip(session.residuals(solution.gain), session.used, strict=True)
+    )
+
+
+def _combine_levels(profiles: Sequence[_LevelProfile]) -> tuple[FloatArray, FloatArray]:
+    """Return the walk of each axis and its uncertainty over all recordings, (3,) each."""
+    levels = np.array([one.posterior_level() for one in profiles]).reshape(-1, 3, 2)
+    weight = levels[:, :, 1] ** -2.0
+    total = weight.sum(axis=0)
+    return np.sum(weight * levels[:, :, 0], axis=0) / total, total**-0.5
+
+
+def _credible_set(
+    rivals: Sequence[tuple[NoiseAlternative, float]], posterior: float
+) -> tuple[str, ...]:
+    names, total = [], posterior
+    for alternative, share in rivals:
+        if total >= CREDIBLE_SET_LEVEL:
+            break
+        names.append(alternative.candidate.extension.term.cause)
+        total += share * posterior
+    return tuple(names)
+
+
+def _rival_causes(
+    rivals: Sequence[tuple[NoiseAlternative, float]], posterior: float
+) -> tuple[RivalCause, ...]:
+    return tuple(
+        RivalCause(
+            alternative.candidate.extension.term.cause,
+            alternative.likelihood_gain_nats,
+            share * posterior,
+            "with it the bias still needs a random walk" if share < 1.0 else "it fits as well",
+        )
+        for alternative, share in rivals
+    )

@@ -1,0 +1,238 @@
+"""Tests whether a residual depends on an angle, a speed, the time or a transient.
+
+Smooth functions of each covariate are projected orthogonally to all nuisance parameters, like a
+cause: first the smoothest ones, then more detail. A significant test that no cause explains is
+reported as "unexplained, depends on X". If several covariates are significant, X is the one whose
+smooth function has the most evidence.
+
+What to use when: `residual_dependence_tests` for all tests; `variance_tests` for the variance.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily, smooth_families
+from gyrorig_solver.discover.checks.typical_noise import likelihood_gain
+from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, speed_shapes
+from gyrorig_solver.discover.score_tests import NEGLIGIBLE_ENERGY, ScoreTest
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.model.causes.sample_jitter import SampleJitter
+from gyrorig_solver.numerics.distributions import chi2_upper_tail
+
+DETAIL_LIMITS = (3.0, 8.0, np.inf)  # half waves that are looked at together, coarse to fine
+VARIANCE_TESTS = 4  # tests of the scatter
+REFINE_BELOW_P = 0.05  # with noise levels limited to typical ones
+NO_SCORE_TEST = ScoreTest(0.0, 0, np.zeros(0))
+VARIANCE_GRID = np.exp(np.linspace(-4.0, 16.0, 61))  # of a free function, squared, in deviations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetailTest:
+    """The score test of a basis family at its most significant detail."""
+
+    score_test: ScoreTest  # by the detail that shows most
+    signal_indices: IntArray  # (k,), which signals that are
+    p_value: float  # the choice of the detail counted
+
+
+def residual_dependence_tests(
+    projection: NuisanceProjector, fitted_noise_projection: NuisanceProjector | None = None
+) -> list[DependenceTest]:
+    """Test whether a residual depends on each covariate; the smallest p-value first.
+
+    Args:
+        projection: the nuisance projector at the fit.
+        fitted_noise_projection: the same with fitted levels, where `projection` has typical ones;
+            a significant test must then raise the likelihood with refitted levels.
+    """
+    all_families = list(smooth_families(projection.states))
+    tests = len(all_families) + VARIANCE_TESTS
+    by_covariate = {
+        test.covariate: test
+        for test in variance_tests(fitted_noise_projection or projection, tests)
+    }
+    for family in all_families:
+        test = _dependence_test(projection, fitted_noise_projection, family, tests)
+        previous = None if test is None else by_covariate.get(test.covariate)
+        if test is not None and (previous is None or test.p_value < previous.p_value):
+            by_covariate[test.covariate] = test
+    return sorted(by_covariate.values(), key=lambda test: (test.p_value, -test.statistic))
+
+
+def _dependence_test(
+    projection: NuisanceProjector,
+    fitted_noise_projection: NuisanceProjector | None,
+    family: BasisFamily,
+    tests: int,
+) -> DependenceTest | None:
+    statistics = family.statistics(projection)
+    detail_test = choose_detail(statistics, family.detail)
+    if detail_test is None:
+        return None
+    score_test, p_value = detail_test.score_test, detail_test.p_value
+    if fitted_noise_projection is not None and p_value * tests < REFINE_BELOW_P:
+        likelihood_ratio = 2.0 * max(
+            likelihood_gain(
+                projection,
+                family.whitened(projection).subset(detail_test.signal_indices),
+                score_test.one_step_sizes,
+            ),
+            0.0,
+        )
+        score_test = replace(score_test, statistic=min(likelihood_ratio, score_test.statistic))
+        p_value = len(DETAIL_LIMITS) * chi2_upper_tail(
+            score_test.statistic, score_test.degrees_of_freedom
+        )
+    return DependenceTest(
+        family.covariate,
+        family.description,
+        score_test.statistic,
+        score_test.degrees_of_freedom,
+        min(1.0, p_value * tests),
+        log_evidence=smooth_function_evidence(statistics, family.detail),
+    )
+
+
+def choose_detail(
+    statistics: ScoreStatistics, detail: FloatArray, nuisance_count: int = 0
+) -> DetailTest | None:
+    """Return the test at the detail with the smallest p-value; None if no signal is left.
+
+    Each set of signals up to some detail gives a chi-squared statistic where there is nothing
+    but noise; the least likely of m sets is no less likely than its chance times m
+    (Bonferroni). A wide function is found by few degrees of freedom so, and a fine one at
+    the price of ln m nats.
+
+    Args:
+        statistics: their score statistics.
+        detail: of each signal, half waves.
+        nuisance_count: so many more signals come first, which the fit may follow as well: what they
+            explain is taken off, and so are their degrees of freedom.
+    """
+    nuisances = np.arange(nuisance_count)
+    nuisance_test = ScoreTest.of(statistics.subset(nuisances)) if nuisance_count else NO_SCORE_TEST
+    sets = {
+        int((detail <= limit).sum()): np.flatnonzero(detail <= limit) for limit in DETAIL_LIMITS
+    }
+    best: DetailTest | None = None
+    for chosen in sets.values():
+        if not chosen.size:
+            continue
+        signal_indices = np.concatenate([nuisances, nuisance_count + chosen])
+        score_test = ScoreTest.of(statistics.subset(signal_indices))
+        statistic = max(score_test.statistic - nuisance_test.statistic, 0.0)
+        degrees = score_test.degrees_of_freedom - nuisance_test.degrees_of_freedom
+        if degrees > 0:
+            p_value = min(1.0, len(sets) * chi2_upper_tail(statistic, degrees))
+            if best is None or p_value < best.p_value:
+                best = DetailTest(
+                    ScoreTest(statistic, degrees, score_test.one_step_sizes),
+                    signal_indices,
+                    p_value,
+                )
+    return best
+
+
+def smooth_function_evidence(statistics: ScoreStatistics, detail: FloatArray) -> float:
+    """Return the log evidence of a smooth function against none, at its most probable size.
+
+    The function's parts are taken as independent and normal, of a variance that falls with
+    the square of the detail, as Brownian motion's over an interval. Their common size is
+    chosen (type II likelihood). A function that could have shown anything pays for it.
+
+    Source: MacKay, Neural Computation 4 (1992) 415; Brownian motion's expansion: Karhunen
+    and Loeve.
+
+    Args:
+        statistics: the score statistics of its parts.
+        detail: of each part, half waves.
+    """
+    kept = np.flatnonzero(
+        np.diag(statistics.information) > NEGLIGIBLE_ENERGY * np.maximum(statistics.energy, 1e-300)
+    )
+    if not kept.size:
+        return 0.0
+    prior_width = 1.0 / (np.maximum(detail[kept], 1.0) * np.sqrt(statistics.energy[kept]))
+    information = statistics.information[np.ix_(kept, kept)] * np.outer(prior_width, prior_width)
+    eigenvalues, eigenvectors = np.linalg.eigh(information)
+    keep = eigenvalues > NEGLIGIBLE_ENERGY
+    kept_eigenvalues = eigenvalues[keep]
+    explained = (
+        eigenvectors[:, keep].T @ (statistics.score[kept] * prior_width)
+    ) ** 2 / kept_eigenvalues
+    gain = VARIANCE_GRID[:, None] / float(kept_eigenvalues.max()) * kept_eigenvalues
+    nats = 0.5 * np.sum(explained * gain / (1.0 + gain) - np.log1p(gain), axis=1)
+    return max(0.0, float(nats.max()))
+
+
+def variance_tests(projection: NuisanceProjector, tests: int) -> list[DependenceTest]:
+    """Return the tests of the whitened residual's variance and of spectral lines.
+
+    Args:
+        projection: the nuisance projector at the fit.
+        tests: among which all false alarms are shared.
+    """
+    residual = projection.orthogonal_component(projection.residual)
+    results: list[DependenceTest] = []
+    moving, jitter, power = _variance_shapes(projection)
+    used = power > 0.0
+    excess = residual**2 - 1.0
+    for name, words, shapes in (
+        ("moving", "on whether and how fast the stage moves, in its scatter", moving),
+        ("acceleration_scatter", "on the acceleration, in its scatter", jitter),
+    ):
+        trend = fit_variance_trend(shapes[:, used], excess[used])
+        if trend.degrees_of_freedom:
+            p_value = min(1.0, trend.p_value * tests)
+            results.append(
+                DependenceTest(name, words, trend.statistic, trend.degrees_of_freedom, p_value)
+            )
+    results.append(_spectral_line_test(projection, residual, tests))
+    return results
+
+
+def _variance_shapes(projection: NuisanceProjector) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return motion shapes, variance by jitter and use, as long as the whitened residual."""
+    moving, jitter, use = [], [], []
+    fastest = max(
+        (float(np.linalg.norm(model.rate, axis=1).max()) for segment in projection.segments
+         for model in segment.models if len(model.rate)), default=0.0
+    )  # fmt: skip
+    for segment in projection.segments:
+        for scene, model in zip(segment.states, segment.models, strict=True):
+            n = model.used.size
+            speed = np.linalg.norm(model.rate, axis=1)
+            jitter_shape = (
+                SampleJitter().added_variance(scene, np.ones(1)).T
+                / np.mean(segment.noise.dct_variance(n), axis=0)[:, None]
+            )
+            if model.relative_std is not None:
+                jitter_shape = jitter_shape / model.relative_std.values**2
+            moving.append(np.tile(speed_shapes(speed, fastest), (1, 3)))
+            jitter.append(jitter_shape.reshape(1, -1))
+            use.append(np.tile(model.used.astype(np.float64), (3, 1)).ravel())
+    used = np.concatenate(use)
+    return np.concatenate(moving, axis=1) * (used > 0.0), np.concatenate(jitter, axis=1), used
+
+
+def _spectral_line_test(
+    projection: NuisanceProjector, residual: FloatArray, tests: int
+) -> DependenceTest:
+    """Return the test for a single spectral line on any axis."""
+    best, bin_count, start = (0.0, 0.0), 0, 0
+    for segment in projection.segments:
+        for used in segment.used:
+            n = used.size
+            whitened = residual[start : start + 3 * n].reshape(3, n)
+            start += 3 * n
+            power = np.abs(np.fft.rfft(whitened, axis=1)[:, 1:-1]) ** 2 / n
+            bin_count += power.size
+            peak = np.unravel_index(int(np.argmax(power)), power.shape)
+            hertz = float(peak[1] + 1) / n * segment.noise.sampling.rate_hz
+            best = max(best, (float(power[peak]), hertz))
+    p_value = -np.expm1(bin_count * np.log1p(-np.exp(-best[0]))) if bin_count else 1.0
+    words = f"on a line at {best[1]:.2f} Hz"
+    return DependenceTest("line", words, 2.0 * best[0], 2, min(1.0, float(p_value) * tests))

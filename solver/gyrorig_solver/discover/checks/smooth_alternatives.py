@@ -1,0 +1,351 @@
+"""Smooth basis functions of covariates, as nonparametric alternatives to a cause's form.
+
+Each family is a set of signals of a sensor, ordered by detail: half waves over the range of a
+covariate (an angle, a rate, the time, the time since a move started). A significant family means
+"depends on X". A named cause that leaves a residual that its covariate explains has the wrong form.
+
+What to use when: `smooth_families` for all families of a recording; `modulated_effects` for a
+cause's own effect, modulated by covariates on which its size must not depend.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
+from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes, zero_signals
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Term
+
+Covariate = Callable[[SignalState], FloatArray]  # to (n,)
+
+# Half waves: a turn of pan has 16 of what comes eight times a turn; a bias' jumps are sharp.
+PAN_WAVES, TILT_WAVES, SPEED_WAVES, TIME_WAVES, BIAS_WAVES, POSE_WAVES = 24, 8, 6, 10, 24, 8
+MOVES_PER_BATCH = 8  # whose signals are in memory at a time
+CROSS_WAVES = 2  # half waves over the other angle
+MAX_RATE_POWER = 7  # of a rate; the first is the gain's own
+EDGE_WINDOW_S, EDGE_WAVES = (
+    4.0,
+    8,
+)  # since a start or a stop; later residuals do not come from the edge
+EDGE_TIME_CONSTANT_S = (
+    0.1  # from where on the time since an edge counts by ratios: a low-pass' width
+)
+MODULATION_WAVES = 4  # half waves in which an effect may grow and shrink: faster is another effect
+MIN_COVARIATE_SPAN = 1e-6  # of a covariate: what does not change, nothing can depend on
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BasisFamily:
+    """Smooth basis functions of one covariate; a covariate can have several families."""
+
+    covariate: str
+    description: str  # "on pan, as a gain"
+    signals: tuple[Callable[[SignalState], FloatArray], ...]  # each to (some of k, blocks, 3)
+    detail: FloatArray  # (k,), half waves of each signal: 1 is the smoothest
+
+    def statistics(self, projection: NuisanceProjector) -> ScoreStatistics:
+        """Return the score statistics of the family's signals; computed once per projector."""
+        key = f"{self.covariate}: {self.description}"
+        if key not in projection.statistics_by_family:
+            projection.statistics_by_family[key] = projection.score_statistics(
+                self.whitened(projection)
+            )
+        return projection.statistics_by_family[key]
+
+    def whitened(self, projection: NuisanceProjector, term: Term | None = None) -> WhitenedSignals:
+        """Return the family's signals in units of the noise.
+
+        Args:
+            projection: the nuisance projector at a fit.
+            term: of the scenes as this cause finds them; None: as the unit believes them.
+        """
+        return projection.evaluate_together(self.signals, self.detail.size, term)
+
+
+def smooth_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
+    """Yield the families that some recordings can test.
+
+    Args:
+        scenes: all parts of all recordings that are fitted together.
+    """
+    time = _covariate_span(scenes, _time)
+    yield _gain_family("time", "on the time, as a gain", _time, time, TIME_WAVES)
+    yield _bias_family("bias_time", "on the time, as a bias", [(_time, time, BIAS_WAVES)])
+    speed = _covariate_span(scenes, _speed)
+    if speed is not None:  # a board at rest has no speeds
+        yield _speed_family(speed)
+        yield _rate_family(scenes)
+    if not all(scene.has_angles for scene in scenes):
+        return
+    spans = _covariate_span(scenes, _pan), _covariate_span(scenes, _tilt)
+    for axis, name, count in ((0, "pan", PAN_WAVES), (1, "tilt", TILT_WAVES)):
+        span, other_span = spans[axis], spans[1 - axis]
+        if span is None:
+            continue
+        yield _gain_family(f"{name}_angle", f"on {name}, as a gain", _ANGLES[axis], span, count)
+        poses = [(_ANGLES[axis], span, POSE_WAVES)]
+        if other_span is not None:
+            poses.append((_ANGLES[1 - axis], other_span, CROSS_WAVES))
+        yield _bias_family(f"bias_{name}", f"on {name}, as a bias", poses)
+    yield from _move_families(scenes)
+
+
+def modulated_effects(
+    extension: FittedTerm, scenes: Sequence[SignalState]
+) -> Iterator[BasisFamily]:
+    """Yield a cause's effect, modulated by covariates on which its size must not depend.
+
+    The signals are to be made of the scenes as the cause finds them.
+
+    Args:
+        extension: the cause as fitted.
+        scenes: all parts of all recordings that it was fitted to.
+    """
+    covariates: list[tuple[str, Covariate]] = [("time", _time), ("speed", _speed)]
+    if all(scene.has_angles for scene in scenes):
+        covariates += [("pan_angle", _pan), ("tilt_angle", _tilt)]
+    for name, covariate in covariates:
+        span = _covariate_span(scenes, covariate)
+        if span is not None:
+            signal = partial(_modulated_effect, extension, covariate, span)
+            yield BasisFamily(
+                name,
+                f"on {_COVARIATE_TEXT[name]}, in its size",
+                (signal,),
+                _wave_numbers(MODULATION_WAVES),
+            )
+
+
+def _modulated_effect(
+    extension: FittedTerm, covariate: Covariate, span: tuple[float, float], scene: SignalState
+) -> FloatArray:
+    waves = _cosine_basis(covariate(scene), span, MODULATION_WAVES)
+    modulation = scene.sample_output(on_all_axes(waves))
+    return np.asarray(extension.term.effect(scene, extension.values) * modulation, dtype=np.float64)
+
+
+def _time(scene: SignalState) -> FloatArray:
+    return scene.time_s
+
+
+def _pan(scene: SignalState) -> FloatArray:
+    return scene.pan_rad
+
+
+def _tilt(scene: SignalState) -> FloatArray:
+    return scene.tilt_rad
+
+
+def _speed(scene: SignalState) -> FloatArray:
+    return np.asarray(np.linalg.norm(scene.rate_rad_s, axis=1), dtype=np.float64)
+
+
+_ANGLES: tuple[Covariate, Covariate] = (_pan, _tilt)
+_COVARIATE_TEXT = {
+    "time": "the time",
+    "speed": "the speed",
+    "pan_angle": "pan",
+    "tilt_angle": "tilt",
+}
+
+
+def _covariate_span(
+    scenes: Sequence[SignalState], covariate: Covariate
+) -> tuple[float, float] | None:
+    """Return a covariate's range; None if it does not change."""
+    values = [v for v in (covariate(scene)[scene.motion_known] for scene in scenes) if v.size]
+    if not values:
+        return None
+    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    return (low, high) if high - low > MIN_COVARIATE_SPAN else None
+
+
+def _wave_numbers(count: int) -> FloatArray:
+    return np.arange(1, count + 1, dtype=np.float64)
+
+
+def _cosine_basis(x: FloatArray, span: tuple[float, float], count: int) -> FloatArray:
+    """Return a cosine basis of 1 to `count` half waves over a range, (count, n)."""
+    share = np.clip((x - span[0]) / (span[1] - span[0]), 0.0, 1.0)
+    waves = np.empty((count, x.size))
+    waves[0] = np.cos(np.pi * share)
+    # Chebyshev polynomials of the first wave, by their recursion.
+    for k in range(1, count):
+        np.multiply(2.0 * waves[0], waves[k - 1], out=waves[k])
+        waves[k] -= waves[k - 2] if k > 1 else 1.0
+    return waves
+
+
+def _gain_family(
+    name: str, description: str, covariate: Covariate, span: tuple[float, float] | None, count: int
+) -> BasisFamily:
+    def signal(scene: SignalState) -> FloatArray:
+        if span is None:
+            return zero_signals(count, scene.block_count)
+        return scene.sample_output(
+            _cosine_basis(covariate(scene), span, count)[:, :, None] * scene.filtered_rad_s
+        )
+
+    return BasisFamily(name, description, (signal,), _wave_numbers(count))
+
+
+def _bias_family(
+    name: str,
+    description: str,
+    covariates: Sequence[tuple[Covariate, tuple[float, float] | None, int]],
+) -> BasisFamily:
+    """Return a bias of each axis as a product basis over one or two covariates."""
+    counts = [count for _, span, count in covariates if span is not None]
+    details = [_wave_numbers(count) if k == 0 else np.r_[0.0, _wave_numbers(count)] for k, count in
+               enumerate(counts)]  # fmt: skip
+    detail = details[0]
+    for wave_numbers in details[1:]:
+        detail = (detail[:, None] + wave_numbers).ravel()
+
+    def signal(scene: SignalState) -> FloatArray:
+        product = np.ones((1, scene.interval_count))
+        for k, (covariate, span, count) in enumerate(covariates):
+            if span is None:
+                return zero_signals(3 * detail.size, scene.block_count)
+            waves = _cosine_basis(covariate(scene), span, count)
+            if k:
+                waves = np.concatenate([np.ones((1, scene.interval_count)), waves])
+            product = (product[:, None] * waves).reshape(-1, scene.interval_count)
+        return _on_each_axis(scene, product)
+
+    return BasisFamily(name, description, (signal,), np.repeat(detail, 3))
+
+
+def _on_each_axis(scene: SignalState, waves: FloatArray) -> FloatArray:
+    """Return signals (k, n) as biases of each axis, (3 k, blocks, 3)."""
+    return split_axes(scene.sample_output(on_all_axes(waves)))
+
+
+def _speed_family(span: tuple[float, float]) -> BasisFamily:
+    """Return a gain and a delay that depend on the speed of the stage."""
+
+    def signal(scene: SignalState) -> FloatArray:
+        waves = _cosine_basis(_speed(scene), span, SPEED_WAVES)[:, :, None]
+        gain = waves * scene.filtered_rad_s
+        return scene.sample_output(np.concatenate([gain, waves * scene.filtered_slope_rad_s2]))
+
+    detail = np.tile(_wave_numbers(SPEED_WAVES), 2)
+    return BasisFamily("speed", "on the speed, as a gain or a delay", (signal,), detail)
+
+
+def _rate_family(scenes: Sequence[SignalState]) -> BasisFamily:
+    """Return powers of each axis' own rate, and products of two axes' rates."""
+    axis_maxima = [np.abs(scene.filtered_rad_s).max(axis=0) for scene in scenes]
+    largest = np.maximum(np.max(axis_maxima, axis=0), MIN_COVARIATE_SPAN)
+    powers = range(2, MAX_RATE_POWER + 1)
+    pairs = [(i, j) for i in range(3) for j in range(i + 1)]
+
+    def signal(scene: SignalState) -> FloatArray:
+        share = scene.filtered_rad_s / largest
+        signals = zero_signals(3 * (len(powers) + len(pairs)), scene.interval_count)
+        position = 0
+        for power in powers:
+            values = np.polynomial.Legendre.basis(power)(share)
+            for axis in range(3):
+                signals[position, :, axis] = values[:, axis]
+                position += 1
+        for i, j in pairs:
+            for axis in range(3):
+                signals[position, :, axis] = share[:, i] * share[:, j]
+                position += 1
+        return scene.sample_output(signals)
+
+    detail = np.repeat([*(p - 1.0 for p in powers), *(2.0 for _ in pairs)], 3)
+    return BasisFamily("own_rate", "on the rates about the axes", (signal,), detail)
+
+
+def _move_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
+    """Yield families of the moves: time since start or stop, and each move separately."""
+    courses = scenes[0].context.motion_profiles
+    if not courses:
+        return
+    for axis, name in ((0, "pan"), (1, "tilt")):
+        profiles = [course for moved, course in courses if moved == axis]
+        if profiles:
+            begin = np.array([float(c.start_s[0]) for c in profiles])
+            end = np.array([float(c.end_s) for c in profiles])
+            yield BasisFamily(
+                f"{name}_transient",
+                f"on the time since {name} starts or stops",
+                (partial(_edge_transients, axis, begin, end),),
+                np.tile(_wave_numbers(EDGE_WAVES), 3),
+            )
+    spans = np.array([(float(c.start_s[0]), float(c.end_s)) for _, c in courses])
+    for delay, name in ((False, "gain"), (True, "delay")):
+        # So many that only a few are there unwhitened at a time.
+        each = tuple(
+            partial(_per_move_signals, spans[at : at + MOVES_PER_BATCH], delay)
+            for at in range(0, len(spans), MOVES_PER_BATCH)
+        )
+        yield BasisFamily(f"move_{name}", f"on the move, as a {name}", each, np.ones(len(spans)))
+    yield BasisFamily(
+        "move_gain",
+        "on the time since a move began, as a gain",
+        (partial(_gain_since_move_start, np.sort(spans[:, 0])),),
+        _wave_numbers(EDGE_WAVES),
+    )
+
+
+def _gain_since_move_start(begin: FloatArray, scene: SignalState) -> FloatArray:
+    """Return a gain that depends on the time since an axis started to move."""
+    last = np.searchsorted(begin, scene.time_s, side="right") - 1
+    since = np.where(last >= 0, scene.time_s - begin[np.maximum(last, 0)], EDGE_WINDOW_S)
+    return scene.sample_output(_edge_basis(since)[:, :, None] * scene.filtered_rad_s)
+
+
+def _edge_basis(elapsed_s: FloatArray) -> FloatArray:
+    """Return a logarithmic cosine basis of the time since an edge that ends at zero."""
+    share = np.log1p(np.clip(elapsed_s, 0.0, EDGE_WINDOW_S) / EDGE_TIME_CONSTANT_S) / np.log1p(
+        EDGE_WINDOW_S / EDGE_TIME_CONSTANT_S
+    )
+    return np.asarray(
+        np.cos(np.pi * (_wave_numbers(EDGE_WAVES)[:, None] - 0.5) * share), np.float64
+    )
+
+
+def _edge_transients(
+    axis: int, begin: FloatArray, end: FloatArray, scene: SignalState
+) -> FloatArray:
+    """Return transients of the time since starts and stops, on a logarithmic scale.
+
+    Signed by the move's direction after starts and after stops, and as a gain after starts.
+    """
+    stage = zero_signals(scene.interval_count)
+    if axis == 0:
+        stage[:, 1], stage[:, 2] = np.sin(scene.tilt_rad), np.cos(scene.tilt_rad)
+    else:
+        stage[:, 0] = 1.0
+    along = (scene.gain @ stage.T).T
+    delta = np.diff(scene.angle_rad[axis])
+    signals = zero_signals(3, EDGE_WAVES, scene.interval_count)
+    for k, (first, last) in enumerate(zip(begin, end, strict=True)):
+        inside = slice(*np.searchsorted(scene.time_s, (first, last)))
+        sign = float(np.sign(np.sum(delta[inside])))
+        until = begin[k + 1] if k + 1 < begin.size else np.inf
+        for edge, stop in ((first, until), (last, until)):
+            near = slice(*np.searchsorted(scene.time_s, (edge, min(edge + EDGE_WINDOW_S, stop))))
+            waves = _edge_basis(scene.time_s[near] - edge)[:, :, None]
+            signals[0 if edge == first else 1, :, near] += sign * waves * along[near]
+            if edge == first:
+                signals[2, :, near] += waves * scene.filtered_rad_s[near]
+    return scene.sample_output(signals.reshape(-1, scene.interval_count, 3, copy=False))
+
+
+def _per_move_signals(spans: FloatArray, delay: bool, scene: SignalState) -> FloatArray:
+    signal = scene.filtered_slope_rad_s2 if delay else scene.filtered_rad_s
+    signals = zero_signals(len(spans), scene.interval_count)
+    for k, (begin, end) in enumerate(spans):
+        near = slice(*np.searchsorted(scene.time_s, (begin, end + 0.1)))
+        signals[k, near] = signal[near]
+    return scene.sample_output(signals)

@@ -1,0 +1,66 @@
+"""Tests whether a variance grows with given shapes, from squares of a whitened residual.
+
+What to use when: `fit_variance_trend` for any shapes; `speed_shapes` for motion and speed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.numerics.distributions import chi2_upper_tail, normal_upper_tail
+
+SPEED_WAVES = 3  # half waves over the speeds
+MOVING_RAD_S = 1e-3
+MIN_RELATIVE_STRENGTH = 1e-7  # of the strongest: shapes that are sums of others add no information
+
+
+@dataclass(frozen=True, slots=True)
+class VarianceTrendTest:
+    """The result of a test of a variance trend."""
+
+    statistic: float
+    degrees_of_freedom: int
+    p_value: float
+
+
+NO_TREND = VarianceTrendTest(0.0, 0, 1.0)
+
+
+def speed_shapes(speed_rad_s: FloatArray, fastest_rad_s: float) -> FloatArray:
+    """Return shapes of a variance: in motion, then half waves of the speed, (k, n)."""
+    share = speed_rad_s / max(fastest_rad_s, MOVING_RAD_S)
+    waves = np.cos(np.pi * np.arange(SPEED_WAVES + 1)[:, None] * share)
+    return np.where(speed_rad_s > MOVING_RAD_S, waves, 0.0)
+
+
+def fit_variance_trend(
+    shapes: FloatArray, excess: FloatArray, two_sided: bool = False
+) -> VarianceTrendTest:
+    """Test whether a variance grows with given shapes, by the first alone or by all together.
+
+    With w a shape less its mean and e the squares less 1, z = w e / sqrt(2 w w) is standard
+    normal in noise, a sum of many terms of variance 2; all shapes give a chi-squared
+    statistic, s' (2 W W')^-1 s with s = W e. What a model lacks adds scatter and takes none
+    away, so only z > 0 counts. The better of the two is paid for twice.
+
+    Args:
+        shapes: (k, n), the first the sum that the others part.
+        excess: squares of a whitened residual, less 1, (n,).
+        two_sided: less scatter counts too, for example after a cause that absorbed too much.
+    """
+    weights = shapes - shapes.mean(axis=1, keepdims=True)
+    first_norm = float(np.sqrt(2.0 * np.sum(weights[0] ** 2)))
+    if first_norm <= 0.0:
+        return NO_TREND
+    z = float(weights[0] @ excess) / first_norm
+    first_shape_test = VarianceTrendTest(max(z, 0.0) ** 2, 1, normal_upper_tail(z))
+    if len(shapes) == 1 or (z <= 0.0 and not two_sided):
+        return first_shape_test
+    eigenvalues, eigenvectors = np.linalg.eigh(2.0 * weights @ weights.T)
+    keep = eigenvalues > MIN_RELATIVE_STRENGTH * eigenvalues[-1]
+    score = eigenvectors[:, keep].T @ (weights @ excess)
+    statistic, degrees = float(np.sum(score**2 / eigenvalues[keep])), int(keep.sum())
+    joint_test = VarianceTrendTest(statistic, degrees, chi2_upper_tail(statistic, degrees))
+    best = min(first_shape_test, joint_test, key=lambda test: test.p_value)
+    return VarianceTrendTest(best.statistic, best.degrees_of_freedom, min(1.0, 2.0 * best.p_value))

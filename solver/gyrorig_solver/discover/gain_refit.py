@@ -1,0 +1,136 @@
+"""Refit of the gain by its exact effect, together with causes that clip rates.
+
+A threshold or a limit hides part of a rate. There the derivative by the gain is zero, and a fit
+that starts from the base model's gain cannot leave it. Another cause that rotates or scales the
+rate would then be selected for the gain's error (a slip of the board before its first move, a
+non-orthogonal axis). Therefore the gain is searched again as if all rates were visible, and the
+result is judged by its exact likelihood.
+
+What to use when: `refit_gain_exactly` for a fit with a clipping cause.
+
+Source: Levenberg-Marquardt with an approximate Jacobian; Dennis and Schnabel, Numerical Methods
+for Unconstrained Optimization, chapter 10.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.checks.typical_noise import whittle_log_likelihood
+from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
+from gyrorig_solver.discover.score_tests import ScoreTest
+from gyrorig_solver.estimate.cascade import CLIPPING_STAGES
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import GAIN_PARAMETERS, ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Part, Stage, TermParameter
+from gyrorig_solver.model.term_kinds import LinearTerm
+
+MAX_RESTARTS = 2  # each from where the last one ended
+SCORE_SIGMA = (
+    4.0  # deviations of the statistic's scatter above its mean: then the residual asks for it
+)
+MIN_GAIN_NATS = 2.0  # less is no other place, but the same one better found
+# From where: what is best to first order, or by damped steps from next to none; where much is
+# swallowed the former is wild, where little is the latter may stay on the plain it began on.
+START_VALUES = (0.0, 1e-9)
+OBSERVABLE_SIGMA = 2.0  # deviations of an entry of the gain: then the data show that it changes
+MAX_GAIN_CHANGE = 0.2  # of a gain: a board that is turned by more was put on another way
+
+
+class GainChange(LinearTerm):
+    """An additive change of the gain matrix G, row by row."""
+
+    cause = "gain_change"
+    part: Part = "sensor"
+    stage: Stage = "sensor"
+    ignores_clipping: bool = True
+    parameters = (
+        TermParameter(
+            name="gain",
+            unit="1",
+            typical_size=1e-2,
+            lower=-MAX_GAIN_CHANGE,
+            upper=MAX_GAIN_CHANGE,
+            prior_std=MAX_GAIN_CHANGE,
+            components=tuple(f"{row}{column}" for row in "xyz" for column in "xyz"),
+        ),
+    )
+    title = "The gain changes"
+    remedy = ""
+    covariates = None
+    picture = None
+    excitation = "fast moves about every axis"
+    effect_if_ignored = "none: it is the calibration"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return each rate of the stage on each axis of the sensor, (9, blocks, 3)."""
+        rates = state.measure_sensor_rate(state.rate_rad_s)
+        signals = np.zeros((3, 3, *rates.shape))
+        for row in range(3):
+            signals[row, :, :, row] = rates.T
+        return signals.reshape(GAIN_PARAMETERS, *rates.shape)
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the largest."""
+        return f"the gain is off by up to {np.abs(values).max():.2g}"
+
+
+def has_clipping_cause(extensions: tuple[FittedTerm, ...]) -> bool:
+    """Return whether the fit includes a cause that clips rates (threshold or saturation)."""
+    return any(
+        extension.is_active and extension.term.stage in CLIPPING_STAGES for extension in extensions
+    )
+
+
+def refit_gain_exactly(solution: ConvergedFit) -> ConvergedFit:
+    """Refit the gain by its exact effect with clipping causes; unchanged without a gain."""
+    if not has_clipping_cause(solution.fitted_terms):
+        return solution
+    for _ in range(MAX_RESTARTS):
+        projector = NuisanceProjector.at_fit(solution)
+        if not _is_gain_score_significant(projector):
+            break
+        nats, better = whittle_log_likelihood(solution) + MIN_GAIN_NATS, None
+        for start in START_VALUES:
+            candidate = fit_candidate(
+                projector, GainChange(), None, [np.full(GAIN_PARAMETERS, start)]
+            )
+            if candidate is None or candidate.delta_log_likelihood < MIN_GAIN_NATS:
+                continue
+            for change in _candidate_changes(candidate):
+                estimate = solution.estimate.copy()
+                estimate[:GAIN_PARAMETERS] += change
+                restarted = refit_with_terms(
+                    replace(solution, estimate=estimate), solution.fitted_terms
+                )
+                if restarted.converged and whittle_log_likelihood(restarted) > nats:
+                    nats, better = whittle_log_likelihood(restarted), restarted
+        if better is None:
+            break
+        solution = better
+    return solution
+
+
+def _candidate_changes(candidate: FittedCandidate) -> list[FloatArray]:
+    """Return the whole change of the gain, and the change of its observable entries only.
+
+    An entry that hardly any motion determines can have any value within its standard deviation,
+    and a fit that starts there would converge elsewhere.
+    """
+    whole = candidate.extension.values
+    observable = np.where(np.abs(whole) > OBSERVABLE_SIGMA * candidate.std, whole, 0.0)
+    return [whole, observable] if 0 < np.count_nonzero(observable) < GAIN_PARAMETERS else [whole]
+
+
+def _is_gain_score_significant(projector: NuisanceProjector) -> bool:
+    """Return whether the score of the gain is significant, as if all rates were visible."""
+    change = GainChange()
+    whitened = projector.evaluate_signals(
+        lambda scene: change.tangent_signals(scene, np.zeros(GAIN_PARAMETERS)), term=change
+    )
+    test = ScoreTest.of(projector.score_statistics(whitened))
+    spread = float(np.sqrt(2.0 * max(test.degrees_of_freedom, 1)))
+    return test.statistic > test.degrees_of_freedom + SCORE_SIGMA * spread

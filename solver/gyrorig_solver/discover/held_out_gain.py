@@ -1,0 +1,200 @@
+"""Cross-validation: the gain of an extended model on data that it was not fitted to.
+
+The recording is cut into windows of some moves each. Each fold of windows is left out in turn:
+gain, bias, time offset and causes are fitted to the others. In the left-out windows only the
+motion's own unknowns (such as a move's start) are fitted, in both models alike. A whole recording
+can be left out too (`held_out_recording`).
+
+What to use when: `cross_validate_causes` for the causes of a fit, all together and one by one;
+`gain_on_recording` for a second recording.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.discover.cause_findings import ConfidenceInterval, HeldOutGain
+from gyrorig_solver.discover.held_out_recording import HeldOutFit, HeldOutRecording
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.series import Series
+from gyrorig_solver.numerics.distributions import normal_quantile
+
+WINDOW_S = 10.0
+FOLDS = 8  # windows are dealt out to so many folds: each fit lacks one fold
+MIN_WINDOWS = 4  # windows; fewer give no useful interval
+SETTLE_S = 0.3  # a move's end that the low-pass still carries
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutGains:
+    """The gains of a fit's causes on held-out windows."""
+
+    combined: HeldOutGain
+    by_cause: Mapping[int, HeldOutGain]  # by a cause's number in the fit: all others stay
+
+
+def cross_validate_causes(
+    projector: NuisanceProjector, causes: Sequence[int]
+) -> HeldOutGains | None:
+    """Return the cross-validated gain of causes of a fit; None without causes or with few windows.
+
+    Args:
+        projector: the nuisance projector at the fit, with all of its causes.
+        causes: their numbers in the fit; the others belong to the base model.
+    """
+    windows = _window_numbers(projector)
+    count = int(windows.max()) + 1
+    if count < MIN_WINDOWS or not causes:
+        return None
+    dropped: list[Sequence[int]] = [[], causes]
+    if len(causes) > 1:
+        dropped += [[k] for k in causes]
+    models = [projector.drop_terms(dropped_causes) for dropped_causes in dropped]
+    full, *reduced = projector.held_out_residuals(windows % min(FOLDS, count), models)
+    how = f"windows of {WINDOW_S:.0f} s left out in turn, {count} of them"
+    gains = [
+        _compare_residuals(projector, windows, how, reduced_residual, full)
+        for reduced_residual in reduced
+    ]
+    separate = gains[1:] if len(causes) > 1 else gains
+    return HeldOutGains(gains[0], dict(zip(causes, separate, strict=True)))
+
+
+def gain_on_recording(
+    base: ConvergedFit,
+    extended: ConvergedFit,
+    held_out: HeldOutRecording,
+) -> HeldOutGain:
+    """Return the gain of an extended model on a recording that neither model was fitted to.
+
+    Args:
+        base: a fit of the base model to other recordings of the board.
+        extended: one of the extended model.
+        held_out: the recording.
+    """
+    extended_fit = held_out.fit_model(extended)
+    base_fit = held_out.fit_model(base, same_noise_as=extended_fit)
+    projector = NuisanceProjector.at_fit(
+        replace(
+            extended,
+            sessions=(extended_fit.session,),
+            fitted_terms=extended_fit.session.fitted_terms,
+            noises=(extended_fit.noise,),
+        )
+    )
+    whitened = [
+        projector.whiten(
+            [[r[p][None] for p in series.part_slices()] for series, r in _series_residuals(fit)]
+        ).dense()[0]
+        for fit in (base_fit, extended_fit)
+    ]
+    how = f"the recording {held_out.name}, only bias and time offset were fitted to it"
+    left_out = ", ".join(fit.term.cause for fit in extended_fit.left_out)
+    if left_out:
+        how += f"; left out, because they are in the other recording only: {left_out}"
+    gain = _compare_residuals(projector, _window_numbers(projector), how, *whitened)
+    # The change of the motion from its prior counts too.
+    gain_nats, window_gain = (
+        extended_fit.log_likelihood - base_fit.log_likelihood,
+        gain.log_likelihood,
+    )
+    shift = gain_nats - window_gain.value
+    return replace(
+        gain,
+        log_likelihood=ConfidenceInterval(
+            gain_nats, window_gain.low + shift, window_gain.high + shift
+        ),
+    )
+
+
+def _series_residuals(fit: HeldOutFit) -> Iterator[tuple[Series, FloatArray]]:
+    """Yield each series with its residual, (n, 3)."""
+    return zip(fit.session.series, fit.session.residuals(fit.gain), strict=True)
+
+
+def _compare_residuals(
+    projection: NuisanceProjector,
+    windows: IntArray,
+    how: str,
+    before: FloatArray,
+    after: FloatArray,
+) -> HeldOutGain:
+    """Return the gain of one model over another from their whitened residuals, (all,)."""
+    count = int(windows.max()) + 1
+    residuals = (before, after)
+    costs = [
+        np.asarray(np.bincount(windows, residual**2, count), np.float64) for residual in residuals
+    ]
+    nats: FloatArray = 0.5 * (costs[0] - costs[1])
+    rates = [projection.unwhiten(residual) for residual in residuals]
+    squares = [_window_mean_squares(projection, rate) for rate in rates]
+    used = sum(int(u.sum()) for s in projection.segments for u in s.used)
+    rms = [float(np.sqrt(sum(np.sum(r**2) for r in rate) / (3 * used))) for rate in rates]
+    change = [float(s) for s in squares[1] - squares[0]]
+    turns = [_turn_error_squares(projection, rate) for rate in rates]
+    errors = [float(np.sqrt(np.mean(t))) if t.size else float("nan") for t in turns]
+    return HeldOutGain(
+        how=how,
+        log_likelihood=_confidence_interval(nats, float(np.sum(nats)), float(count)),
+        rms_before=rms[0],
+        rms_after=rms[1],
+        turn_error_before_rad=errors[0],
+        turn_error_after_rad=errors[1],
+        rms_change=_confidence_interval(np.array(change), rms[1] - rms[0], 1.0 / (rms[0] + rms[1])),
+        turn_change=_rms_change(turns, errors),
+    )
+
+
+def _rms_change(squares: list[FloatArray], errors: list[float]) -> ConfidenceInterval | None:
+    """Return how an rms over moves changes, from their squares and the rms before and after."""
+    if squares[0].size < MIN_WINDOWS:
+        return None
+    differences = squares[1] - squares[0]
+    return _confidence_interval(differences, errors[1] - errors[0], 1.0 / (errors[0] + errors[1]))
+
+
+def _confidence_interval(samples: FloatArray, value: float, factor: float) -> ConfidenceInterval:
+    """Return a figure with the 95 % interval that its windows' scatter gives it."""
+    half = normal_quantile(0.025) * float(np.std(samples, ddof=1) / np.sqrt(samples.size)) * factor
+    return ConfidenceInterval(value, value - half, value + half)
+
+
+def _window_numbers(projection: NuisanceProjector) -> IntArray:
+    """Return to which window each whitened value belongs, counted over all recordings."""
+    numbers, first = [], 0
+    for s in projection.segments:
+        for scene, used in zip(s.states, s.used, strict=True):
+            length = float(scene.edges_s[-1] - scene.edges_s[0])
+            count = max(1, round(length / WINDOW_S))
+            series_windows = first + np.arange(used.size) * count // used.size
+            numbers.append(np.tile(series_windows, 3))
+            first += count
+    return np.concatenate(numbers).astype(np.int64)
+
+
+def _window_mean_squares(projection: NuisanceProjector, rates: list[FloatArray]) -> FloatArray:
+    """Return the mean square of each window, (windows,)."""
+    windows = _window_numbers(projection)
+    flat = np.concatenate([rate.T.ravel() for rate in rates])
+    return np.asarray(
+        np.bincount(windows, flat**2) / np.maximum(np.bincount(windows), 1), dtype=np.float64
+    )
+
+
+def _turn_error_squares(projection: NuisanceProjector, rates: list[FloatArray]) -> FloatArray:
+    """Return the square of the residual's integral over each move, rad^2, (moves,)."""
+    turn_errors, part = [], 0
+    for s in projection.segments:
+        for scene, used in zip(s.states, s.used, strict=True):
+            rate = rates[part]
+            part += 1
+            step_s = float(scene.edges_s[-1] - scene.edges_s[0]) / used.size
+            for _, course in scene.context.motion_profiles:
+                first = round((float(course.start_s[0]) - float(scene.edges_s[0])) / step_s)
+                last = round((float(course.end_s) + SETTLE_S - float(scene.edges_s[0])) / step_s)
+                if 0 <= first < last <= used.size:
+                    turn_errors.append(np.sum(rate[first:last], axis=0) * step_s)
+    return np.sum(np.square(turn_errors), axis=1) if turn_errors else np.zeros(0)

@@ -1,0 +1,146 @@
+"""A fitted model on a held-out recording of the same board.
+
+Gain and causes stay as they were fitted; bias, time offset and the motion's own unknowns are
+fitted to the held-out recording. Causes of scope `recording` are left out. The score is the log
+likelihood of the residual, with the noise levels of that recording.
+
+What to use when: `HeldOutRecording.fit_model` for each model, models to be compared with the same
+noise. `held_out_gain.gain_on_recording` does both for two fits.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.information import marginalise
+from gyrorig_solver.estimate.likelihood_fit import (
+    DERIVATIVE_REFRESH_SIGMA,
+    GAIN_PARAMETERS,
+    OUTLIER_RETEST_SIGMA,
+    ConvergedFit,
+)
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, bin_spectrum, fit_noise_levels
+from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
+from gyrorig_solver.estimate.observability import PRIOR_STD
+from gyrorig_solver.estimate.session_fit import SessionFit
+from gyrorig_solver.estimate.trust_region import CONVERGED_SIGMA
+
+MAX_ITERATIONS = 12
+MAX_LAG_STEP_S = 0.05  # of one step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutFit:
+    """One model on a recording that it was not fitted to."""
+
+    session: SessionFit  # at the best bias, offset and motion
+    gain: FloatArray  # (3, 3)
+    noise: NoiseModel
+    log_likelihood: float  # nats, up to what all models at the same noise have in common
+    left_out: tuple[FittedTerm, ...]  # causes that this recording does not have, or not show
+
+    @property
+    def whitened(self) -> list[FloatArray]:
+        """Whitened residual of each series, (n, 3)."""
+        return _whitened_residuals(self.session, self.gain, self.noise)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutRecording:
+    """A recording that no model was fitted to."""
+
+    session: SessionFit
+    name: str
+
+    def fit_model(
+        self, solution: ConvergedFit, same_noise_as: HeldOutFit | None = None
+    ) -> HeldOutFit:
+        """Fit bias, time offset and motion to a held model; return its likelihood here.
+
+        Args:
+            solution: its gain and causes are taken.
+            same_noise_as: another model on it, whose noise levels and samples in use are taken.
+        """
+        kept, left_out = self._applicable_terms(solution)
+        if same_noise_as is None:
+            session = self.session.copy()
+            session.fitted_terms = kept
+            session.estimate_lag()
+            least_squares = session.least_squares_sums(session.inlier_masks(solution.gain))
+            session.bias_rad_s = least_squares.bias(solution.gain)
+        else:
+            session = self.session.started_from(same_noise_as.session)
+            session.fitted_terms = kept
+        noise = _fit_nuisances(
+            session, solution.gain, None if same_noise_as is None else same_noise_as.noise
+        )
+        cost = 0.5 * sum(
+            float(np.sum(w**2)) for w in _whitened_residuals(session, solution.gain, noise)
+        )
+        prior_offset = session.reference.prior_offset
+        cost += 0.5 * float(prior_offset @ session.reference.information.multiply(prior_offset))
+        return HeldOutFit(session, solution.gain, noise, -cost, left_out)
+
+    def _applicable_terms(
+        self, solution: ConvergedFit
+    ) -> tuple[tuple[FittedTerm, ...], tuple[FittedTerm, ...]]:
+        """Return the causes that are the same here, held as they are, and the others."""
+        series = self.session.series[0]
+        scene = self.session.signal_state(series, series.part_slices()[0], solution.gain)
+        kept: list[FittedTerm] = []
+        left_out: list[FittedTerm] = []
+        for extension in solution.fitted_terms:
+            persists = extension.term.kind == "known" or extension.term.scope != "recording"
+            if persists and extension.term.reason_not_testable(scene) is None:
+                kept.append(replace(extension, free_indices=_none(), other_boards_prior=None))
+            else:
+                left_out.append(extension)
+        return tuple(kept), tuple(left_out)
+
+
+def _none() -> IntArray:
+    return np.zeros(0, dtype=np.int64)
+
+
+def _fit_nuisances(session: SessionFit, gain: FloatArray, noise: NoiseModel | None) -> NoiseModel:
+    """Fit bias, offset and motion to a model that is held; return the noise, found or given."""
+    free = slice(GAIN_PARAMETERS, BASE_PARAMETERS)
+    prior = np.array([PRIOR_STD["bias"]] * 3 + [PRIOR_STD["time_offset"]]) ** -2.0
+    own_noise = noise is None
+    session.update_prediction(gain, detect_outliers=own_noise, new_derivatives=True)
+    levels = noise or _fit_noise(session, gain, None)
+    for _ in range(MAX_ITERATIONS):
+        marginal = marginalise(session.normal_equations(gain, levels), session.reference)
+        information = marginal.information[free, free] + np.diag(prior)
+        step = np.zeros(BASE_PARAMETERS)
+        step[free] = np.linalg.solve(information, marginal.score[free])
+        session.bias_rad_s = session.bias_rad_s + step[GAIN_PARAMETERS : GAIN_PARAMETERS + 3]
+        session.lag_s += float(np.clip(step[BASE_PARAMETERS - 1], -MAX_LAG_STEP_S, MAX_LAG_STEP_S))
+        session.reference = session.reference.with_step(marginal.nuisance_step(step))
+        sigma = np.sqrt(np.diag(np.linalg.inv(information)))
+        size = float(np.max(np.abs(step[free]) / sigma))
+        session.update_prediction(
+            gain,
+            detect_outliers=own_noise and size > OUTLIER_RETEST_SIGMA,
+            new_derivatives=size > DERIVATIVE_REFRESH_SIGMA,
+        )
+        if own_noise:
+            levels = _fit_noise(session, gain, levels)
+        if size < CONVERGED_SIGMA:
+            break
+    return levels
+
+
+def _fit_noise(session: SessionFit, gain: FloatArray, before: NoiseModel | None) -> NoiseModel:
+    pieces, _ = session.noise_periodograms(gain)
+    return fit_noise_levels(
+        bin_spectrum(pieces), session.sampling, None if before is None else before.levels
+    )
+
+
+def _whitened_residuals(
+    session: SessionFit, gain: FloatArray, noise: NoiseModel
+) -> list[FloatArray]:
+    return session.whitened_residuals(gain, noise)

@@ -1,0 +1,268 @@
+"""Score tests of every cause of the catalogue on a residual.
+
+The tangent signals of each template of a cause are whitened and projected orthogonally to all
+nuisance parameters. T = s' A^-1 s is chi-squared in noise, with one degree of freedom per size. The
+best of many templates is judged by the effective number of independent ones among them (Galwey,
+Genet. Epidemiol. 33 (2009) 559) and by the number of tests of the catalogue.
+
+What to use when: `scan_catalogue` in each iteration of a search; `ScoreTest.of` for any signals.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.discover.template_choice import quick_templates
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Term, components_of, value_indices, value_parameters
+from gyrorig_solver.numerics.distributions import chi2_upper_tail, detection_noncentrality
+
+NEGLIGIBLE_ENERGY = 1e-9  # of its energy: a signal with less left is the fit's own
+MAX_JOINT_SIGNALS = (
+    48  # signals of one cause that are looked at together, and whose likeness counts
+)
+MAX_SIGNAL_VALUES = 4_000_000  # of signals that are looked at together: memory counts
+MAX_SEPARATE_PLACES = 3  # sizes with more parts are looked at together only
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoreTest:
+    """A score test of one or more signals: statistic, degrees of freedom, one-step estimate."""
+
+    statistic: float
+    degrees_of_freedom: int
+    one_step_sizes: FloatArray  # (d,), their best sizes to first order
+
+    @classmethod
+    def of(cls, statistics: ScoreStatistics) -> "ScoreTest":
+        """Judge signals by their information and score, vanished ones left out."""
+        if statistics.score.size == 1:
+            return cls._of_single_signal(statistics)
+        energy = np.diag(statistics.information)
+        kept = energy > NEGLIGIBLE_ENERGY * np.maximum(statistics.energy, 1e-300)
+        values = np.zeros(energy.size)
+        if not kept.any():
+            return cls(0.0, 0, values)
+        scale = np.sqrt(energy[kept])
+        correlation = statistics.information[np.ix_(kept, kept)] / np.outer(scale, scale)
+        eigenvalues, eigenvectors = np.linalg.eigh(correlation)
+        keep = eigenvalues > 1e-7
+        score = eigenvectors.T @ (statistics.score[kept] / scale)
+        values[kept] = eigenvectors[:, keep] @ (score[keep] / eigenvalues[keep]) / scale
+        statistic = float(np.sum(score[keep] ** 2 / eigenvalues[keep]))
+        return cls(statistic, int(keep.sum()), values)
+
+    @classmethod
+    def _of_single_signal(cls, statistics: ScoreStatistics) -> "ScoreTest":
+        energy, score = float(statistics.information[0, 0]), float(statistics.score[0])
+        if energy <= NEGLIGIBLE_ENERGY * max(float(statistics.energy[0]), 1e-300):
+            return cls(0.0, 0, np.zeros(1))
+        return cls(score * score / energy, 1, np.array([score / energy]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectableSize:
+    """The detectable size of one template, in typical sizes."""
+
+    template_size: float  # of the row; 0 where the effect is taken as linear
+    detectable: float  # in the direction that shows least, inf where nothing shows
+    parameter_shift: FloatArray  # (board,), what that makes of the fit's parameters, unseen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CandidateScore:
+    """The score of a cause at one of its places, or all, with its best template."""
+
+    term: Term
+    place: str | None
+    template: FloatArray  # (k,)
+    score_test: ScoreTest
+    effective_trials: float  # effective number of independent rows
+    p_value: float  # rows and tests counted
+    detectable_sizes: tuple[DetectableSize, ...]  # of every row
+
+    @property
+    def detectable_size(self) -> DetectableSize:
+        """The detectable size where a template is just detected; the median of linear ones.
+
+        Where even the largest row would not be seen, `detectable` is infinite.
+        """
+        if self.detectable_sizes[0].template_size > 0.0:
+            sizes = sorted(self.detectable_sizes, key=lambda size: size.template_size)
+            detected = [size for size in sizes if size.template_size >= size.detectable]
+            if detected:
+                return replace(detected[0], detectable=detected[0].template_size)
+            return replace(sizes[-1], detectable=np.inf)
+        sizes = sorted(self.detectable_sizes, key=lambda size: size.detectable)
+        # A lost step has no effect while the axis is at rest: such rows contain no information.
+        sizes = [size for size in sizes if np.isfinite(size.detectable)] or sizes
+        return sizes[(len(sizes) - 1) // 2]
+
+
+def scan_catalogue(
+    projection: NuisanceProjector,
+    terms: Iterable[Term],
+    tests: int,
+    templates: FloatArray | None = None,
+) -> list[CandidateScore]:
+    """Return the best score of each cause at each place, the smallest p-value first.
+
+    Args:
+        projection: the nuisance projector at the fit.
+        terms: the causes to look at.
+        tests: how many of them share the false alarms.
+        templates: rows of the bank to look at instead, for a single cause.
+    """
+    scores: list[CandidateScore] = []
+    for term in terms:
+        chosen, scanned = (
+            (templates, len(templates))
+            if templates is not None
+            else quick_templates(projection, term)
+        )
+        scores += _scan_term(projection, term, chosen, scanned, tests)
+    return sorted(scores, key=lambda score: (score.p_value, -score.score_test.statistic))
+
+
+def testable_places(term: Term) -> list[tuple[str | None, list[int]]]:
+    """Return the places of a cause, None for all of them, and the sizes at each."""
+    sizes = value_indices(term, role="size")
+    testable: list[tuple[str | None, list[int]]] = [(None, list(range(len(sizes))))]
+    parts = components_of(term)
+    if 1 < len(parts) <= MAX_SEPARATE_PLACES:
+        for part in parts:
+            part_sizes = value_indices(term, part, "size")
+            testable.append((part, [sizes.index(k) for k in part_sizes]))
+    return testable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TestPlace:
+    """One place of a cause, and the non-centrality that detects it there."""
+
+    place: str | None
+    positions: IntArray  # which sizes of the cause
+    size_indices: IntArray  # the same among all its values
+    typical: FloatArray
+    noncentrality: float  # non-centrality
+
+    @classmethod
+    def of(
+        cls, term: Term, place: str | None, positions: Sequence[int], tests: int
+    ) -> "_TestPlace":
+        """Return a place with the sizes that it has; `tests` share the false alarms."""
+        parameters, all_sizes = value_parameters(term), value_indices(term, role="size")
+        sizes = np.array([all_sizes[k] for k in positions], dtype=np.int64)
+        typical = np.array([parameters[k].typical_size for k in sizes])
+        required = detection_noncentrality(len(positions), tests)
+        return cls(place, np.array(positions, dtype=np.int64), sizes, typical, required)
+
+    def detectable_size(self, template: FloatArray, statistics: ScoreStatistics) -> DetectableSize:
+        """The detectable size where a template is just detected; the median of linear ones."""
+        typical = self.typical
+        size = float(np.max(np.abs(template[self.size_indices]) / typical))
+        if typical.size == 1:
+            least_information, direction = (
+                float(statistics.information[0, 0] * typical[0] ** 2),
+                typical,
+            )
+        else:
+            values, vectors = np.linalg.eigh(statistics.information * np.outer(typical, typical))
+            least_information, direction = float(values[0]), vectors[:, 0] * typical
+        if least_information <= NEGLIGIBLE_ENERGY * float(np.max(statistics.energy * typical**2)):
+            return DetectableSize(size, np.inf, statistics.absorbed.T @ direction)
+        detectable = float(np.sqrt(self.noncentrality / least_information))
+        return DetectableSize(size, detectable, statistics.absorbed.T @ (direction * detectable))
+
+
+def _scan_term(
+    projection: NuisanceProjector, term: Term, templates: FloatArray, scanned: int, tests: int
+) -> list[CandidateScore]:
+    test_places = [
+        _TestPlace.of(term, place, at, tests * max(scanned, 1))
+        for place, at in testable_places(term)
+    ]
+    best: dict[str | None, tuple[FloatArray, ScoreTest]] = {}
+    sizes: dict[str | None, list[DetectableSize]] = {
+        test_place.place: [] for test_place in test_places
+    }
+    count_trials = (
+        1 < len(templates) == scanned
+        and len(templates) * test_places[0].positions.size <= MAX_JOINT_SIGNALS
+    )
+    effective_trials = float(max(scanned, 1))
+    for batch, statistics in _score_batches(projection, term, templates, count_trials):
+        size = statistics.score.size // len(batch)
+        if count_trials:
+            effective_trials = _count_effective_trials(statistics.information, size)
+        for k, template in enumerate(batch):
+            for test_place in test_places:
+                part = statistics.subset(k * size + test_place.positions)
+                test = ScoreTest.of(part)
+                sizes[test_place.place].append(test_place.detectable_size(template, part))
+                if (
+                    test_place.place not in best
+                    or test.statistic > best[test_place.place][1].statistic
+                ):
+                    best[test_place.place] = template, test
+    scores = []
+    for place, (template, test) in best.items():
+        if test.degrees_of_freedom:
+            local_p_value = chi2_upper_tail(test.statistic, test.degrees_of_freedom)
+            p_value = min(1.0, local_p_value * effective_trials * tests)
+            scores.append(
+                CandidateScore(
+                    term, place, template, test, effective_trials, p_value, tuple(sizes[place])
+                )
+            )
+    return scores
+
+
+def _score_batches(
+    projection: NuisanceProjector, term: Term, templates: FloatArray, at_once: bool
+) -> Iterator[tuple[list[FloatArray], ScoreStatistics]]:
+    """Yield templates with their score statistics, several at a time for speed.
+
+    `at_once`: all rows at once.
+    """
+    sizes = len(value_indices(term, role="size"))
+    together = min(MAX_JOINT_SIGNALS, MAX_SIGNAL_VALUES // projection.residual.size) // sizes
+    count = len(templates) if at_once else max(1, together)
+    for first in range(0, len(templates), count):
+        batch = list(templates[first : first + count])
+        signals = projection.evaluate_together(
+            [partial(_tangent_signals, term, template) for template in batch],
+            sizes * len(batch),
+            term,
+        )
+        yield batch, projection.score_statistics(signals)
+
+
+def _tangent_signals(term: Term, template: FloatArray, scene: SignalState) -> FloatArray:
+    return term.tangent_signals(scene, template)
+
+
+def _count_effective_trials(information: FloatArray, sizes: int) -> float:
+    """Return the effective number of independent templates (Galwey), the largest over the sizes.
+
+    Args:
+        information: of all signals, those of one row after the other.
+        sizes: signals of a row.
+    """
+    trials = []
+    for k in range(sizes):
+        block = information[k::sizes, k::sizes]
+        energy = np.diag(block)
+        kept = energy > 1e-12 * max(float(energy.max()), 1e-300)
+        if kept.sum() < 2:
+            trials.append(1.0)
+            continue
+        scale = np.sqrt(energy[kept])
+        correlation = block[np.ix_(kept, kept)] / np.outer(scale, scale)
+        eigenvalues = np.clip(np.linalg.eigvalsh(correlation), 0.0, None)
+        trials.append(float(np.sum(np.sqrt(eigenvalues)) ** 2 / np.sum(eigenvalues)))
+    return max(trials, default=1.0)

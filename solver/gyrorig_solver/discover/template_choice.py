@@ -1,0 +1,103 @@
+"""Choice of the templates of a cause that are scanned in a residual.
+
+What to use when: `quick_templates` for a pass over the catalogue, `all_templates` for one cause.
+Lost steps are short and spectral lines narrow: their templates are taken at peaks of the residual.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.causes.lost_steps import pulse_templates
+from gyrorig_solver.model.causes.supply_hum import MIN_PERIODS, folded_periods
+from gyrorig_solver.model.recording_scope import is_active_in
+from gyrorig_solver.model.term import Term, start_values, value_indices
+
+QUICK_TEMPLATES = 20  # rows to a cause in the pass over all
+MAX_PEAKS = 12  # of the moments or lines that a residual shows
+MIN_SEPARATION_S = 0.1  # two moments less apart are one
+PULSES_PER_TRIAL = 4  # pulses looked at for one that is independent: two a block, two blocks wide
+SPECTRUM_OVERSAMPLING = 4  # the line's power is read this much finer than a periodogram has it
+
+
+def quick_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
+    """Return templates (b, k) for a pass over the catalogue, and how many were scanned."""
+    if term.template_search == "pulses":
+        return _lost_step_templates(projection, term)
+    if term.template_search == "spectral_lines":
+        return _line_templates(projection, term)
+    templates = all_templates(projection, term)
+    if (
+        term.template_search == "full_grid"
+    ):  # as narrow as its damping: a mode that is left out is not seen
+        return templates, len(templates)
+    sizes = np.abs(templates[:, value_indices(term, role="size")]).max(axis=1)
+    if (sizes == 0.0).any():
+        templates = templates[sizes == 0.0]
+    chosen = np.unique(
+        np.round(np.linspace(0, len(templates) - 1, QUICK_TEMPLATES)).astype(np.int64)
+    )
+    return templates[chosen], len(templates)
+
+
+def all_templates(projection: NuisanceProjector, term: Term) -> FloatArray:
+    """Return all templates, (b, k); for lost steps and lines those at peaks of the residual."""
+    if term.template_search == "pulses":
+        return _lost_step_templates(projection, term)[0]
+    if term.template_search == "spectral_lines":
+        return _line_templates(projection, term)[0]
+    return np.unique(
+        np.concatenate([term.template_bank(scene) for scene in projection.states]), axis=0
+    )
+
+
+def _lost_step_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
+    times, gains, scanned = [], [], 0
+    for scene, whitened_residual in zip(
+        projection.states, projection.weighted_residual(), strict=True
+    ):
+        if not scene.has_angles or not is_active_in(term, scene):
+            continue
+        candidates = pulse_templates(scene)
+        span = candidates.first_block[:, None] + np.arange(candidates.values.shape[1])
+        score = np.einsum("rmi,rmi->r", whitened_residual[span], candidates.values)
+        energy = np.einsum("rmi,rmi->r", candidates.values, candidates.values)
+        times.append(candidates.time_s)
+        gains.append(score**2 / np.maximum(energy, 1e-30))
+        scanned += candidates.time_s.size
+    templates = np.tile(start_values(term), (MAX_PEAKS, 1))
+    time_s, gain = np.concatenate(times), np.concatenate(gains)
+    event = value_indices(term, role="event")[0]
+    count = 0
+    while count < MAX_PEAKS and gain.size:
+        best = int(np.argmax(gain))
+        templates[count, event] = time_s[best]
+        keep = np.abs(time_s - time_s[best]) > MIN_SEPARATION_S
+        time_s, gain, count = time_s[keep], gain[keep], count + 1
+    return templates[:count], max(1, scanned // PULSES_PER_TRIAL)
+
+
+def _line_templates(projection: NuisanceProjector, term: Term) -> tuple[FloatArray, int]:
+    acting = [k for k, scene in enumerate(projection.states) if is_active_in(term, scene)]
+    scene, whitened_residual = (
+        projection.states[acting[0]],
+        projection.weighted_residual()[acting[0]],
+    )
+    templates = term.template_bank(scene)
+    frequency = value_indices(term, role="shape")[0]
+    length_s = float(scene.edges_s[-1] - scene.edges_s[0])
+    rate_hz = whitened_residual.shape[0] / length_s
+    aliased = folded_periods(templates[:, frequency], rate_hz, length_s)
+    templates, aliased = templates[aliased >= MIN_PERIODS], aliased[aliased >= MIN_PERIODS]
+    power = (
+        np.abs(
+            np.fft.rfft(
+                whitened_residual, SPECTRUM_OVERSAMPLING * whitened_residual.shape[0], axis=0
+            )
+        )
+        ** 2
+    )
+    bins = np.minimum(np.round(aliased * SPECTRUM_OVERSAMPLING), power.shape[0] - 1)
+    relative = power / np.mean(power, axis=0)
+    order = np.argsort(-relative[bins.astype(np.int64)].sum(axis=1), kind="stable")
+    return templates[order[:MAX_PEAKS]], len(templates)

@@ -1,0 +1,105 @@
+"""Matching of gyro and reference attitude: gyro means over the steps of the reference.
+
+The reference shows the mean body rate between two attitudes and nothing in between. The gyro is
+denser or at least smoother, so the gyro is averaged over the reference's steps (exactly, by the
+integral of a cubic spline) instead of the other way round.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.reference.attitude_reference import AttitudeReference, BodyRateSegment
+
+# Range of the time offset; it covers a loaded link and a low-pass.
+MAX_LAG_S = 0.3
+# The spline does not bridge longer gaps of the gyro's samples.
+MAX_BRIDGED_PERIODS = 3.5
+MIN_BLOCKS = 64
+# Enough points to separate two lags by correlation.
+MAX_CORRELATION_POINTS = 4000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeSegment:
+    """One track of the reference, with a gyro that covers it."""
+
+    track: BodyRateSegment
+    rate_spline: CubicSpline[np.float64]  # rate, sensor frame
+    angle_spline: CubicSpline[np.float64]  # its integral
+
+    def mean_rate(self, lag_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the mean gyro rate over each step, and its derivative by the lag.
+
+        Args:
+            lag_s: delay of the gyro's timestamps after the motion.
+        """
+        begin, end = self.track.begin_s + lag_s, self.track.end_s + lag_s
+        step = (self.track.end_s - self.track.begin_s)[:, None]
+        mean = (self.angle_spline(end) - self.angle_spline(begin)) / step
+        slope = (self.rate_spline(end) - self.rate_spline(begin)) / step
+        return np.asarray(mean, dtype=np.float64), np.asarray(slope, dtype=np.float64)
+
+
+def match_segments(samples: GyroSamples, reference: AttitudeReference) -> list[AttitudeSegment]:
+    """Return every segment in which neither gyro nor reference has a gap.
+
+    Args:
+        samples: of one board, times on the reference's axis.
+        reference: attitudes; `MAX_LAG_S` of gyro on both sides are kept as a margin.
+    """
+    good = samples.usable
+    time_s, rate = samples.time_s[good], samples.rate_rad_s[good]
+    segment = samples.segment[good]
+    step = np.diff(time_s)
+    is_gap = (
+        (np.diff(segment) != 0) | (step > MAX_BRIDGED_PERIODS * samples.period_s) | (step <= 0.0)
+    )
+    bounds = np.concatenate([[0], np.flatnonzero(is_gap) + 1, [time_s.size]])
+    segments = []
+    for first, last in pairwise(bounds.tolist()):
+        if last - first < MIN_BLOCKS:
+            continue
+        rate_spline = CubicSpline(time_s[first:last], rate[first:last])
+        low, high = time_s[first] + MAX_LAG_S, time_s[last - 1] - MAX_LAG_S
+        for track in reference.rate_segments():
+            inside = (track.begin_s >= low) & (track.end_s <= high)
+            if inside.sum() >= MIN_BLOCKS:
+                part = BodyRateSegment(
+                    track.begin_s[inside],
+                    track.end_s[inside],
+                    track.rate_rad_s[inside],
+                    track.step_s,
+                )
+                segments.append(AttitudeSegment(part, rate_spline, rate_spline.antiderivative()))
+    return segments
+
+
+def coarse_lag_s(segments: Sequence[AttitudeSegment]) -> float:
+    """Return the lag of maximum correlation of the two speeds.
+
+    Speeds do not depend on the mount of the sensor. The steps are one reference step or 10 ms,
+    whichever is longer; the fit refines the result.
+    """
+    longest = max(segments, key=lambda s: s.track.begin_s.size)
+    count = longest.track.begin_s.size
+    stride = slice(None, None, max(1, count // MAX_CORRELATION_POINTS))
+    middle_s = 0.5 * (longest.track.begin_s + longest.track.end_s)[stride]
+    reference_speed = np.linalg.norm(longest.track.rate_rad_s[stride], axis=1)
+    reference_speed = reference_speed - reference_speed.mean()
+    step_s = max(longest.track.step_s, 0.01)
+    max_lag_steps = int(0.9 * MAX_LAG_S / step_s)
+    lags = np.arange(-max_lag_steps, max_lag_steps + 1) * step_s
+    scores = []
+    for lag_s in lags:
+        gyro_speed = np.linalg.norm(longest.rate_spline(middle_s + lag_s), axis=1)
+        gyro_speed = gyro_speed - gyro_speed.mean()
+        scores.append(
+            float(reference_speed @ gyro_speed) / (float(np.linalg.norm(gyro_speed)) + 1e-30)
+        )
+    return float(lags[int(np.argmax(scores))])

@@ -1,0 +1,277 @@
+"""The fit of gyro gain and bias to gravity between rests: a board turned by hand, without a rig.
+
+What to use when: `fit_gravity` for one board with an accelerometer that was held still in many
+poses and turned between them.
+
+Theory of operation. Over a move, the gyro's integral must carry the direction of gravity from the
+rest before to the rest after: u_1 = R' u_0, R the product of exp(w dt) with w = G^-1 (y - b). Each
+move gives two equations (the rotation about gravity is unobservable), and a dozen moves about
+changing axes give all of G. Rests give the bias: each move uses the mean of its two rests, so that
+slow drift cancels. The result refers to the accelerometer's own frame, made orthogonal: M is gyro
+to accelerometer here, not gyro to stage.
+
+Source: Tedaldi et al., ICRA 2014, eq. 13 to 16 (there with the bias of the first rest).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
+from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.estimate.information import PARAMETER_NAMES
+from gyrorig_solver.estimate.observability import analyse_observability
+from gyrorig_solver.model.gain_matrix import cross_matrix
+from gyrorig_solver.reference.gravity_reference import StaticPoses, find_poses
+from gyrorig_solver.reference.known_turns import TimeInterval
+from gyrorig_solver.reference.rotations import prefix_products, turn_vectors
+
+MAX_ITERATIONS = 40
+SCALE_RANGE = (0.5, 1.5)  # of the gyro's scale factor, for the initial guess
+CONVERGED_SIGMA = 1e-4
+# Larger residuals have less weight (Huber): a knock, a saturated sample.
+HUBER_SIGMA = 2.5
+# A smaller rotation has no information and can be a knock at rest.
+MIN_TURN_RAD = 0.05
+_NOT_CONVERGED = (
+    "the fit did not converge; turn more slowly, rest for some seconds in each pose, record again"
+)
+REASON_TEXTS = {
+    "x": "too few moves turned about the board's x axis; turn it about all axes",
+    "y": "too few moves turned about the board's y axis; turn it about all axes",
+    "z": "too few moves turned about the board's z axis; turn it about all axes",
+    "bias": "there is no rest that is long enough; hold the board still for some seconds",
+    "time_offset": "gravity at rest contains no time; use a moving reference",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Move:
+    """One move: the gyro between two rests, and gravity at both."""
+
+    step_s: FloatArray  # (n - 1,)
+    rate_rad_s: FloatArray  # (n, 3), measured, minus the bias of the two rests
+    gravity_before: FloatArray  # (3,), unit vector up
+    gravity_after: FloatArray
+
+
+def fit_gravity(
+    samples: GyroSamples, gravity_m_s2: float, rest_interval: TimeInterval | None = None
+) -> GyroFit:
+    """Calibrate a gyro with gravity between rests.
+
+    Args:
+        samples: of one board, with its accelerometer.
+        gravity_m_s2: local gravity; only the accelerometer's scale factor depends on it.
+        rest_interval: a known rest; None: the ten seconds with the least motion.
+
+    Returns:
+        The fit; G maps the rate in the accelerometer's frame to the gyro's.
+
+    Raises:
+        InputError: there is no accelerometer, or there are too few or too similar poses.
+    """
+    if samples.accel_m_s2 is None:
+        raise InputError(
+            f"board {samples.board} has no accelerometer in this recording",
+            "use another reference, because gravity between rests needs one",
+        )
+    poses = find_poses(samples.time_s, samples.accel_m_s2, gravity_m_s2, rest_interval)
+    rest_bias = _rest_bias(samples, poses)
+    moves = _moves(samples, poses, rest_bias)
+    solver = _GravitySolver(moves)
+    converged = solver.run()
+    information = _information(solver, rest_bias)
+    sigma_rad = solver.sigma_rad  # of the reported gain
+    outcome = FitOutcome(
+        estimate=np.concatenate([solver.gain.ravel(), rest_bias.mean(axis=0), [0.0]]),
+        observability=analyse_observability(information, PARAMETER_NAMES),
+        reduced_chi2=float("nan"),  # the spread of the moves is their noise model
+        outliers=solver.downweighted,
+        rms_before_rad_s=solver.rms_rad_s(np.eye(3)),
+        rms_after_rad_s=solver.rms_rad_s(solver.gain),
+        reference=(
+            f"gravity between {len(poses.rests)} rests, {len(moves)} moves; M relates the gyro to "
+            "the accelerometer's frame, not to a stage"
+        ),
+        reason_texts=REASON_TEXTS,
+        warnings=(
+            f"the residual of a move is {np.degrees(sigma_rad):.2f} deg per direction, and the "
+            "standard deviations are scaled to this residual",
+        ),
+        limited_reasons=() if converged else (_NOT_CONVERGED,),
+        extra_numbers={
+            "moves": float(len(moves)),
+            "poses": float(len(poses.rests)),
+            "move_sigma_rad": sigma_rad,
+            "accel_residual_m_s2": poses.accel.residual_m_s2,
+        },
+    )
+    return build_gyro_fit(outcome, [samples])
+
+
+def _information(solver: "_GravitySolver", rest_bias: FloatArray) -> FloatArray:
+    """Return the information on `PARAMETER_NAMES`: the gain's from moves, the bias' from rests."""
+    information = np.zeros((13, 13))
+    information[:9, :9] = solver.information()
+    scatter = np.maximum(rest_bias.std(axis=0, ddof=1), 1e-7)
+    information[9:12, 9:12] = np.diag(len(rest_bias) / scatter**2)
+    return information
+
+
+def _rest_bias(samples: GyroSamples, poses: StaticPoses) -> FloatArray:
+    means = []
+    for first, last in zip(poses.first_sample, poses.last_sample, strict=True):
+        good = samples.usable[first : last + 1]
+        means.append(samples.rate_rad_s[first : last + 1][good].mean(axis=0))
+    return np.array(means)
+
+
+def _moves(samples: GyroSamples, poses: StaticPoses, rest_bias: FloatArray) -> list[_Move]:
+    """Return the usable moves: without gaps, unsaturated, and with enough rotation."""
+    moves, unusable = [], 0
+    for k in range(len(poses.rests) - 1):
+        part = slice(poses.last_sample[k], poses.first_sample[k + 1] + 1)
+        step_s = np.diff(samples.time_s[part])
+        is_unbroken = np.all(np.diff(samples.number[part]) == 1) and samples.usable[part].all()
+        if not is_unbroken or np.any(np.diff(samples.segment[part]) != 0) or np.any(step_s <= 0.0):
+            unusable += 1
+            continue
+        rate = samples.rate_rad_s[part] - (rest_bias[k] + rest_bias[k + 1]) / 2.0
+        if float(np.sum(np.linalg.norm(rate[1:], axis=1) * step_s)) < MIN_TURN_RAD:
+            continue
+        moves.append(_Move(step_s, rate, poses.direction[k], poses.direction[k + 1]))
+    if len(moves) < 5:
+        raise InputError(
+            f"only {len(moves)} moves between rests can be integrated ({unusable} have gaps or are "
+            "saturated), and 5 are needed",
+            "turn the board more slowly, and in more moves",
+        )
+    return moves
+
+
+class _GravitySolver:
+    """Levenberg-Marquardt over G with analytic derivatives, robust to outlying moves."""
+
+    def __init__(self, moves: list[_Move]) -> None:
+        self._moves = moves
+        self.gain = np.eye(3)
+        self.sigma_rad = 0.01
+        self.downweighted = 0
+        self._weight = np.ones(len(moves))
+        self._limit_rad = np.inf
+
+    def run(self) -> bool:
+        """Iterate to the robust least squares; return whether the iterations converged.
+
+        Levenberg's damping is necessary: with a scale factor wrong by a quarter, a long move
+        carries gravity out of the range of a Newton step.
+        """
+        scales = np.linspace(*SCALE_RANGE, 41)
+        costs = [self._cost(scale * np.eye(3)) for scale in scales]
+        self.gain = float(scales[int(np.argmin(costs))]) * np.eye(3)
+        damping, converged = 1e-3, False
+        for _ in range(MAX_ITERATIONS):
+            residual, jacobian = self._linearise(self.gain)
+            self._update_weights(residual)
+            normal = self._information_matrix(jacobian)
+            score = np.einsum("mij,mi->j", jacobian * self._weight[:, None, None], residual)
+            score = score / self.sigma_rad**2
+            curvature = np.diag(normal) + 1e-9 * np.trace(normal)
+            while damping < 1e9:
+                step = np.linalg.solve(normal + damping * np.diag(curvature), score)
+                trial = self.gain + step.reshape(3, 3)
+                if abs(np.linalg.det(trial)) > 1e-3 and self._cost(trial) <= self._cost(self.gain):
+                    self.gain, damping = trial, max(damping * 0.1, 1e-12)
+                    break
+                damping *= 10.0
+            if damping >= 1e9 or float(np.max(np.abs(step) * np.sqrt(curvature))) < CONVERGED_SIGMA:
+                converged = (
+                    damping < 1e9 or float(np.max(np.abs(score) / np.sqrt(curvature))) < 1e-3
+                )
+                break
+        self._reset_unobserved()
+        return converged
+
+    def _reset_unobserved(self) -> None:
+        """Set unobservable directions to nominal."""
+        information = self.information()
+        difference = (self.gain - np.eye(3)).ravel()
+        observed = (
+            analyse_observability(information, PARAMETER_NAMES[:9]).pseudo_inverse
+            @ information
+            @ difference
+        )
+        self.gain = np.eye(3) + observed.reshape(3, 3)
+
+    def _cost(self, gain: FloatArray) -> float:
+        """Return Huber's cost of all moves at the current standard deviation."""
+        length = np.linalg.norm(self._residuals(gain), axis=1)
+        limit = self._limit_rad
+        inside = length <= limit
+        return float(np.sum(np.where(inside, length**2, limit * (2.0 * length - limit))))
+
+    def information(self) -> FloatArray:
+        """Return the final information on G, scaled by the residual, (9, 9)."""
+        residual, jacobian = self._linearise(self.gain)
+        self._update_weights(residual)
+        return self._information_matrix(jacobian)
+
+    def rms_rad_s(self, gain: FloatArray) -> float:
+        """Return the rms direction error of the moves over their duration."""
+        residuals = self._residuals(gain)
+        span_s = np.array([move.step_s.sum() for move in self._moves])
+        return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1) / 2.0 / span_s**2)))
+
+    def _information_matrix(self, jacobian: FloatArray) -> FloatArray:
+        weighted = jacobian * self._weight[:, None, None] / self.sigma_rad**2
+        return np.asarray(np.einsum("mij,mik->jk", weighted, jacobian), dtype=np.float64)
+
+    def _update_weights(self, residual: FloatArray) -> None:
+        """Estimate the standard deviation of one direction, and each move's Huber weight."""
+        length = np.linalg.norm(residual, axis=1)
+        # Two directions of equal standard deviation: the median length is 1.1774 of it.
+        robust = float(np.median(length)) / 1.1774
+        limit = self._limit_rad = HUBER_SIGMA * robust * float(np.sqrt(2.0))
+        self._weight = np.where(length > limit, limit / np.maximum(length, 1e-12), 1.0)
+        self.downweighted = int(np.sum(self._weight < 1.0))
+        degrees_of_freedom = max(2 * len(self._moves) - 9, 1)
+        self.sigma_rad = (
+            float(np.sqrt(np.sum(self._weight * length**2) / degrees_of_freedom)) + 1e-9
+        )
+
+    def _integrate_move(self, gain: FloatArray, move: _Move) -> tuple[FloatArray, FloatArray]:
+        """Return the calibrated rate at the samples and the attitude after each step."""
+        rate = move.rate_rad_s @ np.linalg.inv(gain).T
+        return rate, prefix_products(turn_vectors(rate, move.step_s))
+
+    def _residuals(self, gain: FloatArray) -> FloatArray:
+        """Return measured minus predicted gravity, shape (m, 3)."""
+        ends = [self._integrate_move(gain, move)[1][-1] for move in self._moves]
+        return np.array(
+            [
+                m.gravity_after - end.T @ m.gravity_before
+                for m, end in zip(self._moves, ends, strict=True)
+            ]
+        )
+
+    def _linearise(self, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return measured minus predicted gravity (m, 3), and its derivative (m, 3, 9)."""
+        inverse = np.linalg.inv(gain)
+        residuals, jacobians = [], []
+        for move in self._moves:
+            rate, attitude = self._integrate_move(gain, move)
+            end = attitude[-1]
+            predicted = end.T @ move.gravity_before
+            # A change dw of the rate over one step turns the end by P_end' P_k dw dt, and
+            # dw = -G^-1 dG w; a turn d of the end moves the carried vector by carried x d.
+            half = 0.5 * (attitude + np.concatenate([np.eye(3)[None], attitude[:-1]]))
+            middle = 0.5 * (rate[1:] + rate[:-1])
+            summed = np.einsum("kia,kl,k->ial", half @ inverse, middle, move.step_s)
+            turn = -np.einsum("ip,ial->pal", end, summed).reshape(3, 9)
+            jacobians.append(cross_matrix(predicted) @ turn)
+            residuals.append(move.gravity_after - predicted)
+        return np.array(residuals), np.array(jacobians)

@@ -1,0 +1,97 @@
+"""Periodograms for the noise estimate: rests above a frequency, the whole residual below it.
+
+Unmodelled motion would look like noise. If there are enough rests, the frequencies that they
+resolve come from the rests only.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.estimate.noise.noise_model import Periodogram
+from gyrorig_solver.estimate.series import PART_BLOCKS, fast_dct_length
+
+MIN_SPECTRUM_BLOCKS = 256  # blocks
+MIN_REST_S, MIN_TOTAL_REST_S = (
+    4.0,
+    20.0,
+)  # the shortest rest with a spectrum, and how much rest is enough
+MIN_PERIODS = 2.0  # of the lowest frequency in a rest
+SETTLING_TIME_S = 0.3  # after a move
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualSegment:
+    """The residual of one series."""
+
+    residual: FloatArray  # (n, 3), zero where unused
+    used: BoolArray  # (n,)
+    moving: BoolArray  # (n,)
+    parts: list[slice]
+    relative_variance: FloatArray | None = None  # (n, 3), of the white noise; None: 1
+
+    def white_power(self, blocks: slice) -> FloatArray | None:
+        """Return the mean white noise of the used blocks relative to that at rest, shape (3,)."""
+        used = self.used[blocks]
+        if self.relative_variance is None or not used.any():
+            return None
+        return np.asarray(self.relative_variance[blocks][used].mean(axis=0))
+
+
+def noise_periodograms(
+    segments: Sequence[ResidualSegment], rate_hz: float
+) -> tuple[list[Periodogram], str]:
+    """Return the residual's periodograms, and a description of the part of the recording they use.
+
+    Args:
+        segments: of one recording.
+        rate_hz: of the block means.
+    """
+    whole_periodograms = [
+        Periodogram.of(
+            segment.residual[blocks],
+            rate_hz,
+            float(np.mean(segment.used)),
+            segment.white_power(blocks),
+        )
+        for segment in segments
+        for blocks in segment.parts
+    ]
+    shortest = max(MIN_SPECTRUM_BLOCKS, round(MIN_REST_S * rate_hz))
+    rests = [
+        segment.residual[run]
+        for segment in segments
+        for run in _runs(
+            segment.used & ~_extend_after(segment.moving, round(SETTLING_TIME_S * rate_hz)),
+            shortest,
+        )
+    ]
+    rest_s = sum(rest.shape[0] for rest in rests) / rate_hz
+    if rest_s < MIN_TOTAL_REST_S or not any(segment.moving.any() for segment in segments):
+        return whole_periodograms, "spectrum of the residual, whole recording"
+    split_hz = MIN_PERIODS * rate_hz / shortest
+    rest_periodograms = [Periodogram.of(rest, rate_hz).band(split_hz, np.inf) for rest in rests]
+    low_periodograms = [piece.band(0.0, split_hz) for piece in whole_periodograms]
+    description = (
+        f"spectrum: {rest_s:.0f} s of rests above {split_hz:.1f} Hz, whole recording below"
+    )
+    return [*low_periodograms, *rest_periodograms], description
+
+
+def _runs(mask: BoolArray, min_length: int) -> list[slice]:
+    """Return where a mask holds for at least `min_length` rows; long runs in parts."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    runs = []
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        for first in range(begin, end, PART_BLOCKS):
+            last = min(end, first + PART_BLOCKS)
+            if last - first >= min_length:
+                runs.append(slice(first, first + fast_dct_length(last - first)))
+    return runs
+
+
+def _extend_after(moving: BoolArray, extra_rows: int) -> BoolArray:
+    extended = np.convolve(moving, np.ones(extra_rows + 1))[: moving.size]
+    return np.asarray(extended > 0.5, dtype=np.bool_)

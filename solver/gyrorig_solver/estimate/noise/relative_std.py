@@ -1,0 +1,59 @@
+"""The relative standard deviation of noise that is larger in motion, in the whitening.
+
+A signal is whitened by the stationary noise at rest first, and divided by the relative standard
+deviation of the noise at its time then. For white noise this is exact. Slow noise (flicker, random
+walk) is removed by the stationary whitening, so that it stays the same at rest and in motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import dct, idct
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativeStd:
+    """The standard deviation of one part's noise, relative to that at rest.
+
+    The constants of a series with several parts are weighted together. They are kept as they are.
+    """
+
+    values: FloatArray  # (3, n)
+    keeps_constant: bool  # the series has several parts
+
+    def divide_spectra(self, spectra: FloatArray, axis: int | IntArray | None = None) -> FloatArray:
+        """Return white spectra after their signals are divided.
+
+        Args:
+            spectra: shape (k, n) of one sensor axis, or (..., 3, n).
+            axis: the sensor axis, of all rows or of each; None for all three.
+        """
+        return self._scale(spectra, 1.0 / (self.values if axis is None else self.values[axis]))
+
+    def multiply_spectra(self, spectra: FloatArray) -> FloatArray:
+        """Return the inverse of `divide_spectra` for all axes, shape (..., 3, n)."""
+        return self._scale(spectra, self.values)
+
+    def _scale(self, spectra: FloatArray, factor: FloatArray) -> FloatArray:
+        work = spectra
+        if self.keeps_constant:
+            work = spectra.copy()
+            work[..., 0] = 0.0
+        scaled = orthonormal_dct(idct(work, axis=-1, norm="ortho") * factor)
+        if self.keeps_constant:
+            scaled[..., 0] = spectra[..., 0]
+        return scaled
+
+
+def mean_white_power(parts: Sequence[RelativeStd | None]) -> FloatArray | None:
+    """Return the mean variance of a series' noise relative to that at rest, (3,); None: 1."""
+    means = [np.mean(part.values**2, axis=1) for part in parts if part is not None]
+    return np.mean(means, axis=0) if means else None
+
+
+def orthonormal_dct(signals: FloatArray) -> FloatArray:
+    """Return the orthonormal DCT along the last axis."""
+    return np.asarray(dct(signals, axis=-1, norm="ortho"), dtype=np.float64)

@@ -1,0 +1,189 @@
+"""The whitened Jacobian of a fit, and the prior information about its unknowns.
+
+What to use when: `nuisance_basis` for the space that a fit can absorb; `nuisance_projector` removes
+it from signals.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.fft import idct
+from scipy.sparse import block_diag, csc_array, csr_array
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.estimate.cascade import fitted_derivatives
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
+from gyrorig_solver.estimate.noise.whitening import PartModel
+from gyrorig_solver.estimate.observability import PRIOR_STD
+from gyrorig_solver.estimate.series_segment import SeriesSegment
+from gyrorig_solver.model.signal_state import SignalState
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NuisancePrior:
+    """The prior of all unknowns of a fit: local ones, and the others."""
+
+    local: csc_array
+    cross: FloatArray
+    shared: FloatArray
+    local_score: FloatArray
+    shared_score: FloatArray
+    first_term: int  # position of the causes among the shared unknowns
+    board_parameters: int  # number of the board's own: G, b, tau, causes
+    motion_offset: FloatArray = field(
+        default_factory=lambda: np.zeros(0)
+    )  # of a motion's unknowns:
+    # prior mean minus current value
+
+
+def nuisance_basis(
+    solution: ConvergedFit, segments: Sequence[SeriesSegment], fitted_terms: Sequence[FittedTerm]
+) -> tuple[FloatArray, csr_array, NuisancePrior]:
+    """Return the whitened derivatives of a fit, and the prior of its unknowns.
+
+    In the order G, each recording's (b, tau), the causes, each reference's shared unknowns.
+    """
+    session_count = len(solution.sessions)
+    term_values = sum(fitted_term.free_indices.size for fitted_term in fitted_terms)
+    board_parameters = GAIN_PARAMETERS + SESSION_PARAMETERS * session_count + term_values
+    informations = [session.reference.information for session in solution.sessions]
+    shared_first = board_parameters + np.cumsum([0, *(k.size[1] for k in informations)])
+    local_first = np.cumsum([0, *(k.size[0] for k in informations)])
+    lengths = [3 * sum(u.size for u in segment.used) for segment in segments]
+    starts = np.cumsum([0, *lengths])
+    basis = np.zeros((int(shared_first[-1]), int(starts[-1])))
+    rows, columns, values = [], [], []
+    for segment, start in zip(segments, starts[:-1], strict=True):
+        session_first = GAIN_PARAMETERS + SESSION_PARAMETERS * segment.session_index
+        shared_count = segment.models[0].columns.shared.shape[0]
+        terms_first = GAIN_PARAMETERS + SESSION_PARAMETERS * session_count
+        base_rows = [
+            *range(GAIN_PARAMETERS),
+            *range(session_first, session_first + SESSION_PARAMETERS),
+            *range(terms_first, terms_first + term_values),
+            *range(
+                int(shared_first[segment.session_index]),
+                int(shared_first[segment.session_index]) + shared_count,
+            ),
+        ]
+        parts = [
+            _part_derivatives(model, state, solution.gain, fitted_terms)
+            for model, state in zip(segment.models, segment.exact_states, strict=True)
+        ]
+        column, row_of_signal = int(start), np.array(base_rows)
+        for channel in segment.whiten(parts):
+            stop = column + channel.rows.shape[1]
+            basis[row_of_signal[channel.signal_index], column:stop] = channel.rows
+            column = stop
+        for entries in _local_derivatives(segment, solution.gain, int(start)):
+            rows.append(entries[0] + local_first[segment.session_index])
+            columns.append(entries[1])
+            values.append(entries[2])
+    shape = (int(local_first[-1]), int(starts[-1]))
+    triple = (
+        np.concatenate(values or [np.zeros(0)]),
+        (
+            np.concatenate(rows or [np.zeros(0, np.int64)]),
+            np.concatenate(columns or [np.zeros(0, np.int64)]),
+        ),
+    )
+    local = csr_array(triple, shape=shape)
+    return (
+        basis,
+        local,
+        _prior_information(solution, fitted_terms, board_parameters, shared_first, local_first),
+    )
+
+
+def _prior_information(
+    solution: ConvergedFit,
+    fitted_terms: Sequence[FittedTerm],
+    board_parameters: int,
+    shared_first: IntArray,
+    local_first: IntArray,
+) -> NuisancePrior:
+    size = int(shared_first[-1])
+    shared, cross = np.zeros((size, size)), np.zeros((int(local_first[-1]), size))
+    local_score, shared_score = np.zeros(int(local_first[-1])), np.zeros(size)
+    # Unobservable parameters keep their prior; otherwise causes along them look identifiable.
+    session_std = [PRIOR_STD["bias"]] * 3 + [PRIOR_STD["time_offset"]]
+    std = [PRIOR_STD["gain"]] * GAIN_PARAMETERS + session_std * len(solution.sessions)
+    std += [float(v) for fitted_term in fitted_terms for v in fitted_term.prior_std]
+    shared[np.arange(board_parameters), np.arange(board_parameters)] = np.array(std) ** -2.0
+    first = GAIN_PARAMETERS + SESSION_PARAMETERS * len(solution.sessions)
+    for fitted_term in fitted_terms:
+        term_slice = slice(first, first + fitted_term.free_indices.size)
+        if fitted_term.other_boards_prior is not None:
+            shared[term_slice, term_slice] += fitted_term.other_boards_prior.information
+            shared_score[term_slice] += fitted_term.other_boards_prior.score(
+                fitted_term.values[fitted_term.free_indices]
+            )
+        first = term_slice.stop
+    local_blocks = []
+    pull_and_local_count = [
+        (fitted_term.reference.prior_offset, fitted_term.reference.information.size[0])
+        for fitted_term in solution.sessions
+    ]
+    motion_offset = np.concatenate(
+        [*(p[:m] for p, m in pull_and_local_count), *(p[m:] for p, m in pull_and_local_count)]
+    )
+    for k, session in enumerate(solution.sessions):
+        information = session.reference.information
+        pull = information.multiply(session.reference.prior_offset)
+        shared_slice = slice(int(shared_first[k]), int(shared_first[k + 1]))
+        local_slice = slice(int(local_first[k]), int(local_first[k + 1]))
+        local_blocks.append(information.local)
+        cross[local_slice, shared_slice], shared[shared_slice, shared_slice] = (
+            information.cross,
+            information.shared,
+        )
+        local_score[local_slice] = pull[: information.size[0]]
+        shared_score[shared_slice] = pull[information.size[0] :]
+    nonempty_blocks = [fitted_term for fitted_term in local_blocks if fitted_term.shape[0]]
+    local = (
+        csc_array(block_diag(nonempty_blocks, format="csc"))
+        if nonempty_blocks
+        else csc_array((0, 0))
+    )
+    first = GAIN_PARAMETERS + SESSION_PARAMETERS * len(solution.sessions)
+    return NuisancePrior(
+        local, cross, shared, local_score, shared_score, first, board_parameters, motion_offset
+    )
+
+
+def _part_derivatives(
+    model: PartModel, state: SignalState, gain: FloatArray, fitted_terms: Sequence[FittedTerm]
+) -> FloatArray:
+    """Return a part's derivatives by all but local unknowns, sensor frame, (q, n, 3)."""
+    cause_derivatives = fitted_derivatives(fitted_terms, state)
+    return np.concatenate(
+        [model.base_derivatives(gain), cause_derivatives, model.shared_derivatives(gain)]
+    )
+
+
+def _local_derivatives(
+    segment: SeriesSegment, gain: FloatArray, start: int
+) -> list[tuple[IntArray, IntArray, FloatArray]]:
+    """Return rows, columns and values of a segment's local derivatives, whitened."""
+    entries = []
+    for model in segment.models:
+        packed, n = model.columns.packed, model.used.size
+        if packed.count:
+            std = np.sqrt(segment.noise.dct_variance(n))
+            signals = idct(
+                model.packed_spectra_at(gain) / std.T[:, None, :],
+                axis=-1,
+                norm="ortho",
+            )
+            if model.relative_std is not None:
+                signals = signals / model.relative_std.values[:, None]
+            for k in range(packed.count):
+                a, b = int(packed.first_interval[k]), int(packed.stop_interval[k])
+                values = signals[:, packed.row[k], a:b] * packed.scale[k]
+                columns = start + np.arange(3)[:, None] * n + np.arange(a, b)
+                rows = np.full(values.size, packed.unknown_index[k], dtype=np.int64)
+                entries.append((rows, columns.ravel(), values.ravel()))
+        start += 3 * n
+    return entries

@@ -1,0 +1,409 @@
+"""Score tests with all nuisance parameters projected out.
+
+All signals of a board's recordings are concatenated and whitened. The projector removes the part
+that gain, biases, time offsets, the references' unknowns and the fitted causes can absorb, each
+within its prior. The remaining energy of a signal is the information that it adds; its product with
+the residual is its score.
+
+What to use when: `NuisanceProjector.at_fit` at a fit; `whiten` for signals, `score_statistics` for
+their information and score.
+
+Source: score (Lagrange multiplier) test with nuisances eliminated; Rao, Linear Statistical
+Inference, 6e.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.fft import dct, idct
+from scipy.sparse import csc_array, csr_array
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.estimate.cascade import (
+    TermCascade,
+    effect_of_removing,
+)
+from gyrorig_solver.estimate.channel_derivatives import ChannelDerivatives
+from gyrorig_solver.estimate.fit_segments import build_segments, remaining_terms
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel
+from gyrorig_solver.estimate.nuisance_basis import NuisancePrior, nuisance_basis
+from gyrorig_solver.estimate.series_segment import SeriesSegment, SignalWhitener
+from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
+from gyrorig_solver.model.recording_scope import term_label
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Term
+from gyrorig_solver.numerics.arrowhead import factorise_sparse
+
+HELD_OUT_PRIOR_SHARE = 0.01  # of a cause's information: the weight of its prior on held-out data
+
+SignalFunction = Callable[[SignalState], FloatArray]  # to (k, blocks, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoreStatistics:
+    """Information and score of signals, orthogonal to the nuisance space."""
+
+    information: FloatArray  # (k, k), orthogonal to the nuisance space
+    score: FloatArray  # (k,), of the residual
+    energy: FloatArray  # (k,), before the projection
+    absorbed: FloatArray  # (k, q), bias of the board's parameters per unit of each signal
+
+    def subset(self, positions: Sequence[int] | IntArray) -> "ScoreStatistics":
+        """Return the statistics of a subset of the signals."""
+        index = np.asarray(positions)
+        if index.size == 1:
+            single = slice(int(index[0]), int(index[0]) + 1)
+            return ScoreStatistics(
+                self.information[single, single],
+                self.score[single],
+                self.energy[single],
+                self.absorbed[single],
+            )
+        return ScoreStatistics(
+            self.information[np.ix_(index, index)],
+            self.score[index],
+            self.energy[index],
+            self.absorbed[index],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedModel:
+    """The model of a fit without some of its causes."""
+
+    rows: IntArray  # the unknowns that remain, local ones excluded
+    residual: FloatArray  # (all,), whitened, with the effect of the removed causes
+
+
+class NuisanceProjector:
+    """The projection orthogonal to a fit's nuisance space; see the module."""
+
+    def __init__(
+        self,
+        segments: Sequence[SeriesSegment],
+        fitted_terms: Sequence[FittedTerm],
+        basis: FloatArray,
+        local: csr_array,
+        prior: NuisancePrior,
+        active_terms: Sequence[FittedTerm] = (),
+    ) -> None:
+        """Use `at_fit` instead; `active_terms` have their effect removed from the residual."""
+        self.segments, self.fitted_terms = tuple(segments), tuple(fitted_terms)
+        residual = self.whiten(
+            [[residual[None] for residual in segment.residuals] for segment in segments]
+        )
+        self.residual = residual.dense()[0]
+        self._basis, self._local, self._prior = basis, local, prior
+        self.channel_lengths = tuple(channel.rows.shape[1] for channel in residual.channels)
+        self._derivatives = ChannelDerivatives.split(
+            basis, csc_array(local), self.residual, self.channel_lengths
+        )
+        products = self._derivatives.own_products()
+        self._solve_local = factorise_sparse(csc_array((products.local + prior.local).tocsc()))
+        self._cross = products.cross + prior.cross
+        self._back_substitution = self._solve_local(self._cross)
+        shared = products.shared + prior.shared
+        shared_information = shared - self._cross.T @ self._back_substitution
+        self._inverse = np.linalg.pinv(shared_information, hermitian=True)
+        # An event in held-out data cannot be fitted to the other data: a prior keeps its value.
+        self._held_out_prior = np.zeros(basis.shape[0])
+        self._held_out_prior[prior.first_term : prior.board_parameters] = (
+            HELD_OUT_PRIOR_SHARE
+            * np.diag(shared_information)[prior.first_term : prior.board_parameters]
+        )
+        self._local_score = products.local_score + prior.local_score
+        self._shared_score = products.shared_score + prior.shared_score
+        self.board_parameters = prior.board_parameters
+        self._cascades = [
+            [TermCascade(active_terms, state) for state in segment.states] for segment in segments
+        ]
+        self._exact_cascades = [
+            [TermCascade(active_terms, state) for state in segment.exact_states]
+            for segment in segments
+        ]
+        self._cached_term = ""
+        self.statistics_by_family: dict[str, ScoreStatistics] = {}
+
+    @classmethod
+    def at_fit(
+        cls,
+        solution: ConvergedFit,
+        followed_terms: Sequence[FittedTerm] | None = None,
+        restored_terms: Sequence[FittedTerm] = (),
+        noises: Sequence[NoiseModel] | None = None,
+    ) -> Self:
+        """Return the projector at a fit.
+
+        Args:
+            solution: the fit, with the state of its sessions.
+            followed_terms: causes that belong to the nuisance space; by default those of the fit.
+            restored_terms: causes of the fit whose effect is added back to the residual.
+            noises: of each recording; by default those of the fit.
+        """
+        followed = solution.fitted_terms if followed_terms is None else tuple(followed_terms)
+        active_terms = remaining_terms(solution, restored_terms)
+        segments = build_segments(solution, restored_terms, noises)
+        basis, local, prior = nuisance_basis(solution, segments, followed)
+        return cls(segments, followed, basis, local, prior, active_terms)
+
+    def drop_terms(self, removed: Sequence[int]) -> "ReducedModel":
+        """Return the fit's model without some of its causes; their effect is added back.
+
+        Args:
+            removed: numbers of causes among those of this projector.
+        """
+        rows = np.ones(self._basis.shape[0], dtype=np.bool_)
+        first = self._prior.first_term
+        for k, fitted_term in enumerate(self.fitted_terms):
+            rows[first : first + fitted_term.free_indices.size] = k not in removed
+            first += fitted_term.free_indices.size
+        if not removed:
+            return ReducedModel(np.flatnonzero(rows), self.residual)
+        removed_terms = [
+            fitted_term for k, fitted_term in enumerate(self.fitted_terms) if k in removed
+        ]
+
+        def restored_effect(state: SignalState) -> FloatArray:
+            return effect_of_removing(removed_terms, self.fitted_terms, state)[None]
+
+        return ReducedModel(
+            np.flatnonzero(rows),
+            self.residual + self.evaluate_signals(restored_effect, exact=True).dense()[0],
+        )
+
+    def held_out_residuals(self, windows: IntArray, models: Sequence["ReducedModel"]) -> FloatArray:
+        """Return each model's whitened residual on held-out data, (models, all).
+
+        Each window in turn is held out and everything else is fitted to the other windows. In the
+        held-out window only the motion's local unknowns are fitted, because they are not judged.
+
+        Args:
+            windows: the window of each whitened value, shape (all,).
+            models: from `drop_terms`.
+        """
+        residuals = np.zeros((len(models), self.residual.size))
+        for window in np.unique(windows):
+            inside = np.flatnonzero(windows == window)
+            outside = np.flatnonzero(windows != window)
+            step = self._fit_to_subset(outside, models)
+            basis, local = self._basis[:, inside], self._local[:, inside]
+            solve_local = factorise_sparse(csc_array((local @ local.T + self._prior.local).tocsc()))
+            window_residual = (
+                np.stack([reduced_model.residual[inside] for reduced_model in models])
+                - step.T @ basis
+            )
+            pull = (
+                local @ window_residual.T
+                + self._prior.local_score[:, None]
+                - self._prior.cross @ step
+            )
+            residuals[:, inside] = window_residual - (local.T @ solve_local(pull)).T
+        return residuals
+
+    def _fit_to_subset(self, subset: IntArray, models: Sequence["ReducedModel"]) -> FloatArray:
+        """Return the step of all but local unknowns that fits a subset best, (q, models)."""
+        basis, local = self._basis[:, subset], self._local[:, subset]
+        solve_local = factorise_sparse(csc_array((local @ local.T + self._prior.local).tocsc()))
+        cross = local @ basis.T + self._prior.cross
+        back_substitution = solve_local(cross)
+        information = (
+            basis @ basis.T
+            + self._prior.shared
+            - cross.T @ back_substitution
+            + np.diag(self._held_out_prior)
+        )
+        steps = np.zeros((basis.shape[0], len(models)))
+        for k, reduced_model in enumerate(models):
+            residual = reduced_model.residual[subset]
+            pull = local @ residual + self._prior.local_score
+            score = basis @ residual + self._prior.shared_score - back_substitution.T @ pull
+            inverse = np.linalg.pinv(
+                information[np.ix_(reduced_model.rows, reduced_model.rows)], hermitian=True
+            )
+            steps[reduced_model.rows, k] = inverse @ score[reduced_model.rows]
+        return steps
+
+    def unwhiten(self, white_signal: FloatArray, as_if_at_rest: bool = False) -> list[FloatArray]:
+        """Return a whitened signal (all,) as rates, (n, 3) per part; 0 where unused.
+
+        `as_if_at_rest`: scale noise in motion down to that at rest.
+        """
+        rates, start = [], 0
+        for segment in self.segments:
+            for used, model in zip(segment.used, segment.models, strict=True):
+                n = used.size
+                std = np.sqrt(segment.noise.dct_variance(n)).T
+                spectrum = dct(
+                    white_signal[start : start + 3 * n].reshape(3, n), axis=-1, norm="ortho"
+                )
+                if model.relative_std is not None and not as_if_at_rest:
+                    spectrum = model.relative_std.multiply_spectra(spectrum)
+                rate = idct(spectrum * std, axis=-1, norm="ortho").T
+                rates.append(np.where(used[:, None], rate, 0.0))
+                start += 3 * n
+        return rates
+
+    @property
+    def states(self) -> list[SignalState]:
+        """The signal states of all parts."""
+        return [state for segment in self.segments for state in segment.states]
+
+    def weighted_residual(self) -> list[FloatArray]:
+        """Return the residual times the inverse noise covariance, (n, 3) per part.
+
+        Its product with an unwhitened signal is the signal's score.
+        """
+        signals, start = [], 0
+        for segment in self.segments:
+            for used, model in zip(segment.used, segment.models, strict=True):
+                n = used.size
+                white = self.residual[start : start + 3 * n].reshape(3, n)
+                std = np.sqrt(segment.noise.dct_variance(n)).T
+                spectrum = dct(white, axis=-1, norm="ortho")
+                if model.relative_std is not None:
+                    spectrum = model.relative_std.divide_spectra(spectrum)
+                spectrum = spectrum / std
+                signal = idct(spectrum, axis=-1, norm="ortho").T
+                signals.append(np.where(used[:, None], signal, 0.0))
+                start += 3 * n
+        return signals
+
+    def whiten(self, signals: Sequence[Sequence[FloatArray]]) -> WhitenedSignals:
+        """Return signals (k, n, 3) of each part of each series, whitened."""
+        channels = [
+            channel
+            for segment, parts in zip(self.segments, signals, strict=True)
+            for channel in segment.whiten(parts)
+        ]
+        return WhitenedSignals(len(signals[0][0]), tuple(channels))
+
+    def evaluate_signals(
+        self, function: SignalFunction, exact: bool = False, term: Term | None = None
+    ) -> WhitenedSignals:
+        """Evaluate a function of each state, (k, blocks, 3), and whiten it.
+
+        Args:
+            function: the function.
+            exact: use the states on the samples' own grid.
+            term: use the states at this term's input, with the earlier causes of the fit applied;
+                None: use the states without causes.
+        """
+        return self.whiten(self._signals_of(function, exact, term))
+
+    def evaluate_together(
+        self, functions: Sequence[SignalFunction], count: int, term: Term | None = None
+    ) -> WhitenedSignals:
+        """Return `count` signals of several functions, one after the other, whitened."""
+        whiteners = [SignalWhitener(segment, count) for segment in self.segments]
+        for function in functions:
+            for whitener, parts in zip(
+                whiteners, self._signals_of(function, False, term), strict=True
+            ):
+                whitener.add(parts)
+        channels = (channel for whitener in whiteners for channel in whitener.finish())
+        return WhitenedSignals(count, tuple(channels))
+
+    def _signals_of(
+        self, function: SignalFunction, exact: bool, term: Term | None
+    ) -> list[list[FloatArray]]:
+        """Return the signals of each part of each series."""
+        if term is None:
+            return [
+                [function(state) for state in (segment.exact_states if exact else segment.states)]
+                for segment in self.segments
+            ]
+        return [
+            [
+                cascade.apply_pass_through(term, function(cascade.state_before(term)))
+                for cascade in part
+            ]
+            for part in self._cascades_of(term, exact)
+        ]
+
+    def term_derivatives(
+        self, term: Term, values: FloatArray, free: IntArray | Sequence[int]
+    ) -> WhitenedSignals:
+        """Return a term's derivatives and, last, its joint effect, whitened and exact.
+
+        Args:
+            term: the cause.
+            values: of all its parameters, (k,).
+            free: indices of the values for the derivatives.
+        """
+        segments = []
+        for part in self._cascades_of(term, exact=True):
+            signals = []
+            for cascade in part:
+                columns = cascade.apply_pass_through(
+                    term, term.jacobian(cascade.state_before(term), values)[free]
+                )
+                signals.append(np.concatenate([columns, cascade.joint_effect(term, values)[None]]))
+            segments.append(signals)
+        return self.whiten(segments)
+
+    def _cascades_of(self, term: Term, exact: bool) -> list[list[TermCascade]]:
+        """Return the cascades of each part; exact ones keep the states of one term only."""
+        if exact and self._cached_term != term_label(term):
+            for cascade in (cascade for part in self._exact_cascades for cascade in part):
+                cascade.clear_cache()
+            self._cached_term = term_label(term)
+        return self._exact_cascades if exact else self._cascades
+
+    def score_statistics(self, signals: WhitenedSignals) -> ScoreStatistics:
+        """Return information and score of whitened signals."""
+        products = self._derivatives.multiply(signals)
+        shared_step = self._inverse @ (products.shared - self._back_substitution.T @ products.local)
+        local_step = self._solve_local(products.local) - self._back_substitution @ shared_step
+        return ScoreStatistics(
+            products.gram - products.local.T @ local_step - products.shared.T @ shared_step,
+            products.residual
+            - local_step.T @ self._local_score
+            - shared_step.T @ self._shared_score,
+            np.diag(products.gram).copy(),
+            shared_step[: self.board_parameters].T,
+        )
+
+    def normal_blocks(self) -> "NormalBlocks":
+        """Return the blocks of which the projector is made."""
+        board, prior = self.board_parameters, self._prior
+        motion_cross = prior.cross[:, board:]
+        return NormalBlocks(
+            board_derivatives=self._basis[:board],
+            board_prior_information=prior.shared[:board, :board],
+            board_prior_score=prior.shared_score[:board],
+            local_derivatives=self._local,
+            shared_derivatives=self._basis[board:],
+            motion_prior_information=np.block(
+                [
+                    [prior.local.toarray(), motion_cross],
+                    [motion_cross.T, prior.shared[board:, board:]],
+                ]
+            ),
+            motion_prior_offset=prior.motion_offset,
+        )
+
+    def orthogonal_component(self, white_signal: FloatArray) -> FloatArray:
+        """Return the part of one whitened signal that the fit cannot absorb, (all,)."""
+        local_products, basis_products = self._local @ white_signal, self._basis @ white_signal
+        shared_step = self._inverse @ (basis_products - self._back_substitution.T @ local_products)
+        local_step = self._solve_local(local_products) - self._back_substitution @ shared_step
+        return np.asarray(
+            white_signal - self._local.T @ local_step - self._basis.T @ shared_step, np.float64
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalBlocks:
+    """The whitened derivatives and the priors of a projector's unknowns."""
+
+    board_derivatives: FloatArray  # (board, all), by G, each (b, tau), causes
+    board_prior_information: FloatArray  # (board, board), information
+    board_prior_score: FloatArray  # (board,), score
+    local_derivatives: csr_array  # (m, all), by the motion's local unknowns
+    shared_derivatives: FloatArray  # (g, all), by its shared ones
+    motion_prior_information: FloatArray  # (m + g, m + g), information
+    motion_prior_offset: FloatArray  # (m + g,), prior mean minus current value

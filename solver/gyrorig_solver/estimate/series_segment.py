@@ -1,0 +1,136 @@
+"""The state of one series of one recording at a fit, and whitening of signals on it.
+
+What to use when: `SeriesSegment.whiten` for signals in units of the noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.fft import dct, idct
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, dct_frequencies_hz
+from gyrorig_solver.estimate.noise.relative_std import mean_white_power
+from gyrorig_solver.estimate.noise.whitening import PartModel
+from gyrorig_solver.estimate.whitened_signals import ChannelRows
+from gyrorig_solver.model.signal_state import SignalState
+
+ROWS_PER_BATCH = 8  # that a cache holds
+SAMPLES_LOOKED_AT = 64  # that show that a signal is not zero
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesSegment:
+    """One series of one recording, with the state of its parts at a fit."""
+
+    session_index: int
+    used: tuple[BoolArray, ...]  # of each part
+    states: tuple[SignalState, ...]
+    exact_states: tuple[SignalState, ...]  # the same on the grid of the samples
+    models: tuple[PartModel, ...]
+    residuals: tuple[FloatArray, ...]  # (n, 3) each
+    noise: NoiseModel
+
+    def whiten(self, parts: Sequence[FloatArray]) -> tuple[ChannelRows, ...]:
+        """Return signals (k, n, 3) of each part in units of the noise, by part and axis."""
+        whitener = SignalWhitener(self, len(parts[0]))
+        whitener.add(parts)
+        return whitener.finish()
+
+    def whiten_rows(self, axis: int, parts: Sequence[FloatArray]) -> None:
+        """Replace signals of one axis, (r, n) of each part, by those in units of the noise."""
+        constants = []
+        for rows, weight in zip(parts, self._weights, strict=True):
+            spectrum = dct(rows, axis=-1, norm="ortho", overwrite_x=True)
+            constants.append(spectrum[:, 0].copy())
+            np.multiply(spectrum, weight[axis], out=rows)
+        if len(parts) > 1:
+            # The parts of a long series share its lowest frequencies; see `normal_equations`.
+            blocks = sum(used.size for used in self.used)
+            rate_hz = self.noise.sampling.rate_hz
+            density = self.noise.density_with(
+                dct_frequencies_hz(blocks, rate_hz)[: len(parts)],
+                mean_white_power([model.relative_std for model in self.models]),
+            )
+            scaled_constants = dct(np.stack(constants, axis=-1), axis=-1, norm="ortho")
+            scaled_constants /= np.sqrt(density[:, axis] * rate_hz / 2.0)
+            for k, rows in enumerate(parts):
+                rows[:, 0] = scaled_constants[:, k]
+        for rows, model in zip(parts, self.models, strict=True):
+            if model.relative_std is not None:
+                rows[...] = model.relative_std.divide_spectra(rows, axis)
+            white = idct(rows, axis=-1, norm="ortho", overwrite_x=True)
+            if not np.may_share_memory(white, rows):
+                rows[...] = white
+
+    @cached_property
+    def unused(self) -> tuple[IntArray, ...]:
+        """The blocks of each part that are not used."""
+        return tuple(np.flatnonzero(~used) for used in self.used)
+
+    @cached_property
+    def _weights(self) -> tuple[FloatArray, ...]:
+        """One over the standard deviation of each part's coefficients, (3, n) each."""
+        return tuple(
+            np.ascontiguousarray(self.noise.dct_variance(used.size).T) ** -0.5 for used in self.used
+        )
+
+
+class SignalWhitener:
+    """Whitens signals of a segment that come one after the other, some rows at a time."""
+
+    def __init__(self, segment: SeriesSegment, capacity: int) -> None:
+        """Make room for as many signals as `capacity`."""
+        self._segment, self._count = segment, 0
+        self._rows = [[np.empty((capacity, used.size)) for used in segment.used] for _ in range(3)]
+        self._index: list[list[int]] = [[], [], []]
+        self._finished = [0, 0, 0]  # rows that are whitened
+
+    def add(self, parts: Sequence[FloatArray]) -> None:
+        """Add signals (k, n, 3) of each part."""
+        acts = np.any(
+            [
+                _acting_axes(part, used)
+                for part, used in zip(parts, self._segment.used, strict=True)
+            ],
+            axis=0,
+        )
+        for k, axis in np.argwhere(acts):
+            row = len(self._index[axis])
+            self._index[axis].append(self._count + int(k))
+            for part, unused, rows in zip(
+                parts, self._segment.unused, self._rows[axis], strict=True
+            ):
+                rows[row] = part[k, :, axis]
+                rows[row, unused] = 0.0
+            if row + 1 - self._finished[axis] == ROWS_PER_BATCH:
+                self._whiten_rows(axis)
+        self._count += len(parts[0])
+
+    def finish(self) -> tuple[ChannelRows, ...]:
+        """Return all signals, by part and axis."""
+        for axis in range(3):
+            self._whiten_rows(axis)
+        return tuple(
+            ChannelRows(np.array(self._index[axis], np.int64), rows[part][: len(self._index[axis])])
+            for part in range(len(self._segment.used))
+            for axis, rows in enumerate(self._rows)
+        )
+
+    def _whiten_rows(self, axis: int) -> None:
+        batch = slice(self._finished[axis], len(self._index[axis]))
+        if batch.start < batch.stop:
+            self._segment.whiten_rows(axis, [rows[batch] for rows in self._rows[axis]])
+            self._finished[axis] = batch.stop
+
+
+def _acting_axes(signals: FloatArray, used: BoolArray) -> BoolArray:
+    """Return which axes of which signals (k, n, 3) are not zero everywhere, (k, 3)."""
+    some: BoolArray = np.asarray(
+        signals[:, :: max(1, used.size // SAMPLES_LOOKED_AT)].any(axis=1), dtype=np.bool_
+    )
+    for k, axis in np.argwhere(~some):
+        some[k, axis] = bool((signals[k, :, axis] != 0.0)[used].any())
+    return some

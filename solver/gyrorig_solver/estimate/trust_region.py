@@ -1,0 +1,218 @@
+"""Trust-region iteration for the fits: Levenberg-Marquardt with a gain ratio.
+
+A problem proposes a step from its quadratic model and evaluates its objective (negative
+log-likelihood plus priors, at fixed noise) after the step. The gain ratio is the actual decrease
+divided by the predicted one. A step with a poor ratio is rejected and tried again with new
+derivatives or with more damping. Without damping the step is the full Gauss-Newton step.
+
+What to use when: `minimise` for a fit that implements `TrustRegionProblem`.
+
+Source: Levenberg-Marquardt after More, The Levenberg-Marquardt Algorithm (1978); gain ratio after
+Conn, Gould and Toint, Trust Region Methods, chapter 6.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data.arrays import FloatArray
+
+CONVERGED_SIGMA = 1e-2  # of the last step
+STEP_SHRINKAGE = 0.1  # after a step that shrank by this factor the next one is negligible
+NEGLIGIBLE_NATS = 1e-3  # of predicted decrease
+INSIGNIFICANT_NATS = 3.0  # of predicted decrease: a step of two standard deviations or less
+MAX_INCREASE_NATS = 20.0  # of the objective by all steps with insignificant predicted decreases
+LATE_EVALUATIONS = 20  # later, such a step may not increase the objective by more than it promises
+MIN_GAIN_RATIO = 0.05  # a step with a lower ratio is rejected
+REFRESH_GAIN_RATIO = 0.25  # a step with a lower ratio renews the derivatives
+GOOD_GAIN_RATIO = 0.75  # a step with a higher ratio reduces the damping
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-2, 1e-4, 1e6  # of the diagonal of the information
+DAMPING_FACTOR = 10.0
+# Small steps in one direction that shrink slowly are extrapolated (Aitken) after this many.
+PLAIN_EVALUATIONS = 12
+MIN_SHRINKAGE, MAX_SHRINKAGE, MIN_COSINE = 0.3, 0.95, 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProposedStep:
+    """A step with the decrease that the quadratic model predicts for it."""
+
+    step: FloatArray  # (p,), of the parameters
+    nuisance_steps: tuple[FloatArray, ...]  # of the unknowns of each recording's reference
+    predicted_decrease: float  # nats
+    sigmas: FloatArray  # (p,), the step in standard deviations
+
+    @property
+    def size_sigma(self) -> float:
+        """The largest change of a parameter in standard deviations."""
+        return float(np.max(np.abs(self.sigmas), initial=0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Convergence:
+    """How an iteration ended."""
+
+    converged: bool
+    evaluations: int  # of the objective
+    remaining_nats: float  # decrease that one more full step would bring, as predicted
+    moving: str = ""  # parameter with the largest last step; empty after convergence
+    moving_sigma: float = 0.0  # that step in standard deviations
+
+    @property
+    def reason(self) -> str:
+        """One clause on a fit that did not converge."""
+        return (
+            f"the fit did not converge in {self.evaluations} steps, and {self.moving} still moves "
+            f"by {self.moving_sigma:.2g} standard deviations"
+        )
+
+
+class NotConvergedError(InputError):
+    """A fit to a recording did not converge, so it has no result.
+
+    Attributes:
+        moving: the parameter that still moves.
+    """
+
+    def __init__(self, convergence: Convergence, remedy: str) -> None:
+        """State the parameter that still moves, and the remedy."""
+        super().__init__(convergence.reason, remedy)
+        self.moving = convergence.moving
+
+
+class TrustRegionProblem(Protocol):
+    """A fit that `minimise` can iterate."""
+
+    @property
+    def parameter_names(self) -> Sequence[str]:
+        """The name of each parameter of a step."""
+        ...
+
+    def propose(self, damping: float) -> ProposedStep:
+        """Return the step at the current values; damping 0 gives the full step."""
+        ...
+
+    def evaluate(self, proposal: ProposedStep) -> float:
+        """Return the decrease of the objective after a step, nats, and keep the trial values."""
+        ...
+
+    def accept(self, new_derivatives: bool) -> None:
+        """Continue from the values that were evaluated last."""
+        ...
+
+    def renew_derivatives(self) -> bool:
+        """Compute new derivatives at the current values; return False if they are new."""
+        ...
+
+    def finish(self, proposal: ProposedStep) -> None:
+        """Take a last, negligible step without an evaluation."""
+        ...
+
+
+def minimise(
+    problem: TrustRegionProblem, max_evaluations: int, trust_shrinkage: bool = True
+) -> Convergence:
+    """Iterate until the predicted decrease is negligible and the last step was accepted.
+
+    Args:
+        problem: at its start values.
+        max_evaluations: limit on the evaluations of the objective.
+        trust_shrinkage: whether a step that shrank much is the last one, before it is small.
+    """
+    shrinkage_limit = STEP_SHRINKAGE if trust_shrinkage else 0.0
+    damping, previous_sigma, was_accepted = 0.0, np.inf, True
+    previous: ProposedStep | None = None
+    lost = 0.0  # increase of the objective since its lowest value, nats
+    full = problem.propose(0.0)
+    for evaluation in range(max_evaluations):
+        if was_accepted and _is_negligible(full, previous_sigma, shrinkage_limit):
+            problem.finish(full)
+            return Convergence(True, evaluation, full.predicted_decrease)
+        proposal = problem.propose(damping) if damping else full
+        is_plain = not damping and full.predicted_decrease < INSIGNIFICANT_NATS
+        if is_plain and previous is not None and evaluation >= PLAIN_EVALUATIONS:
+            proposal = _extrapolate(full, previous)
+        previous = full if is_plain and proposal is full else None
+        decrease = problem.evaluate(proposal)
+        allowed = MAX_INCREASE_NATS - lost if evaluation < LATE_EVALUATIONS else INSIGNIFICANT_NATS
+        ratio = _gain_ratio(decrease, proposal.predicted_decrease, allowed)
+        was_accepted = ratio >= MIN_GAIN_RATIO
+        if was_accepted:
+            lost = max(0.0, lost - decrease)
+            problem.accept(new_derivatives=ratio < REFRESH_GAIN_RATIO)
+            previous_sigma = full.size_sigma if proposal is full else np.inf
+            before, full = full.predicted_decrease, problem.propose(0.0)
+            if max(before, full.predicted_decrease) < INSIGNIFICANT_NATS:
+                ratio = 1.0 if full.predicted_decrease < before else 0.0  # the steps shrink or not
+            if ratio > GOOD_GAIN_RATIO:
+                damping = damping / DAMPING_FACTOR if damping > MIN_DAMPING else 0.0
+        if ratio < REFRESH_GAIN_RATIO:
+            if problem.renew_derivatives():
+                full = problem.propose(0.0)
+            else:
+                damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
+                if damping > MAX_DAMPING:
+                    return _not_converged(problem, full, evaluation + 1)
+    return _not_converged(problem, full, max_evaluations)
+
+
+def _is_negligible(full: ProposedStep, previous_sigma: float, shrinkage_limit: float) -> bool:
+    """Return whether a full step, and those that would follow, change nothing.
+
+    Successive steps shrink by a factor, and their predicted decreases by its square.
+    """
+    size = full.size_sigma
+    shrinkage = size / previous_sigma if 0.0 < previous_sigma < np.inf else 1.0
+    is_small = size < CONVERGED_SIGMA or (size < STEP_SHRINKAGE and shrinkage < shrinkage_limit)
+    remaining = full.predicted_decrease * min(1.0, shrinkage) ** 2
+    return is_small and remaining < NEGLIGIBLE_NATS
+
+
+def _extrapolate(full: ProposedStep, previous: ProposedStep) -> ProposedStep:
+    """Return the sum of all steps that would follow if they kept shrinking as the last two did.
+
+    Derivatives with small errors make the steps shrink by a constant factor.
+    """
+    length = float(np.linalg.norm(previous.sigmas))
+    shrinkage = float(full.sigmas @ previous.sigmas) / max(length, 1e-30) ** 2
+    cosine = shrinkage * length / max(float(np.linalg.norm(full.sigmas)), 1e-30)
+    if not (MIN_SHRINKAGE < shrinkage < MAX_SHRINKAGE and cosine > MIN_COSINE):
+        return full
+    factor = 1.0 / (1.0 - shrinkage)
+    return ProposedStep(
+        full.step * factor,
+        tuple(factor * step for step in full.nuisance_steps),
+        full.predicted_decrease,
+        full.sigmas * factor,
+    )
+
+
+def _gain_ratio(decrease: float, predicted: float, allowed_increase: float) -> float:
+    """Return the actual decrease divided by the predicted one; 1 if both are insignificant.
+
+    Derivatives have small errors, whose effect on the gradient grows with the misfit. Near the
+    optimum of a model that misses a cause, they hide the decrease that a step brings. Such a step
+    may increase the objective by less than `allowed_increase`. Late in a fit that is little: two
+    points that lead to each other would follow without an end.
+    """
+    if not np.isfinite(decrease):
+        return -np.inf
+    if predicted < INSIGNIFICANT_NATS:
+        return 1.0 if -decrease < allowed_increase else -np.inf
+    return decrease / predicted
+
+
+def _not_converged(
+    problem: TrustRegionProblem, full: ProposedStep, evaluations: int
+) -> Convergence:
+    largest = int(np.argmax(np.abs(full.sigmas)))
+    return Convergence(
+        False,
+        evaluations,
+        full.predicted_decrease,
+        problem.parameter_names[largest],
+        abs(float(full.sigmas[largest])),
+    )

@@ -1,0 +1,257 @@
+"""The fit of gain columns and bias to turns by known angles.
+
+What to use when: `fit_turns` for one board in one or more recordings with `turn` phases. Rests can
+be in the same recording or in another one of the same board.
+
+Theory of operation. The integral of y - b over a turn about an axis that is fixed in the stage
+frame is G times axis times angle, at any speed. Each turn therefore gives three linear equations in
+a column of G, and each rest three in b. Uncertain are the angle (as stated), the direction of the
+axis (a table edge is not a spindle: `AXIS_STD_RAD` unless stated otherwise, which tilts the column
+but does not change its length), and the bias during the turn. A turn has no information about the
+columns perpendicular to its axis.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
+from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.estimate.information import PARAMETER_NAMES
+from gyrorig_solver.estimate.observability import analyse_observability
+from gyrorig_solver.model.gain_matrix import cross_matrix
+from gyrorig_solver.numerics.distributions import chi2_quantile
+from gyrorig_solver.reference.known_turns import KnownTurn, TimeInterval, TurnReference
+
+# Difference between true and stated axis, per direction: a board held by hand
+# against the edge of a table (an assumption; a rate table is far better).
+AXIS_STD_RAD = float(np.radians(1.0))
+# Minimum change of the bias between rests of one session: the bias
+# instability of a consumer part over minutes (data sheets: 3 to 10 deg/h and more).
+MIN_BIAS_STD_RAD_S = float(np.radians(0.003))
+MAX_ITERATIONS = 4
+REASON_TEXTS = {
+    "x": "there is no turn about the stage's x axis; add one",
+    "y": "there is no turn about the stage's y axis; add one",
+    "z": "there is no turn about the stage's z axis; add one",
+    "bias": "there is no rest before, between or after the turns; add a recording at rest",
+    "time_offset": "the integral over a turn does not depend on it; use a moving reference",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _IntegratedTurn:
+    """One turn as the gyro measured it."""
+
+    turn: KnownTurn
+    integral: FloatArray  # (3,), rad, with the bias
+    span_s: float
+
+
+def fit_turns(
+    recordings: Sequence[tuple[GyroSamples, TurnReference]], axis_std_rad: float = AXIS_STD_RAD
+) -> GyroFit:
+    """Calibrate one board with known turns.
+
+    Args:
+        recordings: samples and phases of each recording of the board.
+        axis_std_rad: of the turns' axes, for each of the two perpendicular directions.
+
+    Returns:
+        The fit; columns of G without a turn are not given.
+
+    Raises:
+        InputError: there is no turn or no rest, or they have no samples.
+    """
+    integrated_turns = [
+        _integrate(samples, turn) for samples, reference in recordings for turn in reference.turns
+    ]
+    rests = [
+        _rest_mean(samples, interval)
+        for samples, reference in recordings
+        for interval in reference.rests
+    ]
+    if not integrated_turns:
+        raise InputError(
+            "no recording declares a turn by a known angle",
+            "add the axis and angle of a turn under `turns` in the import map, and import again",
+        )
+    if not rests:
+        raise InputError(
+            "the board never rests in these recordings, and its bias is estimated at rest",
+            "add a recording of this board at rest",
+        )
+    solver = _TurnSolver(integrated_turns, np.array(rests), axis_std_rad)
+    solver.run()
+    reduced_chi2, degrees_of_freedom = solver.reduced_chi2()
+    inflation = max(1.0, reduced_chi2) if degrees_of_freedom > 0 else 1.0
+    outcome = FitOutcome(
+        estimate=solver.estimate,
+        observability=analyse_observability(solver.information() / inflation, PARAMETER_NAMES),
+        reduced_chi2=reduced_chi2 if degrees_of_freedom > 0 else float("nan"),
+        chi2_limit=chi2_quantile(0.01, degrees_of_freedom) / degrees_of_freedom
+        if degrees_of_freedom > 0
+        else np.inf,
+        outliers=0,
+        rms_before_rad_s=solver.rms_rad_s(nominal=True),
+        rms_after_rad_s=solver.rms_rad_s(nominal=False),
+        reference=f"{len(integrated_turns)} turns by known angles, {len(rests)} rests",
+        reason_texts=REASON_TEXTS,
+        warnings=_warnings(
+            solver, integrated_turns[0].turn.std_rad, axis_std_rad, degrees_of_freedom > 0
+        ),
+    )
+    return build_gyro_fit(outcome, [samples for samples, _ in recordings])
+
+
+def _warnings(
+    solver: "_TurnSolver", std_rad: float, axis_std_rad: float, is_checked: bool
+) -> tuple[str, ...]:
+    text = (
+        f"the stated angles have an uncertainty of {np.degrees(std_rad):.2g} deg and the stated "
+        f"axes one of {np.degrees(axis_std_rad):.2g} deg, which limits the result"
+    )
+    text += "" if is_checked else "; the data cannot test them"
+    unseen_axes = "".join(
+        axis for axis, is_turned in zip("xyz", solver.axis_turned, strict=True) if not is_turned
+    )
+    if not unseen_axes:
+        return (text,)
+    return text, (
+        "the board did not turn about all axes. Scale factors and misalignment assume nominal "
+        f"values, within 0.1, for the columns without turns ({', '.join(unseen_axes)})"
+    )
+
+
+def _samples_in(samples: GyroSamples, interval: TimeInterval) -> FloatArray:
+    tolerance = 0.25 * samples.period_s
+    picked = (samples.time_s >= interval.begin_s - tolerance) & (
+        samples.time_s <= interval.end_s + tolerance
+    )
+    return np.flatnonzero(picked & samples.usable).astype(np.float64)
+
+
+def _integrate(samples: GyroSamples, turn: KnownTurn) -> _IntegratedTurn:
+    index = _samples_in(samples, turn.interval).astype(np.int64)
+    if index.size < 8:
+        raise InputError(
+            f"the turn at {turn.interval.begin_s:.1f} s has only {index.size} usable samples",
+            "correct the start and the end of its phase, or remove the phase",
+        )
+    if np.any(np.diff(samples.segment[index]) != 0):
+        raise InputError(
+            f"the board was reset during the turn at {turn.interval.begin_s:.1f} s",
+            "check its supply and its cable, and record the turn again",
+        )
+    time_s, rate = samples.time_s[index], samples.rate_rad_s[index]
+    # Half a period more at both ends: n samples represent n periods.
+    integral = np.trapezoid(rate, time_s, axis=0) + 0.5 * samples.period_s * (rate[0] + rate[-1])
+    return _IntegratedTurn(turn, integral, float(time_s[-1] - time_s[0]) + samples.period_s)
+
+
+def _rest_mean(samples: GyroSamples, interval: TimeInterval) -> FloatArray:
+    """Return the mean rate of a rest, without knocks."""
+    rate = samples.rate_rad_s[_samples_in(samples, interval).astype(np.int64)]
+    if len(rate) < 8:
+        raise InputError(
+            f"the static interval at {interval.begin_s:.1f} s has only {len(rate)} good samples, "
+            "and 8 are needed",
+            "make it longer, or remove it from the program or the import map",
+        )
+    median = np.median(rate, axis=0)
+    # Not the median absolute deviation, which is 0 if most samples have the same count.
+    low, high = np.percentile(rate, (5.0, 95.0), axis=0)
+    spread = (high - low) / 3.29 + samples.quantum_rad_s
+    inliers = np.all(np.abs(rate - median) < 6.0 * spread, axis=1)
+    return np.asarray(rate[inliers].mean(axis=0), dtype=np.float64)
+
+
+class _TurnSolver:
+    """Gauss-Newton over (G, b); only the weights depend on G, so it converges at once."""
+
+    def __init__(
+        self, integrated_turns: list[_IntegratedTurn], rests: FloatArray, axis_std_rad: float
+    ) -> None:
+        self._integrated_turns, self._rests = integrated_turns, rests
+        self._axis_std_rad = axis_std_rad
+        scatter = np.std(rests, axis=0, ddof=1) if len(rests) > 1 else np.zeros(3)
+        self._rest_std = np.maximum(scatter, MIN_BIAS_STD_RAD_S)
+        self._gain, self._bias = np.eye(3), rests.mean(axis=0)
+        axes = np.array([integrated.turn.axis for integrated in integrated_turns])
+        self.axis_turned = np.linalg.norm(axes, axis=0) > 0.1
+
+    @property
+    def estimate(self) -> FloatArray:
+        """G, b, and an unknown time offset, shape (13,)."""
+        return np.concatenate([self._gain.ravel(), self._bias, [0.0]])
+
+    def run(self) -> None:
+        """Solve, with the weights of the last gain."""
+        for _ in range(MAX_ITERATIONS):
+            information, score = self._normal_equations()
+            step = analyse_observability(information, PARAMETER_NAMES).pseudo_inverse @ score
+            self._gain = self._gain + step[:9].reshape(3, 3)
+            self._bias = self._bias + step[9:12]
+
+    def information(self) -> FloatArray:
+        """Return the information on `PARAMETER_NAMES`, shape (13, 13)."""
+        return self._normal_equations()[0]
+
+    def reduced_chi2(self) -> tuple[float, int]:
+        """Return the turns' reduced chi-square and its degrees of freedom."""
+        total = 0.0
+        for integrated in self._integrated_turns:
+            residual = self._residual(integrated)
+            total += float(residual @ np.linalg.solve(self._covariance(integrated), residual))
+        degrees_of_freedom = 3 * (len(self._integrated_turns) - int(self.axis_turned.sum()))
+        return (total / degrees_of_freedom if degrees_of_freedom > 0 else 1.0), degrees_of_freedom
+
+    def rms_rad_s(self, nominal: bool) -> float:
+        """Return the rms rate error over the turns, fitted or with the nominal gain."""
+        gain = np.eye(3) if nominal else self._gain
+        errors = [
+            (
+                integrated.integral
+                - self._bias * integrated.span_s
+                - gain @ integrated.turn.axis * integrated.turn.angle_rad
+            )
+            / integrated.span_s
+            for integrated in self._integrated_turns
+        ]
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+    def _residual(self, integrated: _IntegratedTurn) -> FloatArray:
+        predicted = self._gain @ integrated.turn.axis * integrated.turn.angle_rad
+        return np.asarray(
+            integrated.integral - self._bias * integrated.span_s - predicted, dtype=np.float64
+        )
+
+    def _covariance(self, integrated: _IntegratedTurn) -> FloatArray:
+        """Return the covariance of a turn's integral: angle, axis, bias."""
+        turn = integrated.turn
+        by_angle = self._gain @ turn.axis
+        by_axis = self._gain @ cross_matrix(turn.axis) * turn.angle_rad * self._axis_std_rad
+        drift = np.diag((self._rest_std * integrated.span_s) ** 2)
+        return np.asarray(
+            np.outer(by_angle, by_angle) * turn.std_rad**2 + by_axis @ by_axis.T + drift,
+            dtype=np.float64,
+        )
+
+    def _normal_equations(self) -> tuple[FloatArray, FloatArray]:
+        information, score = np.zeros((13, 13)), np.zeros(13)
+        for integrated in self._integrated_turns:
+            jacobian = np.zeros((3, 13))
+            for i in range(3):
+                jacobian[i, 3 * i : 3 * i + 3] = integrated.turn.axis * integrated.turn.angle_rad
+                jacobian[i, 9 + i] = integrated.span_s
+            weighted = np.linalg.solve(self._covariance(integrated), jacobian)
+            information += jacobian.T @ weighted
+            score += weighted.T @ self._residual(integrated)
+        for rest_rate in self._rests:
+            information[9:12, 9:12] += np.diag(self._rest_std**-2.0)
+            score[9:12] += (rest_rate - self._bias) / self._rest_std**2
+        return information, score

@@ -1,0 +1,89 @@
+"""Whitened signals by channel: only rows that are not zero.
+
+A channel is one sensor axis of one part of a series. Many causes act on one axis only, so that
+most of their rows would be zero.
+
+What to use when: `SeriesSegment.whiten` makes the rows, `WhitenedSignals` holds those of all
+channels; `join_signals` for more signals, `join_channels` for more channels.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelRows:
+    """The signals that act on one channel."""
+
+    signal_index: IntArray  # (r,), which of the signals, ascending
+    rows: FloatArray  # (r, n)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WhitenedSignals:
+    """Signals in units of the noise."""
+
+    count: int
+    channels: tuple[ChannelRows, ...]
+
+    @classmethod
+    def of_dense(cls, signals: FloatArray, lengths: Sequence[int]) -> Self:
+        """Return signals (k, all) as they are, with zeros; `lengths`: of each channel."""
+        every = np.arange(len(signals))
+        parts = np.split(signals, np.cumsum(lengths)[:-1], axis=1)
+        return cls(len(signals), tuple(ChannelRows(every, part) for part in parts))
+
+    @property
+    def size(self) -> int:
+        """The number of stored values."""
+        return sum(channel.rows.size for channel in self.channels)
+
+    def dense(self) -> FloatArray:
+        """Return all values, one channel after the other, (k, all)."""
+        signals = np.zeros((self.count, sum(channel.rows.shape[1] for channel in self.channels)))
+        first = 0
+        for channel in self.channels:
+            stop = first + channel.rows.shape[1]
+            signals[channel.signal_index, first:stop] = channel.rows
+            first = stop
+        return signals
+
+    def weighted_sum(self, sizes: FloatArray) -> FloatArray:
+        """Return the sum of the signals times sizes (k,), shape (all,)."""
+        return np.concatenate(
+            [sizes[channel.signal_index] @ channel.rows for channel in self.channels]
+        )
+
+    def subset(self, indices: IntArray) -> "WhitenedSignals":
+        """Return some of the signals; `indices` ascend."""
+        position = np.full(self.count, -1)
+        position[indices] = np.arange(indices.size)
+        channels = []
+        for channel in self.channels:
+            kept = position[channel.signal_index] >= 0
+            channels.append(ChannelRows(position[channel.signal_index[kept]], channel.rows[kept]))
+        return WhitenedSignals(indices.size, tuple(channels))
+
+
+def join_signals(groups: Sequence[WhitenedSignals]) -> WhitenedSignals:
+    """Return several groups of signals of the same channels, one after the other."""
+    if len(groups) == 1:
+        return groups[0]
+    first = np.cumsum([0, *(group.count for group in groups)])
+    channels = []
+    for channel_groups in zip(*(group.channels for group in groups), strict=True):
+        index = [part.signal_index + at for part, at in zip(channel_groups, first, strict=False)]
+        rows = [part.rows for part in channel_groups]
+        channels.append(ChannelRows(np.concatenate(index), np.concatenate(rows)))
+    return WhitenedSignals(int(first[-1]), tuple(channels))
+
+
+def join_channels(boards: Sequence[WhitenedSignals]) -> WhitenedSignals:
+    """Return the same signals on the channels of several boards."""
+    channels = tuple(channel for board in boards for channel in board.channels)
+    return WhitenedSignals(boards[0].count, channels)

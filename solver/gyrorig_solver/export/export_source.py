@@ -1,0 +1,164 @@
+"""The calibration as the input of an export, and the header lines of every export.
+
+What to use when: `ExportSource.of` once per calibration; the format modules take its result.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.apply.board_calibration import Calibration
+from gyrorig_solver.apply.correction import Correction, Frame, unobservable_text
+from gyrorig_solver.calibration import calibration_document
+from gyrorig_solver.data.arrays import FloatArray
+
+AXES_TEXT = {
+    "stage": "the stage's axes during the calibration: x is the tilt axis, y points forward "
+    "(roll), z is the pan axis",
+    "sensor": "the orthogonalised axes of the sensor: x is its x axis, y is in its x-y plane",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportSource:
+    """A calibration to be exported."""
+
+    document: calibration_document.CalibrationDocument
+    digest: str
+    frame: Frame
+    calibration: Calibration | None  # None if the gain is not fully known
+
+    @classmethod
+    def of(
+        cls,
+        source: calibration_document.CalibrationDocument,
+        frame: Frame = "stage",
+        digest: str = "",
+    ) -> Self:
+        """Return the source; `calibration` is None if the gain is not fully known.
+
+        Raises:
+            InputError: the verdict of the calibration is refused.
+        """
+        if source.trust.verdict == "refused":
+            reasons = source.trust.reasons or ["read its report for the reason"]
+            raise InputError(
+                f"the calibration of {source.board.id} has the verdict refused and is not exported",
+                reasons[0],
+            )
+        try:
+            calibration = Calibration(source, frame, digest=digest)
+        except InputError:
+            calibration = None
+        return cls(source, digest, frame, calibration)
+
+    @property
+    def correction(self) -> Correction:
+        """The correction, for formats that need the gain.
+
+        Raises:
+            InputError: the gain is not fully known.
+        """
+        if self.calibration is None:
+            raise InputError(
+                f"the calibration of {self.document.board.id} has no value for "
+                f"{unobservable_text(self.document)}",
+                "record a motion that makes it observable, or use px4, ardupilot or kalibr",
+            )
+        return self.calibration.correction
+
+    @property
+    def bias_rad_s(self) -> FloatArray:
+        """The bias, shape (3,).
+
+        Raises:
+            InputError: it is not known.
+        """
+        value = self.document.parameters["bias"].value
+        values = value if isinstance(value, list) else [value]
+        if any(v is None for v in values):
+            raise InputError(
+                f"the calibration of {self.document.board.id} has no bias",
+                "record the board at rest",
+            )
+        return np.array(values, dtype=np.float64)
+
+    @property
+    def time_offset_s(self) -> float | None:
+        """Delay of the samples behind the motion; None if it was not observable."""
+        value = self.document.parameters["time_offset"].value
+        return value if isinstance(value, float) else None
+
+    def noise(self, name: str) -> list[float | None]:
+        """Return a noise coefficient per axis; empty if it was not estimated."""
+        figure = self.document.noise.get(name)
+        return [] if figure is None else list(figure.value)
+
+    def worst_noise(self, name: str) -> float | None:
+        """Return a noise coefficient of the noisiest axis; None if none is known."""
+        known = [v for v in self.noise(name) if v is not None and v > 0.0]
+        return max(known) if known else None
+
+    def header_lines(self) -> list[str]:
+        """Return the first lines of every export: board, version, verdict and validity."""
+        calibration, rate_range = self.document, self.document.validity.rate_rad_s
+        lines = [
+            f"gyroscope of board {calibration.board.id} ({calibration.board.sensor}), calibration "
+            f"version {calibration.version} of {calibration.created}",
+            f"made by gyrorig {calibration.solver.version}; verdict: {calibration.trust.verdict}",
+            *([f"from the document {self.digest}"] if self.digest else []),
+            f"valid for rates from {rate_range[0]:.4g} to {rate_range[1]:.4g} rad/s"
+            + self._temperature_range_text(),
+        ]
+        settings = self._settings_text()
+        lines += [f"valid for these settings of the board: {settings}"] if settings else []
+        lines += [f"note: {reason}" for reason in calibration.trust.reasons]
+        return [printable_line(line) for line in lines]
+
+    def omission_lines(self, carried: Sequence[str] = ()) -> list[str]:
+        """Return lines that list the causes of the document that a format leaves out.
+
+        Args:
+            carried: the causes that the format contains.
+
+        Raises:
+            InputError: without the omitted cause the exported numbers would be wrong.
+        """
+        base = {"bias", "scale", "nonorthogonality", "misalignment", "time_offset", *carried}
+        causes = dict.fromkeys(
+            name.partition(".")[0].partition("@")[0] for name in self.document.parameters
+        )
+        if "g_sensitivity" in causes and "g_sensitivity" not in carried:
+            raise InputError(
+                "this format cannot contain g_sensitivity, and without it the bias is wrong",
+                "solve without g_sensitivity for this export, or use gyrorig apply",
+            )
+        omitted = [cause for cause in causes if cause not in base]
+        return [f"not contained in this format: {', '.join(omitted)}"] if omitted else []
+
+    def _temperature_range_text(self) -> str:
+        span = self.document.validity.temperature_degc
+        return "" if span is None else f", {span[0]:.1f} to {span[1]:.1f} degC"
+
+    def _settings_text(self) -> str:
+        config = self.document.board.config
+        parts = (
+            (config.odr_hz, "output rate {:g} Hz"),
+            (config.bandwidth_hz, "low-pass {:g} Hz"),
+            (config.gyro_full_scale_dps, "full scale {:g} deg/s"),
+        )
+        return ", ".join(words.format(value) for value, words in parts if value is not None)
+
+
+def printable_line(text: str) -> str:
+    """Return a text that cannot end a comment or a line; names come from devices."""
+    plain = "".join(c if c.isprintable() and c.isascii() else "?" for c in " ".join(text.split()))
+    return plain.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/")
+
+
+def quoted(text: str) -> str:
+    """Return a quoted text with the same meaning in C, YAML and JSON."""
+    return '"' + printable_line(text).replace('"', "'") + '"'

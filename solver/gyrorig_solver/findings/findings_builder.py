@@ -1,0 +1,310 @@
+"""Build the findings document from the checks of the raw stream and the search for causes.
+
+Nothing here reads a clock or a file, therefore the same findings give the same document.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from gyrorig_solver.data.stream.count_stream import CheckResult, StreamFinding
+from gyrorig_solver.discover.cause_findings import (
+    CalibrationChange,
+    CauseFindings,
+    ConfidenceInterval,
+    NamedCause,
+)
+from gyrorig_solver.discover.cause_findings import HeldOutGain as FoundGain
+from gyrorig_solver.discover.cause_findings import UnexplainedResidual as FoundUnexplained
+from gyrorig_solver.findings.findings_document import (
+    BaseModelEntry,
+    BoardEntry,
+    CauseEntry,
+    ChangeEntry,
+    DependenceEntry,
+    DetectableEntry,
+    FindingsDocument,
+    GainEntry,
+    InputEntry,
+    RawCheckEntry,
+    RivalEntry,
+    SizeEntry,
+    TestStatistics,
+    UnexplainedEntry,
+    UntestableEntry,
+)
+from gyrorig_solver.findings.findings_wording import cause_remedy
+
+# Listed first: with them every rate is wrong.
+CONFIGURATION_CAUSES = ("axis_swap", "sign_flip", "wrong_full_scale")
+UNEXPLAINED_FIGURE = "unexplained"  # key of the figure
+
+
+@dataclass(frozen=True, slots=True)
+class RawChecks:
+    """The results of the checks of one recording's raw stream."""
+
+    recording: str
+    checks: tuple[CheckResult, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FindingsOrigin:
+    """The board and the recordings of findings, and the program that made them."""
+
+    board: BoardEntry
+    recordings: Sequence[InputEntry]
+    created: str  # UTC, as 2026-01-31T02:30:00Z
+    software: str
+
+
+def build_findings_document(
+    findings: CauseFindings,
+    raw: Sequence[RawChecks],
+    origin: FindingsOrigin,
+    figures: Mapping[str, str] | None = None,
+    remarks: Sequence[str] = (),
+) -> FindingsDocument:
+    """Return the document of one board.
+
+    Args:
+        findings: of the search for causes.
+        raw: the checks of each recording's raw stream, and of the gain.
+        origin: the board and the recordings.
+        figures: names of the figures' files by `figure_key`.
+        remarks: notes of the fit and of the search.
+    """
+    figure_files = figures or {}
+    causes = _cause_entries(findings, raw, figure_files)
+    verdict = findings.verdict
+    if verdict == "adequate" and causes:
+        verdict = "explained"
+    return FindingsDocument(
+        schema="gyrorig/findings/1",
+        board=origin.board,
+        created=origin.created,
+        software=origin.software,
+        recording=list(origin.recordings),
+        verdict=verdict,
+        base=BaseModelEntry(
+            list(findings.base_terms),
+            _finite_or_none(findings.base_reduced_chi2),
+            _finite_or_none(findings.base_whiteness_p),
+        ),
+        causes=causes,
+        not_testable=_untestable_entries(findings, raw),
+        minimal_detectable=[
+            DetectableEntry(
+                limit.cause,
+                _finite_or_none(limit.size),
+                limit.unit,
+                limit.where,
+                _finite_or_none(limit.typical),
+                limit.biased_parameter,
+                _finite_or_none(limit.parameter_bias_sigma),
+            )
+            for limit in findings.detection_limits
+        ],
+        raw=[
+            RawCheckEntry(check.check, checks.recording, bool(check.findings), check.summary)
+            for checks in raw
+            for check in checks.checks
+        ],
+        unexplained=_unexplained_entry(findings.unexplained, figure_files),
+        gain=_gain_entry(findings.gain),
+        elsewhere=_gain_entry(findings.other_recording_gain),
+        effect_on_calibration=_change_entries(findings.changes),
+        remarks=list(remarks),
+    )
+
+
+def unexplained_bias_sigma(residual: FoundUnexplained) -> float:
+    """Return the parameter bias, in standard uncertainties, that an unexplained residual allows.
+
+    The base parameters absorb an unknown part of the signal. If they absorb as much as they
+    leave, a parameter along the signal is biased by the square root of its energy, which is the
+    statistic in excess of its degrees of freedom. A single spectral line biases no parameter.
+    """
+    if residual.leading.covariate == "line":
+        return 0.0
+    return math.sqrt(max(0.0, residual.leading.statistic - residual.leading.degrees_of_freedom))
+
+
+def figure_key(cause: str, where: Sequence[str]) -> str:
+    """Return the key of a cause's figure; it is part of a file name."""
+    return "-".join((cause, *where))
+
+
+def _untestable_entries(findings: CauseFindings, raw: Sequence[RawChecks]) -> list[UntestableEntry]:
+    """Return the causes that the search could not test, without those that the checks tested."""
+    results = [result for checks in raw for result in checks.checks]
+    tested = {cause for result in results for cause in result.testable_causes}
+    tested |= {finding.cause for result in results for finding in result.findings}
+    return [
+        UntestableEntry(untestable.cause, untestable.reason, untestable.where)
+        for untestable in findings.untestable
+        if untestable.cause not in tested
+    ]
+
+
+def _cause_entries(
+    findings: CauseFindings, raw_checks: Sequence[RawChecks], figures: Mapping[str, str]
+) -> list[CauseEntry]:
+    """Return configuration errors, then searched causes by bias, then faults of the stream."""
+    named_causes = {cause.cause for cause in findings.causes}
+    found = [
+        (checks.recording, finding)
+        for checks in raw_checks
+        for result in checks.checks
+        for finding in result.findings
+    ]
+    # A sensor of half the range saturates at half the rate: no second cause.
+    saturates_early = any(
+        finding.cause == "wrong_full_scale" and finding.size > 0.0 for _, finding in found
+    )
+    by_cause: dict[tuple[str, tuple[str, ...]], tuple[StreamFinding, list[str]]] = {}
+    for recording, finding in found:
+        implied = finding.cause == "saturation" and saturates_early
+        if finding.cause not in named_causes and not implied:
+            _, names = by_cause.setdefault((finding.cause, finding.where), (finding, []))
+            names.append(recording)
+    configuration: list[CauseEntry] = []
+    stream: list[CauseEntry] = []
+    for finding, names in by_cause.values():
+        entries = configuration if finding.cause in CONFIGURATION_CAUSES else stream
+        entries.append(_raw_cause(finding, names, figures))
+    searched = [_searched_cause(cause, findings, figures) for cause in findings.causes]
+    return [*configuration, *searched, *stream]
+
+
+def _searched_cause(
+    cause: NamedCause, findings: CauseFindings, figures: Mapping[str, str]
+) -> CauseEntry:
+    is_only_cause = len(findings.causes) == 1  # then its gain is that of all causes
+    return CauseEntry(
+        cause=cause.cause,
+        part=cause.part,
+        where=", ".join(cause.where) or "all",
+        parameters={
+            value.name: SizeEntry(
+                _finite_or_none(value.value), _finite_or_none(value.std), value.unit
+            )
+            for value in cause.values
+            if not cause.where
+            or "." not in value.name
+            or value.name.rpartition(".")[2] in cause.where
+        },
+        evidence=TestStatistics(
+            statistic=_finite_or_none(cause.statistic),
+            degrees_of_freedom=cause.degrees_of_freedom,
+            p_value=_finite_or_none(cause.p_value),
+            seen_as=cause.sentence,
+            figure=figures.get(figure_key(cause.cause, cause.where)),
+            posterior=_finite_or_none(cause.posterior),
+        ),
+        gain=_gain_entry(cause.gain or (findings.gain if is_only_cause else None)),
+        one_of=list(cause.one_of),
+        rivals=[
+            RivalEntry(rival.cause, _finite_or_none(rival.delta_log_likelihood), rival.reason)
+            for rival in cause.rivals
+        ],
+        effect_on_calibration=_change_entries(cause.changes),
+        harm_sigma=_finite_or_none(cause.parameter_bias_sigma),
+        remedy=cause_remedy(cause.cause),
+        recording=cause.recording,
+    )
+
+
+def _raw_cause(
+    finding: StreamFinding, recordings: Sequence[str], figures: Mapping[str, str]
+) -> CauseEntry:
+    recording_text = f", in {', '.join(recordings)}" if len(recordings) > 1 else ""
+    std = (
+        math.sqrt(finding.share * (1.0 - finding.share) / finding.total)
+        if finding.quantity == "share"
+        else None
+    )
+    return CauseEntry(
+        cause=finding.cause,
+        part=finding.part,
+        where=", ".join(finding.where) or "all",
+        parameters={finding.quantity: SizeEntry(_finite_or_none(finding.size), std, finding.unit)},
+        evidence=TestStatistics(
+            statistic=float(finding.count),
+            degrees_of_freedom=1,
+            p_value=_finite_or_none(finding.p_value),
+            seen_as=finding.seen_as + recording_text,
+            figure=figures.get(figure_key(finding.cause, finding.where)),
+        ),
+        gain=None,
+        remedy=finding.remedy,
+    )
+
+
+def _gain_entry(gain: FoundGain | None) -> GainEntry | None:
+    if gain is None:
+        return None
+    log_likelihood = gain.log_likelihood
+    return GainEntry(
+        held_out_log_likelihood=_finite_or_none(log_likelihood.value),
+        residual_rms_before=_finite_or_none(gain.rms_before),
+        residual_rms_after=_finite_or_none(gain.rms_after),
+        interval=[_finite_or_none(log_likelihood.low), _finite_or_none(log_likelihood.high)],
+        turn_error_before=_finite_or_none(gain.turn_error_before_rad),
+        turn_error_after=_finite_or_none(gain.turn_error_after_rad),
+        rms_change=_interval_limits(gain.rms_change),
+        turn_change=_interval_limits(gain.turn_change),
+        how=gain.how,
+    )
+
+
+def _interval_limits(interval: ConfidenceInterval | None) -> list[float | None] | None:
+    return (
+        None
+        if interval is None
+        else [_finite_or_none(interval.low), _finite_or_none(interval.high)]
+    )
+
+
+def _change_entries(changes: Sequence[CalibrationChange]) -> list[ChangeEntry]:
+    return [
+        ChangeEntry(
+            change.parameter,
+            _finite_or_none(change.before),
+            _finite_or_none(change.after),
+            _finite_or_none(change.std),
+            change.unit,
+        )
+        for change in changes
+    ]
+
+
+def _unexplained_entry(
+    residual: FoundUnexplained | None, figures: Mapping[str, str]
+) -> UnexplainedEntry | None:
+    if residual is None:
+        return None
+    harm_sigma = unexplained_bias_sigma(residual)
+    return UnexplainedEntry(
+        statistic=_finite_or_none(residual.leading.statistic),
+        p_value=_finite_or_none(residual.leading.p_value),
+        best_covariate=residual.leading.description,
+        figure=figures.get(UNEXPLAINED_FIGURE),
+        harm=(
+            f"If the parameters absorbed as much of it as remains, one of them would be wrong by "
+            f"up to {harm_sigma:.1f} standard uncertainties."
+            if harm_sigma
+            else "It biases no parameter of the calibration; it only adds to the noise."
+        ),
+        harm_sigma=harm_sigma,
+        others=[
+            DependenceEntry(
+                test.description, _finite_or_none(test.statistic), _finite_or_none(test.p_value)
+            )
+            for test in residual.others
+        ],
+    )
+
+
+def _finite_or_none(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,72 @@
+"""The folder of one board's findings: document, report and figures.
+
+    OUT/<board>/findings.yaml  report.html  figures/backlash-tilt.svg ...
+
+Findings that are there already are kept under the next free number: findings-0001.yaml,
+report-0001.html, figures-0001. Each file is written atomically, the document last.
+"""
+
+from collections.abc import Mapping
+from itertools import count
+from pathlib import Path
+
+from gyrorig_protocol.errors import MachineError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.calibration.calibration_store import CalibrationStore
+from gyrorig_solver.storage.file_writing import write_file
+
+DOCUMENT_NAME, PAGE_NAME, FIGURES_FOLDER = "findings.yaml", "report.html", "figures"
+
+
+def figure_path(key: str) -> str:
+    """Return the file of a figure as the document names it."""
+    return f"{FIGURES_FOLDER}/{key}.svg"
+
+
+def write_findings(
+    out: Path, board: BoardId, document: str, page: str, figures: Mapping[str, str]
+) -> Path:
+    """Write one board's findings; earlier ones are kept under a number.
+
+    Args:
+        out: the folder of all boards.
+        board: which one.
+        document: the text of findings.yaml.
+        page: the text of report.html.
+        figures: SVG texts by key.
+
+    Returns:
+        The document's path.
+
+    Raises:
+        MachineError: the folder cannot be made or written.
+    """
+    folder = CalibrationStore(out).prepare_folder(board)
+    try:
+        _keep_earlier(folder)
+        if figures:
+            (folder / FIGURES_FOLDER).mkdir(exist_ok=True)
+    except OSError as fault:
+        raise MachineError(
+            f"cannot write in the folder {folder}, {fault.strerror}",
+            "choose another folder with --out",
+        ) from fault
+    for key, text in figures.items():
+        write_file(folder / figure_path(key), text.encode(), replace=True)
+    write_file(folder / PAGE_NAME, page.encode(), replace=True)
+    write_file(folder / DOCUMENT_NAME, document.encode(), replace=True)
+    return folder / DOCUMENT_NAME
+
+
+def _keep_earlier(folder: Path) -> None:
+    """Rename the files of earlier findings to the next free number."""
+    if not (folder / DOCUMENT_NAME).exists():
+        return
+    names = [Path(name) for name in (PAGE_NAME, FIGURES_FOLDER, DOCUMENT_NAME)]
+    for number in count(1):
+        kept = {name: folder / f"{name.stem}-{number:04d}{name.suffix}" for name in names}
+        if not any(path.exists() for path in kept.values()):
+            break
+    for name, path in kept.items():
+        if (folder / name).exists():
+            (folder / name).rename(path)

@@ -1,0 +1,217 @@
+"""Texts of findings: verdicts, causes, sizes and limits, for terminals and reports.
+
+What to use when: `findings_summary` for a terminal; the other functions for one part of a page.
+Files keep SI units; these texts use degrees, milliseconds and percent.
+"""
+
+import math
+from types import MappingProxyType
+
+from gyrorig_solver.discover.attitude.attitude_terms import ReferenceSmoothing
+from gyrorig_solver.findings.findings_document import (
+    CauseEntry,
+    ChangeEntry,
+    FindingsDocument,
+    SizeEntry,
+)
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.parameter_units import format_quantity, format_short
+
+# Verdict of the document: title and sentence.
+VERDICTS = MappingProxyType(
+    {
+        "adequate": ("No error found", "The base model explains the data; the residual is noise."),
+        "explained": (
+            "Problem found",
+            "The base model does not fit the data. The causes below explain the whole residual.",
+        ),
+        "unexplained": (
+            "Not fully explained",
+            "Part of the residual is not explained by any known cause. It is shown below.",
+        ),
+    }
+)
+# Causes that only the checks of the raw stream or of a reference of attitudes find.
+_OTHER_TITLES = {
+    "stuck_axis": "An axis is stuck",
+    "board_restart": "The board restarted",
+    ReferenceSmoothing.cause: ReferenceSmoothing.title,
+}
+MAX_NAMES_PER_LINE = 8
+MIN_P_VALUE = 1e-12  # smaller ones are not told apart
+_DEG = 180.0 / math.pi
+_MDEG = 1e3 * _DEG
+
+_LIMITED_REFERENCE = (
+    "No error found, few tests possible",
+    "The reference gives neither a unit's motion nor attitudes. Only the samples were checked, "
+    "and whether the residual depends on rates and time.",
+)
+
+
+def verdict_words(document: FindingsDocument) -> tuple[str, str]:
+    """Return the verdict's title and sentence."""
+    if document.verdict == "adequate" and not document.minimal_detectable:
+        return _LIMITED_REFERENCE
+    return VERDICTS[document.verdict]
+
+
+def cause_title(cause: str) -> str:
+    """Return the title of a cause for a report."""
+    if cause in catalogue():
+        return catalogue()[cause].title
+    return _OTHER_TITLES.get(cause, cause.replace("_", " ").capitalize())
+
+
+def cause_remedy(cause: str) -> str:
+    """Return what to do about a cause, or "" where nothing is known."""
+    if cause in catalogue():
+        return catalogue()[cause].remedy
+    return ReferenceSmoothing.remedy if cause == ReferenceSmoothing.cause else ""
+
+
+def display_unit(value: float, unit: str) -> tuple[float, str]:
+    """Return the factor from an SI unit to a unit that suits the value, and that unit."""
+    if unit.startswith("rad"):
+        suffix = unit.removeprefix("rad").replace("^2", "²")
+        factor = _DEG if abs(value) * _DEG >= 0.1 else _MDEG
+        return factor, ("deg" if factor == _DEG else "mdeg") + suffix
+    if unit == "s":
+        return (1.0, "s") if abs(value) >= 1.0 else (1e3, "ms")
+    if unit == "1" and 0.0 < abs(value) < 0.5:
+        return (100.0, "%") if abs(value) >= 1e-3 else (1e6, "ppm")
+    return 1.0, "" if unit == "1" else unit.replace("^2", "²")
+
+
+def size_text(size: SizeEntry) -> str:
+    """Return a value with its standard uncertainty and unit."""
+    if size.value is None:
+        return "unknown"
+    factor, unit = display_unit(size.value, size.unit)
+    if not size.std:
+        return f"{format_short(size.value * factor)} {unit}".strip()
+    value, std = format_quantity(size.value * factor, size.std * factor)
+    return f"{value} ± {std} {unit}".strip()
+
+
+def amount_text(value: float | None, unit: str) -> str:
+    """Return a value with its unit."""
+    if value is None:
+        return "any"
+    factor, word = display_unit(value, unit)
+    return f"{format_short(value * factor)} {word}".strip()
+
+
+def place_text(where: str | None) -> str:
+    """Return ", on tilt" for a place, "" for all places."""
+    return f", on {where}" if where and where != "all" else ""
+
+
+def cause_headline(cause: CauseEntry) -> str:
+    """Return a cause's title and place."""
+    return cause_title(cause.cause) + place_text(cause.where)
+
+
+def main_size_text(cause: CauseEntry) -> str:
+    """Return the most significant size of a cause, such as "0.101 ± 0.001 deg"; "" for none."""
+    sizes = [size for size in cause.parameters.values() if size.value is not None and size.std]
+    if not sizes:
+        return ""
+    largest = max(sizes, key=lambda size: abs(size.value or 0.0) / (size.std or 1.0))
+    return size_text(largest).removeprefix("+")
+
+
+def parameter_bias_sigma(document: FindingsDocument, cause: CauseEntry) -> float | None:
+    """Return by how many standard uncertainties ignoring a cause biases the worst parameter.
+
+    For the only cause of a document this is the difference of the two fits, with and without
+    it, as in the table of changes; one of several is taken to first order.
+    """
+    if len(document.causes) == 1 and document.effect_on_calibration:
+        return max(_change_sigma(change) for change in document.effect_on_calibration)
+    return cause.harm_sigma
+
+
+def p_value_text(p_value: float) -> str:
+    """Return "p = 0.0012", or "p < 1e-12"."""
+    return f"p < {MIN_P_VALUE:.0e}" if p_value < MIN_P_VALUE else f"p = {p_value:.2g}"
+
+
+def findings_summary(document: FindingsDocument) -> str:
+    """Return verdict, causes, residual and limits as lines for a terminal."""
+    lines = [_heading(document)]
+    for cause in document.causes:
+        lines += _cause_lines(document, cause)
+    unexplained = document.unexplained
+    if unexplained is not None:
+        p_value = "" if unexplained.p_value is None else f" ({p_value_text(unexplained.p_value)})"
+        lines.append(
+            "  ? part of the residual is unexplained; it depends "
+            f"{unexplained.best_covariate}{p_value}"
+        )
+        if unexplained.harm:
+            lines.append(f"    {unexplained.harm}")
+    for name, gain in (
+        ("held-out windows", document.gain),
+        ("held-out recording", document.elsewhere),
+    ):
+        if gain is not None and gain.held_out_log_likelihood is not None:
+            lines.append(
+                f"  {name:<20}  log-likelihood {gain.held_out_log_likelihood:+.1f} nats; residual "
+                f"{_deg_per_s_text(gain.residual_rms_before)} to "
+                f"{_deg_per_s_text(gain.residual_rms_after)} deg/s"
+            )
+    detectable = [limit for limit in document.minimal_detectable if limit.by_sigma is not None]
+    for limit in detectable[:3]:
+        lines.append(
+            f"  not detectable here   {limit.cause}{place_text(limit.where)} below "
+            f"{amount_text(limit.size, limit.unit)}; if present, it would bias "
+            f"{limit.would_move} by up to {limit.by_sigma:.1f} standard uncertainties"
+        )
+    if document.not_testable:
+        names = list(dict.fromkeys(entry.cause for entry in document.not_testable))
+        if len(names) > MAX_NAMES_PER_LINE + 1:
+            names[MAX_NAMES_PER_LINE:] = [f"and {len(names) - MAX_NAMES_PER_LINE} more"]
+        lines.append(f"  not testable here     {', '.join(names)}")
+    lines += [f"  note: {text}" for text in document.remarks]
+    return "\n".join(lines)
+
+
+def _heading(document: FindingsDocument) -> str:
+    board = f"{document.board.id} ({document.board.sensor or 'unknown sensor'})"
+    heading = f"{board}: {verdict_words(document)[0].lower()}"
+    if not document.causes:
+        return heading
+    texts = []
+    for cause in document.causes:
+        title = cause_headline(cause)
+        texts.append(
+            ", ".join(filter(None, (title[:1].lower() + title[1:], main_size_text(cause))))
+        )
+    return f"{heading}: {'; '.join(texts)}"
+
+
+def _cause_lines(document: FindingsDocument, cause: CauseEntry) -> list[str]:
+    name = " or ".join([cause.cause, *cause.one_of])
+    lines = [f"  ! {name}{place_text(cause.where)}: {cause.evidence.seen_as}"]
+    sizes = ", ".join(f"{name} {size_text(size)}" for name, size in cause.parameters.items())
+    bias_sigma = parameter_bias_sigma(document, cause)
+    if bias_sigma is not None:
+        sizes += (
+            "; if ignored, it biases a parameter by up to "
+            f"{format_short(bias_sigma)} standard uncertainties"
+        )
+    lines.append(f"    {sizes}")
+    if cause.remedy:
+        lines.append(f"    what to do: {cause.remedy}")
+    return lines
+
+
+def _change_sigma(change: ChangeEntry) -> float:
+    if change.before is None or change.after is None or not change.std:
+        return 0.0
+    return abs(change.after - change.before) / change.std
+
+
+def _deg_per_s_text(value: float | None) -> str:
+    return "?" if value is None else format_short(value * _DEG)

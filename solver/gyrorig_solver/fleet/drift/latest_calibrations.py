@@ -1,0 +1,160 @@
+"""Latest calibrations of all boards, from the index, with lots and sites from a table.
+
+What to use when: `latest_calibrations` for columns with one entry per board. Latest is what was
+recorded last: solving a backlog later does not make older recordings the latest. Recordings do not
+contain the lot of a board or the site of a rig; these come from a table of the fleet's owner
+(`BoardOrigins`).
+"""
+
+import csv
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import duckdb
+import numpy as np
+import numpy.typing as npt
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.fleet.store.index_rows import NEWEST_FIRST_SQL, parameter_columns
+from gyrorig_solver.fleet.store.store_index import StoreIndex
+
+GroupKind = Literal["rig", "lot", "site"]
+GROUP_KINDS: tuple[GroupKind, ...] = ("rig", "lot", "site")
+PARAMETER_COLUMNS = tuple(name for name in parameter_columns() if not name.endswith("_std"))
+MAX_TABLE_BYTES = 200_000_000
+_TEXT_COLUMNS = ("sensor", "rig", "trust", "findings", "file")
+
+
+@dataclass(frozen=True, slots=True)
+class BoardOrigins:
+    """Lots and sites of boards, from the table of the fleet's owner."""
+
+    lot: dict[str, str] = field(default_factory=dict)
+    site: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LatestCalibrations:
+    """The latest calibration of every board, as columns of equal length."""
+
+    board: list[str]
+    sensor: list[str]
+    rig: list[str]
+    lot: list[str]
+    site: list[str]
+    trust: list[str]
+    findings: list[str]
+    file: list[str]
+    version: list[int]
+    version_count: list[int]
+    start_s: FloatArray
+    reduced_chi2: FloatArray
+    temperature_c: FloatArray
+    clock_skew_ppm: FloatArray  # of the board's clock relative to its host's
+    count_size_rad_s: FloatArray  # the rate of one count
+    value: dict[str, FloatArray]
+    std: dict[str, FloatArray]
+
+    def group_names(self, kind: str) -> list[str]:
+        """Return the boards' rigs, lots or sites, "" if unknown; "all" for the fleet."""
+        if kind == "fleet":
+            return ["all"] * len(self.board)
+        return {"rig": self.rig, "lot": self.lot, "site": self.site}[kind]
+
+    def has_value(self, name: str) -> BoolArray:
+        """Return which boards have a value of a parameter."""
+        has_value: BoolArray = np.isfinite(self.value[name]) & (self.std[name] > 0.0)
+        return has_value
+
+
+def read_origins(path: Path) -> BoardOrigins:
+    """Return the lots and sites of boards from a table with the columns board, lot, site.
+
+    Raises:
+        UsageError: the file cannot be read.
+        InputError: the file is not such a table.
+    """
+    try:
+        if path.stat().st_size > MAX_TABLE_BYTES:
+            raise InputError(
+                f"{path} is larger than {MAX_TABLE_BYTES >> 20} MB, too large for a table",
+                "give a table with the columns board, lot, site",
+            )
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as fault:
+        raise UsageError(
+            f"{path} cannot be read, {fault.strerror}",
+            "give a table with the columns board, lot, site",
+        ) from fault
+    except UnicodeDecodeError as fault:
+        raise InputError(f"{path} is not text in UTF-8", "save it as UTF-8") from fault
+    rows = csv.DictReader(text.splitlines())
+    if rows.fieldnames is None or "board" not in rows.fieldnames:
+        raise InputError(
+            f"{path} has no column board", "begin the table with the line board,lot,site"
+        )
+    origins = BoardOrigins()
+    for row in rows:
+        board = BoardId(row["board"] or "")
+        origins.lot[board] = (row.get("lot") or "")[:64]
+        origins.site[board] = (row.get("site") or "")[:64]
+    return origins
+
+
+def latest_calibrations(index: StoreIndex, origins: BoardOrigins) -> LatestCalibrations:
+    """Return the latest calibration of every board.
+
+    Raises:
+        InputError: the index is damaged.
+    """
+    columns = ", ".join(f"{name}, {name}_std" for name in PARAMETER_COLUMNS)
+    sql = (
+        "SELECT board, sensor, rig, trust, findings, file, version, "  # noqa: S608 - ours
+        "count(*) OVER (PARTITION BY board) AS versions, epoch(start) AS start_s, "
+        "reduced_chi2, temperature_degc, clock_skew_ppm, gyro_scale_rad_s, "
+        f"{columns} FROM rows WHERE status = 'ok' "
+        f"QUALIFY row_number() OVER (PARTITION BY board ORDER BY {NEWEST_FIRST_SQL}) = 1 "
+        "ORDER BY board"
+    )
+    answer = query_columns(index, sql)
+    boards = [str(board) for board in answer["board"]]
+    return LatestCalibrations(
+        board=boards,
+        lot=[origins.lot.get(board, "") for board in boards],
+        site=[origins.site.get(board, "") for board in boards],
+        **{name: [str(text or "") for text in answer[name]] for name in _TEXT_COLUMNS},
+        version=answer["version"].astype(int).tolist(),
+        version_count=answer["versions"].astype(int).tolist(),
+        start_s=float_column(answer["start_s"]),
+        reduced_chi2=float_column(answer["reduced_chi2"]),
+        temperature_c=float_column(answer["temperature_degc"]),
+        clock_skew_ppm=float_column(answer["clock_skew_ppm"]),
+        count_size_rad_s=float_column(answer["gyro_scale_rad_s"]),
+        value={name: float_column(answer[name]) for name in PARAMETER_COLUMNS},
+        std={name: float_column(answer[f"{name}_std"]) for name in PARAMETER_COLUMNS},
+    )
+
+
+def query_columns(index: StoreIndex, sql: str) -> dict[str, npt.NDArray[Any]]:
+    """Return the result of a query as columns; millions of rows as objects take gigabytes.
+
+    Raises:
+        InputError: as `StoreIndex.query`.
+    """
+    with index.connect() as database:
+        try:
+            answer: dict[str, npt.NDArray[Any]] = database.execute(sql).fetchnumpy()
+        except duckdb.Error as fault:
+            raise InputError(
+                f"the index cannot be read, {' '.join(str(fault).split())[:200]}",
+                "write it again from the calibrations with `gyrorig store rebuild-index STORE`",
+            ) from fault
+    return answer
+
+
+def float_column(column: npt.NDArray[Any]) -> FloatArray:
+    """Return a column as floats, NaN for NULL."""
+    return np.ma.filled(np.ma.asarray(column, dtype=np.float64), np.nan)

@@ -1,0 +1,296 @@
+"""Batch run: scan a spool, solve its new sessions, and update the store and its index.
+
+What to use when: `run_batch`. A batch can be killed at any moment and started again. Jobs with a
+row in the index are finished, a version without a row is found again, and rows that are not yet
+merged into the index are merged at the next start. Two batches on one store share the jobs by
+claims.
+"""
+
+import contextlib
+import os
+import secrets
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from gyrorig_protocol.errors import MachineError
+from gyrorig_solver.fleet.jobs.recording_cache import RecordingCache
+from gyrorig_solver.fleet.jobs.session_job import Job, JobResult, SolveSettings, job_key
+from gyrorig_solver.fleet.jobs.spool_scanner import (
+    RecordedSession,
+    SpoolListing,
+    group_into_sessions,
+    read_recordings,
+    scan_spool,
+)
+from gyrorig_solver.fleet.jobs.workers import Deferred, WorkerPool, run_all
+from gyrorig_solver.fleet.store.bucket_index import cache_folder
+from gyrorig_solver.fleet.store.bucket_store import create_store
+from gyrorig_solver.fleet.store.index_rows import IndexRow
+from gyrorig_solver.fleet.store.manifest import Signer, write_manifests
+from gyrorig_solver.fleet.store.store_backend import RowJournal, WorkClaims, open_index_and_claims
+from gyrorig_solver.fleet.store.store_index import StoreIndex
+from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.storage.location import storage_at
+from gyrorig_solver.storage.storage_protocol import Storage
+
+RECORDING_CACHE_FILE = "spool-heads.sqlite"
+GIVE_UP_AFTER_DEFERRALS = 20  # consecutive ones: the store is full, or gone
+_WORST_FIRST = ("quarantined", "failed", "rejected", "ok")
+
+ProgressCallback = Callable[["BatchSummary"], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """One of several batches that divide the jobs without communication."""
+
+    number: int = 1
+    count: int = 1
+
+    def contains(self, key: str) -> bool:
+        """Return whether this shard has to do the job."""
+        return int(key[:8], 16) % self.count == self.number - 1
+
+
+@dataclass(slots=True)
+class BatchSummary:
+    """Progress and result of a batch."""
+
+    spool: SpoolListing
+    sessions: int = 0  # in the spool
+    done_before: int = 0
+    taken_by_others: int = 0  # jobs of another batch or shard
+    to_do: int = 0
+    started_s: float = field(default_factory=time.monotonic)
+    # A session counts under the worst status of its boards.
+    sessions_by_status: Counter[str] = field(default_factory=Counter)
+    boards_by_status: Counter[str] = field(default_factory=Counter)
+    deferred_keys: set[str] = field(default_factory=set)  # the machine or the store refused them
+    deferral_reason: str = ""
+    unsuccessful_rows: list[IndexRow] = field(default_factory=list)
+    joint_fit_failures: list[str] = field(default_factory=list)  # of boards solved singly instead
+    consecutive_deferrals: int = 0
+    gave_up: bool = False
+    unmerged_reason: str = ""  # the index was not updated; the next batch does it
+
+    @property
+    def deferred(self) -> int:
+        """Number of sessions that the machine or the store refused."""
+        return len(self.deferred_keys)
+
+    @property
+    def finished(self) -> int:
+        """Number of sessions that this batch finished."""
+        return sum(self.sessions_by_status.values())
+
+    @property
+    def not_started(self) -> int:
+        """Number of sessions that were not started, because the batch gave up."""
+        return self.to_do - self.finished - self.deferred
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the batch started."""
+        return time.monotonic() - self.started_s
+
+    @property
+    def sessions_per_second(self) -> float:
+        """Mean rate so far."""
+        return self.finished / max(self.elapsed_s, 1e-9)
+
+    @property
+    def remaining_s(self) -> float | None:
+        """Estimated remaining time; None before the first session."""
+        return self.not_started / self.sessions_per_second if self.finished else None
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether a session did not end with ok."""
+        return bool(
+            self.deferred
+            or self.unmerged_reason
+            or sum(self.sessions_by_status.values()) > self.sessions_by_status["ok"]
+        )
+
+
+def run_batch(
+    spool: Path | Storage,
+    store: Path | Storage,
+    settings: SolveSettings,
+    pools: list[WorkerPool],
+    *,
+    shard: Shard | None = None,
+    retry: Sequence[str] = (),
+    signer: Signer | None = None,
+    progress: ProgressCallback = lambda _summary: None,
+) -> BatchSummary:
+    """Solve the new sessions of a spool.
+
+    Args:
+        spool: a folder or bucket of recordings, with its subfolders.
+        store: a calibration store; created if it does not exist.
+        settings: how to solve.
+        pools: where to.
+        shard: do only this part of the jobs.
+        retry: statuses whose jobs are repeated: failed, quarantined, rejected.
+        signer: signs the new manifests.
+        progress: called after each session.
+
+    Raises:
+        UsageError: the spool does not exist, or the store's folder contains other files.
+        MachineError: the store cannot be used.
+        InputError: its index is damaged, or it has a newer schema.
+    """
+    listing, storage = scan_spool(spool), storage_at(store)
+    create_store(storage)
+    batch = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}-{secrets.token_hex(3)}"
+    index, claims = open_index_and_claims(storage, batch)
+    summary = BatchSummary(listing)
+    with claims.begin_batch(index) as journal:
+        work = _new_work(listing, storage, settings, index, shard or Shard(), retry, summary)
+        progress(summary)
+        for is_second_pass in (False, True):
+            jobs = _claimed_jobs(work, listing.storage, storage, batch, settings, claims, summary)
+            _run_jobs(jobs, pools, journal, index, claims, summary, progress)
+            workers_lost = any(pool.is_lost() for pool in pools)
+            if is_second_pass or not summary.deferred or summary.gave_up or workers_lost:
+                break
+            work = _retry_deferred(work, claims, summary)
+    _close_batch(storage, index, claims, signer, summary)
+    return summary
+
+
+def _retry_deferred(
+    work: list[tuple[str, RecordedSession]], claims: WorkClaims, summary: BatchSummary
+) -> list[tuple[str, RecordedSession]]:
+    """Return the deferred jobs for a second attempt, after their claims are released."""
+    retried = [(key, session) for key, session in work if key in summary.deferred_keys]
+    summary.deferred_keys -= {key for key, _ in retried}
+    summary.consecutive_deferrals = 0
+    with contextlib.suppress(MachineError):
+        for key, _ in retried:
+            claims.release(key)
+    return retried
+
+
+def _close_batch(
+    storage: Storage,
+    index: StoreIndex,
+    claims: WorkClaims,
+    signer: Signer | None,
+    summary: BatchSummary,
+) -> None:
+    """Merge the rows into the index and write manifests; on an error the next batch does it."""
+    try:
+        claims.end_batch(index)
+        write_manifests(storage, signer)
+    except MachineError as fault:
+        summary.unmerged_reason = str(fault)
+
+
+def _new_work(
+    listing: SpoolListing,
+    store: Storage,
+    settings: SolveSettings,
+    index: StoreIndex,
+    shard: Shard,
+    retry: Sequence[str],
+    summary: BatchSummary,
+) -> list[tuple[str, RecordedSession]]:
+    cache_dir = store.path if isinstance(store, Folder) else cache_folder(store)
+    with RecordingCache(cache_dir / RECORDING_CACHE_FILE, listing.storage.location) as cache:
+        known, unread = cache.split_known(listing)
+        all_sessions = group_into_sessions(
+            [*known, *cache.remember(read_recordings(listing.storage, unread))]
+        )
+    finished_keys = index.finished_keys(retry)
+    work: list[tuple[str, RecordedSession]] = []
+    for session in all_sessions:
+        key = job_key(session.digests, settings.solver_version, settings.config_sha256)
+        summary.sessions += 1
+        if key in finished_keys:
+            summary.done_before += 1
+        elif not shard.contains(key):
+            summary.taken_by_others += 1
+        elif session.read_error:  # of a bucket; the digest is unknown, so nothing is recorded
+            summary.deferred_keys.add(key)
+            summary.deferral_reason = session.read_error
+        else:
+            work.append((key, session))
+    summary.to_do = len(work) + len(summary.deferred_keys)
+    return work
+
+
+def _claimed_jobs(
+    work: Sequence[tuple[str, RecordedSession]],
+    spool: Storage,
+    store: Storage,
+    batch: str,
+    settings: SolveSettings,
+    claims: WorkClaims,
+    summary: BatchSummary,
+) -> Iterator[Job]:
+    for key, session in work:
+        if summary.gave_up:
+            return
+        try:
+            claimed = claims.try_claim(key)
+        except MachineError as fault:
+            _defer(summary, key, fault)
+            continue
+        if not claimed:
+            summary.taken_by_others += 1
+            summary.to_do -= 1
+            continue
+        paths = tuple(recording.path for recording in session.recordings)
+        yield Job(key, batch, store, spool, paths, session.digests, settings, session.rejection)
+
+
+def _run_jobs(
+    jobs: Iterator[Job],
+    pools: list[WorkerPool],
+    journal: RowJournal,
+    index: StoreIndex,
+    claims: WorkClaims,
+    summary: BatchSummary,
+    progress: ProgressCallback,
+) -> None:
+    for outcome in run_all(jobs, pools):
+        try:
+            if isinstance(outcome, Deferred):
+                raise outcome.fault
+            journal.add(outcome.rows)
+            _count_result(outcome, summary)
+            summary.consecutive_deferrals = 0
+            with contextlib.suppress(MachineError):  # the job has its rows, which is enough
+                claims.mark_done(outcome.key)
+            if journal.is_full:
+                with contextlib.suppress(MachineError):  # the next batch merges it
+                    index.merge_journal(journal.start_next_part())
+        except MachineError as fault:
+            key = outcome.job.key if isinstance(outcome, Deferred) else outcome.key
+            _defer(summary, key, fault)  # nothing of the job is recorded
+        progress(summary)
+
+
+def _defer(summary: BatchSummary, key: str, fault: MachineError) -> None:
+    summary.deferred_keys.add(key)
+    summary.consecutive_deferrals += 1
+    summary.deferral_reason = str(fault)
+    summary.gave_up |= summary.consecutive_deferrals >= GIVE_UP_AFTER_DEFERRALS
+
+
+def _count_result(result: JobResult, summary: BatchSummary) -> None:
+    statuses = [row.status for row in result.rows]
+    summary.sessions_by_status[min(statuses, key=_WORST_FIRST.index)] += 1
+    summary.boards_by_status.update(statuses)
+    summary.unsuccessful_rows += [row for row in result.rows if row.status != "ok"]
+    summary.joint_fit_failures += {
+        f"{', '.join(row.names)}: {row.reason}"
+        for row in result.rows
+        if row.status == "ok" and row.reason
+    }

@@ -1,0 +1,106 @@
+"""Recording cache: digest and session of known recordings, so that a spool is read only once.
+
+What to use when: `RecordingCache` around `spool_scanner.read_recordings`. A file with the same
+storage, name, size and time of change (in a bucket: tag) counts as unchanged; the worker compares
+its digest again before it solves. If the cache is lost or locked, files are read again.
+"""
+
+import contextlib
+import sqlite3
+from collections.abc import Iterable, Iterator
+from pathlib import Path, PurePosixPath
+from types import TracebackType
+from typing import Self
+
+from gyrorig_solver.fleet.jobs.spool_scanner import SpooledRecording, SpoolListing
+from gyrorig_solver.storage.storage_protocol import StorageEntry
+
+_CREATE_TABLE_SQL = """CREATE TABLE IF NOT EXISTS spooled (
+    path TEXT PRIMARY KEY, size INTEGER, stamp TEXT, sha256 TEXT, session TEXT, part TEXT
+) WITHOUT ROWID"""
+_ROWS_PER_WRITE = 10_000
+
+
+class RecordingCache:
+    """The cache, in one SQLite file. Use it as a context manager."""
+
+    def __init__(self, path: Path, spool: str) -> None:
+        """Open the cache.
+
+        Args:
+            path: of the file.
+            spool: the location of the spool.
+        """
+        self._spool = spool
+        self._known: dict[str, tuple[int, str, str, str, str]] = {}
+        self._new: list[tuple[str, int, str, str, str, str]] = []
+        self._database: sqlite3.Connection | None = None
+        with contextlib.suppress(sqlite3.Error, OSError):
+            self._database = sqlite3.connect(path, timeout=2.0)
+            self._database.execute(_CREATE_TABLE_SQL)
+            for name, *rest in self._database.execute("SELECT * FROM spooled"):
+                self._known[name] = tuple(rest)
+
+    def __enter__(self) -> Self:
+        """Return this object."""
+        return self
+
+    def __exit__(
+        self,
+        exception_type: type[BaseException] | None,
+        exception: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Write the new entries."""
+        self._save()
+        if self._database is not None:
+            self._database.close()
+
+    def lookup(self, entry: StorageEntry) -> SpooledRecording | None:
+        """Return a file's entry; None if the file is new, or may have changed."""
+        known = self._known.get(self._key(entry.name))
+        if known is None or (entry.size, entry.change_tag) != known[:2]:
+            return None
+        size, change_tag, sha256, session, part = known
+        return SpooledRecording(PurePosixPath(entry.name), sha256, session, part, size, change_tag)
+
+    def remember(self, recordings: Iterable[SpooledRecording]) -> Iterator[SpooledRecording]:
+        """Yield recordings, and add them to the cache."""
+        for recording in recordings:
+            if recording.session:
+                entry = (
+                    recording.size,
+                    recording.change_tag,
+                    recording.sha256,
+                    recording.session,
+                    recording.part,
+                )
+                self._new.append((self._key(str(recording.path)), *entry))
+            if len(self._new) >= _ROWS_PER_WRITE:
+                self._save()
+            yield recording
+
+    def split_known(
+        self, listing: SpoolListing
+    ) -> tuple[list[SpooledRecording], list[StorageEntry]]:
+        """Return the known recordings, and the files that have to be read."""
+        known: list[SpooledRecording] = []
+        unread: list[StorageEntry] = []
+        for entry in listing.recordings:
+            recording = self.lookup(entry)
+            if recording is None:
+                unread.append(entry)
+            else:
+                known.append(recording)
+        return known, unread
+
+    def _key(self, name: str) -> str:
+        return f"{self._spool}/{name}"
+
+    def _save(self) -> None:
+        if self._database is not None and self._new:
+            with contextlib.suppress(sqlite3.Error), self._database:
+                self._database.executemany(
+                    "INSERT OR REPLACE INTO spooled VALUES (?, ?, ?, ?, ?, ?)", self._new
+                )
+        self._new.clear()

@@ -1,0 +1,324 @@
+"""Session job: solve one session in a worker; recordings in, new versions and index rows out.
+
+What to use when: `run_job` is sent to an executor. It never raises for the contents of a
+recording. What it raises is an error of the machine or of the store, and the job is then
+deferred, not done.
+"""
+
+import hashlib
+import json
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache, partial
+from pathlib import PurePosixPath
+
+import msgspec
+
+from gyrorig_protocol.errors import GyrorigError, InputError, MachineError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration.calibration_builder import settings_sha256
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
+from gyrorig_solver.calibration.calibration_store import CalibrationStore, StoredVersion
+from gyrorig_solver.fleet.jobs.resource_limits import DeadlineExceededError, deadline, memory_limit
+from gyrorig_solver.fleet.store.bucket_store import open_calibration_store
+from gyrorig_solver.fleet.store.index_rows import (
+    MAX_TRACE_CHARS,
+    IndexRow,
+    WorkStatus,
+    calibration_row,
+    index_time_text,
+)
+from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
+from gyrorig_solver.pipeline.solve_board import likelihood_settings, solve_and_store
+from gyrorig_solver.storage.storage_protocol import Storage
+
+VERSIONS_CHECKED = 3  # latest versions that are checked for this job's result
+
+
+@dataclass(frozen=True, slots=True)
+class SolveSettings:
+    """How every session of a batch is solved."""
+
+    solver_version: str
+    extend: tuple[str, ...] = (AUTO,)
+    deadline_s: float = 300.0
+    memory_bytes: int = 4 << 30
+
+    @property
+    def config_sha256(self) -> str:
+        """Hash of the settings, as in the calibrations."""
+        return settings_sha256(likelihood_settings(self.extend))
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """The work on one session."""
+
+    key: str
+    batch: str
+    store: Storage
+    spool: Storage
+    paths: tuple[PurePosixPath, ...]  # below the spool
+    digests: tuple[str, ...]
+    settings: SolveSettings
+    rejection: str = ""  # why it must not be solved
+
+
+@dataclass(frozen=True, slots=True)
+class JobResult:
+    """Result of a job: at least one row."""
+
+    key: str
+    rows: tuple[IndexRow, ...]
+
+
+def job_key(digests: Sequence[str], solver_version: str, config_sha256: str) -> str:
+    """Return the key of a job: a hash of its recordings, the solver version and its settings."""
+    text = json.dumps([sorted(digests), solver_version, config_sha256])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def run_job(job: Job) -> JobResult:
+    """Solve every board of one session.
+
+    Raises:
+        MachineError: the store or the machine refuses; nothing is recorded.
+    """
+    started_s = time.process_time()
+    try:
+        with deadline(job.settings.deadline_s):
+            rows = tuple(_solve_boards(job))
+    except MachineError:
+        raise
+    except GyrorigError as fault:
+        rows = (failure_row(job, "rejected", reason=str(fault)),)
+    except DeadlineExceededError:
+        reason = (
+            f"it took longer than {job.settings.deadline_s:g} s. Repeat it with --retry failed and "
+            "a larger --deadline."
+        )
+        rows = (failure_row(job, "failed", reason=reason, trace=traceback.format_exc()),)
+    except MemoryError:
+        reason = (
+            f"it needs more than {job.settings.memory_bytes >> 20} MB of memory. Repeat it with "
+            "--retry failed and a larger --memory."
+        )
+        rows = (failure_row(job, "failed", reason=reason),)
+    except Exception as fault:  # an error of this program must not stop the batch
+        reason = _program_error_text(fault)
+        rows = (failure_row(job, "failed", reason=reason, trace=traceback.format_exc()),)
+    cpu_time_s = time.process_time() - started_s
+    return JobResult(
+        job.key, tuple(msgspec.structs.replace(row, seconds=cpu_time_s) for row in rows)
+    )
+
+
+def run_job_memory_limited(job: Job) -> JobResult:
+    """Run a job within its memory limit, in a process that another program started.
+
+    Raises:
+        MachineError: as `run_job`.
+    """
+    with memory_limit(job.settings.memory_bytes):
+        return run_job(job)
+
+
+def failure_row(
+    job: Job,
+    status: WorkStatus,
+    *,
+    reason: str = "",
+    trace: str = "",
+    recording: Recording | None = None,
+    board: str = "",
+) -> IndexRow:
+    """Return the row of a job without a calibration."""
+    metadata = {} if recording is None else recording.metadata.get("gyrorig", {})
+    return IndexRow(
+        key=job.key,
+        status=status,
+        created=index_time_text(datetime.now(UTC)),
+        batch=job.batch,
+        inputs=list(job.digests),
+        names=[path.name for path in job.paths],
+        reason=" ".join(reason.split())[:MAX_TRACE_CHARS],
+        trace=trace[-MAX_TRACE_CHARS:],
+        session=metadata.get("session", ""),
+        rig=metadata.get("rig", ""),
+        board=str(board),  # BoardId is a subclass of str that msgspec does not encode
+        solver_version=job.settings.solver_version,
+        config_sha256=job.settings.config_sha256,
+    )
+
+
+def _solve_boards(job: Job) -> Iterator[IndexRow]:
+    if job.rejection:
+        raise InputError(job.rejection, "keep only one of them in the spool")
+    recordings = []
+    for path in job.paths:
+        # A recording is memory-mapped: its file can be removed after it is read.
+        with job.spool.local_copy(str(path)) as local_path:
+            recordings.append(read_recording(local_path))
+    for recording in recordings:
+        if recording.sha256 not in job.digests:
+            raise InputError(
+                f"{recording.path.name} has changed since the spool was scanned",
+                "do not change recordings in the spool; the next batch solves the new contents",
+            )
+    boards = sorted({board for recording in recordings for board in recording.board_ids})
+    if not boards:
+        raise InputError(
+            f"{job.paths[0].name} contains no samples of a board",
+            "see its contents with `gyrorig check`, connect the board and record again",
+        )
+    store = open_calibration_store(job.store)
+    fits: dict[str, CriticisedFit | GyrorigError] = {}
+    failure: _JointFitFailedError | None = None
+    try:
+        fits = _fit_together(job, store, recordings, boards)
+    except _JointFitFailedError as fault:  # the single fits are valid, but the failure is reported
+        failure = fault
+    for board in boards:
+        row = _solve_board(job, store, recordings, board, fits.get(board))
+        if failure is not None and row.status == "ok":
+            row = msgspec.structs.replace(row, reason=failure.reason, trace=failure.trace)
+        yield row
+
+
+def _fit_together(
+    job: Job, store: CalibrationStore, recordings: Sequence[Recording], boards: list[BoardId]
+) -> dict[str, CriticisedFit | GyrorigError]:
+    """Return the joint fits of boards that were on one unit; empty if they are solved singly.
+
+    Raises:
+        _JointFitFailedError: the program failed; the boards can still be solved singly.
+    """
+    in_all_recordings = [
+        candidate
+        for candidate in boards
+        if all(candidate in recording.board_ids for recording in recordings)
+    ]
+    try:
+        for board in in_all_recordings:
+            _check_newest_versions(job, store, recordings, board)
+    except _AlreadyDoneError:  # an interrupted batch has solved some of them; few are left
+        return {}
+    except InputError:  # reported where that board is solved
+        pass
+    try:
+        return fit_together(recordings, in_all_recordings, extend=job.settings.extend)
+    except (DeadlineExceededError, MemoryError):
+        raise
+    except Exception as fault:
+        raise _JointFitFailedError(_program_error_text(fault), traceback.format_exc()) from fault
+
+
+def _solve_board(
+    job: Job,
+    store: CalibrationStore,
+    recordings: Sequence[Recording],
+    board: BoardId,
+    ready: CriticisedFit | GyrorigError | None,
+) -> IndexRow:
+    """Solve one board; its errors do not affect the other boards."""
+    holding = [recording for recording in recordings if board in recording.board_ids]
+    first = holding[0]
+    check_newest = partial(_check_newest_versions, job, store, holding, board)
+    try:
+        check_newest()
+        if isinstance(ready, GyrorigError):
+            raise ready
+        extend = job.settings.extend
+        solved = solve_and_store(
+            store, holding, board, extend=extend, precomputed=ready, before_writing=check_newest
+        )
+        calibration, stored = solved.calibration, solved.stored
+    except _AlreadyDoneError as done:
+        calibration, stored = done.calibration, done.version
+    except MachineError:
+        raise
+    except GyrorigError as fault:
+        return failure_row(job, "rejected", reason=str(fault), recording=first, board=board)
+    except (DeadlineExceededError, MemoryError):
+        raise
+    except Exception as fault:  # see run_job
+        reason = _program_error_text(fault)
+        trace = traceback.format_exc()
+        return failure_row(job, "failed", reason=reason, trace=trace, recording=first, board=board)
+    metadata = first.metadata.get("gyrorig", {})
+    return calibration_row(
+        calibration,
+        key=job.key,
+        batch=job.batch,
+        session=metadata.get("session", ""),
+        rig=metadata.get("rig", ""),
+        file=store.name_of(stored),
+        file_sha256=stored.digest().removeprefix("sha256:"),
+        beside=store.companion_digests(stored),
+    )
+
+
+def _program_error_text(fault: Exception) -> str:
+    return f"an error of the program, {type(fault).__name__}: {fault}"
+
+
+class _JointFitFailedError(Exception):
+    """The joint fit of several boards failed with an error of the program."""
+
+    def __init__(self, error_text: str, trace: str) -> None:
+        super().__init__()
+        reason = f"the boards were solved singly, because their joint fit failed with {error_text}"
+        self.reason = " ".join(reason.split())[:MAX_TRACE_CHARS]
+        self.trace = trace[-MAX_TRACE_CHARS:]
+
+
+class _AlreadyDoneError(Exception):
+    """The job has its version already: it was interrupted before its row, or done elsewhere."""
+
+    def __init__(self, calibration: CalibrationDocument, version: StoredVersion) -> None:
+        super().__init__()
+        self.calibration, self.version = calibration, version
+
+
+def _check_newest_versions(
+    job: Job, store: CalibrationStore, holding: Sequence[Recording], board: BoardId
+) -> None:
+    """Check the board's latest versions, before the job and before each attempt to write.
+
+    Args:
+        job: the job.
+        store: of the versions.
+        holding: all recordings of the job that contain the board. A version of fewer of them
+            was made before the others existed, and is not this job's.
+        board: whose versions.
+
+    Raises:
+        _AlreadyDoneError: one of them is this job's.
+        InputError: they belong to another board of the same name.
+    """
+    newest = store.versions(board)[-VERSIONS_CHECKED:]
+    digests = {recording.sha256 for recording in holding}
+    uid = holding[0].metadata.get(f"gyrorig.board.{board}", {}).get("uid", "")
+    config = job.settings.config_sha256
+    for stored in reversed(newest):
+        calibration = _parse_cached(stored.data(), str(stored.path))
+        if stored is newest[-1] and uid and calibration.board.uid not in ("", uid):
+            raise InputError(
+                f"board {board} has the uid {uid[:40]!r} here and "
+                f"{calibration.board.uid[:40]!r} in the store, so two boards have one name",
+                "give one of them another id in the configuration of its rig",
+            )
+        same_inputs = {recorded.sha256 for recorded in calibration.inputs} == digests
+        same_solver = calibration.solver.version == job.settings.solver_version
+        if same_inputs and same_solver and calibration.solver.config_sha256 == config:
+            raise _AlreadyDoneError(calibration, stored)
+
+
+@lru_cache(maxsize=16)  # a job reads the latest versions of a board three times
+def _parse_cached(data: bytes, name: str) -> CalibrationDocument:
+    return parse_calibration(data, name)

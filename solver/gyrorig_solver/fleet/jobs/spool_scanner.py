@@ -1,0 +1,180 @@
+"""Spool scanner: the recordings of a spool folder or bucket, grouped by session.
+
+What to use when: `scan_spool` once, at the start of a batch; `group_into_sessions` for the jobs.
+The parts of one session are solved together, so they are one job. Files that are still being
+written (`.mcap.part`) are counted and left alone, because the daemon finishes or recovers them.
+Until then, or for a day, the parts before them wait too. Names and sizes do not identify a
+recording; its SHA-256 does. A recording in a bucket is fetched only while it is read.
+"""
+
+import hashlib
+import json
+import re
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path, PurePosixPath
+
+from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
+from gyrorig_protocol.recording.reader import read_recording_metadata
+from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.storage.location import storage_at
+from gyrorig_solver.storage.storage_protocol import Storage, StorageEntry
+
+UNREAD_PREFIX = "unread:"  # in place of a digest
+SET_ASIDE_FOLDER = "unclean"  # the daemon's originals of recovered recordings
+READER_THREADS = 4  # hashlib releases Python's lock
+_PART_SUFFIX = re.compile(r"(_p\d{3,})?\.mcap(\.part)?$")  # names of the daemon's recorder
+ABANDONED_AFTER_S = 86_400.0  # a part lasts one hour at most, so its writer is gone
+
+
+@dataclass(frozen=True, slots=True)
+class SpooledRecording:
+    """One recording of a spool."""
+
+    path: PurePosixPath  # below the spool
+    sha256: str
+    session: str  # rig, name and start; "" if its head cannot be read
+    part: str = ""
+    size: int = 0
+    change_tag: str = ""  # differs when the file has changed
+    read_error: str = ""  # why the storage did not deliver it
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedSession:
+    """The parts of one session, which are solved together."""
+
+    recordings: tuple[SpooledRecording, ...]
+    rejection: str = ""  # why they must not be solved
+
+    @property
+    def read_error(self) -> str:
+        """Why the session cannot be read now; "" if it can."""
+        return next(
+            (recording.read_error for recording in self.recordings if recording.read_error), ""
+        )
+
+    @property
+    def digests(self) -> tuple[str, ...]:
+        """Sorted SHA-256 digests, so that the order of names does not matter."""
+        return tuple(sorted(recording.sha256 for recording in self.recordings))
+
+
+@dataclass(frozen=True, slots=True)
+class SpoolListing:
+    """The recordings of a spool."""
+
+    storage: Storage
+    recordings: tuple[StorageEntry, ...]
+    unfinished: int = 0
+    waiting_parts: int = 0  # finished parts of sessions that are still being written
+    abandoned: int = 0  # unfinished ones that have not changed for a day
+
+
+def scan_spool(spool: Path | Storage) -> SpoolListing:
+    """Return the recordings of a spool, sorted by name.
+
+    Raises:
+        UsageError: the folder does not exist.
+        MachineError: the bucket does not answer.
+    """
+    storage = storage_at(spool)
+    if isinstance(storage, Folder) and not storage.path.is_dir():
+        raise UsageError(
+            f"the folder {storage.location} does not exist",
+            "choose a folder of recordings with --spool",
+        )
+    recordings: list[StorageEntry] = []
+    unfinished_stems: set[str] = set()
+    unfinished = abandoned = 0
+    for entry in storage.list_files():
+        if SET_ASIDE_FOLDER in entry.name.split("/")[:-1]:
+            continue
+        if entry.name.endswith(".mcap.part"):
+            unfinished += 1
+            if 0.0 < entry.modified_s < time.time() - ABANDONED_AFTER_S:
+                abandoned += 1
+            else:
+                unfinished_stems.add(_session_stem(entry.name))
+        elif entry.name.endswith(".mcap"):
+            recordings.append(entry)
+    complete = [entry for entry in recordings if _session_stem(entry.name) not in unfinished_stems]
+    complete.sort(key=lambda entry: PurePosixPath(entry.name))
+    return SpoolListing(
+        storage, tuple(complete), unfinished, len(recordings) - len(complete), abandoned
+    )
+
+
+def _session_stem(name: str) -> str:
+    """Return the part of a file name that all parts of a session share."""
+    return _PART_SUFFIX.sub("", name)
+
+
+def group_into_sessions(recordings: Iterable[SpooledRecording]) -> list[RecordedSession]:
+    """Return the sessions of these recordings, each with its parts in the order of names.
+
+    Two recordings with the same bytes count once. One whose head cannot be read is a
+    separate session, so that it is rejected with its reason.
+    """
+    parts_by_session: dict[str, dict[str, SpooledRecording]] = {}
+    single_sessions: list[RecordedSession] = []
+    seen_digests: set[str] = set()
+    for recording in sorted(recordings, key=lambda recording: (-recording.size, recording.path)):
+        if recording.sha256 in seen_digests:
+            continue
+        seen_digests.add(recording.sha256)
+        parts = parts_by_session.setdefault(recording.session, {}) if recording.session else {}
+        if recording.part in parts:
+            # A partial copy next to the complete part would count its samples twice.
+            whole = parts[recording.part].path.name
+            single_sessions.append(
+                RecordedSession((recording,), f"{recording.path.name} is a shorter copy of {whole}")
+            )
+        elif recording.session:
+            parts[recording.part] = recording
+        else:
+            single_sessions.append(RecordedSession((recording,)))
+    whole_sessions = (sorted(parts.values(), key=_by_path) for parts in parts_by_session.values())
+    part_sessions = [RecordedSession(tuple(parts)) for parts in whole_sessions]
+    return sorted(
+        [*part_sessions, *single_sessions], key=lambda session: session.recordings[0].path
+    )
+
+
+def _by_path(recording: SpooledRecording) -> PurePosixPath:
+    return recording.path
+
+
+def read_recordings(
+    storage: Storage, entries: Sequence[StorageEntry]
+) -> Iterator[SpooledRecording]:
+    """Yield the recordings in the order of entries; several are read at a time."""
+    with ThreadPoolExecutor(READER_THREADS, "digest") as readers:
+        yield from readers.map(partial(read_spooled, storage), entries)
+
+
+def read_spooled(storage: Storage, entry: StorageEntry) -> SpooledRecording:
+    """Return digest and session of a recording. Never raises: the worker reports errors."""
+    name = PurePosixPath(entry.name)
+    try:
+        with storage.local_copy(entry.name) as path:
+            digest, size = _digest(path), path.stat().st_size
+            try:
+                metadata = read_recording_metadata(path).get("gyrorig", {})
+            except GyrorigError:
+                return SpooledRecording(name, digest, "", size=size, change_tag=entry.change_tag)
+    except MachineError as fault:
+        return SpooledRecording(name, f"{UNREAD_PREFIX}{entry.name}", "", read_error=str(fault))
+    except (OSError, GyrorigError):
+        return SpooledRecording(name, f"{UNREAD_PREFIX}{entry.name}", "")
+    names = [metadata.get(key, "") for key in ("rig", "session", "anchor_utc_ns")]
+    session = json.dumps(names) if any(names) else ""
+    return SpooledRecording(name, digest, session, metadata.get("part", ""), size, entry.change_tag)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

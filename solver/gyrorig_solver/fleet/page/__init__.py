@@ -1,0 +1,5 @@
+"""The fleet's page: alerts, tables and drift charts in static HTML and JavaScript.
+
+What to use when: `alerts.fleet_alerts` for the alerts as sentences, `fleet_page.write_fleet_page`
+for the page. Its HTML, style sheet and scripts are in `web/`.
+"""

@@ -1,0 +1,235 @@
+"""Conversion of columns to counts, nanoseconds and status bits.
+
+What to use when: `read_streams` for all streams of one input. The whole input is checked before
+anything is written.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.messages import ImuStatus
+from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.importers.import_map import (
+    AccelColumns,
+    AttitudeColumns,
+    GyroColumns,
+    ImportMap,
+)
+from gyrorig_solver.importers.import_times import (
+    device_ticks,
+    nanoseconds,
+    output_rate_metadata,
+    read_times,
+    values_at_samples,
+)
+from gyrorig_solver.importers.measurement_columns import MeasurementColumns
+
+# Physical units become int32 counts with a scale far below the resolution of any sensor.
+GYRO_COUNT_RAD_S = 1e-7
+ACCEL_COUNT_M_S2 = 1e-6
+# int16 with this scale and offset covers -40 to 85 degC in steps of 2 mK.
+TEMPERATURE_COUNT_C = 0.002
+TEMPERATURE_OFFSET_C = 25.0
+STANDARD_GRAVITY_M_S2 = 9.80665  # the unit g, CGPM 1901
+INT32 = np.iinfo(np.int32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuStream:
+    """The samples of one board, in the form of the recording."""
+
+    host_time_ns: IntArray  # (n,)
+    device_time: IntArray  # (n,), ticks
+    row: IntArray  # (n,), row number in the source, used as the sample counter
+    time_s: FloatArray  # (n,), time in the source
+    status: IntArray  # (n,)
+    temperature: IntArray  # (n,)
+    gyro: IntArray  # (n, 3)
+    accel: IntArray | None
+    metadata: dict[str, str]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeStream:
+    """Reference attitudes; missing ones are gaps."""
+
+    host_time_ns: IntArray  # (n,)
+    orientation_xyzw: FloatArray  # (n, 4)
+    standard_deviation_rad: float  # nan if the source does not specify it
+    lost: int
+
+
+def wanted_keys(mapping: ImportMap) -> list[str]:
+    """Return all columns that a map needs."""
+    keys = list(mapping.gyro.keys)
+    for part in (mapping.accel, mapping.attitude):
+        keys += part.keys if part else []
+    if mapping.temperature:
+        keys.append(mapping.temperature.key)
+    if mapping.static_mask:
+        keys.append(mapping.static_mask.key)
+    for part_with_time in (mapping, mapping.accel, mapping.temperature, mapping.attitude):
+        time = part_with_time.time if part_with_time is not None else None
+        keys += [key for key in (time.key, time.rate_key) if key] if time else []
+    return keys
+
+
+def read_streams(
+    columns: MeasurementColumns, mapping: ImportMap
+) -> tuple[ImuStream, AttitudeStream | None]:
+    """Return the samples and the reference attitude of one input.
+
+    Raises:
+        InputError: times decrease, a value is out of range, or there is no usable data.
+    """
+    gyro = columns.matrix(mapping.gyro.keys, 3)
+    time_s = read_times(columns, mapping.time, len(gyro), "gyro")
+    notes: list[str] = []
+    is_finite = np.all(np.isfinite(gyro), axis=1)
+    if is_finite.sum() < 2:
+        raise InputError(
+            f"the gyro columns {', '.join(mapping.gyro.keys)} contain no numbers",
+            "correct `keys` under `gyro` in the import map",
+        )
+    if not is_finite.all():
+        notes.append(f"{int((~is_finite).sum())} rows without a gyro value were left out")
+    row = np.flatnonzero(is_finite)
+    gyro_counts = _gyro_counts(gyro[row], mapping.gyro)
+    status = np.zeros(row.size, dtype=np.int64)
+    metadata = {"uid": mapping.uid, "sensor": mapping.sensor, "link": "file"}
+    metadata |= {"model": mapping.model} if mapping.model else {}
+    metadata["gyro_scale_rad_s"] = repr(_gyro_scale(mapping.gyro))
+    for key in ("full_scale_dps", "bandwidth_hz"):
+        value = getattr(mapping.gyro, key)
+        if value is not None:
+            metadata["gyro_" + key if key == "full_scale_dps" else key] = repr(value)
+    accel = None
+    if mapping.accel:
+        accel, valid, scale = _accel_counts(columns, mapping.accel, time_s, row, notes)
+        status |= np.where(valid, int(ImuStatus.ACCEL_VALID), 0)
+        metadata["accel_scale_m_s2"] = repr(scale)
+    temperature = np.zeros(row.size, dtype=np.int64)
+    if mapping.temperature:
+        temperature, valid = _temperature_counts(columns, mapping, time_s, row, notes)
+        status |= np.where(valid, int(ImuStatus.TEMPERATURE_VALID), 0)
+        metadata["temperature_scale_c"] = repr(TEMPERATURE_COUNT_C)
+        metadata["temperature_offset_c"] = repr(TEMPERATURE_OFFSET_C)
+    device_time, clock = device_ticks(mapping.time, time_s, row)
+    imu = ImuStream(
+        host_time_ns=nanoseconds(time_s[row]),
+        device_time=device_time,
+        row=row.astype(np.int64),
+        time_s=time_s[row],
+        status=status,
+        temperature=temperature,
+        gyro=gyro_counts,
+        accel=accel,
+        metadata=metadata | clock | output_rate_metadata(columns, mapping.time),
+        notes=tuple(notes),
+    )
+    return imu, _attitude_stream(columns, mapping.attitude, time_s) if mapping.attitude else None
+
+
+def _gyro_scale(columns: GyroColumns) -> float:
+    if columns.unit == "counts" and columns.scale_rad_s is not None:
+        return columns.scale_rad_s
+    return GYRO_COUNT_RAD_S
+
+
+def _gyro_counts(gyro: FloatArray, columns: GyroColumns) -> IntArray:
+    if columns.unit == "counts":
+        return _whole_counts(gyro - columns.offset_counts, "gyro")
+    rate = np.radians(gyro) if columns.unit == "deg/s" else gyro
+    return _int32_counts(rate / GYRO_COUNT_RAD_S, "gyro")
+
+
+def _accel_counts(
+    columns: MeasurementColumns,
+    part: AccelColumns,
+    time_s: FloatArray,
+    row: IntArray,
+    notes: list[str],
+) -> tuple[IntArray, BoolArray, float]:
+    """Return counts at the samples of the gyro, their validity, and the scale."""
+    values = columns.matrix(part.keys, 3)
+    base_s = read_times(columns, part.time, len(values), "accel") if part.time else None
+    picked = values_at_samples(values, base_s, time_s, row, "accel", notes)
+    valid = np.all(np.isfinite(picked), axis=1)
+    picked = np.where(valid[:, None], picked, part.offset_counts if part.unit == "counts" else 0.0)
+    if part.unit == "counts" and part.scale_m_s2 is not None:
+        return _whole_counts(picked - part.offset_counts, "accel"), valid, part.scale_m_s2
+    unit = STANDARD_GRAVITY_M_S2 if part.unit == "g" else 1.0
+    return _int32_counts(picked * unit / ACCEL_COUNT_M_S2, "accel"), valid, ACCEL_COUNT_M_S2
+
+
+def _temperature_counts(
+    columns: MeasurementColumns,
+    mapping: ImportMap,
+    time_s: FloatArray,
+    row: IntArray,
+    notes: list[str],
+) -> tuple[IntArray, BoolArray]:
+    part = mapping.temperature
+    if part is None:
+        raise ValueError("the map has no temperature")
+    values = columns.matrix([part.key], 1)
+    base_s = read_times(columns, part.time, len(values), "temperature") if part.time else None
+    picked = values_at_samples(values, base_s, time_s, row, "temperature", notes)[:, 0]
+    counts = np.rint((picked - TEMPERATURE_OFFSET_C) / TEMPERATURE_COUNT_C)
+    valid = np.isfinite(counts) & (np.abs(counts) <= 32767)
+    return np.where(valid, counts, 0.0).astype(np.int64), valid
+
+
+def _attitude_stream(
+    columns: MeasurementColumns, part: AttitudeColumns, time_s: FloatArray
+) -> AttitudeStream:
+    values = columns.matrix(part.keys, 4)
+    if part.order == "wxyz":
+        values = values[:, [1, 2, 3, 0]]
+    if part.time is not None:
+        base_s = read_times(columns, part.time, len(values), "attitude")
+    elif len(values) == time_s.size:
+        base_s = time_s
+    else:
+        raise InputError(
+            f"attitude has {len(values)} rows, but the gyro has {time_s.size}",
+            "add `time` under `attitude` in the import map",
+        )
+    is_finite = np.all(np.isfinite(values), axis=1)
+    length = np.linalg.norm(values[is_finite], axis=1)
+    if not is_finite.any() or np.any(np.abs(length - 1.0) > 0.01):
+        raise InputError(
+            "the attitude columns contain no quaternions of length 1",
+            "correct `keys` and `order` under `attitude` in the import map",
+        )
+    std_rad = float(np.radians(part.std_deg)) if part.std_deg else float("nan")
+    return AttitudeStream(
+        nanoseconds(base_s[is_finite]),
+        values[is_finite] / length[:, None],
+        std_rad,
+        int((~is_finite).sum()),
+    )
+
+
+def _whole_counts(values: FloatArray, quantity: str) -> IntArray:
+    if np.any(values != np.rint(values)):
+        raise InputError(
+            f"the {quantity} columns contain numbers that are not whole, so they are not counts",
+            f"correct `unit` under `{quantity}` in the import map",
+        )
+    return _int32_counts(values, quantity)
+
+
+def _int32_counts(counts: FloatArray, quantity: str) -> IntArray:
+    whole = np.rint(counts)
+    out_of_range = ~((whole >= INT32.min) & (whole <= INT32.max))
+    if out_of_range.any():
+        at = int(np.argmax(out_of_range.any(axis=1)))
+        raise InputError(
+            f"{quantity} of sample {at + 1} is beyond the range of any sensor",
+            f"correct `unit` under `{quantity}` in the import map",
+        )
+    return np.asarray(whole, dtype=np.int64)

@@ -1,0 +1,121 @@
+"""Times of imported streams, and values of one stream at the samples of another."""
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.importers.import_map import TimeBase
+from gyrorig_solver.importers.measurement_columns import MeasurementColumns
+
+UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+MAX_TIME_S = 2**31 - 1  # builtin_interfaces/Time counts seconds in an int32
+
+
+def read_times(columns: MeasurementColumns, base: TimeBase, rows: int, stream: str) -> FloatArray:
+    """Return the times of a stream in s, shape (rows,).
+
+    Raises:
+        InputError: their number differs from `rows`, they do not increase, or they are out
+            of the range of a recording. Arrival times can repeat.
+    """
+    if base.key is not None:
+        time_s = columns.matrix([base.key], 1)[:, 0] * UNIT_S[base.unit]
+    else:
+        time_s = np.arange(rows) / _sample_rate(columns, base)
+    time_s = time_s + base.origin_s
+    if time_s.size != rows:
+        raise InputError(
+            f"{stream} has {time_s.size} times for {rows} rows",
+            "correct `key` under its `time` in the import map",
+        )
+    invalid = ~np.isfinite(time_s) | (time_s < 0.0) | (time_s >= MAX_TIME_S)
+    if invalid.any():
+        at = int(np.argmax(invalid))
+        raise InputError(
+            f"{stream} has the time {time_s[at]:g} s in row {at + 1}",
+            "correct `unit` under `time` in the import map, or set `origin_s` there so that no "
+            "time is below 0",
+        )
+    step = np.diff(time_s)
+    not_increasing = step < 0.0 if base.stamp == "arrival" else step <= 0.0
+    if not_increasing.any():
+        at = int(np.argmax(not_increasing)) + 1
+        raise InputError(
+            f"the times of {stream} do not increase at row {at + 1}",
+            "sort the rows and remove duplicates, or set `stamp: arrival` under `time` "
+            "in the import map",
+        )
+    return np.asarray(time_s, dtype=np.float64)
+
+
+def _sample_rate(columns: MeasurementColumns, base: TimeBase) -> float:
+    rate = base.rate_hz
+    if base.rate_key is not None:
+        rate = float(columns.matrix([base.rate_key], 1)[0, 0])
+    if rate is None or not np.isfinite(rate) or rate <= 0.0:
+        raise InputError(
+            f"the sample rate is {rate}, and it must be above 0",
+            "give `rate_hz` under `time` in the import map, or a column of times",
+        )
+    return rate
+
+
+def output_rate_metadata(columns: MeasurementColumns, base: TimeBase) -> dict[str, str]:
+    """Return `odr_hz` if the source specifies a rate."""
+    has_rate = base.rate_hz is not None or base.rate_key is not None
+    return {"odr_hz": repr(_sample_rate(columns, base))} if has_rate else {}
+
+
+def device_ticks(
+    base: TimeBase, time_s: FloatArray, row: IntArray
+) -> tuple[IntArray, dict[str, str]]:
+    """Return device ticks and their frequency.
+
+    A single time column is both host and device time. If it contains arrival times, the sample
+    count is the device clock: the lower envelope of the arrivals gives its true rate.
+    """
+    if base.stamp == "arrival":
+        return row.astype(np.int64), {"tick_hz": repr(base.rate_hz), "counter_bits": "64"}
+    return nanoseconds(time_s[row]), {"tick_hz": "1000000000.0", "counter_bits": "64"}
+
+
+def nanoseconds(time_s: FloatArray) -> IntArray:
+    """Return seconds as whole nanoseconds."""
+    return np.asarray(np.rint(time_s * 1e9), dtype=np.int64)
+
+
+def values_at_samples(
+    values: FloatArray,
+    base_s: FloatArray | None,
+    time_s: FloatArray,
+    row: IntArray,
+    stream: str,
+    notes: list[str],
+) -> FloatArray:
+    """Return the values at the samples of the gyro, nan if none is near.
+
+    A stream with other times is not resampled. Each sample gets the nearest value within half
+    a sample period, and a note gives the largest shift.
+    """
+    if base_s is None:
+        if len(values) != time_s.size:
+            raise InputError(
+                f"{stream} has {len(values)} rows, but the gyro has {time_s.size}",
+                f"add `time` under `{stream}` in the import map",
+            )
+        return values[row]
+    if base_s.size == time_s.size and np.array_equal(base_s, time_s):
+        return values[row]
+    after = np.clip(np.searchsorted(base_s, time_s[row]), 1, max(base_s.size - 1, 1))
+    if base_s.size < 2:
+        raise InputError(f"{stream} has only {base_s.size} rows", "remove it from the import map")
+    nearer = np.abs(base_s[after - 1] - time_s[row]) <= np.abs(base_s[after] - time_s[row])
+    nearest = np.where(nearer, after - 1, after)
+    distance_s = np.abs(base_s[nearest] - time_s[row])
+    is_near = distance_s <= 0.5 * float(np.median(np.diff(time_s)))
+    largest_ms = 1e3 * float(distance_s[is_near].max()) if is_near.any() else 0.0
+    notes.append(
+        f"{stream}: the nearest value was used, {int((~is_near).sum())} samples have none, the "
+        f"largest shift is {largest_ms:.3f} ms"
+    )
+    return np.where(is_near[:, None], values[nearest], np.nan)

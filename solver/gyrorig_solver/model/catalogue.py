@@ -1,0 +1,45 @@
+"""The catalogue of physical causes, by id.
+
+Every module of `model.causes` that has a `TERM` takes part: a new cause is a new file.
+
+What to use when: `catalogue` for all causes; `find_term` for one that a user has named.
+"""
+
+import importlib
+import pkgutil
+from functools import cache
+from types import MappingProxyType
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.suggestions import did_you_mean
+from gyrorig_solver.model import causes
+from gyrorig_solver.model.term import Term
+
+
+@cache
+def catalogue() -> MappingProxyType[str, Term]:
+    """Return every cause by its id, in alphabetical order."""
+    terms_by_id: dict[str, Term] = {}
+    for module in pkgutil.iter_modules(causes.__path__):
+        candidate: Term | None = getattr(
+            importlib.import_module(f"{causes.__name__}.{module.name}"), "TERM", None
+        )
+        if candidate is not None:
+            terms_by_id[candidate.cause] = candidate
+    return MappingProxyType(dict(sorted(terms_by_id.items())))
+
+
+def find_term(cause: str) -> Term:
+    """Return the cause with an id.
+
+    Raises:
+        UsageError: the catalogue has no such id. The error suggests at most three ids.
+    """
+    if cause not in catalogue():
+        suggestion = did_you_mean(cause[:40], catalogue())
+        list_all = "`gyrorigd causes` lists all causes"
+        raise UsageError(
+            f"{cause[:40]!r} is not a cause in the catalogue",
+            f"{suggestion} {list_all}".strip(),
+        )
+    return catalogue()[cause]

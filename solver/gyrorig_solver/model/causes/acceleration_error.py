@@ -1,0 +1,134 @@
+"""Acceleration error: the speed ramps are steeper or flatter than commanded.
+
+The unit uses acceleration (1 + e) from the same start to the same target. The timer of a stepper
+controller quantises the speeds of a ramp (0.1 %), and a unit does not always use the acceleration
+that it accepts. Only moves without another command on the way are replanned. A reference that fits
+the ramps already contains this effect.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.drive_effects import replan_with_limits
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    EDGE_COVARIATES,
+    NO_ANGLES,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
+from gyrorig_solver.model.value_format import PAN_TILT, format_list
+
+
+class AccelerationError(AngleTerm):
+    """The relative acceleration error e of pan and tilt."""
+
+    cause = "acceleration_error"
+    title = "The acceleration differs from the command"
+    stage: Stage = "profile"
+    parameters = (
+        TermParameter(
+            name="share",
+            unit="1",
+            typical_size=5e-3,
+            lower=-0.5,
+            upper=1.0,
+            prior_std=0.1,
+            components=PAN_TILT,
+        ),
+    )
+    confused_with = ("s_curve", "base_speed_jump", "clock_offset")
+    remedy = "ask the unit for its acceleration (PA, TA) and note it in the recording"
+    covariates = (*EDGE_COVARIATES, "speed")
+    picture = None
+    excitation = "moves at several speeds, with ramps of different lengths"
+    effect_if_ignored = "small: the time offset absorbs part of it"
+
+    def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the executed minus the commanded angles, (2, n + 1)."""
+        return limit_change_error(state, (float(values[0]), float(values[1])), (0.0, 0.0))
+
+    def propagate(self, state: SignalState, values: FloatArray) -> SignalState:
+        """Return the signal with the moves replanned."""
+        return replan_motion(state, (float(values[0]), float(values[1])), (0.0, 0.0))
+
+    def template_bank(self, state: SignalState) -> FloatArray:
+        """Scan small and large errors."""
+        return scan_grid(self, share=np.array([-0.2, -0.05, 0.01, 0.05, 0.2]))
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why the motion profiles are unknown, or None."""
+        return reason_without_profiles(state)
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the relative errors."""
+        return (
+            f"the ramps are steeper than commanded by {format_list(values * 100.0, PAN_TILT, '%')}"
+        )
+
+
+def limit_change_error(
+    state: SignalState, acceleration_share: tuple[float, float], base_rad_s: tuple[float, float]
+) -> FloatArray:
+    """Return the change of the angles, (2, n + 1), when the axes use other limits.
+
+    The change is relative to `state.context.limit_changes`, which earlier causes have applied.
+    """
+    error = np.zeros_like(state.angle_rad)
+    resolution = state.context.rad_per_step
+    if resolution is None:
+        return error
+    previous_changes = state.context.limit_changes
+    for axis, commanded in state.context.motion_profiles:
+        size = resolution[axis]
+        change = acceleration_share[axis], base_rad_s[axis] / abs(size)
+        if change == (0.0, 0.0) or commanded.start_s[0] > state.edges_s[-1]:
+            continue
+        share, base = previous_changes[axis][0], previous_changes[axis][1] / abs(size)
+        replanned = replan_with_limits(commanded, change[0] + share, change[1] + base)
+        previous = (
+            commanded
+            if previous_changes[axis] == (0.0, 0.0)
+            else replan_with_limits(commanded, share, base)
+        )
+        if replanned is None or previous is None:
+            continue
+        end_s = max(previous.end_s, replanned.end_s)
+        first, last = np.searchsorted(state.edges_s, [commanded.start_s[0], end_s])
+        edges_s = state.edges_s[first:last]
+        error[axis, first:last] += size * (
+            replanned.position_steps(edges_s) - previous.position_steps(edges_s)
+        )
+    return error
+
+
+def replan_motion(
+    state: SignalState, acceleration_share: tuple[float, float], base_rad_s: tuple[float, float]
+) -> SignalState:
+    """Return the signal with the moves replanned with other limits of the axes."""
+    changed = state.with_angles(limit_change_error(state, acceleration_share, base_rad_s))
+    limit_changes = [
+        (previous[0] + share, previous[1] + base)
+        for previous, share, base in zip(
+            state.context.limit_changes, acceleration_share, base_rad_s, strict=True
+        )
+    ]
+    return replace(
+        changed,
+        context=replace(changed.context, limit_changes=(limit_changes[0], limit_changes[1])),
+    )
+
+
+def reason_without_profiles(state: SignalState) -> str | None:
+    """Return why the motion profiles are unknown, or None if they are known."""
+    if not state.has_angles:
+        return NO_ANGLES
+    if state.context.rad_per_step is None or not state.context.motion_profiles:
+        return "the commands to the unit are not known; record them"
+    return None
+
+
+TERM = AccelerationError()

@@ -1,0 +1,79 @@
+"""Non-perpendicular axes: the pan axis is not at a right angle to the tilt axis.
+
+In the frame of the tilt axis the pan axis is (sin e, 0, cos e). A pan motion therefore also turns
+the stage about its tilt axis:
+
+    omega = (tilt_rate + pan_rate sin e, pan_rate cos e sin t, pan_rate cos e cos t).
+
+Machined units have 0.1 to 0.3 deg (from memory; no data sheet states it). At one or two tilts the
+gain absorbs the effect completely. Gravity does not show it either: on a level rig it adds the same
+amount to every reading of an accelerometer, like its bias.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    NO_ANGLES,
+    BinnedDependence,
+    Part,
+    Scope,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import NonlinearTerm
+from gyrorig_solver.model.value_format import DEG
+
+
+class AxisNonOrthogonality(NonlinearTerm):
+    """The deviation e from the right angle; positive leans the pan axis towards +x."""
+
+    cause = "axis_nonorthogonality"
+    title = "The pan and tilt axes are not perpendicular"
+    part: Part = "ptu"
+    stage: Stage = "axes"
+    scope: Scope = "unit"
+    parameters = (
+        TermParameter(
+            name="angle",
+            unit="rad",
+            typical_size=0.15 * DEG,
+            lower=-2.0 * DEG,
+            upper=2.0 * DEG,
+            prior_std=0.5 * DEG,
+        ),
+    )
+    confused_with = ("board_slip", "tilt_sag")
+    remedy = "have the tilt axis shimmed, or keep it in the model with `gyrorig solve`"
+    covariates = ("tilt_angle",)
+    picture = BinnedDependence("gain", "tilt", 10)
+    excitation = "pan sweeps at three or more tilts that are far apart"
+    effect_if_ignored = "the gain's x row and M absorb it: up to 46 sigma before it is detected"
+
+    def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the exact change of the rate, (blocks, 3)."""
+        return self._measured_rate(state, float(np.sin(values[0])), float(np.cos(values[0])) - 1.0)
+
+    def jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the derivative, (1, blocks, 3)."""
+        return self._measured_rate(state, float(np.cos(values[0])), -float(np.sin(values[0])))[None]
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why the reference has no axes, or None."""
+        return None if state.has_angles else NO_ANGLES
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the angle."""
+        error_deg = abs(values[0]) / DEG
+        return f"the pan and tilt axes are {error_deg:.3f} deg away from perpendicular"
+
+    def _measured_rate(self, state: SignalState, x_share: float, yz_share: float) -> FloatArray:
+        pan, tilt = state.pan_rate_rad_s, state.tilt_rad
+        rate = np.column_stack(
+            [pan * x_share, pan * yz_share * np.sin(tilt), pan * yz_share * np.cos(tilt)]
+        )
+        return state.measure_stage_rate(rate)
+
+
+TERM = AxisNonOrthogonality()

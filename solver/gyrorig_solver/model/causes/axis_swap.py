@@ -1,0 +1,64 @@
+"""Swapped axes: the words are read in the wrong order, or the driver is for another part.
+
+y' = P y, where P exchanges two axes. The gain and the bias absorb it completely: the gain is then
+far from any rotation that a mount can have. The nearest signed permutation identifies the swap.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Kind, Part, Stage, TermParameter
+from gyrorig_solver.model.term_kinds import LinearTerm
+
+PAIRS = ((0, 1), (1, 2), (2, 0))
+
+
+class AxisSwap(LinearTerm):
+    """1 for a swapped pair, 0 for any other pair."""
+
+    cause = "axis_swap"
+    title = "Two axes are swapped"
+    part: Part = "link"
+    stage: Stage = "readout"
+    kind: Kind = "gauge"
+    parameters = (
+        TermParameter(
+            "exchanged",
+            "1",
+            typical_size=1.0,
+            lower=0.0,
+            upper=1.0,
+            prior_std=1.0,
+            components=("xy", "yz", "zx"),
+        ),
+    )
+    confused_with = ("sign_flip",)
+    remedy = "correct the order of the words in the driver or the order of the board's columns"
+    covariates = None
+    picture = None
+    excitation = "any motion; compare the mount with the gain's nearest signed permutation"
+    effect_if_ignored = (
+        "none: the calibration is valid for the axes in this order; only the mount angles differ"
+    )
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the difference of each pair on both of its axes, (3, blocks, 3)."""
+        rate = state.sample_output(state.filtered_rad_s) + state.bias_rad_s
+        signals = np.zeros((3, state.block_count, 3))
+        for k, (first_axis, second_axis) in enumerate(PAIRS):
+            signals[k, :, first_axis] = rate[:, second_axis] - rate[:, first_axis]
+            signals[k, :, second_axis] = rate[:, first_axis] - rate[:, second_axis]
+        return signals
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe which axes are swapped."""
+        swapped = [
+            name
+            for name, value in zip(("x and y", "y and z", "z and x"), values, strict=True)
+            if value > 0.5
+        ]
+        return f"swapped axes: {'; '.join(swapped) or 'none'}"
+
+
+TERM = AxisSwap()

@@ -1,0 +1,96 @@
+"""Backlash: after a reversal the motor turns and the stage does not.
+
+A play operator on the angle of each axis: the stage follows once the motor has crossed the gap g.
+The rate is lost for g/speed after each reversal and never after a restart in the same direction.
+The maker's FAQ states 0.02 to 0.1 deg, growing with wear; 0.2 deg is a worn worm. On the tilt axis
+the payload can press on one side of the gap at all times. Then there is no backlash, and the side
+changes where the payload is balanced.
+
+The output of the operator is centred on the input, but the zero of the unit is not. Homing found it
+with the wheel against one face, so that the stage is at the commanded angle when it comes from that
+side, and a whole gap short of it from the other side. No motion shows which face it was. Half the
+gap is a tilt zero, which is a rotation of the misalignment about x. It is not fitted, but the
+covariance of the gain includes it.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.drive_effects import apply_play
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    EDGE_COVARIATES,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
+from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
+
+
+class Backlash(AngleTerm):
+    """The gap, then the initial contact (1: pushing up), for pan and tilt."""
+
+    cause = "backlash"
+    title = "The gears have backlash"
+    stage: Stage = "play"
+    parameters = (
+        TermParameter(
+            name="gap",
+            unit="rad",
+            typical_size=0.05 * DEG,
+            lower=0.0,
+            upper=1.0 * DEG,
+            prior_std=0.3 * DEG,
+            components=PAN_TILT,
+        ),
+        TermParameter(
+            name="begin",
+            unit="1",
+            typical_size=1.0,
+            lower=-1.0,
+            upper=1.0,
+            prior_std=1.0,
+            components=PAN_TILT,
+            role="shape",
+        ),
+    )
+    confused_with = ("base_compliance", "lost_steps", "clock_offset", "dead_zone")
+    remedy = (
+        "have the worm adjusted and approach every rest from the same side, or keep it in the "
+        "model with `gyrorig solve`"
+    )
+    covariates = EDGE_COVARIATES
+    picture = None
+    excitation = "reversals, and restarts in the same direction, at two or more speeds"
+    derivative_step = 0.02  # the contact moves by whole intervals
+    effect_if_ignored = "small for the rate; the angle between rests is wrong by the backlash"
+
+    def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the angle that the gap holds back, (2, n + 1)."""
+        error = np.zeros_like(state.angle_rad)
+        for axis in (0, 1):
+            if values[axis] != 0.0:
+                # The motion before this part of the series sets the contact, where it is known.
+                start_face = state.direction_before(axis) or float(values[2 + axis])
+                commanded = state.angle_rad[axis]
+                error[axis] = apply_play(commanded, float(values[axis]), start_face) - commanded
+        return error
+
+    def tilt_zero_std_rad(self, values: FloatArray) -> float:
+        """Return half the gap of tilt: homing ended at one of the two faces."""
+        return 0.5 * float(values[1])
+
+    def template_bank(self, state: SignalState) -> FloatArray:
+        """Scan gaps a factor of two apart, for each initial contact."""
+        return scan_grid(
+            self,
+            gap=DEG * 0.002 * 2.0 ** np.arange(10.0),
+            begin=np.array([-1.0, 0.0, 1.0]),
+        )
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the gaps."""
+        return f"the gears have backlash: {format_list(values[:2] / DEG, PAN_TILT, 'deg')}"
+
+
+TERM = Backlash()

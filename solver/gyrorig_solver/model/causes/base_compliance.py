@@ -1,0 +1,115 @@
+"""Base compliance: the base of the unit twists when the motors accelerate.
+
+angle - c angle'' on each axis: the reaction of an accelerated head twists its base immediately,
+because the mode is far above the low-pass. 1e-4 s^2 is 0.01 deg at 100 deg/s^2. The rate has a
+pulse at each corner of a ramp. Short rounded corners (`s_curve`) have the same shape but the
+opposite sign, and both signs are fixed: only a positive c is a compliant base.
+
+Where a motor starts at its base speed, two opposite pulses come at almost the same time, and the
+first sample behind them shows half of their sum. A sample that was taken as the speed jumped saw
+none, one or both. The time of the jump is not known well enough, so the fit leaves that sample out.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.model.drive_effects import second_derivative
+from gyrorig_solver.model.signal_arrays import zero_signals
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.speed_jumps import angle_of_jumps, find_speed_jumps, jump_responses
+from gyrorig_solver.model.term import (
+    EDGE_COVARIATES,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearAngleTerm
+from gyrorig_solver.model.value_format import PAN_TILT, format_list
+
+START_TIME_STD_S = 3e-4  # two or three standard deviations of a fitted start time
+
+
+class BaseCompliance(LinearAngleTerm):
+    """The compliance c of pan and tilt."""
+
+    cause = "base_compliance"
+    title = "The base of the unit is compliant"
+    depends_on_upstream: bool = True
+    parameters = (
+        TermParameter(
+            name="coefficient",
+            unit="s^2",
+            typical_size=1e-4,
+            lower=0.0,
+            upper=1e-2,
+            prior_std=5e-3,
+            components=PAN_TILT,
+        ),
+    )
+    confused_with = ("s_curve", "low_pass_lag", "ringing", "acceleration_error", "backlash")
+    remedy = "bolt the base of the unit to something heavy and stiff"
+    covariates = EDGE_COVARIATES
+    picture = None
+    excitation = "the fastest accelerations of pan and tilt; bolt the unit down"
+    effect_if_ignored = "small: no angle error remains after a move"
+
+    def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
+        """Return minus the accelerations."""
+        return [(k, -second_derivative(state.edges_s, state.angle_rad[k])) for k in (0, 1)]
+
+    def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the change of the measured rate, (blocks, 3)."""
+        return super().effect(state, values) + self.off_grid_effect(state, values)
+
+    def off_grid_effect(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the part of the speed jumps that is sharper than the grid, (blocks, 3)."""
+        effect = zero_signals(state.block_count)
+        for axis, off_grid_signal in enumerate(self._off_grid_signals(state)):
+            if values[axis]:
+                effect += values[axis] * off_grid_signal
+        return effect
+
+    def timing_sensitive_mask(self, state: SignalState, values: FloatArray) -> BoolArray | None:
+        """Return the blocks with a sample at a speed jump, (blocks,), or None."""
+        sensitive = np.zeros(state.used_instants.size, dtype=np.bool_)
+        for axis in np.flatnonzero(values):
+            jump_times_s, _ = find_speed_jumps(state, int(axis))
+            first, last = np.searchsorted(
+                state.sample_times_s,
+                [jump_times_s - START_TIME_STD_S, jump_times_s + START_TIME_STD_S],
+            )
+            for k, stop in zip(first, last, strict=True):
+                sensitive[k:stop] = True
+        block_mask = np.asarray(
+            sensitive.reshape(state.block_count, -1).any(axis=1), dtype=np.bool_
+        )
+        return block_mask if sensitive.any() else None
+
+    def tangent_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the derivatives by the coefficients, (2, blocks, 3)."""
+        return super().tangent_signals(state, values) + np.stack(self._off_grid_signals(state))
+
+    def _off_grid_signals(self, state: SignalState) -> list[FloatArray]:
+        """Return per axis the exact response to speed jumps minus that on the grid."""
+        signals = []
+        for axis in (0, 1):
+            jump_times_s, jump_sizes = find_speed_jumps(state, axis)
+            if state.low_pass is None or not jump_times_s.size:
+                signals.append(zero_signals(state.block_count))
+                continue
+            grid_acceleration = second_derivative(
+                state.edges_s, angle_of_jumps(state.edges_s, jump_times_s, jump_sizes)
+            )
+            grid_signal = state.measure_stage_rate(
+                state.stage_rate_derivative(axis, -grid_acceleration)
+            )
+            signals.append(-jump_responses(state, axis, jump_times_s, jump_sizes) - grid_signal)
+        return signals
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the compliance."""
+        deflection = format_list(
+            np.degrees(values * np.radians(100.0)), PAN_TILT, "deg at 100 deg/s^2"
+        )
+        return f"the base twists when the head accelerates: {deflection}"
+
+
+TERM = BaseCompliance()

@@ -1,0 +1,72 @@
+"""Base speed error: the motors start at a base speed that no command has set.
+
+Below the base speed a stepper starts and stops at once, so the ramp begins at v_b above the
+commanded base speed. 57 positions/s, or 2.9 deg/s, is a factory setting (from memory). Nearly all
+of the effect is a shorter move, which start delays and the time offset absorb (0.998 of the
+energy).
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.causes.acceleration_error import (
+    limit_change_error,
+    reason_without_profiles,
+    replan_motion,
+)
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    EDGE_COVARIATES,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
+from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
+
+
+class BaseSpeedJump(AngleTerm):
+    """The excess over the commanded base speed, for pan and tilt."""
+
+    cause = "base_speed_jump"
+    title = "The base speed differs from the command"
+    stage: Stage = "profile"
+    parameters = (
+        TermParameter(
+            name="speed",
+            unit="rad/s",
+            typical_size=2.9 * DEG,
+            lower=0.0,
+            upper=30.0 * DEG,
+            prior_std=10.0 * DEG,
+            components=PAN_TILT,
+        ),
+    )
+    confused_with = ("s_curve", "acceleration_error", "low_pass_lag", "clock_offset")
+    remedy = "ask the unit for its base speed (PB, TB) and note it in the recording"
+    covariates = (*EDGE_COVARIATES, "speed")
+    picture = None
+    excitation = "moves at several speeds, with base speeds that are set explicitly and logged"
+    effect_if_ignored = "the time offset absorbs it; little else changes"
+
+    def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the executed minus the commanded angles, (2, n + 1)."""
+        return limit_change_error(state, (0.0, 0.0), (float(values[0]), float(values[1])))
+
+    def propagate(self, state: SignalState, values: FloatArray) -> SignalState:
+        """Return the signal with the moves replanned."""
+        return replan_motion(state, (0.0, 0.0), (float(values[0]), float(values[1])))
+
+    def template_bank(self, state: SignalState) -> FloatArray:
+        """Scan several base speeds."""
+        return scan_grid(self, speed=DEG * np.array([0.5, 1.5, 3.0, 6.0]))
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why the motion profiles are unknown, or None."""
+        return reason_without_profiles(state)
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the speeds."""
+        return f"the motors start immediately with {format_list(values / DEG, PAN_TILT, 'deg/s')}"
+
+
+TERM = BaseSpeedJump()

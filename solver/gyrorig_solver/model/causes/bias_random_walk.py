@@ -1,0 +1,58 @@
+"""Rate random walk: the bias is a random walk.
+
+One-sided density 2 K^2/(2 pi f)^2 (IEEE Std 952, annex C, one-sided), K = 0.3 to 3 mdeg/s/sqrt(s):
+low-frequency power that the next cycle does not repeat. The noise model contains it. It is a cause
+only where K is far above the value that is usual for the part.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.term import (
+    BinnedDependence,
+    Kind,
+    Part,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import ZeroMeanTerm
+from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+
+
+class BiasRandomWalk(ZeroMeanTerm):
+    """The rate random walk K for x, y, z."""
+
+    cause = "bias_random_walk"
+    title = "The bias follows a random walk"
+    part: Part = "sensor"
+    kind: Kind = "stochastic"
+    parameters = (
+        TermParameter(
+            name="level",
+            unit="rad/s/sqrt(s)",
+            typical_size=1e-3 * DEG,
+            lower=0.0,
+            upper=0.1 * DEG,
+            prior_std=0.01 * DEG,
+            components=XYZ,
+        ),
+    )
+    confused_with = ("bias_ramp", "warm_up", "thermal_bias", "bias_step")
+    remedy = "do nothing at the rig, because the standard deviations include it"
+    covariates = None
+    picture = BinnedDependence("mean", "time")
+    is_noise_process = True
+    excitation = "a static recording of at least ten minutes"
+    effect_if_ignored = "the bias is valid for minutes only"
+
+    def density(self, frequency_hz: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the added one-sided density of the rate, (k, 3)."""
+        shape = 2.0 / (2.0 * np.pi * frequency_hz) ** 2
+        return np.asarray(np.outer(shape, values**2), dtype=np.float64)
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the levels."""
+        levels = format_list(values / DEG * 1e3, XYZ, "mdeg/s after one second")
+        return f"the bias follows a random walk: {levels}"
+
+
+TERM = BiasRandomWalk()

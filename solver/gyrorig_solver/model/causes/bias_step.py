@@ -1,0 +1,75 @@
+"""Bias step: the bias jumps once.
+
+y_i += s_i from the event on: 10 to 50 mdeg/s. A knock, a changed supply, or a part that trims
+itself again can cause it (up to 0.4 rad/s in a flight log).
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    BinnedDependence,
+    Part,
+    Scope,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearTerm, event_times, scan_grid, step_signal
+from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+
+SCAN_TIMES = 60  # in the template bank, over a recording
+
+
+class BiasStep(LinearTerm):
+    """The step s for x, y, z, then its time."""
+
+    cause = "bias_step"
+    title = "The bias stepped"
+    part: Part = "sensor"
+    stage: Stage = "bias"
+    scope: Scope = "recording"
+    parameters = (
+        TermParameter(
+            name="step",
+            unit="rad/s",
+            typical_size=0.03 * DEG,
+            lower=-25.0 * DEG,
+            upper=25.0 * DEG,
+            prior_std=2.0 * DEG,
+            components=XYZ,
+        ),
+        TermParameter(
+            "time",
+            "s",
+            typical_size=1.0,
+            lower=-np.inf,
+            upper=np.inf,
+            prior_std=np.inf,
+            role="event",
+        ),
+    )
+    confused_with = ("bias_ramp", "thermal_bias", "warm_up", "bias_random_walk")
+    remedy = "check the supply, the load and the light at that moment, and record again"
+    covariates = ("bias_time",)
+    picture = BinnedDependence("mean", "time")
+    excitation = "rests before and after it, and a second recording without it"
+    effect_if_ignored = "the bias is a mean of two values"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the step on each axis, (3, blocks, 3)."""
+        share = step_signal(state, float(values[3]))
+        return split_axes(state.measure_sensor_rate(on_all_axes(share)))
+
+    def template_bank(self, state: SignalState) -> FloatArray:
+        """Scan times over the whole recording."""
+        return scan_grid(self, time=event_times(state, SCAN_TIMES))
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the step and its time."""
+        text = format_list(values[:3] / DEG * 1e3, XYZ, "mdeg/s")
+        return f"the bias steps at {values[3]:.1f} s: {text}"
+
+
+TERM = BiasStep()

@@ -1,0 +1,39 @@
+"""Corrupt samples: words arrive with flipped bits or torn bytes.
+
+y_k xor 2^b, or the bytes of two samples in one word (+-256 counts), gives isolated spikes whose
+size is a power of two in the raw counts. The fourth difference (1, -4, 6, -4, 1) shows them in any
+motion. A link without a check lets 46 % of the byte errors through as samples; a link with a CRC
+lets none through.
+"""
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.term import Kind, Part, Scope, TermParameter
+from gyrorig_solver.model.term_kinds import ZeroMeanTerm
+
+
+class CorruptSamples(ZeroMeanTerm):
+    """The share of corrupt samples."""
+
+    cause = "corrupt_samples"
+    title = "Data words are corrupted"
+    part: Part = "link"
+    kind: Kind = "raw"
+    scope: Scope = "recording"
+    parameters = (
+        TermParameter("share", "1", typical_size=1e-3, lower=0.0, upper=1.0, prior_std=0.1),
+    )
+    confused_with = ("repeated_samples",)
+    remedy = "add a checksum to the frame, read all axes in one burst, and check the cable"
+    covariates = None
+    picture = None
+    excitation = (
+        "none: the raw counts show it; use a frame format with a check, and block data update (BDU)"
+    )
+    effect_if_ignored = "large ones are rejected as outliers; small ones add noise"
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the share."""
+        return f"{values[0] * 100.0:.3g} % of the samples have corrupt words"
+
+
+TERM = CorruptSamples()

@@ -1,0 +1,85 @@
+"""Eccentricity: the pan wheel has runout, which gives an error once per turn.
+
+pan + Re(z (exp(-i pan) + w exp(-2 i pan))), z = c + i s: the gain depends on the pan angle. 0.02 to
+0.1 deg (from memory). A wheel that is off its axis is rarely round, and each of its two bearings
+has runout as well. w is the share at twice per turn, with its phase relative to the first. On tilt
+the same function cannot be separated from a sagging payload (see `tilt_sag`).
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    BinnedDependence,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearAngleTerm
+from gyrorig_solver.model.value_format import DEG
+
+
+def _parameter(name: str) -> TermParameter:
+    return TermParameter(
+        name=name,
+        unit="rad",
+        typical_size=0.05 * DEG,
+        lower=-1.0 * DEG,
+        upper=1.0 * DEG,
+        prior_std=0.3 * DEG,
+        components=("pan",),
+    )
+
+
+def _oval_parameter(name: str) -> TermParameter:
+    return TermParameter(
+        name=name,
+        unit="1",
+        typical_size=0.25,
+        lower=-1.0,
+        upper=1.0,
+        prior_std=0.5,
+        role="shape",
+    )
+
+
+class Eccentricity(LinearAngleTerm):
+    """c and s, then w: in phase with the first harmonic and a quarter period ahead."""
+
+    cause = "eccentricity"
+    title = "The gear wheel is eccentric"
+    stage: Stage = "wheel"
+    parameters = (
+        _parameter("cosine"),
+        _parameter("sine"),
+        _oval_parameter("oval"),
+        _oval_parameter("oval_across"),
+    )
+    confused_with = ("worm_error", "step_resolution")
+    remedy = (
+        "have the gear's seat checked and turn over the full range, or keep it in the model "
+        "with `gyrorig solve`"
+    )
+    covariates = ("pan_angle",)
+    picture = BinnedDependence("gain", "pan")
+    excitation = "pan over its full range; over +-80 deg the two harmonics look alike"
+    effect_if_ignored = "the scale factors are valid at the pan angles of the recording only"
+
+    def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
+        """Return cosine and sine of the pan angle, each with its second harmonic."""
+        pan, along, across = state.angle_rad[0], float(values[2]), float(values[3])
+        cosine, sine = np.cos(pan), np.sin(pan)
+        # The double angle from the single one: fewer functions of each angle.
+        double_cosine, double_sine = 1.0 - 2.0 * sine**2, 2.0 * sine * cosine
+        return [
+            (0, cosine + along * double_cosine + across * double_sine),
+            (0, sine + along * double_sine - across * double_cosine),
+        ]
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the amplitude."""
+        size = float(np.hypot(values[0], values[1])) / DEG
+        return f"the pan angle is wrong by +-{size:.3g} deg once per turn"
+
+
+TERM = Eccentricity()

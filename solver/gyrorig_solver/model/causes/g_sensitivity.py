@@ -1,0 +1,77 @@
+"""Acceleration-sensitive drift (g-sensitivity): the bias depends on the specific force.
+
+y += K f, where f = (0, g sin t, g cos t) on a level rig at tilt t (docs/conventions.md). K refers
+to the stage's axes; relative to the sensor's axes it is K M^T. Typical 0.1 dps/g (MPU-6050 data
+sheet; other parts less), or 1.8e-4 rad/s per m/s^2; 1 dps/g is a bad part. A pan-tilt unit cannot
+bring gravity onto the stage's x axis, so K's x column is unobservable. At one tilt K is part of the
+bias.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes, zero_signals
+from gyrorig_solver.model.signal_state import STANDARD_GRAVITY_M_S2, SignalState
+from gyrorig_solver.model.term import (
+    NO_ANGLES,
+    BinnedDependence,
+    Part,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+
+_DPS_PER_G = DEG / STANDARD_GRAVITY_M_S2
+_MIN_TILT_RANGE_RAD = 0.05  # a smaller range changes the force by less than 5 %
+
+
+class GSensitivity(LinearTerm):
+    """K row by row: sensor axis, then stage axis of the force."""
+
+    cause = "g_sensitivity"
+    title = "Gravity changes the bias (g-sensitivity)"
+    part: Part = "sensor"
+    parameters = (
+        TermParameter(
+            name="sensitivity",
+            unit="rad/s/(m/s^2)",
+            typical_size=0.1 * _DPS_PER_G,
+            lower=-2.0 * _DPS_PER_G,
+            upper=2.0 * _DPS_PER_G,
+            prior_std=1.0 * _DPS_PER_G,
+            components=tuple(row + column for row in XYZ for column in XYZ),
+        ),
+    )
+    confused_with = ("earth_rotation", "vibration_rectification", "thermal_bias")
+    remedy = "keep it in the model with `gyrorig solve`, because it is a property of the sensor"
+    covariates = ("bias_tilt",)
+    picture = BinnedDependence("mean", "tilt")
+    excitation = "rests at four or more tilts that are far apart"
+    effect_if_ignored = "the bias is valid at the tilts of the recording only"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return each component of the force on each axis, (9, blocks, 3)."""
+        signals = zero_signals(9, state.block_count)
+        force = state.measure_sensor_rate(
+            np.where(state.motion_known[:, None], state.specific_force_m_s2, 0.0)
+        )
+        for column in (1, 2):
+            signals[column::3] = split_axes(on_all_axes(force[:, column]))
+        return signals
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why one tilt cannot separate it from a bias, or None."""
+        if not state.has_angles:
+            return NO_ANGLES
+        tilt = state.tilt_rad[state.motion_known]
+        if tilt.size == 0 or float(np.ptp(tilt)) < _MIN_TILT_RANGE_RAD:
+            return "the board rested at one tilt only; rest at four tilts that are far apart"
+        return None
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the largest sensitivity of each axis."""
+        worst = np.abs(values.reshape(3, 3)).max(axis=1) / _DPS_PER_G
+        return f"the bias depends on gravity: up to {format_list(worst, XYZ, 'deg/s per g')}"
+
+
+TERM = GSensitivity()

@@ -1,0 +1,204 @@
+"""Lost steps: the motor loses steps in a move, so that count and angle differ afterwards.
+
+angle - s from the event on, all at once. The rotor falls back by whole cycles of four full steps,
+0.411 deg on a PTU-E46-17.5 (0.1029 deg per full step). High speed, acceleration or load, and low
+move power or supply voltage cause it. The rate has one short pulse, and every later angle is wrong.
+
+The low-pass sets the length of the pulse, so the search must try every time. The template bank
+holds a limited number of times. `pulse_templates` has the signal of every time, to be correlated
+with a residual; the search starts at the best of these times.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.model.signal_arrays import zero_signals
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Scope, Stage, TermParameter
+from gyrorig_solver.model.term_kinds import LinearAngleTerm, scan_grid
+from gyrorig_solver.model.value_format import DEG, PAN_TILT, format_list
+
+SCAN_SPACING_S = 0.02  # of the times in the bank; about the width of a pulse
+MAX_SCAN_TIMES = 2000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PulseTemplates:
+    """The signal of a loss of 1 rad at each of r times, over m blocks."""
+
+    time_s: FloatArray  # (r,)
+    axis: IntArray  # (r,), 0 pan, 1 tilt
+    first_block: IntArray  # (r,), first block
+    values: FloatArray  # (r, m, 3)
+
+
+def pulse_templates(state: SignalState, times_per_block: int = 2) -> PulseTemplates:
+    """Return the templates of step losses during the moves of each axis.
+
+    They contain neither the lean that a loss on tilt leaves behind nor missing samples.
+
+    Args:
+        state: a part of a series.
+        times_per_block: how many times per block.
+    """
+    intervals_per_block = state.intervals_per_instant * state.instants_per_block
+    stride = max(1, intervals_per_block // times_per_block)
+    step_s = state.step_s
+    settling_intervals = (
+        0 if state.low_pass is None else int(3.0 / state.low_pass.bandwidth_hz / step_s)
+    )
+    pulse_blocks = 1 + -(-(settling_intervals + intervals_per_block) // intervals_per_block)
+    phases = range(0, intervals_per_block, stride)
+    impulses = np.zeros(
+        (len(phases), pulse_blocks * intervals_per_block + 2, 1)
+    )  # two more intervals before, at rest
+    for row, phase in enumerate(phases):
+        impulses[row, phase + 1 : phase + 4, 0] = np.array([1.0, 22.0, 1.0]) / 24.0 / step_s
+    filtered = state.low_pass_filtered(impulses)[
+        :, 2 + state.intervals_per_instant // 2 :: state.intervals_per_instant, 0
+    ][:, : pulse_blocks * state.instants_per_block]
+    kernel = filtered.reshape(len(phases), pulse_blocks, state.instants_per_block).mean(axis=2)
+    lead_intervals = state.lead_instants * state.intervals_per_instant
+    axis_templates = []
+    for axis in (0, 1):
+        intervals = np.arange(lead_intervals, state.interval_count, stride)
+        intervals = intervals[state.moving[axis, intervals] & state.motion_known[intervals]]
+        first_blocks = (intervals - lead_intervals) // intervals_per_block
+        intervals, first_blocks = (
+            intervals[first_blocks + pulse_blocks <= state.block_count],
+            first_blocks[first_blocks + pulse_blocks <= state.block_count],
+        )
+        direction = np.zeros((intervals.size, 3))
+        if axis == 0:
+            direction[:, 1], direction[:, 2] = (
+                np.sin(state.tilt_rad[intervals]),
+                np.cos(state.tilt_rad[intervals]),
+            )
+        else:
+            direction[:, 0] = 1.0
+        responses = kernel[((intervals - lead_intervals) % intervals_per_block) // stride]
+        values = -responses[:, :, None] * (direction @ state.gain.T)[:, None, :]
+        axis_templates.append(
+            (state.time_s[intervals], np.full(intervals.size, axis), first_blocks, values)
+        )
+    time_s, axis_index, all_first_blocks, values = (
+        np.concatenate(part) for part in zip(*axis_templates, strict=True)
+    )
+    return PulseTemplates(time_s, axis_index, all_first_blocks, values)
+
+
+class LostSteps(LinearAngleTerm):
+    """The lost angle of pan and tilt, then the time."""
+
+    cause = "lost_steps"
+    title = "The motor lost steps"
+    stage: Stage = "rotor"
+    scope: Scope = "recording"
+    parameters = (
+        TermParameter(
+            name="angle",
+            unit="rad",
+            typical_size=0.411 * DEG,
+            lower=-10.0 * DEG,
+            upper=10.0 * DEG,
+            prior_std=2.0 * DEG,
+            components=PAN_TILT,
+        ),
+        TermParameter(
+            "time",
+            "s",
+            typical_size=1.0,
+            lower=-np.inf,
+            upper=np.inf,
+            prior_std=np.inf,
+            role="event",
+        ),
+    )
+    confused_with = ("backlash", "clock_step", "board_slip")
+    remedy = (
+        "lower the acceleration or the load, check the gear for obstacles, and home the unit again"
+    )
+    covariates = None
+    picture = None
+    template_search = "pulses"
+    is_whole_steps = True
+    excitation = "a return to the first poses at the end, and homing again"
+    effect_if_ignored = "on pan: small; on tilt: M is a mean of two mount angles"
+
+    def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
+        """Return minus the step at the event."""
+        k = self._event_interval(state, float(values[2]))
+        shape = np.zeros(state.interval_count + 1)
+        shape[max(0, k + 1) :] = -1.0
+        if 1 <= k < state.interval_count - 2:
+            shape[k : k + 4] = -np.cumsum(self._pulse_weights(state, k, float(values[2])))
+        return [(0, shape), (1, shape)]
+
+    def template_bank(self, state: SignalState) -> FloatArray:
+        """Scan times over all moves."""
+        moving = state.moving.any(axis=0) & state.motion_known
+        stride = max(
+            1, round(SCAN_SPACING_S / state.step_s), -(-int(moving.sum()) // MAX_SCAN_TIMES)
+        )
+        return scan_grid(self, time=state.time_s[moving][::stride])
+
+    def tangent_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the derivatives by the sizes, zero for an axis at rest at the event.
+
+        On pan it is a pulse, which is fast to compute. On tilt the remaining lean counts too.
+        """
+        signals = zero_signals(2, state.block_count)
+        k = self._event_interval(state, float(values[2]))
+        if not 1 <= k < state.interval_count - 2:
+            return signals
+        if state.moving[0, k]:
+            angle_loss = np.cumsum([0.0, *self._pulse_weights(state, k, float(values[2]))])
+            pulse = state.axis_turn.rate(0, -angle_loss, slice(k - 1, k + 3))
+            signals[0] = state.measure_stage_pulse(k - 1, pulse)
+        if state.moving[1, k]:
+            shape = self.angle_shapes(state, values)[1][1]
+            signals[1] = state.measure_stage_rate(state.stage_rate_derivative(1, shape))
+        return signals
+
+    def jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the derivatives by the values, (3, blocks, 3)."""
+        jacobian = zero_signals(3, state.block_count)
+        rates = [
+            state.stage_rate_derivative(axis, s) for axis, s in self.angle_shapes(state, values)
+        ]
+        jacobian[:2] = state.measure_stage_rate(np.stack(rates))
+        if values[:2].any():
+            jacobian[2] = self._finite_difference(state, values, 2)
+        return jacobian
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the lost angles and the time."""
+        text = format_list(values[:2] / DEG, PAN_TILT, "deg")
+        return f"the motors lost steps at {values[2]:.2f} s: {text}"
+
+    def _event_interval(self, state: SignalState, event_s: float) -> int:
+        """Return the last interval whose middle is before the event."""
+        if event_s <= state.time_s[0]:
+            return -1
+        k = int(np.searchsorted(state.time_s, event_s, side="right")) - 1
+        return (
+            k
+            if k < state.interval_count - 1 or event_s < state.edges_s[-1]
+            else state.interval_count
+        )
+
+    def _pulse_weights(self, state: SignalState, k: int, event_s: float) -> FloatArray:
+        """Return the weights of the pulse in the four intervals from `k - 1` on.
+
+        The moments about the event are such that the low-pass reproduces the time and the width of
+        the pulse. It treats the intervals as means of a smooth signal and sharpens them by h^2/4,
+        while straight lines between them widen the pulse by h^2/6.
+        """
+        step = (state.time_s[k - 1 : k + 3] - event_s) / state.step_s
+        moments = np.array([1.0, 0.0, 1.0 / 12.0, 0.0])
+        return np.asarray(np.linalg.solve(np.vander(step, 4, increasing=True).T, moments))
+
+
+TERM = LostSteps()

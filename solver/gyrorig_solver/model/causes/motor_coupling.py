@@ -1,0 +1,75 @@
+"""Motor coupling: running motors shift the bias, by their current or their magnetic field.
+
+y_i += m_i while pan runs and n_i while tilt runs, at any speed. Typical 20 mdeg/s. In contrast to
+vibration it does not grow with speed.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    NO_ANGLES,
+    RATE_COVARIATES,
+    BinnedDependence,
+    Part,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+
+
+def _parameter(name: str) -> TermParameter:
+    return TermParameter(
+        name=name,
+        unit="rad/s",
+        typical_size=0.02 * DEG,
+        lower=-1.0 * DEG,
+        upper=1.0 * DEG,
+        prior_std=0.5 * DEG,
+        components=XYZ,
+    )
+
+
+class MotorCoupling(LinearTerm):
+    """m for pan, then n for tilt, for x, y, z each."""
+
+    cause = "motor_coupling"
+    title = "A running motor changes the bias"
+    part: Part = "sensor"
+    stage: Stage = "bias"
+    parameters = (_parameter("pan"), _parameter("tilt"))
+    confused_with = (
+        "scale_asymmetry",
+        "scale_quadratic",
+        "vibration_rectification",
+        "dead_zone",
+    )
+    remedy = "supply the board separately from the motors and route their cables apart"
+    covariates = RATE_COVARIATES
+    picture = BinnedDependence("mean", "speed")
+    excitation = "moves at several speeds with rests of the same length between them"
+    effect_if_ignored = "the bias differs between motion and rest"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return when each motor runs, on each axis, (6, blocks, 3)."""
+        running = np.where(state.motion_known, state.moving, False).astype(np.float64)
+        measured = state.measure_sensor_rate(on_all_axes(running))
+        return split_axes(measured)
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why the reference has no motors, or None."""
+        return None if state.has_angles else NO_ANGLES
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the shifts."""
+        pan, tilt = values[:3] / DEG * 1e3, values[3:] / DEG * 1e3
+        return (
+            f"running motors shift the bias: pan {format_list(pan, XYZ, 'mdeg/s')}, "
+            f"tilt {format_list(tilt, XYZ, 'mdeg/s')}"
+        )
+
+
+TERM = MotorCoupling()

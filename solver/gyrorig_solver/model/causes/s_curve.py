@@ -1,0 +1,66 @@
+"""S-curve: the speed ramps have rounded corners, because the jerk is limited.
+
+The mean of the angle over a box of length L about each instant (a jerk-limited profile with jerk =
+acceleration/L). The delay of the box, L/2, is left out, because start delays and the time offset
+absorb it. 10 to 100 ms. For short L the change is L^2/24 angle'', which grows as L^2, and only its
+sign separates it from a compliant base.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.drive_effects import moving_average
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    EDGE_COVARIATES,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import AngleTerm, scan_grid
+from gyrorig_solver.model.value_format import PAN_TILT, format_list
+
+
+class SCurve(AngleTerm):
+    """The length L of pan and tilt."""
+
+    cause = "s_curve"
+    title = "The controller rounds its speed ramps"
+    stage: Stage = "motor"
+    parameters = (
+        TermParameter(
+            name="length",
+            unit="s",
+            typical_size=0.03,
+            lower=0.0,
+            upper=0.5,
+            prior_std=0.1,
+            components=PAN_TILT,
+        ),
+    )
+    confused_with = ("base_compliance", "base_speed_jump", "low_pass_lag", "acceleration_error")
+    remedy = "keep it in the model with `gyrorig solve`"
+    covariates = (*EDGE_COVARIATES, "speed")
+    picture = None
+    excitation = "the fastest accelerations; several boards with different low-passes"
+    effect_if_ignored = "the time offset absorbs it; little else changes"
+
+    def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the rounded minus the commanded angles, (2, n + 1)."""
+        rounded = [
+            moving_average(state.edges_s, angle, float(length))
+            for angle, length in zip(state.angle_rad, values, strict=True)
+        ]
+        return np.stack(rounded) - state.angle_rad
+
+    def template_bank(self, state: SignalState) -> FloatArray:
+        """Scan several lengths; there is no derivative at zero."""
+        return scan_grid(self, length=np.array([0.01, 0.02, 0.04, 0.08, 0.16]))
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the lengths."""
+        return (
+            f"the corners of the ramps are rounded over {format_list(values * 1e3, PAN_TILT, 'ms')}"
+        )
+
+
+TERM = SCurve()

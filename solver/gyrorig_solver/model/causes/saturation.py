@@ -1,0 +1,73 @@
+"""Saturation: the output stops below the full scale, which cuts off the peaks.
+
+y_i is clipped at +-L, L = full scale (1 - s), behind the low-pass and with the bias included. A
+part clips near 32767 counts, 15 % above its nominal range; the supply or the firmware can clip
+earlier. Samples that are flagged as saturated are excluded before; this term is for those without a
+flag.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    RATE_COVARIATES,
+    BinnedDependence,
+    Part,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
+
+
+class Saturation(NonlinearTerm):
+    """The shortfall from the full scale, as a share of it."""
+
+    cause = "saturation"
+    title = "The output saturates"
+    part: Part = "sensor"
+    stage: Stage = "limit"
+    depends_on_upstream: bool = True
+    parameters = (
+        TermParameter("shortfall", "1", typical_size=0.2, lower=0.0, upper=0.98, prior_std=1.0),
+    )
+    confused_with = ("scale_cubic", "low_pass_lag")
+    remedy = "use a larger full scale, or turn more slowly"
+    covariates = RATE_COVARIATES
+    picture = BinnedDependence("mean", "own_rate")
+    excitation = "moves faster than the suspected limit, for half a second each"
+    effect_if_ignored = "the scale factor is too small"
+
+    def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the clipped part, (blocks, 3)."""
+        full_scale_rad_s = state.context.full_scale_rad_s
+        if full_scale_rad_s is None or values[0] == 0.0:
+            return np.zeros((state.block_count, 3))
+        limit_rad_s = full_scale_rad_s * (1.0 - float(values[0]))
+        rate = state.filtered_rad_s + state.bias_rad_s
+        return state.sample_output(np.clip(rate, -limit_rad_s, limit_rad_s) - rate)
+
+    def incremental_gain(self, state: SignalState, values: FloatArray) -> FloatArray | None:
+        """Return 1 where the rate is inside the limits, else 0, (n, 3)."""
+        full_scale_rad_s = state.context.full_scale_rad_s
+        if full_scale_rad_s is None or values[0] == 0.0:
+            return None
+        limit_rad_s = full_scale_rad_s * (1.0 - float(values[0]))
+        return np.asarray(np.abs(state.filtered_rad_s + state.bias_rad_s) < limit_rad_s, np.float64)
+
+    def template_bank(self, state: SignalState) -> FloatArray:
+        """Scan limits an eighth apart, down to a fiftieth of the range."""
+        return scan_grid(self, shortfall=1.0 - np.geomspace(0.02, 0.98, 30))
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why the range is unknown, or None."""
+        if state.context.full_scale_rad_s is None:
+            return "the range is not known; record the board's gyro_full_scale_dps"
+        return None
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the limit."""
+        return f"rates are clipped at {(1.0 - values[0]) * 100.0:.3g} % of the full scale"
+
+
+TERM = Saturation()

@@ -1,0 +1,50 @@
+"""Scale-factor asymmetry: the scale factor differs between the two directions.
+
+y_i += a_i |(G omega)_i|: even in the rate, with a corner at zero; (1 + a) forward, (1 - a)
+backward. 0.1 to 0.5 % (from memory). One BMI270 was wrong by 2 deg in ten turns each way, 0.06 %.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_arrays import split_axes
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    RATE_COVARIATES,
+    BinnedDependence,
+    Part,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.value_format import XYZ, format_list
+
+
+class ScaleAsymmetry(LinearTerm):
+    """The share a for x, y, z."""
+
+    cause = "scale_asymmetry"
+    title = "The two directions have different scale factors"
+    part: Part = "sensor"
+    parameters = (
+        TermParameter(
+            "share", "1", typical_size=2e-3, lower=-0.05, upper=0.05, prior_std=0.02, components=XYZ
+        ),
+    )
+    confused_with = ("scale_quadratic", "vibration_rectification", "motor_coupling")
+    remedy = "keep it in the model with `gyrorig solve`, because it is a property of the sensor"
+    covariates = RATE_COVARIATES
+    picture = BinnedDependence("mean", "own_rate")
+    excitation = "both directions at four or more speeds, including slow ones"
+    effect_if_ignored = "scale factors and biases are valid for motion in both directions only"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the speed of each axis, (3, blocks, 3)."""
+        return split_axes(state.measure_sensor_rate(np.abs(state.sensor_rate_rad_s)))
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the shares."""
+        text = format_list(values * 100.0, XYZ, "%")
+        return f"the scale factor differs between forward and backward: +-{text}"
+
+
+TERM = ScaleAsymmetry()

@@ -1,0 +1,57 @@
+"""Cubic scale-factor non-linearity: the scale factor changes with the rate, odd in the rate.
+
+y_i += c_i (G omega)_i^3. 0.2 % of a full scale of 250 deg/s at its end (L3G4200D) is 0.03 deg/s at
+100 deg/s.
+"""
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_arrays import split_axes
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    RATE_COVARIATES,
+    BinnedDependence,
+    Part,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+
+_DESCRIBED_AT_RAD_S = 100.0 * DEG  # sizes are described at this rate
+_PER_DPS = DEG / _DESCRIBED_AT_RAD_S**3
+
+
+class ScaleCubic(LinearTerm):
+    """The coefficient c for x, y, z."""
+
+    cause = "scale_cubic"
+    title = "The scale factor changes with the rate, oppositely in the two directions"
+    part: Part = "sensor"
+    parameters = (
+        TermParameter(
+            name="coefficient",
+            unit="s^2/rad^2",
+            typical_size=0.03 * _PER_DPS,
+            lower=-3.0 * _PER_DPS,
+            upper=3.0 * _PER_DPS,
+            prior_std=1.0 * _PER_DPS,
+            components=XYZ,
+        ),
+    )
+    confused_with = ("scale_quadratic", "saturation", "scale_asymmetry")
+    remedy = "use a larger full scale, or keep it in the model with `gyrorig solve`"
+    covariates = RATE_COVARIATES
+    picture = BinnedDependence("mean", "own_rate")
+    excitation = "four or more speeds, the fastest above 200 deg/s"
+    effect_if_ignored = "the scale factor is valid at the speeds of the recording only"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the cubed rate of each axis, (3, blocks, 3)."""
+        return split_axes(state.measure_sensor_rate(state.sensor_rate_rad_s**3))
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the error at 100 deg/s."""
+        text = format_list(values / _PER_DPS, XYZ, "deg/s at 100 deg/s")
+        return f"the scale factor has an odd non-linearity: {text}"
+
+
+TERM = ScaleCubic()

@@ -1,0 +1,48 @@
+"""Sign flip: an axis counts backwards, because of a sign in a driver or a board upside down.
+
+y_i' = -y_i. The gain and the bias absorb it completely. A mirrored gain (one axis, or three) has a
+negative determinant, which no mount can produce.
+"""
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_arrays import split_axes
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Kind, Part, Stage, TermParameter
+from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.value_format import XYZ
+
+
+class SignFlip(LinearTerm):
+    """1 for a reversed axis, 0 for any other axis."""
+
+    cause = "sign_flip"
+    title = "An axis has the wrong sign"
+    part: Part = "link"
+    stage: Stage = "readout"
+    kind: Kind = "gauge"
+    parameters = (
+        TermParameter(
+            "flipped", "1", typical_size=1.0, lower=0.0, upper=1.0, prior_std=1.0, components=XYZ
+        ),
+    )
+    confused_with = ("axis_swap",)
+    remedy = "correct the sign in the driver or in the board's columns"
+    covariates = None
+    picture = None
+    excitation = "any motion; compare the mount with the gain's nearest signed permutation"
+    effect_if_ignored = (
+        "none: the calibration is valid for the axes in these directions; only the mount angles "
+        "differ"
+    )
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return minus twice each axis, (3, blocks, 3)."""
+        return split_axes(-2.0 * (state.sample_output(state.filtered_rad_s) + state.bias_rad_s))
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe which axes are reversed."""
+        flipped = [name for name, value in zip(XYZ, values, strict=True) if value > 0.5]
+        return f"axes with the wrong sign: {', '.join(flipped) or 'none'}"
+
+
+TERM = SignFlip()

@@ -1,0 +1,60 @@
+"""Step size error: a step of the unit is not the angle that its resolution states.
+
+angle (1 + e) on each axis, from the zero of the count: a gear ratio, a step mode or a rounded
+resolution (185.1428 as 185 arcsec is 7.7e-4). On pan the gain's y and z columns absorb it
+completely, so nothing shows it. On tilt it shows in the direction of the pan axis in the stage
+frame over tilt.
+"""
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    ANGLE_COVARIATES,
+    BinnedDependence,
+    Stage,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearAngleTerm
+from gyrorig_solver.model.value_format import PAN_TILT, format_list
+
+
+class StepResolution(LinearAngleTerm):
+    """The relative error e of pan and tilt."""
+
+    cause = "step_resolution"
+    title = "The step size differs from the configuration"
+    stage: Stage = "drive"
+    parameters = (
+        TermParameter(
+            name="share",
+            unit="1",
+            typical_size=1e-3,
+            lower=-0.1,
+            upper=0.1,
+            prior_std=0.02,
+            components=PAN_TILT,
+        ),
+    )
+    confused_with = ("tilt_sag", "clock_skew", "eccentricity")
+    remedy = "ask the unit for its resolution (PR, TR) and configure that value"
+    covariates = ANGLE_COVARIATES
+    picture = BinnedDependence("gain", "tilt", 10)
+    confounded_with_gain = True
+    excitation = (
+        "pan sweeps at three or more tilts that are far apart; the step of pan needs a known turn"
+    )
+    effect_if_ignored = (
+        "the scale factors of y and z are wrong by pan's error, and no residual shows it"
+    )
+
+    def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
+        """Return the angles themselves."""
+        return [(0, state.angle_rad[0]), (1, state.angle_rad[1])]
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the relative errors."""
+        text = format_list(values * 100.0, PAN_TILT, "%")
+        return f"the step size differs from the configured one by {text}"
+
+
+TERM = StepResolution()

@@ -1,0 +1,66 @@
+"""Scale-factor temperature sensitivity: the scale factor depends on the temperature.
+
+y_i += k_i (T - T0) (G omega)_i with T0 the mean of the recordings. Data sheets: +-2 % over 125 K
+(L3G4200D, MPU-6050), 0.016 %/K; 0.005 to 0.03 %/K for others.
+"""
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.causes.thermal_bias import (
+    die_temperature_rise,
+    reason_without_temperature,
+)
+from gyrorig_solver.model.signal_arrays import split_axes
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    BinnedDependence,
+    Part,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.value_format import XYZ, format_list
+
+
+class ThermalScale(LinearTerm):
+    """The slope k for x, y, z."""
+
+    cause = "thermal_scale"
+    title = "Temperature changes the scale factor"
+    part: Part = "sensor"
+    parameters = (
+        TermParameter(
+            name="slope",
+            unit="1/K",
+            typical_size=1.6e-4,
+            lower=-2e-3,
+            upper=2e-3,
+            prior_std=1e-3,
+            components=XYZ,
+        ),
+    )
+    confused_with = ("board_slip", "thermal_bias", "clock_skew")
+    remedy = "record at the temperature of use, or keep it in the model with `gyrorig solve`"
+    covariates = ("time",)
+    picture = BinnedDependence("gain", "temperature", 10)
+    depends_on_temperature = True
+    excitation = "the same fast moves at temperatures 20 K apart"
+    effect_if_ignored = "the scale factor is valid at the temperature of the recording only"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the rate of each axis times the temperature, (3, blocks, 3)."""
+        return split_axes(
+            state.measure_sensor_rate(
+                die_temperature_rise(state, 0.0)[:, None] * state.sensor_rate_rad_s
+            )
+        )
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why there is no temperature signal, or None."""
+        return reason_without_temperature(state)
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the slopes."""
+        text = format_list(values * 100.0, XYZ, "% per kelvin")
+        return f"the scale factor depends on the temperature: {text}"
+
+
+TERM = ThermalScale()

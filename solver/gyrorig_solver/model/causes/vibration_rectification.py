@@ -1,0 +1,66 @@
+"""Vibration rectification: vibration of the running motors shifts the bias.
+
+y_i += v_i (pan_rate^2 + tilt_rate^2). Steppers vibrate more at higher speeds, and a gyroscope turns
+the square of an acceleration into a rate (the g^2 term of IEEE Std 1431), also on axes that do not
+turn. No data sheet of these parts states it; 5 mdeg/s at 1000 (deg/s)^2 has been observed.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import (
+    NO_ANGLES,
+    RATE_COVARIATES,
+    BinnedDependence,
+    Part,
+    TermParameter,
+)
+from gyrorig_solver.model.term_kinds import LinearTerm
+from gyrorig_solver.model.value_format import DEG, XYZ, format_list
+
+_PER_MDPS = 1e-3 * DEG / (1000.0 * DEG**2)  # 1 mdeg/s at 1000 (deg/s)^2
+
+
+class VibrationRectification(LinearTerm):
+    """The coefficient v for x, y, z."""
+
+    cause = "vibration_rectification"
+    title = "Vibration changes the bias"
+    part: Part = "sensor"
+    parameters = (
+        TermParameter(
+            name="coefficient",
+            unit="s/rad",
+            typical_size=5.0 * _PER_MDPS,
+            lower=-200.0 * _PER_MDPS,
+            upper=200.0 * _PER_MDPS,
+            prior_std=100.0 * _PER_MDPS,
+            components=XYZ,
+        ),
+    )
+    confused_with = ("scale_quadratic", "scale_asymmetry", "motor_coupling", "g_sensitivity")
+    remedy = "mount the board on a stiffer plate, away from the motor, and use half steps"
+    covariates = RATE_COVARIATES
+    picture = BinnedDependence("mean", "speed")
+    excitation = "four or more speeds, each at several tilts"
+    effect_if_ignored = "the bias differs between motion and rest"
+
+    def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the squared speeds of the motors on each axis, (3, blocks, 3)."""
+        squared_speed = state.pan_rate_rad_s**2 + state.tilt_rate_rad_s**2
+        known_speed = np.where(state.motion_known, squared_speed, 0.0)
+        return split_axes(state.measure_sensor_rate(on_all_axes(known_speed)))
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why the reference has no motors, or None."""
+        return None if state.has_angles else NO_ANGLES
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the shifts."""
+        text = format_list(values / _PER_MDPS, XYZ, "mdeg/s at 32 deg/s")
+        return f"the vibration of the motors shifts the bias with the square of the speed: {text}"
+
+
+TERM = VibrationRectification()

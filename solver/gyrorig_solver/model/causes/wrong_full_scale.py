@@ -1,0 +1,50 @@
+"""Wrong full scale: the sensor's range is not the one that its counts are read with.
+
+y' = 2^v y for all axes, v a whole number on most parts (250, 500, 1000, 2000 deg/s; an L3G4200D has
+250, 500, 2000). The scale factor absorbs it completely. The distance of the scale factor from 1
+identifies it, because data sheets promise 2 to 15 %.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Kind, Part, Stage, TermParameter
+from gyrorig_solver.model.term_kinds import NonlinearTerm, scan_grid
+
+
+class WrongFullScale(NonlinearTerm):
+    """The exponent of two."""
+
+    cause = "wrong_full_scale"
+    title = "The range differs from the configuration"
+    part: Part = "link"
+    stage: Stage = "readout"
+    kind: Kind = "gauge"
+    parameters = (
+        TermParameter("doublings", "1", typical_size=1.0, lower=-4.0, upper=4.0, prior_std=2.0),
+    )
+    confused_with = ("clock_skew",)
+    remedy = "read the range register back and set the board's full scale to that value"
+    covariates = None
+    picture = None
+    excitation = "any motion; compare the scale factor with the data sheet's tolerance"
+    effect_if_ignored = (
+        "none: the calibration is valid; the configured range is wrong by the factor"
+    )
+
+    def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the change of the measured rate, (blocks, 3)."""
+        factor = float(np.expm1(np.log(2.0) * values[0]))
+        return factor * (state.sample_output(state.filtered_rad_s) + state.bias_rad_s)
+
+    def template_bank(self, state: SignalState) -> FloatArray:
+        """Scan ranges a factor of two and four apart."""
+        return scan_grid(self, doublings=np.array([-2.0, -1.0, 1.0, 2.0]))
+
+    def describe(self, values: FloatArray) -> str:
+        """Describe the factor."""
+        return f"the counts are {2.0 ** values[0]:.3g} times what the configured range implies"
+
+
+TERM = WrongFullScale()

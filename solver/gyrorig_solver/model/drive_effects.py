@@ -1,0 +1,125 @@
+"""Effects of the drive train on angles and motion profiles.
+
+What to use when: `apply_play` for a gap in a gear; `moving_average` for a smoothed path;
+`resonance_deflection` for a spring between motor and stage; `second_derivative` for the
+acceleration of an angle; `replan_with_limits` for a move that the unit executed with other limits.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.model.recursive_filters import filter_from_rest, step_invariant
+from gyrorig_solver.reference.unit.motion_profile import (
+    MotionLimits,
+    MotionProfile,
+    ProfileCommand,
+    plan_motion,
+)
+
+_MIN_ANGLE_STEP_RAD = 1e-12  # smaller steps are rounding of an angle at rest
+_MIN_WIDTH_S = 1e-5  # the difference of integrals over less is rounding
+
+
+def apply_play(angle_rad: FloatArray, gap_rad: float, start_face: float) -> FloatArray:
+    """Return the output of a gear with backlash (play operator).
+
+    Args:
+        angle_rad: the input, shape (n + 1,).
+        gap_rad: how far the input turns before the output follows back.
+        start_face: the initial contact: 1 pushes up, -1 down, 0 is in the middle.
+    """
+    half = gap_rad / 2.0
+    output = np.empty_like(angle_rad)
+    step = np.diff(angle_rad)
+    turning = np.flatnonzero(np.abs(step) > _MIN_ANGLE_STEP_RAD)
+    signs = np.sign(step[turning])
+    ends = [*(turning[1:][np.diff(signs) != 0.0]).tolist(), angle_rad.size - 1]
+    first, level = 0, float(angle_rad[0]) - start_face * half
+    output[0] = level
+    for end in ends:
+        inside = angle_rad[first : end + 1]
+        # The input is monotonic here, so the nearer face positions the output.
+        output[first : end + 1] = np.clip(level, inside - half, inside + half)
+        first, level = end, float(output[end])
+    return output
+
+
+def moving_average(edges_s: FloatArray, angle_rad: FloatArray, width_s: float) -> FloatArray:
+    """Return the mean of the angle over `width_s` about each edge, by cubic interpolation.
+
+    Straight lines between edges h apart would add h^2/12 angle'' to width^2/24 angle''. The angle
+    is constant beyond the ends.
+    """
+    if width_s <= _MIN_WIDTH_S:
+        return angle_rad
+    width = np.diff(edges_s)
+    rise = np.diff(angle_rad) / width
+    slope = np.zeros_like(angle_rad)
+    slope[1:-1] = (rise[:-1] * width[1:] + rise[1:] * width[:-1]) / (width[:-1] + width[1:])
+    square = (3.0 * rise - 2.0 * slope[:-1] - slope[1:]) / width
+    cube = (slope[:-1] + slope[1:] - 2.0 * rise) / width**2
+
+    def integral_within(k: IntArray, u: FloatArray) -> FloatArray:
+        bent = slope[k] / 2.0 + u * (square[k] / 3.0 + u * cube[k] / 4.0)
+        return np.asarray(u * (angle_rad[k] + u * bent), dtype=np.float64)
+
+    every = np.arange(width.size)
+    cumulative = np.concatenate([[0.0], np.cumsum(integral_within(every, width))])
+
+    def integral(at_s: FloatArray) -> FloatArray:
+        inside = np.clip(at_s, edges_s[0], edges_s[-1])
+        k = np.clip(np.searchsorted(edges_s, inside, side="right") - 1, 0, width.size - 1)
+        beyond = (at_s - inside) * np.where(at_s > inside, angle_rad[-1], angle_rad[0])
+        return np.asarray(
+            cumulative[k] + integral_within(k, inside - edges_s[k]) + beyond, np.float64
+        )
+
+    half = width_s / 2.0
+    return np.asarray((integral(edges_s + half) - integral(edges_s - half)) / width_s, np.float64)
+
+
+def second_derivative(edges_s: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Return the angle's second derivative at the edges, (n + 1,), zero at the ends."""
+    rate = np.diff(angle_rad) / np.diff(edges_s)
+    result = np.zeros_like(angle_rad)
+    result[1:-1] = np.diff(rate) / ((edges_s[2:] - edges_s[:-2]) / 2.0)
+    return result
+
+
+def resonance_deflection(
+    edges_s: FloatArray, angle_rad: FloatArray, frequency_hz: float, damping: float
+) -> FloatArray:
+    """Return the deflection q of q'' + 2 z w q' + w^2 q = -angle'', (n + 1,).
+
+    The acceleration is constant between edges; a discrete system with the same poles is exact for
+    that (zero-order hold).
+    """
+    w = 2.0 * np.pi * frequency_hz
+    step_s = float(edges_s[-1] - edges_s[0]) / (edges_s.size - 1)
+    numerator, denominator = step_invariant(w, damping, step_s)
+    excitation = -second_derivative(edges_s, angle_rad)
+    # Constant from half a step before to half a step after its edge.
+    interval_means = np.append((excitation[:-1] + excitation[1:]) / 2.0, 0.0)
+    return filter_from_rest(numerator, denominator, interval_means)
+
+
+def replan_with_limits(
+    profile: MotionProfile, acceleration_share: float, base_steps_s: float
+) -> MotionProfile | None:
+    """Return a simple move with other acceleration and base speed; None for other moves.
+
+    Args:
+        profile: from rest to rest, with one commanded target and no other command on the way.
+        acceleration_share: added to 1.
+        base_steps_s: added to the base speed.
+    """
+    commanded = profile.limits
+    if commanded is None or commanded.speed_steps_s <= commanded.base_speed_steps_s:
+        return None
+    limits = MotionLimits(
+        speed_steps_s=commanded.speed_steps_s,
+        acceleration_steps_s2=commanded.acceleration_steps_s2 * (1.0 + acceleration_share),
+        base_speed_steps_s=max(0.0, commanded.base_speed_steps_s + base_steps_s),
+    )
+    begin, target = float(profile.start_s[0]), float(profile.start_steps[-1])
+    return plan_motion(float(profile.start_steps[0]), [ProfileCommand(begin, "to", target, limits)])

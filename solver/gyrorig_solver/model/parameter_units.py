@@ -1,0 +1,103 @@
+"""Units and number formats of parameters: one spelling and one unit each, wherever people read.
+
+What to use when: `PARAMETER_GROUPS` for the base parameters in the order of the contract;
+`parameter_label` for the name of one value (`scale.x`); `display_unit` for any SI unit;
+`format_quantity` for a value with its standard uncertainty; `format_short` for a number alone;
+`plural` for a counted noun. Files keep SI units.
+"""
+
+import math
+from dataclasses import dataclass
+
+_DEG = 180.0 / math.pi
+
+# SI unit: factor and unit for people. Sizes of causes and of parameters use the same table.
+DISPLAY_UNITS = {
+    "rad": (_DEG, "deg"),
+    "rad/s": (_DEG, "deg/s"),
+    "rad/s^2": (_DEG, "deg/s^2"),
+    "rad/s/K": (_DEG, "deg/s/K"),
+    "rad/s/(m/s^2)": (_DEG * 9.80665, "deg/s/g"),
+    "s/rad": (1e6 / _DEG, "ppm s/deg"),
+    "s^2/rad^2": (1e6 / _DEG**2, "ppm s^2/deg^2"),
+    "s": (1e3, "ms"),
+    "s^2": (1e6, "ppm s^2"),
+    "1": (1e6, "ppm"),
+    "1/K": (1e6, "ppm/K"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterGroup:
+    """One parameter of the document and how to show it."""
+
+    name: str
+    labels: tuple[str, ...]
+    meaning: str
+    factor: float  # from the document's unit to the one shown
+    unit: str
+
+
+PARAMETER_GROUPS = (
+    ParameterGroup("bias", ("x", "y", "z"), "zero-rate output", _DEG, "deg/s"),
+    ParameterGroup(
+        "scale", ("x", "y", "z"), "scale factor, as a ratio to the nominal one", 1.0, "1"
+    ),
+    ParameterGroup(
+        "nonorthogonality", ("xy", "zx", "zy"), "angles between the sensor's axes", 1e3, "mrad"
+    ),
+    ParameterGroup(
+        "misalignment", ("x", "y", "z"), "rotation from the stage to the sensor", _DEG, "deg"
+    ),
+    ParameterGroup("time_offset", ("",), "delay of the samples behind the motion", 1e3, "ms"),
+)
+
+
+def parameter_label(name: str, component: str = "") -> str:
+    """Return the name of one value as every command, report and file spells it: `scale.x`."""
+    return f"{name}.{component}" if component else name
+
+
+def display_unit(unit: str) -> tuple[float, str]:
+    """Return the factor from an SI unit to the one shown, and that unit."""
+    return DISPLAY_UNITS.get(unit, (1.0, unit))
+
+
+def group_of(parameter: str) -> ParameterGroup | None:
+    """Return the group of a base parameter (`scale` or `scale.x`); None for any other name."""
+    name = parameter.partition(".")[0]
+    return next((group for group in PARAMETER_GROUPS if group.name == name), None)
+
+
+def decimals_of_std(std: float) -> int:
+    """Return the decimals that show two significant digits of `std`."""
+    if not std > 0.0 or not math.isfinite(std):
+        return 6
+    return min(12, max(0, 1 - math.floor(math.log10(std))))
+
+
+def format_quantity(value: float, std: float | None) -> tuple[str, str]:
+    """Return the texts of a value and its standard deviation, equally many decimals."""
+    if std is None or not std > 0.0:
+        return f"{value:+.6g}", "0" if std == 0.0 else "unknown"  # 0: chosen, not measured
+    decimals = decimals_of_std(std)
+    return f"{value:+.{decimals}f}", f"{std:.{decimals}f}"
+
+
+def format_two_digits(std: float) -> str:
+    """Return a standard uncertainty with two significant digits."""
+    return f"{std:.{decimals_of_std(std)}f}"
+
+
+def format_short(value: float) -> str:
+    """Return a number with three significant digits, without an exponent where it can."""
+    if value == 0.0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e5:
+        return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+    return f"{value:.2e}"
+
+
+def plural(count: int, noun: str, nouns: str = "") -> str:
+    """Return "1 board", "3 boards"; `nouns` for an irregular plural."""
+    return f"{count} {noun if count == 1 else nouns or noun + 's'}"

@@ -1,0 +1,261 @@
+"""The interface of a physical cause: its card, its parameters and its effect on the rate.
+
+What to use when: derive a cause from one of the classes in `term_kinds`, not from `Term` directly.
+A fit uses `reason_not_testable`, `effect` and `jacobian`. The search also uses `template_bank` and
+`tangent_signals`. Reports use the card: title, remedy, picture and so on.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.model.signal_arrays import zero_signals
+from gyrorig_solver.model.signal_state import SignalState
+
+Part = Literal["clock", "link", "sensor", "ptu", "mount", "environment"]
+# effect: changes the measured rate. known: changes it by an amount that is known beforehand.
+# gauge: the base parameters absorb it completely, so a residual never shows it.
+# stochastic: changes the noise, not the mean. raw: visible in the raw stream, not in a model.
+Kind = Literal["effect", "known", "gauge", "stochastic", "raw"]
+# A unit's cause is common to all boards on that unit. A recording's cause is absent from the
+# next recording.
+Scope = Literal["board", "unit", "recording"]
+# size: the magnitude, zero means no effect. shape, event: a nuisance that has no meaning at
+# size zero (a period, a lag, a time constant; a time). It is scanned before it is refined.
+Role = Literal["size", "shape", "event"]
+# Where a cause acts between the motor command and the timestamped sample. Later stages see the
+# effect of earlier ones: backlash swallows the motion that rounded ramps have left.
+Stage = Literal[
+    "profile",  # the moves that the controller plans
+    "motor",  # how the motor executes them
+    "rotor",  # steps that the motor loses
+    "drive",  # from steps to the turn of the worm
+    "play",  # from worm to wheel
+    "wheel",  # the turn of the wheel
+    "stage",  # the structure on the wheel, and the structure below the unit
+    "axes",  # from the turn of the axes to the rate of the stage
+    "mount",  # from stage to sensor
+    "sensor",  # the response of the sensing element
+    "threshold",  # its response to small rates
+    "bias",  # its output without rotation
+    "low_pass",
+    "limit",  # the largest output
+    "clock",  # the time of sampling
+    "readout",  # the value that is written; nothing follows
+]
+SIGNAL_PATH: tuple[Stage, ...] = get_args(Stage)
+# These stages filter or delay the signal of all other causes. The effect of the other causes is
+# exact when it is computed with these stages in place.
+FILTER_STAGES: tuple[Stage, ...] = ("low_pass", "clock")
+
+# Predictors of the smooth functions that a cause is tested against; see
+# `discover.checks.specification_tests`.
+EDGE_COVARIATES = ("pan_transient", "tilt_transient", "move_gain", "move_delay")
+ANGLE_COVARIATES = ("pan_angle", "tilt_angle")
+RATE_COVARIATES = ("own_rate", "speed")
+
+Quantity = Literal["mean", "gain", "lag"]
+# grid: some rows of the template bank first. full_grid: all rows. pulses, spectral_lines: rows
+# at the strongest pulses or lines of the residual.
+TemplateSearch = Literal["grid", "full_grid", "pulses", "spectral_lines"]
+NO_ANGLES = "the reference has no pan and tilt angles; use a pan-tilt unit"
+DERIVATIVE_STEP = 1e-3  # of a parameter's typical size, for finite differences
+
+
+@dataclass(frozen=True, slots=True)
+class BinnedDependence:
+    """A plot of a residual's mean, gain or lag in bins of one predictor."""
+
+    quantity: Quantity
+    covariate: str
+    bins: int = 24
+    ranked: bool = False  # equal counts per bin: otherwise few bins hold the rare large values
+
+
+@dataclass(frozen=True, slots=True)
+class TermParameter:
+    """One physical quantity of a cause, with one value for each component."""
+
+    name: str
+    unit: str
+    typical_size: float  # on an ordinary rig; the width of the expected range
+    lower: float  # no physical cause of this name lies outside [lower, upper]
+    upper: float
+    prior_std: float  # of a weak prior: a few times the possible range
+    components: tuple[str, ...] = ()  # x, y, z or pan, tilt; () is one value
+    role: Role = "size"
+    start: float = 0.0  # initial value of a fit; zero for a size
+    is_integer: bool = False  # a count
+
+    @property
+    def value_count(self) -> int:
+        """The number of values."""
+        return max(1, len(self.components))
+
+    @property
+    def value_names(self) -> tuple[str, ...]:
+        """The name of each value, as in a covariance."""
+        return tuple(f"{self.name}.{part}" for part in self.components) or (self.name,)
+
+
+class Term(ABC):
+    """One physical cause: a parametric model of its effect on the measured rate.
+
+    The k values of a term are the values of its parameters, one after the other. The attributes
+    without a default are the card that every cause must fill in.
+    """
+
+    cause: str  # the id in the catalogue; it never changes
+    title: str  # one clause for the heading of a report
+    part: Part
+    kind: Kind = "effect"
+    stage: Stage = "sensor"
+    scope: Scope = "board"
+    parameters: tuple[TermParameter, ...]
+    confused_with: tuple[str, ...] = ()  # causes that look similar, the most similar first
+    remedy: str  # what to do at the rig
+    covariates: tuple[str, ...] | None  # for the specification test; None: no predictor known
+    picture: BinnedDependence | None  # None: the residual over time, around the event
+    excitation: str  # what a recording needs to show the cause and to separate it
+    effect_if_ignored: str  # on a calibration without this cause
+
+    depends_on_upstream: bool = False  # its effect changes with small changes before it
+    ignores_clipping: bool = False  # its derivatives are taken as if nothing clipped the rate
+    derivative_step: float = DERIVATIVE_STEP  # larger where the effect changes in steps
+    # Special cases of the search.
+    template_search: TemplateSearch = "grid"
+    equivalent_causes: tuple[str, ...] = ()  # the same function on one of its axes
+    first_order_equivalent: str = ""  # the cause that replaces it in the first scan
+    confounded_with_gain: bool = False  # the gain absorbs it, so its size can stay unobservable
+    is_whole_steps: bool = False  # its size is at least one step
+    is_noise_process: bool = False  # the noise model contains it
+    depends_on_temperature: bool = False  # its temperature counts from the recordings' mean
+    reference_alternative: str = ""  # the same error in a reference of attitudes
+
+    @abstractmethod
+    def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the exact change of the measured rate, (blocks, 3), at values (k,)."""
+
+    @abstractmethod
+    def describe(self, values: FloatArray) -> str:
+        """Return a sentence for the person at the rig: what these values mean."""
+
+    def propagate(self, state: SignalState, values: FloatArray) -> SignalState:
+        """Return the signal that later stages see, with this cause applied."""
+        if self.stage in ("axes", "mount"):
+            return state.with_rate(self.effect(state.at_stage(), values))
+        if self.stage in ("sensor", "threshold", "bias"):
+            return state.with_sensor(self.effect(state.at_sensor(), values))
+        if self.stage == "limit":
+            return state.with_output(self.effect(state.at_output(), values))
+        if self.stage == "readout":
+            return state
+        raise NotImplementedError(f"{self.cause} does not define what stage {self.stage} changes")
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why this recording cannot show the cause, with the remedy; None if it can."""
+        return None
+
+    def tilt_zero_std_rad(self, values: FloatArray) -> float:
+        """Return the standard deviation of the tilt zero that this cause leaves open."""
+        return 0.0
+
+    def bandwidth_ratio(self, values: FloatArray) -> float:
+        """Return the true cut-off frequency of the noise over the configured one."""
+        return 1.0
+
+    def off_grid_effect(self, state: SignalState, values: FloatArray) -> FloatArray | None:
+        """Return the part of the effect that the sample grid cannot represent, (blocks, 3).
+
+        None if there is none. `propagate` does not pass this part on.
+        """
+        return None
+
+    def timing_sensitive_mask(self, state: SignalState, values: FloatArray) -> BoolArray | None:
+        """Return the blocks whose effect changes within 0.1 ms, (blocks,); None if none.
+
+        The fit leaves these blocks out.
+        """
+        return None
+
+    def jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the derivatives by the values, (k, blocks, 3), by central differences."""
+        jacobian = zero_signals(values.size, state.block_count)
+        for k in range(values.size):
+            jacobian[k] = self._finite_difference(state, values, k)
+        return jacobian
+
+    def local_jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the derivatives at exactly these values, without the effect of a finite step."""
+        return self.jacobian(state, values)
+
+    def incremental_gain(self, state: SignalState, values: FloatArray) -> FloatArray | None:
+        """Return d(output)/d(rate), (n, 3); None is the identity."""
+        return None
+
+    def template_bank(self, state: SignalState) -> FloatArray:
+        """Return the values (b, k) at which a search starts: shapes, events, finite sizes."""
+        return start_values(self)[None, :]
+
+    def tangent_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
+        """Return the signals to search for at one row of the bank, (sizes, blocks, 3).
+
+        A derivative at size zero, or at a distant size, matches little of a nonlinear effect: 16 %
+        of the energy of a backlash when the size is wrong by a factor of four.
+        """
+        return self.jacobian(state, values)[self.size_indices]
+
+    @property
+    def size_indices(self) -> list[int]:
+        """The indices of the values that are sizes."""
+        return value_indices(self, role="size")
+
+    def _finite_difference(self, state: SignalState, values: FloatArray, k: int) -> FloatArray:
+        parameter = value_parameters(self)[k]
+        step = np.zeros(values.size)
+        step[k] = self.derivative_step * parameter.typical_size
+        backward_step = step if values[k] - step[k] >= parameter.lower else 0.0 * step
+        upper, lower = self.effect(state, values + step), self.effect(state, values - backward_step)
+        return np.asarray((upper - lower) / (step[k] + backward_step[k]), dtype=np.float64)
+
+
+def value_names(term: Term) -> tuple[str, ...]:
+    """Return the name of each value of a term, shape (k,)."""
+    return tuple(name for parameter in term.parameters for name in parameter.value_names)
+
+
+def value_parameters(term: Term) -> tuple[TermParameter, ...]:
+    """Return the parameter of each value of a term, shape (k,)."""
+    return tuple(p for p in term.parameters for _ in range(p.value_count))
+
+
+def start_values(term: Term) -> FloatArray:
+    """Return the initial values of a fit, shape (k,): no effect."""
+    return np.array([p.start for p in value_parameters(term)], dtype=np.float64)
+
+
+def components_of(term: Term) -> tuple[str, ...]:
+    """Return the components that can act alone (x, y, z or pan, tilt), or ()."""
+    components: dict[str, None] = {}
+    for parameter in term.parameters:
+        if parameter.role == "size":
+            components.update(dict.fromkeys(parameter.components))
+    return tuple(components)
+
+
+def value_indices(term: Term, component: str | None = None, role: Role | None = None) -> list[int]:
+    """Return the indices of the values of a component and a role; by default of all.
+
+    A value without a component belongs to every component.
+    """
+    positions, position = [], 0
+    for parameter in term.parameters:
+        for own_component in parameter.components or ("",):
+            matches = component is None or own_component in ("", component)
+            if matches and (role is None or parameter.role == role):
+                positions.append(position)
+            position += 1
+    return positions

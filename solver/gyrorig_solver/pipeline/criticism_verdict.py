@@ -1,0 +1,109 @@
+"""The verdict on a calibration after its criticism.
+
+A calibration is good only if no effect is significant in the residual of the model that it states.
+A remaining effect can move every parameter by more than its standard uncertainty.
+
+What to use when: `add_findings` after a search for causes, `add_criticism` after significance
+tests only.
+"""
+
+from collections.abc import Sequence
+
+import msgspec
+
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument, Trust
+from gyrorig_solver.calibration.verdict import Verdict
+from gyrorig_solver.discover.fit_criticism import FitCriticism
+from gyrorig_solver.findings.findings_document import FindingsDocument
+from gyrorig_solver.model.term import Term
+
+
+def add_findings(
+    calibration: CalibrationDocument, findings: FindingsDocument, named: Sequence[Term]
+) -> CalibrationDocument:
+    """Return a calibration with the verdict after a search for causes.
+
+    Args:
+        calibration: of the fit alone.
+        findings: of the search and of the checks of the stream.
+        named: the causes that the search named and did not fit.
+    """
+    fitted = calibration.solver.terms
+    unfitted = [one.cause for one in named if one.kind == "effect" and one.cause not in fitted]
+    trust = judge_findings(calibration.trust, findings, unfitted)
+    unexplained = findings.unexplained
+    covariates = [unexplained.best_covariate] if unexplained is not None else []
+    return _with_effects(calibration, trust, [*unfitted, *covariates])
+
+
+def add_criticism(calibration: CalibrationDocument, criticism: FitCriticism) -> CalibrationDocument:
+    """Return a calibration with the verdict after significance tests of a requested model."""
+    if not criticism.test_count:
+        return calibration
+    effects = [*criticism.leading_causes, *(test.description for test in criticism.dependences)]
+    return _with_effects(calibration, judge_criticism(calibration.trust, criticism), effects)
+
+
+def judge_findings(trust: Trust, findings: FindingsDocument, unfitted: Sequence[str]) -> Trust:
+    """Return the verdict after a search for causes.
+
+    Args:
+        trust: of the fit alone.
+        findings: of the search.
+        unfitted: causes that were found, act on the rates and are not part of the fit.
+    """
+    reasons = []
+    if unfitted:
+        reasons.append(
+            f"{', '.join(unfitted)} was found and is not part of this fit, so the parameters "
+            "contain its effect. Read the findings report, fix the cause and record again"
+        )
+    return _limit(trust, [*reasons, *_unexplained_reasons(findings)])
+
+
+def judge_criticism(trust: Trust, criticism: FitCriticism) -> Trust:
+    """Return the verdict after significance tests of a requested model."""
+    if criticism.is_adequate:
+        return trust
+    clauses = []
+    if criticism.scores:
+        candidates = ", ".join(criticism.leading_causes)
+        clauses.append(f"causes that this model lacks are significant ({candidates})")
+    if criticism.dependences:
+        leading = criticism.dependences[0]
+        clauses.append(f"the residual depends {leading.description} (p = {leading.p_value:.1g})")
+    reason = (
+        f"{', and '.join(clauses)}, so the parameters may be further off than they state. "
+        "Solve with `--extend auto`, or run `gyrorig explain`"
+    )
+    return _limit(trust, [reason])
+
+
+def _unexplained_reasons(findings: FindingsDocument) -> list[str]:
+    unexplained = findings.unexplained
+    if unexplained is None:
+        return []
+    size_text = (
+        ""
+        if unexplained.harm_sigma is None
+        else f" by up to about {max(unexplained.harm_sigma, 1.0):.0f} standard uncertainties"
+    )
+    return [
+        "part of the residual is not explained by any known cause; it depends "
+        f"{unexplained.best_covariate} and can move a parameter{size_text}. "
+        "Read the findings report, fix the rig and record again"
+    ]
+
+
+def _limit(trust: Trust, reasons: Sequence[str]) -> Trust:
+    if not reasons:
+        return trust
+    verdict: Verdict = "limited" if trust.verdict == "good" else trust.verdict
+    return Trust(verdict=verdict, reasons=[*trust.reasons, *reasons])
+
+
+def _with_effects(
+    calibration: CalibrationDocument, trust: Trust, effects: Sequence[str]
+) -> CalibrationDocument:
+    quality = msgspec.structs.replace(calibration.quality, remaining_effects=list(effects))
+    return msgspec.structs.replace(calibration, trust=trust, quality=quality)

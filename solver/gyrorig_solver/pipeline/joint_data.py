@@ -1,0 +1,73 @@
+"""Boards on one pan-tilt unit at the same time: their recordings and samples, loaded once.
+
+Boards on one CAN bus get a common time base.
+
+What to use when: `load_jointly` before boards are explained or fitted together.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from gyrorig_protocol.errors import GyrorigError
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.data.clocks.shared_time_base import TimeCorrection, fit_shared_time
+from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.pipeline.board_data import BoardData
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointData:
+    """The data of several boards of the same recordings."""
+
+    recordings: tuple[Recording, ...]  # in the order of time
+    boards: Mapping[str, BoardData]
+    errors: Mapping[str, GyrorigError]  # of boards that could not be loaded
+    clock_shifts: Mapping[str, TimeCorrection]  # in the last recording, of boards on one bus
+
+    def without(self, names: Collection[str]) -> "JointData":
+        """Return the data without some boards."""
+        return replace(
+            self,
+            boards={board: data for board, data in self.boards.items() if board not in names},
+            errors={board: fault for board, fault in self.errors.items() if board not in names},
+        )
+
+    def clock_numbers(self, board: str) -> dict[str, float]:
+        """Return how many boards share the time base in the last recording, and the correction."""
+        shift = self.clock_shifts.get(board)
+        if shift is None:
+            return {}
+        return {"boards_on_one_clock": float(shift.board_count), "clock_moved_s": shift.rms_s}
+
+
+def load_jointly(recordings: Sequence[Recording], boards: Sequence[str]) -> JointData:
+    """Load boards' samples, with a common time base for those on one bus.
+
+    Args:
+        recordings: in any order.
+        boards: by name; each is in each recording.
+    """
+    ordered = tuple(sorted(recordings, key=lambda recording: recording.start_ns))
+    samples: dict[str, list[GyroSamples]] = {board: [] for board in boards}
+    errors: dict[str, GyrorigError] = {}
+    clock_shifts: Mapping[str, TimeCorrection] = {}
+    for recording in ordered:
+        loaded: dict[str, GyroSamples] = {}
+        for board in boards:
+            try:
+                loaded[board] = load_samples(recording, board)
+                samples[board].append(loaded[board])
+            except GyrorigError as fault:
+                errors.setdefault(board, fault)
+        exchanges = {
+            board: one.exchanges for board, one in loaded.items() if one.exchanges is not None
+        }
+        clock_shifts = fit_shared_time(exchanges)
+        for board, shift in clock_shifts.items():
+            shift.apply(loaded[board].time_s)  # in place: the clock map shares the array
+    data = {
+        board: BoardData(board, ordered, tuple(samples[board]))
+        for board in boards
+        if board not in errors
+    }
+    return JointData(ordered, data, errors, clock_shifts)

@@ -1,0 +1,168 @@
+"""Prepare a board on a pan-tilt unit, or at rest, for its fit.
+
+What to use when: `prepare_board` for a calibration, alone (`PreparedBoard.solve`) or together
+with other boards (`fit_jointly`); `fit_base` for the fit from which causes are searched;
+`prepare_held_out` for a recording on which a fitted model is tested.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.data.stream.exact_repeats import without_repeats
+from gyrorig_solver.discover.held_out_recording import HeldOutRecording
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.gyro_fit import GyroFit, StageLevel
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.motion_fit import create_session, solve_motion, summarize_motion_fit
+from gyrorig_solver.estimate.observability_remedies import REST_REMEDIES, UNIT_REMEDIES
+from gyrorig_solver.model.leveling import level_from_rests
+from gyrorig_solver.model.signal_state import RecordingContext
+from gyrorig_solver.pipeline.board_data import (
+    BoardData,
+    Session,
+    has_unit,
+    load_board,
+    reference_motion,
+)
+from gyrorig_solver.pipeline.recording_contexts import read_contexts
+from gyrorig_solver.pipeline.term_selection import TermSelection, select_terms
+from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference.unit.counted_reference import CountedReference
+from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
+
+MAX_SAMPLES_FOR_LEVEL = 4_000_000  # beyond, the accelerations need too much memory
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedBoard:
+    """A board's samples, references and selected terms, ready to be fitted."""
+
+    sessions: Sequence[Session]
+    selection: TermSelection
+    contexts: Sequence[RecordingContext]
+    remedies: Mapping[str, str]  # by what the motion may not show
+    warnings: tuple[str, ...]
+
+    def solve(self) -> ConvergedFit:
+        """Fit the board without other boards."""
+        pairs = [(samples, reference) for _, samples, reference in self.sessions]
+        return solve_motion(pairs, self.selection.extensions, self.contexts)
+
+    def summarize(
+        self,
+        solution: ConvergedFit,
+        warnings: Sequence[str] = (),
+        extra: Mapping[str, float] | None = None,
+    ) -> GyroFit:
+        """Build the `GyroFit` of a converged fit: estimates, covariance and warnings."""
+        samples = [samples for _, samples, _ in self.sessions]
+        remedies = {**self.remedies, **self.selection.remedies}
+        all_warnings = (*self.warnings, *self.selection.remarks, *warnings)
+        fit = summarize_motion_fit(solution, samples, remedies, all_warnings, extra)
+        return replace(fit, level=stage_level(*self.sessions[-1][1:]))
+
+
+def prepare_board(
+    data: BoardData, extend: Sequence[str] = (), named_terms: Sequence[FittedTerm] = ()
+) -> PreparedBoard:
+    """Prepare a board on a unit, or at rest.
+
+    Args:
+        data: the board's recordings.
+        extend: causes of the catalogue to fit in addition to the base model.
+        named_terms: causes that a search named, to fit too.
+
+    Raises:
+        InputError: a recording has no reference.
+        UsageError: the recordings cannot be solved together, or a cause is unknown.
+    """
+    warnings: list[str] = []
+    for recording, _, reference in data.sessions:
+        prefix = f"{recording.path.name}: " if len(data.sessions) > 1 else ""
+        if isinstance(reference, PanTiltReference | CountedReference):
+            warnings += [prefix + text for text in reference.warnings]
+    selection = select_terms(data.sessions, extend, named_terms)
+    contexts = selection.contexts or read_contexts(data.sessions)
+    remedies = UNIT_REMEDIES if data.has_unit else REST_REMEDIES
+    return PreparedBoard(data.sessions, selection, contexts, remedies, tuple(warnings))
+
+
+def fit_base_model(recordings: Sequence[Recording], board: str) -> ConvergedFit:
+    """Fit the base model to one board's recordings; see `fit_base`."""
+    return fit_base(load_board(recordings, board))
+
+
+def fit_base(data: BoardData) -> ConvergedFit:
+    """Fit the base model to a board on a unit, or at rest throughout.
+
+    The contexts of the recordings are set, and the Earth's rotation is included where the site
+    is known, so that causes can be searched from this fit.
+
+    Raises:
+        UsageError: the recordings cannot be fitted together, or the board moved without a unit.
+    """
+    if not data.rests_throughout:
+        _require_unit(data.recordings)
+    return prepare_board(data).solve()
+
+
+def prepare_held_out(
+    recording: Recording,
+    board: str,
+    solution: ConvergedFit,
+    samples: GyroSamples | None = None,
+) -> HeldOutRecording:
+    """Prepare a recording for models of the same board that were fitted to others.
+
+    Args:
+        recording: with a pan-tilt unit.
+        board: in it.
+        solution: one of the models; temperatures count from its mean.
+        samples: used instead of the recording's own.
+
+    Raises:
+        InputError: the board is not in the recording, or has too few samples.
+        UsageError: the recording has no pan-tilt unit.
+    """
+    context = solution.sessions[0].context
+    temperature = None if context is None else context.temperature
+    mean_degc = None if temperature is None else temperature.mean_degc
+    _require_unit([recording])
+    kept = without_repeats(load_samples(recording, board) if samples is None else samples)
+    motion = reference_motion(recording, kept)
+    (own_context,) = read_contexts([(recording, kept, motion)], mean_degc)
+    return HeldOutRecording(create_session(kept, motion, own_context), recording.path.name)
+
+
+def _require_unit(recordings: Sequence[Recording]) -> None:
+    if not has_unit(recordings):
+        raise UsageError(
+            f"{', '.join(r.path.name for r in recordings)[:120]} has no motion of a pan-tilt "
+            "unit, which the search for causes needs",
+            "record the board on a pan-tilt unit",
+        )
+
+
+def stage_level(samples: GyroSamples, reference: ReferenceMotion) -> StageLevel | None:
+    """Estimate the stage's level from the accelerometer; None where it cannot be estimated."""
+    if not isinstance(reference, PanTiltReference) or samples.number.size > MAX_SAMPLES_FOR_LEVEL:
+        return None
+    accel = samples.accel_m_s2
+    if accel is None:
+        return None
+    try:
+        level = level_from_rests(samples.time_s, accel, reference.angles_rad(samples.time_s))
+    except InputError:  # too few tilts; the recording itself is fine
+        return None
+    right, forward = (float(v) for v in level.lean_rad)
+    right_std, forward_std = (float(v) for v in level.lean_std_rad)
+    return StageLevel(
+        tilt_zero_rad=level.offset_rad,
+        tilt_zero_std_rad=level.offset_std_rad,
+        lean_rad=(right, forward),
+        lean_std_rad=(right_std, forward_std),
+        rests=level.rests,
+    )

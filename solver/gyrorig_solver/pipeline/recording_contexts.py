@@ -1,0 +1,95 @@
+"""What causes beyond the base model may look at, from a recording: site, temperature, moves."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.data.samples import GyroSamples, positive_number
+from gyrorig_solver.data.samples import mean_temperature_degc as mean_of
+from gyrorig_solver.model.board_temperature import BoardTemperature
+from gyrorig_solver.model.signal_state import STANDARD_GRAVITY_M_S2, RecordingContext, Site
+from gyrorig_solver.reference.reference_motion import ReferenceMotion
+from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
+
+
+def read_contexts(
+    recordings: Sequence[tuple[Recording, GyroSamples, ReferenceMotion | None]],
+    mean_degc: float | None = None,
+) -> list[RecordingContext]:
+    """Return the setting of each recording of one board.
+
+    Args:
+        recordings: in the order in which they are fitted.
+        mean_degc: what temperatures count from; by default the mean of all recordings, so
+            that one polynomial holds.
+
+    Raises:
+        InputError: the metadata say what cannot be.
+    """
+    reference_degc = mean_of([s for _, s, _ in recordings]) if mean_degc is None else mean_degc
+    return [
+        replace(_recording_context(*recording, reference_degc), recording_index=k)
+        for k, recording in enumerate(recordings)
+    ]
+
+
+def read_site(recording: Recording) -> Site:
+    """Return where the rig stands, as far as the recording says.
+
+    Raises:
+        InputError: an entry is no number, or no place on Earth.
+    """
+    site = recording.metadata.get("gyrorig.site", {})
+    latitude, heading = (
+        _site_angle(site, "latitude_deg", 90.0),
+        _site_angle(site, "heading_deg", 360.0),
+    )
+    gravity = positive_number(site, "gravity_m_s2") or STANDARD_GRAVITY_M_S2
+    return Site(latitude, heading, gravity)
+
+
+def _site_angle(site: Mapping[str, str], key: str, limit: float) -> float | None:
+    text = site.get(key)
+    if text is None or text == "":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not abs(value) <= limit:
+        raise InputError(
+            f"the recording gives {key} {text[:40]!r} for its site",
+            f"give it from -{limit:g} to {limit:g} under site in the rig file, and record again",
+        )
+    return value
+
+
+def _recording_context(
+    recording: Recording,
+    samples: GyroSamples,
+    reference: ReferenceMotion | None,
+    reference_degc: float | None,
+) -> RecordingContext:
+    reading_degc = samples.temperature_degc
+    temperature = (
+        None
+        if reading_degc is None
+        else BoardTemperature.of(samples.time_s, reading_degc, reference_degc)
+    )
+    full_scale_dps = positive_number(samples.metadata, "gyro_full_scale_dps")
+    unit = reference if isinstance(reference, PanTiltReference) else None
+    return RecordingContext(
+        site=read_site(recording),
+        temperature=temperature,
+        rad_per_step=None if unit is None else unit.rad_per_step,
+        motion_profiles=() if unit is None else unit.profiles,
+        begin_s=float(samples.time_s[0]),
+        end_s=float(samples.time_s[-1]),
+        full_scale_rad_s=None if full_scale_dps is None else float(np.radians(full_scale_dps)),
+        quantum_rad_s=samples.quantum_rad_s,
+        sample_period_s=samples.period_s,
+        recording_name=recording.path.name,
+    )

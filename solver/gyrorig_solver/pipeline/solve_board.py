@@ -1,0 +1,266 @@
+"""Solve a board: fit, calibration document, next version in the store, report.
+
+What to use when: `solve_and_store` for one board; `fit_together` first where boards were on one
+unit at the same time; `rebuild_report_data` for the report of a stored calibration.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version as installed_version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.calibration.calibration_builder import build_calibration, settings_sha256
+from gyrorig_solver.calibration.calibration_document import (
+    CalibrationDocument,
+    FindingsReference,
+    calibration_as_yaml,
+)
+from gyrorig_solver.calibration.calibration_store import CalibrationStore, StoredVersion
+from gyrorig_solver.calibration.paper_calibration import (
+    build_paper_calibration,
+    solve_with_paper_method,
+)
+from gyrorig_solver.calibration.provenance import build_provenance
+from gyrorig_solver.calibration.sensor_profiles import find_profile
+from gyrorig_solver.calibration.total_uncertainty import with_total_uncertainty
+from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.findings.findings_document import to_yaml as findings_yaml
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.pipeline.board_data import BoardData, load_board
+from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_criticised
+from gyrorig_solver.pipeline.criticism_verdict import add_criticism, add_findings
+from gyrorig_solver.pipeline.explain_board import (
+    BoardExplanation,
+    build_document,
+    findings_page,
+)
+from gyrorig_solver.report.calibration_page import render_calibration
+from gyrorig_solver.report.report_data import ReportData
+from gyrorig_solver.uncertainty.uncertainty_budget import assess_uncertainty
+from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
+
+FINDINGS_SUFFIX = ".findings.yaml"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredResult:
+    """One board's calibration as it was written to the store."""
+
+    calibration: CalibrationDocument
+    path: Path
+    report: Path
+    stored: StoredVersion
+    explanation: BoardExplanation | None = None  # where causes were searched for
+
+
+# (version, digest of the version before, created) to the document
+DocumentBuilder = Callable[[int, str | None, str], CalibrationDocument]
+
+
+def solve_and_store(
+    store: CalibrationStore,
+    recordings: Sequence[Recording],
+    board: BoardId,
+    method: str = "likelihood",
+    extend: Sequence[str] = (AUTO,),
+    precomputed: CriticisedFit | None = None,
+    before_writing: Callable[[], None] = lambda: None,
+    uncertainty: UncertaintySettings | None = None,
+) -> StoredResult:
+    """Solve one board, and write its next version and its report.
+
+    Args:
+        store: of the versions.
+        recordings: at least one, each with the board in it; solved together.
+        board: which one.
+        method: `likelihood` or `paper`.
+        extend: causes of the catalogue to fit, `auto` for those that a search names; used by
+            `likelihood` only.
+        precomputed: the result of `fit_together` for this board, used instead of a new fit.
+        before_writing: called before the version is written; an error that it raises prevents
+            the writing.
+        uncertainty: prior sizes of the causes and limits of the verdict; by default the shipped
+            ones.
+
+    Raises:
+        InputError: the recordings lack something that the method needs.
+        UsageError: the recordings cannot be solved together.
+        MachineError: the store cannot be written.
+    """
+    store.prepare_folder(board)
+    explanation: BoardExplanation | None = None
+    data = load_board(recordings, board)
+    if method == "paper":
+        document, report_data_of = _solve_by_paper(data)
+    else:
+        criticised = precomputed or fit_criticised(data, extend)
+        explanation = criticised.explanation
+        document, report_data_of = _solve_by_likelihood(data, extend, criticised, uncertainty)
+    created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    written: list[CalibrationDocument] = []
+
+    def text(version: int, previous: str | None) -> str:
+        written.append(document(version, previous, created))
+        return calibration_as_yaml(written[-1])
+
+    stored = store.add_version(board, text, before_writing)
+    report = store.write_companion(
+        stored, ".report.html", render_calibration(report_data_of(written[-1])).encode()
+    )
+    if explanation is not None:  # v0001.findings.yaml and v0001.findings.html
+        findings, page = findings_page(explanation)
+        store.write_companion(stored, FINDINGS_SUFFIX, findings_yaml(findings).encode())
+        store.write_companion(stored, ".findings.html", page.encode())
+    return StoredResult(written[-1], stored.path, report, stored, explanation)
+
+
+def document_builder(
+    fit: GyroFit, data: BoardData, extend: Sequence[str] = (AUTO,)
+) -> DocumentBuilder:
+    """Return a function that builds a fit's document for a version.
+
+    Args:
+        fit: of these recordings.
+        data: the board's recordings.
+        extend: causes that were requested.
+    """
+    lost = [fit.lost] if len(data.samples) == 1 else [samples.lost for samples in data.samples]
+    software = installed_version("gyrorig")
+    settings = likelihood_settings(extend)
+    origin = build_provenance(data.recordings, BoardId(data.board), lost, software, settings)
+    profile = find_profile(origin.board.sensor)
+
+    def document(version: int, previous: str | None, created: str) -> CalibrationDocument:
+        return build_calibration(
+            fit, origin, version=version, previous=previous, created=created, profile=profile
+        )
+
+    return document
+
+
+def likelihood_settings(extend: Sequence[str]) -> dict[str, Any]:
+    """Return the settings of `likelihood` whose digest a calibration stores."""
+    return {"method": "likelihood", **({"extend": list(extend)} if extend else {})}
+
+
+def _solve_by_likelihood(
+    data: BoardData,
+    extend: Sequence[str],
+    criticised: CriticisedFit,
+    uncertainty: UncertaintySettings | None = None,
+) -> tuple[DocumentBuilder, Callable[[CalibrationDocument], ReportData]]:
+    fit, explanation, criticism = criticised.fit, criticised.explanation, criticised.criticism
+    build = document_builder(fit, data, extend)
+
+    def document(version: int, previous: str | None, created: str) -> CalibrationDocument:
+        built = build(version, previous, created)
+        if criticised.solution is not None:
+            budget = assess_uncertainty(criticised.solution, uncertainty)
+            built = with_total_uncertainty(built, budget)
+        if explanation is not None:
+            return with_search_findings(built, explanation)
+        if criticism is not None:
+            return add_criticism(built, criticism)
+        return built
+
+    def report_data_of(calibration: CalibrationDocument) -> ReportData:
+        profile = find_profile(calibration.board.sensor)
+        return ReportData(calibration, fit.diagnostics, fit.clock, profile, fit.reference)
+
+    return document, report_data_of
+
+
+def rebuild_report_data(
+    calibration: CalibrationDocument, recordings: Sequence[Recording]
+) -> ReportData:
+    """Return the data of a stored calibration's report, its arrays computed again.
+
+    Args:
+        calibration: from a store; its numbers are not changed.
+        recordings: those that it was solved from.
+
+    Raises:
+        InputError: the recordings are others, or the settings of the solve are not known.
+    """
+    given = {recording.sha256: recording.path.name for recording in recordings}
+    needed = {row.sha256: row.name for row in calibration.inputs}
+    for missing in needed.keys() - given.keys():
+        raise InputError(
+            f"the calibration of {calibration.board.id} was solved from {needed[missing]}, "
+            "which is not among the given recordings",
+            "give all recordings of the calibration, or none",
+        )
+    for other in given.keys() - needed.keys():
+        raise InputError(
+            f"{calibration.board.id} was not solved from {given[other]}", "leave it out"
+        )
+    if calibration.solver.method == "paper":
+        return ReportData(calibration, profile=find_profile(calibration.board.sensor))
+    data = load_board(recordings, calibration.board.id)
+    extend = _requested_causes(calibration)
+    _, report_data_of = _solve_by_likelihood(data, extend, fit_criticised(data, extend))
+    return report_data_of(calibration)
+
+
+def _requested_causes(calibration: CalibrationDocument) -> tuple[str, ...]:
+    """Return the causes that were requested: those whose settings have the document's digest."""
+    causes = tuple(t for t in calibration.solver.terms if t in catalogue())
+    for extend in ((), (AUTO,), *(causes[:k] for k in range(1, len(causes) + 1))):
+        if settings_sha256(likelihood_settings(extend)) == calibration.solver.config_sha256:
+            return extend
+    raise InputError(
+        f"the settings that {calibration.board.id} was solved with are not known",
+        "leave the recordings out for a report without figures, or solve again",
+    )
+
+
+def with_search_findings(
+    calibration: CalibrationDocument, explanation: BoardExplanation
+) -> CalibrationDocument:
+    """Return a calibration with the findings of the search and their effect on the verdict."""
+    findings = build_document(explanation)
+    # The search on a unit fits what it names, or the motion's own unknowns contain it.
+    is_fitted = explanation.fit_explanation is not None
+    named = [] if is_fitted else [cause.term for cause in explanation.findings.causes]
+    return msgspec.structs.replace(
+        add_findings(calibration, findings, named),
+        findings=FindingsReference(
+            verdict=findings.verdict,
+            causes=[cause.cause for cause in findings.causes],
+            file=f"v{calibration.version:04d}{FINDINGS_SUFFIX}",
+        ),
+    )
+
+
+def _solve_by_paper(
+    data: BoardData,
+) -> tuple[DocumentBuilder, Callable[[CalibrationDocument], ReportData]]:
+    if len(data.recordings) > 1:
+        raise UsageError(
+            f"the paper's method takes one recording, not {len(data.recordings)}",
+            "name one recording",
+        )
+    (recording,), (samples,), board = data.recordings, data.samples, BoardId(data.board)
+    result = solve_with_paper_method(recording, board, samples)
+    software = installed_version("gyrorig")
+    origin = build_provenance([recording], board, [samples.lost], software, {"method": "paper"})
+    profile = find_profile(origin.board.sensor)
+    rates = samples.rate_rad_s[samples.usable]
+    span = (float(rates.min()), float(rates.max()))
+
+    def document(version: int, previous: str | None, created: str) -> CalibrationDocument:
+        return build_paper_calibration(
+            result, span, origin, version=version, previous=previous, created=created
+        )
+
+    def report_data_of(calibration: CalibrationDocument) -> ReportData:
+        return ReportData(calibration, profile=profile)
+
+    return document, report_data_of

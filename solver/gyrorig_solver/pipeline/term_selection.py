@@ -1,0 +1,205 @@
+"""Which causes beyond the base model a solve takes in, and what it says of those it does not.
+
+Known ones (the Earth's rotation) are taken where the recording says enough. Asked-for ones
+are fitted where the recordings can carry them. A temperature polynomial has the order that
+windows left out bear, and none below 10 K.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.fitted_term import FittedTerm, fixed_term, free_term
+from gyrorig_solver.estimate.likelihood_fit import fit_likelihood
+from gyrorig_solver.estimate.series import build_series
+from gyrorig_solver.estimate.session_fit import SessionFit
+from gyrorig_solver.estimate.thermal_order import MIN_SPAN_K, choose_order
+from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model.causes.earth_rotation import earth_axis_in_base
+from gyrorig_solver.model.causes.thermal_bias import ThermalBias
+from gyrorig_solver.model.recording_scope import limit_to_recording
+from gyrorig_solver.model.signal_state import RecordingContext
+from gyrorig_solver.pipeline.recording_contexts import read_contexts
+from gyrorig_solver.reference.reference_motion import ReferenceMotion
+
+LoadedRecordings = Sequence[tuple[Recording, GyroSamples, ReferenceMotion]]
+WINDOW_S = 5.0
+THERMAL_LAGS_S = (0.0, -15.0, 15.0, -30.0, 30.0, -60.0, 60.0)  # of the die, or of the thermometer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TermSelection:
+    """The causes that take part, and words for those that do not."""
+
+    extensions: tuple[FittedTerm, ...] = ()
+    contexts: tuple[RecordingContext, ...] = ()
+    remarks: tuple[str, ...] = ()
+    remedies: dict[str, str] = field(default_factory=dict)  # of values that stay hidden
+
+
+def select_terms(
+    loaded: LoadedRecordings, extend: Sequence[str], named_terms: Sequence[FittedTerm] = ()
+) -> TermSelection:
+    """Return the causes to take into a fit of one board.
+
+    Args:
+        loaded: its recordings with samples and references.
+        extend: ids of the catalogue that were asked for.
+        named_terms: causes as a search named them.
+
+    Raises:
+        UsageError: an id is not known, or no fit can show that cause.
+        InputError: the metadata say what cannot be.
+    """
+    for cause in extend:
+        _check_fittable(cause)
+    named_causes = {one.term.cause for one in named_terms}
+    requested = tuple(
+        dict.fromkeys(c for c in extend if find_term(c).kind != "known" and c not in named_causes)
+    )
+    has_latitude = any("latitude_deg" in r.metadata.get("gyrorig.site", {}) for r, _, _ in loaded)
+    if not requested and not named_terms and not has_latitude:
+        return TermSelection()
+    settings = read_contexts(loaded)
+    extensions: list[FittedTerm] = []
+    remarks: list[str] = []
+    if all(earth_axis_in_base(setting.site) is not None for setting in settings):
+        extensions.append(fixed_term(find_term("earth_rotation")))
+    elif has_latitude:
+        remarks.append(
+            "the Earth's rotation is not removed: the site has no heading; give heading_deg"
+        )
+    remedies: dict[str, str] = {}
+    for one in named_terms:
+        extensions.append(one)
+        remedies |= dict.fromkeys(one.names, one.term.excitation)
+    for cause in requested:
+        extension, reason = _fittable_term(cause, loaded, settings)
+        if extension is None:
+            remarks.append(f"{cause} was not fitted: {reason}")
+            continue
+        remarks += [f"{cause}: {reason}"] if reason else []
+        for one in _per_recording(extension, len(loaded)):
+            extensions.append(one)
+            remedies |= dict.fromkeys(one.names, one.term.excitation)
+    return TermSelection(tuple(extensions), tuple(settings), tuple(remarks), remedies)
+
+
+def _per_recording(extension: FittedTerm, recordings: int) -> list[FittedTerm]:
+    """Return a cause as it is, or one for each recording where it is a recording's."""
+    if recordings == 1 or extension.term.scope != "recording":
+        return [extension]
+    return [
+        replace(extension, term=limit_to_recording(extension.term, k)) for k in range(recordings)
+    ]
+
+
+def _check_fittable(cause: str) -> None:
+    requested_term = find_term(cause)
+    if requested_term.kind == "gauge":
+        raise UsageError(
+            f"{cause} is absorbed completely by the base parameters, so no motion shows it",
+            f"leave it out. To separate it, a recording needs {requested_term.excitation}",
+        )
+    if requested_term.kind not in ("effect", "known"):
+        raise UsageError(
+            f"{cause} cannot be fitted to the rates",
+            "leave it out and run `gyrorig explain`, which searches for it. Needed in the "
+            f"recording: {requested_term.excitation}",
+        )
+    if (
+        any(p.role != "size" for p in requested_term.parameters)
+        and not requested_term.depends_on_temperature
+    ):
+        raise UsageError(
+            f"{cause} has shape parameters, and only a search can find them",
+            "use `--extend auto` or `gyrorig explain`",
+        )
+
+
+def _fittable_term(
+    cause: str, loaded: LoadedRecordings, settings: Sequence[RecordingContext]
+) -> tuple[FittedTerm | None, str]:
+    """Return a cause ready to be fitted, or None and why not, with the remedy."""
+    if find_term(cause).depends_on_temperature:
+        readings = [s.temperature.degc for s in settings if s.temperature is not None]
+        if len(readings) < len(settings):
+            return None, "a recording has no temperature; record the board's thermometer"
+        span_k = float(np.ptp(np.concatenate(readings)))
+        if span_k < MIN_SPAN_K:
+            return None, (
+                f"the temperature changed by {span_k:.1f} K only, and below {MIN_SPAN_K:.0f} K "
+                "a polynomial follows the noise; warm the board and record again"
+            )
+        if cause == "thermal_bias":
+            return _thermal_bias(loaded, settings)
+    return free_term(find_term(cause)), ""
+
+
+def _thermal_bias(
+    loaded: LoadedRecordings, settings: Sequence[RecordingContext]
+) -> tuple[FittedTerm | None, str]:
+    """Choose the order by windows of the base fit's residual that were left out."""
+    sessions = []
+    for (_, samples, reference), setting in zip(loaded, settings, strict=True):
+        series, sampling = build_series(samples, reference.common_shift_std_s)
+        sessions.append(SessionFit(series, sampling, reference, 0.0, setting))
+    solution = fit_likelihood(sessions)
+    lowest = np.array([1.0 / WINDOW_S])
+    density = np.max([noise.density(lowest)[0] for noise in solution.noises], axis=0)
+    std = np.sqrt(density / (2.0 * WINDOW_S))
+    temperatures = []
+    for lag_s in THERMAL_LAGS_S:
+        windows = [
+            _window_means(session, setting, solution.gain, lag_s)
+            for session, setting in zip(solution.sessions, settings, strict=True)
+        ]
+        temperature, residual = (np.concatenate(part) for part in zip(*windows, strict=True))
+        temperatures.append(temperature)
+    choice = choose_order(temperatures, residual, std)
+    lag_s = THERMAL_LAGS_S[choice.temperature_index]
+    if choice.order == 0:
+        return None, (
+            f"over {choice.span_k:.1f} K windows left out are predicted no better with it"
+        )
+    extension = free_term(ThermalBias(choice.order))
+    extension.values[-1] = lag_s
+    lag_text = f", lag {lag_s:+.0f} s" if lag_s else ""
+    return (
+        extension,
+        f"order {choice.order}{lag_text} over {choice.span_k:.1f} K, by windows left out",
+    )
+
+
+def _window_means(
+    session: SessionFit, setting: RecordingContext, gain: FloatArray, lag_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the die's temperature and residual means of windows of one recording."""
+    length = max(1, round(WINDOW_S * session.sampling.rate_hz))
+    temperatures, residuals = [], []
+    for series, residual, used in zip(
+        session.series, session.residuals(gain), session.used, strict=True
+    ):
+        window_count = residual.shape[0] // length
+        whole = slice(0, window_count * length)
+        count = used[whole].reshape(window_count, length).sum(axis=1)
+        mean = (
+            residual[whole].reshape(window_count, length, 3).sum(axis=1)
+            / np.maximum(count, 1)[:, None]
+        )
+        time_s = series.block_times_s()[whole].reshape(window_count, length).mean(axis=1)
+        keep = count > length // 2
+        temperature = setting.temperature
+        temperature_rise = (
+            np.zeros(window_count)
+            if temperature is None
+            else temperature.die_temperature_rise(time_s, lag_s)
+        )
+        temperatures.append(temperature_rise[keep])
+        residuals.append(mean[keep] + session.bias_rad_s)
+    return np.concatenate(temperatures), np.concatenate(residuals)

@@ -1,0 +1,395 @@
+"""Detectability of each cause of the catalogue under a program.
+
+A cause is projected orthogonally to the fitted parameters (gain, bias, time offset, the motion's
+own unknowns) and whitened by the noise. The remainder determines its minimum detectable size, its
+similarity to other causes, and the bias of the calibration while it is not detected (geodesy:
+external reliability, Baarda).
+
+What to use when: `predict_detectability` for a program; `detectability_table` prints its result.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.estimate.information import PARAMETER_NAMES, marginalise
+from gyrorig_solver.estimate.linear.normal_equations import NormalEquationsSum
+from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS, PartModel, WhitenedPart
+from gyrorig_solver.estimate.observability import prior_std
+from gyrorig_solver.estimate.reference_prediction import (
+    PartDerivatives,
+    predict_derivatives,
+    predict_rate,
+)
+from gyrorig_solver.estimate.typical_board import TYPICAL_MOUNT
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.signal_state import SignalState, Site
+from gyrorig_solver.model.term import Term, components_of, value_indices, value_parameters
+from gyrorig_solver.numerics.distributions import detection_noncentrality
+from gyrorig_solver.plan.prediction import STATED_PARAMETERS, Prediction
+from gyrorig_solver.plan.scan_templates import (
+    ScanTemplate,
+    scan_templates,
+    signal_states,
+    template_batches,
+)
+from gyrorig_solver.plan.sensor_model import SensorModel
+
+CONFUSABLE_SHARE = 0.5  # share of a cause's energy that another may take before they are confusable
+MAX_SHARED_ENERGY, UNDETECTABLE_SIZE = 0.99, 1000.0
+SIZE_EXPONENTS = (0.5, 4.0)  # of its size that an effect may grow with
+MAX_BATCH_VALUES = 2_000_000  # of the causes' derivatives on one sensor axis, held at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CauseDetectability:
+    """The detectability of one cause at one of its places under a program."""
+
+    term: Term
+    place: str | None  # x, y, z, pan, tilt; None where it has none
+    best_direction_size: float  # detectable size, SI, in the direction that shows best
+    worst_direction_size: float  # in the direction that shows least
+    typical: float  # size of an ordinary rig, SI
+    unit: str
+    absorbed: float  # share of the effect's energy that the fit takes for its own
+    biased_parameter: str  # which parameter it moves most, undetected
+    parameter_bias_sigma: float  # by how many standard deviations, at its detectable size
+    template: ScanTemplate
+    max_shared_energy: float = 0.0  # share of its energy that the likest other cause takes
+
+    @property
+    def identifiable_size(self) -> float:
+        """Size from which the cause is distinguished from the most similar other cause, SI.
+
+        The share that the other absorbs is lost; of nearly equal causes, which no motion separates,
+        `MAX_SHARED_ENERGY` counts as taken.
+        """
+        return self.worst_direction_size / float(
+            np.sqrt(1.0 - min(self.max_shared_energy, MAX_SHARED_ENERGY))
+        )
+
+    @property
+    def is_detectable(self) -> bool:
+        """Whether a possible size is detectable."""
+        parameter = value_parameters(self.term)[value_indices(self.term, self.place, "size")[0]]
+        return self.worst_direction_size <= max(abs(parameter.lower), abs(parameter.upper))
+
+
+@dataclass(frozen=True, slots=True)
+class ConfusablePair:
+    """Two causes that a program can hardly distinguish."""
+
+    causes: tuple[str, str]
+    places: tuple[str | None, str | None]
+    share: float  # of one's energy that the other takes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectabilityReport:
+    """The detectability of the whole catalogue under a program."""
+
+    causes: tuple[CauseDetectability, ...]
+    confusable_pairs: tuple[ConfusablePair, ...]  # the likest first
+    fully_absorbed: tuple[
+        Term, ...
+    ]  # seen by no program: gain, bias and time offset take them whole
+    other_methods: tuple[Term, ...]  # seen in the noise or the raw stream, not in a motion
+    not_applicable: tuple[tuple[Term, str], ...]  # cannot be looked at here, and why
+
+    @property
+    def undetectable(self) -> tuple[CauseDetectability, ...]:
+        """The causes that are not detectable at any possible size."""
+        return tuple(cause for cause in self.causes if not cause.is_detectable)
+
+    @property
+    def mean_identifiable_size(self) -> float:
+        """Geometric mean over the causes of the identifiable size in typical sizes.
+
+        A geometric mean, so that a cause ten times better known counts as much as another ten
+        times worse. What is not seen at all counts as `UNSEEN`.
+        """
+        logs: dict[str, list[float]] = {}
+        for cause in self.causes:
+            size = min(cause.identifiable_size / cause.typical, UNDETECTABLE_SIZE)
+            logs.setdefault(cause.term.cause, []).append(float(np.log(size)))
+        return float(np.exp(np.mean([np.mean(places) for places in logs.values()])))
+
+    @property
+    def max_parameter_bias_sigma(self) -> float:
+        """The largest parameter bias, in standard uncertainties."""
+        return max((cause.parameter_bias_sigma for cause in self.causes), default=0.0)
+
+
+def predict_detectability(
+    prediction: Prediction, sensor: SensorModel, site: Site | None = None
+) -> DetectabilityReport:
+    """Predict the detectability of every cause under a program.
+
+    Args:
+        prediction: of the program.
+        sensor: as it was predicted for.
+        site: where the rig stands.
+    """
+    states = signal_states(prediction.session, sensor, site or Site())
+    causes = tuple(catalogue().values())
+    testable = [
+        term
+        for term in causes
+        if term.kind in ("effect", "known") and term.reason_not_testable(states[0]) is None
+    ]
+    missing = [
+        (term, term.reason_not_testable(states[0]))
+        for term in causes
+        if term.kind in ("effect", "known")
+    ]
+    test_count = sum(max(1, len(components_of(term))) for term in testable)
+    cause_information = _CauseInformation(prediction, sensor, states)
+    by_place: dict[tuple[str, str | None], list[_TemplateDetectability]] = {}
+    for batch in template_batches(
+        [template for term in testable for template in scan_templates(term, states[0])],
+        cause_information.max_batch_sizes,
+    ):
+        reduced = cause_information.reduce(batch)
+        for template in batch:
+            for place in components_of(template.term) or (None,):
+                detectability = reduced.detectability(
+                    template, place, template_noncentrality(template, place, test_count)
+                )
+                by_place.setdefault((template.term.cause, place), []).append(detectability)
+    estimates = [_summarize_place(templates) for templates in by_place.values()]
+    compared, pairs = _compare_causes(estimates, cause_information)
+    return DetectabilityReport(
+        causes=tuple(sorted(compared, key=lambda f: -f.parameter_bias_sigma)),
+        confusable_pairs=pairs,
+        fully_absorbed=tuple(term for term in causes if term.kind == "gauge"),
+        other_methods=tuple(term for term in causes if term.kind in ("stochastic", "raw")),
+        not_applicable=tuple((term, reason) for term, reason in missing if reason is not None),
+    )
+
+
+def template_noncentrality(template: ScanTemplate, place: str | None, test_count: int) -> float:
+    """Return the non-centrality that detects one template of a catalogue scan."""
+    return detection_noncentrality(
+        len(value_indices(template.term, place, "size")), test_count * template.template_count
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TemplateDetectability:
+    """The detectability of one template at one place, in typical sizes."""
+
+    template: ScanTemplate
+    place: str | None
+    sizes: FloatArray  # (d,), detectable in each principal direction, best first
+    absorbed: float
+    bias_sigma: FloatArray  # (p,), of each parameter
+
+
+class _CauseInformation:
+    """Normal equations of a motion, of the base model and any causes."""
+
+    def __init__(
+        self, prediction: Prediction, sensor: SensorModel, scenes: Sequence[SignalState]
+    ) -> None:
+        series, reference = prediction.session.series, prediction.session.reference
+        self._reference, self._noise, self._scenes = reference, sensor.noise, scenes
+        self._prediction = prediction
+        self.max_batch_sizes = max(
+            16, MAX_BATCH_VALUES // max(p.stop - p.start for p in series.part_slices())
+        )
+        self._parts: list[tuple[FloatArray, BoolArray, PartDerivatives]] = []
+        for blocks in series.part_slices():
+            sampled = predict_rate(series, blocks, reference, 0.0)
+            use = series.good[series.samples_of_blocks(blocks)] & sampled.known
+            columns = predict_derivatives(series, blocks, reference, 0.0)
+            self._parts.append(
+                (series.block_means(sampled.rate, use), series.used_blocks(use), columns)
+            )
+
+    def reduce(self, templates: Sequence[ScanTemplate]) -> "_ReducedInformation":
+        """Return the information on the causes' sizes with the base model eliminated."""
+        local, _ = self._reference.information.size
+        sums: list[NormalEquationsSum] = []
+        for (rate, used, columns), scene in zip(self._parts, self._scenes, strict=True):
+            terms = np.concatenate(
+                [
+                    template.term.tangent_signals(scene, template.values)
+                    * template.typical_sizes[:, None, None]
+                    for template in templates
+                ]
+            )
+            part = WhitenedPart.of(
+                PartModel(rate, used, terms, columns), TYPICAL_MOUNT, self._noise
+            )
+            sums = sums or [NormalEquationsSum(self._noise, local, part.size)]
+            sums[0].add(part, np.zeros_like(rate), is_whole_series=len(self._parts) == 1)
+        normal = sums[0].total()
+        size = BASE_PARAMETERS + sum(template.typical_sizes.size for template in templates)
+        reduced = marginalise(normal, self._reference, size).information
+        energy = np.diag(normal.matrix.shared)[BASE_PARAMETERS:size]
+        return _ReducedInformation(templates, reduced, energy, self._prediction)
+
+
+class _ReducedInformation:
+    """The information on templates' sizes with the base model eliminated."""
+
+    def __init__(
+        self,
+        templates: Sequence[ScanTemplate],
+        information: FloatArray,
+        energy: FloatArray,
+        prediction: Prediction,
+    ) -> None:
+        base, cross = (
+            information[:BASE_PARAMETERS, :BASE_PARAMETERS],
+            information[:BASE_PARAMETERS, BASE_PARAMETERS:],
+        )
+        self._raw = energy
+        # What no motion fixes has its prior, or a cause in that direction would look seen.
+        nuisance_step = np.linalg.solve(base + np.diag(prior_std(PARAMETER_NAMES) ** -2.0), cross)
+        self.information = information[BASE_PARAMETERS:, BASE_PARAMETERS:] - cross.T @ nuisance_step
+        first = np.cumsum([0, *(template.typical_sizes.size for template in templates)])
+        self._first = {
+            id(template): int(position)
+            for template, position in zip(templates, first[:-1], strict=True)
+        }
+        self._std = prediction.stated_std
+        self._moved = prediction.stated_jacobian @ nuisance_step
+
+    def index(self, template: ScanTemplate, place: str | None) -> list[int]:
+        """Return the rows and columns of `information` of a template at a place."""
+        sizes = value_indices(template.term, role="size")
+        return [
+            self._first[id(template)] + sizes.index(k)
+            for k in value_indices(template.term, place, role="size")
+        ]
+
+    def detectability(
+        self, template: ScanTemplate, place: str | None, noncentrality: float
+    ) -> _TemplateDetectability:
+        """Return the detectability of a template at a place for a non-centrality."""
+        positions = self.index(template, place)
+        energy = float(np.sum(self._raw[positions]))
+        if energy <= 0.0:
+            undetectable = np.full(len(positions), np.inf)
+            return _TemplateDetectability(
+                template, place, undetectable, 1.0, np.zeros(len(STATED_PARAMETERS))
+            )
+        values, vectors = np.linalg.eigh(self.information[np.ix_(positions, positions)])
+        values = np.maximum(values[::-1], 1e-15 * energy)
+        sizes = np.sqrt(noncentrality / values)
+        # A size that nothing can have does no harm: what is not seen is taken as typical.
+        possible = np.where(sizes <= _largest_size(template, place), sizes, 1.0)
+        shift = self._moved[:, positions] @ vectors[:, ::-1] * possible
+        bias_sigma = np.sqrt(np.sum(shift**2, axis=1)) / self._std
+        return _TemplateDetectability(
+            template, place, sizes, 1.0 - float(np.sum(values)) / energy, bias_sigma
+        )
+
+
+def _largest_size(template: ScanTemplate, place: str | None) -> float:
+    """Return the largest possible size, in typical sizes."""
+    parameter = value_parameters(template.term)[value_indices(template.term, place, "size")[0]]
+    return max(abs(parameter.lower), abs(parameter.upper)) / parameter.typical_size
+
+
+def _summarize_place(templates: Sequence[_TemplateDetectability]) -> CauseDetectability:
+    """Summarize all templates at one place of a cause."""
+    is_scanned = templates[0].template.size > 0.0
+    chosen = _just_detectable_template(templates) if is_scanned else _median_template(templates)
+    place, template = chosen.place, chosen.template
+    parameter = value_parameters(template.term)[value_indices(template.term, place, "size")[0]]
+    worst = int(np.argmax(chosen.bias_sigma))
+    return CauseDetectability(
+        term=template.term,
+        place=place,
+        best_direction_size=float(chosen.sizes[0]) * parameter.typical_size,
+        worst_direction_size=float(chosen.sizes[-1]) * parameter.typical_size,
+        typical=parameter.typical_size,
+        unit=parameter.unit,
+        absorbed=chosen.absorbed,
+        biased_parameter=STATED_PARAMETERS[worst],
+        parameter_bias_sigma=float(chosen.bias_sigma[worst]),
+        template=template,
+    )
+
+
+def _median_template(templates: Sequence[_TemplateDetectability]) -> _TemplateDetectability:
+    """Return the template of median detectable size among the detectable ones."""
+    detectable = [template for template in templates if np.isfinite(template.sizes[-1])] or list(
+        templates
+    )
+    return sorted(detectable, key=lambda template: float(template.sizes[-1]))[
+        (len(detectable) - 1) // 2
+    ]
+
+
+def _just_detectable_template(
+    templates: Sequence[_TemplateDetectability],
+) -> _TemplateDetectability:
+    """Return the template whose own size is just detected.
+
+    Between two sizes, and beyond them, the effect is drawn as a power of its size.
+    """
+    size = np.array([template.template.size for template in templates])
+    detectable = np.array([template.sizes[-1] for template in templates])
+    ratio = size / detectable  # 1: just detected
+    nonzero = np.flatnonzero(ratio > 0.0)
+    if not nonzero.size:
+        return templates[-1]
+    above = np.flatnonzero(ratio >= 1.0)
+    chosen = int(above[0]) if above.size else int(nonzero[-1])
+    neighbours = [k for k in (chosen - 1, chosen + 1) if k in nonzero and size[k] != size[chosen]]
+    power = 1.0
+    if neighbours:
+        other = neighbours[0]
+        power = float(np.log(ratio[chosen] / ratio[other]) / np.log(size[chosen] / size[other]))
+    size_at_limit = size[chosen] * float(ratio[chosen]) ** (-1.0 / np.clip(power, *SIZE_EXPONENTS))
+    if chosen > 0 and chosen - 1 not in nonzero:
+        size_at_limit = max(size_at_limit, size[chosen - 1])  # nothing at all shows there
+    # The bias stays that of an effect that is just detected, at any size.
+    template, factor = templates[chosen], size_at_limit / detectable[chosen]
+    return _TemplateDetectability(
+        template.template,
+        template.place,
+        template.sizes * factor,
+        template.absorbed,
+        template.bias_sigma,
+    )
+
+
+def _compare_causes(
+    causes: Sequence[CauseDetectability], cause_information: _CauseInformation
+) -> tuple[tuple[CauseDetectability, ...], tuple[ConfusablePair, ...]]:
+    """Return the causes with their largest overlap, and the confusable pairs."""
+    detectable = [cause for cause in causes if cause.is_detectable]
+    templates = list({id(cause.template): cause.template for cause in detectable}.values())
+    if not templates:
+        return tuple(causes), ()
+    joint = cause_information.reduce(templates)
+    positions = [joint.index(cause.template, cause.place) for cause in detectable]
+    best: dict[tuple[str, str], ConfusablePair] = {}
+    max_shared = {id(cause): 0.0 for cause in causes}
+    for j, cause in enumerate(detectable):
+        for k, other in enumerate(detectable[:j]):
+            if cause.term.cause == other.term.cause:
+                continue
+            share = _shared_energy(joint.information, positions[j], positions[k])
+            max_shared[id(cause)] = max(max_shared[id(cause)], share)
+            max_shared[id(other)] = max(max_shared[id(other)], share)
+            names = (other.term.cause, cause.term.cause)
+            if share > max(CONFUSABLE_SHARE, best[names].share if names in best else 0.0):
+                best[names] = ConfusablePair(names, (other.place, cause.place), share)
+    pairs = tuple(sorted(best.values(), key=lambda pair: -pair.share))
+    return tuple(replace(cause, max_shared_energy=max_shared[id(cause)]) for cause in causes), pairs
+
+
+def _shared_energy(information: FloatArray, a: list[int], b: list[int]) -> float:
+    """Return the share of energy that one of two causes absorbs of the other, at most 1."""
+    cross = information[np.ix_(a, b)]
+    overlap = np.linalg.solve(information[np.ix_(a, a)], cross) @ np.linalg.solve(
+        information[np.ix_(b, b)], cross.T
+    )
+    return float(np.trace(overlap)) / min(len(a), len(b))

@@ -1,0 +1,156 @@
+"""Predicted uncertainties of a calibration with a program.
+
+The program is simulated (`program_timeline`). Its replies pass through the solver's own fit of the
+motion, and the solver's normal equations give the information. Starts, rests within their steps,
+speeds and accelerations are unknowns, as in a solve.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.program import MotionProgram
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.derived_parameters import DerivedParameters, derive_parameters
+from gyrorig_solver.estimate.gyro_fit import ObservabilityReport
+from gyrorig_solver.estimate.information import (
+    PARAMETER_NAMES,
+    add_parameter_noise,
+    motion_information,
+)
+from gyrorig_solver.estimate.observability import (
+    ObservabilityAnalysis,
+    analyse_observability,
+)
+from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
+from gyrorig_solver.estimate.series import MIN_SERIES_BLOCKS, Series, choose_grids
+from gyrorig_solver.estimate.typical_board import TYPICAL_MOUNT, expected_estimate
+from gyrorig_solver.model.gain_matrix import FACTOR_NAMES, GAIN_NAMES, factor_jacobian, factorise
+from gyrorig_solver.plan.program_timeline import ProgramTimeline, simulate_program
+from gyrorig_solver.plan.sensor_model import SensorModel
+from gyrorig_solver.plan.unit_model import ARCSEC_PER_DEG, UnitModel
+from gyrorig_solver.reference.unit.move_fit import fit_moves
+from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
+from gyrorig_solver.reference.unit.unit_moves import MotionReader
+
+CALIBRATION_PARAMETERS = (*FACTOR_NAMES, *PARAMETER_NAMES[9:])
+STATED_PARAMETERS = (*CALIBRATION_PARAMETERS, *GAIN_NAMES)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedSession:
+    """A simulated recording of a program: timeline, sample series and reference."""
+
+    timeline: ProgramTimeline
+    series: Series
+    reference: PanTiltReference
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """The predicted uncertainties of a calibration with a program."""
+
+    program: MotionProgram
+    session: SimulatedSession
+    duration_s: float
+    move_count: int
+    decision: ObservabilityAnalysis  # what is seen of gain, bias and time offset
+    summary: DerivedParameters  # standard deviations are predicted, values an ordinary board's
+    motion_offset_std_s: float  # of the time offset, from the motion alone
+    bias_floor_rad_s: FloatArray  # (3,), what the noise alone leaves of the mean
+
+    @property
+    def observability(self) -> ObservabilityReport:
+        """The observability of the parameters, as in a calibration."""
+        return self.summary.observability
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard uncertainties by parameter name, SI units; nan if not observable."""
+        return self.summary.std
+
+    @property
+    def gain_std(self) -> FloatArray:
+        """Standard uncertainties of the gain's entries, (3, 3); nan if not observable."""
+        return self.summary.gain_std
+
+    @property
+    def stated_std(self) -> FloatArray:
+        """Standard uncertainties of `STATED_PARAMETERS`, (22,); inf where the value is null.
+
+        The entries of the gain count only if a factor is null; otherwise the factors contain them.
+        """
+        factors = np.array([self.std[name] for name in CALIBRATION_PARAMETERS])
+        is_complete = bool(np.isfinite(factors[: len(FACTOR_NAMES)]).all())
+        entries = np.full(9, np.inf) if is_complete else self.gain_std.ravel()
+        std = np.concatenate([factors, entries])
+        return np.where(np.isfinite(std), std, np.inf)
+
+    @property
+    def stated_jacobian(self) -> FloatArray:
+        """Derivatives of `STATED_PARAMETERS` by gain, bias and time offset, (22, 13)."""
+        jacobian = np.eye(len(PARAMETER_NAMES))
+        jacobian[:9, :9] = factor_jacobian(
+            factorise(expected_estimate(self.decision)[:9].reshape(3, 3))
+        )
+        return np.vstack([jacobian, np.eye(9, len(PARAMETER_NAMES))])
+
+
+def predict_program(program: MotionProgram, unit: UnitModel, sensor: SensorModel) -> Prediction:
+    """Predict the uncertainties of a calibration with a program.
+
+    Raises:
+        UsageError: a step leaves the unit's limits, or the program is too short.
+    """
+    timeline = simulate_program(program, unit)
+    series = _simulated_series(timeline.duration_s, sensor, program.name)
+    reference = simulate_reference(timeline, unit)
+    information = motion_information(series, reference, sensor.noise, TYPICAL_MOUNT)
+    motion_only = analyse_observability(information, PARAMETER_NAMES)
+    common_std_s = float(np.hypot(reference.common_shift_std_s, sensor.timestamp_std_s))
+    decision = analyse_observability(
+        add_parameter_noise(information, 12, common_std_s), PARAMETER_NAMES
+    )
+    return Prediction(
+        program=program,
+        session=SimulatedSession(timeline, series, reference),
+        duration_s=timeline.duration_s,
+        move_count=len(reference.move_fit.moves),
+        decision=decision,
+        summary=derive_parameters(
+            expected_estimate(decision), PARAMETER_NAMES, decision, UNIT_REMEDIES
+        ),
+        motion_offset_std_s=float(np.sqrt(motion_only.covariance[12, 12])),
+        bias_floor_rad_s=np.sqrt(
+            sensor.noise.dct_variance(series.block_count)[0] / series.block_count
+        ),
+    )
+
+
+def simulate_reference(timeline: ProgramTimeline, unit: UnitModel) -> PanTiltReference:
+    """Return the reference motion that the solver would fit from the simulated replies."""
+    motion = MotionReader(timeline.settings, timeline.start_steps).read(timeline.exchanges)
+    polls = timeline.simulate_polls(unit)
+    pan, tilt = (np.radians(axis.resolution_arcsec / ARCSEC_PER_DEG) for axis in unit.axes)
+    span_s = (0.0, timeline.duration_s)
+    return PanTiltReference.of(motion, fit_moves(motion, polls), (float(pan), float(tilt)), span_s)
+
+
+def _simulated_series(duration_s: float, sensor: SensorModel, name: str) -> Series:
+    block, fine = choose_grids(sensor.odr_hz, sensor.bandwidth_hz)
+    count = int(duration_s * sensor.odr_hz)
+    if count < MIN_SERIES_BLOCKS * block:
+        least_s = MIN_SERIES_BLOCKS * block / sensor.odr_hz
+        raise UsageError(
+            f"{name} lasts {duration_s:.1f} s, and a calibration needs {least_s:.1f} s",
+            "give it more rests and moves",
+        )
+    return Series(
+        time_s=np.asarray((np.arange(count) + 0.5) / sensor.odr_hz, dtype=np.float64),
+        raw=np.zeros((count, 3)),
+        good=np.ones(count, dtype=np.bool_),
+        samples_per_block=block,
+        intervals_per_sample=fine,
+        bandwidth_hz=sensor.bandwidth_hz,
+    )

@@ -1,0 +1,313 @@
+"""The two families of programs that the planner searches.
+
+A round visits the tilt poses from the lowest to the highest and back. At each pose pan sweeps
+`passes` times over its span and tilt can swing to the far end and back; on the way to the next pose
+pan can move along. At its end pan can weave: there and back in parts while tilt moves to and fro
+with each part. A cycle is a round and the same with pan mirrored: each rate comes with both signs,
+so that no gain error looks like a bias. Cycles repeat.
+
+A stay (`once`) visits each pose once and makes all its sweeps there, from the middle of pan's span
+to an end and back, to both ends in turn. A quantisation error at a rest between two sweeps at the
+same tilt does not change the mean rate, and therefore not the bias; between sweeps at different
+tilts it does. To separate causes a stay can have several speeds and end at the first pose again.
+Every move ends in a short rest.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.program import MotionProgram, Move, PtuSettings, Repeat, Rest, Step
+from gyrorig_solver.plan.program_timeline import simulate_program
+from gyrorig_solver.plan.unit_model import UnitModel
+
+# Low, so that moves ramp; a unit jumps to its base speed at once, and rings.
+BASE_SPEED_DEG_S = 3.0
+STATIC_S = 2.0  # minimum at each end, for the noise at rest and the first polls
+LIMIT_MARGIN_DEG = 1.0  # from the unit's limits, which homing moves by about a step
+
+# The choices of each field. With two poses the calibration absorbs a non-orthogonality of the axes
+# completely. Accelerations are at most those of the programs made by hand; a dwell of 0.3 s lets
+# the mechanics ring down (10 to 60 Hz, Q 5 to 20).
+CHOICES: dict[str, tuple[float, ...]] = {
+    "poses": (3, 4, 5),
+    "passes": (0, 1, 2, 3, 4),
+    "swings": (0, 1, 2, 3, 4),
+    "along": (False, True),
+    "weave": (0, 2, 4, 6),
+    "pan_span": (0.25, 0.4, 0.55, 0.7, 0.85, 1.0),
+    "tilt_span": (0.4, 0.6, 0.8, 1.0),
+    "pan_speed": (0.4, 0.6, 0.8, 1.0),
+    "tilt_speed": (0.4, 0.6, 0.8, 1.0),
+    "acceleration_deg_s2": (100.0, 150.0, 200.0),
+    "dwell_s": (0.3, 0.5, 0.8),
+}
+# What of these a stay has not.
+ROUND_ONLY_DEFAULTS: dict[str, float] = {"along": False, "weave": 0}
+
+# What a stay's sweeps and swings go at, in turn, in parts of its speeds: the fastest, and
+# three that separate the square and the cube of a rate.
+SPEED_LADDER = (1.0, 0.6, 0.35, 0.2)
+
+Steps = tuple[Step, ...]
+
+
+class Waypoint(NamedTuple):
+    """The target of a move, and its share of the design's speeds."""
+
+    pan_deg: float
+    tilt_deg: float
+    speed_share: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSpace:
+    """The angle ranges and speeds of a program."""
+
+    pan_deg: tuple[float, float]
+    tilt_deg: tuple[float, float]
+    pan_speed_deg_s: float
+    tilt_speed_deg_s: float
+
+    @classmethod
+    def of(cls, unit: UnitModel, fastest_deg_s: float) -> "MotionSpace":
+        """Return the motion space of a unit; `fastest_deg_s` is the sensor's limit."""
+        spans = []
+        for axis in unit.axes:
+            margin = min(LIMIT_MARGIN_DEG, (axis.high_deg - axis.low_deg) / 10.0)
+            spans.append((axis.low_deg + margin, axis.high_deg - margin))
+        # Rounded down, as a person would write them.
+        fast = [int(min(axis.fastest_deg_s, fastest_deg_s) * 10.0) / 10.0 for axis in unit.axes]
+        return cls(spans[0], spans[1], fast[0], fast[1])
+
+    @property
+    def home(self) -> Waypoint:
+        """The allowed waypoint nearest to pan 0, tilt 0."""
+        pan, tilt = (min(max(0.0, low), high) for low, high in (self.pan_deg, self.tilt_deg))
+        return Waypoint(pan, tilt)
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramDesign:
+    """One member of the family; fractions are of the motion space."""
+
+    poses: int  # of tilt, evenly from the lowest to the highest
+    passes: int  # of pan, at each pose; of a stay: there and back
+    swings: int  # of tilt alone, there and back, at each pose
+    along: bool  # pan turns along on the way to the next pose
+    weave: int  # parts of pan's way in which tilt goes to and fro; 0: none
+    pan_span: float
+    tilt_span: float
+    pan_speed: float
+    tilt_speed: float
+    acceleration_deg_s2: float
+    dwell_s: float
+    once: bool = False  # a stay
+    speeds: int = 1  # of a stay's sweeps and swings, from the ladder
+    again: bool = False  # it ends at the first pose
+
+    @property
+    def is_valid(self) -> bool:
+        """False if pan would never move."""
+        return self.passes > 0 or self.along or self.weave > 0
+
+    def settings(self, space: MotionSpace) -> PtuSettings:
+        """Return the unit settings, which are sent before the first move."""
+        return PtuSettings(
+            base_speed_deg_s=BASE_SPEED_DEG_S,
+            acceleration_deg_s2=self.acceleration_deg_s2,
+            default_speed_deg_s=round(self.pan_speed * space.pan_speed_deg_s, 1),
+        )
+
+    def start_waypoint(self, space: MotionSpace) -> Waypoint:
+        """Return the waypoint at which a cycle, or all sweeps, start and end."""
+        return self._waypoint(0.0 if self.once else -1.0, -1.0, space)
+
+    def round_waypoints(
+        self, space: MotionSpace, max_points: int | None = None
+    ) -> tuple[Waypoint, ...]:
+        """Return the waypoints of a round, from one end of pan to the other."""
+        path = self._round_path()
+        return tuple(self._waypoint(pan, tilt, space) for pan, tilt in path[:max_points])
+
+    def cycle_waypoints(
+        self, space: MotionSpace, max_points: int | None = None
+    ) -> tuple[Waypoint, ...]:
+        """Return the waypoints of a cycle, the last equal to the first, or of one cut short."""
+        path = self._round_path()[:max_points]
+        mirrored = [(-pan, tilt) for pan, tilt in path]
+        waypoints = [self._waypoint(pan, tilt, space) for pan, tilt in (*path, *mirrored, path[0])]
+        return tuple(
+            waypoint
+            for k, waypoint in enumerate(waypoints)
+            if k == 0 or waypoint != waypoints[k - 1]
+        )
+
+    def stay_waypoints(self, space: MotionSpace) -> tuple[tuple[Waypoint, ...], ...]:
+        """Return the waypoints that are repeated at each pose, each list closed."""
+        stays = []
+        for level in (*self._tilt_levels(), *([-1.0] if self.again else [])):
+            far_end = -1.0 if level > 0.0 else 1.0
+            points = [(0.0, level, 1.0)]
+            for k in range(self.passes):
+                # The slower, the shorter: each sweep lasts about as long.
+                speed_share = SPEED_LADDER[k % self.speeds]
+                pan_end = speed_share * (-1.0 if k // self.speeds % 2 != k % 2 else 1.0)
+                points += [(pan_end, level, speed_share), (0.0, level, speed_share)]
+            for k in range(self.swings):
+                speed_share = SPEED_LADDER[k % self.speeds]
+                points += [(0.0, far_end, speed_share), (0.0, level, speed_share)]
+            stays.append(
+                tuple(
+                    self._waypoint(pan, tilt, space, speed_share)
+                    for pan, tilt, speed_share in points
+                )
+            )
+        return tuple(stays)
+
+    def motion_steps(self, waypoints: Sequence[Waypoint], space: MotionSpace) -> Steps:
+        """Return moves from the first waypoint through all others, a rest after each."""
+        steps = []
+        for before, target in pairwise(waypoints):
+            pans, tilts = target.pan_deg != before.pan_deg, target.tilt_deg != before.tilt_deg
+            if not pans and not tilts:
+                continue
+            pan_speed = round(self.pan_speed * space.pan_speed_deg_s * target.speed_share, 1)
+            tilt_speed = round(self.tilt_speed * space.tilt_speed_deg_s * target.speed_share, 1)
+            move = Move(
+                pan_deg=target.pan_deg if pans else None,
+                tilt_deg=target.tilt_deg if tilts else None,
+                pan_speed_deg_s=pan_speed if pans else None,
+                tilt_speed_deg_s=tilt_speed if tilts else None,
+            )
+            steps += [Step(move=move), Step(rest=Rest(self.dwell_s))]
+        return tuple(steps)
+
+    def lead_steps(self, space: MotionSpace) -> tuple[Steps, Steps]:
+        """Return the moves from home to the start and back; pan moves at home's tilt only."""
+        start = self.start_waypoint(space)
+        outward = (space.home, Waypoint(start.pan_deg, space.home.tilt_deg), start)
+        return self.motion_steps(outward, space), self.motion_steps(outward[::-1], space)[:-1]
+
+    def _waypoint(
+        self, pan: float, tilt: float, space: MotionSpace, speed_share: float = 1.0
+    ) -> Waypoint:
+        return Waypoint(
+            _position_in_range(space.pan_deg, pan * self.pan_span),
+            _position_in_range(space.tilt_deg, tilt * self.tilt_span),
+            speed_share,
+        )
+
+    def _tilt_levels(self) -> list[float]:
+        return [-1.0 + 2.0 * k / (self.poses - 1) for k in range(self.poses)]
+
+    def _round_path(self) -> list[tuple[float, float]]:
+        pan, tilt = -1.0, -1.0
+        places = [(pan, tilt)]
+        for to_pan, to_tilt in self._round_moves():
+            pan = pan if to_pan is None else to_pan
+            tilt = tilt if to_tilt is None else to_tilt
+            places.append((pan, tilt))
+        if pan < 0.0:
+            places.append((1.0, tilt))
+        return places
+
+    def _round_moves(self) -> Iterator[tuple[float | None, float | None]]:
+        """Yield the target of each move, both axes from -1 to 1; None for no motion."""
+        pan = -1.0
+        level = self._tilt_levels()
+        visits = [*range(self.poses), *range(self.poses - 2, 0, -1)]
+        for current, following in zip(visits, [*visits[1:], 0], strict=True):
+            for _ in range(self.passes):
+                pan = -pan
+                yield pan, None
+            for _ in range(self.swings):
+                yield None, -1.0 if level[current] > 0.0 else 1.0
+                yield None, level[current]
+            if self.along:
+                pan = -pan
+            yield (pan if self.along else None), level[following]
+        parts = range(1, self.weave + 1)
+        for direction in (1.0, -1.0):
+            for k in parts:
+                position = pan * direction * (1.0 - 2.0 * k / self.weave)
+                yield position, (1.0 if k % 2 else -1.0)
+
+
+def draw_design(rng: np.random.Generator, once: bool = False) -> ProgramDesign:
+    """Draw a random design, uniform over the choices of each field."""
+    chosen = {name: choices[int(rng.integers(len(choices)))] for name, choices in CHOICES.items()}
+    if once:
+        chosen |= ROUND_ONLY_DEFAULTS | {"passes": max(1, chosen["passes"])}
+    return ProgramDesign(**chosen, once=once)  # type: ignore[arg-type] # the table holds each field's kind
+
+
+def build_program(
+    design: ProgramDesign, space: MotionSpace, unit: UnitModel, duration_s: float
+) -> MotionProgram:
+    """Return a design as a program of the largest number of cycles in a given time.
+
+    Whole cycles and one cut short, or as many sweeps at each pose as time allows; home, and
+    the remaining time as rests.
+
+    Raises:
+        UsageError: not even one cycle fits.
+    """
+    lead, back = design.lead_steps(space)
+
+    def made(cycles: int, extra: int, static_s: float) -> MotionProgram:
+        rest = Step(rest=Rest(static_s, "static"))
+        build = _stay_steps if design.once else _round_steps
+        return MotionProgram(
+            "planned",
+            (rest, *lead, *build(design, space, cycles, extra), *back, rest),
+            settings=design.settings(space),
+        )
+
+    def lasts_s(program: MotionProgram) -> float:
+        return simulate_program(program, unit).duration_s
+
+    fixed_s = lasts_s(made(0, 0, STATIC_S))
+    cycle_s = lasts_s(made(1, 0, STATIC_S)) - fixed_s
+    cycles = int((duration_s - fixed_s) / cycle_s)
+    if cycles < 1:
+        raise UsageError(
+            f"{duration_s:g} s is too short for any program of this kind",
+            f"give at least {fixed_s + cycle_s:.0f} s",
+        )
+    extra = len(design.stay_waypoints(space) if design.once else design.round_waypoints(space)) - 1
+    while extra > 0 and lasts_s(made(cycles, extra, STATIC_S)) > duration_s:
+        extra -= 1
+    # A rest ends with the question that is under way then.
+    late_s = 2.0 * unit.poll_interval_s
+    left_s = max(0.0, duration_s - lasts_s(made(cycles, extra, STATIC_S)) - late_s)
+    return made(cycles, extra, STATIC_S + int(left_s / 2.0 * 100.0) / 100.0)
+
+
+def _round_steps(design: ProgramDesign, space: MotionSpace, cycles: int, extra: int) -> Steps:
+    """Return cycles, and one that has only the first `extra` moves of its rounds."""
+    cycle = design.motion_steps(design.cycle_waypoints(space), space)
+    partial = design.motion_steps(design.cycle_waypoints(space, extra + 1), space) if extra else ()
+    return ((Step(repeat=Repeat(cycles, cycle)),) if cycles > 1 else cycle * cycles) + partial
+
+
+def _stay_steps(design: ProgramDesign, space: MotionSpace, cycles: int, extra: int) -> Steps:
+    """Return `cycles` times the sweeps of each pose, once more at the first `extra` poses."""
+    stays = design.stay_waypoints(space)
+    steps: list[Step] = []
+    for k, waypoints in enumerate(stays):
+        count = cycles + (k < extra)
+        sweeps = design.motion_steps(waypoints, space)
+        steps += [Step(repeat=Repeat(count, sweeps))] if count > 1 else sweeps * count
+        steps += design.motion_steps((waypoints[0], stays[(k + 1) % len(stays)][0]), space)
+    return tuple(steps)
+
+
+def _position_in_range(limits: tuple[float, float], fraction: float) -> float:
+    """Return a place in a span, `fraction` from -1 to 1, to a tenth of a degree."""
+    middle, half = (limits[0] + limits[1]) / 2.0, (limits[1] - limits[0]) / 2.0
+    return round(middle + fraction * half, 1) + 0.0

@@ -1,0 +1,99 @@
+"""A gyroscope's noise, quantum, output rate and low-pass from its data sheet."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import UsageError
+from gyrorig_protocol.profile import SensorProfile
+from gyrorig_protocol.profile.sensor_profile import FullScaleRange
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, nominal_levels
+from gyrorig_solver.estimate.series import choose_grids
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorModel:
+    """The sensor and link properties that determine the uncertainties."""
+
+    name: str
+    odr_hz: float
+    bandwidth_hz: float | None
+    quantum_rad_s: float
+    full_scale_rad_s: float
+    levels: FloatArray  # (3, 4), squares: N^2, B^2, K^2, D^2 as in `NoiseModel`
+    timestamp_std_s: float  # what is not known of the samples' own times, one shift of all
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The noise of the block means that the solver fits."""
+        block, _ = choose_grids(self.odr_hz, self.bandwidth_hz)
+        sampling = Sampling(
+            rate_hz=self.odr_hz / block,
+            samples_per_block=block,
+            bandwidth_hz=self.bandwidth_hz,
+            quantum_rad_s=self.quantum_rad_s,
+            differentiated=False,
+        )
+        return NoiseModel(self.levels, sampling)
+
+
+def build_sensor_model(
+    profile: SensorProfile,
+    odr_hz: float | None = None,
+    bandwidth_hz: float | None = None,
+    full_scale_dps: float | None = None,
+    timestamp_std_s: float = 0.0,
+) -> SensorModel:
+    """Return the model of a sensor from its data sheet, with typical settings by default.
+
+    Without an output rate it is the lowest of the data sheet, without a bandwidth the
+    widest at that rate, without a full scale the smallest that measures 250 deg/s.
+
+    Args:
+        profile: the data sheet. Flicker and random walk, which none gives, are those of
+            an ordinary part with that noise density.
+        odr_hz: output data rate.
+        bandwidth_hz: of the low-pass.
+        full_scale_dps: the range set.
+        timestamp_std_s: what will not be known of the samples' times.
+
+    Raises:
+        UsageError: the data sheet has no noise density or no such range.
+    """
+    if profile.noise_density_dps_rthz is None:
+        raise UsageError(
+            f"the profile of {profile.sensor} has no noise_density_dps_rthz, without which nothing "
+            "can be predicted",
+            "add it from the data sheet, in deg/s/sqrt(Hz)",
+        )
+    if odr_hz is None:
+        odr_hz = min((entry.odr_hz for entry in profile.low_pass), default=100.0)
+    if bandwidth_hz is None:
+        fitting = [e.bandwidth_hz for e in profile.low_pass if e.odr_hz == odr_hz]
+        bandwidth_hz = max(fitting[0]) if fitting and fitting[0] else None
+    density = float(np.radians(profile.noise_density_dps_rthz))
+    chosen = _select_range(profile, full_scale_dps)
+    return SensorModel(
+        name=profile.sensor,
+        odr_hz=odr_hz,
+        bandwidth_hz=bandwidth_hz,
+        quantum_rad_s=float(np.radians(chosen.sensitivity_mdps * 1e-3)),
+        full_scale_rad_s=float(np.radians(chosen.full_scale_dps)),
+        levels=np.tile(nominal_levels(density**2), (3, 1)),
+        timestamp_std_s=timestamp_std_s,
+    )
+
+
+def _select_range(profile: SensorProfile, full_scale_dps: float | None) -> FullScaleRange:
+    wanted = full_scale_dps or min(
+        (r.full_scale_dps for r in profile.ranges if r.full_scale_dps >= 250.0), default=250.0
+    )
+    chosen = next((r for r in profile.ranges if r.full_scale_dps == wanted), None)
+    if chosen is None:
+        available = ", ".join(f"{r.full_scale_dps:g}" for r in profile.ranges)
+        raise UsageError(
+            f"the profile of {profile.sensor} has no range of {wanted:g} deg/s",
+            f"set the rig's full scale to one that it has: {available}",
+        )
+    return chosen

@@ -1,0 +1,92 @@
+"""A pan-tilt unit's limits, speeds and reply times, before a unit is connected.
+
+The values are those of a PTU-E46 or D46 with a 17.5:1 gear in half steps (sources at each
+constant). The daemon reads the unit's own values and rejects commands beyond them.
+"""
+
+from dataclasses import dataclass
+
+from gyrorig_protocol.ptu import Dialect, dialect_features
+
+ARCSEC_PER_DEG = 3600.0
+BITS_PER_BYTE = 10  # 8N1
+RESOLUTION_ARCSEC = 185.142857  # D46 user's manual v2.14, half step
+PAN_STEPS = (-3090, 3090)  # command reference manual v3.00D
+TILT_STEPS = (-903, 601)  # the narrower of the two units that were seen
+SPEED_STEPS_S = (31, 2902)
+BASE_SPEED_STEPS_S, ACCELERATION_STEPS_S2 = 1000.0, 2000.0  # as delivered
+# Bytes of an order, of its answer, and of the terse answers to BT and to PP.
+COMMAND_BYTES, ANSWER_BYTES, MOTION_BYTES, POSITION_BYTES, QUERY_BYTES = 7, 3, 44, 9, 3
+
+
+@dataclass(frozen=True, slots=True)
+class AxisModel:
+    """The limits of one axis; angles and speeds within those of the rig."""
+
+    resolution_arcsec: float
+    low_deg: float
+    high_deg: float
+    slowest_deg_s: float
+    fastest_deg_s: float
+
+    def to_steps(self, angle_deg: float) -> int:
+        """Return the nearest count of an angle, or of a speed in deg/s."""
+        return round(angle_deg * ARCSEC_PER_DEG / self.resolution_arcsec)
+
+
+@dataclass(frozen=True, slots=True)
+class UnitModel:
+    """A pan-tilt unit and its serial line, as far as they shape a recording."""
+
+    pan: AxisModel
+    tilt: AxisModel
+    command_interval_s: float  # from one order to the next
+    poll_interval_s: float  # from one question for the position to the next
+    window_s: float  # in which the count is taken, unknown when
+    both_at_once: bool  # one answer holds both axes and the controller's counter
+    base_speed_steps_s: float = BASE_SPEED_STEPS_S
+    acceleration_steps_s2: float = ACCELERATION_STEPS_S2
+
+    @property
+    def axes(self) -> tuple[AxisModel, AxisModel]:
+        """Pan and tilt."""
+        return self.pan, self.tilt
+
+
+def build_unit_model(
+    dialect: Dialect,
+    baud: int,
+    command_s: float | None = None,
+    poll_rate_hz: float | None = None,
+) -> UnitModel:
+    """Return the model of a unit with a dialect and a line.
+
+    Args:
+        dialect: its language.
+        baud: of the line.
+        command_s: how long the controller thinks about a command; None: as long as the
+            vendor wants between two.
+        poll_rate_hz: commands a second, None for the vendor's limit.
+    """
+    features = dialect_features(dialect)
+    byte_s = BITS_PER_BYTE / baud
+    processing_s = features.min_command_interval_s if command_s is None else command_s
+    min_interval_s = 1.0 / poll_rate_hz if poll_rate_hz else features.min_command_interval_s
+    answer_bytes = MOTION_BYTES if features.motion_with_counter else POSITION_BYTES
+    resolution = RESOLUTION_ARCSEC
+    slowest, fastest = (s * resolution / ARCSEC_PER_DEG for s in SPEED_STEPS_S)
+
+    def axis(steps: tuple[int, int]) -> AxisModel:
+        low, high = (s * resolution / ARCSEC_PER_DEG for s in steps)
+        return AxisModel(resolution, low, high, slowest, fastest)
+
+    return UnitModel(
+        pan=axis(PAN_STEPS),
+        tilt=axis(TILT_STEPS),
+        command_interval_s=max(
+            min_interval_s, processing_s + (COMMAND_BYTES + ANSWER_BYTES) * byte_s
+        ),
+        poll_interval_s=max(min_interval_s, processing_s + (QUERY_BYTES + answer_bytes) * byte_s),
+        window_s=processing_s,
+        both_at_once=features.motion_with_counter,
+    )

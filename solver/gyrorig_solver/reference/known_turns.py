@@ -1,0 +1,103 @@
+"""Turns by known angles and rests, from the phases of a recording.
+
+What to use when: `read_turns` for recordings with `turn` phases that specify the angle of a
+turn, on a rate table, against the edge of a table, or by hand.
+"""
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.messages import EventKind, SessionEvent
+from gyrorig_solver.data.arrays import FloatArray
+
+ABORTED_TEXT = "aborted"  # text at the end of a phase that a fault interrupted
+
+
+@dataclass(frozen=True, slots=True)
+class TimeInterval:
+    """A time interval, s since the recording's origin."""
+
+    begin_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownTurn:
+    """A turn by a known angle about an axis fixed in the stage frame."""
+
+    interval: TimeInterval
+    axis: FloatArray  # (3,), unit length, stage frame
+    angle_rad: float  # signed, right-handed about the axis
+    std_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TurnReference:
+    """All known turns and rests of one recording."""
+
+    turns: tuple[KnownTurn, ...]
+    rests: tuple[TimeInterval, ...]
+
+
+def read_turns(events: Iterable[SessionEvent], origin_ns: int) -> TurnReference:
+    """Return the complete turns and rests in the events of a recording.
+
+    Args:
+        events: in the order of the recording.
+        origin_ns: capture time of 0 s of the samples.
+
+    Raises:
+        InputError: the text of a turn is not valid.
+    """
+    turns, rests = [], []
+    open_ns: dict[tuple[str, str], int] = {}
+    for event in events:
+        key = (event.phase, event.text)
+        if event.phase not in ("static", "turn"):
+            continue
+        if event.kind == EventKind.PHASE_BEGIN:
+            open_ns[key] = event.host_time_ns
+        elif event.kind == EventKind.PHASE_END:
+            # The end of a phase can be without its text.
+            open_key = key if key in open_ns else _open_phase(open_ns, event.phase)
+            if open_key is None:
+                continue
+            begin_ns = open_ns.pop(open_key)
+            interval = TimeInterval(
+                (begin_ns - origin_ns) * 1e-9, (event.host_time_ns - origin_ns) * 1e-9
+            )
+            if interval.end_s <= interval.begin_s or event.text == ABORTED_TEXT:
+                continue
+            if event.phase == "static":
+                rests.append(interval)
+            else:
+                turns.append(_parse_turn(interval, open_key[1]))
+    return TurnReference(tuple(turns), tuple(rests))
+
+
+def _open_phase(open_ns: dict[tuple[str, str], int], phase: str) -> tuple[str, str] | None:
+    return next((key for key in reversed(open_ns) if key[0] == phase), None)
+
+
+def _parse_turn(interval: TimeInterval, text: str) -> KnownTurn:
+    try:
+        turn_document = json.loads(text)
+        axis = np.array([float(v) for v in turn_document["axis"]])
+        angle, std = float(turn_document["angle_rad"]), float(turn_document["std_rad"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(
+            f"a turn at {interval.begin_s:.1f} s has the text {text[:60]!r}",
+            'write it as {"axis": [x, y, z], "angle_rad": a, "std_rad": s}',
+        ) from error
+    is_unit_axis = axis.shape == (3,) and abs(float(np.linalg.norm(axis)) - 1.0) < 1e-3
+    if not is_unit_axis or not math.isfinite(angle) or not (0.0 < std < math.inf) or angle == 0.0:
+        raise InputError(
+            f"a turn at {interval.begin_s:.1f} s has invalid values, {text[:60]!r}",
+            "give an axis of length 1, an angle, and a standard deviation above 0",
+        )
+    return KnownTurn(interval, axis / np.linalg.norm(axis), angle, std)

@@ -1,0 +1,420 @@
+"""The moves of a pan-tilt unit, reconstructed from its commands and settings.
+
+Targets, speeds, acceleration and base speed of a move are known from commands and settings. The
+times at which the commands act are not known; `move_fit` estimates them. A move goes from rest to
+rest; targets, speeds and halts commanded in motion belong to it. The position after a halt is
+taken from the polled counts.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.reference.unit.motion_profile import (
+    CommandKind,
+    MotionLimits,
+    MotionProfile,
+    ProfileCommand,
+    plan_motion,
+)
+
+AXES = ("pan", "tilt")
+_SETTING = re.compile(r"([PT])([SABPOD])([-+]?\d+)\s*")
+_BOTH = re.compile(r"B([-+]?\d+),([-+]?\d+),(\d+),(\d+)\s*")
+_START = re.compile(r"[AI]\s*")
+_SLAVED = re.compile(r"S\s*")
+_HALT = re.compile(r"H[PT]?\s*")
+_CONTROL = re.compile(r"C[IV]\s*")
+_HOME = re.compile(r"R[PT]?\s*")
+_STEP_MODE = re.compile(r"W([PT])[FHQEA]\s*")
+# A command within this time after the predicted rest can find the axis still moving.
+_REST_MARGIN_S = 0.02
+_MAX_REPLY_WAIT_S = 0.2  # of the margin for slow controllers; an awaited move replies at its end
+_REST_LOOKBACK_S = 0.5
+
+RestCountLookup = Callable[
+    [int, float, float], int | None
+]  # axis, after, before -> polled count or None
+
+
+@dataclass(frozen=True, slots=True)
+class UnitExchange:
+    """One command and its reply, times in s on the capture clock."""
+
+    request_s: float  # transmission of its last byte
+    reply_s: float
+    ok: bool
+    command: str
+
+
+@dataclass(frozen=True, slots=True)
+class MotionCommand:
+    """One command that starts or changes a move."""
+
+    command_time_s: float  # time of the command
+    start_time_s: float  # time at which it acts, as far as known
+    kind: CommandKind
+    steps: float
+    speed_steps_s: float
+    speed_class: int  # commands with the same speed on the same axis share a class
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """One move of one axis between two rests."""
+
+    axis: int  # 0 pan, 1 tilt
+    from_steps: int
+    to_steps: int
+    commands: tuple[MotionCommand, ...]
+    acceleration_steps_s2: float
+    base_speed_steps_s: float
+
+    @property
+    def command_time_s(self) -> float:
+        """Time of the first command."""
+        return self.commands[0].command_time_s
+
+    @property
+    def start_times_s(self) -> FloatArray:
+        """Times at which the commands act."""
+        return np.array([command.start_time_s for command in self.commands])
+
+    @property
+    def speed_classes(self) -> tuple[int, ...]:
+        """The speed classes of the commands, each once."""
+        return tuple(dict.fromkeys(command.speed_class for command in self.commands))
+
+    def profile(
+        self, start_times_s: FloatArray, log_speed: FloatArray, log_acceleration: float
+    ) -> MotionProfile:
+        """Return the profile, with speeds and acceleration changed by these logarithms.
+
+        Args:
+            start_times_s: times at which the commands act, shape (commands,).
+            log_speed: of every speed class, shape (classes,).
+            log_acceleration: of this axis.
+        """
+        acceleration = self.acceleration_steps_s2 * float(np.exp(log_acceleration))
+        factor = np.exp(log_speed)
+        commands = [
+            ProfileCommand(
+                float(at),
+                command.kind,
+                command.steps,
+                MotionLimits(
+                    command.speed_steps_s * float(factor[command.speed_class]),
+                    acceleration,
+                    self.base_speed_steps_s,
+                ),
+            )
+            for at, command in zip(start_times_s, self.commands, strict=True)
+        ]
+        return plan_motion(float(self.from_steps), commands)
+
+
+@dataclass(frozen=True, slots=True)
+class AxisRest:
+    """One rest of one axis, between an arriving and a departing move."""
+
+    axis: int
+    arrival: int | None  # index of the move, None for the rest before the first
+    departure: int | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnitMotion:
+    """All moves, and the spans of unknown motion."""
+
+    moves: tuple[Move, ...]
+    initial_steps: tuple[int, int]  # pan and tilt before the first move
+    unknown_spans: tuple[tuple[float, float, str], ...]  # begin, end, reason
+    speed_class_count: int
+    count_resets: tuple[tuple[float, int, int], ...] = ()  # time, axis, count after homing
+
+    @property
+    def rests(self) -> tuple[AxisRest, ...]:
+        """All rests of both axes, sorted by axis and time."""
+        rests = []
+        for axis in (0, 1):
+            axis_moves = [k for k, move in enumerate(self.moves) if move.axis == axis]
+            pairs = zip([None, *axis_moves], [*axis_moves, None], strict=True)
+            rests += [AxisRest(axis, arrival, departure) for arrival, departure in pairs]
+        return tuple(rests)
+
+
+def with_start_times(moves: Iterable[Move], start_times_s: FloatArray) -> tuple[Move, ...]:
+    """Return the moves with new start times of all their commands."""
+    result, first = [], 0
+    for move in moves:
+        times = start_times_s[first : first + len(move.commands)]
+        commands = (
+            replace(command, start_time_s=float(at))
+            for command, at in zip(move.commands, times, strict=True)
+        )
+        result.append(replace(move, commands=tuple(commands)))
+        first += len(move.commands)
+    return tuple(result)
+
+
+class _AxisState:
+    """Settings and current move of one axis."""
+
+    def __init__(self, letter: str, settings: Mapping[str, float], steps: int) -> None:
+        name = AXES["PT".index(letter)]
+        self.index = "PT".index(letter)
+        self.letter = letter
+        self.speed: float | None = settings.get(f"{name}_speed")
+        self.base_speed = max(0.0, settings.get(f"{name}_base_speed", 0.0))
+        self.acceleration: float | None = settings.get(f"{name}_acceleration")
+        self.range_steps = (
+            settings.get(f"{name}_min_steps", -1e6),
+            settings.get(f"{name}_max_steps", 1e6),
+        )
+        self.steps = steps  # the last rest position
+        self.pending: tuple[CommandKind, int] | None = None
+        self.commands: list[MotionCommand] = []  # of the current move
+        self.end_s = -np.inf
+        self._planned_move: tuple[Move, float] | None = None  # what `move` found last, and its end
+
+    def move(self) -> Move:
+        """Return the current move as commanded."""
+        commands = self.commands
+        if self._planned_move is not None and self._planned_move[0].commands == tuple(commands):
+            move, self.end_s = self._planned_move
+            return move
+        profile = plan_motion(
+            float(self.steps),
+            [
+                ProfileCommand(
+                    command.command_time_s,
+                    command.kind,
+                    command.steps,
+                    self.limits(command.speed_steps_s),
+                )
+                for command in commands
+            ],
+        )
+        self.end_s = profile.end_s
+        move = Move(
+            self.index,
+            self.steps,
+            round(float(profile.start_steps[-1])),
+            tuple(commands),
+            self.acceleration or 1.0,
+            self.base_speed,
+        )
+        self._planned_move = move, profile.end_s
+        return move
+
+    def limits(self, speed_steps_s: float) -> MotionLimits:
+        """Return the limits of a command with a speed."""
+        return MotionLimits(speed_steps_s, self.acceleration or 1.0, self.base_speed)
+
+
+class MotionReader:
+    """Converts exchanges to moves, in the order of time."""
+
+    def __init__(
+        self,
+        settings: Mapping[str, float],
+        initial_steps: tuple[int, int],
+        rest_count: RestCountLookup = lambda axis, after_s, before_s: None,
+    ) -> None:
+        """Start with the settings in the recording's metadata and the counts at rest.
+
+        Args:
+            settings: by name of axis and setting.
+            initial_steps: pan and tilt at the start.
+            rest_count: function for the count of an axis at rest between two times.
+        """
+        self._initial_steps, self._rest_count = initial_steps, rest_count
+        self._axes = {
+            p: _AxisState(p, settings, s) for p, s in zip("PT", initial_steps, strict=True)
+        }
+        self._is_slaved = self._is_velocity_mode = False
+        self._moves: list[Move] = []
+        self._unknown_spans: list[tuple[float, float, str]] = []
+        self._count_resets: list[tuple[float, int, int]] = []
+        self._speed_classes: dict[tuple[str, float], int] = {}
+
+    def read(self, exchanges: Iterable[UnitExchange]) -> UnitMotion:
+        """Return the motion that the exchanges command."""
+        for exchange in exchanges:
+            if exchange.ok:
+                self._apply(exchange)
+        for axis in self._axes.values():
+            self._finish_move(axis, np.inf)
+        return UnitMotion(
+            tuple(sorted(self._moves, key=lambda move: move.command_time_s)),
+            self._initial_steps,
+            tuple(self._unknown_spans),
+            max(1, len(self._speed_classes)),
+            tuple(self._count_resets),
+        )
+
+    def _apply(self, exchange: UnitExchange) -> None:
+        text = exchange.command.strip().upper()
+        if match := _SETTING.fullmatch(text):
+            self._apply_setting(exchange, self._axes[match[1]], match[2], int(match[3]))
+        elif match := _BOTH.fullmatch(text):
+            for k, axis in enumerate(self._axes.values()):
+                axis.speed = float(match[3 + k])
+                self._set_target(exchange, axis, "to", int(match[1 + k]))
+        elif _SLAVED.fullmatch(text):
+            self._is_slaved = True
+        elif _START.fullmatch(text):
+            self._is_slaved = self._is_slaved and text[0] == "A"
+            for axis in self._axes.values():
+                if axis.pending is not None:
+                    self._add_command(exchange, axis, *axis.pending)
+                    axis.pending = None
+        else:
+            self._apply_rare(exchange, text)
+
+    def _apply_rare(self, exchange: UnitExchange, text: str) -> None:
+        if _HALT.fullmatch(text):
+            for axis in self._axes_named(text[1:2]):
+                self._halt_axis(exchange, axis)
+        elif _CONTROL.fullmatch(text):
+            if self._is_velocity_mode != (text[1] == "V"):
+                for axis in self._axes.values():
+                    self._halt_axis(exchange, axis)
+            self._is_velocity_mode = text[1] == "V"
+        elif _HOME.fullmatch(text):
+            for axis in self._axes_named(text[1:2]):
+                self._home_axis(exchange, axis)
+        elif _STEP_MODE.fullmatch(text):
+            self._mark_unknown(exchange.request_s, np.inf, "the step mode was changed")
+
+    def _axes_named(self, letter: str) -> list[_AxisState]:
+        return [axis for axis in self._axes.values() if letter in ("", axis.letter)]
+
+    def _apply_setting(
+        self, exchange: UnitExchange, axis: _AxisState, kind: str, number: int
+    ) -> None:
+        if kind == "S":
+            self._set_speed(exchange, axis, number)
+        elif kind == "D":
+            self._change_speed(exchange, axis, number)
+        elif kind in "AB":
+            self._may_be_moving(exchange, axis)  # a finished move used the old setting
+            if kind == "A":
+                axis.acceleration = float(number)
+            else:
+                axis.base_speed = max(0.0, float(number))
+        else:
+            self._set_target(exchange, axis, "by" if kind == "O" else "to", number)
+
+    def _set_speed(self, exchange: UnitExchange, axis: _AxisState, number: int) -> None:
+        previous, axis.speed = axis.speed, float(abs(number))
+        if self._is_velocity_mode:
+            if number == 0:
+                axis.speed = previous
+                self._halt_axis(exchange, axis)
+            else:
+                self._add_command(exchange, axis, "to", axis.range_steps[number > 0])
+        elif self._may_be_moving(exchange, axis) and not self._is_slaved and axis.speed != previous:
+            self._add_command(exchange, axis, "keep", 0)
+
+    def _change_speed(self, exchange: UnitExchange, axis: _AxisState, number: int) -> None:
+        """Set a speed by an offset, which is valid at rest only; in motion it is unknown."""
+        if not self._may_be_moving(exchange, axis):
+            self._set_speed(exchange, axis, number)
+            return
+        axis.speed = None
+        self._mark_unknown(exchange.request_s, np.inf, "a speed was changed by an offset")
+
+    def _set_target(
+        self, exchange: UnitExchange, axis: _AxisState, kind: CommandKind, number: int
+    ) -> None:
+        if self._is_slaved:
+            axis.pending = (kind, number)
+        else:
+            self._add_command(exchange, axis, kind, number)
+
+    def _halt_axis(self, exchange: UnitExchange, axis: _AxisState) -> None:
+        axis.pending = None
+        if self._may_be_moving(exchange, axis):
+            self._add_command(exchange, axis, "stop", 0)
+
+    def _home_axis(self, exchange: UnitExchange, axis: _AxisState) -> None:
+        self._finish_move(axis, exchange.request_s)
+        self._mark_unknown(
+            exchange.request_s - _REST_MARGIN_S, exchange.reply_s + 0.1, "the unit was homed"
+        )
+        self._count_resets.append((exchange.reply_s, axis.index, 0))
+        axis.steps, axis.pending = 0, None
+
+    def _may_be_moving(self, exchange: UnitExchange, axis: _AxisState) -> bool:
+        """Return whether the axis can still move; finish a move that is over."""
+        if axis.commands and exchange.request_s > axis.end_s:
+            self._finish_move(axis, exchange.request_s)
+        return bool(axis.commands)
+
+    def _add_command(
+        self, exchange: UnitExchange, axis: _AxisState, kind: CommandKind, steps: float
+    ) -> None:
+        is_moving = self._may_be_moving(exchange, axis)
+        if not is_moving:
+            self._adopt_polled_rest(exchange, axis)
+            target = steps + (axis.steps if kind == "by" else 0)
+            if target == axis.steps:
+                return
+            kind, steps = "to", target
+        for name, value in (("speed", axis.speed), ("acceleration", axis.acceleration)):
+            if value is None or not value > 0.0:
+                self._mark_unknown(
+                    exchange.request_s, np.inf, f"the {name} of axis {axis.letter} was never set"
+                )
+                return
+        key = (axis.letter, axis.speed or 0.0)
+        speed_class = self._speed_classes.setdefault(key, len(self._speed_classes))
+        axis.commands.append(
+            MotionCommand(
+                exchange.request_s,
+                exchange.request_s,
+                kind,
+                float(steps),
+                axis.speed or 0.0,
+                speed_class,
+            )
+        )
+        axis.move()
+        wait_s = min(max(exchange.reply_s - exchange.request_s, 0.0), _MAX_REPLY_WAIT_S)
+        axis.end_s += _REST_MARGIN_S + wait_s
+
+    def _adopt_polled_rest(self, exchange: UnitExchange, axis: _AxisState) -> None:
+        """Use the counts polled at rest if no command explains the position."""
+        after_s = max(axis.end_s, exchange.request_s - _REST_LOOKBACK_S)
+        rest_count = self._rest_count(axis.index, after_s, exchange.request_s)
+        if rest_count is not None and abs(rest_count - axis.steps) > 1:
+            axis.steps = rest_count
+
+    def _finish_move(self, axis: _AxisState, until_s: float) -> None:
+        """Finish the current move; after a halt its end is taken from the counts."""
+        if not axis.commands:
+            return
+        after_s = axis.end_s
+        last_command = axis.commands[-1]
+        if last_command.kind == "stop" or any(command.kind == "by" for command in axis.commands):
+            rest_count = self._rest_count(axis.index, after_s, until_s)
+            if rest_count is not None:
+                # A halted axis covers the same distance as a move to the position of the stop.
+                if last_command.kind == "stop" and len(axis.commands) > 1:
+                    last_command = axis.commands[-2]
+                    axis.commands.pop()
+                axis.commands[-1] = replace(last_command, kind="to", steps=float(rest_count))
+            else:
+                reason = "no position was polled after a halt or an offset command during a move"
+                self._mark_unknown(axis.commands[0].command_time_s, until_s, reason)
+        move = axis.move()
+        if move.to_steps != move.from_steps or len(move.commands) > 1:
+            self._moves.append(move)
+        axis.steps, axis.commands = move.to_steps, []
+
+    def _mark_unknown(self, begin_s: float, end_s: float, reason: str) -> None:
+        self._unknown_spans.append((float(begin_s), float(end_s), reason))

@@ -1,0 +1,277 @@
+"""Figures of the calibration report, each as an SVG text.
+
+What to use when: `draw_figures` for all figures of a fit. The page omits empty ones.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.data.clocks.clock_trace import ClockTrace
+from gyrorig_solver.estimate.gyro_fit import FitDiagnostics
+from gyrorig_solver.report import integration_error
+from gyrorig_solver.report.figure_layout import (
+    AXIS_COLOURS,
+    BEFORE,
+    SOFT,
+    draw_envelope,
+    stacked_panels,
+)
+from gyrorig_solver.report.integration_error import to_uniform_grid
+from gyrorig_solver.report.report_data import ReportData
+
+_MIN_RANGE_RAD = 0.02  # 1 degree; an axis that turned less is not drawn
+_MOTION_RAD_S = 0.01  # slower is rest
+
+
+@dataclass(frozen=True, slots=True)
+class FigureSet:
+    """SVG texts; empty where there are no data."""
+
+    angle_error: str = ""
+    rate_error: str = ""
+    residual: str = ""
+    spectrum: str = ""
+    allan: str = ""
+    linearity: str = ""
+    pan: str = ""
+    tilt: str = ""
+    clock: str = ""
+
+
+def draw_figures(data: ReportData, inverse_gain: FloatArray) -> FigureSet | None:
+    """Return the figures of one fit, None if it has no arrays.
+
+    Args:
+        data: of the report.
+        inverse_gain: shape (3, 3), the identity if the sensor matrix is not known.
+    """
+    fit = data.diagnostics
+    if fit is None:
+        return None
+    has_motion = float(np.nanmax(np.abs(fit.reference_rad_s))) > _MOTION_RAD_S
+    error_after_rad_s = fit.residual_rad_s @ inverse_gain.T
+    clock_course = None if data.clock is None else data.clock.course
+    noise = {name: figure.value for name, figure in data.calibration.noise.items()}
+    return FigureSet(
+        angle_error=angle_error_figure(fit, error_after_rad_s),
+        rate_error=rate_error_figure(fit, error_after_rad_s),
+        residual=residual_figure(fit),
+        spectrum=spectrum_figure(fit),
+        allan=allan_figure(fit, noise),
+        linearity=residual_by_rate_figure(fit) if has_motion else "",
+        pan=residual_by_angle_figure(fit, 0) if has_motion else "",
+        tilt=residual_by_angle_figure(fit, 1) if has_motion else "",
+        clock=""
+        if clock_course is None or data.clock is None
+        else clock_figure(clock_course, data.clock.wander_bound_s),
+    )
+
+
+def rate_error_figure(data: FitDiagnostics, error_after_rad_s: FloatArray) -> str:
+    """Draw the rate error before and after calibration, in deg/s, one panel per axis.
+
+    Args:
+        data: of the fit.
+        error_after_rad_s: calibrated reading minus stage rate, shape (n, 3).
+    """
+    figure, panels = stacked_panels(3, 5.4)
+    before = data.rate_rad_s - data.reference_rad_s
+    for axis, panel in enumerate(panels):
+        draw_envelope(panel, data.time_s, np.degrees(before[:, axis]), BEFORE)
+        draw_envelope(
+            panel, data.time_s, np.degrees(error_after_rad_s[:, axis]), AXIS_COLOURS[axis]
+        )
+        panel.ylabel = f"{'xyz'[axis]}  deg/s"
+        panel.level(0.0, colour=SOFT, linewidth=0.5)
+    panels[-1].xlabel = "time, s"
+    return figure.svg()
+
+
+def angle_error_figure(data: FitDiagnostics, error_after_rad_s: FloatArray) -> str:
+    """Draw the rms angle error against the integration time, uncalibrated and calibrated.
+
+    Args:
+        data: of the fit.
+        error_after_rad_s: calibrated reading minus stage rate, shape (n, 3).
+    """
+    figure, (panel,) = stacked_panels(1, 3.4)
+    before = data.rate_rad_s - data.reference_rad_s
+    bias = np.nanmean(np.where(data.moving[:, None], np.nan, before), axis=0)
+    lines = (
+        (before, BEFORE, "-"),
+        (before - bias, BEFORE, "--"),
+        (error_after_rad_s, AXIS_COLOURS[2], "-"),
+    )
+    for error, colour, style in lines:
+        if not np.isfinite(error).any():
+            continue
+        step_s, values = to_uniform_grid(data.time_s, error)
+        length_s, angle = integration_error.angle_error(values, step_s)
+        panel.plot(length_s, np.degrees(angle), colour=colour, linewidth=1.4, linestyle=style)
+    panel.is_logarithmic = True
+    panel.xlabel = "integration time, s"
+    panel.ylabel = "angle error, deg rms"
+    return figure.svg()
+
+
+def allan_figure(data: FitDiagnostics, noise: Mapping[str, Sequence[float | None]]) -> str:
+    """Draw the Allan deviation of the residual, and that of the fitted noise model (dashed).
+
+    Args:
+        data: of the fit.
+        noise: coefficients of the document by name, per axis.
+    """
+    figure, (panel,) = stacked_panels(1, 3.4)
+    step_s, values = to_uniform_grid(data.time_s, data.residual_rad_s)
+    tau_s, deviation = integration_error.allan_deviation(values, step_s)
+    names = ("angle_random_walk", "bias_instability", "rate_random_walk")
+    for axis in range(3):
+        panel.plot(
+            tau_s,
+            np.degrees(deviation[:, axis]),
+            colour=AXIS_COLOURS[axis],
+            linewidth=1.1,
+            markersize=2.5,
+            label="xyz"[axis],
+        )
+    for axis in range(3):
+        coefficients = [noise[name][axis] if noise.get(name) else None for name in names]
+        if coefficients[0] is None:
+            continue
+        modelled = np.degrees(integration_error.modelled_allan_deviation(tau_s, *coefficients))
+        label = "noise model" if axis == 0 else ""
+        panel.plot(tau_s, modelled, colour=SOFT, linewidth=1.0, linestyle="--", label=label)
+    panel.is_logarithmic = panel.has_key = True
+    panel.xlabel = "averaging time, s"
+    panel.ylabel = "Allan deviation, deg/s"
+    return figure.svg()
+
+
+def residual_by_angle_figure(data: FitDiagnostics, axis: int) -> str:
+    """Draw the mean residual in bins of pan (0) or tilt (1); empty if the axis did not turn."""
+    if data.angle_rad is None:
+        return ""
+    angle = data.angle_rad[axis]
+    if not np.isfinite(angle).any() or float(np.nanmax(angle) - np.nanmin(angle)) < _MIN_RANGE_RAD:
+        return ""
+    figure, (panel,) = stacked_panels(1, 2.8)
+    for sensor_axis in range(3):
+        centre, mean, bar = _binned(angle, data.residual_rad_s[:, sensor_axis], 24)
+        panel.dots(
+            np.degrees(centre),
+            np.degrees(mean),
+            np.degrees(bar),
+            colour=AXIS_COLOURS[sensor_axis],
+            linewidth=0.9,
+            markersize=3,
+            label="xyz"[sensor_axis],
+        )
+    panel.level(0.0, colour=SOFT, linewidth=0.5)
+    panel.xlabel = f"{('pan', 'tilt')[axis]}, deg"
+    panel.ylabel = "residual, deg/s"
+    panel.has_key = True
+    return figure.svg()
+
+
+def clock_figure(course: ClockTrace, bound_s: float) -> str:
+    """Draw the latency of the samples, and the wander of their times from a constant rate.
+
+    Args:
+        course: of the board's clock.
+        bound_s: clock-mapping uncertainty.
+    """
+    figure, panels = stacked_panels(2, 4.0)
+    late_panel, wander_panel = panels
+    late_panel.band(
+        course.time_s,
+        1e3 * course.min_latency_s,
+        1e3 * course.max_latency_s,
+        colour=AXIS_COLOURS[0],
+    )
+    late_panel.ylabel = "latency, ms"
+    wander_panel.plot(course.time_s, 1e6 * course.wander_s, colour=AXIS_COLOURS[2], linewidth=1.2)
+    for sign in (-1.0, 1.0):
+        wander_panel.level(sign * 1e6 * bound_s, colour=SOFT, linewidth=0.7, linestyle="--")
+    wander_panel.ylabel = "wander, µs"
+    wander_panel.xlabel = "time, s"
+    return figure.svg()
+
+
+def residual_figure(data: FitDiagnostics) -> str:
+    """Draw the residual over time, in deg/s, one panel per axis."""
+    figure, panels = stacked_panels(3, 4.2)
+    for axis, panel in enumerate(panels):
+        residual = np.degrees(data.residual_rad_s[:, axis])
+        draw_envelope(panel, data.time_s, residual, AXIS_COLOURS[axis])
+        panel.ylabel = f"{'xyz'[axis]}  deg/s"
+        panel.level(0.0, colour=SOFT, linewidth=0.5)
+    panels[-1].xlabel = "time, s"
+    return figure.svg()
+
+
+def spectrum_figure(data: FitDiagnostics) -> str:
+    """Draw the amplitude spectral density of the residual and the noise model, deg/s/sqrt(Hz)."""
+    figure, (panel,) = stacked_panels(1, 3.6)
+    for axis in range(3):
+        panel.plot(
+            data.frequency_hz,
+            np.degrees(np.sqrt(data.spectrum[:, axis])),
+            colour=AXIS_COLOURS[axis],
+            linewidth=0.9,
+            label="xyz"[axis],
+        )
+    for axis in range(3):
+        panel.plot(
+            data.frequency_hz,
+            np.degrees(np.sqrt(data.spectrum_model[:, axis])),
+            colour=SOFT,
+            linewidth=1.0,
+            linestyle="--",
+            label="noise model" if axis == 0 else "",
+        )
+    panel.is_logarithmic = True
+    panel.xlabel = "frequency, Hz"
+    panel.ylabel = "deg/s/√Hz"
+    panel.has_key = True
+    return figure.svg()
+
+
+def residual_by_rate_figure(data: FitDiagnostics) -> str:
+    """Draw the mean residual in bins of the stage's rate, with 95 % intervals."""
+    figure, (panel,) = stacked_panels(1, 3.2)
+    for axis in range(3):
+        centre, mean, bar = _binned(data.reference_rad_s[:, axis], data.residual_rad_s[:, axis])
+        panel.dots(
+            np.degrees(centre),
+            np.degrees(mean),
+            np.degrees(bar),
+            colour=AXIS_COLOURS[axis],
+            linewidth=0.9,
+            markersize=3,
+            label="xyz"[axis],
+        )
+    panel.level(0.0, colour=SOFT, linewidth=0.5)
+    panel.xlabel = "stage rate about the axis, deg/s"
+    panel.ylabel = "residual, deg/s"
+    panel.has_key = True
+    return figure.svg()
+
+
+def _binned(
+    position: FloatArray, value: FloatArray, bins: int = 15
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return centres, means and 95 % half-widths of `value` in bins of `position`."""
+    known = np.isfinite(position) & np.isfinite(value)
+    position, value = position[known], value[known]
+    edges = np.linspace(position.min() - 1e-9, position.max() + 1e-9, bins + 1)
+    index = np.clip(np.digitize(position, edges) - 1, 0, bins - 1)
+    count = np.bincount(index, minlength=bins)
+    filled = count >= 10  # fewer give no reliable interval
+    safe = np.maximum(count, 1)
+    mean = np.bincount(index, value, bins) / safe
+    variance = np.bincount(index, (value - mean[index]) ** 2, bins) / safe
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    return centre[filled], mean[filled], 1.96 * np.sqrt(variance[filled] / safe[filled])

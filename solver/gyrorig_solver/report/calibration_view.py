@@ -1,0 +1,436 @@
+"""View of the calibration report: its texts and table rows.
+
+Units, digits and the choice of figures are decided here. The template only places the texts and
+escapes everything that comes from files.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.calibration.calibration_wording import (
+    axes_text,
+    cause_groups,
+    determined_text,
+    level_sentence,
+    value_std_pairs,
+    white_noise_units,
+)
+from gyrorig_solver.calibration.uncertainty_wording import contribution_name
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.gyro_fit import ClockQuality, FitDiagnostics
+from gyrorig_solver.model.parameter_units import (
+    PARAMETER_GROUPS,
+    ParameterGroup,
+    format_quantity,
+    format_short,
+    format_two_digits,
+    group_of,
+    parameter_label,
+    plural,
+)
+from gyrorig_solver.report.data_sheet import (
+    data_sheet_noise,
+    data_sheet_range,
+    data_sheet_white_noise,
+)
+from gyrorig_solver.report.report_data import ReportData
+
+SINGULAR_CONDITION = 1e6  # above it a sensor matrix is not inverted; the paper's method gives some
+_NO_SECOND_CLOCK_S = 1e-9  # a smaller latency means that there is only one clock
+_DEG = 180.0 / math.pi
+_NOISE_ROWS = (  # name in the document, name shown, factor, unit
+    ("angle_random_walk_in_motion", "noise density in motion", _DEG, "deg/s/√Hz, one-sided"),
+    ("angle_random_walk_pan_motion", "noise density while pan moves", _DEG, "deg/s/√Hz, one-sided"),
+    (
+        "angle_random_walk_tilt_motion",
+        "noise density while tilt moves",
+        _DEG,
+        "deg/s/√Hz, one-sided",
+    ),
+    ("bias_instability", "bias instability", 3600.0 * _DEG, "deg/h"),
+    ("rate_random_walk", "rate random walk", _DEG, "deg/s²/√Hz"),
+)
+_AXIS_COLOURS = ("var(--x)", "var(--y)", "var(--z)")
+DataSheetLimits = tuple[float, float]  # the data sheet's range, in the unit that is shown
+_REST_RAD_S = 0.01  # a recording with lower rates only is a recording at rest
+_LEFT, _RIGHT = 30.0, 170.0  # ends of the data sheet's range in a bar 200 wide
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One key figure at the top of the page."""
+
+    name: str
+    before: str
+    value: str
+    note: str
+
+
+@dataclass(frozen=True, slots=True)
+class RangeBar:
+    """A value with its 95 % interval in the data sheet's range, in units of the drawing."""
+
+    low: str
+    middle: str
+    high: str
+    colour: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRow:
+    """One parameter's row; `value` is empty where it was not observable."""
+
+    name: str
+    value: str = ""
+    std: str = ""
+    interval: str = ""
+    unit: str = ""
+    bar: RangeBar | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterTable:
+    """The rows of one parameter vector."""
+
+    name: str
+    meaning: str
+    rows: tuple[ParameterRow, ...]
+
+
+def summary_line(calibration: CalibrationDocument) -> str:
+    """Return the result in one line for a reader who does not read the rest."""
+    date = calibration.created[:10]
+    if calibration.trust.verdict == "refused":
+        return f"Calibrated on {date}. Not fit for use."
+    low, high = (value * _DEG for value in calibration.validity.rate_rad_s)
+    sentences = [f"Calibrated on {date}."]
+    if is_rate_range(calibration):
+        sentences.append(f"Fit for use from {low:.0f} to {high:.0f} deg/s.")
+    else:
+        sentences.append("The board did not turn, therefore only values at rest are calibrated.")
+    errors = _scale_errors(calibration)
+    if errors is not None:
+        sentences.append(
+            f"Scale factor error {format_short(errors[0])} % before, "
+            f"{format_short(errors[1])} % after (95 %)."
+        )
+    return " ".join(sentences)
+
+
+def is_rate_range(calibration: CalibrationDocument) -> bool:
+    """Return whether the recordings cover a range of rates, not only rest."""
+    return max(abs(value) for value in calibration.validity.rate_rad_s) >= _REST_RAD_S
+
+
+def summary_tiles(data: ReportData) -> list[Tile]:
+    """Return the key figures: scale factor error, angle error, determined parameters."""
+    calibration = data.calibration
+    result_tiles = []
+    errors = _scale_errors(calibration)
+    if errors is not None:
+        result_tiles.append(
+            Tile(
+                "scale factor error",
+                f"{format_short(errors[0])} %",
+                f"±\u00a0{format_short(errors[1])}\u00a0%",
+                "worst axis; after: 95 % interval",
+            )
+        )
+    if data.diagnostics is not None and is_rate_range(calibration):
+        before, after = _rotation_error_deg(data.diagnostics, inverse_gain(calibration))
+        result_tiles.append(
+            Tile(
+                "angle error after 1 s",
+                f"{format_short(before)}°",
+                f"{format_short(after)}°",
+                "rms over this recording",
+            )
+        )
+    determined, _, addition = determined_text(calibration).partition(", ")
+    result_tiles.append(
+        Tile("parameters", "", determined, f"determined, {addition}" if addition else "determined")
+    )
+    chi2 = calibration.quality.reduced_chi2
+    if chi2 is not None:
+        result_tiles.append(
+            Tile("reduced chi-square", "", format_short(chi2), "residual against noise, expected 1")
+        )
+    rest_to_rest = calibration.quality.rest_to_rest
+    if rest_to_rest is not None:
+        result_tiles.append(
+            Tile(
+                "angle check",
+                "",
+                f"{rest_to_rest.largest_sigma:.1f} u",
+                "largest difference from the angles between static intervals "
+                f"({plural(rest_to_rest.moves, 'move')})",
+            )
+        )
+    return result_tiles
+
+
+def parameter_tables(data: ReportData) -> list[ParameterTable]:
+    """Return every parameter of the document as rows of a table."""
+    calibration = data.calibration
+    full_scale_dps = calibration.board.config.gyro_full_scale_dps
+    return [
+        ParameterTable(
+            group.name.replace("_", " ") + ("" if group.unit == "1" else f" ({group.unit})"),
+            group.meaning + _data_sheet_words(group, limits),
+            tuple(_rows(calibration, group, limits)),
+        )
+        for group in (*PARAMETER_GROUPS, *cause_groups(calibration))
+        if group.name in calibration.parameters
+        for limits in [data_sheet_range(group.name, data.profile, full_scale_dps)]
+    ]
+
+
+def _data_sheet_words(group: ParameterGroup, limits: DataSheetLimits | None) -> str:
+    """Return the data sheet's range of a group, to put behind its meaning."""
+    if limits is None:
+        return ""
+    unit = "" if group.unit == "1" else f" {group.unit}"
+    return f"; the data sheet allows {format_short(limits[0])} to {format_short(limits[1])}{unit}"
+
+
+def noise_rows(data: ReportData) -> list[dict[str, str]]:
+    """Return the noise coefficients in the units of data sheets, row by row."""
+    rows = []
+    white = data.calibration.noise.get("angle_random_walk")
+    if white is not None:
+        sheet_texts = data_sheet_white_noise(data.profile)
+        rows = [
+            {"name": name, "axes": axes, "unit": unit, "sheet": sheet}
+            for (name, axes, unit), sheet in zip(
+                white_noise_units(white.value), sheet_texts, strict=True
+            )
+        ]
+    for name, words, factor, unit in _NOISE_ROWS:
+        figure = data.calibration.noise.get(name)
+        if figure is None:
+            continue
+        axes = axes_text([None if v is None else v * factor for v in figure.value])
+        sheet = data_sheet_noise(name, data.profile)
+        rows.append({"name": words, "axes": axes, "unit": unit, "sheet": sheet})
+    return rows
+
+
+def uncertainty_rows(calibration: CalibrationDocument) -> list[dict[str, Any]]:
+    """Return the uncertainty budget row by row; empty if it was not evaluated."""
+    record = calibration.uncertainty
+    if record is None:
+        return []
+    rows = []
+    for name, one in record.parameters.items():
+        group = group_of(name)
+        factor, unit = (1.0, "") if group is None else (group.factor, group.unit)
+        rows.append(
+            {
+                "name": name,
+                "unit": "" if unit == "1" else unit,
+                "type_a": format_two_digits(one.type_a * factor),
+                "type_b": format_two_digits(one.type_b * factor),
+                "total": format_two_digits(one.total * factor),
+                "interval": " to ".join(
+                    format_quantity(end * factor, one.total * factor)[0] for end in one.interval
+                ),
+                "limit": format_short(one.limit * factor),
+                "above": one.total > one.limit,
+                "contributions": [
+                    {
+                        "name": contribution_name(row),
+                        "size": format_two_digits(row.contribution * factor),
+                        "share": f"{100.0 * row.share:.0f} %",
+                    }
+                    for row in record.budget
+                    if row.parameter == name
+                ],
+            }
+        )
+    return rows
+
+
+def contribution_remedies(calibration: CalibrationDocument) -> list[dict[str, str]]:
+    """Return what reduces the contribution of each cause in the budget, each cause once."""
+    record = calibration.uncertainty
+    remedies = {} if record is None else {row.cause: row.remedy for row in record.budget}
+    return [
+        {"cause": cause.replace("_", " "), "remedy": remedy} for cause, remedy in remedies.items()
+    ]
+
+
+def findings_text(calibration: CalibrationDocument) -> str:
+    """Return the result of the search for causes, empty where there was none."""
+    findings = calibration.findings
+    if findings is None:
+        return ""
+    page_name = findings.file.replace(".yaml", ".html")
+    if findings.verdict == "adequate":
+        words = "No error of the rig model was found"
+    elif findings.causes:
+        named = ", ".join(cause.replace("_", " ") for cause in findings.causes)
+        remainder = (
+            "" if findings.verdict == "explained" else ". Part of the residual is not explained"
+        )
+        words = f"Identified, and included in the fit: {named}{remainder}"
+    else:
+        words = "Part of the residual is not explained by any known cause"
+    return f"{words}. The figures are in {page_name}, in the same folder as this file."
+
+
+def clock_rows(clock: ClockQuality) -> list[tuple[str, str]]:
+    """Return the statistics of the board's clock, as names and texts."""
+    if clock.latency_max_s < _NO_SECOND_CLOCK_S:
+        return [
+            ("timestamps", "one column of times; there is no second clock to compare with"),
+            ("time base of the scale factor", clock.truth),
+        ]
+    direction = "faster" if clock.skew_ppm > 0.0 else "slower"
+    return [
+        (
+            "frequency offset",
+            f"{format_short(abs(clock.skew_ppm))} ppm {direction} than the capture clock",
+        ),
+        ("clock-mapping uncertainty", f"{format_short(clock.wander_bound_s * 1e6)} µs"),
+        (
+            "latency",
+            f"median {format_short(clock.latency_median_s * 1e3)} ms, "
+            f"maximum {format_short(clock.latency_max_s * 1e3)} ms",
+        ),
+        ("resets, counter overflows", f"{clock.restarts}, {clock.wraps}"),
+        ("time base of the scale factor", clock.truth),
+    ]
+
+
+def level_text(calibration: CalibrationDocument) -> str:
+    """Return the unit's leveling from the board's accelerometer; empty if not estimated."""
+    level = calibration.quality.level
+    if level is None:
+        return ""
+    zero = level.tilt_zero, level.tilt_zero_std
+    return level_sentence(zero, level.lean, level.lean_std, level.rests)
+
+
+def recording_rows(calibration: CalibrationDocument) -> list[dict[str, str]]:
+    """Return bias and time offset of each recording of a joint solve, row by row."""
+    return [
+        {
+            "name": recording.name,
+            "bias": ", ".join(
+                _value_with_std(value, std, math.degrees(1.0))
+                for value, std in zip(recording.bias, recording.bias_std, strict=True)
+            ),
+            "time_offset": _value_with_std(recording.time_offset, recording.time_offset_std, 1e3),
+        }
+        for recording in calibration.quality.recordings or []
+    ]
+
+
+def _value_with_std(value: float | None, std: float | None, factor: float) -> str:
+    if value is None:
+        return "not observable"
+    text, error = format_quantity(factor * value, None if std is None else factor * std)
+    return f"{text} ± {error}" if error else text
+
+
+def inverse_gain(calibration: CalibrationDocument) -> FloatArray:
+    """Return G⁻¹, or the identity where G is incomplete or singular; shape (3, 3)."""
+    rows = calibration.matrices.STM
+    values = [v for row in rows for v in row]
+    if any(v is None for v in values):
+        return np.eye(3)
+    gain = np.array(rows, dtype=np.float64)
+    if np.linalg.cond(gain) > SINGULAR_CONDITION:
+        return np.eye(3)
+    return np.asarray(np.linalg.inv(gain), dtype=np.float64)
+
+
+def matrix_text(calibration: CalibrationDocument) -> str:
+    """Return the inverse sensor matrix and the bias, to copy; empty if not known."""
+    rows, bias = calibration.matrices.STM, value_std_pairs(calibration.parameters["bias"])
+    if any(v is None for row in rows for v in row) or any(v is None for v, _ in bias):
+        return ""
+    inverse = inverse_gain(calibration)
+    lines = ["(S T M)⁻¹ ="]
+    lines += ["  [" + ", ".join(f"{v:+.9f}" for v in row) + "]" for row in inverse]
+    lines.append("b = [" + ", ".join(f"{v or 0.0:+.9f}" for v, _ in bias) + "] rad/s")
+    return "\n".join(lines)
+
+
+def time_offset_text(calibration: CalibrationDocument) -> str:
+    """Return one sentence on the time offset; empty if it was not determined."""
+    parameter = calibration.parameters.get("time_offset")
+    value = value_std_pairs(parameter)[0][0] if parameter else None
+    if value is None:
+        return ""
+    side = "before" if value >= 0.0 else "after"
+    return (
+        f"A sample shows the motion {format_short(abs(value) * 1e3)} ms {side} its timestamp: "
+        "subtract the time offset from the timestamp."
+    )
+
+
+def _scale_errors(calibration: CalibrationDocument) -> tuple[float, float] | None:
+    """Return the worst axis' scale factor error in %: nominal, and half of the 95 % interval."""
+    pairs = [(v, s) for v, s in value_std_pairs(calibration.parameters["scale"]) if v is not None]
+    if not pairs or any(s is None for _, s in pairs):
+        return None
+    worst = max(abs(v - 1.0) for v, _ in pairs)
+    return 100.0 * worst, 100.0 * max(1.96 * (s or 0.0) for _, s in pairs)
+
+
+def _rows(
+    calibration: CalibrationDocument, group: ParameterGroup, limits: DataSheetLimits | None
+) -> Iterator[ParameterRow]:
+    parameter = calibration.parameters[group.name]
+    for axis, (label, (value, std)) in enumerate(
+        zip(group.labels, value_std_pairs(parameter), strict=True)
+    ):
+        name = parameter_label(group.name, label)
+        if value is None:
+            yield ParameterRow(name)
+            continue
+        shown, error = value * group.factor, None if std is None else std * group.factor
+        text, error_text = format_quantity(shown, error)
+        interval = ""
+        if error is not None and error > 0.0:
+            low, high = (format_quantity(shown + k * 1.96 * error, error)[0] for k in (-1.0, 1.0))
+            interval = f"{low} to {high}"
+        bar = None if limits is None else _bar(limits, group.unit, axis, shown, error or 0.0)
+        yield ParameterRow(name, text, error_text, interval, group.unit, bar)
+
+
+def _bar(limits: DataSheetLimits, unit: str, axis: int, value: float, std: float) -> RangeBar:
+    low, high = limits
+
+    def place(x: float) -> str:
+        at = _LEFT + (x - low) / (high - low) * (_RIGHT - _LEFT)
+        return f"{min(196.0, max(4.0, at)):.1f}"
+
+    inside = low <= value <= high
+    side = "inside" if inside else "outside"
+    words = f"{side} the data sheet's {format_short(low)} to {format_short(high)} {unit}"
+    colour = _AXIS_COLOURS[axis % 3] if inside else "var(--refused)"
+    return RangeBar(
+        place(value - 1.96 * std), place(value), place(value + 1.96 * std), colour, words
+    )
+
+
+def _rotation_error_deg(data: FitDiagnostics, gain: FloatArray) -> tuple[float, float]:
+    """Return the rms error, in degrees, of the rate integrated over 1 s: before and after."""
+    window = np.floor(data.time_s - data.time_s[0]).astype(np.int64)
+    angles_deg = []
+    for error in (data.rate_rad_s - data.reference_rad_s, data.residual_rad_s @ gain.T):
+        known = np.isfinite(error).all(axis=1)
+        count = np.bincount(window[known])
+        whole = count >= 0.9 * np.median(count[count > 0])
+        sums = [np.bincount(window[known], column[known])[whole] for column in error.T]
+        angles = np.stack(sums) / count[whole]  # mean rate x 1 s
+        angles_deg.append(math.degrees(math.sqrt(float(np.mean(np.sum(angles**2, axis=0))))))
+    return angles_deg[0], angles_deg[1]

@@ -1,0 +1,353 @@
+"""View of the explain report: its texts, table rows and figures."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from gyrorig_solver.findings.findings_builder import UNEXPLAINED_FIGURE, figure_key
+from gyrorig_solver.findings.findings_document import (
+    CauseEntry,
+    ChangeEntry,
+    FindingsDocument,
+    GainEntry,
+)
+from gyrorig_solver.findings.findings_wording import (
+    amount_text,
+    cause_headline,
+    cause_title,
+    display_unit,
+    main_size_text,
+    p_value_text,
+    parameter_bias_sigma,
+    place_text,
+    size_text,
+    verdict_words,
+)
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.parameter_units import format_quantity, format_short, group_of, plural
+
+_DEG = 180.0 / math.pi
+MIN_SHIFT_SIGMA, MIN_ROWS = 0.3, 2  # smaller changes of parameters are shown in two rows only
+TONES = {"adequate": "good", "explained": "limited", "unexplained": "refused"}
+SURE_POSTERIOR = 0.999
+DEPENDENCE_CAPTIONS = {
+    "own_rate": "Mean residual against the rate about the same axis. A curve suggests a "
+    "scale-factor non-linearity.",
+    "pan": "Residual divided by pan rate, against pan. A wave suggests the gears or the "
+    "misalignment.",
+    "tilt": "Residual divided by pan rate, against tilt. A trend suggests axes that are not "
+    "perpendicular, or payload sag.",
+    "time": "Delay of the samples against time. A trend or a step suggests the clocks.",
+    "temperature": "Mean residual against temperature. A trend suggests a thermal bias.",
+}
+
+
+def findings_view(document: FindingsDocument, figures: Mapping[str, str]) -> dict[str, Any]:
+    """Return the texts, rows and figures for the template.
+
+    Args:
+        document: the findings.
+        figures: SVG texts by key; figures without a key are omitted.
+    """
+    heading, text = verdict_words(document)
+    if document.causes:
+        heading += ": " + "; ".join(_cause_text(cause) for cause in document.causes)
+    return {
+        "board": document.board.id,
+        "sensor": document.board.sensor or "unknown sensor",
+        "created": document.created,
+        "software": document.software,
+        "tone": TONES[document.verdict],
+        "verdict_title": heading,
+        "verdict_text": text,
+        "summaries": _summaries(document),
+        "tiles": _tiles(document),
+        "causes": [_cause_view(document, cause, figures) for cause in document.causes],
+        "rest": _unexplained_view(document, figures),
+        "left": figures.get("left", ""),
+        "two_models": any(cause.harm_sigma is not None for cause in document.causes),
+        "density": figures.get("density", ""),
+        "on_what": [
+            {"svg": figures[f"on-{name}"], "words": words}
+            for name, words in DEPENDENCE_CAPTIONS.items()
+            if f"on-{name}" in figures
+        ],
+        "unseen": [_undetected_row(entry) for entry in document.minimal_detectable],
+        "unseen_title": "Detection limits of "
+        + plural(len(document.minimal_detectable), "cause and axis", "causes and axes"),
+        "hidden": _untestable_rows(document),
+        "hidden_title": plural(len({entry.cause for entry in document.not_testable}), "cause"),
+        "raw": document.raw,
+        "many": len(document.recording) > 1,
+        "changes": _change_rows(document.effect_on_calibration),
+        "gain_how": document.gain.how if document.gain else "",
+        "elsewhere": _gain_text(document.elsewhere),
+        "base": _base_model_text(document),
+        "remarks": document.remarks,
+        "recordings": document.recording,
+    }
+
+
+def _cause_text(cause: CauseEntry) -> str:
+    """Return a cause with its place and size: "the gears have backlash, on tilt, 0.1 deg"."""
+    size = main_size_text(cause)
+    return _lower_title(cause.cause) + place_text(cause.where) + (f", {size}" if size else "")
+
+
+def _summaries(document: FindingsDocument) -> list[dict[str, str]]:
+    """Return every cause, and the unexplained residual, in a few lines each."""
+    summaries = [_summary(document, cause) for cause in document.causes]
+    unexplained = document.unexplained
+    if unexplained is not None:
+        p_value = unexplained.p_value
+        summaries.append(
+            {
+                "name": "Unexplained part of the residual",
+                "effect": f"It depends {unexplained.best_covariate}. {unexplained.harm}".strip(),
+                "remedy": "",
+                "confidence": "" if p_value is None else p_value_text(p_value),
+            }
+        )
+    return summaries
+
+
+def _summary(document: FindingsDocument, cause: CauseEntry) -> dict[str, str]:
+    """Return one cause in a few lines: effect on the result, remedy, confidence."""
+    confidence = []
+    if cause.evidence.p_value is not None:
+        confidence.append(p_value_text(cause.evidence.p_value))
+    posterior = cause.evidence.posterior
+    if posterior is not None:
+        above = posterior > SURE_POSTERIOR
+        text = f"above {SURE_POSTERIOR}" if above else f"{posterior:.3g}"
+        confidence.append(f"posterior probability {text}")
+    if cause.one_of:
+        confidence.append(f"could also be: {', or '.join(map(_lower_title, cause.one_of))}")
+    return {
+        "name": cause_headline(cause),
+        "effect": _effect_text(document, cause),
+        "remedy": cause.remedy[:1].upper() + cause.remedy[1:],
+        "confidence": "; ".join(confidence),
+    }
+
+
+def _effect_text(document: FindingsDocument, cause: CauseEntry) -> str:
+    """Return how much the calibration is wrong if a cause is ignored."""
+    bias_sigma = parameter_bias_sigma(document, cause)
+    if bias_sigma is None:
+        term = catalogue().get(cause.cause)
+        return "" if term is None else _sentence(term.effect_if_ignored)
+    changes = (
+        document.effect_on_calibration if len(document.causes) == 1 else cause.effect_on_calibration
+    )
+    name = f" ({max(changes, key=_shift_sigma).parameter})" if changes else ""
+    return (
+        f"If ignored, it biases the calibration by up to {format_short(bias_sigma)} standard "
+        f"uncertainties{name}."
+    )
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:].rstrip(".") + "." if text else ""
+
+
+def _lower_title(cause: str) -> str:
+    title_text = cause_title(cause)
+    return title_text[0].lower() + title_text[1:]
+
+
+def _tiles(document: FindingsDocument) -> list[dict[str, str]]:
+    gain, tiles = document.gain, []
+    if gain is not None:
+        before, after = gain.residual_rms_before, gain.residual_rms_after
+        if before is not None and after is not None:
+            tiles.append(
+                _tile(
+                    "residual on held-out data",
+                    f"{_deg_s_text(before)} →",
+                    _deg_s_text(after),
+                    "deg/s rms",
+                )
+            )
+        if gain.turn_error_before is not None and gain.turn_error_after is not None:
+            tiles.append(
+                _tile(
+                    "angle error on held-out data",
+                    f"{format_short(1e3 * _DEG * gain.turn_error_before)} →",
+                    format_short(1e3 * _DEG * gain.turn_error_after),
+                    "mdeg, rms over moves",
+                )
+            )
+        tiles += _gain_tile("log-likelihood ratio, held-out data", gain)
+    if len(document.causes) > 1 and document.effect_on_calibration:
+        largest_change = max(document.effect_on_calibration, key=_shift_sigma)
+        if _shift_sigma(largest_change) > 0.0:
+            tiles.append(
+                _tile(
+                    "largest change of a parameter",
+                    "",
+                    f"{format_short(_shift_sigma(largest_change))} u",
+                    f"{largest_change.parameter}, in standard uncertainties",
+                )
+            )
+    if document.elsewhere is not None:
+        tiles += _gain_tile("log-likelihood ratio, other recording", document.elsewhere)
+    return tiles
+
+
+def _gain_tile(name: str, gain: GainEntry) -> list[dict[str, str]]:
+    if gain.held_out_log_likelihood is None:
+        return []
+    return [_tile(name, "", f"{_nats_text(gain)} nats", _interval_text(gain))]
+
+
+def _tile(name: str, before: str, value: str, note: str) -> dict[str, str]:
+    return {"name": name, "before": before, "value": value, "note": note}
+
+
+def _cause_view(
+    document: FindingsDocument, cause: CauseEntry, figures: Mapping[str, str]
+) -> dict[str, Any]:
+    components = () if cause.where == "all" else tuple(cause.where.split(", "))
+    key = figure_key(cause.cause, components)
+    p_value = cause.evidence.p_value
+    # Of a single cause, the changes are those of the whole fit: one number for one thing.
+    is_single = len(document.causes) == 1 and bool(document.effect_on_calibration)
+    changes = document.effect_on_calibration if is_single else cause.effect_on_calibration
+    return {
+        "title": cause_headline(cause),
+        "id": cause.cause,
+        "part": cause.part,
+        "one_of": [_lower_title(other) for other in cause.one_of],
+        "seen_as": cause.evidence.seen_as[:1].upper() + cause.evidence.seen_as[1:],
+        "sizes": [
+            ("when" if name == "time" else name, size_text(size) + _time_reference(name))
+            for name, size in cause.parameters.items()
+        ],
+        "p_value": "" if p_value is None else p_value_text(p_value),
+        "remedy": cause.remedy,
+        "figure": figures.get(key, ""),
+        "rivals": [
+            {
+                "name": cause_title(rival.cause),
+                "difference": ""
+                if rival.delta_log_likelihood is None
+                else f"{rival.delta_log_likelihood:+.1f}",
+                "reason": rival.reason,
+            }
+            for rival in cause.rivals
+        ],
+        "gain": _gain_text(cause.gain),
+        "changes": _change_rows(changes),
+    }
+
+
+def _time_reference(name: str) -> str:
+    return " after the recording's first sample" if name == "time" else ""
+
+
+def _gain_text(gain: GainEntry | None) -> str:
+    if gain is None or gain.held_out_log_likelihood is None:
+        return ""
+    text = f"{_nats_text(gain)} nats ({_interval_text(gain)})"
+    if gain.residual_rms_before is not None and gain.residual_rms_after is not None:
+        text += (
+            f"; residual {_deg_s_text(gain.residual_rms_before)} to "
+            f"{_deg_s_text(gain.residual_rms_after)} deg/s rms"
+        )
+    return text + (f"; {gain.how}" if gain.how else "")
+
+
+def _nats_text(gain: GainEntry) -> str:
+    return f"{gain.held_out_log_likelihood or 0.0:+.1f}"
+
+
+def _interval_text(gain: GainEntry) -> str:
+    if not gain.interval or None in gain.interval:
+        return "no interval"
+    low, high = gain.interval
+    return f"95 %: {low:+.1f} to {high:+.1f}"
+
+
+def _change_rows(changes: Sequence[ChangeEntry]) -> list[dict[str, str]]:
+    rows = []
+    for rank, change in enumerate(sorted(changes, key=_shift_sigma, reverse=True)):
+        if change.before is None or change.after is None or change.std is None:
+            continue
+        if rank >= MIN_ROWS and _shift_sigma(change) < MIN_SHIFT_SIGMA:
+            break
+        group = group_of(change.parameter)
+        if group is not None:
+            factor, unit = group.factor, "" if group.unit == "1" else group.unit
+        else:
+            factor, unit = display_unit(max(abs(change.before), abs(change.after)), change.unit)
+        before, _ = format_quantity(factor * change.before, factor * change.std)
+        after, std = format_quantity(factor * change.after, factor * change.std)
+        rows.append(
+            {
+                "parameter": change.parameter,
+                "before": f"{before} {unit}".strip(),
+                "after": f"{after} ± {std} {unit}".strip(),
+                "sigma": f"{_shift_sigma(change):.1f}",
+            }
+        )
+    return rows
+
+
+def _shift_sigma(change: ChangeEntry) -> float:
+    if change.before is None or change.after is None or not change.std:
+        return 0.0
+    return abs(change.after - change.before) / change.std
+
+
+def _unexplained_view(
+    document: FindingsDocument, figures: Mapping[str, str]
+) -> dict[str, Any] | None:
+    unexplained = document.unexplained
+    if unexplained is None:
+        return None
+    return {
+        "words": f"Part of the residual depends {unexplained.best_covariate}"
+        + ("" if unexplained.p_value is None else f" ({p_value_text(unexplained.p_value)})")
+        + ".",
+        "harm": unexplained.harm,
+        "figure": figures.get(UNEXPLAINED_FIGURE, ""),
+        "others": [dependence.covariate for dependence in unexplained.others],
+    }
+
+
+def _undetected_row(cause: Any) -> dict[str, str]:
+    return {
+        "what": cause_title(cause.cause) + place_text(cause.where),
+        "id": cause.cause,
+        "size": amount_text(cause.size, cause.unit),
+        "typical": "" if cause.typical is None else amount_text(cause.typical, cause.unit),
+        "moves": cause.would_move or "no parameter",
+        "sigma": "" if cause.by_sigma is None else format_short(cause.by_sigma),
+    }
+
+
+def _untestable_rows(document: FindingsDocument) -> list[dict[str, str]]:
+    """Return the reasons why causes cannot be tested, each with all its causes."""
+    by_reason: dict[str, list[str]] = {}
+    for cause in document.not_testable:
+        by_reason.setdefault(cause.reason, []).append(
+            cause_title(cause.cause) + place_text(cause.where)
+        )
+    return [
+        {"what": "; ".join(dict.fromkeys(names)), "why": why} for why, names in by_reason.items()
+    ]
+
+
+def _base_model_text(document: FindingsDocument) -> str:
+    base = document.base
+    text = f"Base model: {', '.join(base.terms)}."
+    if base.reduced_chi2 is not None:
+        text += f" Reduced chi-square {format_short(base.reduced_chi2)}."
+    if base.whiteness_p is not None:
+        text += f" The whiteness test of its residual gives {p_value_text(base.whiteness_p)}."
+    return text
+
+
+def _deg_s_text(value: float) -> str:
+    return format_short(value * _DEG)

@@ -1,0 +1,119 @@
+"""Angle error of an integrated rate, and Allan deviation.
+
+What to use when: `to_uniform_grid` to put a fit's arrays on one uniform grid, `angle_error` for the
+rms error of the integrated angle, `allan_deviation` and `modelled_allan_deviation` for the noise.
+
+Source: IEEE Std 952, Annex C, with the project's one-sided densities: white noise of density
+N gives N^2 / (2 tau), a bias instability B gives (0.664 B)^2, a random walk K gives K^2 tau / 3.
+"""
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+
+SPAN_COUNT = 36  # integration times
+_MIN_WINDOWS = 5  # complete windows of the longest span
+_MIN_WINDOW_SHARE = 0.9  # of a window's blocks must be present
+_MAX_GRID_FACTOR = 4  # in samples; a longer grid means recordings far apart
+_MAX_WINDOWS_PER_SPAN = 20_000  # windows, overlapping, of each span
+
+
+def to_uniform_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
+    """Return the grid's step and the values on it, nan where there are none.
+
+    Args:
+        time_s: shape (n,), increasing, uniform except for gaps.
+        values: shape (n, 3).
+    """
+    step_s = float(np.median(np.diff(time_s)))
+    row = np.rint((time_s - time_s[0]) / step_s).astype(np.int64)
+    if row[-1] >= _MAX_GRID_FACTOR * time_s.size:
+        return step_s, values
+    gridded = np.full((int(row[-1]) + 1, values.shape[1]), np.nan)
+    gridded[row] = values
+    return step_s, gridded
+
+
+def window_lengths(count: int) -> list[int]:
+    """Return window lengths in blocks, ascending."""
+    longest = max(1, count // _MIN_WINDOWS)
+    return sorted({int(length) for length in np.rint(np.geomspace(1, longest, SPAN_COUNT))})
+
+
+def angle_error(error_rad_s: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return integration times in s and the rms angle error in rad.
+
+    Args:
+        error_rad_s: of the rate, on a uniform grid, nan where there is none, shape (n, 3).
+        step_s: of the grid.
+    """
+    lengths, angles = [], []
+    sums = _RunningSums(error_rad_s)
+    for window in window_lengths(error_rad_s.shape[0]):
+        means, is_whole = sums.window_means(window)
+        if np.any(is_whole):
+            lengths.append(window * step_s)
+            angle_rad = means[is_whole] * window * step_s
+            angles.append(float(np.sqrt(np.mean(np.sum(angle_rad**2, axis=1)))))
+    return np.array(lengths), np.array(angles)
+
+
+def allan_deviation(rate_rad_s: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return averaging times in s and the Allan deviation of each axis, shape (k, 3)."""
+    taus, deviations = [], []
+    sums = _RunningSums(rate_rad_s)
+    for window in window_lengths(rate_rad_s.shape[0]):
+        means, is_whole = sums.window_means(window, behind=window)
+        if np.any(is_whole):
+            taus.append(window * step_s)
+            deviations.append(np.sqrt(0.5 * np.mean(means[is_whole] ** 2, axis=0)))
+    return np.array(taus), np.array(deviations).reshape(-1, rate_rad_s.shape[1])
+
+
+def modelled_allan_deviation(
+    tau_s: FloatArray, white: float | None, instability: float | None, walk: float | None
+) -> FloatArray:
+    """Return the Allan deviation of noise with these coefficients, of one axis."""
+    variance = (white or 0.0) ** 2 / (2.0 * tau_s) + (0.664 * (instability or 0.0)) ** 2
+    return np.asarray(np.sqrt(variance + (walk or 0.0) ** 2 * tau_s / 3.0), dtype=np.float64)
+
+
+class _RunningSums:
+    """Cumulative sums of a signal, for the means of any windows."""
+
+    def __init__(self, values: FloatArray) -> None:
+        """Compute the sums.
+
+        Args:
+            values: shape (n, 3), nan where there are none.
+        """
+        known = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
+        self._total = np.zeros((values.shape[0] + 1, 3))
+        np.cumsum(np.where(known[:, None], values, 0.0), axis=0, out=self._total[1:])
+        self._count = np.concatenate([[0], np.cumsum(known)])
+
+    def window_means(self, m: int, behind: int = 0) -> tuple[FloatArray, BoolArray]:
+        """Return the means of windows, or differences of two windows; and which are complete.
+
+        Args:
+            m: blocks in a window.
+            behind: blocks between the starts of the two windows; 0: no difference.
+        """
+        last = self._count.size - 1 - m - behind
+        starts = (
+            np.arange(0, last + 1, max(1, last // _MAX_WINDOWS_PER_SPAN))
+            if last >= 0
+            else np.zeros(0, int)
+        )
+        first, first_whole = self._means(starts, m)
+        if not behind:
+            return first, first_whole
+        second, second_whole = self._means(starts + behind, m)
+        return second - first, first_whole & second_whole
+
+    def _means(self, start: IntArray, m: int) -> tuple[FloatArray, BoolArray]:
+        block_count = self._count[start + m] - self._count[start]
+        means = (self._total[start + m] - self._total[start]) / np.maximum(block_count, 1)[:, None]
+        return np.asarray(means, dtype=np.float64), np.asarray(
+            block_count >= _MIN_WINDOW_SHARE * m, dtype=np.bool_
+        )

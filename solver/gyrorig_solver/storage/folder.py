@@ -1,0 +1,97 @@
+"""A folder of this machine, or one that several machines mount, as a storage."""
+
+import contextlib
+import errno
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gyrorig_protocol.atomic_files import write_atomically
+from gyrorig_protocol.errors import InputError, MachineError
+from gyrorig_solver.storage.storage_protocol import StorageEntry
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """The files below one folder. Names that begin with a dot are temporary files."""
+
+    path: Path
+
+    @property
+    def location(self) -> str:
+        """See `Storage`."""
+        return str(self.path)
+
+    def read(self, name: str) -> bytes | None:
+        """See `Storage`."""
+        try:
+            return (self.path / name).read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as fault:
+            raise MachineError(
+                f"cannot read {self.path / name}, {fault.strerror}",
+                "check the disk and the permissions of the file",
+            ) from fault
+
+    def write(self, name: str, data: bytes) -> None:
+        """See `Storage`."""
+        self._write(name, data, replace=True)
+
+    def write_new(self, name: str, data: bytes) -> bool:
+        """See `Storage`."""
+        return self._write(name, data, replace=False)
+
+    def _write(self, name: str, data: bytes, *, replace: bool) -> bool:
+        path = self.path / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            return write_atomically(path, data, replace=replace)
+        except OSError as fault:
+            raise MachineError(f"cannot write {path}, {fault.strerror}", _remedy(fault)) from fault
+
+    def remove(self, names: Iterable[str]) -> None:
+        """See `Storage`."""
+        for name in names:
+            try:
+                (self.path / name).unlink(missing_ok=True)
+            except OSError as fault:
+                raise MachineError(
+                    f"cannot remove {self.path / name}, {fault.strerror}",
+                    "check the permissions of its folder",
+                ) from fault
+
+    def list_files(self, folder: str = "") -> Iterator[StorageEntry]:
+        """See `Storage`. Links to folders are not followed, because they can form a loop."""
+        for root, folders, names in os.walk(self.path / folder):
+            folders.sort()
+            for name in sorted(names):
+                path = Path(root) / name
+                with contextlib.suppress(OSError):  # removed since the folder was read
+                    status = path.stat()
+                    yield StorageEntry(
+                        str(path.relative_to(self.path)),
+                        status.st_size,
+                        str(status.st_mtime_ns),
+                        status.st_mtime,
+                    )
+
+    @contextlib.contextmanager
+    def local_copy(self, name: str) -> Iterator[Path]:
+        """See `Storage`."""
+        path = self.path / name
+        if not path.is_file():
+            raise InputError(
+                f"{path} does not exist any more",
+                "it was removed while the program ran; run the command again",
+            )
+        yield path
+
+
+def _remedy(fault: OSError) -> str:
+    if fault.errno in (errno.EPERM, errno.EOPNOTSUPP):
+        return "use a folder on a file system with hard links, such as ext4"
+    if fault.errno in (errno.ENOSPC, errno.EDQUOT):
+        return "free some disk space, then run the command again"
+    return "check the permissions of the folder, or choose another folder"

@@ -1,0 +1,68 @@
+"""Covariance of parameters when causes with a prior size are fitted beside them.
+
+The model is y = J p + B c + noise, with p the fitted parameters and c the sizes of causes in units
+of their prior standard deviations, c ~ N(0, 1). The fit left c out. With F the information on c and
+s its score, both orthogonal to J, and A the change of p per unit of c that the fit makes:
+
+    covariance of c given the data  C = (F + 1)^-1,  mean  m = C s
+    covariance of p                 C_p + A' C A
+
+This is the covariance of p in a ridge fit of [J, B] with the prior on c. A cause that the data
+exclude has a large F and adds next to nothing; one that they cannot show has F = 0 and adds its
+prior. The fit that left c out is off by A' m on average. Its mean squared error given the data is
+therefore C_p + A' C A + (A' m)(A' m)': a correction that is known and not applied adds its square.
+
+What to use when: `MarginalCauses.of` for any number of causes at once.
+
+Sources: JCGM 100:2008, 4.3 and F.2.4.5; Schmidt, Advances in Control Systems 3 (1966) 293.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarginalCauses:
+    """The posterior of the sizes of k causes, and what they add to q parameters."""
+
+    covariance: FloatArray  # (k, k), of the sizes in units of their prior
+    mean: FloatArray  # (k,), in the same units
+    influence: FloatArray  # (k, q), change of each parameter that one unit of a size makes
+
+    @classmethod
+    def of(cls, information: FloatArray, score: FloatArray, influence: FloatArray) -> Self:
+        """Combine the information of the data with the priors.
+
+        Args:
+            information: on the sizes, all fitted parameters eliminated, (k, k).
+            score: of the residual, the same way, (k,).
+            influence: see the class.
+        """
+        values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+        # Rounding leaves a little below zero where the fit takes an effect for its own.
+        covariance = (vectors / (1.0 + np.clip(values, 0.0, None))) @ vectors.T
+        return cls(covariance, covariance @ score, influence)
+
+    @property
+    def parameter_covariance(self) -> FloatArray:
+        """What the sizes that the data leave open add to the parameters' covariance, (q, q)."""
+        return np.asarray(self.influence.T @ self.covariance @ self.influence, dtype=np.float64)
+
+    @property
+    def expected_error(self) -> FloatArray:
+        """The error of a fit without the causes that the data let expect, (q,)."""
+        return np.asarray(self.mean @ self.influence, dtype=np.float64)
+
+    def variance_without(self, group: IntArray) -> FloatArray:
+        """Return the variance of the parameters that would vanish with a group of causes, (q,).
+
+        The group's sizes count as known to be zero; the others keep their information. Groups that
+        resemble each other can have variance in common, so the sum may exceed the whole.
+        """
+        block = self.covariance[np.ix_(group, group)]
+        moved = self.covariance[group] @ self.influence
+        return np.asarray(np.sum(moved * np.linalg.solve(block, moved), axis=0), dtype=np.float64)

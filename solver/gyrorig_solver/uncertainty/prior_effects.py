@@ -1,0 +1,129 @@
+"""Effects of the causes that a fit has not identified, each scaled by its prior size.
+
+A cause is represented by signals whose amplitudes are independent with mean zero and variance one.
+Together they have the covariance of the cause's effect under its prior:
+
+- each size (axis, cosine, sine) is one signal;
+- a cause with a shape or a time that is not known, such as a time constant or the instant of a
+  step, is represented by several of its templates with equal shares of the variance;
+- a nonlinear cause (dead band, backlash) is represented by its effect at the prior size.
+
+What to use when: `unidentified_causes` at a projector; `whitened_effects` for their signals.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.cause_search import testable_instances
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.recording_scope import is_active_in, term_label
+from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.model.term import Term, components_of, value_indices
+from gyrorig_solver.uncertainty.uncertainty_settings import PriorSize, UncertaintySettings
+
+# Templates that represent one cause: of its times, and of its other shapes.
+EVENT_TEMPLATES, SHAPE_TEMPLATES = 3, 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnidentifiedCause:
+    """A cause with a prior size, of which a fit has not identified some or all sizes."""
+
+    term: Term
+    prior: PriorSize
+    positions: tuple[int, ...]  # of the sizes that were not fitted, among all its sizes
+    templates: FloatArray  # (b, k)
+
+    @property
+    def places(self) -> tuple[str | None, ...]:
+        """The place of each signal: x, y, z, pan, tilt; None where it has none."""
+        sizes = value_indices(self.term, role="size")
+        parts = components_of(self.term)
+        places = []
+        for position in self.positions:
+            matching = (p for p in parts if sizes[position] in value_indices(self.term, p, "size"))
+            places.append(next(matching, None))
+        return tuple(places) * len(self.templates)
+
+    @property
+    def signal_count(self) -> int:
+        """The number of signals that represent the cause."""
+        return len(self.positions) * len(self.templates)
+
+
+def unidentified_causes(
+    projector: NuisanceProjector,
+    fitted_terms: Sequence[FittedTerm],
+    settings: UncertaintySettings,
+) -> list[UnidentifiedCause]:
+    """Return each cause with a prior size, without the sizes that were fitted.
+
+    Args:
+        projector: at the fit.
+        fitted_terms: of the fit.
+        settings: prior sizes.
+    """
+    fitted_sizes = {
+        term_label(fitted.term): set(fitted.free_indices.tolist()) for fitted in fitted_terms
+    }
+    causes = []
+    for cause, prior in settings.prior_sizes.items():
+        for term in _instances(catalogue()[cause], projector) if prior.size > 0.0 else []:
+            fitted = fitted_sizes.get(term_label(term), set())
+            sizes = value_indices(term, role="size")
+            positions = tuple(k for k, index in enumerate(sizes) if index not in fitted)
+            templates = _templates(term, projector.states, prior)
+            if positions and len(templates):  # a motor at rest loses no steps
+                causes.append(UnidentifiedCause(term, prior, positions, templates))
+    return causes
+
+
+def whitened_effects(
+    projector: NuisanceProjector, causes: Sequence[UnidentifiedCause]
+) -> WhitenedSignals:
+    """Return the effects of causes, whitened and in units of their priors."""
+    return join_signals(
+        [
+            projector.evaluate_together(
+                [partial(_scaled_tangents, cause, row) for row in cause.templates],
+                cause.signal_count,
+                cause.term,
+            )
+            for cause in causes
+        ]
+    )
+
+
+def _instances(term: Term, projector: NuisanceProjector) -> list[Term]:
+    """Return a cause once per recording that can have it; a gauge cause acts, but never shows."""
+    if term.kind == "gauge":
+        return [term] if all(state.has_angles for state in projector.states) else []
+    return testable_instances(term, projector)
+
+
+def _scaled_tangents(cause: UnidentifiedCause, row: FloatArray, state: SignalState) -> FloatArray:
+    scale = cause.prior.std / len(cause.templates) ** 0.5
+    tangents = cause.term.tangent_signals(state, row)[list(cause.positions)]
+    return np.asarray(scale * tangents, dtype=np.float64)
+
+
+def _templates(term: Term, states: Sequence[SignalState], prior: PriorSize) -> FloatArray:
+    """Return templates (b, k) that represent the shapes of a cause, at its prior size."""
+    banks = [term.template_bank(state) for state in states if is_active_in(term, state)]
+    templates = np.concatenate(banks)
+    sizes = value_indices(term, role="size")
+    is_linear = bool((templates[:, sizes] == 0.0).all(axis=1).any())
+    templates[:, sizes] = 0.0 if is_linear else prior.size
+    _, first = np.unique(templates, axis=0, return_index=True)
+    templates = templates[np.sort(first)]
+    has_event = bool(value_indices(term, role="event"))
+    count = min(EVENT_TEMPLATES if has_event else SHAPE_TEMPLATES, len(templates))
+    chosen = (np.arange(count) + 0.5) * len(templates) / count
+    return np.asarray(templates[chosen.astype(np.int64)], dtype=np.float64)

@@ -1,0 +1,149 @@
+"""The uncertainty budget of a fit: what the causes that it has not identified may add.
+
+What to use when: `assess_uncertainty` at any fit to a pan-tilt unit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.calibration_changes import (
+    CALIBRATION_PARAMETERS,
+    CalibrationValues,
+    last_recording_part,
+)
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.whitened_signals import join_signals
+from gyrorig_solver.model.term import Term
+from gyrorig_solver.uncertainty.marginal_covariance import MarginalCauses
+from gyrorig_solver.uncertainty.prior_effects import (
+    UnidentifiedCause,
+    unidentified_causes,
+    whitened_effects,
+)
+from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings, default_settings
+
+MAX_JOINT_VALUES = 40_000_000  # of effects that are held at a time, 320 MB
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BudgetEntry:
+    """What one cause at one place contributes to each parameter, SI."""
+
+    term: Term
+    place: str | None
+    std: FloatArray  # (p,), root of the mean square error that would vanish without the cause
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UncertaintyBudget:
+    """The type B uncertainty of the parameters `CALIBRATION_PARAMETERS`, SI."""
+
+    covariance: FloatArray  # (p, p), of the causes given the data
+    expected_error: FloatArray  # (p,), of the stated values, as far as the data show causes
+    entries: tuple[BudgetEntry, ...]
+    settings: UncertaintySettings
+
+    @property
+    def std(self) -> FloatArray:
+        """The type B standard uncertainty of each parameter, (p,).
+
+        The expected error is not corrected in the stated values, therefore its square counts.
+        """
+        return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None) + self.expected_error**2)
+
+
+def assess_uncertainty(
+    solution: ConvergedFit,
+    settings: UncertaintySettings | None = None,
+    projector: NuisanceProjector | None = None,
+) -> UncertaintyBudget:
+    """Return what the causes that a fit has not identified add to its uncertainty.
+
+    Args:
+        solution: the fit, with the causes that were identified.
+        settings: prior sizes; by default the shipped ones.
+        projector: at this fit, if there is one already.
+    """
+    settings = default_settings() if settings is None else settings
+    projector = NuisanceProjector.at_fit(solution) if projector is None else projector
+    calibration = CalibrationValues.of(solution)
+    causes = unidentified_causes(projector, solution.fitted_terms, settings)
+    size = len(CALIBRATION_PARAMETERS)
+    if not causes:
+        return UncertaintyBudget(np.zeros((size, size)), np.zeros(size), (), settings)
+    statistics = _joint_statistics(projector, causes)
+    influence = np.stack(
+        [
+            calibration.propagate(last_recording_part(shift, len(solution.sessions)))
+            for shift in statistics.absorbed
+        ]
+    )
+    marginal = MarginalCauses.of(statistics.information, statistics.score, influence)
+    return UncertaintyBudget(
+        covariance=marginal.parameter_covariance,
+        expected_error=marginal.expected_error,
+        entries=tuple(_entries(causes, marginal)),
+        settings=settings,
+    )
+
+
+def _joint_statistics(
+    projector: NuisanceProjector, causes: Sequence[UnidentifiedCause]
+) -> ScoreStatistics:
+    """Return information and score of all causes, their similarity included.
+
+    A long recording holds two batches of effects at a time and evaluates them again for each pair.
+    A sum over batches without the pairs would be too small: causes that resemble each other, such
+    as axes that are not perpendicular and a board that slipped, would seem determined.
+    """
+    max_signals = max(1, MAX_JOINT_VALUES // projector.residual.size)
+    if sum(cause.signal_count for cause in causes) <= max_signals:
+        return projector.score_statistics(whitened_effects(projector, causes))
+    batches = _batches(causes, max(1, max_signals // 2))
+    stops = np.cumsum([sum(cause.signal_count for cause in batch) for batch in batches])
+    rows = [np.arange(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
+    count = int(stops[-1])
+    information, score, energy = np.zeros((count, count)), np.zeros(count), np.zeros(count)
+    absorbed = np.zeros((count, projector.board_parameters))
+    for first in range(len(batches) - 1):
+        effects = whitened_effects(projector, batches[first])
+        for second in range(first + 1, len(batches)):
+            pair = np.concatenate([rows[first], rows[second]])
+            other = whitened_effects(projector, batches[second])
+            statistics = projector.score_statistics(join_signals([effects, other]))
+            information[np.ix_(pair, pair)] = statistics.information
+            score[pair], energy[pair] = statistics.score, statistics.energy
+            absorbed[pair] = statistics.absorbed
+    return ScoreStatistics(information, score, energy, absorbed)
+
+
+def _batches(
+    causes: Sequence[UnidentifiedCause], max_signals: int
+) -> list[list[UnidentifiedCause]]:
+    """Return the causes in batches of at most `max_signals` signals, or of one cause."""
+    batches: list[list[UnidentifiedCause]] = []
+    count = 0
+    for cause in causes:
+        if not batches or count + cause.signal_count > max_signals:
+            batches.append([])
+            count = 0
+        batches[-1].append(cause)
+        count += cause.signal_count
+    return batches
+
+
+def _entries(causes: Sequence[UnidentifiedCause], marginal: MarginalCauses) -> list[BudgetEntry]:
+    """Return the contribution of each cause at each of its places."""
+    keys = [(cause.term, place) for cause in causes for place in cause.places]
+    order = dict.fromkeys(keys)
+    entries = []
+    for key in order:
+        group = np.array([k for k, other in enumerate(keys) if other == key], dtype=np.int64)
+        variance = np.clip(marginal.variance_without(group), 0.0, None)
+        error = marginal.mean[group] @ marginal.influence[group]
+        entries.append(BudgetEntry(*key, np.sqrt(variance + error**2)))
+    return entries

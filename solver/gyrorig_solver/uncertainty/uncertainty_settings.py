@@ -1,0 +1,174 @@
+"""Settings of the total uncertainty: prior sizes of the causes, and limits of the verdict.
+
+The shipped table, `default_settings.yaml`, names a source for every value. A user's document
+replaces single entries of it.
+
+What to use when: `default_settings`; `parse_settings` for a user's document.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Literal
+
+import msgspec
+
+from gyrorig_protocol.documents import convert_document, parse_yaml
+from gyrorig_protocol.errors import UsageError
+from gyrorig_solver.model.catalogue import find_term
+from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, display_unit
+from gyrorig_solver.model.term import Term
+
+SCHEMA = "gyrorig/uncertainty/1"
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+Probability = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
+
+
+class _DocumentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Base of the document's parts: unknown keys are errors."""
+
+
+class PriorSizeEntry(_DocumentPart, frozen=True):
+    """The prior size of one cause as written; a size of zero leaves the cause out."""
+
+    size: NonNegative
+    unit: str
+    source: str
+    probability: Probability = 1.0
+
+
+class LimitEntry(_DocumentPart, frozen=True):
+    """The largest total standard uncertainty of a kind of parameter that is `good`."""
+
+    std: Positive
+    unit: str
+    reason: str
+
+
+class SettingsDocument(_DocumentPart, frozen=True):
+    """The document `gyrorig/uncertainty/1`."""
+
+    schema: Literal["gyrorig/uncertainty/1"]
+    unit: dict[str, PriorSizeEntry] = {}
+    board: dict[str, PriorSizeEntry] = {}
+    limits: dict[str, LimitEntry] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class PriorSize:
+    """The prior of one cause: each of its sizes has mean zero and this standard deviation."""
+
+    size: float  # SI, standard deviation where the cause is present
+    probability: float  # that it is present
+
+    @property
+    def std(self) -> float:
+        """Root of the second moment of a size that is zero where the cause is absent, SI."""
+        return float(self.size * self.probability**0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintySettings:
+    """Prior sizes by cause, and the limits by kind of parameter; SI."""
+
+    prior_sizes: Mapping[str, PriorSize]
+    limits: Mapping[str, float]
+
+    @property
+    def sha256(self) -> str:
+        """Digest of all values."""
+        values = {
+            "prior_sizes": {c: [p.size, p.probability] for c, p in self.prior_sizes.items()},
+            "limits": dict(self.limits),
+        }
+        return hashlib.sha256(msgspec.json.encode(values, order="deterministic")).hexdigest()
+
+
+@cache
+def default_settings() -> UncertaintySettings:
+    """Return the shipped settings."""
+    name = "default_settings.yaml"
+    text = files("gyrorig_solver.uncertainty").joinpath(name).read_text(encoding="utf-8")
+    empty = UncertaintySettings(MappingProxyType({}), MappingProxyType({}))
+    return _with_document(empty, text, name)
+
+
+def parse_settings(text: str | bytes, name: str) -> UncertaintySettings:
+    """Return the shipped settings with the entries of a user's document in place of theirs.
+
+    Args:
+        text: the YAML document.
+        name: the document's name in an error, usually its file name.
+
+    Raises:
+        UsageError: it is no such document, or names an unknown cause, parameter or unit.
+    """
+    return _with_document(default_settings(), text, name)
+
+
+def read_settings(path: Path) -> UncertaintySettings:
+    """Return the settings of a user's file; see `parse_settings`.
+
+    Raises:
+        UsageError: the file cannot be read, or it is no such document.
+    """
+    try:
+        return parse_settings(path.read_bytes(), str(path))
+    except OSError as fault:
+        reason = fault.strerror or "it is not readable"
+        raise UsageError(f"{path} cannot be read: {reason}", "check the path") from fault
+
+
+def _with_document(
+    before: UncertaintySettings, text: str | bytes, name: str
+) -> UncertaintySettings:
+    document = convert_document(parse_yaml(text, name), SettingsDocument, name)
+    sizes, limits = dict(before.prior_sizes), dict(before.limits)
+    for profile, entries in (("unit", document.unit), ("board", document.board)):
+        for cause, entry in entries.items():
+            term = find_term(cause)
+            if (term.scope == "unit" or term.part == "ptu") != (profile == "unit"):
+                other = "board" if profile == "unit" else "unit"
+                raise UsageError(
+                    f"{name}: {cause} is in the wrong section", f"write it below {other}"
+                )
+            factor = _factor(name, f"{profile}: {cause}", entry.unit, _size_unit(term))
+            sizes[cause] = PriorSize(entry.size * factor, entry.probability)
+    units = {group.name: group for group in PARAMETER_GROUPS}
+    for parameter, limit in document.limits.items():
+        if parameter not in units:
+            raise UsageError(
+                f"{name}: limits: {parameter[:40]!r} is not a kind of parameter",
+                f"use one of {', '.join(units)}",
+            )
+        group = units[parameter]
+        if limit.unit != group.unit:
+            raise UsageError(
+                f"{name}: limits: {parameter}: the unit is {limit.unit[:20]!r}",
+                f"write the limit in {group.unit}",
+            )
+        limits[parameter] = limit.std / group.factor
+    return UncertaintySettings(MappingProxyType(sizes), MappingProxyType(limits))
+
+
+def _size_unit(term: Term) -> str:
+    """Return the SI unit of a cause's sizes; all sizes of a cause have the same."""
+    return next(parameter.unit for parameter in term.parameters if parameter.role == "size")
+
+
+def _factor(name: str, place: str, unit: str, si_unit: str) -> float:
+    """Return the factor from a written unit to SI: the SI unit itself, or the one that is shown."""
+    shown_factor, shown_unit = display_unit(si_unit)
+    if unit == si_unit:
+        return 1.0
+    if unit == shown_unit:
+        return 1.0 / shown_factor
+    raise UsageError(
+        f"{name}: {place}: the unit is {unit[:20]!r}",
+        f"write the size in {si_unit} or {shown_unit}",
+    )

@@ -1,0 +1,66 @@
+"""Compare the output that a page prints with what a command really printed.
+
+Lines agree in words and order. Runs of spaces count as one. A number may differ by one unit of
+its last printed digit, because another processor rounds differently. In the page a line `...`
+stands for any lines, and `*` for any characters, for example in a file name with a date.
+"""
+
+import re
+from collections.abc import Sequence
+
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*[A-Za-z_])")
+SKIPPED = "..."
+ANY = "*"
+
+
+def first_difference(expected: str, printed: str) -> str:
+    """Return where the output differs from the page, or an empty text where it agrees.
+
+    Args:
+        expected: the block of the page.
+        printed: standard output of the commands above it.
+    """
+    wanted, lines = _lines(expected), _lines(printed)
+    position, may_skip = 0, False
+    for line in wanted:
+        if line == SKIPPED:
+            may_skip = True
+            continue
+        reach = range(position, len(lines) if may_skip else min(position + 1, len(lines)))
+        match = next((k for k in reach if lines_agree(line, lines[k])), None)
+        if match is None:
+            shown = lines[position] if position < len(lines) else "nothing more"
+            return f"the page has {line!r}, the command printed {shown!r}"
+        position, may_skip = match + 1, False
+    if position < len(lines) and not may_skip:
+        return f"the command printed {lines[position]!r} too"
+    return ""
+
+
+def lines_agree(expected: str, printed: str) -> bool:
+    """Return whether one line agrees with another: words exactly, numbers by tolerance."""
+    if not re.fullmatch(_pattern(expected), printed):
+        return False
+    if ANY in expected:
+        return True
+    pairs = zip(_NUMBER.findall(expected), _NUMBER.findall(printed), strict=True)
+    return all(_numbers_agree(wanted, found) for wanted, found in pairs)
+
+
+def _lines(text: str) -> Sequence[str]:
+    return [" ".join(line.split()) for line in text.splitlines() if line.strip()]
+
+
+def _pattern(line: str) -> str:
+    """Return a regular expression for a line, with any number where it has a number."""
+    pieces = [re.escape(piece).replace(re.escape(ANY), ".*") for piece in _NUMBER.split(line)]
+    return _NUMBER.pattern.join(pieces)
+
+
+def _numbers_agree(wanted: str, found: str) -> bool:
+    mantissa, _, exponent = wanted.partition("e")
+    decimals = len(mantissa.partition(".")[2])
+    last_digit = 10.0 ** (int(exponent or 0) - decimals)
+    if wanted == found:
+        return True
+    return "." in mantissa and abs(float(wanted) - float(found)) <= 1.001 * last_digit

@@ -1,0 +1,67 @@
+"""The search goes on without candidates whose fit does not converge; the best model is kept."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from gyrorig_solver.discover import cause_search
+from gyrorig_solver.discover.fit_explanation import explain_fit
+from gyrorig_solver.discover.model_evidence import best_model
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.trust_region import Convergence
+from gyrorig_solver.pipeline.prepare_board import fit_base_model
+
+HIDDEN = "backlash@tilt:0.0015"
+WITHOUT = Convergence(False, 40, 9.0, "backlash.gap.tilt", 2.0)
+
+
+@pytest.fixture(scope="module")
+def base(hidden: Callable[..., Any]) -> ConvergedFit:
+    session = hidden(HIDDEN)
+    return fit_base_model([session.recording], session.board)
+
+
+@pytest.fixture(scope="module")
+def named(base: ConvergedFit) -> ConvergedFit:
+    return cause_search.search_causes(base).solution
+
+
+def test_the_cause_is_named_where_its_fit_converges(named: ConvergedFit) -> None:
+    assert [one.term.cause for one in named.fitted_terms] == ["backlash"]
+    assert named.converged
+
+
+def test_a_candidate_whose_fit_does_not_converge_is_left_out(
+    base: ConvergedFit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refit(
+        previous: ConvergedFit, fitted_terms: Sequence[FittedTerm], *limits: int
+    ) -> ConvergedFit:
+        found = refit_with_terms(previous, fitted_terms, *limits)
+        has_backlash = any(one.term.cause == "backlash" for one in fitted_terms)
+        return replace(found, convergence=WITHOUT) if has_backlash else found
+
+    monkeypatch.setattr(cause_search, "refit_with_terms", refit)
+    found = explain_fit(base, "GY80-1")
+    assert "backlash" not in [one.term.cause for one in found.findings.causes]
+    assert found.solution_extended.converged
+    assert any(
+        text.startswith("backlash was left out") and "backlash.gap.tilt" in text
+        for text in found.remarks
+    )
+
+
+def test_the_best_visited_model_is_the_answer(base: ConvergedFit, named: ConvergedFit) -> None:
+    assert best_model(base, [base, named]) is named
+    assert best_model(named, [base]) is named
+    assert best_model(base, [replace(named, convergence=WITHOUT)]) is base
+
+
+def test_a_cause_of_no_effect_does_not_lead(base: ConvergedFit, named: ConvergedFit) -> None:
+    kept = named.fitted_terms[0]
+    idle = replace(kept, values=0.0 * kept.values)
+    same = replace(named, fitted_terms=(idle,), sessions=base.sessions, estimate=base.estimate)
+    assert best_model(base, [same]) is base

@@ -1,0 +1,144 @@
+"""A fleet in which something is hidden: told, and nothing else; and its page's data."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.bench.fleet.parts import ERROR
+from tests.bench.synthetic_fleet import FleetPlan, write_fleet
+
+from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_solver.cli import run
+from gyrorig_solver.fleet.drift.fleet_overview import (
+    PARAMETER_COLUMNS,
+    build_overview,
+    read_origins,
+)
+from gyrorig_solver.fleet.page.alerts import fleet_alerts
+from gyrorig_solver.fleet.page.fleet_page import write_fleet_page
+from gyrorig_solver.fleet.page.history_scripts import history_shard
+
+SLOPES = {"bias_x": 1e-3, "bias_z": -4e-4}
+
+
+def reported_alerts(tmp_path: Path, **hidden: Any) -> list[tuple[str, str]]:
+    store = tmp_path / "store"
+    table = write_fleet(store, FleetPlan(temperature_per_c=SLOPES, **hidden))
+    return [
+        (item.kind, item.finding)
+        for item in fleet_alerts(build_overview(store, read_origins(table)))
+    ]
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_a_fleet_without_faults_has_no_alerts(tmp_path: Path, seed: int) -> None:
+    assert reported_alerts(tmp_path, seed=seed) == []
+
+
+def test_a_drifting_rig_is_reported_without_its_boards(tmp_path: Path) -> None:
+    (item,) = reported_alerts(tmp_path, rig_drift=(3, "misalignment_x", 20, 1.5e-4))
+    assert item[0] == "rig"
+    assert item[1].startswith("rig-3: misalignment.x has shifted by +0.0")
+    assert item[1].endswith(" deg")
+
+
+def test_a_bad_lot_is_reported_without_its_rigs(tmp_path: Path) -> None:
+    (item,) = reported_alerts(tmp_path, bad_lot=(2, "scale_z", 0.015))
+    assert item[0] == "lot"
+    assert "lot-2 differs in scale.z" in item[1]
+
+
+def test_a_wrong_constant_is_reported_as_common(tmp_path: Path) -> None:
+    (item,) = reported_alerts(
+        tmp_path, constant=("scale_y", 16.0 / (900.0 * np.pi / 180.0) * 2 - 1.9)
+    )
+    assert item[0] == "constant"
+    assert "scale.y is off by +0.13" in item[1]
+
+
+def test_a_drifting_board_and_an_outlier_are_reported_by_name(tmp_path: Path) -> None:
+    result = reported_alerts(
+        tmp_path, board_drift=(17, "scale_y", 15, 4e-4), odd_board=(33, "scale_x", 0.08)
+    )
+    assert [kind for kind, _ in result] == ["drift", "odd"]
+    assert "B000017" in result[0][1]
+    assert "B000033" in result[1][1]
+
+
+def test_a_store_without_calibrations_is_not_an_error(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    write_fleet(store, FleetPlan(boards=2, nights=1, measured=0.0))
+    result = build_overview(store)
+    assert fleet_alerts(result) == []
+    assert Path(write_fleet_page(store, result)).is_file()
+
+
+def script(path: Path, function: str) -> list[Any]:
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith(f"{function}(")
+    return list(json.loads("[" + text[len(function) + 1 : -3] + "]"))
+
+
+def test_the_page_contains_every_board_and_its_history(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    table = write_fleet(store, FleetPlan(boards=40, nights=6))
+    assert run(["fleet", str(store), "--boards", str(table)]) == 0
+    folder = store / "fleet"
+    (data,) = script(folder / "data.js", "FLEET")
+    boards = data["boards"]
+    assert len(boards["id"]) == 40
+    assert {len(column) for column in boards["value"].values()} == {40}
+    assert data["up"] == "../"
+    assert boards["file"][0].startswith("calib/")
+    shard, history = script(folder / "history" / f"{history_shard('B000005')}.js", "HISTORY")
+    assert shard == history_shard("B000005")
+    item = history["B000005"]
+    version, seconds, temperature, *values = item["points"][-1]
+    assert version == boards["version"][5]
+    assert (seconds > 1.7e9, 15.0 < temperature < 35.0) == (True, True)
+    assert len(values) == len(item["std"]) == len(item["shrunk"]) == len(PARAMETER_COLUMNS)
+    assert all(0.0 < std < 1e-3 for std in item["std"])
+
+
+def test_a_hostile_name_cannot_end_a_script(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    write_fleet(store, FleetPlan(boards=10, nights=2))
+    table = tmp_path / "boards.csv"
+    table.write_text("board,lot\nB000001,</script><script>alert(1)\n", encoding="utf-8")
+    write_fleet_page(store, build_overview(store, read_origins(table)))
+    text = (store / "fleet" / "data.js").read_text(encoding="utf-8")
+    assert "</script" not in text
+    assert "alert(1)" in text
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"\xff\xfe", "not text"),
+        (b"a,b\n1,2\n", "no column board"),
+        (b"board\n../x\n", "not a valid board name"),
+    ],
+)
+def test_invalid_tables_are_refused(tmp_path: Path, content: bytes, words: str) -> None:
+    (tmp_path / "t.csv").write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        read_origins(tmp_path / "t.csv")
+
+
+def test_a_missing_table_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="cannot be read"):
+        read_origins(tmp_path / "t.csv")
+
+
+def test_uncertain_parameters_are_reported_as_prior_dominated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(ERROR, "time", 1e-2)  # ten times what boards differ by
+    (item,) = reported_alerts(tmp_path, seed=21)
+    assert item[0] == "prior"
+    assert item[1] == (
+        "the calibrations of 200 of 200 L3G4200D determine time_offset worse than the fleet's mean "
+        "does"
+    )

@@ -1,0 +1,92 @@
+"""What lots, rigs and sites are like, beside numpy; in JSON and among the page's data."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.unit.fleet.conftest import row
+from tests.unit.fleet.test_fleet_overview import script
+
+from gyrorig_solver.calibration.calibration_store import create_sharded_store
+from gyrorig_solver.cli import run
+from gyrorig_solver.fleet.store.folder_journal import FolderJournal
+from gyrorig_solver.fleet.store.store_index import StoreIndex
+
+STD = 1e-3
+LOTS = {"lot-a": 24, "lot-b": 20, "lot-c": 5}
+VALUES = {
+    name: np.random.default_rng(41 + index).normal(1.0 + 0.02 * index, 2e-3, count)
+    for index, (name, count) in enumerate(LOTS.items())
+}
+
+
+@pytest.fixture
+def fleet_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """Two lots of different mean, and one of too few boards, as `gyrorig fleet --json` has them."""
+    create_sharded_store(tmp_path / "store")
+    rows, lines = [], ["board,lot,site"]
+    for lot, values in VALUES.items():
+        for index, value in enumerate(values):
+            board = f"{lot}-{index}"
+            parameters = {"scale_x": float(value), "scale_x_std": STD}
+            rows.append(row(board, board=board, sensor="S", rig="r", parameters=parameters))
+            lines.append(f"{board},{lot},")
+    later = "2026-02-01T02:30:00Z"
+    rows.append(row("bad", board="lot-a-3", status="rejected", created=later, rig="r"))
+    with FolderJournal(tmp_path / "store", "night") as journal:
+        journal.add(rows)
+    StoreIndex(tmp_path / "store").merge_abandoned_journals()
+    (tmp_path / "boards.csv").write_text("\n".join(lines), encoding="utf-8")
+    command = ["fleet", str(tmp_path / "store"), "--boards", str(tmp_path / "boards.csv"), "--json"]
+    assert run(command) == 0
+    found_: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found_
+
+
+def groups(fleet_json: dict[str, Any], kind: str) -> dict[str, Any]:
+    return {item["name"]: item for item in fleet_json["groups"] if item["kind"] == kind}
+
+
+def test_mean_and_spread_of_each_lot_agree_with_numpy(fleet_json: dict[str, Any]) -> None:
+    entries = groups(fleet_json, "lot")
+    assert list(entries) == ["lot-a", "lot-b"]  # five boards say next to nothing of a spread
+    for name, item in entries.items():
+        values = VALUES[name]
+        scale = item["parameters"]["scale_x"]
+        assert (item["sensor"], item["boards"], scale["count"]) == ("S", LOTS[name], LOTS[name])
+        assert scale["mean"] == pytest.approx(np.mean(values), rel=1e-9)
+        spread = np.sqrt(np.var(values, ddof=1) - STD**2)
+        assert scale["spread"] == pytest.approx(spread, rel=1e-5)
+        std = np.std(values, ddof=1) / np.sqrt(values.size)
+        assert scale["mean_std"] == pytest.approx(std, rel=1e-5)
+
+
+def test_the_difference_of_a_lot_agrees_with_numpy(fleet_json: dict[str, Any]) -> None:
+    """By the variance within all lots, as in an analysis of variance."""
+    within = sum(float(((v - v.mean()) ** 2).sum()) for v in VALUES.values())
+    variance = within / (sum(LOTS.values()) - len(LOTS))
+    for name, item in groups(fleet_json, "lot").items():
+        own = VALUES[name]
+        others = np.concatenate([v for other, v in VALUES.items() if other != name])
+        z = (own.mean() - others.mean()) / np.sqrt(variance * (1 / own.size + 1 / others.size))
+        assert item["parameters"]["scale_x"]["z"] == pytest.approx(z, rel=1e-5)
+        assert abs(z) > 10.0
+
+
+def test_a_single_rig_has_no_z_and_boards_have_their_latest_status(
+    fleet_json: dict[str, Any],
+) -> None:
+    assert groups(fleet_json, "site") == {}
+    (rig,) = groups(fleet_json, "rig").values()
+    assert rig["parameters"]["scale_x"]["z"] is None
+    assert rig["boards"] == sum(LOTS.values())
+    assert rig["states"] == {"ok": sum(LOTS.values()) - 1, "rejected": 1}
+    assert groups(fleet_json, "lot")["lot-b"]["states"] == {"ok": LOTS["lot-b"]}
+
+
+def test_the_page_has_the_same_groups(fleet_json: dict[str, Any], tmp_path: Path) -> None:
+    (data,) = script(tmp_path / "store" / "fleet" / "data.js", "FLEET")
+    for there, selected in zip(data["groups"], fleet_json["groups"], strict=True):
+        assert {key: there[key] for key in selected} == selected

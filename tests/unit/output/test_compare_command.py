@@ -1,0 +1,94 @@
+"""`gyrorig compare`: a calibration compared with true values or with another calibration."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from gyrorig_solver import cli
+
+ROOT = Path(__file__).parents[3]
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a recording, its true values and two versions of its calibration."""
+    folder = tmp_path_factory.mktemp("compare")
+    record = [
+        *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time"),
+        *("--config", str(ROOT / "config" / "rig.yaml")),
+        *("--program", str(ROOT / "config" / "programs" / "quick.yaml")),
+        *("--out", str(folder), "--truth", str(folder / "truth.yaml")),
+    ]
+    subprocess.run(record, check=True, capture_output=True)
+    (recording,) = folder.glob("*.mcap")
+    for _ in range(2):
+        assert cli.run(["solve", str(recording), "--out", str(folder / "calibrations")]) == 0
+    return folder
+
+
+def calibration(session: Path, version: int = 1) -> str:
+    (board,) = (session / "calibrations").iterdir()
+    return str(board / f"v{version:04d}.yaml")
+
+
+def test_every_parameter_is_compared_with_its_true_value(session: Path, capsys: Captured) -> None:
+    capsys.readouterr()
+    assert cli.run(["compare", calibration(session), str(session / "truth.yaml")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    names = [line.split()[0] for line in lines[2:15]]
+    assert names[:4] == ["bias.x", "bias.y", "bias.z", "scale.x"]
+    assert names[-1] == "time_offset"
+    assert all(line.rstrip(" !").endswith(" u") for line in lines[2:15])
+    assert "13 of 13 by at most 3.5 u" in lines[-1]
+
+
+def test_the_object_has_the_numbers_of_the_table(session: Path, capsys: Captured) -> None:
+    capsys.readouterr()
+    arguments = ["compare", calibration(session), str(session / "truth.yaml"), "--json"]
+    assert cli.run(arguments) == 0
+    result = json.loads(capsys.readouterr().out)
+    truth = yaml.safe_load((session / "truth.yaml").read_text(encoding="utf-8"))
+    board = truth["boards"][result["board"]]
+    bias = result["parameters"][0]
+    assert bias["truth"] == pytest.approx(57.29577951 * board["mean_bias_rad_s"][0])
+    assert bias["sigmas"] == pytest.approx((bias["found"] - bias["truth"]) / bias["std"])
+
+
+def test_a_changed_value_is_marked(session: Path, tmp_path: Path, capsys: Captured) -> None:
+    truth = yaml.safe_load((session / "truth.yaml").read_text(encoding="utf-8"))
+    for board in truth["boards"].values():
+        board["mean_bias_rad_s"][0] += 0.01
+    changed = tmp_path / "truth.yaml"
+    changed.write_text(yaml.safe_dump(truth), encoding="utf-8")
+    capsys.readouterr()
+    assert cli.run(["compare", calibration(session), str(changed)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2].startswith("  bias.x")
+    assert lines[2].endswith("u !")
+
+
+def test_two_versions_of_one_recording_agree(session: Path, capsys: Captured) -> None:
+    capsys.readouterr()
+    assert cli.run(["compare", calibration(session), calibration(session, 2), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["compared_with"] == "other"
+    assert all(row["sigmas"] == 0.0 for row in result["parameters"])
+
+
+@pytest.mark.parametrize("kind", ["rig", "text", "missing"])
+def test_another_kind_of_file_is_refused_in_one_line(
+    session: Path, tmp_path: Path, capsys: Captured, kind: str
+) -> None:
+    given = {"rig": ROOT / "config" / "rig.yaml", "missing": tmp_path / "none.yaml"}
+    text = tmp_path / "text.yaml"
+    text.write_text("just words\n", encoding="utf-8")
+    capsys.readouterr()
+    assert cli.run(["compare", calibration(session), str(given.get(kind, text))]) == 3
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "Traceback" not in error

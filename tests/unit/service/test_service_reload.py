@@ -1,0 +1,121 @@
+"""The service process: which configuration is in force if ports cannot be opened."""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gyrorig_daemon.links.ports.port_hub import PortsGoneError
+from gyrorig_daemon.service import service_process
+from gyrorig_daemon.service.service_context import OperatorRequests, ServiceContext
+from gyrorig_daemon.service.service_loop import LoopExit
+from gyrorig_daemon.service.systemd_notifier import SystemdNotifier
+from gyrorig_protocol.errors import BusyError, UsageError
+
+RIG = (
+    "rig: NAME\nptu: {port: emulated, baud: 115200}\n"
+    "boards: [{id: B-1, port: emulated, baud: 460800}]\n"
+)
+Turn = Callable[["Scripted"], LoopExit]
+
+
+class Scripted(service_process.ServiceProcess):
+    """The process without ports: each opening does what the next turn says."""
+
+    def __init__(self, folder: Path, turns: list[Turn], refused: tuple[str, ...] = ()) -> None:
+        self.config = folder / "rig.yaml"
+        self.write("first")
+        self.turns, self.refused = turns, refused
+        self.opened: list[str] = []
+        self.orders = OperatorRequests()
+        call = service_process.ServiceOptions(self.config, folder / "state", folder / "s")
+        super().__init__(call, self.orders, SystemdNotifier(None))
+
+    def write(self, name: str) -> None:
+        self.config.write_text(RIG.replace("NAME", name))
+
+    def reload(self, name: str) -> LoopExit:
+        self.write(name)
+        assert self._reload_config() == ""
+        return LoopExit.REOPEN
+
+    @contextmanager
+    def _open_rig(self) -> Iterator[Any]:
+        self.opened.append(self._config.config.rig)
+        if self._config.config.rig in self.refused:
+            raise UsageError("/dev/x (ptu) cannot be used", "mend it")
+        yield self
+
+
+class Loop:
+    """In place of the daemon's loop."""
+
+    def __init__(self, service: Scripted, parts: ServiceContext) -> None:
+        assert parts.config_text == service.config.read_bytes() or service.refused
+        self._service = service
+
+    def run(self) -> LoopExit:
+        return self._service.turns.pop(0)(self._service)
+
+
+@pytest.fixture
+def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    monkeypatch.setattr(service_process, "ServiceLoop", Loop)
+    monkeypatch.setattr(service_process, "REOPEN_DELAY_S", 0.01)
+    with tempfile.TemporaryDirectory() as made:
+        yield Path(made)
+
+
+def end(_: Scripted) -> LoopExit:
+    return LoopExit.END
+
+
+def lose(_: Scripted) -> LoopExit:
+    raise PortsGoneError("the acquisition process ended")
+
+
+def test_a_reload_opens_the_new_rig(folder: Path) -> None:
+    service = Scripted(folder, [lambda s: s.reload("second"), end])
+    service.run()
+    assert service.opened == ["first", "second"]
+
+
+def test_ports_that_cannot_be_opened_bring_the_old_rig_back(folder: Path) -> None:
+    turns: list[Turn] = [lambda s: s.reload("bad"), lambda s: s.reload("third"), end]
+    service = Scripted(folder, turns, ("bad",))
+    service.run()
+    assert service.opened == ["first", "bad", "first", "third"]
+    assert service._counts.reloads_refused == 1
+
+
+def test_a_lost_acquisition_process_is_replaced_for_ever(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    turns: list[Turn] = [lose, lose, lose, lose, lose, end]
+    service = Scripted(folder, turns)
+    service.run()
+    assert service._counts.acquisition_restarts == 5
+    assert capsys.readouterr().err.count("The ports are opened again") == 5
+
+
+def test_a_port_that_is_taken_later_is_waited_for_and_at_the_start_it_is_not(folder: Path) -> None:
+    def taken(_: Scripted) -> LoopExit:
+        raise BusyError("/dev/x (ptu) is busy")
+
+    Scripted(folder, [taken, taken, end]).run()
+    service = Scripted(folder, [], ("first",))
+    with pytest.raises(UsageError, match="cannot be used"):
+        service.run()
+
+
+def test_told_to_end_while_nothing_can_be_opened(folder: Path) -> None:
+    def end_then_lose(service: Scripted) -> LoopExit:
+        service.orders.request_termination("SIGTERM")
+        raise PortsGoneError("the acquisition process ended")
+
+    service = Scripted(folder, [end_then_lose])
+    service.run()
+    assert service.opened == ["first"]

@@ -1,0 +1,114 @@
+"""The trust-region iteration: gain ratio, damping, and the parameter that still moves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.trust_region import (
+    MAX_INCREASE_NATS,
+    NEGLIGIBLE_NATS,
+    Convergence,
+    NotConvergedError,
+    ProposedStep,
+    minimise,
+)
+
+MANY = 60
+
+
+@dataclass
+class Rosenbrock:
+    """A curved valley, in nats; its Gauss-Newton steps are too long at first."""
+
+    x: FloatArray
+    parameter_names: tuple[str, ...] = ("along", "across")
+    rejected: int = 0
+    wrong_slope: float = 1.0  # factor of the derivatives by the first parameter
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        return np.array([1e2 * (x[1] - x[0] ** 2), 1e1 * (1.0 - x[0])])
+
+    def jacobian(self) -> FloatArray:
+        exact = np.array([[-2e2 * self.x[0], 1e2], [-1e1, 0.0]])
+        return np.asarray(exact * np.array([self.wrong_slope, 1.0]), dtype=np.float64)
+
+    def propose(self, damping: float) -> ProposedStep:
+        jacobian, residual = self.jacobian(), self.residual(self.x)
+        information, score = jacobian.T @ jacobian, -jacobian.T @ residual
+        damped = information + damping * np.diag(np.diag(information))
+        step = np.asarray(np.linalg.solve(damped, score), dtype=np.float64)
+        predicted = float(score @ step - 0.5 * step @ information @ step)
+        sigma = np.sqrt(np.diag(np.linalg.inv(information)))
+        return ProposedStep(step, (), predicted, step / sigma)
+
+    def evaluate(self, proposal: ProposedStep) -> float:
+        self.trial = self.x + proposal.step
+        before, after = self.residual(self.x), self.residual(self.trial)
+        decrease = 0.5 * float(before @ before - after @ after)
+        self.rejected += decrease < 0.0
+        return decrease
+
+    def accept(self, new_derivatives: bool) -> None:
+        assert new_derivatives in (True, False)
+        self.x = self.trial
+
+    def renew_derivatives(self) -> bool:
+        return False
+
+    def finish(self, proposal: ProposedStep) -> None:
+        self.x = self.x + proposal.step
+
+
+def test_steps_that_raise_the_objective_are_rejected() -> None:
+    problem = Rosenbrock(np.array([-1.2, 1.0]))
+    found = minimise(problem, MANY)
+    assert found.converged
+    assert problem.rejected > 0
+    np.testing.assert_allclose(problem.x, [1.0, 1.0], atol=1e-4)
+    assert found.remaining_nats < NEGLIGIBLE_NATS
+
+
+def test_full_steps_that_hold_what_they_predict_are_gauss_newton() -> None:
+    problem = Rosenbrock(np.array([0.98, 0.97]))
+    plain = problem.x.copy()
+    for _ in range(2):
+        plain = plain + Rosenbrock(plain).propose(0.0).step
+    found = minimise(problem, MANY)
+    assert found.converged
+    assert problem.rejected == 0
+    np.testing.assert_allclose(problem.x, plain, atol=1e-9)
+
+
+def test_limit_on_evaluations_names_the_parameter_that_still_moves() -> None:
+    problem = Rosenbrock(np.array([-1.2, 1.0]))
+    found = minimise(problem, 3)
+    assert not found.converged
+    full = problem.propose(0.0)
+    assert found.moving == problem.parameter_names[int(np.argmax(np.abs(full.sigmas)))]
+    assert found.moving_sigma == pytest.approx(full.size_sigma)
+    assert found.moving in found.reason
+
+
+def test_derivatives_of_the_wrong_sign_never_converge() -> None:
+    problem = Rosenbrock(np.array([0.5, 0.25]), wrong_slope=-1.0)
+    before = problem.residual(problem.x)
+    found = minimise(problem, MANY)
+    assert not found.converged
+    after = problem.residual(problem.x)
+    assert 0.5 * (after @ after - before @ before) < MAX_INCREASE_NATS
+
+
+def test_refusal_is_one_line_with_the_parameter_and_the_remedy() -> None:
+    refusal = NotConvergedError(
+        Convergence(False, 40, 7.0, "base_speed_jump.speed.pan", 3.25), "leave out a cause"
+    )
+    assert isinstance(refusal, InputError)
+    assert refusal.exit_code == 3
+    assert refusal.moving == "base_speed_jump.speed.pan"
+    assert str(refusal) == (
+        "the fit did not converge in 40 steps, and base_speed_jump.speed.pan still moves by 3.2 "
+        "standard deviations. Leave out a cause."
+    )

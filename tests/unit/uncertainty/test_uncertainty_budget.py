@@ -1,0 +1,185 @@
+"""The budget of a fit to an emulated session with a hidden cause."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from gyrorig_daemon.cli import run
+from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS, CalibrationValues
+from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.gain_matrix import factorise
+from gyrorig_solver.pipeline.board_data import load_board
+from gyrorig_solver.pipeline.prepare_board import fit_base
+from gyrorig_solver.uncertainty import uncertainty_budget
+from gyrorig_solver.uncertainty.prior_effects import unidentified_causes, whitened_effects
+from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
+from gyrorig_solver.uncertainty.uncertainty_settings import (
+    PriorSize,
+    UncertaintySettings,
+    default_settings,
+)
+
+ROOT = Path(__file__).resolve().parents[3]
+Y = CALIBRATION_PARAMETERS.index("misalignment.y")
+
+
+@dataclass(frozen=True)
+class Session:
+    """A recording, its base fit, and the true factors of the sensor matrix."""
+
+    recording: Recording
+    fit: ConvergedFit
+    true_factors: FloatArray  # (9,)
+
+
+def emulate(folder: Path, program: str, *hide: str) -> Session:
+    """Record a program on an emulated rig, and fit the base model."""
+    truth = folder / "truth.json"
+    run(
+        ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
+         str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", str(folder),
+         "--simulated-time", "--seed", "21", "--truth", str(truth),
+         *(word for cause in hide for word in ("--hide", cause))]
+    )  # fmt: skip
+    recording = read_recording(next(folder.glob("*.mcap")))
+    board = str(recording.board_ids[0])
+    gain = np.array(json.loads(truth.read_text())["boards"][board]["STM"])
+    fit = fit_base(load_board([recording], board))
+    return Session(recording, fit, np.asarray(factorise(gain).as_vector()))
+
+
+@pytest.fixture(scope="module")
+def leaning(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """Axes that are 1.3 mrad from perpendicular; the search does not find it in this motion."""
+    folder = tmp_path_factory.mktemp("leaning")
+    return emulate(folder, "survey-130", "axis_nonorthogonality:0.0013")
+
+
+@pytest.fixture(scope="module")
+def resting(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """A board that does not turn."""
+    return emulate(tmp_path_factory.mktemp("resting"), "static")
+
+
+def only(**sizes: float) -> UncertaintySettings:
+    """Return settings in which only these causes have a prior size."""
+    priors = {cause: PriorSize(size, 1.0) for cause, size in sizes.items()}
+    return replace(default_settings(), prior_sizes=MappingProxyType(priors))
+
+
+@pytest.fixture(scope="module")
+def budget(leaning: Session) -> UncertaintyBudget:
+    """Of the base fit, with the shipped settings."""
+    return assess_uncertainty(leaning.fit)
+
+
+def test_the_total_covers_an_error_that_the_noise_does_not(
+    leaning: Session, budget: UncertaintyBudget
+) -> None:
+    calibration = CalibrationValues.of(leaning.fit)
+    error = calibration.values[:9] - leaning.true_factors
+    noise = calibration.std[:9]
+    total = np.hypot(noise, budget.std[:9])
+    assert np.max(np.abs(error / noise)) > 20.0
+    assert np.max(np.abs(error / total)) < 2.0
+
+
+def test_the_cause_is_the_largest_contribution(budget: UncertaintyBudget) -> None:
+    largest = max(budget.entries, key=lambda entry: entry.std[Y])
+    assert largest.term.cause == "axis_nonorthogonality"
+    assert largest.std[Y] <= budget.std[Y] * 1.5
+
+
+def test_a_prior_of_zero_adds_nothing(leaning: Session) -> None:
+    assert assess_uncertainty(leaning.fit, only(axis_nonorthogonality=0.0)).std == pytest.approx(0)
+
+
+def test_a_tilt_zero_adds_its_prior_to_the_misalignment(leaning: Session) -> None:
+    std = assess_uncertainty(leaning.fit, only(tilt_zero=0.004)).std
+    x = CALIBRATION_PARAMETERS.index("misalignment.x")
+    assert std[x] == pytest.approx(0.004, rel=0.03)  # of the stage's axis, not the sensor's
+    assert np.max(std[:6]) < 1e-4
+
+
+def test_a_cause_that_the_data_exclude_adds_next_to_nothing(leaning: Session) -> None:
+    """A step of the clock of 0.1 s would be seen at once."""
+    small, large = (
+        assess_uncertainty(leaning.fit, only(clock_skew=size)).covariance for size in (0.01, 0.1)
+    )
+    noise = CalibrationValues.of(leaning.fit).std ** 2
+    assert np.diag(large) == pytest.approx(np.diag(small), rel=1e-3, abs=1e-12)
+    assert np.all(np.diag(large) < 0.3 * noise)
+
+
+def test_the_covariance_is_that_of_a_dense_ridge_fit(leaning: Session) -> None:
+    """All unknowns of the fit and the causes in one dense matrix, with all priors as rows."""
+    projector = NuisanceProjector.at_fit(leaning.fit)
+    settings = only(axis_nonorthogonality=0.003, tilt_sag=0.002, scale_cubic=1e-4, dead_zone=2e-3)
+    causes = unidentified_causes(projector, (), settings)
+    effects = whitened_effects(projector, causes).dense()
+    local, base, prior = projector._local.toarray(), projector._basis, projector._prior
+    information = np.block([[prior.local.toarray(), prior.cross], [prior.cross.T, prior.shared]])
+    known = local.shape[0] + base.shape[0]
+    rows = np.vstack([local, base, effects])
+    normal = rows @ rows.T + np.diag([0.0] * known + [1.0] * len(effects))
+    normal[:known, :known] += information
+    scale = np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    alone = normal[:known, :known] / np.outer(scale[:known], scale[:known])
+    noise_only = np.linalg.inv(alone) / np.outer(scale[:known], scale[:known])
+    first = local.shape[0]
+    added = (covariance[:known, :known] - noise_only)[first : first + 13, first : first + 13]
+    jacobian = CalibrationValues.of(leaning.fit).jacobian
+    found = assess_uncertainty(leaning.fit, settings, projector)
+    assert np.diag(found.covariance) == pytest.approx(
+        np.diag(jacobian @ added @ jacobian.T), rel=1e-3, abs=1e-14
+    )
+
+
+def test_a_long_recording_gives_the_same_in_batches(
+    leaning: Session, budget: UncertaintyBudget, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(uncertainty_budget, "MAX_JOINT_VALUES", 70 * 38400)
+    batched = assess_uncertainty(leaning.fit)
+    assert batched.covariance == pytest.approx(budget.covariance, rel=1e-6, abs=1e-15)
+    assert batched.expected_error == pytest.approx(budget.expected_error, rel=1e-6, abs=1e-12)
+    for one, other in zip(batched.entries, budget.entries, strict=True):
+        assert one.std == pytest.approx(other.std, rel=1e-6, abs=1e-12)
+
+
+def test_fitted_sizes_take_no_part(leaning: Session) -> None:
+    projector = NuisanceProjector.at_fit(leaning.fit)
+    (backlash,) = unidentified_causes(projector, (), only(backlash=1e-3))
+    assert backlash.places == ("pan", "tilt") * len(backlash.templates)
+
+    class Fitted:
+        term = backlash.term
+        free_indices = np.array([0, 2])
+
+    (left,) = unidentified_causes(projector, (Fitted(),), only(backlash=1e-3))  # type: ignore[arg-type]
+    assert set(left.places) == {"tilt"}
+
+
+def test_a_board_at_rest_has_a_budget_of_its_bias(resting: Session) -> None:
+    std = assess_uncertainty(resting.fit).std
+    bias = [CALIBRATION_PARAMETERS.index(f"bias.{axis}") for axis in "xyz"]
+    assert np.all(np.isfinite(std))
+    assert np.all(std[bias] > 1e-4)  # g-sensitivity and warm-up, rad/s
+
+
+def test_a_recording_at_rest_takes_no_templates_from_the_others(
+    resting: Session, leaning: Session
+) -> None:
+    """Solved together, the templates come from the recording that has them."""
+    data = load_board([resting.recording, leaning.recording], str(leaning.recording.board_ids[0]))
+    together = assess_uncertainty(fit_base(data)).std
+    alone = assess_uncertainty(leaning.fit).std
+    assert together[Y] == pytest.approx(alone[Y], rel=0.5)
