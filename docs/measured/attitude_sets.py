@@ -106,4 +106,4 @@ def car_doubts(measured: Measured) -> str:
 
 def car_refused(measured: Measured) -> str:
     """What is no gyro data."""
-    return refusals(measured.done["car-imu-can"])
+    return refusals(measured.runs["car-imu-can"])

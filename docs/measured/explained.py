@@ -34,7 +34,7 @@ def findings_of(measured: Measured, name: str) -> FindingsDocument:
 
 def names(measured: Measured) -> list[str]:
     """The folders of all explain commands, in the order of the page."""
-    return [one.line.rpartition("/")[2] for one in measured.done[EXPLAINED]]
+    return [command.line.rpartition("/")[2] for command in measured.runs[EXPLAINED]]
 
 
 def causes(measured: Measured) -> str:

@@ -1,8 +1,8 @@
 """The commands of the page, run as a reader runs them, and what comes of them.
 
 What to use when: `measured_folder` for the folder of measurements; `run_all` imports, checks and
-solves every set in an empty folder and keeps what was said. The numbers of the page are read
-from the calibrations that it leaves there.
+solves every set in an empty folder and returns the output of each command. The numbers of the
+page are read from the calibrations that it leaves there.
 """
 
 import contextlib
@@ -129,13 +129,13 @@ def measured_folder() -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
-    """One command that was run."""
+class CommandRun:
+    """One command line with its exit status and texts."""
 
     line: str
     exit_code: int
-    said: str
-    complained: str  # on standard error
+    output: str
+    errors: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +161,7 @@ class Measured:
 
     data: Path
     folder: Path
-    done: Mapping[str, tuple[Done, ...]]
+    runs: Mapping[str, tuple[CommandRun, ...]]  # by set
 
     def calibration(self, board: str, version: int = 1) -> CalibrationDocument:
         """A version that `gyrorig solve` wrote."""
@@ -171,6 +171,14 @@ class Measured:
     def recordings(self) -> list[Path]:
         """The recordings that `gyrorig import` wrote."""
         return sorted(self.folder.glob("*.mcap"))
+
+    def documents(self) -> list[Path]:
+        """The calibrations and findings that `gyrorig solve` wrote to the store."""
+        return sorted((self.folder / STORE).rglob("*.yaml"))
+
+    def explanations(self) -> list[Path]:
+        """The findings that `gyrorig explain` wrote."""
+        return sorted((self.folder / EXPLAINED).rglob("*.yaml"))
 
     def load(self, name: str) -> Loaded:
         """Read a recording back."""
@@ -197,19 +205,19 @@ def run_all(
         folder: an empty one, for the recordings and the store.
         commands: by set.
     """
-    done = {}
+    runs = {}
     with contextlib.chdir(folder):
         for name, lines in commands.items():
-            done[name] = tuple(_run(line, data) for line in lines)
-    return Measured(data, folder, done)
+            runs[name] = tuple(_run(line, data) for line in lines)
+    return Measured(data, folder, runs)
 
 
-def _run(line: str, data: Path) -> Done:
+def _run(line: str, data: Path) -> CommandRun:
     words = [word.replace(f"${VARIABLE}", str(data)) for word in shlex.split(line)[1:]]
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = run(words)
-    return Done(line, code, out.getvalue(), err.getvalue())
+    return CommandRun(line, code, out.getvalue(), err.getvalue())
 
 
 def numbers_of(values: list[float | None] | float | None) -> FloatArray:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 from docs.markdown import number, table
-from docs.measured.sessions import EXPLAINED, Done, Measured
+from docs.measured.sessions import EXPLAINED, CommandRun, Measured
 
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import collapse_groups, value_std_pairs
@@ -15,30 +15,30 @@ MILLI = 1e3
 AXES = "xyz"
 
 
-def commands(done: Iterable[Done]) -> str:
+def commands(runs: Iterable[CommandRun]) -> str:
     """The command lines."""
-    return "\n".join(("```sh", *(one.line for one in done), "```"))
+    return "\n".join(("```sh", *(command.line for command in runs), "```"))
 
 
 def codes(measured: Measured) -> str:
     """The exit status of each command of each set."""
     rows = []
-    for name, done in measured.done.items():
+    for name, runs in measured.runs.items():
         if name == EXPLAINED:
             continue
         ended: dict[str, list[str]] = {"import": [], "check": [], "solve": []}
-        for one in done:
-            ended[one.line.split()[1]].append(str(one.exit_code))
+        for command in runs:
+            ended[command.line.split()[1]].append(str(command.exit_code))
         rows.append([f"`{name}`", *(", ".join(all_of) for all_of in ended.values())])
     return table(["data set", "exit codes of import", "of check", "of solve"], rows)
 
 
-def refusals(done: Iterable[Done]) -> str:
+def refusals(runs: Iterable[CommandRun]) -> str:
     """The commands that rejected their input, and their error messages."""
     rows = [
-        [f"`{_short(one.line)}`", str(one.exit_code), one.complained.strip()]
-        for one in done
-        if one.exit_code == 3
+        [f"`{_short(command.line)}`", str(command.exit_code), command.errors.strip()]
+        for command in runs
+        if command.exit_code == 3
     ]
     return table(["command", "exit code", "message"], rows)
 
@@ -58,7 +58,7 @@ def findings(columns: Mapping[str, CalibrationDocument]) -> str:
             for title, calibration in columns.items()
         }
         for at, label in enumerate(group.labels):
-            cells = [_cell(*found[at], group.factor) for found in values.values()]
+            cells = [_cell(*pairs[at], group.factor) for pairs in values.values()]
             name = f"{group.name.replace('_', ' ')} {label}".strip()
             rows.append([name if group.unit == "1" else f"{name}, {group.unit}", *cells])
     rows.append(

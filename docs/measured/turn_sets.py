@@ -98,7 +98,7 @@ def _counted_rad(turn: Loaded, bias_rad_s: float) -> float:
 
 def serial_refused(measured: Measured) -> str:
     """The turns without the rest."""
-    return refusals(measured.done["mpu6050-serial-log"])
+    return refusals(measured.runs["mpu6050-serial-log"])
 
 
 def serial_untold(measured: Measured) -> str:

@@ -71,7 +71,7 @@ TABLES: dict[str, Callable[[Measured], str]] = {
 
 def blocks(measured: Measured) -> dict[str, Block]:
     """Every block of the page, for one run of the commands."""
-    lines = {f"{name}-commands": partial(tables.commands, measured.done[name]) for name in COMMANDS}
+    lines = {f"{name}-commands": partial(tables.commands, measured.runs[name]) for name in COMMANDS}
     return {**lines, **{name: partial(made, measured) for name, made in TABLES.items()}}
 
 

@@ -16,7 +16,9 @@ from docs.measured import held_out_moves, sessions, write
 from docs.measured.printed import IMU_TK
 
 from gyrorig_protocol.recording.reader import read_recording
+from gyrorig_solver.calibration.calibration_document import parse_calibration
 from gyrorig_solver.pipeline.fit_board import solve_recordings
+from gyrorig_solver.pipeline.solve_board import FINDINGS_SUFFIX
 
 DECIMAL = re.compile(r"\d+\.\d+")
 # The first of them runs every command.
@@ -36,32 +38,46 @@ def document() -> str:
 
 def test_the_exit_statuses_follow_the_contract(measured: sessions.Measured) -> None:
     refused = []
-    for done in measured.done.values():
-        for one in done:
-            assert one.exit_code in (CAN_SHOW_ALL, NOT_IDENTIFIABLE, REFUSED), one.complained
-            if one.exit_code == REFUSED:
-                refused.append(one)
-                assert len(one.complained.splitlines()) == 1
+    for runs in measured.runs.values():
+        for command in runs:
+            assert command.exit_code in (CAN_SHOW_ALL, NOT_IDENTIFIABLE, REFUSED), command.errors
+            if command.exit_code == REFUSED:
+                refused.append(command)
+                assert len(command.errors.splitlines()) == 1
             else:
-                assert one.complained == ""
+                assert command.errors == ""
     # The two that the page shows: no gyro in it, and no rest for the bias.
-    assert ["can_frames" in one.line for one in refused] == [False, True]
-    assert "the board never rests" in refused[0].complained
+    assert ["can_frames" in command.line for command in refused] == [False, True]
+    assert "the board never rests" in refused[0].errors
 
 
 def test_what_they_write_keeps_the_contracts(
     measured: sessions.Measured, contract_judge: Path
 ) -> None:
-    recordings = measured.recordings()
-    results = sorted((measured.folder / sessions.STORE).rglob("*.yaml"))
-    assert (len(recordings), len(results)) == (14, 12)
+    recordings, documents = measured.recordings(), measured.documents()
+    explanations = measured.explanations()
+    findings = [path for path in documents if path.name.endswith(FINDINGS_SUFFIX)]
+    # 12 calibrations; the four from known turns or gravity are not searched for causes.
+    assert (len(recordings), len(documents), len(findings)) == (14, 20, 8)
+    assert len(explanations) == len(sessions.COMMANDS[sessions.EXPLAINED])
     judged = subprocess.run(
-        [sys.executable, contract_judge, *recordings, *results],
+        [sys.executable, contract_judge, *recordings, *documents, *explanations],
         capture_output=True,
         text=True,
         check=False,
     )
     assert judged.returncode == 0, judged.stdout + judged.stderr
+
+
+def test_a_calibration_names_the_findings_beside_it(measured: sessions.Measured) -> None:
+    for path in measured.documents():
+        if path.name.endswith(FINDINGS_SUFFIX):
+            continue
+        findings = path.with_name(path.stem + FINDINGS_SUFFIX)
+        reference = parse_calibration(path.read_bytes(), path.name).findings
+        assert (reference.file if reference else None) == (
+            findings.name if findings.exists() else None
+        )
 
 
 def test_every_block_is_in_the_page_once(measured: sessions.Measured, document: str) -> None:
@@ -76,9 +92,9 @@ def test_blocks_are_what_the_commands_give(measured: sessions.Measured, document
     Less than any of the standard deviations beside them.
     """
     pytest.importorskip("imucal")
-    kept = blocks.bodies(document)
+    printed = blocks.bodies(document)
     for name, block in write.blocks(measured).items():
-        assert blocks.unlike(kept[name], block() + "\n", 0.01, 3.0) == "", name
+        assert blocks.unlike(printed[name], block() + "\n", 0.01, 3.0) == "", name
 
 
 def test_decimals_in_prose_stand_in_a_block_too(document: str) -> None:
@@ -112,7 +128,7 @@ def test_imu_tk_method_run_here_gives_what_its_program_printed(
 
 
 def test_without_the_data_the_script_says_what_to_do(tmp_path: Path) -> None:
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, str(Path(write.__file__)), "--check"],
         cwd=tmp_path,
         env={**os.environ, sessions.VARIABLE: str(tmp_path / "nowhere")},
@@ -120,7 +136,7 @@ def test_without_the_data_the_script_says_what_to_do(tmp_path: Path) -> None:
         text=True,
         check=False,
     )
-    assert done.returncode == 1
-    assert done.stderr.startswith("no measured data at")
-    assert "set GYRORIG_DATA" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    assert result.returncode == 1
+    assert result.stderr.startswith("no measured data at")
+    assert "set GYRORIG_DATA" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
