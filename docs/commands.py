@@ -49,9 +49,9 @@ def _walk(name: str, command: click.Command, parent: click.Context | None) -> It
         yield _described(name, command, context)
     if isinstance(command, click.Group):
         for inner in command.list_commands(context):
-            found = command.get_command(context, inner)
-            if found is not None and not found.hidden:
-                yield from _walk(f"{name} {inner}", found, context)
+            subcommand = command.get_command(context, inner)
+            if subcommand is not None and not subcommand.hidden:
+                yield from _walk(f"{name} {inner}", subcommand, context)
 
 
 def _described(name: str, command: click.Command, context: click.Context) -> Described:

@@ -142,33 +142,33 @@ def sensors() -> str:
         "| part | ranges, deg/s | deg/s/√Hz | zero rate, deg/s | per K | scale | cross-axis |",
         "|---|---|---|---|---|---|---|",
     ]
-    for one in profiles:
-        ranges = ", ".join(f"{r.full_scale_dps:g}" for r in one.ranges)
+    for profile in profiles:
+        ranges = ", ".join(f"{r.full_scale_dps:g}" for r in profile.ranges)
         out.append(
-            f"| [{one.sensor}](#{_anchor(one.sensor)}) | {ranges} | "
-            f"{_or(one.noise_density_dps_rthz)} | ±{_or(one.zero_rate_dps)} | "
-            f"{_or(one.zero_rate_per_kelvin_dps)} | "
-            f"{_percent(one.scale_tolerance)} | {_percent(one.cross_axis)} |"
+            f"| [{profile.sensor}](#{_anchor(profile.sensor)}) | {ranges} | "
+            f"{_or(profile.noise_density_dps_rthz)} | ±{_or(profile.zero_rate_dps)} | "
+            f"{_or(profile.zero_rate_per_kelvin_dps)} | "
+            f"{_percent(profile.scale_tolerance)} | {_percent(profile.cross_axis)} |"
         )
-    for one in profiles:
-        out += ["", f"## {one.sensor}", "", f"{_text(one.source)}.", ""]
+    for profile in profiles:
+        out += ["", f"## {profile.sensor}", "", f"{_text(profile.source)}.", ""]
         out += ["| range, deg/s | mdps/count |", "|---|---|"]
-        out += [f"| {r.full_scale_dps:g} | {r.sensitivity_mdps:.6g} |" for r in one.ranges]
-        out += [""] + [f"- {text}" for text in _further(one)]
+        out += [f"| {r.full_scale_dps:g} | {r.sensitivity_mdps:.6g} |" for r in profile.ranges]
+        out += [""] + [f"- {text}" for text in _further(profile)]
     return "\n".join([*out, ""])
 
 
-def _further(one: SensorProfile) -> Iterator[str]:
-    for entry in one.low_pass:
+def _further(profile: SensorProfile) -> Iterator[str]:
+    for entry in profile.low_pass:
         widths = ", ".join(f"{hz:g}" for hz in entry.bandwidth_hz)
         yield f"low-pass at {entry.odr_hz:g} Hz: {widths} Hz"
     for value, text in (
-        (one.bias_instability_dps_h, "bias instability {:g} deg/h"),
-        (one.scale_per_kelvin, "scale {:g} per K"),
-        (one.scale_over_temperature, "scale {:g} over the part's temperatures"),
-        (one.nonlinearity, "non-linearity {:g} of full scale"),
-        (one.g_sensitivity_dps_g, "g-sensitivity {:g} deg/s per g"),
-        (one.odr_tolerance, "output rate within {:g} of its nominal one"),
+        (profile.bias_instability_dps_h, "bias instability {:g} deg/h"),
+        (profile.scale_per_kelvin, "scale {:g} per K"),
+        (profile.scale_over_temperature, "scale {:g} over the part's temperatures"),
+        (profile.nonlinearity, "non-linearity {:g} of full scale"),
+        (profile.g_sensitivity_dps_g, "g-sensitivity {:g} deg/s per g"),
+        (profile.odr_tolerance, "output rate within {:g} of its nominal one"),
     ):
         if value is not None:
             yield text.format(value)
@@ -186,18 +186,19 @@ def formats() -> str:
         if kind is None:
             raise LookupError(f"{module} has no {top}")
         out += ["", f"## {title}", "", _text(inspect.getdoc(kind) or "")]
-        done: set[Any] = set()
+        described: set[Any] = set()
         waiting = [kind]
         while waiting:
-            one = waiting.pop(0)
-            if one in done:
+            struct = waiting.pop(0)
+            if struct in described:
                 continue
-            done.add(one)
-            if one is not kind:
-                out += ["", f"### {one.__name__} {{ #{top.lower()}-{one.__name__.lower()} }}", "",
-                        _text((inspect.getdoc(one) or "").split("\n\n")[0])]  # fmt: skip
+            described.add(struct)
+            if struct is not kind:
+                anchor = f"{top.lower()}-{struct.__name__.lower()}"
+                summary = (inspect.getdoc(struct) or "").split("\n\n")[0]
+                out += ["", f"### {struct.__name__} {{ #{anchor} }}", "", _text(summary)]
             out += ["", "| key | type | default |", "|---|---|---|"]
-            for field in msgspec.structs.fields(one):
+            for field in msgspec.structs.fields(struct):
                 out.append(
                     f"| {field.encode_name} | {_cell(_kind(field.type))} | {_default(field)} |"
                 )
@@ -222,19 +223,19 @@ def python() -> str:
         module = import_module(module_name)
         out += [f"## {module_name}", "", _doc(inspect.getdoc(module) or ""), ""]
         for name in names:
-            found = getattr(module, name)
+            member = getattr(module, name)
             out += [f"### {name} {{ #{module_name.replace('.', '-')}-{name.lower()} }}", ""]
             out += [
                 "```python",
-                _signature(name, found),
+                _signature(name, member),
                 "```",
                 "",
-                _doc(inspect.getdoc(found) or ""),
+                _doc(inspect.getdoc(member) or ""),
                 "",
             ]
-            if inspect.isclass(found):
-                for member, value in _members(found):
-                    out += ["```python", _signature(member, value), "```", "",
+            if inspect.isclass(member):
+                for inner_name, value in _members(member):
+                    out += ["```python", _signature(inner_name, value), "```", "",
                             _doc(inspect.getdoc(value) or ""), ""]  # fmt: skip
     return "\n".join(out)
 
@@ -249,15 +250,15 @@ def _members(kind: type) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def _signature(name: str, found: Any) -> str:
-    if isinstance(found, property):
-        answer = inspect.signature(found.fget).return_annotation if found.fget else "Any"
+def _signature(name: str, member: Any) -> str:
+    if isinstance(member, property):
+        answer = inspect.signature(member.fget).return_annotation if member.fget else "Any"
         return f"{name}: {_annotation(answer)}"
     try:
-        text = str(inspect.signature(found))
+        text = str(inspect.signature(member))
     except (TypeError, ValueError):
         text = "(...)"
-    word = "class" if inspect.isclass(found) else "def"
+    word = "class" if inspect.isclass(member) else "def"
     return re.sub(
         r"(pathlib|numpy|typing|collections\.abc|gyrorig_\w+(?:\.\w+)*)\.",
         "",
@@ -265,8 +266,12 @@ def _signature(name: str, found: Any) -> str:
     )
 
 
-def _annotation(found: Any) -> str:
-    return found if isinstance(found, str) else getattr(found, "__name__", str(found))
+def _annotation(annotation: Any) -> str:
+    return (
+        annotation
+        if isinstance(annotation, str)
+        else getattr(annotation, "__name__", str(annotation))
+    )
 
 
 def _doc(text: str) -> str:
@@ -335,7 +340,7 @@ def _default(field: Any) -> str:
 def _structs(kind: Any) -> list[Any]:
     if inspect.isclass(kind) and issubclass(kind, msgspec.Struct):
         return [kind]
-    return [found for inner in getattr(kind, "__args__", ()) for found in _structs(inner)]
+    return [struct for inner in getattr(kind, "__args__", ()) for struct in _structs(inner)]
 
 
 def _anchor(text: str) -> str:

@@ -17,23 +17,26 @@ RESULTS = Path(__file__).resolve().parent / "coverage.json"
 @cache
 def results() -> dict[str, Any]:
     """Return what the bench wrote last, by program; the shortest program first."""
-    found: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
-    return dict(sorted(found.items(), key=lambda item: float(item[1]["duration_s"])))
+    programs: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return dict(sorted(programs.items(), key=lambda item: float(item[1]["duration_s"])))
 
 
 def coverage() -> str:
     """Coverage of the 95 % intervals of each parameter under each program, in per cent."""
-    found = results()
+    programs = results()
     rows = [
         (
             f"`{name}`" if "," not in name else name.replace("time_offset", "`time_offset`"),
-            *(_cell(one["parameters"][name], one["runs"]) for one in found.values()),
+            *(_cell(program["parameters"][name], program["runs"]) for program in programs.values()),
         )
         for name in ALL_NAMES
     ]
     head = (
         "parameter",
-        *(f"`{program.removesuffix('.yaml')}`, {one['runs']}" for program, one in found.items()),
+        *(
+            f"`{program.removesuffix('.yaml')}`, {result['runs']}"
+            for program, result in programs.items()
+        ),
     )
     return table(head, rows)
 

@@ -13,44 +13,44 @@ HERE = Path(__file__).resolve().parent
 
 
 def _read(name: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((HERE / name).read_text(encoding="utf-8"))
-    return found
+    measurement: dict[str, Any] = json.loads((HERE / name).read_text(encoding="utf-8"))
+    return measurement
 
 
 def steps() -> str:
     """What each step of a board of 75 s at 800 Hz takes."""
-    found = _read("speed.json")
-    rows = [(step, f"{value:.1f}") for step, value in found["ms"].items()]
-    rows.append(("all steps", f"{found['total_ms']:.1f}"))
+    measurement = _read("speed.json")
+    rows = [(step, f"{value:.1f}") for step, value in measurement["ms"].items()]
+    rows.append(("all steps", f"{measurement['total_ms']:.1f}"))
     return table(["step", "processor time, ms"], rows)
 
 
 def boards() -> str:
     """Boards per second and core, compared with two other solvers."""
-    found = _read("speed.json")
+    measurement = _read("speed.json")
     lines = [
-        f"The recording has {found['samples']} samples. The solver processes "
-        f"{found['boards_s']:.1f} boards "
-        f"per second and core (goal: 10, aim: 20), with a peak of {found['peak_mb']:.0f} MB."
+        f"The recording has {measurement['samples']} samples. The solver processes "
+        f"{measurement['boards_s']:.1f} boards "
+        f"per second and core (goal: 10, aim: 20), with a peak of {measurement['peak_mb']:.0f} MB."
     ]
     for name, text in (
         ("eq. 7", "Eq. 7 of the paper (one pseudo-inverse over the same samples)"),
         ("imucal", "The Ferraris calibration of imucal with as many samples"),
     ):
-        if name in found["peers_ms"]:
+        if name in measurement["peers_ms"]:
             lines.append(
-                f"{text} takes {found['peers_ms'][name]:.2f} ms. All our steps after reading take "
-                f"{found['after_reading_to'][name]:.0f} times as long, and our fit alone takes "
-                f"{found['solve_to'][name]:.0f} times as long."
+                f"{text} takes {measurement['peers_ms'][name]:.2f} ms. All our steps "
+                f"after reading take {measurement['after_reading_to'][name]:.0f} times as long, "
+                f"and our fit alone takes {measurement['solve_to'][name]:.0f} times as long."
             )
     return "\n".join(lines)
 
 
 def growth() -> str:
     """Time and memory over the length of a recording."""
-    found = _read("growth.json")
+    measurement = _read("growth.json")
     rows = []
-    for row in found["rows"]:
+    for row in measurement["rows"]:
         minutes = row["seconds"] / 60.0
         spent = row["cpu_s"]
         rows.append(

@@ -29,14 +29,16 @@ RESULTS = Path(__file__).resolve().parent / "results.json"
 @cache
 def results() -> dict[str, Any]:
     """Return what the bench wrote last."""
-    found: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
-    return found
+    document: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return document
 
 
 def _cases() -> list[tuple[Case, dict[str, Any]]]:
     """Return the cases without spikes that were run."""
-    found = results()["cases"]
-    return [(case, found[case.name]) for case in CASES if case.name in found and not case.spikes]
+    by_case = results()["cases"]
+    return [
+        (case, by_case[case.name]) for case in CASES if case.name in by_case and not case.spikes
+    ]
 
 
 def _span(figure: dict[str, float], digits: int = 2) -> str:
@@ -50,13 +52,13 @@ def cases() -> str:
     rows = [
         (
             case.name,
-            f"`{case.program}`, {found['duration_s']:.0f} s",
+            f"`{case.program}`, {result['duration_s']:.0f} s",
             f"{case.rate_hz:.0f} Hz, {case.bandwidth_hz:.0f} Hz",
             _reference(case),
-            str(found["runs"]),
-            str(found["failed"]),
+            str(result["runs"]),
+            str(result["failed"]),
         )
-        for case, found in _cases()
+        for case, result in _cases()
     ]
     return table(
         (
@@ -80,29 +82,29 @@ def _reference(case: Case) -> str:
 
 def efficiencies() -> str:
     """Efficiency of every parameter in every case, on the best estimate's noise."""
-    found = _cases()
+    by_case = _cases()
     rows = []
     for name in NAMES:
-        cells = [f"{one['parameters'][name]['paired']['value']:.3f}" for _, one in found]
+        cells = [f"{result['parameters'][name]['paired']['value']:.3f}" for _, result in by_case]
         rows.append((f"`{name}`", *cells))
-    return table(("parameter", *(case.name for case, _ in found)), rows)
+    return table(("parameter", *(case.name for case, _ in by_case)), rows)
 
 
 def goals() -> str:
     """For each case the worst parameter, the intervals, and the joint chi-squared."""
     rows = []
-    for case, one in _cases():
+    for case, result in _cases():
         goal = KNOWN_EFFICIENCY if case.baud is None else ANSWERS_EFFICIENCY
-        named = {name: one["parameters"][name]["paired"] for name in NAMES if "." in name}
+        named = {name: result["parameters"][name]["paired"] for name in NAMES if "." in name}
         worst = min(named, key=lambda name: float(named[name]["value"]))
         rows.append(
             (
                 case.name,
                 f"{_span(named[worst])}, `{worst}`; ≥ {goal:.2f}",
-                f"{100 * one['together']['cover_68']['value']:.1f} %",
-                f"{100 * one['together']['cover_95']['value']:.1f} %",
-                f"{_span(one['chi2']['mean'], 1)}; {one['chi2']['best_mean']['value']:.1f}",
-                f"{one['chi2']['p_value']:.2f}",
+                f"{100 * result['together']['cover_68']['value']:.1f} %",
+                f"{100 * result['together']['cover_95']['value']:.1f} %",
+                f"{_span(result['chi2']['mean'], 1)}; {result['chi2']['best_mean']['value']:.1f}",
+                f"{result['chi2']['p_value']:.2f}",
             )
         )
     head = (
@@ -119,10 +121,10 @@ def goals() -> str:
 def offsets() -> str:
     """The time offset, whole and with without the constant that no reply can show."""
     rows = []
-    for case, one in _cases():
-        parts = [("whole offset", one["parameters"]["time_offset"])]
+    for case, result in _cases():
+        parts = [("whole offset", result["parameters"]["time_offset"])]
         if case.baud is not None:
-            parts = [parts[0], ("without the constant", one["offset_apart"])]
+            parts = [parts[0], ("without the constant", result["offset_apart"])]
         for words, figures in parts:
             bound_us = figures.get("bound_us", 1e6 * figures["bound"])
             achieved = figures["efficiency"]
@@ -167,10 +169,10 @@ def misses() -> str:
     """Every goal that was not met, and how many were."""
     rows = list(judged(results()))
     missed = [row for row in rows if row.verdict != "yes"]
-    said = f"{len(rows) - len(missed)} of {len(rows)} goals are met."
+    summary = f"{len(rows) - len(missed)} of {len(rows)} goals are met."
     if not missed:
-        return said
-    return f"{said}\n\n" + table(
+        return summary
+    return f"{summary}\n\n" + table(
         ("case and quantity", "goal", "measured (95 % interval)", "met"),
         [_cells(row) for row in missed],
     )

@@ -41,15 +41,15 @@ def broad_gains(measured: Measured) -> str:
     """How far the gains of trials of one unit lie apart."""
     rows = []
     for unit in SAME_UNIT:
-        for one, other in combinations(unit, 2):
+        for first, other in combinations(unit, 2):
             (gain_1, std_1), (gain_2, std_2) = (
-                gain_and_std(trial(measured, name)) for name in (one, other)
+                gain_and_std(trial(measured, name)) for name in (first, other)
             )
             apart, std = gain_2 - gain_1, np.hypot(std_1, std_2)
             i, j = np.unravel_index(np.argmax(np.abs(apart)), apart.shape)
             rows.append(
                 [
-                    f"trial {other} minus trial {one}",
+                    f"trial {other} minus trial {first}",
                     f"{'xyz'[i]}{'xyz'[j]}",
                     f"{number(MILLI * float(apart[i, j]), 2)}"
                     f" ± {number(MILLI * float(std[i, j]), 2)}",

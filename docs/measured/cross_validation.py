@@ -139,15 +139,17 @@ def _counted(
     comparison: str, factor: list[tuple[float, float, float]], all_pairs: tuple[Pair, ...]
 ) -> str:
     """One line of the summary."""
-    verdicts = [_verdict(one) for one in factor]
-    helped = [one[0] for one, verdict in zip(factor, verdicts, strict=True) if verdict == "helps"]
+    verdicts = [_verdict(ratio) for ratio in factor]
+    helped = [
+        ratio[0] for ratio, verdict in zip(factor, verdicts, strict=True) if verdict == "helps"
+    ]
     line = f"- {comparison} the calibration helps in {len(helped)} of {len(all_pairs)} pairs"
     if helped:
         line += f", by {number(min(helped), 2)} to {number(max(helped), 2)} times"
     for verdict, words in (("no difference", "makes no difference in"), ("harms", "harms in")):
         titles = [
-            f"{pair.title} ({number(one[0], 2)})"
-            for pair, one, its in zip(all_pairs, factor, verdicts, strict=True)
+            f"{pair.title} ({number(ratio[0], 2)})"
+            for pair, ratio, its in zip(all_pairs, factor, verdicts, strict=True)
             if its == verdict
         ]
         if titles or verdict == "harms":

@@ -41,14 +41,14 @@ def causes(measured: Measured) -> str:
     """Verdict, causes and unexplained dependence, one row per command."""
     rows = []
     for name in names(measured):
-        found = findings_of(measured, name)
-        rest = found.unexplained
+        findings = findings_of(measured, name)
+        rest = findings.unexplained
         left = [] if rest is None else [rest.best_covariate, *(o.covariate for o in rest.others)]
         rows.append(
             [
                 name,
-                verdict_words(found)[0].lower(),
-                "; ".join(_named(one) for one in found.causes) or "none",
+                verdict_words(findings)[0].lower(),
+                "; ".join(_named(cause) for cause in findings.causes) or "none",
                 "; ".join(dict.fromkeys(left)) or "nothing",
             ]
         )
@@ -59,17 +59,17 @@ def gains(measured: Measured) -> str:
     """The gain of the named causes on data that they were not fitted to."""
     rows = []
     for name in names(measured):
-        found = findings_of(measured, name)
-        if found.gain is None:
+        findings = findings_of(measured, name)
+        if findings.gain is None:
             continue
-        before, after = found.gain.residual_rms_before, found.gain.residual_rms_after
+        before, after = findings.gain.residual_rms_before, findings.gain.residual_rms_after
         rows.append(
             [
                 name,
-                _nats(found.gain),
+                _nats(findings.gain),
                 f"{_mdps(before)} → {_mdps(after)}",
-                "-" if found.elsewhere is None else _where(found.elsewhere),
-                "-" if found.elsewhere is None else _nats(found.elsewhere),
+                "-" if findings.elsewhere is None else _where(findings.elsewhere),
+                "-" if findings.elsewhere is None else _nats(findings.elsewhere),
             ]
         )
     head = [
@@ -116,10 +116,12 @@ def moving_bias(measured: Measured, name: str) -> tuple[FloatArray, FloatArray]:
     recording = read_recording(measured.folder / f"{name}.mcap")
     data = load_board([recording], recording.board_ids[0])
     space, _ = fit_base_space(load_attitude_recordings(data))
-    beside = space.with_terms([free_term(ReferenceSmoothing())])
+    smoothed_space = space.with_terms([free_term(ReferenceSmoothing())])
     term = MovingBias()
-    looked = beside.score_statistics(
-        beside.evaluate_signals(lambda scene: term.tangent_signals(scene, start_values(term)))
+    looked = smoothed_space.score_statistics(
+        smoothed_space.evaluate_signals(
+            lambda scene: term.tangent_signals(scene, start_values(term))
+        )
     )
     covariance = np.linalg.inv(looked.information)
     return covariance @ looked.score, np.sqrt(np.diag(covariance))
@@ -129,19 +131,19 @@ def untold(measured: Measured) -> str:
     """The recordings in which only the raw samples can be checked, with the reason."""
     lines = []
     for name in names(measured):
-        found = findings_of(measured, name)
-        if found.minimal_detectable:
+        findings = findings_of(measured, name)
+        if findings.minimal_detectable:
             continue
-        reasons = {one.reason for one in found.not_testable}
+        reasons = {entry.reason for entry in findings.not_testable}
         lines += [f"- {name}: {reason}" for reason in sorted(reasons)]
     return "\n".join(lines)
 
 
 def _named(cause: CauseEntry) -> str:
     sizes = list(cause.parameters.items())
-    said = ", ".join(f"{name} {size_text(size)}" for name, size in sizes[:MOST])
-    also = "".join(f" or `{one}`" for one in cause.one_of)
-    return f"`{cause.cause}`{also} ({said}{', ...' if len(sizes) > MOST else ''})"
+    text = ", ".join(f"{name} {size_text(size)}" for name, size in sizes[:MOST])
+    also = "".join(f" or `{alternative}`" for alternative in cause.one_of)
+    return f"`{cause.cause}`{also} ({text}{', ...' if len(sizes) > MOST else ''})"
 
 
 def _nats(gain: GainEntry) -> str:

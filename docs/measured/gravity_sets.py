@@ -44,8 +44,8 @@ def xsens_found(measured: Measured) -> str:
 
 def _factors(gain: FloatArray) -> FloatArray:
     """Scale, non-orthogonality and misalignment in one vector."""
-    found = factorise(gain)
-    return np.concatenate([found.scale, found.nonorthogonality, found.misalignment_rad])
+    factors = factorise(gain)
+    return np.concatenate([factors.scale, factors.nonorthogonality, factors.misalignment_rad])
 
 
 def xsens_gains(measured: Measured) -> str:

@@ -92,12 +92,12 @@ def _rms(error: FloatArray) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-def _interval(error: FloatArray, beside: FloatArray | None = None) -> tuple[float, float]:
+def _interval(error: FloatArray, other_error: FloatArray | None = None) -> tuple[float, float]:
     """95 % interval of an rms, or of its ratio to another's over the same moves."""
     drawn = np.random.default_rng(SEED).integers(0, error.size, (BOOTSTRAPS, error.size))
     squares = np.mean(error[drawn] ** 2, axis=1)
-    if beside is not None:
-        squares = squares / np.mean(beside[drawn] ** 2, axis=1)
+    if other_error is not None:
+        squares = squares / np.mean(other_error[drawn] ** 2, axis=1)
     low, high = np.percentile(np.sqrt(squares), PERCENT)
     return float(low), float(high)
 
@@ -109,9 +109,9 @@ def _ways(
     every = _fit(samples, quiet, poses, moves, None)
     theirs = IMU_TK.gain(samples.quantum_rad_s)
     first = (IMU_TK.b_counts - OFFSET_COUNTS) * samples.quantum_rad_s
-    one = [float(np.mean(np.linalg.norm(gain, axis=1))) * np.eye(3) for gain in halves]
+    mean_scale = [float(np.mean(np.linalg.norm(gain, axis=1))) * np.eye(3) for gain in halves]
     plain = [
-        gain_as_imu_tk(samples, [m for m in moves if m.half == half], first, one[half])
+        gain_as_imu_tk(samples, [m for m in moves if m.half == half], first, mean_scale[half])
         for half in (0, 1)
     ]
     yield (
@@ -120,7 +120,7 @@ def _ways(
     )
     yield (
         "one scale factor for all axes from the other half, bias of the neighbouring rests",
-        lambda m: (m.rest_bias_rad_s, one[1 - m.half]),
+        lambda m: (m.rest_bias_rad_s, mean_scale[1 - m.half]),
     )
     yield "gain of imu_tk from all moves, its bias from the first rest", lambda _: (first, theirs)
     yield (

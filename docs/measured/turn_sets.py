@@ -27,11 +27,13 @@ def imucal_result(measured: Measured) -> tuple[FloatArray, FloatArray]:
     readings = pandas.read_csv(folder / "example_ferraris_session.csv").set_index("n_samples")
     listed = json.loads((folder / "example_ferraris_session_list.json").read_text())
     regions = imucal.ferraris_regions_from_section_list(readings, pandas.DataFrame(listed).T)
-    found = imucal.FerrarisCalibration().compute(
+    calibration = imucal.FerrarisCalibration().compute(
         regions, sampling_rate_hz=RATE_HZ, from_acc_unit="m/s^2", from_gyr_unit="deg/s"
     )
     # Its model: measured = K R true + K_ga acc + b.
-    return np.asarray(found.K_g @ found.R_g, np.float64), np.asarray(found.b_g, np.float64)
+    return np.asarray(calibration.K_g @ calibration.R_g, np.float64), np.asarray(
+        calibration.b_g, np.float64
+    )
 
 
 def ferraris_found(measured: Measured) -> str:

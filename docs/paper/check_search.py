@@ -30,7 +30,7 @@ SEARCH_RATE_HZ = 20.0  # a leg of 2 s still has 40 samples
 
 def results() -> list[PaperResult]:
     """The paper's method on every combination."""
-    found = []
+    paper_results = []
     for pan in PANS_DEG:
         for tilt in TILTS_DEG:
             for corners in paths(pan, tilt).values():
@@ -38,16 +38,16 @@ def results() -> list[PaperResult]:
                 rate = motion.body_rate_rad_s()
                 for composition in COMPOSITIONS:
                     reading = replace(READING_OF_TABLE_3, composition=composition)
-                    found += [calibrated(motion, rate, bias, reading) for bias in BIASES]
-    return found
+                    paper_results += [calibrated(motion, rate, bias, reading) for bias in BIASES]
+    return paper_results
 
 
-def full_rank(found: list[PaperResult]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def full_rank(paper_results: list[PaperResult]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """S diagonals (k, 3), T_zy (k,) and M_yz (k,) of the combinations that give them."""
-    kept = [(r.S, r.T, r.M) for r in found]
+    factors = [(r.S, r.T, r.M) for r in paper_results]
     rows = [
         (*np.diag(S), T[2, 1], M[1, 2])
-        for S, T, M in kept
+        for S, T, M in factors
         if S is not None and T is not None and M is not None
     ]
     values = np.array(rows)
@@ -56,14 +56,14 @@ def full_rank(found: list[PaperResult]) -> tuple[FloatArray, FloatArray, FloatAr
 
 def search() -> str:
     """What the search found, beside Table 3's GY80."""
-    found = results()
-    scale, t_zy, m_yz = full_rank(found)
+    paper_results = results()
+    scale, t_zy, m_yz = full_rank(paper_results)
     plausible = np.all((scale > 0.85) & (scale < 1.05), axis=1)
     near = (np.abs(np.abs(t_zy) - 0.15) < 0.04) & (np.abs(np.abs(m_yz) - 0.15) < 0.04)
-    distance = min(float(np.linalg.norm(r.STM - GY80.STM)) for r in found)
+    distance = min(float(np.linalg.norm(r.STM - GY80.STM)) for r in paper_results)
     identity = float(np.linalg.norm(np.eye(3) - GY80.STM))
     rows = [
-        ["simulated combinations", str(len(found))],
+        ["simulated combinations", str(len(paper_results))],
         ["combinations that give S, T and M (for the others eq. 8 has no result)", str(t_zy.size)],
         ["median absolute T_zy of these combinations", number(float(np.median(np.abs(t_zy))), 2)],
         [

@@ -63,11 +63,11 @@ class Session:
 
 
 def _run(*command: str) -> None:
-    done = subprocess.run(  # noqa: S603 - this project's own programs
+    process = subprocess.run(  # noqa: S603 - this project's own programs
         [sys.executable, "-m", *command], capture_output=True, text=True, check=False, cwd=ROOT
     )
-    if done.returncode not in {DONE, NOT_IDENTIFIABLE}:
-        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
+    if process.returncode not in {DONE, NOT_IDENTIFIABLE}:
+        raise RuntimeError(f"{' '.join(command)}\n{process.stderr}")
 
 
 def _arrays(recording_path: Path, moving: bool) -> Arrays:
@@ -218,9 +218,9 @@ def parameters() -> str:
         paper["nonorthogonality"] = numbers([T[1, 0], T[2, 0], T[2, 1]]).split(", ")
     rows = []
     for group, truth in _truths(session).items():
-        found = session.likelihood["parameters"][group]
+        estimates = session.likelihood["parameters"][group]
         for index, part in enumerate(names[group]):
-            value, std = found["value"][index], found["std"][index]
+            value, std = estimates["value"][index], estimates["std"][index]
             rows.append(
                 [
                     f"{group} {part}",

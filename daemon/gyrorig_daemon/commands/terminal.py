@@ -36,15 +36,15 @@ class ProgressLine:
         self._unit = unit
         self._start_s = self._drawn_s = time.monotonic()
 
-    def __call__(self, done: int, total: int) -> None:
+    def __call__(self, step: int, total: int) -> None:
         """Draw the line again. Call it as often as convenient."""
         now_s = time.monotonic()
-        is_end = done == total
+        is_end = step == total
         if now_s - self._drawn_s < REDRAW_S and not is_end:
             return
         self._drawn_s = now_s
         elapsed = time.strftime("%M:%S", time.gmtime(now_s - self._start_s))
-        text = f"\r{self._unit} {min(done + 1, total)} of {total}, {elapsed} elapsed "
+        text = f"\r{self._unit} {min(step + 1, total)} of {total}, {elapsed} elapsed "
         click.echo(text, nl=is_end, err=True)
 
 

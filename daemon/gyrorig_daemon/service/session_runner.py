@@ -271,13 +271,13 @@ class SessionRunner:
             f"Session {job.session} could not start and waits{delay_text}. {sentence(reason)}"
         )
 
-    def _update_progress(self, done: int, total: int) -> None:
+    def _update_progress(self, step: int, total: int) -> None:
         if self._state.summary.session is not None:
             now_s = self._context.clocks.monotonic_s()
-            if done == 0:
+            if step == 0:
                 self._state.motion_start_s = now_s
             self._state.step_start_s = now_s
-            self._state.summary.session.update(step=done, steps=total)
+            self._state.summary.session.update(step=step, steps=total)
 
 
 def _join(*texts: str) -> str:

@@ -407,9 +407,9 @@ class Session:
         for timer in self._timers:
             self._pump.add_timer(timer)
 
-    def _show_progress(self, done: int) -> None:
-        self._steps_done = done
-        self._environment.progress(done, len(self._steps))
+    def _show_progress(self, step: int) -> None:
+        self._steps_done = step
+        self._environment.progress(step, len(self._steps))
 
     def _begin_phase(self, phase: str, text: str) -> None:
         self._phases.append(phase)

@@ -85,9 +85,9 @@ def judge_total(trust: Trust, record: UncertaintyRecord) -> Trust:
     reasons = []
     for group in PARAMETER_GROUPS:
         above = {
-            name: one
-            for name, one in record.parameters.items()
-            if group_of(name) is group and one.total > one.limit
+            name: entry
+            for name, entry in record.parameters.items()
+            if group_of(name) is group and entry.total > entry.limit
         }
         if above:
             worst = max(above, key=lambda name: above[name].total)
@@ -99,13 +99,13 @@ def judge_total(trust: Trust, record: UncertaintyRecord) -> Trust:
 
 
 def _limit_reason(name: str, record: UncertaintyRecord) -> str:
-    one, group = record.parameters[name], group_of(name)
+    entry, group = record.parameters[name], group_of(name)
     factor, unit = (1.0, "") if group is None or group.unit == "1" else (group.factor, group.unit)
     row = main_contribution(name, record)
     origin = "noise" if row is None else contribution_name(row)
     remedy = NOISE_REMEDY if row is None else row.remedy
-    numbers = f"{format_short(one.total * factor)} {unit}".strip()
-    limit = f"{format_short(one.limit * factor)} {unit}".strip()
+    numbers = f"{format_short(entry.total * factor)} {unit}".strip()
+    limit = f"{format_short(entry.limit * factor)} {unit}".strip()
     return (
         f"the total standard uncertainty of {name} is {numbers}, above the limit of {limit}. The "
         f"largest contribution is {origin}. It becomes smaller by: {remedy}"

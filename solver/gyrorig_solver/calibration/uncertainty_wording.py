@@ -5,9 +5,9 @@ from gyrorig_solver.calibration.calibration_document import BudgetRow, Uncertain
 
 def main_contribution(name: str, record: UncertaintyRecord) -> BudgetRow | None:
     """Return the largest contribution to a parameter; None where noise is the largest."""
-    one = record.parameters[name]
+    uncertainty = record.parameters[name]
     row = next((row for row in record.budget if row.parameter == name), None)
-    return row if row is not None and row.contribution >= one.type_a else None
+    return row if row is not None and row.contribution >= uncertainty.type_a else None
 
 
 def contribution_name(row: BudgetRow) -> str:

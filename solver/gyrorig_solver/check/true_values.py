@@ -95,7 +95,7 @@ def _compare_group(
 def _totals(calibration: CalibrationDocument) -> dict[str, float]:
     """Return the total standard uncertainty of each parameter that has one."""
     record = calibration.uncertainty
-    return {} if record is None else {k: one.total for k, one in record.parameters.items()}
+    return {} if record is None else {k: entry.total for k, entry in record.parameters.items()}
 
 
 def _scaled(value: float | None, factor: float) -> float | None:

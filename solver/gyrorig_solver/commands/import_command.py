@@ -32,6 +32,7 @@ _PHONE_FORMAT = "android"
 )
 @click.option(
     "--beside",
+    "unit_recording",
     type=click.Path(path_type=Path, dir_okay=False),
     help="With FORMAT android: recording of the unit that turned the phone.",
 )
@@ -45,7 +46,7 @@ def import_command(
     out: Path,
     board: str | None,
     sensor: str | None,
-    beside: Path | None,
+    unit_recording: Path | None,
 ) -> int:
     r"""Convert measurements of another format to a recording.
 
@@ -68,9 +69,11 @@ def import_command(
         from gyrorig_solver.importers.phone_import import import_phone  # noqa: PLC0415 - loads scipy
 
         with terminal.show_progress(f"importing {source.name}"):
-            result = import_phone(source, out, board or "PHONE", sensor or "android", beside)
+            result = import_phone(
+                source, out, board or "PHONE", sensor or "android", unit_recording
+            )
     else:
-        if sensor is not None or beside is not None:
+        if sensor is not None or unit_recording is not None:
             raise UsageError(
                 f"--sensor and --beside are options of FORMAT android, not of {kind}",
                 "leave them out and give the sensor in the column map",

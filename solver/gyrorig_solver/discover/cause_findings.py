@@ -151,7 +151,7 @@ class NamedCause:
     @property
     def parameter_bias_sigma(self) -> float:
         """The largest change of a calibration parameter, in standard uncertainties."""
-        return max((one.sigma for one in self.changes), default=0.0)
+        return max((change.sigma for change in self.changes), default=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,8 +224,8 @@ class CauseFindings:
     @property
     def fitted_terms(self) -> tuple[FittedTerm, ...]:
         """The named causes that a fit can include, as fitted."""
-        fitted = (one.extension for one in self.causes if one.term.kind == "effect")
-        return tuple(one for one in fitted if one.free_indices.size)
+        fitted = (cause.extension for cause in self.causes if cause.term.kind == "effect")
+        return tuple(fitted_term for fitted_term in fitted if fitted_term.free_indices.size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -518,8 +518,8 @@ def _drop_insignificant(
         if not weak:
             return solution
         drop = max(weak)[1]
-        kept = [extension for k, extension in enumerate(solution.fitted_terms) if k != drop]
-        reduced = refit_with_terms(solution, kept)
+        others = [extension for k, extension in enumerate(solution.fitted_terms) if k != drop]
+        reduced = refit_with_terms(solution, others)
         if not reduced.converged:
             needed.add(term_label(solution.fitted_terms[drop].term))
             continue
@@ -545,9 +545,9 @@ def wald_p_value(solution: ConvergedFit, k: int) -> float:
     observable = np.diag(covariance) > 0.0
     if not observable.any():
         return 1.0
-    kept = np.flatnonzero(observable)
-    inverse = np.linalg.pinv(covariance[np.ix_(kept, kept)], hermitian=True)
-    return chi2_upper_tail(float(value[kept] @ inverse @ value[kept]), kept.size)
+    indices = np.flatnonzero(observable)
+    inverse = np.linalg.pinv(covariance[np.ix_(indices, indices)], hermitian=True)
+    return chi2_upper_tail(float(value[indices] @ inverse @ value[indices]), indices.size)
 
 
 def _review_ranking(
@@ -586,8 +586,8 @@ def _review_ranking(
         if replacement is None or swap == MAX_SWAPS:
             return solution, _limit_gains(ranked_causes, gains_by_label)
         k, other = replacement
-        kept = [extension for j, extension in enumerate(solution.fitted_terms) if j != k]
-        swapped = _solve_with(refit_with_terms(solution, kept), other)
+        others = [extension for j, extension in enumerate(solution.fitted_terms) if j != k]
+        swapped = _solve_with(refit_with_terms(solution, others), other)
         if not swapped.converged:
             return solution, _limit_gains(ranked_causes, gains_by_label)
         solution = swapped

@@ -52,7 +52,7 @@ def criticise_fit(solution: ConvergedFit) -> FitCriticism:
     projector = build_projector(solution)
     terms = testable_terms(projector)
     tests = count_tests(terms)
-    fitted = {term_label(one.term) for one in solution.fitted_terms}
+    fitted = {term_label(fitted_term.term) for fitted_term in solution.fitted_terms}
     scores = scan_catalogue(
         projector, [term for term in terms if term_label(term) not in fitted], tests
     )

@@ -103,7 +103,7 @@ def assemble_findings(
     if walk is not None:
         # The noise levels contain it. Other dependences are separate and come first.
         walk_tests = residual_dependence_tests(NuisanceProjector.at_fit(result.solution))
-        if any(one.p_value < DEPENDENCE_FALSE_ALARM_RATE for one in walk_tests):
+        if any(test.p_value < DEPENDENCE_FALSE_ALARM_RATE for test in walk_tests):
             walk = None
         else:
             all_tests = walk_tests
@@ -146,10 +146,10 @@ def assemble_findings(
         for k, ranked in fitted
     ]
     owners = attributions or {}
-    causes = [replace(one, attribution=owners.get(term_label(one.term))) for one in causes]
+    causes = [replace(cause, attribution=owners.get(term_label(cause.term))) for cause in causes]
     ramps = detect_ramp_error(result.solution, tests, FALSE_ALARM_RATE)
-    causes += [one for one in (jitter.named, ramps.named, walk) if one is not None]
-    causes.sort(key=lambda one: (-one.parameter_bias_sigma, one.p_value))
+    causes += [cause for cause in (jitter.named, ramps.named, walk) if cause is not None]
+    causes.sort(key=lambda cause: (-cause.parameter_bias_sigma, cause.p_value))
     detection_limits, untestable = find_detection_limits(
         result.projector, result.scores, calibration, len(base.sessions)
     )
@@ -158,7 +158,7 @@ def assemble_findings(
         {ACCELERATION_ERROR} if ramps.named is None else {ACCELERATION_ERROR, ramps.named.cause}
     )
     detection_limits = (
-        *(one for one in detection_limits if one.cause not in covered),
+        *(limit for limit in detection_limits if limit.cause not in covered),
         *ramps.detection_limits,
     )
     verdict: Verdict = "explained" if causes else "adequate"

@@ -63,16 +63,16 @@ class HeldOutRecording:
             solution: its gain and causes are taken.
             same_noise_as: another model on it, whose noise levels and samples in use are taken.
         """
-        kept, left_out = self._applicable_terms(solution)
+        applicable, left_out = self._applicable_terms(solution)
         if same_noise_as is None:
             session = self.session.copy()
-            session.fitted_terms = kept
+            session.fitted_terms = applicable
             session.estimate_lag()
             least_squares = session.least_squares_sums(session.inlier_masks(solution.gain))
             session.bias_rad_s = least_squares.bias(solution.gain)
         else:
             session = self.session.started_from(same_noise_as.session)
-            session.fitted_terms = kept
+            session.fitted_terms = applicable
         noise = _fit_nuisances(
             session, solution.gain, None if same_noise_as is None else same_noise_as.noise
         )
@@ -89,15 +89,15 @@ class HeldOutRecording:
         """Return the causes that are the same here, held as they are, and the others."""
         series = self.session.series[0]
         scene = self.session.signal_state(series, series.part_slices()[0], solution.gain)
-        kept: list[FittedTerm] = []
+        applicable: list[FittedTerm] = []
         left_out: list[FittedTerm] = []
         for extension in solution.fitted_terms:
             persists = extension.term.kind == "known" or extension.term.scope != "recording"
             if persists and extension.term.reason_not_testable(scene) is None:
-                kept.append(replace(extension, free_indices=_none(), other_boards_prior=None))
+                applicable.append(replace(extension, free_indices=_none(), other_boards_prior=None))
             else:
                 left_out.append(extension)
-        return tuple(kept), tuple(left_out)
+        return tuple(applicable), tuple(left_out)
 
 
 def _none() -> IntArray:

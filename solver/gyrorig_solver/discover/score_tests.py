@@ -43,16 +43,16 @@ class ScoreTest:
         if statistics.score.size == 1:
             return cls._of_single_signal(statistics)
         energy = np.diag(statistics.information)
-        kept = energy > NEGLIGIBLE_ENERGY * np.maximum(statistics.energy, 1e-300)
+        is_strong = energy > NEGLIGIBLE_ENERGY * np.maximum(statistics.energy, 1e-300)
         values = np.zeros(energy.size)
-        if not kept.any():
+        if not is_strong.any():
             return cls(0.0, 0, values)
-        scale = np.sqrt(energy[kept])
-        correlation = statistics.information[np.ix_(kept, kept)] / np.outer(scale, scale)
+        scale = np.sqrt(energy[is_strong])
+        correlation = statistics.information[np.ix_(is_strong, is_strong)] / np.outer(scale, scale)
         eigenvalues, eigenvectors = np.linalg.eigh(correlation)
         keep = eigenvalues > 1e-7
-        score = eigenvectors.T @ (statistics.score[kept] / scale)
-        values[kept] = eigenvectors[:, keep] @ (score[keep] / eigenvalues[keep]) / scale
+        score = eigenvectors.T @ (statistics.score[is_strong] / scale)
+        values[is_strong] = eigenvectors[:, keep] @ (score[keep] / eigenvalues[keep]) / scale
         statistic = float(np.sum(score[keep] ** 2 / eigenvalues[keep]))
         return cls(statistic, int(keep.sum()), values)
 
@@ -257,12 +257,12 @@ def _count_effective_trials(information: FloatArray, sizes: int) -> float:
     for k in range(sizes):
         block = information[k::sizes, k::sizes]
         energy = np.diag(block)
-        kept = energy > 1e-12 * max(float(energy.max()), 1e-300)
-        if kept.sum() < 2:
+        is_strong = energy > 1e-12 * max(float(energy.max()), 1e-300)
+        if is_strong.sum() < 2:
             trials.append(1.0)
             continue
-        scale = np.sqrt(energy[kept])
-        correlation = block[np.ix_(kept, kept)] / np.outer(scale, scale)
+        scale = np.sqrt(energy[is_strong])
+        correlation = block[np.ix_(is_strong, is_strong)] / np.outer(scale, scale)
         eigenvalues = np.clip(np.linalg.eigvalsh(correlation), 0.0, None)
         trials.append(float(np.sum(np.sqrt(eigenvalues)) ** 2 / np.sum(eigenvalues)))
     return max(trials, default=1.0)

@@ -99,8 +99,10 @@ def effect_of_removing(
     first = is_kept.index(False)
     for fitted_term in active[:first]:  # these have the same effect with and without
         state = fitted_term.term.propagate(state, fitted_term.values)
-    kept = [fitted_term for fitted_term, stay in zip(active, is_kept, strict=True) if stay][first:]
-    return total_effect(active[first:], state) - total_effect(kept, state)
+    remaining = [fitted_term for fitted_term, stay in zip(active, is_kept, strict=True) if stay][
+        first:
+    ]
+    return total_effect(active[first:], state) - total_effect(remaining, state)
 
 
 def fitted_derivatives(fitted_terms: Sequence[FittedTerm], state: SignalState) -> FloatArray:

@@ -128,9 +128,9 @@ class SignalWhitener:
 
 def _acting_axes(signals: FloatArray, used: BoolArray) -> BoolArray:
     """Return which axes of which signals (k, n, 3) are not zero everywhere, (k, 3)."""
-    some: BoolArray = np.asarray(
+    acts: BoolArray = np.asarray(
         signals[:, :: max(1, used.size // SAMPLES_LOOKED_AT)].any(axis=1), dtype=np.bool_
     )
-    for k, axis in np.argwhere(~some):
-        some[k, axis] = bool((signals[k, :, axis] != 0.0)[used].any())
-    return some
+    for k, axis in np.argwhere(~acts):
+        acts[k, axis] = bool((signals[k, :, axis] != 0.0)[used].any())
+    return acts

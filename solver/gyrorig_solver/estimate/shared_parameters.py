@@ -148,11 +148,11 @@ def shared_term_p_value(
     for marginal in marginals:
         scale = np.outer(prior_std, prior_std)
         information, score = marginal.information * scale, marginal.score * prior_std
-        own, shared = np.flatnonzero(~is_shared), np.flatnonzero(is_shared)
-        cross = information[np.ix_(shared, own)]
-        inner = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
+        separate, shared = np.flatnonzero(~is_shared), np.flatnonzero(is_shared)
+        cross = information[np.ix_(shared, separate)]
+        inner = np.linalg.pinv(information[np.ix_(separate, separate)], hermitian=True)
         reduced = information[np.ix_(shared, shared)] - cross @ inner @ cross.T
-        reduced_score = score[shared] - cross @ inner @ score[own]
+        reduced_score = score[shared] - cross @ inner @ score[separate]
         eigenvalues, eigenvectors = np.linalg.eigh(reduced)
         informative = eigenvalues > MIN_RELATIVE_INFORMATION * max(
             float(eigenvalues[-1]), MIN_RELATIVE_INFORMATION

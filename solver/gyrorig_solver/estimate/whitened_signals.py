@@ -65,8 +65,10 @@ class WhitenedSignals:
         position[indices] = np.arange(indices.size)
         channels = []
         for channel in self.channels:
-            kept = position[channel.signal_index] >= 0
-            channels.append(ChannelRows(position[channel.signal_index[kept]], channel.rows[kept]))
+            is_chosen = position[channel.signal_index] >= 0
+            channels.append(
+                ChannelRows(position[channel.signal_index[is_chosen]], channel.rows[is_chosen])
+            )
         return WhitenedSignals(indices.size, tuple(channels))
 
 

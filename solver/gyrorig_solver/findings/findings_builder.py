@@ -152,7 +152,7 @@ def _cause_entries(
 ) -> list[CauseEntry]:
     """Return configuration errors, then searched causes by bias, then faults of the stream."""
     named_causes = {cause.cause for cause in findings.causes}
-    found = [
+    stream_findings = [
         (checks.recording, finding)
         for checks in raw_checks
         for result in checks.checks
@@ -160,10 +160,10 @@ def _cause_entries(
     ]
     # A sensor of half the range saturates at half the rate: no second cause.
     saturates_early = any(
-        finding.cause == "wrong_full_scale" and finding.size > 0.0 for _, finding in found
+        finding.cause == "wrong_full_scale" and finding.size > 0.0 for _, finding in stream_findings
     )
     by_cause: dict[tuple[str, tuple[str, ...]], tuple[StreamFinding, list[str]]] = {}
-    for recording, finding in found:
+    for recording, finding in stream_findings:
         implied = finding.cause == "saturation" and saturates_early
         if finding.cause not in named_causes and not implied:
             _, names = by_cause.setdefault((finding.cause, finding.where), (finding, []))

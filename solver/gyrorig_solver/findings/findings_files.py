@@ -64,9 +64,9 @@ def _keep_earlier(folder: Path) -> None:
         return
     names = [Path(name) for name in (PAGE_NAME, FIGURES_FOLDER, DOCUMENT_NAME)]
     for number in count(1):
-        kept = {name: folder / f"{name.stem}-{number:04d}{name.suffix}" for name in names}
-        if not any(path.exists() for path in kept.values()):
+        new_paths = {name: folder / f"{name.stem}-{number:04d}{name.suffix}" for name in names}
+        if not any(path.exists() for path in new_paths.values()):
             break
-    for name, path in kept.items():
+    for name, path in new_paths.items():
         if (folder / name).exists():
             (folder / name).rename(path)

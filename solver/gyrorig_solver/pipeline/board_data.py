@@ -66,12 +66,12 @@ class BoardData:
             UsageError: a recording has neither a unit nor rest throughout, the board's settings
                 differ between recordings, or a recording is given twice.
         """
-        kept = tuple(without_repeats(samples) for samples in self.samples)
+        unrepeated = tuple(without_repeats(samples) for samples in self.samples)
         check_given_once(self.recordings)
-        _check_same_settings(self.recordings, kept)
+        _check_same_settings(self.recordings, unrepeated)
         return tuple(
             (recording, samples, reference_motion(recording, samples))
-            for recording, samples in zip(self.recordings, kept, strict=True)
+            for recording, samples in zip(self.recordings, unrepeated, strict=True)
         )
 
 

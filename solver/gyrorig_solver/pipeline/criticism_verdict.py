@@ -29,7 +29,9 @@ def add_findings(
         named: the causes that the search named and did not fit.
     """
     fitted = calibration.solver.terms
-    unfitted = [one.cause for one in named if one.kind == "effect" and one.cause not in fitted]
+    unfitted = [
+        cause.cause for cause in named if cause.kind == "effect" and cause.cause not in fitted
+    ]
     trust = judge_findings(calibration.trust, findings, unfitted)
     unexplained = findings.unexplained
     covariates = [unexplained.best_covariate] if unexplained is not None else []

@@ -60,7 +60,9 @@ def load_jointly(recordings: Sequence[Recording], boards: Sequence[str]) -> Join
             except GyrorigError as fault:
                 errors.setdefault(board, fault)
         exchanges = {
-            board: one.exchanges for board, one in loaded.items() if one.exchanges is not None
+            board: board_samples.exchanges
+            for board, board_samples in loaded.items()
+            if board_samples.exchanges is not None
         }
         clock_shifts = fit_shared_time(exchanges)
         for board, shift in clock_shifts.items():

@@ -131,10 +131,10 @@ def prepare_held_out(
     temperature = None if context is None else context.temperature
     mean_degc = None if temperature is None else temperature.mean_degc
     _require_unit([recording])
-    kept = without_repeats(load_samples(recording, board) if samples is None else samples)
-    motion = reference_motion(recording, kept)
-    (own_context,) = read_contexts([(recording, kept, motion)], mean_degc)
-    return HeldOutRecording(create_session(kept, motion, own_context), recording.path.name)
+    unrepeated = without_repeats(load_samples(recording, board) if samples is None else samples)
+    motion = reference_motion(recording, unrepeated)
+    (own_context,) = read_contexts([(recording, unrepeated, motion)], mean_degc)
+    return HeldOutRecording(create_session(unrepeated, motion, own_context), recording.path.name)
 
 
 def _require_unit(recordings: Sequence[Recording]) -> None:

@@ -58,7 +58,7 @@ def select_terms(
     """
     for cause in extend:
         _check_fittable(cause)
-    named_causes = {one.term.cause for one in named_terms}
+    named_causes = {fitted_term.term.cause for fitted_term in named_terms}
     requested = tuple(
         dict.fromkeys(c for c in extend if find_term(c).kind != "known" and c not in named_causes)
     )
@@ -75,18 +75,18 @@ def select_terms(
             "the Earth's rotation is not removed: the site has no heading; give heading_deg"
         )
     remedies: dict[str, str] = {}
-    for one in named_terms:
-        extensions.append(one)
-        remedies |= dict.fromkeys(one.names, one.term.excitation)
+    for fitted_term in named_terms:
+        extensions.append(fitted_term)
+        remedies |= dict.fromkeys(fitted_term.names, fitted_term.term.excitation)
     for cause in requested:
         extension, reason = _fittable_term(cause, loaded, settings)
         if extension is None:
             remarks.append(f"{cause} was not fitted: {reason}")
             continue
         remarks += [f"{cause}: {reason}"] if reason else []
-        for one in _per_recording(extension, len(loaded)):
-            extensions.append(one)
-            remedies |= dict.fromkeys(one.names, one.term.excitation)
+        for fitted_term in _per_recording(extension, len(loaded)):
+            extensions.append(fitted_term)
+            remedies |= dict.fromkeys(fitted_term.names, fitted_term.term.excitation)
     return TermSelection(tuple(extensions), tuple(settings), tuple(remarks), remedies)
 
 

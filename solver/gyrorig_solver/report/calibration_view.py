@@ -227,21 +227,21 @@ def uncertainty_rows(calibration: CalibrationDocument) -> list[dict[str, Any]]:
     if record is None:
         return []
     rows = []
-    for name, one in record.parameters.items():
+    for name, entry in record.parameters.items():
         group = group_of(name)
         factor, unit = (1.0, "") if group is None else (group.factor, group.unit)
         rows.append(
             {
                 "name": name,
                 "unit": "" if unit == "1" else unit,
-                "type_a": format_two_digits(one.type_a * factor),
-                "type_b": format_two_digits(one.type_b * factor),
-                "total": format_two_digits(one.total * factor),
+                "type_a": format_two_digits(entry.type_a * factor),
+                "type_b": format_two_digits(entry.type_b * factor),
+                "total": format_two_digits(entry.total * factor),
                 "interval": " to ".join(
-                    format_quantity(end * factor, one.total * factor)[0] for end in one.interval
+                    format_quantity(end * factor, entry.total * factor)[0] for end in entry.interval
                 ),
-                "limit": format_short(one.limit * factor),
-                "above": one.total > one.limit,
+                "limit": format_short(entry.limit * factor),
+                "above": entry.total > entry.limit,
                 "contributions": [
                     {
                         "name": contribution_name(row),

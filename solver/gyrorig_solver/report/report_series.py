@@ -213,7 +213,7 @@ def _segments(
         extended.residuals(extended_solution.gain),
     )
     for k, series in enumerate(base.series):
-        use, kept = extended.used[k], base.used[k] & extended.used[k]
+        use, has_residual = extended.used[k], base.used[k] & extended.used[k]
         time_s = series.block_times_s()
         scenes = [
             extended.signal_state(series, part, extended_solution.gain)
@@ -225,7 +225,9 @@ def _segments(
         after = extended.measured[k] - extended_residuals[k]
         # The base model has no residual where it rejected an outlier. There, the extended
         # model without the causes is used.
-        before = np.where(kept[:, None], base.measured[k] - base_residuals[k], after - sum(effects))
+        before = np.where(
+            has_residual[:, None], base.measured[k] - base_residuals[k], after - sum(effects)
+        )
         segments.append(
             _SeriesSegment(
                 time_s=time_s - first_s + begin_s,

@@ -53,21 +53,21 @@ def search_attitude_causes(
         if best is None:
             break
         trial = _refit_all(space, [*ranked_causes, best], terms, tests)
-        kept = [
+        confirmed = [
             ranked
             for ranked in trial
             if _improves_held_out(space, trial, ranked) and _is_significant(ranked, tests)
         ]
-        if len(kept) < len(trial):
+        if len(confirmed) < len(trial):
             dropped = {
                 term_label(ranked.candidate.extension.term)
                 for ranked in trial
-                if ranked not in kept
+                if ranked not in confirmed
             }
             excluded |= dropped
             if term_label(best.candidate.extension.term) in dropped:
                 continue  # the others stand as they were
-            trial = _refit_all(space, kept, terms, tests)
+            trial = _refit_all(space, confirmed, terms, tests)
         ranked_causes = trial
     return ranked_causes
 

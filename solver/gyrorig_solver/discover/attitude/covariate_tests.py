@@ -112,7 +112,7 @@ def _bias_signals(
     of: Callable[[SignalState], FloatArray], knots: FloatArray, scene: SignalState
 ) -> FloatArray:
     seen = scene.sample_output(np.repeat(_hat_functions(of(scene), knots)[:, :, None], 3, axis=2))
-    return np.concatenate([split_axes(one) for one in seen])
+    return np.concatenate([split_axes(signal) for signal in seen])
 
 
 def _own_rate_signals(largest: FloatArray, scene: SignalState) -> FloatArray:

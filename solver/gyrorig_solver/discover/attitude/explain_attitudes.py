@@ -111,12 +111,14 @@ def explain_attitudes(
     """
     start_s = time.monotonic()
     space, base_fit = fit_base_space(recordings)
-    fit = summarize_attitude_fit(base_fit, [(one.samples, one.reference) for one in recordings])
+    fit = summarize_attitude_fit(
+        base_fit, [(recording.samples, recording.reference) for recording in recordings]
+    )
     terms, untestable = select_attitude_terms(space)
     tests = count_tests(terms)
     base_tests = attitude_dependence_tests(space)
     ranked_causes = search_attitude_causes(space, terms, tests)
-    final_space = space.with_terms([one.candidate.extension for one in ranked_causes])
+    final_space = space.with_terms([ranked.candidate.extension for ranked in ranked_causes])
     unexplained = _unexplained_residual(
         ranked_causes, attitude_dependence_tests(final_space), tests
     )
@@ -124,13 +126,13 @@ def explain_attitudes(
     calibration = _calibration_values(base_fit, fit)
     causes = [
         _named_cause(
-            final_space, k, one, calibration, tests, gain_by_cause[k] if gain_by_cause else None
+            final_space, k, ranked, calibration, tests, gain_by_cause[k] if gain_by_cause else None
         )
-        for k, one in enumerate(ranked_causes)
+        for k, ranked in enumerate(ranked_causes)
         if is_named_cause(final_space.fitted_terms[k])
     ]
-    causes.sort(key=lambda one: (-one.parameter_bias_sigma, one.p_value))
-    fitted_labels = {term_label(one.term) for one in final_space.fitted_terms}
+    causes.sort(key=lambda cause: (-cause.parameter_bias_sigma, cause.p_value))
+    fitted_labels = {term_label(fitted_term.term) for fitted_term in final_space.fitted_terms}
     remaining_scores = scan_catalogue(
         final_space, [term for term in terms if term_label(term) not in fitted_labels], tests
     )
@@ -145,7 +147,7 @@ def explain_attitudes(
         dependence_tests=tuple(base_tests),
         detection_limits=detection_limits,
         untestable=(
-            *(one for one in undetectable if one.cause not in dict(untestable)),
+            *(entry for entry in undetectable if entry.cause not in dict(untestable)),
             *(UntestableCause(cause, None, why) for cause, why in untestable),
         ),
         base_terms=fit.terms,
@@ -162,8 +164,8 @@ def explain_attitudes(
         else gain_on_other_recording(final_space, held_out),
     )
     alternatives = {
-        one.candidate.extension.term.cause: one.candidate.extension.term.reference_alternative
-        for one in ranked_causes
+        ranked.candidate.extension.term.cause: ranked.candidate.extension.term.reference_alternative
+        for ranked in ranked_causes
     }
     remarks = [
         f"{cause.cause}: {alternatives[cause.cause]}"
@@ -171,9 +173,9 @@ def explain_attitudes(
         if alternatives[cause.cause]
     ]
     remarks += [
-        _describe_unnamed(one, gain_by_cause[k] if gain_by_cause else None)
-        for k, one in enumerate(ranked_causes)
-        if not is_named_cause(one.candidate.extension)
+        _describe_unnamed(ranked, gain_by_cause[k] if gain_by_cause else None)
+        for k, ranked in enumerate(ranked_causes)
+        if not is_named_cause(ranked.candidate.extension)
     ]
     return AttitudeExplanation(findings, fit, final_space, tuple(remarks))
 
@@ -242,16 +244,16 @@ def _unexplained_residual(
 ) -> UnexplainedResidual | None:
     unnamed = [
         DependenceTest(
-            one.candidate.extension.term.cause,
-            DESCRIPTIONS[one.candidate.extension.term.cause],
-            2.0 * one.candidate.delta_log_likelihood,
-            one.candidate.extension.free_indices.size,
-            candidate_p_value(one.candidate, one.effective_trials, tests),
+            ranked.candidate.extension.term.cause,
+            DESCRIPTIONS[ranked.candidate.extension.term.cause],
+            2.0 * ranked.candidate.delta_log_likelihood,
+            ranked.candidate.extension.free_indices.size,
+            candidate_p_value(ranked.candidate, ranked.effective_trials, tests),
         )
-        for one in ranked_causes
-        if not is_named_cause(one.candidate.extension)
+        for ranked in ranked_causes
+        if not is_named_cause(ranked.candidate.extension)
     ]
-    dependences = (*unnamed, *(one for one in remaining if one.p_value < FALSE_ALARM_RATE))
+    dependences = (*unnamed, *(test for test in remaining if test.p_value < FALSE_ALARM_RATE))
     if not dependences:
         return None
     named_statistic = sum(
@@ -259,7 +261,7 @@ def _unexplained_residual(
         for ranked in ranked_causes
         if is_named_cause(ranked.candidate.extension)
     )
-    largest_excess = max(one.statistic - one.degrees_of_freedom for one in dependences)
+    largest_excess = max(test.statistic - test.degrees_of_freedom for test in dependences)
     return UnexplainedResidual(
         dependences[0],
         dependences[1:],

@@ -88,7 +88,7 @@ class _BoardSearch:
         self, replaced: FittedTerm | None, cause: FittedTerm, ranked: RankedCause
     ) -> None:
         """Fit a cause, in place of another one or in addition to all, if the fit converges."""
-        kept = [
+        others = [
             (extension, ranked)
             for extension, ranked in self.fitted_causes()
             if extension is not replaced
@@ -97,17 +97,17 @@ class _BoardSearch:
             extension for extension in self.solution.fitted_terms if not extension.free_indices.size
         ]
         refitted = refit_with_terms(
-            self.solution, [*known_terms, *(extension for extension, _ in kept), cause]
+            self.solution, [*known_terms, *(extension for extension, _ in others), cause]
         )
         if refitted.converged:
-            self.ranked_causes = [*(ranked for _, ranked in kept), ranked]
+            self.ranked_causes = [*(ranked for _, ranked in others), ranked]
             self.solution = refitted
 
     def drop_cause(self, dropped: FittedTerm) -> None:
         """Refit without a cause, if that fit converges."""
         ranked_causes = [ranked for cause, ranked in self.fitted_causes() if cause is not dropped]
-        kept = [cause for cause in self.solution.fitted_terms if cause is not dropped]
-        refitted = refit_with_terms(self.solution, kept)
+        others = [cause for cause in self.solution.fitted_terms if cause is not dropped]
+        refitted = refit_with_terms(self.solution, others)
         if refitted.converged:
             self.ranked_causes, self.solution = ranked_causes, refitted
 
@@ -165,7 +165,7 @@ def _share_one_motion(bases: Sequence[ConvergedFit]) -> bool:
     """Return whether the fits have the same motion, small enough for a joint fit."""
     sizes = [[session.reference.information.size for session in b.sessions] for b in bases]
     many = sum(local + shared for local, shared in sizes[0])
-    return many <= MAX_MOTION_UNKNOWNS and all(one == sizes[0] for one in sizes)
+    return many <= MAX_MOTION_UNKNOWNS and all(size == sizes[0] for size in sizes)
 
 
 def _match_causes(boards: Sequence[_BoardSearch]) -> list[CauseByBoard]:

@@ -67,19 +67,21 @@ class JointProjector(NuisanceProjector):
         self, of: SignalFunction, exact: bool = False, term: Term | None = None
     ) -> WhitenedSignals:
         """Return the signals of all boards, whitened."""
-        return join_channels([one.evaluate_signals(of, exact, term) for one in self.boards])
+        return join_channels([board.evaluate_signals(of, exact, term) for board in self.boards])
 
     def evaluate_together(
         self, functions: Sequence[SignalFunction], count: int, term: Term | None = None
     ) -> WhitenedSignals:
         """Return `count` signals of several functions on all boards, whitened."""
-        return join_channels([one.evaluate_together(functions, count, term) for one in self.boards])
+        return join_channels(
+            [board.evaluate_together(functions, count, term) for board in self.boards]
+        )
 
     def term_derivatives(
         self, term: Term, values: FloatArray, free: IntArray | Sequence[int]
     ) -> WhitenedSignals:
         """Return a cause's derivatives, and its effect last, of all boards, whitened."""
-        return join_channels([one.term_derivatives(term, values, free) for one in self.boards])
+        return join_channels([board.term_derivatives(term, values, free) for board in self.boards])
 
     def score_statistics(self, signals: WhitenedSignals) -> ScoreStatistics:
         """Return the score statistics of whitened signals over all boards.
@@ -87,14 +89,14 @@ class JointProjector(NuisanceProjector):
         `taken` has the boards' parameters one after the other.
         """
         white = signals.dense()
-        felt, own, common = self._solve_nuisances(white)
+        felt, board_steps, common = self._solve_nuisances(white)
         score = white @ self.residual - common.T @ self._pull_common
         gram = white @ white.T
         information = gram - sum((f.T @ common for f, _ in felt), np.zeros(gram.shape))
         taken = []
-        for part, (_, there), step in zip(self._parts, felt, own, strict=True):
+        for part, (_, board_product), step in zip(self._parts, felt, board_steps, strict=True):
             score = score - step.T @ part.pull_own
-            information = information - there.T @ step
+            information = information - board_product.T @ step
             taken.append(part.parameter_shift(step, common).T)
         return ScoreStatistics(
             information, score, np.diag(gram).copy(), np.concatenate(taken, axis=1)
@@ -102,12 +104,12 @@ class JointProjector(NuisanceProjector):
 
     def orthogonal_component(self, white: FloatArray) -> FloatArray:
         """Return the component of a whitened signal orthogonal to all nuisances, (all,)."""
-        _, own, common = self._solve_nuisances(white[None])
+        _, board_steps, common = self._solve_nuisances(white[None])
         return np.concatenate(
             [
-                one - part.common_effect(common[:, 0]) - part.own_rows.T @ step[:, 0]
-                for part, one, step in zip(
-                    self._parts, np.split(white, self._ends), own, strict=True
+                board_signal - part.common_effect(common[:, 0]) - part.own_rows.T @ step[:, 0]
+                for part, board_signal, step in zip(
+                    self._parts, np.split(white, self._ends), board_steps, strict=True
                 )
             ]
         )
@@ -117,23 +119,25 @@ class JointProjector(NuisanceProjector):
     ) -> tuple[list[tuple[FloatArray, FloatArray]], list[FloatArray], FloatArray]:
         """Return products with both kinds of derivatives, and the unknowns' steps."""
         felt = [
-            (part.common_products(one.T), part.own_rows @ one.T)
-            for part, one in zip(self._parts, np.split(white, self._ends, axis=1), strict=True)
+            (part.common_products(board_signals.T), part.own_rows @ board_signals.T)
+            for part, board_signals in zip(
+                self._parts, np.split(white, self._ends, axis=1), strict=True
+            )
         ]
         pull = sum(
             (f - part.carry.T @ o for part, (f, o) in zip(self._parts, felt, strict=True)),
             np.zeros((self._common.shape[0], len(white))),
         )
         common = self._common @ pull
-        own = [
+        board_steps = [
             part.own_inverse @ o - part.carry @ common
             for part, (_, o) in zip(self._parts, felt, strict=True)
         ]
-        return felt, own, common
+        return felt, board_steps, common
 
     def board_part(self, k: int, taken: FloatArray) -> FloatArray:
         """Return one board's part of a change of all boards' parameters."""
-        first = sum(one.board_parameters for one in self.boards[:k])
+        first = sum(board.board_parameters for board in self.boards[:k])
         return taken[first : first + self.boards[k].board_parameters]
 
 
@@ -172,25 +176,30 @@ class _BoardPart:
         local = self._local.shape[0]
         return np.asarray(self._local.T @ step[:local] + self._dense.T @ step[local:], np.float64)
 
-    def parameter_shift(self, own: FloatArray, common: FloatArray) -> FloatArray:
+    def parameter_shift(self, board_steps: FloatArray, common: FloatArray) -> FloatArray:
         """Return steps of the board's parameters, (board, k), in their usual order."""
-        found = np.zeros((self._stay.size + self._moved.size, own.shape[1]))
-        found[self._stay] = own
-        found[self._moved] = common[common.shape[0] - self._moved.size :]
-        return found
+        shift = np.zeros((self._stay.size + self._moved.size, board_steps.shape[1]))
+        shift[self._stay] = board_steps
+        shift[self._moved] = common[common.shape[0] - self._moved.size :]
+        return shift
 
 
 def _shared_cause_columns(
     board: NuisanceProjector,
 ) -> dict[tuple[str, ...], tuple[IntArray, FloatArray]]:
     """Return the columns and prior widths of causes that the boards have in common."""
-    found: dict[tuple[str, ...], tuple[IntArray, FloatArray]] = {}
-    at = board.board_parameters - sum(one.free_indices.size for one in board.fitted_terms)
-    for one in board.fitted_terms:
-        if one.other_boards_prior is not None:
-            found[one.names] = np.arange(at, at + one.free_indices.size), one.prior_std
-        at += one.free_indices.size
-    return found
+    columns: dict[tuple[str, ...], tuple[IntArray, FloatArray]] = {}
+    at = board.board_parameters - sum(
+        fitted_term.free_indices.size for fitted_term in board.fitted_terms
+    )
+    for fitted_term in board.fitted_terms:
+        if fitted_term.other_boards_prior is not None:
+            columns[fitted_term.names] = (
+                np.arange(at, at + fitted_term.free_indices.size),
+                fitted_term.prior_std,
+            )
+        at += fitted_term.free_indices.size
+    return columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -59,13 +59,13 @@ def eliminate_backward(
             )
             if extension in known_terms or not sizes:
                 continue
-            kept = [other for j, other in enumerate(solution.fitted_terms) if j != k]
+            others = [other for j, other in enumerate(solution.fitted_terms) if j != k]
             cost = negative_log_likelihood(solution, noises) if cost is None else cost
-            reduced = refit_gain_exactly(refit_with_terms(solution, kept, FIRST_EVALUATIONS))
+            reduced = refit_gain_exactly(refit_with_terms(solution, others, FIRST_EVALUATIONS))
             gain = negative_log_likelihood(reduced, noises) - cost
             remaining = 0.0 if reduced.converged else reduced.convergence.remaining_nats
             if not reduced.converged and _p_value(gain - remaining, sizes) * tests > alpha:
-                reduced = refit_gain_exactly(refit_with_terms(reduced, kept))
+                reduced = refit_gain_exactly(refit_with_terms(reduced, others))
                 gain = negative_log_likelihood(reduced, noises) - cost
             gain_by_label[term_label(extension.term)] = gain
             p_value = _p_value(gain, sizes) * tests

@@ -140,8 +140,8 @@ class _SpectrumWhitener:
         self, axis: int, residual: FloatArray, shapes: FloatArray, base: FloatArray
     ) -> tuple[float, int]:
         """Return the score statistic of shapes and its degrees of freedom."""
-        own, left, signal = (self._whiten(axis, s) for s in (base, residual[None], shapes))
-        basis = np.linalg.qr(own.T)[0]
+        base_signals, left, signal = (self._whiten(axis, s) for s in (base, residual[None], shapes))
+        basis = np.linalg.qr(base_signals.T)[0]
         signal = signal - (signal @ basis) @ basis.T
         left = left[0] - (left[0] @ basis) @ basis.T
         energy = np.linalg.norm(signal, axis=1)

@@ -73,7 +73,7 @@ class BlockMotion:
             means = np.mean(values[inside].reshape(used.size, length, -1), axis=1)
             return np.asarray(means[used], dtype=np.float64)
 
-        moved, when = (mean(one) for one in scene.sample_output(np.stack([jolt, time])))
+        moved, when = (mean(output) for output in scene.sample_output(np.stack([jolt, time])))
         both = moved[:, 0] + moved[:, 1]
         return cls(
             np.divide(moved[:, 0] - moved[:, 1], both, out=np.zeros_like(both), where=both > 0.0),
@@ -132,12 +132,12 @@ def find_modulation(
 def _score_statistic(directions: FloatArray, excess: FloatArray) -> tuple[float, int]:
     """Return the score statistic of all directions but the first, which is at its optimum."""
     energy = np.sum(directions**2, axis=1)
-    kept = energy > 0.0
-    scale = np.sqrt(2.0 * energy[kept])
-    correlation = 2.0 * (directions[kept] @ directions[kept].T) / np.outer(scale, scale)
+    is_strong = energy > 0.0
+    scale = np.sqrt(2.0 * energy[is_strong])
+    correlation = 2.0 * (directions[is_strong] @ directions[is_strong].T) / np.outer(scale, scale)
     eigenvalues, eigenvectors = np.linalg.eigh(correlation)
     keep = eigenvalues > MIN_RELATIVE_STRENGTH * eigenvalues[-1]
-    score = eigenvectors[:, keep].T @ (directions[kept] @ excess / scale)
+    score = eigenvectors[:, keep].T @ (directions[is_strong] @ excess / scale)
     return float(np.sum(score**2 / eigenvalues[keep])), int(keep.sum()) - 1
 
 

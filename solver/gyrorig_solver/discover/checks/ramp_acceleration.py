@@ -47,7 +47,10 @@ def detect_ramp_error(solution: ConvergedFit, tests: int, alpha: float) -> RampR
         alpha: rate of false alarms of all of them.
     """
     term = AccelerationError()
-    if any(one.term.cause == term.cause and one.free_indices.size for one in solution.fitted_terms):
+    if any(
+        fitted_term.term.cause == term.cause and fitted_term.free_indices.size
+        for fitted_term in solution.fitted_terms
+    ):
         return RampResult(None, ())
     weight, total = np.zeros(2), np.zeros(2)
     for session in solution.sessions:
@@ -102,7 +105,7 @@ def detect_ramp_error(solution: ConvergedFit, tests: int, alpha: float) -> RampR
     ]
     named = NamedCause(
         term=term,
-        where=tuple(place for place, one in zip(PAN_TILT, acts, strict=True) if one),
+        where=tuple(place for place, acts_here in zip(PAN_TILT, acts, strict=True) if acts_here),
         extension=FittedTerm(term, share, np.zeros(0, dtype=np.int64)),
         values=tuple(values),
         statistic=statistic,
@@ -124,7 +127,7 @@ def _compare_base_speed_jump(named: NamedCause, solution: ConvergedFit) -> Named
     ramp looks steeper; the position counts separate the two.
     """
     term = BaseSpeedJump()
-    if any(one.term.cause == term.cause for one in solution.fitted_terms):
+    if any(fitted_term.term.cause == term.cause for fitted_term in solution.fitted_terms):
         return named
     jumps, stds, lead_nats = np.zeros(2), np.full(2, np.inf), 0.0
     for axis, place in enumerate(PAN_TILT):

@@ -193,7 +193,7 @@ def _residual_has_jumps(solution: ConvergedFit, axes: BoolArray) -> bool:
 
 def _combine_levels(profiles: Sequence[_LevelProfile]) -> tuple[FloatArray, FloatArray]:
     """Return the walk of each axis and its uncertainty over all recordings, (3,) each."""
-    levels = np.array([one.posterior_level() for one in profiles]).reshape(-1, 3, 2)
+    levels = np.array([profile.posterior_level() for profile in profiles]).reshape(-1, 3, 2)
     weight = levels[:, :, 1] ** -2.0
     total = weight.sum(axis=0)
     return np.sum(weight * levels[:, :, 0], axis=0) / total, total**-0.5

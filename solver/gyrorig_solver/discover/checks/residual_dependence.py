@@ -150,18 +150,22 @@ def smooth_function_evidence(statistics: ScoreStatistics, detail: FloatArray) ->
         statistics: the score statistics of its parts.
         detail: of each part, half waves.
     """
-    kept = np.flatnonzero(
+    strong_indices = np.flatnonzero(
         np.diag(statistics.information) > NEGLIGIBLE_ENERGY * np.maximum(statistics.energy, 1e-300)
     )
-    if not kept.size:
+    if not strong_indices.size:
         return 0.0
-    prior_width = 1.0 / (np.maximum(detail[kept], 1.0) * np.sqrt(statistics.energy[kept]))
-    information = statistics.information[np.ix_(kept, kept)] * np.outer(prior_width, prior_width)
+    prior_width = 1.0 / (
+        np.maximum(detail[strong_indices], 1.0) * np.sqrt(statistics.energy[strong_indices])
+    )
+    information = statistics.information[np.ix_(strong_indices, strong_indices)] * np.outer(
+        prior_width, prior_width
+    )
     eigenvalues, eigenvectors = np.linalg.eigh(information)
     keep = eigenvalues > NEGLIGIBLE_ENERGY
     kept_eigenvalues = eigenvalues[keep]
     explained = (
-        eigenvectors[:, keep].T @ (statistics.score[kept] * prior_width)
+        eigenvectors[:, keep].T @ (statistics.score[strong_indices] * prior_width)
     ) ** 2 / kept_eigenvalues
     gain = VARIANCE_GRID[:, None] / float(kept_eigenvalues.max()) * kept_eigenvalues
     nats = 0.5 * np.sum(explained * gain / (1.0 + gain) - np.log1p(gain), axis=1)

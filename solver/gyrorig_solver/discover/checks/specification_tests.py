@@ -149,14 +149,14 @@ def refit_without(
     removed_terms = [
         extension for extension, is_removed in zip(fitted, removed, strict=True) if is_removed
     ]
-    kept = [
+    others = [
         extension
         for extension in result.solution.fitted_terms
         if all(extension is not other for other in removed_terms)
     ]
-    solution = base if all(removed) else refit_with_terms(result.solution, kept)
+    solution = base if all(removed) else refit_with_terms(result.solution, others)
     if not solution.converged:
-        solution = refit_with_terms(base, kept)
+        solution = refit_with_terms(base, others)
     if not solution.converged:
         solution, removed = base, [True] * len(removed)
     ranked_causes = tuple(

@@ -154,17 +154,17 @@ class _Squares:
     ) -> "_Squares | None":
         """Return the values; None if there are too few at rest or in motion."""
         rate_hz = noise.sampling.rate_hz
-        speeds = [axis_speeds(one.rate_rad_s) for one in series]
+        speeds = [axis_speeds(residual.rate_rad_s) for residual in series]
         max_speed = np.max([speed.max(axis=0, initial=0.0) for speed in speeds], axis=0)
         stride = max(1, sum(speed.shape[0] for speed in speeds) // MAX_ROWS)
-        masks = [one.used for one in series]
+        masks = [residual.used for residual in series]
         if selection.only_steady:
             masks = _choose_steady(speeds, masks, rate_hz)
         squares, shapes = [], []
-        for one, speed, mask in zip(series, speeds, masks, strict=True):
-            for part in one.parts:
+        for residual, speed, mask in zip(series, speeds, masks, strict=True):
+            for part in residual.parts:
                 rows = np.flatnonzero(mask[part])[::stride]
-                band = _band_signal(one.residual[part], noise, selection)
+                band = _band_signal(residual.residual[part], noise, selection)
                 squares.append(band[rows] ** 2)
                 shapes.append(_shapes(speed[part][rows], max_speed))
         all_shapes = np.concatenate(shapes)
@@ -196,8 +196,8 @@ class _Squares:
 
     def agrees_with(self, other: "_Squares", axis: int) -> bool:
         """Return whether the variance in motion is the same within the other's uncertainty."""
-        own, theirs = self.variance_ratio(axis), other.variance_ratio(axis)
-        return abs(own - theirs) < AGREEMENT_SIGMA * other.std * theirs
+        ratio, theirs = self.variance_ratio(axis), other.variance_ratio(axis)
+        return abs(ratio - theirs) < AGREEMENT_SIGMA * other.std * theirs
 
     def fit_axis(self, axis: int) -> FloatArray:
         """Return c of one sensor axis, (5,)."""

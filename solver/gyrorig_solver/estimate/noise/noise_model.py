@@ -194,12 +194,13 @@ def bin_spectrum(pieces: Sequence[Periodogram], bins: int = 60) -> Spectrum:
 
     white_power = None
     if any(piece.white_power is not None for piece in pieces):
-        one = np.ones(3)
+        unit_power = np.ones(3)
         white_power = bin_means(
             np.concatenate(
                 [
                     np.broadcast_to(
-                        one if piece.white_power is None else piece.white_power, piece.density.shape
+                        unit_power if piece.white_power is None else piece.white_power,
+                        piece.density.shape,
                     )
                     for piece in pieces
                 ]

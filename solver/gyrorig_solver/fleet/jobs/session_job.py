@@ -238,8 +238,8 @@ def _solve_board(
             store, holding, board, extend=extend, precomputed=ready, before_writing=check_newest
         )
         calibration, stored = solved.calibration, solved.stored
-    except _AlreadyDoneError as done:
-        calibration, stored = done.calibration, done.version
+    except _AlreadyDoneError as signal:
+        calibration, stored = signal.calibration, signal.version
     except MachineError:
         raise
     except GyrorigError as fault:
@@ -259,7 +259,7 @@ def _solve_board(
         rig=metadata.get("rig", ""),
         file=store.name_of(stored),
         file_sha256=stored.digest().removeprefix("sha256:"),
-        beside=store.companion_digests(stored),
+        companions=store.companion_digests(stored),
     )
 
 

@@ -112,11 +112,11 @@ def run_all(jobs: Iterable[Job], pools: list[WorkerPool]) -> Iterator[JobResult 
                 return
             if not futures:
                 continue
-            done, _ = wait(futures, timeout=LOSS_POLL_S, return_when=FIRST_COMPLETED)
-            if not done and (lost := [pool for pool in pools if pool.is_lost()]):
+            finished, _ = wait(futures, timeout=LOSS_POLL_S, return_when=FIRST_COMPLETED)
+            if not finished and (lost := [pool for pool in pools if pool.is_lost()]):
                 yield from (_deferred(job) for pool in lost for job in pool.running_jobs.values())
                 return
-            for future in done:
+            for future in finished:
                 pool = futures[future]
                 job = pool.running_jobs.pop(future)
                 result = _job_result(future, job, pool, deaths)

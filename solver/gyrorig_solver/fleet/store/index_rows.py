@@ -127,7 +127,7 @@ def calibration_row(
     rig: str,
     file: str,
     file_sha256: str,
-    beside: Sequence[str] = (),
+    companions: Sequence[str] = (),
 ) -> IndexRow:
     """Return the row of a calibration that is in the store."""
     return IndexRow(
@@ -153,7 +153,7 @@ def calibration_row(
         version=calibration.version,
         file=file,
         file_sha256=file_sha256,
-        beside=list(beside),
+        beside=list(companions),
         solver_version=calibration.solver.version,
         config_sha256=calibration.solver.config_sha256,
         trust=calibration.trust.verdict,

@@ -226,7 +226,7 @@ def _rebuilt_row(
         rig=match["rig"] if match else "",
         file=file,
         file_sha256=digest,
-        beside=companions,
+        companions=companions,
     )
 
 
