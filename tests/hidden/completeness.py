@@ -59,7 +59,7 @@ from gyrorig_solver.discover.cause_search import (
 )
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.motion_fit import solve_motion
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, Spectrum, nominal_levels
 from gyrorig_solver.estimate.noise.whitening import whiten_residual

@@ -23,7 +23,7 @@ from gyrorig_solver.discover.cause_search import (
 )
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.term import value_names

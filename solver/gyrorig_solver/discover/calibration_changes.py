@@ -11,9 +11,14 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.cause_findings import CalibrationChange
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.factor_covariance import propagate_to_factors
-from gyrorig_solver.estimate.likelihood_fit import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
 from gyrorig_solver.estimate.observability import BIAS_NAMES
+from gyrorig_solver.estimate.parameter_layout import (
+    GAIN_PARAMETERS,
+    SESSION_PARAMETERS,
+    ParameterLayout,
+)
 from gyrorig_solver.model.gain_matrix import FACTOR_NAMES
 
 CALIBRATION_PARAMETERS = (*FACTOR_NAMES, *BIAS_NAMES, "time_offset")
@@ -67,10 +72,5 @@ class CalibrationValues:
 
 def last_recording_part(parameter_shift: FloatArray, recordings: int) -> FloatArray:
     """Return the last recording's part of a change of all fitted parameters, (13,)."""
-    last_start = GAIN_PARAMETERS + SESSION_PARAMETERS * (recordings - 1)
-    return np.concatenate(
-        [
-            parameter_shift[:GAIN_PARAMETERS],
-            parameter_shift[last_start : last_start + SESSION_PARAMETERS],
-        ]
-    )
+    last = ParameterLayout.of([()], recordings).index(recordings - 1)
+    return np.asarray(parameter_shift[last], dtype=np.float64)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.model.term import Part, Term
 
 # adequate: the base model leaves nothing but noise. explained: it did not, the named causes

@@ -28,8 +28,9 @@ from gyrorig_solver.discover.gain_refit import refit_gain_exactly
 from gyrorig_solver.discover.model_evidence import best_model
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue, testable_places
 from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.recording_scope import limit_to_recording, recording_index_of, term_label

@@ -15,8 +15,8 @@ from gyrorig_solver.discover.checks.fit_residual import findings_from_fit
 from gyrorig_solver.discover.checks.typical_noise import build_projector
 from gyrorig_solver.discover.fit_explanation import DEPENDENCE_FALSE_ALARM_RATE, dependence_tests
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.recording_scope import term_label
 

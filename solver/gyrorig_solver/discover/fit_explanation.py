@@ -50,9 +50,9 @@ from gyrorig_solver.discover.checks.typical_noise import (
 from gyrorig_solver.discover.detection_limits import find_detection_limits
 from gyrorig_solver.discover.held_out_gain import cross_validate_causes
 from gyrorig_solver.discover.rival_causes import describe_rivals
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fit_summary import BASE_TERMS
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2
 from gyrorig_solver.model.recording_scope import recording_index_of, term_label

@@ -21,9 +21,11 @@ from gyrorig_solver.discover.checks.typical_noise import whittle_log_likelihood
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.score_tests import ScoreTest
 from gyrorig_solver.estimate.cascade import CLIPPING_STAGES
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import GAIN_PARAMETERS, ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Part, Stage, TermParameter
 from gyrorig_solver.model.term_kinds import LinearTerm

@@ -17,7 +17,7 @@ import numpy as np
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.discover.cause_findings import ConfidenceInterval, HeldOutGain
 from gyrorig_solver.discover.held_out_recording import HeldOutFit, HeldOutRecording
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.series import Series
 from gyrorig_solver.numerics.distributions import normal_quantile

@@ -13,17 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.estimate.board_fit import DERIVATIVE_REFRESH_SIGMA, OUTLIER_RETEST_SIGMA
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.information import marginalise
-from gyrorig_solver.estimate.likelihood_fit import (
-    DERIVATIVE_REFRESH_SIGMA,
-    GAIN_PARAMETERS,
-    OUTLIER_RETEST_SIGMA,
-    ConvergedFit,
-)
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, bin_spectrum, fit_noise_levels
 from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.observability import PRIOR_STD
+from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.trust_region import CONVERGED_SIGMA
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray
 from gyrorig_solver.discover.checks.typical_noise import limit_to_typical
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fit_objective import reference_cost, residual_cost
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.model.term import value_indices, value_parameters
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.estimate.cascade import CLIPPING_STAGES, effect_of_removing, pass_through_of
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.noise.whitening import PartModel
 from gyrorig_solver.estimate.series_segment import SeriesSegment

@@ -10,11 +10,12 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fit_summary import BASE_TERMS, FitOutcome, build_gyro_fit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit, NoiseLevels, RecordingFit
 from gyrorig_solver.estimate.initial_guess import solve_shared_gain
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, fit_likelihood
+from gyrorig_solver.estimate.likelihood_fit import fit_likelihood
 from gyrorig_solver.estimate.rest_to_rest import BoardPath, CrossCheck, cross_check
 from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.session_fit import SessionFit

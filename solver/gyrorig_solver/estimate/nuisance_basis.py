@@ -13,10 +13,10 @@ from scipy.sparse import block_diag, csc_array, csr_array
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.cascade import fitted_derivatives
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
 from gyrorig_solver.estimate.noise.whitening import PartModel
-from gyrorig_solver.estimate.observability import PRIOR_STD
+from gyrorig_solver.estimate.parameter_layout import ParameterLayout
 from gyrorig_solver.estimate.series_segment import SeriesSegment
 from gyrorig_solver.model.signal_state import SignalState
 
@@ -45,34 +45,28 @@ def nuisance_basis(
 
     In the order G, each recording's (b, tau), the causes, each reference's shared unknowns.
     """
-    session_count = len(solution.sessions)
-    term_values = sum(fitted_term.free_indices.size for fitted_term in fitted_terms)
-    board_parameters = GAIN_PARAMETERS + SESSION_PARAMETERS * session_count + term_values
+    layout = ParameterLayout.of([fitted_terms], len(solution.sessions))
     informations = [session.reference.information for session in solution.sessions]
-    shared_first = board_parameters + np.cumsum([0, *(k.size[1] for k in informations)])
+    shared_first = layout.size + np.cumsum([0, *(k.size[1] for k in informations)])
     local_first = np.cumsum([0, *(k.size[0] for k in informations)])
     lengths = [3 * sum(u.size for u in segment.used) for segment in segments]
     starts = np.cumsum([0, *lengths])
     basis = np.zeros((int(shared_first[-1]), int(starts[-1])))
     rows, columns, values = [], [], []
     for segment, start in zip(segments, starts[:-1], strict=True):
-        session_first = GAIN_PARAMETERS + SESSION_PARAMETERS * segment.session_index
+        first_shared = int(shared_first[segment.session_index])
         shared_count = segment.models[0].columns.shared.shape[0]
-        terms_first = GAIN_PARAMETERS + SESSION_PARAMETERS * session_count
-        base_rows = [
-            *range(GAIN_PARAMETERS),
-            *range(session_first, session_first + SESSION_PARAMETERS),
-            *range(terms_first, terms_first + term_values),
-            *range(
-                int(shared_first[segment.session_index]),
-                int(shared_first[segment.session_index]) + shared_count,
-            ),
-        ]
+        row_of_signal = np.array(
+            [
+                *layout.index(segment.session_index),
+                *range(first_shared, first_shared + shared_count),
+            ]
+        )
         parts = [
             _part_derivatives(model, state, solution.gain, fitted_terms)
             for model, state in zip(segment.models, segment.exact_states, strict=True)
         ]
-        column, row_of_signal = int(start), np.array(base_rows)
+        column = int(start)
         for channel in segment.whiten(parts):
             stop = column + channel.rows.shape[1]
             basis[row_of_signal[channel.signal_index], column:stop] = channel.rows
@@ -93,14 +87,14 @@ def nuisance_basis(
     return (
         basis,
         local,
-        _prior_information(solution, fitted_terms, board_parameters, shared_first, local_first),
+        _prior_information(solution, fitted_terms, layout, shared_first, local_first),
     )
 
 
 def _prior_information(
     solution: ConvergedFit,
     fitted_terms: Sequence[FittedTerm],
-    board_parameters: int,
+    layout: ParameterLayout,
     shared_first: IntArray,
     local_first: IntArray,
 ) -> NuisancePrior:
@@ -108,19 +102,15 @@ def _prior_information(
     shared, cross = np.zeros((size, size)), np.zeros((int(local_first[-1]), size))
     local_score, shared_score = np.zeros(int(local_first[-1])), np.zeros(size)
     # Unobservable parameters keep their prior; otherwise causes along them look identifiable.
-    session_std = [PRIOR_STD["bias"]] * 3 + [PRIOR_STD["time_offset"]]
-    std = [PRIOR_STD["gain"]] * GAIN_PARAMETERS + session_std * len(solution.sessions)
-    std += [float(v) for fitted_term in fitted_terms for v in fitted_term.prior_std]
-    shared[np.arange(board_parameters), np.arange(board_parameters)] = np.array(std) ** -2.0
-    first = GAIN_PARAMETERS + SESSION_PARAMETERS * len(solution.sessions)
-    for fitted_term in fitted_terms:
-        term_slice = slice(first, first + fitted_term.free_indices.size)
+    diagonal = np.arange(layout.size)
+    shared[diagonal, diagonal] = layout.prior_std**-2.0
+    for fitted_term, block in zip(fitted_terms, layout.term_blocks(), strict=True):
         if fitted_term.other_boards_prior is not None:
+            term_slice = slice(block.start, block.start + block.size)
             shared[term_slice, term_slice] += fitted_term.other_boards_prior.information
             shared_score[term_slice] += fitted_term.other_boards_prior.score(
                 fitted_term.values[fitted_term.free_indices]
             )
-        first = term_slice.stop
     local_blocks = []
     pull_and_local_count = [
         (fitted_term.reference.prior_offset, fitted_term.reference.information.size[0])
@@ -147,9 +137,15 @@ def _prior_information(
         if nonempty_blocks
         else csc_array((0, 0))
     )
-    first = GAIN_PARAMETERS + SESSION_PARAMETERS * len(solution.sessions)
     return NuisancePrior(
-        local, cross, shared, local_score, shared_score, first, board_parameters, motion_offset
+        local,
+        cross,
+        shared,
+        local_score,
+        shared_score,
+        layout.first_term,
+        layout.size,
+        motion_offset,
     )
 
 

@@ -26,9 +26,9 @@ from gyrorig_solver.estimate.cascade import (
     effect_of_removing,
 )
 from gyrorig_solver.estimate.channel_derivatives import ChannelDerivatives
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fit_segments import build_segments, remaining_terms
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior, nuisance_basis
 from gyrorig_solver.estimate.series_segment import SeriesSegment, SignalWhitener

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.numerics.distributions import normal_quantile

@@ -14,8 +14,8 @@ from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.discover.fit_criticism import FitCriticism, criticise_fit, criticise_residual
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.pipeline.explain_board import (
     BoardExplanation,

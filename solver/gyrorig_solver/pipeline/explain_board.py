@@ -30,8 +30,8 @@ from gyrorig_solver.discover.cause_findings import CauseFindings, FitExplanation
 from gyrorig_solver.discover.checks.fit_residual import findings_from_fit
 from gyrorig_solver.discover.fit_explanation import explain_fit
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.findings.findings_builder import (
     FindingsOrigin,
     RawChecks,

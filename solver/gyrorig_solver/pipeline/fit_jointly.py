@@ -12,9 +12,9 @@ from types import MappingProxyType
 
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.recording import Recording
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.multi_board_fit import fit_boards_jointly
 from gyrorig_solver.estimate.shared_parameters import is_unit_cause
 from gyrorig_solver.model.recording_scope import term_label

@@ -13,9 +13,9 @@ from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
 from gyrorig_solver.discover.held_out_recording import HeldOutRecording
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import GyroFit, StageLevel
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.motion_fit import create_session, solve_motion, summarize_motion_fit
 from gyrorig_solver.estimate.observability_remedies import REST_REMEDIES, UNIT_REMEDIES
 from gyrorig_solver.model.leveling import level_from_rests

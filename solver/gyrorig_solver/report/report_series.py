@@ -14,9 +14,9 @@ from gyrorig_solver.data.arrays import BoolArray, FloatArray
 from gyrorig_solver.discover.attitude.explain_attitudes import AttitudeExplanation
 from gyrorig_solver.discover.cause_findings import FitExplanation, NamedCause
 from gyrorig_solver.estimate.cascade import total_effect
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.noise.noise_model import Periodogram, bin_spectrum
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.findings.findings_builder import figure_key

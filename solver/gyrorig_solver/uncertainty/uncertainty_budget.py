@@ -14,7 +14,7 @@ from gyrorig_solver.discover.calibration_changes import (
     CalibrationValues,
     last_recording_part,
 )
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
 from gyrorig_solver.estimate.whitened_signals import join_signals
 from gyrorig_solver.model.term import Term

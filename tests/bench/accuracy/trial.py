@@ -14,8 +14,8 @@ from tests.bench.accuracy.profile import FloatArray
 from tests.bench.accuracy.unit import Session, carry_out
 
 from gyrorig_protocol.program import MotionProgram, parse_program
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.motion_fit import fit_motion, solve_motion
 from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
 from gyrorig_solver.reference.reference_motion import ReferenceMotion

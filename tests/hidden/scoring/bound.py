@@ -26,7 +26,7 @@ from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.discover.cause_search import count_tests, fit_best_place, testable_terms
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
 

@@ -21,7 +21,8 @@ from gyrorig_solver.data.stream.gain_checks import check_gain
 from gyrorig_solver.data.stream.stream_checks import check_stream
 from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS, CalibrationValues
 from gyrorig_solver.discover.cause_findings import CauseFindings, FitExplanation, NamedCause
-from gyrorig_solver.estimate.likelihood_fit import GAIN_PARAMETERS, SESSION_PARAMETERS, ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
 from gyrorig_solver.findings.findings_builder import (
     FindingsOrigin,
     RawChecks,

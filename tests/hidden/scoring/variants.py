@@ -20,7 +20,7 @@ from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.cause_findings import FitExplanation
 from gyrorig_solver.discover.cause_search import count_tests, testable_terms
 from gyrorig_solver.discover.score_tests import scan_catalogue
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.noise.noise_model import (
     NoiseModel,
     Sampling,

@@ -24,7 +24,7 @@ from gyrorig_solver.discover.boards.scope_hypotheses import possible_owner
 from gyrorig_solver.discover.cause_findings import FitExplanation
 from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 from gyrorig_solver.model.catalogue import catalogue

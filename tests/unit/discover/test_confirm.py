@@ -13,8 +13,9 @@ from gyrorig_solver.discover.exact_fit import fit_candidate
 from gyrorig_solver.discover.gain_refit import GainChange, refit_gain_exactly
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.catalogue import find_term
 from gyrorig_solver.model.term import value_indices

@@ -9,8 +9,9 @@ import pytest
 from gyrorig_solver.discover import cause_search
 from gyrorig_solver.discover.fit_explanation import explain_fit
 from gyrorig_solver.discover.model_evidence import best_model
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.estimate.trust_region import Convergence
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 

@@ -6,7 +6,7 @@ from tests.bench.accuracy.motor_noise import MotorNoise
 from tests.bench.accuracy.trial import Case, solve_case
 
 from gyrorig_solver.estimate import series
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.noise.motion_noise import (
     MotionNoise,
     MotionResidual,

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from tests.unit.solver.made import reference_of, samples_of
 
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
-from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.linear.normal_equations import NormalEquations, stack_boards
 from gyrorig_solver.estimate.motion_fit import solve_motion
 from gyrorig_solver.estimate.multi_board_fit import (
     fit_boards_jointly,
     motion_agreement_p_value,
-    stack_boards,
 )
 from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
 
@@ -139,7 +138,7 @@ def test_stacked_boards_add_scores_of_the_unit(
     normals: list[NormalEquations] = [
         s.sessions[0].normal_equations(s.gain, s.noises[0]) for s in (one, two)
     ]
-    both = stack_boards(normals)
+    both = stack_boards(normals, [BASE_PARAMETERS] * 2)
     local, shared = normals[0].matrix.size
     assert both.matrix.size == (local, shared + BASE_PARAMETERS)
     assert both.score[:local] == pytest.approx(normals[0].score[:local] + normals[1].score[:local])

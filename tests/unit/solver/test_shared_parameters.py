@@ -9,17 +9,17 @@ import pytest
 from scipy.stats import kstest
 from tests.unit.solver.made import reference_of, samples_of
 
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm, GaussianPrior, free_term
 from gyrorig_solver.estimate.information import MarginalEquations
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.motion_fit import solve_motion
 from gyrorig_solver.estimate.multi_board_fit import fit_boards_jointly
 from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
+from gyrorig_solver.estimate.parameter_layout import ParameterLayout
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.shared_parameters import (
     average_shared_values,
     is_unit_cause,
-    map_parameters,
     shared_term_p_value,
 )
 from gyrorig_solver.model.catalogue import find_term
@@ -141,20 +141,19 @@ def test_only_equal_terms_are_shared(alone: dict[str, ConvergedFit]) -> None:
     one, two = list(alone.values())[:2]
     width = one.estimate.size
     causes = average_shared_values([one, two], [CAUSE])
-    both = map_parameters(causes, [width, width], [CAUSE])
-    assert both.unknown_count == 2 * width - 1
-    assert both.unknown_index[width - 1] == both.unknown_index[-1]
-    assert both.is_shared.sum() == 2
-    other = replace(
-        causes[1][0], free_indices=causes[1][0].free_indices[:0]
-    )  # of a known size there
-    apart = map_parameters([causes[0], [other]], [width, width - 1], [CAUSE])
-    assert apart.unknown_count == 2 * width - 1
-    # One that a board was told of by others is told no more.
-    told = GaussianPrior(np.array([1e-3]), np.array([[1e6]]))
-    known = replace(one, fitted_terms=(replace(one.fitted_terms[0], other_boards_prior=told),))
+    layout = ParameterLayout.of(causes, 1, [CAUSE])
+    assert layout.size == 2 * width - 1
+    assert layout.board_index(0)[-1] == layout.board_index(1)[-1]
+    assert layout.is_shared(np.arange(layout.size)).sum() == 1
+    held = replace(causes[1][0], free_indices=causes[1][0].free_indices[:0])
+    separate = ParameterLayout.of([causes[0], [held]], 1, [CAUSE])
+    assert separate.size == 2 * width - 1
+    assert not separate.is_shared(separate.board_index(1)).any()
+    # The joint fit has the other boards' data, so their prior is removed.
+    prior = GaussianPrior(np.array([1e-3]), np.array([[1e6]]))
+    known = replace(one, fitted_terms=(replace(one.fitted_terms[0], other_boards_prior=prior),))
     assert average_shared_values([known, two], [CAUSE])[0][0].other_boards_prior is None
-    assert average_shared_values([known, two], [])[0][0].other_boards_prior is told
+    assert average_shared_values([known, two], [])[0][0].other_boards_prior is prior
 
 
 def test_unit_causes_by_kind() -> None:

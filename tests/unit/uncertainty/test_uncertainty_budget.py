@@ -13,7 +13,7 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS, CalibrationValues
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.gain_matrix import factorise
 from gyrorig_solver.pipeline.board_data import load_board

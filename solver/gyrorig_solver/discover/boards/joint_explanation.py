@@ -42,8 +42,9 @@ from gyrorig_solver.discover.cause_search import (
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.fit_explanation import assemble_findings
 from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.recording_scope import term_label
 from gyrorig_solver.model.term import Term

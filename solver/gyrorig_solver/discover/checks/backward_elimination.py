@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 from gyrorig_solver.discover.checks.typical_noise import limit_to_typical
 from gyrorig_solver.discover.gain_refit import refit_gain_exactly
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fit_segments import negative_log_likelihood
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.model.recording_scope import term_label
 from gyrorig_solver.model.term import value_indices
 from gyrorig_solver.numerics.distributions import chi2_upper_tail

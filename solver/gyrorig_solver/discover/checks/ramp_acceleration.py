@@ -12,8 +12,8 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.cause_findings import DetectionLimit, FittedValue, NamedCause
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.model.causes.acceleration_error import AccelerationError
 from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
 from gyrorig_solver.model.value_format import PAN_TILT

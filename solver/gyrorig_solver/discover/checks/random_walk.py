@@ -21,8 +21,8 @@ from gyrorig_solver.discover.checks.typical_noise import (
     has_typical_noise,
     limit_to_typical,
 )
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
 from gyrorig_solver.estimate.noise.noise_model import (
     PRIOR_LOG_STD,
     NoiseModel,

@@ -37,8 +37,9 @@ from gyrorig_solver.discover.checks.smooth_alternatives import (
     smooth_families,
 )
 from gyrorig_solver.discover.exact_fit import FittedCandidate
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit, refit_with_terms
+from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.whitened_signals import join_signals
 from gyrorig_solver.model.signal_state import SignalState

@@ -17,7 +17,7 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
-from gyrorig_solver.estimate.likelihood_fit import ConvergedFit
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.noise.noise_model import (
     PRIOR_LOG_STD,
     NoiseModel,

@@ -25,7 +25,6 @@ from gyrorig_solver.estimate.attitude.attitude_fit import AttitudeFit
 from gyrorig_solver.estimate.attitude.attitude_solver import smooth_power
 from gyrorig_solver.estimate.cascade import fitted_derivatives, total_effect
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import GAIN_PARAMETERS, SESSION_PARAMETERS
 from gyrorig_solver.estimate.noise.noise_model import (
     NoiseModel,
     Periodogram,
@@ -35,7 +34,7 @@ from gyrorig_solver.estimate.noise.noise_model import (
 )
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
-from gyrorig_solver.estimate.observability import PRIOR_STD
+from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, ParameterLayout
 from gyrorig_solver.estimate.series_segment import SeriesSegment
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
 from gyrorig_solver.model.signal_state import RecordingContext, SignalState
@@ -316,9 +315,8 @@ class AttitudeProjector(NuisanceProjector):
         gain_effect = (gain - self.gain).ravel() @ self._basis[:GAIN_PARAMETERS]
         effect = self.evaluate_signals(lambda state: total_effect(fitted_terms, state)[None])
         residual = self.residual - gain_effect - effect.dense()[0]
-        session_basis = self._basis[
-            GAIN_PARAMETERS : GAIN_PARAMETERS + SESSION_PARAMETERS * self.recording_count
-        ]
+        layout = ParameterLayout.of([()], self.recording_count)
+        session_basis = self._basis[layout.session_index()]
         step = np.linalg.lstsq(session_basis.T, residual, rcond=None)[0]
         return np.asarray(residual - step @ session_basis, dtype=np.float64)
 
@@ -331,30 +329,27 @@ class AttitudeProjector(NuisanceProjector):
     ) -> FloatArray:
         """Return a segment's derivatives by G, each recording's (b, tau) and the causes."""
         term_derivatives = fitted_derivatives(fitted_terms, segment.state)
-        terms_first = GAIN_PARAMETERS + SESSION_PARAMETERS * self.recording_count
-        derivatives = np.zeros((terms_first + term_derivatives.shape[0], segment.block_count, 3))
-        first = GAIN_PARAMETERS + SESSION_PARAMETERS * segment.recording
+        layout = ParameterLayout.of([fitted_terms], self.recording_count)
+        derivatives = np.zeros((layout.size, segment.block_count, 3))
+        index = layout.index(segment.recording)
         for axis in range(3):
-            derivatives[3 * axis : 3 * axis + 3, :, axis] = segment.rate.T
-            derivatives[first + axis, :, axis] = 1.0
+            derivatives[index[3 * axis : 3 * axis + 3], :, axis] = segment.rate.T
+            derivatives[index[GAIN_PARAMETERS + axis], :, axis] = 1.0
         # y is taken at t + tau: y moves and the model does not, so the sign is negative.
-        derivatives[first + 3] = -segment.slope
-        derivatives[terms_first:] = term_derivatives
+        derivatives[index[GAIN_PARAMETERS + 3]] = -segment.slope
+        derivatives[layout.term_index()] = term_derivatives
         return derivatives
 
     def _nuisance_prior(self, fitted_terms: Sequence[FittedTerm]) -> NuisancePrior:
-        session_std = [PRIOR_STD["bias"]] * 3 + [PRIOR_STD["time_offset"]]
-        std = [PRIOR_STD["gain"]] * GAIN_PARAMETERS + session_std * self.recording_count
-        std += [float(v) for fitted_term in fitted_terms for v in fitted_term.prior_std]
-        size = len(std)
+        layout = ParameterLayout.of([fitted_terms], self.recording_count)
         return NuisancePrior(
             local=csc_array((0, 0)),
-            cross=np.zeros((0, size)),
-            shared=np.diag(np.array(std) ** -2.0),
+            cross=np.zeros((0, layout.size)),
+            shared=np.diag(layout.prior_std**-2.0),
             local_score=np.zeros(0),
-            shared_score=np.zeros(size),
-            first_term=GAIN_PARAMETERS + SESSION_PARAMETERS * self.recording_count,
-            board_parameters=size,
+            shared_score=np.zeros(layout.size),
+            first_term=layout.first_term,
+            board_parameters=layout.size,
         )
 
 

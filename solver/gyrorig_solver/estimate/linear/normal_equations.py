@@ -7,10 +7,12 @@ the constants of the parts once more. This too is an orthonormal transform, and 
 have the densities of the whole series at the same frequencies.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import idct
+from scipy.linalg import block_diag
 from scipy.sparse import coo_array, csc_array
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
@@ -154,3 +156,47 @@ def _cross_products(part: WhitenedPart, size: int) -> FloatArray:
         products = np.array([whitened[row, a:b] @ signals[a:b] for row, a, b in intervals])
         result[:, part.parameter_index(axis)] += products
     return result * packed.scale[:, None]
+
+
+def stack_boards(
+    boards: Sequence[NormalEquations], parameter_counts: Sequence[int]
+) -> NormalEquations:
+    """Return one recording's equations over (local | each board's own, the unit's shared).
+
+    Args:
+        boards: of each, over (local | own, shared), of the same local and shared unknowns.
+        parameter_counts: number of each board's own parameters.
+    """
+    if len(boards) == 1:
+        return boards[0]
+    local = boards[0].matrix.size[0]
+    boards_and_counts = list(zip(boards, parameter_counts, strict=True))
+    local_information = boards[0].matrix.local
+    for other in boards[1:]:
+        local_information = (local_information + other.matrix.local).tocsc()
+    board_information = block_diag(
+        *(equations.matrix.shared[:count, :count] for equations, count in boards_and_counts)
+    )
+    shared = np.sum(
+        [equations.matrix.shared[count:, count:] for equations, count in boards_and_counts], axis=0
+    )
+    border = np.vstack(
+        [equations.matrix.shared[:count, count:] for equations, count in boards_and_counts]
+    )
+    cross = [equations.matrix.cross[:, :count] for equations, count in boards_and_counts]
+    shared_cross = np.sum(
+        [equations.matrix.cross[:, count:] for equations, count in boards_and_counts], axis=0
+    )
+    matrix = ArrowheadMatrix(
+        local_information,
+        np.hstack([*cross, shared_cross]),
+        np.block([[board_information, border], [border.T, shared]]),
+    )
+    board_scores = [
+        equations.score[local : local + count] for equations, count in boards_and_counts
+    ]
+    shared_score = np.sum(
+        [equations.score[local + count :] for equations, count in boards_and_counts], axis=0
+    )
+    local_score = np.sum([equations.score[:local] for equations in boards], axis=0)
+    return NormalEquations(matrix, np.concatenate([local_score, *board_scores, shared_score]))

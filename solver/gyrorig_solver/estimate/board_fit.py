@@ -1,0 +1,238 @@
+"""The state of one board in a fit: gain, causes, noise, and its recordings.
+
+What to use when: `BoardFit.started` for the first fit of a board; `BoardFit.resumed` to continue
+from a fit with other causes. `likelihood_fit` iterates over one or more boards.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.fit_objective import residual_decrease
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.initial_guess import solve_shared_gain
+from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
+from gyrorig_solver.estimate.noise.noise_model import (
+    NoiseModel,
+    Sampling,
+    Spectrum,
+    bin_spectrum,
+    fit_noise_levels,
+)
+from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, ParameterLayout
+from gyrorig_solver.estimate.session_fit import SessionFit
+
+OUTLIER_RETEST_SIGMA = 5.0  # a larger step repeats the outlier detection
+DERIVATIVE_REFRESH_SIGMA = 50.0  # a larger step repeats the derivatives
+NONLINEAR_REFRESH_SIGMA = 3.0  # the same with causes
+MAX_LAG_STEP_S = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """The values after a step that may be rejected."""
+
+    gain: FloatArray
+    fitted_terms: tuple[FittedTerm, ...]
+    sessions: tuple[SessionFit, ...]
+    size_sigma: float
+
+
+class BoardFit:
+    """One board's part of a fit."""
+
+    def __init__(self, sessions: Sequence[SessionFit], fitted_terms: Sequence[FittedTerm]) -> None:
+        """Use `started` or `resumed` instead."""
+        self.sessions, self.fitted_terms = tuple(sessions), tuple(fitted_terms)
+        self.layout = ParameterLayout.of([self.fitted_terms], len(self.sessions))
+        self.gain = np.eye(3)
+        self.noises: list[NoiseModel] = []
+        self.spectra: list[Spectrum] = []
+        self.noise_sources: list[str] = []
+        self._trial: _Trial | None = None
+
+    @classmethod
+    def started(
+        cls, sessions: Sequence[SessionFit], fitted_terms: Sequence[FittedTerm] = ()
+    ) -> Self:
+        """Estimate lags by correlation, then gain and biases by least squares."""
+        board = cls(sessions, fitted_terms)
+        for session in board.sessions:
+            session.estimate_lag()
+        board._least_squares(is_first=True)
+        board._least_squares(is_first=False)
+        board.update_predictions()
+        return board
+
+    @classmethod
+    def resumed(cls, previous: ConvergedFit, fitted_terms: Sequence[FittedTerm]) -> Self:
+        """Start at the end of another fit of the same recordings, which is not changed."""
+        board = cls([session.copy() for session in previous.sessions], fitted_terms)
+        board.gain, board.noises = previous.gain.copy(), list(previous.noises)
+        board.update_predictions()
+        return board
+
+    @property
+    def parameter_count(self) -> int:
+        """The number of parameters of one recording's equations: G, b, tau, causes."""
+        return self.layout.index(0).size
+
+    def normal_equations(self) -> list[NormalEquations]:
+        """Return each recording's normal equations, without the reference's prior."""
+        return [
+            session.normal_equations(self.gain, noise)
+            for session, noise in zip(self.sessions, self.noises, strict=True)
+        ]
+
+    def stepped_terms(self, step: FloatArray) -> tuple[FittedTerm, ...]:
+        """Return the causes after a step of the board's parameters, within their ranges."""
+        return tuple(
+            fitted_term.with_step(step[block.positions])
+            for fitted_term, block in zip(self.fitted_terms, self.layout.term_blocks(), strict=True)
+        )
+
+    def try_step(
+        self, step: FloatArray, nuisance_steps: Sequence[FloatArray], size_sigma: float
+    ) -> float:
+        """Predict all recordings after a step; return the decrease by their residuals, nats.
+
+        Args:
+            step: of the board's parameters, in the order of `layout`.
+            nuisance_steps: of the unknowns of each recording's reference.
+            size_sigma: the largest part of the step, in standard deviations.
+        """
+        gain = self.gain + step[:GAIN_PARAMETERS].reshape(3, 3)
+        fitted_terms = self.stepped_terms(step)
+        sessions = []
+        decrease = 0.0
+        for k, (session, nuisance_step) in enumerate(
+            zip(self.sessions, nuisance_steps, strict=True)
+        ):
+            trial = session.trial_copy()
+            _step_session(trial, step[self.layout.index(k)], nuisance_step)
+            trial.fitted_terms = fitted_terms
+            trial.predict(gain, keep_samples=size_sigma > OUTLIER_RETEST_SIGMA)
+            decrease += residual_decrease(session, trial, self.gain, gain)
+            sessions.append(trial)
+        self._trial = _Trial(gain, fitted_terms, tuple(sessions), size_sigma)
+        return decrease
+
+    @property
+    def trial_sessions(self) -> tuple[SessionFit, ...]:
+        """The recordings after the step that was tried last.
+
+        Raises:
+            ValueError: no step was tried.
+        """
+        if self._trial is None:
+            raise ValueError("no step was tried")
+        return self._trial.sessions
+
+    def accept(self, new_derivatives: bool) -> None:
+        """Continue from the values that were tried last.
+
+        `new_derivatives`: compute them again; after a large step they always are.
+        """
+        if self._trial is None:
+            raise ValueError("no step was tried")
+        trial, self._trial = self._trial, None
+        self.gain, self.fitted_terms, self.sessions = (
+            trial.gain,
+            trial.fitted_terms,
+            trial.sessions,
+        )
+        # Before convergence good samples can look like outliers. Causes are rarely linear:
+        # a rounded corner grows as the square of its length.
+        refresh_limit = (
+            NONLINEAR_REFRESH_SIGMA if self.layout.term_index().size else DERIVATIVE_REFRESH_SIGMA
+        )
+        for session in self.sessions:
+            session.complete_prediction(
+                self.gain,
+                detect_outliers=trial.size_sigma > OUTLIER_RETEST_SIGMA,
+                new_derivatives=new_derivatives or trial.size_sigma > refresh_limit,
+            )
+        self._fit_noise()
+
+    def renew_derivatives(self) -> bool:
+        """Discard the derivatives; return False if they belong to the current values."""
+        if all(session.has_new_derivatives for session in self.sessions):
+            return False
+        for session in self.sessions:
+            session.discard_derivatives()
+        return True
+
+    def apply_step(self, step: FloatArray, nuisance_steps: Sequence[FloatArray]) -> None:
+        """Change the board's parameters, and the unknowns of each recording's reference."""
+        self.gain = self.gain + step[:GAIN_PARAMETERS].reshape(3, 3)
+        self.fitted_terms = self.stepped_terms(step)
+        for k, (session, nuisance_step) in enumerate(
+            zip(self.sessions, nuisance_steps, strict=True)
+        ):
+            _step_session(session, step[self.layout.index(k)], nuisance_step)
+
+    def update_predictions(self) -> None:
+        """Compute the predictions, outliers, derivatives and noise again."""
+        for session in self.sessions:
+            session.fitted_terms = self.fitted_terms
+            session.update_prediction(self.gain, detect_outliers=True, new_derivatives=True)
+        self._fit_noise()
+
+    def update_motion_noise(self) -> bool:
+        """Estimate the noise in motion of each recording; return whether any weights changed."""
+        changed = [
+            session.update_motion_noise(self.gain, noise)
+            for session, noise in zip(self.sessions, self.noises, strict=True)
+        ]
+        if any(changed):
+            self.update_predictions()
+        return any(changed)
+
+    def _least_squares(self, is_first: bool) -> None:
+        sums = [
+            session.least_squares_sums(
+                session.used if is_first else session.inlier_masks(self.gain)
+            )
+            for session in self.sessions
+        ]
+        self.gain = solve_shared_gain(sums)
+        for session, session_sums in zip(self.sessions, sums, strict=True):
+            session.bias_rad_s = session_sums.bias(self.gain)
+
+    def _fit_noise(self) -> None:
+        periodograms = [session.noise_periodograms(self.gain) for session in self.sessions]
+        self.spectra = [
+            bin_spectrum(session_periodograms) for session_periodograms, _ in periodograms
+        ]
+        self.noise_sources = [source for _, source in periodograms]
+        previous_levels: list[FloatArray | None] = [noise.levels for noise in self.noises]
+        previous_levels = previous_levels or [None] * len(self.sessions)
+        self.noises = [
+            fit_noise_levels(spectrum, self._sampling(session), levels)
+            for spectrum, session, levels in zip(
+                self.spectra, self.sessions, previous_levels, strict=True
+            )
+        ]
+
+    def _sampling(self, session: SessionFit) -> Sampling:
+        """Return a recording's sampling, with the sensor's true low-pass for the noise."""
+        sampling = session.sampling
+        bandwidth_ratio = math.prod(
+            fitted_term.term.bandwidth_ratio(fitted_term.values)
+            for fitted_term in self.fitted_terms
+        )
+        if sampling.bandwidth_hz is None or bandwidth_ratio == 1.0:
+            return sampling
+        return replace(sampling, bandwidth_hz=sampling.bandwidth_hz * bandwidth_ratio)
+
+
+def _step_session(session: SessionFit, step: FloatArray, nuisance_step: FloatArray) -> None:
+    """Change one recording's bias, lag and reference by a step of (G, b, tau, causes)."""
+    session.bias_rad_s = session.bias_rad_s + step[9:12]
+    session.lag_s += float(np.clip(step[12], -MAX_LAG_STEP_S, MAX_LAG_STEP_S))
+    session.reference = session.reference.with_step(nuisance_step)
