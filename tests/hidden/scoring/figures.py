@@ -211,5 +211,5 @@ def _gap(gaps: Sequence[Gap]) -> Figure:
     beyond = [one.short - one.allowed for one in gaps]
     short = float(np.median([one.short for one in gaps]))
     allowed = float(np.median([one.allowed for one in gaps]))
-    words = f"median gap {short:.1f} nats in {len(gaps)} cases, allowed {allowed:.1f}"
+    words = f"median difference {short:.1f} nats in {len(gaps)} cases, allowed {allowed:.1f}"
     return Figure(float(np.median(beyond)), words)

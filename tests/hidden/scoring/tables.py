@@ -63,10 +63,10 @@ def reached(outcomes: Outcomes) -> str:
     other = len(outcomes) - alone
     said = [
         f"- {what}: {count} of {asked} were run"
-        + ("." if count >= asked else ", which widens the limits.")
+        + ("." if count >= asked else ". Therefore the confidence limits are wider.")
         for what, count, asked in (
-            ("Sessions with nothing hidden", alone, NULLS),
-            ("Sessions with something hidden", other, HIDDEN),
+            ("Sessions without a hidden cause", alone, NULLS),
+            ("Sessions with a hidden effect", other, HIDDEN),
         )
     ]
     return "\n".join(said)
@@ -236,7 +236,7 @@ def shapes(outcomes: Outcomes) -> str:
         "shape",
         "sessions",
         "size in detectable sizes",
-        "rest reported",
+        "unexplained residual reported",
         "right covariate",
         "wrong name",
     )
@@ -285,7 +285,7 @@ def many(outcomes: Outcomes) -> str:
         "sessions",
         "recall of detectable causes",
         "precision of stated sets",
-        "rest reported",
+        "unexplained residual reported",
     )
     return table(head, rows)
 
@@ -299,9 +299,9 @@ def gaps(gaps_: Sequence[Gap]) -> str:
     allowed = np.array([one.allowed for one in gaps_])
     quarters = ", ".join(f"{v:.1f}" for v in np.percentile(short, (25, 50, 75)))
     rows = [
-        ("second recordings", str(len(gaps_))),
-        ("gap to the oracle in nats: lower quartile, median, upper quartile", quarters),
-        ("allowed gap p/2 + 1 in nats: median", f"{np.median(allowed):.1f}"),
+        ("number of second recordings", str(len(gaps_))),
+        ("difference from the oracle in nats: lower quartile, median, upper quartile", quarters),
+        ("allowed difference p/2 + 1 in nats: median", f"{np.median(allowed):.1f}"),
         ("share of the oracle's gain: median, minimum",
          f"{100 * np.median(share):.2f} %, {100 * share.min():.1f} %"),
     ]  # fmt: skip
