@@ -9,7 +9,7 @@ Nothing moves: the unit only receives queries. Every check reads /proc and /sys 
 `SystemFiles`, so that a test can use any computer.
 """
 
+from gyrorig_daemon.doctor.doctor_command import CheckRequest, check_rig
 from gyrorig_daemon.doctor.finding import Finding, Level, worst
-from gyrorig_daemon.doctor.rig_check import CheckRequest, check_rig
 
 __all__ = ["CheckRequest", "Finding", "Level", "check_rig", "worst"]

@@ -6,8 +6,7 @@ contain the true parameters. `causes` are the errors that a rig can have, `noise
 their effect without noise, and `truth_commitment` keeps them secret until the end.
 """
 
-from gyrorig_daemon.emulator.emulated_device import EmulatedDevice
-from gyrorig_daemon.emulator.emulated_rig import PTU_PORT, EmulatedRig, board_port
+from gyrorig_daemon.emulator.emulated_rig import PTU_PORT, EmulatedDevice, EmulatedRig, board_port
 from gyrorig_daemon.emulator.emulator_settings import (
     BANDWIDTHS_HZ,
     BoardFaults,

@@ -6,7 +6,7 @@ What to use when: `EmulatedRig` from settings, then a `VirtualHub` for simulated
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from gyrorig_daemon.emulator.board import EmulatedBoard, EmulatedCanBoard
 from gyrorig_daemon.emulator.causes import apply_causes
 from gyrorig_daemon.emulator.causes.backlash import Backlash
 from gyrorig_daemon.emulator.emulated_can_bus import EmulatedCanBus
-from gyrorig_daemon.emulator.emulated_device import EmulatedDevice
 from gyrorig_daemon.emulator.emulator_settings import PtuSettings, RigSettings
 from gyrorig_daemon.emulator.physics.device_clock import DeviceClock
 from gyrorig_daemon.emulator.physics.effects.rig_hooks import AxisHooks, RigHooks
@@ -29,6 +28,26 @@ PTU_PORT = "ptu"
 
 # Different from the streams that `sample_rig_truth` spawns from the same seed.
 _RUNTIME_STREAM = 0x52494731
+
+
+class EmulatedDevice(Protocol):
+    """A device on the far end of a serial line. Times are ns on one monotonic clock.
+
+    It never reads a clock. A pty server drives it in real time, and the virtual hub in simulated
+    time. Both see the same bytes at the same device times.
+    """
+
+    def receive(self, data: bytes, at_ns: int) -> None:
+        """Accept bytes that arrive from `at_ns` on, at the baud rate."""
+        ...
+
+    def next_output_ns(self) -> int | None:
+        """Return when the next bytes have left the line, None if there are none."""
+        ...
+
+    def take_output(self, until_ns: int) -> list[tuple[int, bytes]]:
+        """Return the bytes that have left the line up to `until_ns`, in order, with their times."""
+        ...
 
 
 def board_port(name: str) -> str:

@@ -1,7 +1,7 @@
 """Emulated rig in real time: each device on a pty that any program can open.
 
 What to use when: `serve_rig` from a command line; `PtyServer` if the caller runs the loop. A CAN
-bus is a multicast group on the loopback interface instead (`multicast_endpoint`).
+bus is a multicast group on the loopback interface instead (`MulticastEndpoint`).
 
 Bytes are sent when they are due by CLOCK_MONOTONIC_RAW; bytes of a client reach the device when
 they arrive. Without a client, bytes are lost, as on a real line: a device does not wait for a
@@ -11,6 +11,7 @@ listener, and a new client receives no old bytes.
 import contextlib
 import os
 import select
+import socket
 import termios
 import time
 import tty
@@ -18,11 +19,71 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
-from gyrorig_daemon.emulator.multicast_endpoint import MulticastEndpoint
+from gyrorig_daemon.links.can.multicast_line import MulticastLine, multicast_datagram
+from gyrorig_protocol.can.can_frame import unpack_frames
 from gyrorig_protocol.errors import MachineError
 
+GROUP = "239.74.163.2"  # python-can's own default
+LOOPBACK = "127.0.0.1"
 _MAX_WAIT_S = 0.02  # longest delay until a new client or a stop is noticed
 _READ_BYTES = 4096
+
+
+class MulticastEndpoint:
+    """The emulator's side of a bus."""
+
+    is_open = True  # a bus does not wait for a listener
+
+    def __init__(self) -> None:
+        """Join the group on a free port.
+
+        Raises:
+            OSError: multicast is not available.
+        """
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(
+                (GROUP, 0)
+            )  # an address of the group, so that no other emulator's bus is joined
+            self._destination = (GROUP, int(probe.getsockname()[1]))
+        self._line = MulticastLine(*self._destination, LOOPBACK)
+        self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sender.setsockopt(
+            socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(LOOPBACK)
+        )
+        self._sender.bind((LOOPBACK, 0))
+        self._sender.setblocking(False)
+        # It would receive its own datagrams, because the group receives every sender's.
+        self._line.ignored_sender = self._sender.getsockname()
+        self.path = f"udp_multicast:{GROUP}:{self._destination[1]}@{LOOPBACK}"
+
+    @property
+    def descriptor(self) -> int:
+        """The file descriptor to wait for."""
+        return self._line.fd
+
+    def update_presence(self) -> None:
+        """Do nothing: a bus is always open."""
+
+    def read(self) -> bytes:
+        """Return the frames of others, packed, with the kernel's timestamps."""
+        try:
+            return self._line.read()
+        except OSError:  # no data
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send packed frames; frames that the socket does not accept are lost."""
+        for frame in unpack_frames(data, 0):
+            datagram = multicast_datagram(frame.identifier, frame.flags, frame.data)
+            try:
+                self._sender.sendto(datagram, self._destination)
+            except OSError:
+                return
+
+    def close(self) -> None:
+        """Leave the group."""
+        self._line.close()
+        self._sender.close()
 
 
 def raw_now_ns() -> int:

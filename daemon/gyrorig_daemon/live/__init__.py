@@ -4,6 +4,6 @@ What to use when: `LiveView` is the interface and `NO_VIEW` the view that shows 
 `foxglove_view.open_live_view` opens the server of `gyrorigd run --live`.
 """
 
-from gyrorig_daemon.live.view_protocol import NO_VIEW, LiveView
+from gyrorig_daemon.live.foxglove_view import NO_VIEW, LiveView
 
 __all__ = ["NO_VIEW", "LiveView"]

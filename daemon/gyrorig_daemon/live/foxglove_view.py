@@ -1,6 +1,7 @@
 """A WebSocket server that shows a rig in Foxglove while it runs: `gyrorigd run --live`.
 
-What to use when: `open_live_view` for the service.
+What to use when: `open_live_view` for the service; `LiveView` is the interface of a view, and
+`NO_VIEW` the view that shows nothing.
 
 The bytes are those of the recording: the same CDR encoding, schemas and topics. Whatever
 displays a recording displays the live view. A view must not disturb the recording. Therefore
@@ -14,9 +15,8 @@ Nobody can command a rig this way: the server offers no capability.
 import json
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, Protocol
 
-from gyrorig_daemon.live.view_protocol import NO_VIEW, LiveView
 from gyrorig_protocol.errors import BusyError, UsageError
 from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS
 from gyrorig_protocol.recording.messages import ImuRaw, Message
@@ -26,6 +26,36 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 STATUS_TOPIC = "/gyrorigd/status"
 SAMPLE_EVERY_NS = 10_000_000  # a screen shows 60 per second
 EARLY_TOLERANCE_NS = 2_000_000  # arrival times scatter: a sample this early is shown
+
+
+class LiveView(Protocol):
+    """Shows messages and the daemon's status while they happen."""
+
+    def show_message(self, topic: str, message: Message, log_ns: int) -> None:
+        """Show one message."""
+        ...
+
+    def show_status(self, document: dict[str, Any]) -> None:
+        """Show the daemon's status."""
+        ...
+
+    def close(self) -> None:
+        """Disconnect every viewer."""
+        ...
+
+
+class _NoView:
+    def show_message(self, topic: str, message: Message, log_ns: int) -> None:
+        pass
+
+    def show_status(self, document: dict[str, Any]) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+NO_VIEW: LiveView = _NoView()
 
 
 class SampleThinning:

@@ -3,21 +3,145 @@
 What to use when: under `part_writer`, one `StateReplay` per session. `observe` gets each
 written record; `replay_records` returns what a new part starts with: open phases, and the
 unit's unfinished commands (`PendingCommands`).
+
+Theory of operation. A part that starts in the middle of a move contains positions but no
+command. From such a part nobody could determine where the unit came from, how fast it should
+go, and when it started. Therefore the commands since the unit was last at rest are kept as
+recorded, and the last positions before them. The unit is at rest when both axes have twice
+reported their targets; after a halt, an offset or a homing, when the positions have not changed
+for a second; and at its first report, unless a target was commanded before. While it is at
+rest nothing must be repeated, because every move is commanded with its speeds.
 """
 
-from gyrorig_daemon.recorder.pending_commands import PendingCommands
+import re
+
 from gyrorig_daemon.recorder.ram_buffer import Record
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.recording.messages import (
     PTU_COMMAND_TOPIC,
     PTU_POSITION_TOPIC,
     SESSION_EVENT_TOPIC,
+    CommandCode,
     EventKind,
+    PtuCommandRecord,
+    PtuPosition,
+    PtuStatus,
     SessionEvent,
 )
 
+MAX_COMMANDS = 256  # limit without a rest
+STANDSTILL_NS = 1_000_000_000
+_AXIS_BITS = (
+    int(PtuStatus.PAN_ANSWERED),
+    int(PtuStatus.TILT_ANSWERED),
+)  # enum members take 1 us
+_TARGET = re.compile(r"([PT])P([-+]?\d+)\s*")
+# Commands that can start an axis or change its motion: targets, speeds, halts, modes, homing.
+_MOTION_COMMAND = re.compile(
+    r"[PT][PSODAB][-+]?\d+\s*|B[-+]?\d+,.*|[AIS]\s*|H[PT]?\s*|C[IV]\s*|R[PT]?\s*"
+)
+_UNKNOWN_TARGET_COMMAND = re.compile(
+    r"[PT]O.*|B.*|H[PT]?\s*|C[IV]\s*|R[PT]?\s*"
+)  # ends at an unknown position
 # The angle of a turn is known only for the whole turn, so half of it must not be repeated.
 _WHOLE_ONLY = "turn"
+
+
+class PendingCommands:
+    """The commands since the unit was last at rest, and where that was."""
+
+    def __init__(self) -> None:
+        self._commands: list[Record] = []
+        # last positions before the commands, by axis
+        self._rest_records: list[Record | None] = [None, None]
+        self._targets: list[int | None] = [None, None]
+        self._last_answers: list[list[int]] = [[], []]  # the last two positions of each axis
+        self._has_unknown_target = self._has_answer = False
+        self._last_change: tuple[int, int, int] = (0, 0, 0)  # both counts, and since when
+        self._next_sequence = {PTU_COMMAND_TOPIC: 0, PTU_POSITION_TOPIC: 0}
+
+    def observe(self, record: Record) -> None:
+        """Process a record of the unit that was written; others are ignored."""
+        try:
+            if record.topic == PTU_POSITION_TOPIC:
+                self._observe_position(record, PtuPosition.decode(record.payload))
+            elif record.topic == PTU_COMMAND_TOPIC:
+                self._observe_command(record, PtuCommandRecord.decode(record.payload))
+        except InputError:
+            return  # written by this program; whatever it is, it moves nothing
+
+    def invalidate(self) -> None:
+        """Forget the commands, because records were lost."""
+        self._commands.clear()
+        self._rest_records = [None, None]
+        self._has_unknown_target = self._has_answer = True  # until it is at rest
+
+    def replay_records(self) -> list[Record]:
+        """Return the first records of a part, numbered so that no gap follows."""
+        rest_records = [record for record in self._rest_records if record is not None]
+        if not self._commands or len(rest_records) < len(self._rest_records):
+            return []
+        position_records = sorted(
+            {record.sequence: record for record in rest_records}.values(), key=_sequence_of
+        )
+        return [*self._renumbered(position_records), *self._renumbered(self._commands)]
+
+    def _renumbered(self, records: list[Record]) -> list[Record]:
+        first_sequence = self._next_sequence[records[0].topic] - len(records)
+        return [
+            record._replace(sequence=(first_sequence + index) & 0xFFFF_FFFF)
+            for index, record in enumerate(records)
+        ]
+
+    def _observe_command(self, record: Record, command_record: PtuCommandRecord) -> None:
+        self._next_sequence[PTU_COMMAND_TOPIC] = record.sequence + 1
+        text = command_record.command.strip().upper()
+        if command_record.code != CommandCode.OK or not _MOTION_COMMAND.fullmatch(text):
+            return
+        self._commands.append(record)
+        if match := _TARGET.fullmatch(text):
+            self._targets["PT".index(match[1])] = int(match[2])
+            self._has_unknown_target = False
+        self._has_unknown_target = self._has_unknown_target or bool(
+            _UNKNOWN_TARGET_COMMAND.fullmatch(text)
+        )
+        for answers in self._last_answers:
+            answers.clear()
+        self._last_change = (*self._last_change[:2], record.log_ns)
+        if len(self._commands) > MAX_COMMANDS:
+            self.invalidate()
+
+    def _observe_position(self, record: Record, position: PtuPosition) -> None:
+        self._next_sequence[PTU_POSITION_TOPIC] = record.sequence + 1
+        steps = (position.pan_steps, position.tilt_steps)
+        if steps != self._last_change[:2]:
+            self._last_change = (*steps, record.log_ns)
+        for axis, bit in enumerate(_AXIS_BITS):
+            if position.status & bit:
+                self._last_answers[axis] = [*self._last_answers[axis][-1:], steps[axis]]
+        if self._commands or self._has_unknown_target:
+            if not self._is_at_rest(record.log_ns):
+                return
+            self._commands.clear()
+            self._has_unknown_target = False
+        for axis, bit in enumerate(_AXIS_BITS):
+            if position.status & bit:
+                self._rest_records[axis] = record
+
+    def _is_at_rest(self, now_ns: int) -> bool:
+        is_first, self._has_answer = not self._has_answer, True
+        if is_first and self._targets == [None, None]:
+            return True
+        if self._has_unknown_target:
+            return now_ns - self._last_change[2] >= STANDSTILL_NS
+        return all(
+            target is None or answers == [target, target]
+            for target, answers in zip(self._targets, self._last_answers, strict=True)
+        )
+
+
+def _sequence_of(record: Record) -> int:
+    return record.sequence
 
 
 class StateReplay:

@@ -3,8 +3,8 @@
 What to use when: `load_import_map` and `import_measurements` for tables and NumPy archives;
 `phone_import.import_phone` for a phone's log. An import map (`import_map`) says which column
 is what. `measurement_columns` reads the file, `import_streams` and `import_times` convert the
-columns to counts and times, `session_phases` finds rests and known turns, and
-`measurement_import` writes the recording.
+columns to counts and times, and `measurement_import` finds rests and known turns and writes
+the recording.
 """
 
 from gyrorig_solver.importers.import_map import ImportMap, check_import_map, load_import_map

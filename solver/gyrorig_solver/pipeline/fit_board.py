@@ -1,7 +1,7 @@
 """Fit one board by the best reference that its recordings have.
 
 What to use when: `solve_recordings` from recordings, `fit_board` where they are loaded already.
-Several boards that were on one unit at the same time are fitted in `fit_jointly`.
+Several boards that were on one unit at the same time are fitted in `criticised_fit`.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Prepare a board on a pan-tilt unit, or at rest, for its fit.
 
 What to use when: `prepare_board` for a calibration, alone (`PreparedBoard.solve`) or together
-with other boards (`fit_jointly`); `fit_base` for the fit from which causes are searched;
+with other boards (`criticised_fit`); `fit_base` for the fit from which causes are searched;
 `prepare_held_out` for a recording on which a fitted model is tested.
 """
 

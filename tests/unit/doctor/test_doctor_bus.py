@@ -8,8 +8,8 @@ import pytest
 from gyrorig_daemon.config import load_rig
 from gyrorig_daemon.config.bus_config import BusPort
 from gyrorig_daemon.doctor.can_bus_check import check_bus, query_interface
+from gyrorig_daemon.doctor.doctor_command import CheckRequest, check_rig
 from gyrorig_daemon.doctor.finding import Level
-from gyrorig_daemon.doctor.rig_check import CheckRequest, check_rig
 from gyrorig_daemon.doctor.system_files import SystemFiles
 
 BUS = BusPort("can0", "socketcan:can0")

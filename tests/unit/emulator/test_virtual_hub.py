@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import serial
 
-from gyrorig_daemon.emulator.emulated_device import EmulatedDevice
-from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
+from gyrorig_daemon.emulator.emulated_rig import EmulatedDevice, EmulatedRig
 from gyrorig_daemon.emulator.emulator_settings import (
     BoardSettings,
     PtuFaults,

@@ -9,8 +9,8 @@ from gyrorig_daemon.config import parse_rig
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.recorder import Recorder, RecorderSettings
-from gyrorig_daemon.recorder.pending_commands import MAX_COMMANDS, PendingCommands
 from gyrorig_daemon.recorder.ram_buffer import Record
+from gyrorig_daemon.recorder.state_replay import MAX_COMMANDS, PendingCommands
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
 from gyrorig_daemon.session.session import SessionEnvironment, record_session
 from gyrorig_daemon.session.session_description import SessionRequest

@@ -27,7 +27,7 @@ _SELECT = re.compile(r"_(\d{1,3})")
 
 
 class EmulatedPtu:
-    """A pan-tilt unit; see `emulated_device.EmulatedDevice`."""
+    """A pan-tilt unit; see `emulated_rig.EmulatedDevice`."""
 
     def __init__(
         self,
