@@ -28,8 +28,9 @@ from gyrorig_daemon.emulator.causes import parse_injection
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
-from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session import record_session
 from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_daemon.session.session_environment import SessionEnvironment
 from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId

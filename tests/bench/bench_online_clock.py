@@ -21,8 +21,9 @@ from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.physics.device_clock import DeviceClock
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
-from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session import record_session
 from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_daemon.session.session_environment import SessionEnvironment
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import MotionProgram, Rest, Step
 from gyrorig_protocol.recording.messages import PTU_POSITION_TOPIC, imu_raw_topic

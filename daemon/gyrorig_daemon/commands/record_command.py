@@ -23,8 +23,8 @@ from gyrorig_daemon.config import parse_rig, read_document
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.session import record_modes
 from gyrorig_daemon.session.emulation_options import estimate_session_s
-from gyrorig_daemon.session.session import SessionSummary, ignore_event, ignore_progress
 from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_daemon.session.session_environment import SessionSummary, ignore_event, ignore_progress
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import parse_program

@@ -18,8 +18,9 @@ from gyrorig_daemon.service.recording_policy import recorder_settings
 from gyrorig_daemon.service.service_context import ServiceContext
 from gyrorig_daemon.service.unit_monitor import UnitMonitor
 from gyrorig_daemon.session.connected_rig import Rig
-from gyrorig_daemon.session.session import Session, SessionEnvironment
+from gyrorig_daemon.session.session import Session
 from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_daemon.session.session_environment import SessionEnvironment
 from gyrorig_protocol.errors import DeviceError, GyrorigError, UsageError, sentence
 
 MIN_AFTERMATH_S = 5.0

@@ -23,7 +23,9 @@ from gyrorig_daemon.links.ports.raw_clock import raw_ns
 from gyrorig_daemon.links.pump import StopFlag
 from gyrorig_daemon.session.emulation_options import EmulationOptions
 from gyrorig_daemon.session.garbage_collection import collect_rarely
-from gyrorig_daemon.session.session import (
+from gyrorig_daemon.session.session import record_session
+from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_daemon.session.session_environment import (
     EventListener,
     Progress,
     SessionEnvironment,
@@ -31,9 +33,7 @@ from gyrorig_daemon.session.session import (
     ignore_event,
     ignore_progress,
     ignore_summary,
-    record_session,
 )
-from gyrorig_daemon.session.session_description import SessionRequest
 from gyrorig_protocol.errors import DeviceError, MachineError, UsageError
 
 POWER_UP_NS = 5_000_000_000  # power-up of a simulated rig, by the rig's raw clock

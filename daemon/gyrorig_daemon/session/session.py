@@ -11,14 +11,12 @@ its standstill is confirmed, and the recording is closed.
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 
-from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.links.boards.board_link import BoardLink
 from gyrorig_daemon.links.ports.port_hub import PortHub, PortsGoneError
-from gyrorig_daemon.links.pump import StopFlag, Timer
+from gyrorig_daemon.links.pump import Timer
 from gyrorig_daemon.motion import (
     Exchange,
     Executor,
@@ -46,6 +44,7 @@ from gyrorig_daemon.session.session_description import (
     hello_attachments,
     make_folder,
 )
+from gyrorig_daemon.session.session_environment import SessionEnvironment, SessionSummary
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, sentence
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.ptu import Axis
@@ -59,52 +58,8 @@ from gyrorig_protocol.recording.messages import (
     imu_raw_topic,
 )
 
-Progress = Callable[[int, int], None]  # steps done, all steps
-EventListener = Callable[[str, str], None]  # kind, text
-
-CLOSE_TIMEOUT_S = 60.0
 LATE_BOARD_CHECK_NS = 1_000_000_000
 CLOSE_POLL_NS = 20_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class SessionSummary:
-    """What was recorded."""
-
-    path: Path
-    duration_s: float
-    samples: Mapping[BoardId, int]
-
-
-def ignore_progress(_done: int, _total: int) -> None:
-    """Show no progress."""
-
-
-def ignore_event(_kind: str, _text: str) -> None:
-    """Show no events."""
-
-
-def ignore_summary(_summary: SessionSummary) -> None:
-    """Show no summary."""
-
-
-@dataclass(frozen=True, slots=True)
-class SessionEnvironment:
-    """What differs between real and simulated time, and between a command and the service."""
-
-    capture: CaptureClock
-    read_host: Callable[[], HostClocks]
-    threaded_writer: bool
-    host: str
-    seed: int = 0  # of the random moments at which time is requested from the boards
-    paths: dict[str, str] = field(default_factory=dict)  # of ports that are not as configured
-    dropped_bytes: Callable[[], int] = lambda: 0
-    stop: StopFlag = field(default_factory=StopFlag)
-    progress: Progress = ignore_progress
-    on_event: EventListener = ignore_event
-    on_summary: Callable[[SessionSummary], None] = ignore_summary
-    new_recorder: Callable[[], Recorder] | None = None  # None: one file, a disk error ends it
-    close_timeout_s: float = CLOSE_TIMEOUT_S
 
 
 def record_session(hub: PortHub, request: SessionRequest, environment: SessionEnvironment) -> Path:

@@ -8,19 +8,22 @@ from typing import Any
 
 import click
 
-from gyrorig_protocol.errors import InputError, UsageError
+from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_solver.calibration.calibration_document import (
     CalibrationDocument,
     calibration_as_mapping,
-    parse_calibration,
 )
-from gyrorig_solver.calibration.calibration_store import StoredVersion
 from gyrorig_solver.calibration.calibration_summary import calibration_summary
+from gyrorig_solver.commands.stored_versions import (
+    find_version,
+    parameter_differences,
+    read_version,
+    versions_in_time,
+)
 from gyrorig_solver.commands.terminal import Terminal, json_option
 from gyrorig_solver.fleet.column_units import column_label, column_unit
 from gyrorig_solver.fleet.drift.shrinkage_files import read_shrinkage_estimates
-from gyrorig_solver.fleet.store.index_rows import parameter_columns, parameter_values
 from gyrorig_solver.fleet.store.manifest import read_public_key, read_signer
 from gyrorig_solver.fleet.store.store_queries import (
     VersionFilter,
@@ -29,7 +32,6 @@ from gyrorig_solver.fleet.store.store_queries import (
     open_existing_store,
     rebuild_index,
     unsuccessful_work,
-    versions_by_measurement_time,
 )
 from gyrorig_solver.fleet.store.store_verification import REMEDIES, verify
 from gyrorig_solver.model.parameter_units import format_quantity, plural
@@ -164,9 +166,9 @@ def show_command(
             f"--version {version} already selects one calibration", "remove --at and --config"
         )
     path, calibration = (
-        _find_version(folder, BoardId(board), version)
+        find_version(folder, BoardId(board), version)
         if version is not None
-        else _read_version(_versions_in_time(folder, BoardId(board), at, config_hash)[-1])
+        else read_version(versions_in_time(folder, BoardId(board), at, config_hash)[-1])
     )
     terminal.print_result(calibration_summary(calibration))
     for source in calibration.inputs:
@@ -213,13 +215,13 @@ def diff_command(
     """
     name = BoardId(board)
     if old is None or new is None:
-        numbers = [version.number for version in _versions_in_time(folder, name)]
+        numbers = [version.number for version in versions_in_time(folder, name)]
         new = numbers[-1] if new is None else new
         before = numbers[: numbers.index(new)] if new in numbers else []
         old = (before or [new])[-1] if old is None else old
-    _, earlier = _find_version(folder, name, old)
-    _, later = _find_version(folder, name, new)
-    rows = list(_parameter_differences(earlier, later))
+    _, earlier = find_version(folder, name, old)
+    _, later = find_version(folder, name, new)
+    rows = list(parameter_differences(earlier, later))
     terminal.print_result(f"{board}: {_version_text(earlier)} to {_version_text(later)}")
     columns = ("parameter", "before", "after", "change", "unit", "sigma")
     shown = [_difference_with_unit(row) for row in rows]
@@ -288,85 +290,6 @@ def rebuild_command(terminal: Terminal, folder: Storage, sign: Path | None) -> i
     terminal.print_result(f"{plural(count, 'version')} in the index of {folder.location}")
     terminal.print_json({"versions": count})
     return 0
-
-
-def _find_version(folder: Storage, board: BoardId, number: int) -> tuple[Path, CalibrationDocument]:
-    """Return one version of a board.
-
-    Raises:
-        InputError: the board or version does not exist, or is damaged.
-    """
-    versions = open_existing_store(folder).versions(board)
-    for version in versions:
-        if version.number == number:
-            return _read_version(version)
-    if not versions:
-        raise _unknown_board_error(folder, board)
-    raise InputError(
-        f"{folder.location} does not contain version {number} of board {board}",
-        f"choose a version from {versions[0].number} to {versions[-1].number}",
-    )
-
-
-def _unknown_board_error(folder: Storage, board: BoardId) -> InputError:
-    return InputError(
-        f"{folder.location} does not contain board {board}",
-        f"list its boards with `gyrorig store ls {folder.location}`",
-    )
-
-
-def _versions_in_time(
-    folder: Storage, board: BoardId, at: datetime | None = None, config_hash: str | None = None
-) -> list[StoredVersion]:
-    """Return the versions of a board in the order of their recordings, the last one last.
-
-    Args:
-        folder: the store.
-        board: whose versions.
-        at: only versions recorded until this time; None for all.
-        config_hash: only versions with this configuration hash; None for all.
-
-    Raises:
-        InputError: there is none.
-    """
-    versions = versions_by_measurement_time(folder, board)
-    matching = [
-        measured.version
-        for measured in versions
-        if (at is None or measured.start <= at) and config_hash in (None, measured.config_hash)
-    ]
-    if not versions:
-        raise _unknown_board_error(folder, board)
-    if not matching:
-        conditions = [
-            *([] if at is None else [f"recorded until {at:%Y-%m-%d %H:%M} UTC"]),
-            *([] if config_hash is None else [f"with the configuration {config_hash[:20]}"]),
-        ]
-        raise InputError(
-            f"{folder.location} contains no version of board {board} {' and '.join(conditions)}",
-            f"list its versions with `gyrorig store ls {folder.location} --all --board {board}`",
-        )
-    return matching
-
-
-def _read_version(version: StoredVersion) -> tuple[Path, CalibrationDocument]:
-    return version.path, parse_calibration(version.data(), str(version.path))
-
-
-def _parameter_differences(earlier: CalibrationDocument, later: CalibrationDocument) -> Any:
-    before, after = parameter_values(earlier), parameter_values(later)
-    for name in parameter_columns():
-        if name.endswith("_std") or name not in before or name not in after:
-            continue
-        change = after[name] - before[name]
-        combined_std = (before[f"{name}_std"] ** 2 + after[f"{name}_std"] ** 2) ** 0.5
-        yield {
-            "parameter": name,
-            "before": before[name],
-            "after": after[name],
-            "change": change,
-            "sigma": change / combined_std if combined_std else None,
-        }
 
 
 def _version_text(calibration: CalibrationDocument) -> str:

@@ -20,7 +20,7 @@ from gyrorig_solver.calibration.calibration_wording import (
     missing_value_text,
     verdict_sentence,
 )
-from gyrorig_solver.report import calibration_view
+from gyrorig_solver.report import calibration_view, summary_tiles
 from gyrorig_solver.report.calibration_figures import draw_figures
 from gyrorig_solver.report.report_data import ReportData
 
@@ -66,13 +66,13 @@ def _page_view(data: ReportData) -> dict[str, Any]:
         "sensor": calibration.board.sensor,
         "version": f"version {calibration.version}",
         "created": calibration.created,
-        "summary": calibration_view.summary_line(calibration),
+        "summary": summary_tiles.summary_line(calibration),
         "verdict": calibration.trust.verdict,
         "verdict_title": VERDICT_TITLES[calibration.trust.verdict],
         "verdict_text": verdict_sentence(calibration),
         "reasons": calibration.trust.reasons,
-        "tiles": calibration_view.summary_tiles(data),
-        "pictures": draw_figures(data, calibration_view.inverse_gain(calibration)),
+        "tiles": summary_tiles.summary_tiles(data),
+        "pictures": draw_figures(data, summary_tiles.inverse_gain(calibration)),
         "noise": calibration_view.noise_rows(data),
         "findings": calibration_view.findings_text(calibration),
         "uncertainty": calibration_view.uncertainty_rows(calibration),
@@ -106,7 +106,7 @@ def _page_view(data: ReportData) -> dict[str, Any]:
 
 def _validity(calibration: CalibrationDocument) -> str:
     low, high = (math.degrees(value) for value in calibration.validity.rate_rad_s)
-    if calibration_view.is_rate_range(calibration):
+    if summary_tiles.is_rate_range(calibration):
         text = f"rates from {low:.0f} to {high:.0f} deg/s"
     else:
         text = "a board at rest"

@@ -9,20 +9,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import (
     axes_text,
     cause_groups,
-    determined_text,
     level_sentence,
     value_std_pairs,
     white_noise_units,
 )
 from gyrorig_solver.calibration.uncertainty_wording import contribution_name
-from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.estimate.gyro_fit import ClockQuality, FitDiagnostics
+from gyrorig_solver.estimate.gyro_fit import ClockQuality
 from gyrorig_solver.model.parameter_units import (
     PARAMETER_GROUPS,
     ParameterGroup,
@@ -31,7 +27,6 @@ from gyrorig_solver.model.parameter_units import (
     format_two_digits,
     group_of,
     parameter_label,
-    plural,
 )
 from gyrorig_solver.report.data_sheet import (
     data_sheet_noise,
@@ -39,8 +34,8 @@ from gyrorig_solver.report.data_sheet import (
     data_sheet_white_noise,
 )
 from gyrorig_solver.report.report_data import ReportData
+from gyrorig_solver.report.summary_tiles import inverse_gain
 
-SINGULAR_CONDITION = 1e6  # above it a sensor matrix is not inverted; the paper's method gives some
 _NO_SECOND_CLOCK_S = 1e-9  # a smaller latency means that there is only one clock
 _DEG = 180.0 / math.pi
 _NOISE_ROWS = (  # name in the document, name shown, factor, unit
@@ -57,18 +52,7 @@ _NOISE_ROWS = (  # name in the document, name shown, factor, unit
 )
 _AXIS_COLOURS = ("var(--x)", "var(--y)", "var(--z)")
 DataSheetLimits = tuple[float, float]  # the data sheet's range, in the unit that is shown
-_REST_RAD_S = 0.01  # a recording with lower rates only is a recording at rest
 _LEFT, _RIGHT = 30.0, 170.0  # ends of the data sheet's range in a bar 200 wide
-
-
-@dataclass(frozen=True, slots=True)
-class Tile:
-    """One key figure at the top of the page."""
-
-    name: str
-    before: str
-    value: str
-    note: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,78 +85,6 @@ class ParameterTable:
     name: str
     meaning: str
     rows: tuple[ParameterRow, ...]
-
-
-def summary_line(calibration: CalibrationDocument) -> str:
-    """Return the result in one line for a reader who does not read the rest."""
-    date = calibration.created[:10]
-    if calibration.trust.verdict == "refused":
-        return f"Calibrated on {date}. Not fit for use."
-    low, high = (value * _DEG for value in calibration.validity.rate_rad_s)
-    sentences = [f"Calibrated on {date}."]
-    if is_rate_range(calibration):
-        sentences.append(f"Fit for use from {low:.0f} to {high:.0f} deg/s.")
-    else:
-        sentences.append("The board did not turn, therefore only values at rest are calibrated.")
-    errors = _scale_errors(calibration)
-    if errors is not None:
-        sentences.append(
-            f"Scale factor error {format_short(errors[0])} % before, "
-            f"{format_short(errors[1])} % after (95 %)."
-        )
-    return " ".join(sentences)
-
-
-def is_rate_range(calibration: CalibrationDocument) -> bool:
-    """Return whether the recordings cover a range of rates, not only rest."""
-    return max(abs(value) for value in calibration.validity.rate_rad_s) >= _REST_RAD_S
-
-
-def summary_tiles(data: ReportData) -> list[Tile]:
-    """Return the key figures: scale factor error, angle error, determined parameters."""
-    calibration = data.calibration
-    result_tiles = []
-    errors = _scale_errors(calibration)
-    if errors is not None:
-        result_tiles.append(
-            Tile(
-                "scale factor error",
-                f"{format_short(errors[0])} %",
-                f"±\u00a0{format_short(errors[1])}\u00a0%",
-                "worst axis; after: 95 % interval",
-            )
-        )
-    if data.diagnostics is not None and is_rate_range(calibration):
-        before, after = _rotation_error_deg(data.diagnostics, inverse_gain(calibration))
-        result_tiles.append(
-            Tile(
-                "angle error after 1 s",
-                f"{format_short(before)}°",
-                f"{format_short(after)}°",
-                "rms over this recording",
-            )
-        )
-    determined, _, addition = determined_text(calibration).partition(", ")
-    result_tiles.append(
-        Tile("parameters", "", determined, f"determined, {addition}" if addition else "determined")
-    )
-    chi2 = calibration.quality.reduced_chi2
-    if chi2 is not None:
-        result_tiles.append(
-            Tile("reduced chi-square", "", format_short(chi2), "residual against noise, expected 1")
-        )
-    rest_to_rest = calibration.quality.rest_to_rest
-    if rest_to_rest is not None:
-        result_tiles.append(
-            Tile(
-                "angle check",
-                "",
-                f"{rest_to_rest.largest_sigma:.1f} u",
-                "largest difference from the angles between static intervals "
-                f"({plural(rest_to_rest.moves, 'move')})",
-            )
-        )
-    return result_tiles
 
 
 def parameter_tables(data: ReportData) -> list[ParameterTable]:
@@ -339,18 +251,6 @@ def _value_with_std(value: float | None, std: float | None, factor: float) -> st
     return f"{text} ± {error}" if error else text
 
 
-def inverse_gain(calibration: CalibrationDocument) -> FloatArray:
-    """Return G⁻¹, or the identity where G is incomplete or singular; shape (3, 3)."""
-    rows = calibration.matrices.STM
-    values = [v for row in rows for v in row]
-    if any(v is None for v in values):
-        return np.eye(3)
-    gain = np.array(rows, dtype=np.float64)
-    if np.linalg.cond(gain) > SINGULAR_CONDITION:
-        return np.eye(3)
-    return np.asarray(np.linalg.inv(gain), dtype=np.float64)
-
-
 def matrix_text(calibration: CalibrationDocument) -> str:
     """Return the inverse sensor matrix and the bias, to copy; empty if not known."""
     rows, bias = calibration.matrices.STM, value_std_pairs(calibration.parameters["bias"])
@@ -374,15 +274,6 @@ def time_offset_text(calibration: CalibrationDocument) -> str:
         f"A sample shows the motion {format_short(abs(value) * 1e3)} ms {side} its timestamp: "
         "subtract the time offset from the timestamp."
     )
-
-
-def _scale_errors(calibration: CalibrationDocument) -> tuple[float, float] | None:
-    """Return the worst axis' scale factor error in %: nominal, and half of the 95 % interval."""
-    pairs = [(v, s) for v, s in value_std_pairs(calibration.parameters["scale"]) if v is not None]
-    if not pairs or any(s is None for _, s in pairs):
-        return None
-    worst = max(abs(v - 1.0) for v, _ in pairs)
-    return 100.0 * worst, 100.0 * max(1.96 * (s or 0.0) for _, s in pairs)
 
 
 def _rows(
@@ -420,17 +311,3 @@ def _bar(limits: DataSheetLimits, unit: str, axis: int, value: float, std: float
     return RangeBar(
         place(value - 1.96 * std), place(value), place(value + 1.96 * std), colour, words
     )
-
-
-def _rotation_error_deg(data: FitDiagnostics, gain: FloatArray) -> tuple[float, float]:
-    """Return the rms error, in degrees, of the rate integrated over 1 s: before and after."""
-    window = np.floor(data.time_s - data.time_s[0]).astype(np.int64)
-    angles_deg = []
-    for error in (data.rate_rad_s - data.reference_rad_s, data.residual_rad_s @ gain.T):
-        known = np.isfinite(error).all(axis=1)
-        count = np.bincount(window[known])
-        whole = count >= 0.9 * np.median(count[count > 0])
-        sums = [np.bincount(window[known], column[known])[whole] for column in error.T]
-        angles = np.stack(sums) / count[whole]  # mean rate x 1 s
-        angles_deg.append(math.degrees(math.sqrt(float(np.mean(np.sum(angles**2, axis=0))))))
-    return angles_deg[0], angles_deg[1]

@@ -37,8 +37,9 @@ from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.config import parse_rig
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
-from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session import record_session
 from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_daemon.session.session_environment import SessionEnvironment
 from gyrorig_protocol.documents import dump_yaml
 from gyrorig_protocol.program import parse_program
 

@@ -24,8 +24,9 @@ from gyrorig_daemon.emulator.rig_truth import RigTruth
 from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.session.emulation_options import estimate_session_s
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
-from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session import record_session
 from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_daemon.session.session_environment import SessionEnvironment
 from gyrorig_protocol.documents import dump_yaml, parse_yaml
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.program import parse_program

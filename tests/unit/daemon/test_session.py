@@ -24,8 +24,9 @@ from gyrorig_daemon.emulator.virtual_hub import VirtualHub
 from gyrorig_daemon.links.ports.port_hub import Chunk, PortChange
 from gyrorig_daemon.links.pump import StopFlag, StopRequestedError
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
-from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session import record_session
 from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_daemon.session.session_environment import SessionEnvironment
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, UsageError
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.messages import PtuCommandRecord, SessionEvent

@@ -12,8 +12,9 @@ from gyrorig_daemon.recorder import Recorder, RecorderSettings
 from gyrorig_daemon.recorder.ram_buffer import Record
 from gyrorig_daemon.recorder.state_replay import MAX_COMMANDS, PendingCommands
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
-from gyrorig_daemon.session.session import SessionEnvironment, record_session
+from gyrorig_daemon.session.session import record_session
 from gyrorig_daemon.session.session_description import SessionRequest
+from gyrorig_daemon.session.session_environment import SessionEnvironment
 from gyrorig_protocol.program import parse_program
 from gyrorig_protocol.recording.messages import PtuCommandRecord, PtuPosition
 from gyrorig_protocol.recording.reader import read_recording

@@ -1,0 +1,104 @@
+"""Versions of a board in a store, as the command line names them.
+
+What to use when: `find_version` by number; `versions_in_time` by the time of the recording or the
+configuration; `parameter_differences` to compare two of them.
+"""
+
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.identity import BoardId
+from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
+from gyrorig_solver.calibration.calibration_store import StoredVersion
+from gyrorig_solver.fleet.store.index_rows import parameter_columns, parameter_values
+from gyrorig_solver.fleet.store.store_queries import (
+    open_existing_store,
+    versions_by_measurement_time,
+)
+from gyrorig_solver.storage.storage_protocol import Storage
+
+
+def find_version(folder: Storage, board: BoardId, number: int) -> tuple[Path, CalibrationDocument]:
+    """Return one version of a board.
+
+    Raises:
+        InputError: the board or version does not exist, or is damaged.
+    """
+    versions = open_existing_store(folder).versions(board)
+    for version in versions:
+        if version.number == number:
+            return read_version(version)
+    if not versions:
+        raise _unknown_board_error(folder, board)
+    raise InputError(
+        f"{folder.location} does not contain version {number} of board {board}",
+        f"choose a version from {versions[0].number} to {versions[-1].number}",
+    )
+
+
+def _unknown_board_error(folder: Storage, board: BoardId) -> InputError:
+    return InputError(
+        f"{folder.location} does not contain board {board}",
+        f"list its boards with `gyrorig store ls {folder.location}`",
+    )
+
+
+def versions_in_time(
+    folder: Storage, board: BoardId, at: datetime | None = None, config_hash: str | None = None
+) -> list[StoredVersion]:
+    """Return the versions of a board in the order of their recordings, the last one last.
+
+    Args:
+        folder: the store.
+        board: whose versions.
+        at: only versions recorded until this time; None for all.
+        config_hash: only versions with this configuration hash; None for all.
+
+    Raises:
+        InputError: there is none.
+    """
+    versions = versions_by_measurement_time(folder, board)
+    matching = [
+        measured.version
+        for measured in versions
+        if (at is None or measured.start <= at) and config_hash in (None, measured.config_hash)
+    ]
+    if not versions:
+        raise _unknown_board_error(folder, board)
+    if not matching:
+        conditions = [
+            *([] if at is None else [f"recorded until {at:%Y-%m-%d %H:%M} UTC"]),
+            *([] if config_hash is None else [f"with the configuration {config_hash[:20]}"]),
+        ]
+        raise InputError(
+            f"{folder.location} contains no version of board {board} {' and '.join(conditions)}",
+            f"list its versions with `gyrorig store ls {folder.location} --all --board {board}`",
+        )
+    return matching
+
+
+def read_version(version: StoredVersion) -> tuple[Path, CalibrationDocument]:
+    """Return the path of a version and its document."""
+    return version.path, parse_calibration(version.data(), str(version.path))
+
+
+def parameter_differences(
+    earlier: CalibrationDocument, later: CalibrationDocument
+) -> Iterator[dict[str, Any]]:
+    """Yield the change of each parameter between two calibrations, also in standard deviations."""
+    before, after = parameter_values(earlier), parameter_values(later)
+    for name in parameter_columns():
+        if name.endswith("_std") or name not in before or name not in after:
+            continue
+        change = after[name] - before[name]
+        combined_std = (before[f"{name}_std"] ** 2 + after[f"{name}_std"] ** 2) ** 0.5
+        yield {
+            "parameter": name,
+            "before": before[name],
+            "after": after[name],
+            "change": change,
+            "sigma": change / combined_std if combined_std else None,
+        }
