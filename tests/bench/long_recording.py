@@ -22,18 +22,17 @@ from numpy.typing import NDArray
 from scipy.signal import butter, lfilter
 
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.clock_messages import ClockPing, clock_ping_topic
 from gyrorig_protocol.recording.messages import (
     PTU_COMMAND_TOPIC,
     PTU_POSITION_TOPIC,
     SESSION_EVENT_TOPIC,
-    ClockPing,
     EventKind,
     ImuStatus,
     PtuCommandRecord,
     PtuPosition,
     PtuStatus,
     SessionEvent,
-    clock_ping_topic,
 )
 from gyrorig_protocol.recording.writer import RecordingWriter
 

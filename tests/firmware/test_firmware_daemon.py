@@ -17,7 +17,8 @@ from gyrorig_daemon.links.boards.board_link import BoardLink
 from gyrorig_daemon.links.boards.sample_stream import BoardSinks
 from gyrorig_daemon.links.ports.acquisition_hub import AcquisitionHub, PortSettings
 from gyrorig_daemon.links.pump import Pump
-from gyrorig_protocol.recording.messages import ClockPing, ImuRaw, ImuStatus
+from gyrorig_protocol.recording.clock_messages import ClockPing
+from gyrorig_protocol.recording.messages import ImuRaw, ImuStatus
 
 PATIENCE_NS = 60_000_000_000
 PERIOD_US = 5_000  # of host_board.c

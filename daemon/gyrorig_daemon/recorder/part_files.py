@@ -1,8 +1,9 @@
 """Part files: metadata and attachments are repeated, so that each part is self-contained.
 
 What to use when: under `part_writer`. `PartOpener` creates parts in the disk thread;
-`PartCloser` has them closed there; `part_path` names them; `SessionMetadata` is their metadata
-and attachments. The session state at the start of a part comes from `state_replay`.
+`PartCloser` has them closed there; `SpaceCheck` asks there for the free space; `part_path` names
+them; `SessionMetadata` is their metadata and attachments. The session state at the start of a part
+comes from `state_replay`.
 """
 
 import threading
@@ -145,6 +146,31 @@ class PartOpener:
                 f"{folder} cannot be read, {fault.strerror}",
                 f"check `ls -ld {folder}` and its disk",
             ) from fault
+
+
+class SpaceCheck:
+    """Asks for the free space in the disk thread, one question at a time."""
+
+    def __init__(self, worker: DiskWorker, opener: PartOpener) -> None:
+        self._worker, self._opener = worker, opener
+        self._job: DiskJob[int] | None = None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether an answer is outstanding."""
+        return self._job is not None
+
+    def start(self, wanted_bytes: int) -> None:
+        """Ask; room is made first if less is free than wanted."""
+        self._job = self._worker.submit(lambda: self._opener.free_bytes(wanted_bytes))
+
+    def take_answer(self) -> int | None:
+        """Return the free bytes once they are known, None before or if the disk failed."""
+        job = self._job
+        if job is None or not job.is_done:
+            return None
+        self._job = None
+        return job.result() if job.error is None else None
 
 
 class PartCloser:

@@ -27,7 +27,14 @@ from functools import partial
 from pathlib import Path
 
 from gyrorig_daemon.recorder.disk_worker import DiskJob, DiskWorker
-from gyrorig_daemon.recorder.part_files import OpenedPart, PartCloser, PartOpener, part_path
+from gyrorig_daemon.recorder.part_files import (
+    OpenedPart,
+    PartCloser,
+    PartOpener,
+    SpaceCheck,
+    part_path,
+)
+from gyrorig_daemon.recorder.part_schedule import PartSchedule
 from gyrorig_daemon.recorder.ram_buffer import RamBuffer, Record
 from gyrorig_daemon.recorder.recorder_counts import RecorderCounts
 from gyrorig_daemon.recorder.recorder_settings import RecorderSettings, RecordingPlan
@@ -44,12 +51,9 @@ from gyrorig_protocol.recording.messages import (
 )
 from gyrorig_protocol.recording.writer import RecordingWriter
 
-RETRY_NS = 5_000_000_000  # between attempts to open a part after a failure
-SPACE_CHECK_NS = 1_000_000_000  # between checks of the free space
 MAX_RECORDS_PER_TURN = 2_000  # taken from memory per turn: 20 ms of work
 CLOSE_ATTEMPTS = 2
 REPORT_BUG = "report it with this line. What was written before is kept"
-_MS_NS = 1_000_000
 
 
 class PartWriter:
@@ -73,11 +77,10 @@ class PartWriter:
         self._written_metadata_version = 0
         self._ram_buffer = RamBuffer(settings.ram_bytes, settings.ram_s)
         self._sequence_numbers = SequenceNumbers()
-        self._now_ns = self._part_start_ns = self._last_sync_ns = self._last_space_check_ns = 0
-        self._retry_ns = 0
+        self._schedule = PartSchedule(settings)
         self._needs_replay = False
         self._open_job: DiskJob[OpenedPart] | None = None
-        self._space_job: DiskJob[int] | None = None
+        self._space_check = SpaceCheck(worker, self._opener)
         self._closer = PartCloser(worker, counts)
         self._closed_bytes = 0
         self._part_number = 0
@@ -140,9 +143,7 @@ class PartWriter:
         Raises:
             MachineError: the disk failed, and the settings do not tolerate that.
         """
-        if not self._now_ns:
-            self._part_start_ns = self._last_sync_ns = now_ns
-        self._now_ns = now_ns
+        self._schedule.set_time(now_ns)
         self._collect_jobs()
         writer = self._writer
         if writer is not None:
@@ -272,7 +273,7 @@ class PartWriter:
     def _enter_degraded_state(self, reason: str) -> None:
         self._writer = None
         self.degraded_reason = reason
-        self._retry_ns = self._now_ns + RETRY_NS
+        self._schedule.postpone_opening()
         self._record_event(EventKind.FAULT, f"recording continues in memory, because {reason}")
 
     def _record_event(self, kind: EventKind, text: str) -> None:
@@ -318,13 +319,11 @@ class PartWriter:
         writer = self._writer
         if writer is not None and (error := self._sync_tracker.poll_sync()):
             self._run_step(writer, lambda: writer.fail_with(error))
-        space_job = self._space_job
-        if space_job is not None and space_job.is_done:
-            self._space_job = None
-            if space_job.error is None:
-                self._counts.free_bytes = space_job.result()
-                if space_job.result() < self._settings.reserve_bytes:
-                    self._stop_for_space()
+        free_bytes = self._space_check.take_answer()
+        if free_bytes is not None:
+            self._counts.free_bytes = free_bytes
+            if free_bytes < self._settings.reserve_bytes:
+                self._stop_for_space()
         self._closer.count_finished()
 
     def _handle_open_failure(self, error: Exception) -> None:
@@ -333,7 +332,7 @@ class PartWriter:
             return
         if not isinstance(error, GyrorigError):
             raise error
-        self._retry_ns = self._now_ns + RETRY_NS
+        self._schedule.postpone_opening()
         self._counts.open_failures += 1
         if self._writer is None:
             self.degraded_reason = error.problem
@@ -352,7 +351,7 @@ class PartWriter:
             part.metadata_version,
         )
         self.paths.append(part_path(self._plan.path, part.number))
-        self._part_start_ns = self._last_sync_ns = self._now_ns
+        self._schedule.start_part()
         self._sync_tracker = SyncTracker(part.writer, self._worker, self._counts)
         self._counts.parts_opened += 1
         self._needs_replay = part.number > 0
@@ -389,37 +388,19 @@ class PartWriter:
             self._enter_degraded_state(reason)
 
     def _start_due_jobs(self, writer: RecordingWriter) -> None:
-        settings, now_ns = self._settings, self._now_ns
-        if not self._sync_tracker.is_syncing and self._has_elapsed(
-            self._last_sync_ns, settings.sync_s
-        ):
-            self._last_sync_ns = now_ns
+        schedule, reserve_bytes = self._schedule, self._settings.reserve_bytes
+        if not self._sync_tracker.is_syncing and schedule.take_sync():
             self._sync_tracker.sync()
-        if (
-            settings.reserve_bytes
-            and self._space_job is None
-            and now_ns - self._last_space_check_ns >= SPACE_CHECK_NS
-        ):
-            self._last_space_check_ns = now_ns
-            required_bytes = settings.reserve_bytes
-            self._space_job = self._worker.submit(lambda: self._opener.free_bytes(required_bytes))
-        is_part_due = settings.part_s is not None and self._has_elapsed(
-            self._part_start_ns, settings.part_s
-        )
-        if settings.part_bytes is not None:
-            is_part_due = is_part_due or writer.bytes_written >= settings.part_bytes
-        if (
-            is_part_due
-            and self._open_job is None
-            and now_ns >= self._retry_ns
-            and not self._closer.is_full
-        ):
-            self._begin_part(settings.reserve_bytes)
+        if not self._space_check.is_running and schedule.take_space_check():
+            self._space_check.start(reserve_bytes)
+        can_open = self._open_job is None and schedule.may_open and not self._closer.is_full
+        if can_open and schedule.is_part_due(writer.bytes_written):
+            self._begin_part(reserve_bytes)
         if not self._worker.threaded:
             self._collect_jobs()
 
     def _retry_opening(self, at_once: bool = False) -> None:
-        if self._open_job is None and (at_once or self._now_ns >= self._retry_ns):
+        if self._open_job is None and (at_once or self._schedule.may_open):
             self._begin_part(self._settings.resume_bytes)
             if not self._worker.threaded:
                 self._collect_jobs()
@@ -430,16 +411,9 @@ class PartWriter:
             lambda: self._opener.open(number, previous, room_bytes)
         )
 
-    def _has_elapsed(self, since_ns: int, limit_s: float) -> bool:
-        return self._now_ns - since_ns >= limit_s * 1e9
-
     def _update_counts(self) -> None:
         counts, ram_buffer = self._counts, self._ram_buffer
-        counts.memory_messages = len(ram_buffer)
-        counts.memory_bytes = ram_buffer.bytes
-        counts.memory_high_water_bytes = max(counts.memory_high_water_bytes, ram_buffer.bytes)
-        counts.dropped_from_memory = ram_buffer.dropped
-        counts.disk_busy_ms = self._worker.busy_ns() // _MS_NS
-        counts.disk_busy_max_ms = max(counts.disk_busy_max_ms, counts.disk_busy_ms)
+        counts.update_memory(len(ram_buffer), ram_buffer.bytes, ram_buffer.dropped)
+        counts.update_disk(self._worker.busy_ns())
         open_bytes = 0 if self._writer is None else self._writer.bytes_written
         counts.bytes_written = self._closed_bytes + open_bytes

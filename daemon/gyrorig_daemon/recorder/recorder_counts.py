@@ -49,6 +49,17 @@ class RecorderCounts:
             + self.refused
         )
 
+    def update_memory(self, messages: int, size_bytes: int, dropped: int) -> None:
+        """Set what is in memory now, and what it dropped so far."""
+        self.memory_messages, self.memory_bytes = messages, size_bytes
+        self.memory_high_water_bytes = max(self.memory_high_water_bytes, size_bytes)
+        self.dropped_from_memory = dropped
+
+    def update_disk(self, busy_ns: int) -> None:
+        """Set how long the disk thread has worked on its present job."""
+        self.disk_busy_ms = busy_ns // 1_000_000
+        self.disk_busy_max_ms = max(self.disk_busy_max_ms, self.disk_busy_ms)
+
     def values(self) -> dict[str, int]:
         """Every counter by name, and `lost`."""
         return {counter.name: getattr(self, counter.name) for counter in fields(self)} | {

@@ -9,7 +9,8 @@ from gyrorig_daemon.clocks.capture_clock import CaptureClock, HostClocks
 from gyrorig_daemon.links.boards.board_link import BoardLink
 from gyrorig_daemon.motion import PtuClient
 from gyrorig_daemon.recorder.recorder import Recorder
-from gyrorig_protocol.recording.messages import DIAGNOSTICS_TOPIC, HOST_CLOCK_TOPIC, HostClock
+from gyrorig_protocol.recording.clock_messages import HOST_CLOCK_TOPIC, HostClock
+from gyrorig_protocol.recording.messages import DIAGNOSTICS_TOPIC
 from gyrorig_protocol.recording.standard_messages import (
     DiagnosticLevel,
     Diagnostics,

@@ -17,7 +17,8 @@ from gyrorig_daemon.links.pump import Pump, StopFlag
 from gyrorig_daemon.live import NO_VIEW, LiveView
 from gyrorig_daemon.motion import Exchange, PtuClient
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.messages import ClockPing, ImuRaw, clock_ping_topic, imu_raw_topic
+from gyrorig_protocol.recording.clock_messages import ClockPing, clock_ping_topic
+from gyrorig_protocol.recording.messages import ImuRaw, imu_raw_topic
 
 
 class RigListener(Protocol):

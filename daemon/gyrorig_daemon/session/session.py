@@ -48,13 +48,12 @@ from gyrorig_daemon.session.session_environment import SessionEnvironment, Sessi
 from gyrorig_protocol.errors import DeviceError, GyrorigError, MachineError, sentence
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.ptu import Axis
+from gyrorig_protocol.recording.clock_messages import ClockPing, clock_ping_topic
 from gyrorig_protocol.recording.messages import (
     SESSION_EVENT_TOPIC,
-    ClockPing,
     EventKind,
     ImuRaw,
     SessionEvent,
-    clock_ping_topic,
     imu_raw_topic,
 )
 

@@ -4,7 +4,7 @@ What to use when: build a message and pass it to `RecordingWriter.write`; `decod
 To read many fixed-size messages, use `Recording.array` instead.
 
 Every host time is an `int` of nanoseconds since the epoch on the capture clock (UTC anchored once
-per session, then CLOCK_MONOTONIC_RAW), except in `HostClock`, which has the host's own clocks.
+per session, then CLOCK_MONOTONIC_RAW). `clock_messages` has the messages about clocks.
 """
 
 import struct
@@ -14,20 +14,20 @@ from typing import ClassVar, Protocol, Self
 
 import msgspec
 
-from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.encoding.cdr_codec import (
     ENCAPSULATION,
     NS_PER_S,
     CdrDecoder,
     CdrEncoder,
+    pack_fields,
     split_time,
+    unpack_fields,
 )
 
 PTU_POSITION_TOPIC = "/ptu/position"
 PTU_COMMAND_TOPIC = "/ptu/command"
 SESSION_EVENT_TOPIC = "/session/event"
-HOST_CLOCK_TOPIC = "/host/clock"
 REFERENCE_ATTITUDE_TOPIC = "/reference/attitude"
 DIAGNOSTICS_TOPIC = "/diagnostics"
 LOG_TOPIC = "/rosout"
@@ -38,11 +38,6 @@ Triple = tuple[int, int, int]
 def imu_raw_topic(board_id: BoardId) -> str:
     """Return the topic of a board's raw samples."""
     return f"/board/{board_id}/imu_raw"
-
-
-def clock_ping_topic(board_id: BoardId) -> str:
-    """Return the topic of a board's clock exchanges."""
-    return f"/board/{board_id}/clock"
 
 
 class Message(Protocol):
@@ -103,23 +98,6 @@ class EventKind(IntEnum):
     FAULT = 3
 
 
-def _pack_fields(layout: struct.Struct, *values: float) -> bytes:
-    try:
-        return layout.pack(ENCAPSULATION, *values)
-    except struct.error as error:
-        raise ValueError(f"a value does not fit its field: {error}") from error
-
-
-def _unpack_fields(layout: struct.Struct, data: bytes, name: str) -> list[int | float]:
-    if len(data) != layout.size or data[:4] != ENCAPSULATION:
-        raise InputError(
-            f"{name} has {len(data)} bytes that begin with {data[:4].hex()}, "
-            f"not {layout.size} that begin with 00010000",
-            "copy the file again, or record again",
-        )
-    return list(layout.unpack(data)[1:])
-
-
 class ImuRaw(msgspec.Struct, frozen=True, gc=False):
     """One sample of a board: counts as sent, in the sensor's axes.
 
@@ -165,7 +143,7 @@ class ImuRaw(msgspec.Struct, frozen=True, gc=False):
     @classmethod
     def decode(cls, data: bytes) -> Self:
         """Decode a payload; raises InputError if it is invalid."""
-        values = [int(value) for value in _unpack_fields(cls._LAYOUT, data, "ImuRaw")]
+        values = [int(value) for value in unpack_fields(cls._LAYOUT, data, "ImuRaw")]
         gyro, accel, mag = (
             (values[first], values[first + 1], values[first + 2]) for first in (6, 9, 12)
         )
@@ -206,7 +184,7 @@ class PtuPosition:
 
     def encode(self) -> bytes:
         """Return the payload of 66 bytes."""
-        return _pack_fields(
+        return pack_fields(
             self._LAYOUT,
             *split_time(self.request_time_ns),
             *split_time(self.first_byte_time_ns),
@@ -223,7 +201,7 @@ class PtuPosition:
     @classmethod
     def decode(cls, data: bytes) -> Self:
         """Decode a payload; raises InputError if it is invalid."""
-        values = _unpack_fields(cls._LAYOUT, data, "PtuPosition")
+        values = unpack_fields(cls._LAYOUT, data, "PtuPosition")
         times_ns = [int(values[index]) * NS_PER_S + int(values[index + 1]) for index in (0, 2, 4)]
         integers = [int(values[index]) for index in (6, 7, 10, 11, 12)]
         return cls(
@@ -325,83 +303,6 @@ class SessionEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class ClockPing:
-    """One two-way clock exchange with a board."""
-
-    TYPE: ClassVar[str] = "gyrorig_msgs/msg/ClockPing"
-    _LAYOUT: ClassVar[struct.Struct] = struct.Struct("<4siIiIQQIH")
-
-    host_send_ns: int
-    host_receive_ns: int
-    device_receive: int  # ticks
-    device_send: int  # ticks
-    nonce: int
-    status: int
-
-    @property
-    def capture_time_ns(self) -> int:
-        """The time at which the reply was received."""
-        return self.host_receive_ns
-
-    def encode(self) -> bytes:
-        """Return the payload of 42 bytes."""
-        return _pack_fields(
-            self._LAYOUT,
-            *split_time(self.host_send_ns),
-            *split_time(self.host_receive_ns),
-            self.device_receive,
-            self.device_send,
-            self.nonce,
-            self.status,
-        )
-
-    @classmethod
-    def decode(cls, data: bytes) -> Self:
-        """Decode a payload; raises InputError if it is invalid."""
-        values = [int(value) for value in _unpack_fields(cls._LAYOUT, data, "ClockPing")]
-        return cls(values[0] * NS_PER_S + values[1], values[2] * NS_PER_S + values[3], *values[4:])
-
-
-@dataclass(frozen=True, slots=True)
-class HostClock:
-    """The host's clocks, read together once per second."""
-
-    TYPE: ClassVar[str] = "gyrorig_msgs/msg/HostClock"
-    _LAYOUT: ClassVar[struct.Struct] = struct.Struct("<4siIiIiIddI")
-
-    monotonic_raw_ns: int
-    monotonic_ns: int
-    realtime_ns: int
-    frequency_ppm: float
-    estimated_error_s: float
-    ntp_status: int
-
-    @property
-    def capture_time_ns(self) -> None:
-        """None: the payload has no capture time."""
-        return
-
-    def encode(self) -> bytes:
-        """Return the payload of 48 bytes."""
-        return _pack_fields(
-            self._LAYOUT,
-            *split_time(self.monotonic_raw_ns),
-            *split_time(self.monotonic_ns),
-            *split_time(self.realtime_ns),
-            self.frequency_ppm,
-            self.estimated_error_s,
-            self.ntp_status,
-        )
-
-    @classmethod
-    def decode(cls, data: bytes) -> Self:
-        """Decode a payload; raises InputError if it is invalid."""
-        values = _unpack_fields(cls._LAYOUT, data, "HostClock")
-        times_ns = [int(values[index]) * NS_PER_S + int(values[index + 1]) for index in (0, 2, 4)]
-        return cls(times_ns[0], times_ns[1], times_ns[2], values[6], values[7], int(values[8]))
-
-
-@dataclass(frozen=True, slots=True)
 class ReferenceAttitude:
     """The attitude of a rig without a pan-tilt unit; rotates body into world."""
 
@@ -420,7 +321,7 @@ class ReferenceAttitude:
 
     def encode(self) -> bytes:
         """Return the payload of 54 bytes."""
-        return _pack_fields(
+        return pack_fields(
             self._LAYOUT,
             *split_time(self.host_time_ns),
             *self.orientation,
@@ -431,6 +332,6 @@ class ReferenceAttitude:
     @classmethod
     def decode(cls, data: bytes) -> Self:
         """Decode a payload; raises InputError if it is invalid."""
-        values = _unpack_fields(cls._LAYOUT, data, "ReferenceAttitude")
+        values = unpack_fields(cls._LAYOUT, data, "ReferenceAttitude")
         time_ns = int(values[0]) * NS_PER_S + int(values[1])
         return cls(time_ns, (values[2], values[3], values[4], values[5]), values[6], int(values[7]))

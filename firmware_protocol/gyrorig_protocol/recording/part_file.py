@@ -1,7 +1,8 @@
 """Part file: the unfinished MCAP file of a recording that is being written.
 
-What to use when: only in `writer`. The file always ends with a complete record. An error of the
-disk costs the messages that are not yet written as a chunk, never the data before them.
+What to use when: only in `writer`, by `create_part_file`. The file always ends with a complete
+record. An error of the disk costs the messages that are not yet written as a chunk, never the data
+before them.
 """
 
 import errno
@@ -16,6 +17,7 @@ import numpy as np
 import zstandard
 from mcap.records import Channel, Schema
 
+from gyrorig_protocol.errors import MachineError, UsageError
 from gyrorig_protocol.recording.backup_copies import (
     CHANNELS_COPY,
     COPY_MEDIA_TYPE,
@@ -34,6 +36,7 @@ _MESSAGE_LAYOUT = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence,
 _MESSAGE_OPCODE = 0x05
 _MESSAGE_FIELDS_BYTES = 22
 _QOS = {"offered_qos_profiles": ""}
+_OVERWRITE_REMEDY = "choose another name, or move the file; a recording is never overwritten"
 
 Records = Mapping[str, Mapping[str, str]]
 
@@ -81,10 +84,15 @@ class PartFile:
         self._file = disk.create(part)
         self._builder = McapBuilder(self._file)
 
-    def begin(self, records: Records, attachments: Iterable[Attachment]) -> None:
-        """Write the records before the first message; `sync` makes them durable."""
+    def begin(self, records: Records, attachments: Iterable[Attachment], is_synced: bool) -> None:
+        """Write the records before the first message, and wait until they are on the disk.
+
+        If not `is_synced`, the first `sync` makes them durable.
+        """
         self._builder.write_header(software_version())
         self.add_metadata(records, attachments)
+        if is_synced:
+            self.sync()
 
     def add_metadata(self, records: Records, attachments: Iterable[Attachment]) -> None:
         """Write metadata and attachments, with a checksummed copy of all metadata so far."""
@@ -211,3 +219,34 @@ class PartFile:
     def _mark_committed(self) -> None:
         self.committed.position = self._file.tell()
         self.committed.waiting_messages = 0
+
+
+def part_path(path: Path) -> Path:
+    """Return the name of the file while it is being written."""
+    return path.with_name(path.name + ".part")
+
+
+def create_part_file(final: Path, part: Path, disk: Disk) -> PartFile:
+    """Create the file of a recording.
+
+    Args:
+        final: the name of the complete recording.
+        part: the name while it is being written.
+        disk: the disk interface.
+
+    Raises:
+        UsageError: one of them exists.
+        MachineError: the file cannot be created.
+    """
+    for path in (final, part):
+        if disk.exists(path):
+            raise UsageError(f"{path} exists", _OVERWRITE_REMEDY)
+    try:
+        return PartFile(final, part, disk)
+    except FileExistsError as error:
+        raise UsageError(f"{part} exists", _OVERWRITE_REMEDY) from error
+    except OSError as error:
+        raise MachineError(
+            f"cannot create {part} ({error.strerror})",
+            "free disk space, fix the folder's permissions, or choose another folder",
+        ) from error

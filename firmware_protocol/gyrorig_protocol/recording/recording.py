@@ -20,6 +20,12 @@ import numpy.typing as npt
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.channel_arrays import array_dtype
+from gyrorig_protocol.recording.clock_messages import (
+    HOST_CLOCK_TOPIC,
+    ClockPing,
+    HostClock,
+    clock_ping_topic,
+)
 from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
 from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS
 from gyrorig_protocol.recording.imu_columns import (
@@ -33,20 +39,16 @@ from gyrorig_protocol.recording.mcap.losses import Loss
 from gyrorig_protocol.recording.mcap.mapped_file import PageReleaser
 from gyrorig_protocol.recording.mcap.record_scan import AttachmentRecord
 from gyrorig_protocol.recording.messages import (
-    HOST_CLOCK_TOPIC,
     PTU_COMMAND_TOPIC,
     PTU_POSITION_TOPIC,
     REFERENCE_ATTITUDE_TOPIC,
     SESSION_EVENT_TOPIC,
-    ClockPing,
-    HostClock,
     ImuRaw,
     Message,
     PtuCommandRecord,
     PtuPosition,
     ReferenceAttitude,
     SessionEvent,
-    clock_ping_topic,
     imu_raw_topic,
 )
 from gyrorig_protocol.recording.standard_messages import Diagnostics, Log

@@ -20,19 +20,17 @@ from typing import NoReturn, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from gyrorig_protocol.errors import MachineError, UsageError
+from gyrorig_protocol.errors import MachineError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.encoding.imu_packing import pack_imu_payloads
 from gyrorig_protocol.recording.mcap.disk_file import DISK, Disk
 from gyrorig_protocol.recording.messages import ImuRaw, Message, imu_raw_topic
-from gyrorig_protocol.recording.part_file import PartFile
+from gyrorig_protocol.recording.part_file import create_part_file, part_path
 from gyrorig_protocol.recording.recording_metadata import (
     Attachment,
     complete_metadata,
     software_version,
 )
-
-_OVERWRITE_REMEDY = "choose another name, or move the file; a recording is never overwritten"
 
 __all__ = ["Attachment", "RecordingWriter", "part_path", "software_version"]
 
@@ -86,10 +84,10 @@ class RecordingWriter:
         self._last_flush_ns: int | None = None
         self._last_sync_ns: int | None = None
         self._is_open = False
-        self._file = self._create()
+        self._file = create_part_file(self._final, self._part, disk)
         self._is_open = True
         try:
-            self._run_disk_step(lambda: self._begin(records, attachments, sync_at_start))
+            self._run_disk_step(lambda: self._file.begin(records, attachments, sync_at_start))
         except MachineError:
             with suppress(OSError):  # the caller still has all of its data
                 if owner_syncs:
@@ -373,30 +371,6 @@ class RecordingWriter:
         if self._is_open:
             self.close()
 
-    def _begin(
-        self,
-        records: Mapping[str, Mapping[str, str]],
-        attachments: Sequence[Attachment],
-        sync_at_start: bool,
-    ) -> None:
-        self._file.begin(records, attachments)
-        if sync_at_start:
-            self._file.sync()
-
-    def _create(self) -> PartFile:
-        for path in (self._final, self._part):
-            if self._disk.exists(path):
-                raise UsageError(f"{path} exists", _OVERWRITE_REMEDY)
-        try:
-            return PartFile(self._final, self._part, self._disk)
-        except FileExistsError as error:
-            raise UsageError(f"{self._part} exists", _OVERWRITE_REMEDY) from error
-        except OSError as error:
-            raise MachineError(
-                f"cannot create {self._part} ({error.strerror})",
-                "free disk space, fix the folder's permissions, or choose another folder",
-            ) from error
-
     def _check_open(self) -> None:
         if not self._is_open:
             raise MachineError(f"{self.path} is closed", "start another recording")
@@ -419,8 +393,3 @@ class RecordingWriter:
             f"cannot write {self.path} ({error.strerror}); {outcome}",
             "free disk space and start another recording",
         ) from error
-
-
-def part_path(path: Path) -> Path:
-    """Return the name of the file while it is being written."""
-    return path.with_name(path.name + ".part")

@@ -34,7 +34,8 @@ from gyrorig_protocol.can import (
     unpack_frames,
 )
 from gyrorig_protocol.errors import DeviceError
-from gyrorig_protocol.recording.messages import ClockPing, ImuRaw
+from gyrorig_protocol.recording.clock_messages import ClockPing
+from gyrorig_protocol.recording.messages import ImuRaw
 
 MS = 1_000_000
 BUS = "bus:can0"

@@ -15,7 +15,8 @@ from gyrorig_daemon.links.boards.sample_stream import BoardSinks
 from gyrorig_daemon.links.pump import Pump
 from gyrorig_daemon.session.emulator_process import emulated_rig_settings
 from gyrorig_protocol.can import FrameType, pack_frames, sync_frame, unpack_frames
-from gyrorig_protocol.recording.messages import ClockPing, ImuRaw
+from gyrorig_protocol.recording.clock_messages import ClockPing
+from gyrorig_protocol.recording.messages import ImuRaw
 
 ORIGIN_NS = 5_000_000_000
 NAMES = ("A", "B", "C")

@@ -19,7 +19,8 @@ from gyrorig_daemon.links.pump import Pump
 from gyrorig_protocol.board import FrameEvent, Sample
 from gyrorig_protocol.errors import DeviceError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.messages import ClockPing, ImuRaw
+from gyrorig_protocol.recording.clock_messages import ClockPing
+from gyrorig_protocol.recording.messages import ImuRaw
 
 ORIGIN_NS = 5_000_000_000
 UTC_NS = 1_790_000_000_000_000_000

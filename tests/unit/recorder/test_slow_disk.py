@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan
-from gyrorig_daemon.recorder import part_writer as spool_module
+from gyrorig_daemon.recorder import Recorder, RecorderSettings, RecordingPlan, part_schedule
 from gyrorig_daemon.recorder.recovery import recover_folder
 from gyrorig_protocol.recording.mcap.disk_file import Disk, DiskFile
 from gyrorig_protocol.recording.messages import ImuRaw
@@ -155,7 +154,7 @@ def test_the_next_part_is_open_before_the_last_is_closed(
 def test_a_disk_that_fails_and_comes_back(
     tmp_path: Path, sequences_in: Sequences, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(spool_module, "RETRY_NS", 50_000_000)
+    monkeypatch.setattr(part_schedule, "RETRY_NS", 50_000_000)
     disk = StuckDisk()
     feed = Feed(tmp_path, RecorderSettings(survives_faults=True), disk)
     recorder, counts = feed.recorder, feed.recorder.counts

@@ -9,22 +9,24 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.messages import (
+from gyrorig_protocol.recording.clock_messages import (
     HOST_CLOCK_TOPIC,
+    ClockPing,
+    HostClock,
+    clock_ping_topic,
+)
+from gyrorig_protocol.recording.messages import (
     PTU_COMMAND_TOPIC,
     PTU_POSITION_TOPIC,
     REFERENCE_ATTITUDE_TOPIC,
     SESSION_EVENT_TOPIC,
-    ClockPing,
     EventKind,
-    HostClock,
     ImuRaw,
     Message,
     PtuCommandRecord,
     PtuPosition,
     ReferenceAttitude,
     SessionEvent,
-    clock_ping_topic,
     imu_raw_topic,
 )
 from gyrorig_protocol.recording.writer import Attachment, RecordingWriter

@@ -11,11 +11,10 @@ from mcap_ros2._dynamic import generate_dynamic
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from gyrorig_protocol.errors import InputError
+from gyrorig_protocol.recording.clock_messages import ClockPing, HostClock
 from gyrorig_protocol.recording.encoding.cdr_layout import derive_fixed_layout
 from gyrorig_protocol.recording.encoding.message_schemas import SCHEMAS, SEPARATOR
 from gyrorig_protocol.recording.messages import (
-    ClockPing,
-    HostClock,
     ImuRaw,
     Message,
     PtuCommandRecord,

@@ -15,11 +15,10 @@ from mcap.reader import make_reader
 
 from gyrorig_protocol.errors import MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
+from gyrorig_protocol.recording.clock_messages import HOST_CLOCK_TOPIC, HostClock
 from gyrorig_protocol.recording.mcap.losses import LossCause
 from gyrorig_protocol.recording.messages import (
-    HOST_CLOCK_TOPIC,
     SESSION_EVENT_TOPIC,
-    HostClock,
     ImuRaw,
     SessionEvent,
     imu_raw_topic,

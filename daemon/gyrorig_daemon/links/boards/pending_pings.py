@@ -7,7 +7,7 @@ request interval.
 from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.links.ports.port_hub import WriteTimes
 from gyrorig_protocol.board import TimeReply, TimeRequest
-from gyrorig_protocol.recording.messages import ClockPing
+from gyrorig_protocol.recording.clock_messages import ClockPing
 
 MAX_PENDING_PINGS = 32
 

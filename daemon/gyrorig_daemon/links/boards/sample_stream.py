@@ -15,7 +15,8 @@ from gyrorig_daemon.clocks.capture_clock import CaptureClock
 from gyrorig_daemon.config import BoardPort
 from gyrorig_protocol.board import Batch, FrameEvent, Hello, Sample
 from gyrorig_protocol.identity import BoardId
-from gyrorig_protocol.recording.messages import ClockPing, ImuRaw, ImuStatus
+from gyrorig_protocol.recording.clock_messages import ClockPing
+from gyrorig_protocol.recording.messages import ImuRaw, ImuStatus
 
 FRAME_OVERHEAD_BYTES = 5  # CRC 2, stuffing 1, delimiters 2
 BITS_PER_BYTE = 10

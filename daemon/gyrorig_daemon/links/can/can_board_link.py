@@ -26,7 +26,7 @@ from gyrorig_protocol.can import (
     pack_frames,
     resolve_signals,
 )
-from gyrorig_protocol.recording.messages import ClockPing
+from gyrorig_protocol.recording.clock_messages import ClockPing
 
 _MAX_CODE = (1 << 15) - 1
 

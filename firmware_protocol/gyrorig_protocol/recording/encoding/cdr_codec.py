@@ -1,7 +1,8 @@
 """CDR codec (XCDR1, little endian), one value at a time, for messages with strings.
 
 What to use when: `CdrEncoder` and `CdrDecoder` for the few low-rate messages whose size varies.
-Fixed-size messages use one `struct.Struct` or, in bulk, the numpy layout of `cdr_layout`.
+Fixed-size messages use one `struct.Struct` with `pack_fields` and `unpack_fields` or, in bulk, the
+numpy layout of `cdr_layout`.
 
 Source: OMG DDSI-RTPS 2.5 section 10 (encapsulation), CDR alignment of XCDR1.
 """
@@ -14,6 +15,33 @@ from gyrorig_protocol.errors import InputError
 ENCAPSULATION = b"\x00\x01\x00\x00"
 NS_PER_S = 1_000_000_000
 _REMEDY = "copy the recording again, or record the session again"
+
+
+def pack_fields(layout: struct.Struct, *values: float) -> bytes:
+    """Return the payload of a message whose fields all have fixed sizes.
+
+    Raises:
+        ValueError: a value does not fit its field.
+    """
+    try:
+        return layout.pack(ENCAPSULATION, *values)
+    except struct.error as error:
+        raise ValueError(f"a value does not fit its field: {error}") from error
+
+
+def unpack_fields(layout: struct.Struct, data: bytes, name: str) -> list[int | float]:
+    """Return the fields of a message of fixed size.
+
+    Raises:
+        InputError: the payload of the message `name` has another size or header.
+    """
+    if len(data) != layout.size or data[:4] != ENCAPSULATION:
+        raise InputError(
+            f"{name} has {len(data)} bytes that begin with {data[:4].hex()}, "
+            f"not {layout.size} that begin with 00010000",
+            "copy the file again, or record again",
+        )
+    return list(layout.unpack(data)[1:])
 
 
 def split_time(time_ns: int) -> tuple[int, int]:
