@@ -62,7 +62,7 @@ class Block:
     kind: str
     body: str
     how: str = "run"
-    told: str = ""  # the reason, the path, or the name
+    detail: str = ""  # the reason, the path, or the name
     place: str = ""  # "" is an empty folder
     before: tuple[str, ...] = ()  # commands
     output: str | None = None  # what the page says that the commands print
@@ -113,7 +113,7 @@ def blocks(page: Path) -> Iterator[Block]:
 
 def _block(page: Path, line: int, kind: str, body: str, marks: list[str]) -> Block:
     where = f"{page.name}:{line}"
-    how, told, place = "run", "", ""
+    how, detail, place = "run", "", ""
     before: list[str] = []
     for mark in marks:
         head, _, rest = mark.partition(" ")
@@ -123,18 +123,18 @@ def _block(page: Path, line: int, kind: str, body: str, marks: list[str]) -> Blo
         elif head == "in":
             place = rest
         elif head in HOWS and rest:
-            how, told = head, rest
+            how, detail = head, rest
         else:
             raise DocumentError(f"{where}: how is it to be taken: {mark!r}?")
-    if how == "look" and told not in REASONS:
-        raise DocumentError(f"{where}: look {told!r}: say one of {', '.join(REASONS)}")
+    if how == "look" and detail not in REASONS:
+        raise DocumentError(f"{where}: look {detail!r}: say one of {', '.join(REASONS)}")
     if place and place not in PLACES:
         raise DocumentError(f"{where}: in {place!r}: say one of {', '.join(PLACES)}")
-    return Block(page, line, kind, body, how, told, place, tuple(before))
+    return Block(page, line, kind, body, how, detail, place, tuple(before))
 
 
 def pages() -> list[Path]:
     """Return the pages that somebody may follow."""
-    found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    found += [ROOT / "systemd" / "README.md"]
-    return [page for page in found if not set(page.parts) & set(PASSED_OVER)]
+    paths = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    paths += [ROOT / "systemd" / "README.md"]
+    return [page for page in paths if not set(page.parts) & set(PASSED_OVER)]

@@ -84,8 +84,8 @@ class ObjectStore:
             },
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
-        said = self._running.stdout.readline() if self._running.stdout else ""
-        if not said:
+        line = self._running.stdout.readline() if self._running.stdout else ""
+        if not line:
             _, words = self._running.communicate()
             raise RuntimeError(f"no object store comes up here: {words.strip().splitlines()[-3:]}")
         self.prefix = ("nsenter", "--target", str(self._running.pid), "--net", "--mount")

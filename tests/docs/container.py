@@ -73,9 +73,9 @@ class RigsComputer:
         self._running: list[subprocess.Popen[bytes]] = []
         self.checkout = CHECKOUT
         self.prefix: tuple[str, ...] = ()
-        kept = {name: value for name, value in os.environ.items() if name != "TMPDIR"}
+        environment = {name: value for name, value in os.environ.items() if name != "TMPDIR"}
         self.environment = {
-            **kept,
+            **environment,
             "HOME": "/root",
             "USER": "pi",
             "OPENBLAS_NUM_THREADS": "1",
@@ -155,9 +155,9 @@ class RigsComputer:
             )  # fmt: skip
         self._running.append(emulator)
         made = _PORTS.format(board=board.id, ptu=config.ptu.port, port=board.port)
-        said = self._say("bash", "-c", made)
-        if said or emulator.poll() is not None:
-            raise RuntimeError(f"the rig is not there: {said} {self._words()}")
+        output = self._say("bash", "-c", made)
+        if output or emulator.poll() is not None:
+            raise RuntimeError(f"the rig is not there: {output} {self._words()}")
 
     @property
     def _log(self) -> Path:
@@ -205,7 +205,7 @@ def _manager_of(pid: int) -> int:
     """Return the container's first process: what systemd-nspawn has begun, 0 before that."""
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        named = {int(one): Path(f"/proc/{one}/comm").read_text().strip() for one in children}
+        named = {int(child): Path(f"/proc/{child}/comm").read_text().strip() for child in children}
     except OSError:
         return 0
-    return next((one for one, name in named.items() if name == "systemd"), 0)
+    return next((child for child, name in named.items() if name == "systemd"), 0)

@@ -42,12 +42,12 @@ class Course:
     def type(self, line: str) -> str:
         """Run one command line and return what it printed."""
         self.commands += 1
-        done = subprocess.run(
+        process = subprocess.run(
             ["bash", "-c", line], cwd=self.folder, capture_output=True, text=True, check=False
         )
-        if done.returncode not in (0, 4):
-            raise SystemExit(f"{line}: left with {done.returncode}: {done.stderr[-500:]}")
-        return done.stdout
+        if process.returncode not in (0, 4):
+            raise SystemExit(f"{line}: left with {process.returncode}: {process.stderr[-500:]}")
+        return process.stdout
 
     def reached(self, what: str) -> None:
         """Say what was reached."""
@@ -79,9 +79,9 @@ def main() -> int:
         course.type(f"{at}gyrorig export {made} --format c --name board -o board.h")
         (course.folder / "main.c").write_text(MAIN)
         course.type("gcc -O2 -o apply main.c -lm")
-        said = course.type("./apply")
+        output = course.type("./apply")
         course.reached("a calibration applied in C")
-        print(f"  which says {said.strip()}")
+        print(f"  which says {output.strip()}")
     return 0
 
 

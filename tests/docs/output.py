@@ -44,7 +44,7 @@ def lines_agree(expected: str, printed: str) -> bool:
     if ANY in expected:
         return True
     pairs = zip(_NUMBER.findall(expected), _NUMBER.findall(printed), strict=True)
-    return all(_numbers_agree(wanted, found) for wanted, found in pairs)
+    return all(_numbers_agree(wanted, printed) for wanted, printed in pairs)
 
 
 def _lines(text: str) -> Sequence[str]:
@@ -57,10 +57,10 @@ def _pattern(line: str) -> str:
     return _NUMBER.pattern.join(pieces)
 
 
-def _numbers_agree(wanted: str, found: str) -> bool:
+def _numbers_agree(wanted: str, printed: str) -> bool:
     mantissa, _, exponent = wanted.partition("e")
     decimals = len(mantissa.partition(".")[2])
     last_digit = 10.0 ** (int(exponent or 0) - decimals)
-    if wanted == found:
+    if wanted == printed:
         return True
-    return "." in mantissa and abs(float(wanted) - float(found)) <= 1.001 * last_digit
+    return "." in mantissa and abs(float(wanted) - float(printed)) <= 1.001 * last_digit

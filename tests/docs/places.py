@@ -118,13 +118,13 @@ class Places:
                 [sys.executable, "-m", *words.split()],
                 cwd=ROOT, check=True, capture_output=True, text=True,
             )  # fmt: skip
-        found = " ".join(filter(None, (os.environ.get("PIP_FIND_LINKS"), str(fresh / "dist"))))
+        wheels = " ".join(filter(None, (os.environ.get("PIP_FIND_LINKS"), str(fresh / "dist"))))
         return Place(
             fresh,
             {
                 **self._environment,
                 "PATH": f"{fresh / 'venv' / 'bin'}:{_path_without(Path(sys.executable).parent)}",
-                "PIP_FIND_LINKS": found,
+                "PIP_FIND_LINKS": wheels,
                 "PIP_CONSTRAINT": str(ROOT / "constraints.txt"),
             },
         )
@@ -145,8 +145,10 @@ class Places:
 
 def _path_without(folder: Path) -> str:
     """Return $PATH without the commands of this checkout."""
-    kept = [one for one in os.environ.get("PATH", os.defpath).split(":") if Path(one) != folder]
-    return ":".join(kept)
+    folders = [
+        entry for entry in os.environ.get("PATH", os.defpath).split(":") if Path(entry) != folder
+    ]
+    return ":".join(folders)
 
 
 def _cloned(to: Path) -> Path:
@@ -155,9 +157,9 @@ def _cloned(to: Path) -> Path:
     Raises:
         CannotBeHereError: this is no clone itself.
     """
-    done = subprocess.run(
+    process = subprocess.run(
         ["git", "clone", "-q", str(ROOT), str(to)], capture_output=True, text=True, check=False
     )
-    if done.returncode:
-        raise CannotBeHereError(f"this checkout cannot be cloned: {done.stderr.strip()}")
+    if process.returncode:
+        raise CannotBeHereError(f"this checkout cannot be cloned: {process.stderr.strip()}")
     return to

@@ -44,7 +44,7 @@ class Tally:
     looked: Counter[str] = field(default_factory=Counter)
     failure: str = ""
 
-    def said(self) -> str:
+    def summary(self) -> str:
         """In words."""
         looked = ", ".join(f"{reason} {count}" for reason, count in sorted(self.looked.items()))
         return f"{self.ran} run, {self.looked.total()} looked at" + (looked and f" ({looked})")
@@ -73,7 +73,7 @@ class Reader:
 
     def _take(self, block: Block, tally: Tally) -> None:
         if block.how == "look":
-            tally.looked[block.told] += block.count
+            tally.looked[block.detail] += block.count
             return
         if "$GYRORIG_DATA" in block.body and not self._has_data:
             tally.looked["data"] += block.count
@@ -84,10 +84,10 @@ class Reader:
             tally.looked[f"{block.place}: {why}"] += block.count
             return
         except (RuntimeError, subprocess.CalledProcessError) as fault:
-            said = " ".join(str(getattr(fault, "stderr", None) or fault).split())
-            raise DocumentError(f"{block.where}: no {block.place} to run it in: {said}") from fault
+            text = " ".join(str(getattr(fault, "stderr", None) or fault).split())
+            raise DocumentError(f"{block.where}: no {block.place} to run it in: {text}") from fault
         if block.how == "save":
-            (place.folder / block.told).write_text(block.body, encoding="utf-8")
+            (place.folder / block.detail).write_text(block.body, encoding="utf-8")
             return
         if block.how == "serve":
             self._serve(block, place)
@@ -106,15 +106,15 @@ class Reader:
 
     def _ran(self, block: Block, place: Place, line: list[str]) -> None:
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 line, env=place.environment, stdin=subprocess.DEVNULL,
                 capture_output=True, text=True, check=False, timeout=PATIENCE_S,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             raise DocumentError(f"{block.where}: not done within {PATIENCE_S:.0f} s") from None
-        if done.returncode:
-            raise _left(block, done.returncode, done.stderr or done.stdout)
-        if block.output is not None and (fault := first_difference(block.output, done.stdout)):
+        if process.returncode:
+            raise _left(block, process.returncode, process.stderr or process.stdout)
+        if block.output is not None and (fault := first_difference(block.output, process.stdout)):
             raise DocumentError(f"{block.where}: {fault}")
 
     def _serve(self, block: Block, place: Place) -> None:
@@ -125,19 +125,19 @@ class Reader:
         )  # fmt: skip
         self._servers.callback(_end, process, block)
         end_s = time.monotonic() + SERVED_WITHIN_S
-        while not _is_there(block.told, place.folder):
+        while not _is_there(block.detail, place.folder):
             if process.poll() is not None:
                 return  # its end is told when the page ends
             if time.monotonic() > end_s:
-                raise DocumentError(f"{block.where}: no {block.told} in {SERVED_WITHIN_S:.0f} s")
+                raise DocumentError(f"{block.where}: no {block.detail} in {SERVED_WITHIN_S:.0f} s")
             time.sleep(0.05)
 
 
-def _is_there(told: str, folder: Path) -> bool:
+def _is_there(condition: str, folder: Path) -> bool:
     """Return whether a path exists, or HOST:PORT answers."""
-    host, colon, port = told.rpartition(":")
+    host, colon, port = condition.rpartition(":")
     if not colon:
-        return (folder / told).exists()
+        return (folder / condition).exists()
     with suppress(OSError), socket.create_connection((host, int(port)), timeout=1.0):
         return True
     return False
@@ -146,17 +146,17 @@ def _is_there(told: str, folder: Path) -> bool:
 def _end(process: subprocess.Popen[str], block: Block) -> None:
     process.terminate()
     try:
-        _, said = process.communicate(timeout=SERVED_WITHIN_S)
+        _, output = process.communicate(timeout=SERVED_WITHIN_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
         raise DocumentError(f"{block.where}: does not end when it is told to") from None
     if process.returncode:
-        raise _left(block, process.returncode, said)
+        raise _left(block, process.returncode, output)
 
 
-def _left(block: Block, code: int, said: str) -> DocumentError:
-    return DocumentError(f"{block.where}: left with {code}: {said.strip().splitlines()[-3:]}")
+def _left(block: Block, code: int, output: str) -> DocumentError:
+    return DocumentError(f"{block.where}: left with {code}: {output.strip().splitlines()[-3:]}")
 
 
 def _together(followed: Sequence[Path]) -> list[list[Path]]:
@@ -181,7 +181,7 @@ def _follow(group: Sequence[Path], data: Path) -> Tally:
             whole.failure += tally.failure and f"{tally.failure}\n"
             if tally.ran or tally.failure:
                 took_s = time.monotonic() - begun_s
-                print(f"{page.relative_to(ROOT)}: {tally.said()}, {took_s:.1f} s", flush=True)
+                print(f"{page.relative_to(ROOT)}: {tally.summary()}, {took_s:.1f} s", flush=True)
     return whole
 
 
@@ -189,11 +189,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the pages named, or all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("pages", nargs="*", type=Path)
-    told = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     data = Path(os.environ.get("GYRORIG_DATA", ROOT.parent / "shared" / "data"))
     begun_s = time.monotonic()
     whole = Tally()
-    followed = [path.resolve() for path in told.pages] or pages()
+    followed = [path.resolve() for path in options.pages] or pages()
     try:
         groups = _together(followed)
     except DocumentError as fault:
@@ -205,7 +205,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             whole.failure += tally.failure
     sys.stderr.write(whole.failure)
     print(
-        f"{len(followed)} pages, {whole.said()}, {whole.failure.count(chr(10))} pages failed, "
+        f"{len(followed)} pages, {whole.summary()}, {whole.failure.count(chr(10))} pages failed, "
         f"{time.monotonic() - begun_s:.0f} s"
     )
     return 1 if whole.failure else 0

@@ -25,10 +25,10 @@ def compiler(*names: str) -> str:
 
 
 def run_compiler(*arguments: str | Path) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [str(word) for word in arguments], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
 
 
 @pytest.fixture(scope="session")

@@ -7,11 +7,11 @@ ROUNDS = 300_000
 
 
 def test_random_input_has_no_effect(fuzzer: Path) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [fuzzer, "20261121", str(ROUNDS)], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
-    inputs, frames, answers, faults = map(int, done.stdout.split())
+    assert process.returncode == 0, process.stderr
+    inputs, frames, answers, faults = map(int, process.stdout.split())
     assert inputs > ROUNDS // 10
     assert frames > ROUNDS // 50
     assert answers > 100  # not everything was refused

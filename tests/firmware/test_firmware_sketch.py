@@ -37,13 +37,13 @@ class Sketch:
         self._program, self._eeprom = program, eeprom
 
     def run(
-        self, seconds: float = 2.0, stall_us: int = 0, fail_every: int = 0, said: bytes = b""
+        self, seconds: float = 2.0, stall_us: int = 0, fail_every: int = 0, sent: bytes = b""
     ) -> list[BoardFrame]:
         numbers = str(seconds), str(stall_us), str(fail_every)
-        command: list[str | Path] = [self._program, *numbers, self._eeprom, said.hex()]
-        done = subprocess.run(command, capture_output=True, check=False)
-        assert done.returncode == 0, done.stderr.decode()
-        cut = done.stdout[: done.stdout.rindex(b"\0") + 1]
+        command: list[str | Path] = [self._program, *numbers, self._eeprom, sent.hex()]
+        process = subprocess.run(command, capture_output=True, check=False)
+        assert process.returncode == 0, process.stderr.decode()
+        cut = process.stdout[: process.stdout.rindex(b"\0") + 1]
         frames = []
         for event in FrameParser().feed(cut, 0):
             assert isinstance(event, FrameEvent)
@@ -75,7 +75,7 @@ def test_the_longest_hello_is_one_frame(sketch: Path, tmp_path: Path) -> None:
     uid, boots = bytes(range(0xF0, 0xF5)), (65534).to_bytes(2, "little")
     eeprom.write_bytes((b"G1" + uid + boots).ljust(1024, b"\xff"))
     longest = Set(rate_hz=100, bandwidth_hz=12.5, full_scale_dps=250).encode()
-    frames = Sketch(sketch, eeprom).run(1.0, said=longest + HelloRequest().encode())
+    frames = Sketch(sketch, eeprom).run(1.0, sent=longest + HelloRequest().encode())
     hello = [f for f in frames if isinstance(f, Hello)][-1]
     assert (hello.boot, hello.uid, hello.sensors[0].bandwidth_hz) == (65535, uid.hex(), 12.5)
     assert len(hello.sensors) == 3
@@ -139,7 +139,7 @@ def test_bus_errors_are_counted_and_harmless(gy80: Sketch) -> None:
 
 def test_settings_reach_the_gyro(gy80: Sketch) -> None:
     expected = Set(rate_hz=200.0, bandwidth_hz=60.0, full_scale_dps=250.0, batch=4, accel=False)
-    frames = gy80.run(said=b"\0" + expected.encode() + TimeRequest(5, 6).encode())
+    frames = gy80.run(sent=b"\0" + expected.encode() + TimeRequest(5, 6).encode())
     ack = next(f for f in frames if isinstance(f, Ack))
     in_force = ack.rate_hz, ack.bandwidth_hz, ack.full_scale_dps, ack.batch, ack.accel
     assert in_force == (200.0, 50.0, 250.0, 4, False)

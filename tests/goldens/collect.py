@@ -117,15 +117,15 @@ _READERS: dict[str, Callable[[Path], Any]] = {
 
 def _files(folder: Path) -> Result:
     """Return the content of every file in a folder; files of one masked name are counted."""
-    found: Result = {}
+    contents: Result = {}
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         name = without_varying_parts(path.relative_to(folder).as_posix())
-        if name in found:
-            found[name] = {"files": found[name].get("files", 1) + 1}
+        if name in contents:
+            contents[name] = {"files": contents[name].get("files", 1) + 1}
             continue
         reader = _READERS.get(path.suffix)
-        found[name] = {} if reader is None else reader(path)
-    return found
+        contents[name] = {} if reader is None else reader(path)
+    return contents
 
 
 def _without_repeats(value: Any, documents: Result) -> Any:

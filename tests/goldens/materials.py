@@ -56,7 +56,7 @@ def _rig(name: str, boards: list[dict[str, object]], **more: object) -> dict[str
 
 def make_rigs(out: Path) -> None:
     """Write rig configurations: four boards, a CAN bus, an older unit, one not homed."""
-    one: list[dict[str, object]] = [{"id": _BOARD, **_EMULATED}]
+    single_board: list[dict[str, object]] = [{"id": _BOARD, **_EMULATED}]
     four: list[dict[str, object]] = [{"id": f"B{number}", **_EMULATED} for number in range(1, 5)]
     on_bus: list[dict[str, object]] = [
         {"id": f"C{node}", "bus": "can0", "node": node} for node in (1, 2)
@@ -66,9 +66,9 @@ def make_rigs(out: Path) -> None:
     unit = {"port": "emulated", "baud": 9600, "pan_sign": -1}
     _write_yaml(out / "four.yaml", _rig("four", four))
     _write_yaml(out / "can.yaml", _rig("can", on_bus, buses=[bus]))
-    _write_yaml(out / "d46.yaml", _rig("older", one, ptu=unit, emulator=older))
+    _write_yaml(out / "d46.yaml", _rig("older", single_board, ptu=unit, emulator=older))
     not_homed = {**_SENSOR, "seed": 1, "homed": False}
-    _write_yaml(out / "not-homed.yaml", _rig("not-homed", one, emulator=not_homed))
+    _write_yaml(out / "not-homed.yaml", _rig("not-homed", single_board, emulator=not_homed))
 
 
 def make_programs(out: Path) -> None:

@@ -50,7 +50,7 @@ class Outcome:
 
     status: str
     seconds: float = 0.0
-    found: list[Difference] = field(default_factory=list)
+    differences: list[Difference] = field(default_factory=list)
     remark: str = ""
 
 
@@ -110,8 +110,8 @@ class Runner:
                     waiting.remove(name)
                     future = pool.submit(self._one, name)
                     running[future] = name
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in done:
+                finished, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in finished:
                     self._finish(running.pop(future), future)
 
     def _ready(self, waiting: list[str], free: int) -> Iterator[str]:
@@ -127,11 +127,12 @@ class Runner:
         if name in MATERIALS and outcome.status == "made":
             return
         _say(f"{outcome.status:10}{outcome.seconds:6.1f} s  {name}  {outcome.remark}".rstrip())
-        shown = outcome.found if self._options.all else outcome.found[:SHOWN]
+        shown = outcome.differences if self._options.all else outcome.differences[:SHOWN]
         for difference in shown:
             _say(f"    {difference}")
-        if len(outcome.found) > len(shown):
-            _say(f"    and {len(outcome.found) - len(shown)} more differences (--all shows them)")
+        if len(outcome.differences) > len(shown):
+            hidden = len(outcome.differences) - len(shown)
+            _say(f"    and {hidden} more differences (--all shows them)")
 
     def _one(self, name: str) -> Outcome:
         """Run one case or make one material."""
@@ -167,8 +168,8 @@ class Runner:
         if old is None:
             return Outcome("new", seconds, remark="no golden result: make goldens-update")
         rules = Rules(self._options.relative, self._options.texts)
-        found = differences(old, result, rules)
-        return Outcome("different" if found else "same", seconds, found)
+        changes = differences(old, result, rules)
+        return Outcome("different" if changes else "same", seconds, changes)
 
 
 def _parse() -> argparse.Namespace:

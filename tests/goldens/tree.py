@@ -48,12 +48,14 @@ class Tree:
             root: folder of the tree.
             more: environment variables to add.
         """
-        own = root / ".venv" / "bin" / "python"
-        python = own if own.exists() else Path(sys.executable)
-        kept = {k: v for k, v in os.environ.items() if not k.startswith(("GYRORIG_", "PYTHON"))}
+        venv_python = root / ".venv" / "bin" / "python"
+        python = venv_python if venv_python.exists() else Path(sys.executable)
+        environment = {
+            k: v for k, v in os.environ.items() if not k.startswith(("GYRORIG_", "PYTHON"))
+        }
         path = os.pathsep.join(str(root / package) for package in PACKAGES)
         fixed = {"PYTHONPATH": path, "TZ": "UTC", "LC_ALL": "C.UTF-8", "COLUMNS": "80"}
-        return cls(root, python, kept | _ONE_THREAD | fixed | more)
+        return cls(root, python, environment | _ONE_THREAD | fixed | more)
 
     def run(self, case: Case, work: Path) -> Result:
         """Run one case in the working folder and return what it left.
@@ -68,7 +70,7 @@ class Tree:
             environment["PYTHONPATH"] = f"{CLOCK}{os.pathsep}{environment['PYTHONPATH']}"
             environment["GOLDENS_CLOCK_NS"] = str(case.clock_ns)
         (work / case.name).mkdir(exist_ok=True)
-        done = subprocess.run(
+        process = subprocess.run(
             [str(self.python), "-m", MODULES[program], *arguments],
             cwd=work,
             env=environment,
@@ -78,7 +80,9 @@ class Tree:
             timeout=LIMIT_S,
             check=False,
         )
-        return result_of(done.returncode, done.stdout, done.stderr, work / case.kept_folder)
+        return result_of(
+            process.returncode, process.stdout, process.stderr, work / case.kept_folder
+        )
 
     def check(self) -> None:
         """Check that the interpreter takes the programs from this tree.
@@ -89,10 +93,10 @@ class Tree:
         find = "import importlib.util as u, sys; print(u.find_spec(sys.argv[1]).origin)"
         for module in MODULES.values():
             command = [str(self.python), "-c", find, module]
-            done = subprocess.run(
+            process = subprocess.run(
                 command, env=self.environment, capture_output=True, text=True, check=False
             )
-            origin = done.stdout.strip()
+            origin = process.stdout.strip()
             if not origin.startswith(f"{self.root}{os.sep}"):
                 raise FileNotFoundError(f"{module} is not taken from {self.root}, but: {origin}")
 

@@ -40,7 +40,7 @@ class Outcome:
 
     python: str
     extra: str
-    said: str  # empty: all well
+    problem: str  # empty: all well
     seconds: float
     packages: int
 
@@ -49,10 +49,10 @@ def pythons(minors: Sequence[int]) -> Iterator[Path]:
     """Yield each interpreter of a version that the project supports."""
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     for minor in minors:
-        there = sorted(versions.glob(f"3.{minor}.*/bin/python"))
+        interpreters = sorted(versions.glob(f"3.{minor}.*/bin/python"))
         on_path = shutil.which(f"python3.{minor}")
-        if there:
-            yield there[-1]
+        if interpreters:
+            yield interpreters[-1]
         elif (
             on_path
             and subprocess.run([on_path, "-c", "import ensurepip"], check=False).returncode == 0
@@ -64,7 +64,7 @@ def outcome(python: Path, extra: str, wheel: Path, folder: Path) -> Outcome:
     """Install and run; never raises for what the wheel does wrong."""
     begun = time.monotonic()
     name = subprocess.run([python, "--version"], capture_output=True, text=True, check=True).stdout
-    said, count = "", 0
+    problem, count = "", 0
     try:
         subprocess.run([python, "-m", "venv", folder], check=True, capture_output=True)
         pip: list[str | Path] = [
@@ -84,8 +84,8 @@ def outcome(python: Path, extra: str, wheel: Path, folder: Path) -> Outcome:
         count = len(json.loads(listed.stdout))
         _use(folder, extra)
     except subprocess.CalledProcessError as fault:
-        said = f"{' '.join(map(str, fault.cmd))[-80:]}: {str(fault.stderr).strip()[-300:]}"
-    return Outcome(name.strip(), extra or "(none)", said, time.monotonic() - begun, count)
+        problem = f"{' '.join(map(str, fault.cmd))[-80:]}: {str(fault.stderr).strip()[-300:]}"
+    return Outcome(name.strip(), extra or "(none)", problem, time.monotonic() - begun, count)
 
 
 def _use(folder: Path, extra: str) -> None:
@@ -95,15 +95,17 @@ def _use(folder: Path, extra: str) -> None:
 
     def run(*line: str, code: int = 0) -> None:
         program, *rest = line
-        done = subprocess.run(
+        process = subprocess.run(
             [folder / "bin" / program, *rest],
             cwd=folder,
             capture_output=True,
             text=True,
             check=False,
         )
-        if done.returncode != code:
-            raise subprocess.CalledProcessError(done.returncode, line, done.stdout, done.stderr)
+        if process.returncode != code:
+            raise subprocess.CalledProcessError(
+                process.returncode, line, process.stdout, process.stderr
+            )
 
     run("gyrorig", "--version")
     run(
@@ -130,7 +132,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minor", type=int, action="append", help="3.MINOR alone")
     parser.add_argument("--extra", action="append", help="this extra alone; '' is none")
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     missed = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -139,15 +141,15 @@ def main() -> int:
             cwd=ROOT, check=True, capture_output=True,
         )  # fmt: skip
         (wheel,) = folder.glob("*.whl")
-        for python in pythons(told.minor or MINORS):
-            for extra in told.extra or EXTRAS:
+        for python in pythons(arguments.minor or MINORS):
+            for extra in arguments.extra or EXTRAS:
                 place = folder / "venv"
-                found = outcome(python, extra, wheel, place)
+                result = outcome(python, extra, wheel, place)
                 shutil.rmtree(place, ignore_errors=True)
-                missed += bool(found.said)
+                missed += bool(result.problem)
                 print(
-                    f"{found.python:14} {found.extra:13} {found.packages:3} packages "
-                    f"{found.seconds:5.1f} s  {found.said or 'works'}",
+                    f"{result.python:14} {result.extra:13} {result.packages:3} packages "
+                    f"{result.seconds:5.1f} s  {result.problem or 'works'}",
                     flush=True,
                 )
     return 1 if missed else 0

@@ -85,10 +85,10 @@ def disk(folder: Path) -> Image:
 
 def state_of_checkout() -> str:
     """Return what tells one state of what goes into the image from another."""
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     folders = ("daemon", "firmware_protocol", "systemd", "solver")
     paths = [path for name in folders for path in sorted((ROOT / name).rglob("*.py"))]
     paths += [path for path in sorted((ROOT / "systemd").rglob("*")) if path.is_file()]
     for path in [*paths, GUEST, Path(__file__), ROOT / "constraints.txt"]:
-        told.update(path.read_bytes())
-    return told.hexdigest()
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -89,22 +89,22 @@ def status() -> dict[str, Any]:
     them from the daemon.
     """
     try:
-        told: dict[str, Any] = send_command(SOCKET, "status")["status"]
+        answer: dict[str, Any] = send_command(SOCKET, "status")["status"]
     except GyrorigError:
         return {}
-    return told
+    return answer
 
 
-def told() -> dict[str, Any]:
+def unit_state() -> dict[str, Any]:
     """Return the daemon's status, asked until there is one."""
-    found: dict[str, Any] = {}
+    state: dict[str, Any] = {}
 
     def look() -> bool:
-        found.update(status())
-        return bool(found)
+        state.update(status())
+        return bool(state)
 
     until(look, 120.0, "any status")
-    return found
+    return state
 
 
 def wait_for_state(state: str) -> None:
@@ -156,8 +156,8 @@ def udev() -> None:
     name = Path(os.path.realpath(PORT)).name
     timer = Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text().strip()
     say("RESULT", "latency_timer", timer)
-    told = run("udevadm", "info", "--query=property", f"--name={PORT}")
-    say("RESULT", "modem_manager", "ID_MM_DEVICE_IGNORE=1" in told)
+    properties = run("udevadm", "info", "--query=property", f"--name={PORT}")
+    say("RESULT", "modem_manager", "ID_MM_DEVICE_IGNORE=1" in properties)
     say("RESULT", "owner", run("stat", "-c", "%G", os.path.realpath(PORT)))
 
 
@@ -173,13 +173,13 @@ def begin(name: str, program: str) -> None:
     say("RESULT", f"job_{name}", job)
 
     def runs() -> bool:
-        found = status()
-        last = found.get("last_session") or {}
+        state = status()
+        last = state.get("last_session") or {}
         if last.get("session") == name:
             raise RuntimeError(f"session {name}: {last['result']}: {last['reason']}")
-        session = found.get("session") or {}
+        session = state.get("session") or {}
         # `running` begins before there is a recording; a step is one that is carried out.
-        return found.get("state") == "running" and "step" in session
+        return state.get("state") == "running" and "step" in session
 
     until(runs, STEP_S, f"session {name}")
 
@@ -197,12 +197,12 @@ def serve() -> None:
     run("systemctl", "daemon-reload")
     say("RESULT", "start", run("systemctl", "restart", SERVICE) or "ready")
     inside = json.loads(Path("/var/lib/gyrorig/inside.json").read_text())
-    for name, found in inside.items():
-        say("RESULT", f"open_{name}", found)
+    for name, state in inside.items():
+        say("RESULT", f"open_{name}", state)
     until(lambda: any(b["state"] == "known" for b in status().get("boards", [])), STEP_S,
           "the board on vcan0")  # fmt: skip
-    say("RESULT", "board", told()["boards"][0]["state"])
-    say("RESULT", "status_is_told", told()["rig"] in run(GYRORIGD, "status", "--once"))
+    say("RESULT", "board", unit_state()["boards"][0]["state"])
+    say("RESULT", "status_is_told", unit_state()["rig"] in run(GYRORIGD, "status", "--once"))
 
 
 def pulled() -> None:
@@ -212,11 +212,11 @@ def pulled() -> None:
     until(lambda: not PORT.exists(), STEP_S, "the adapter to go")
     until(lambda: status().get("unit", {}).get("state") in ("absent", "silent"), STEP_S,
           "the unit to be missed")  # fmt: skip
-    say("RESULT", "missed", told()["unit"]["text"])
+    say("RESULT", "missed", unit_state()["unit"]["text"])
     say("WANT", "plug")
     until(PORT.exists, STEP_S, "the adapter to come back")
     until(lambda: status().get("unit", {}).get("state") == "stands", STEP_S, "the unit to stand")
-    now = told()
+    now = unit_state()
     say("RESULT", "back", now["unit"]["text"])
     say("RESULT", "held", now["state"])
     say("RESULT", "steps_are_sure", now["unit"]["steps_are_sure"])
@@ -232,10 +232,10 @@ def clock_jumps() -> None:
     # What is five years overdue then must not slow down an emulated processor.
     run("systemctl", "stop", "*.timer")
     begin("rest", REST)
-    before = told()["boards"][0]["counts"]["samples"]
+    before = unit_state()["boards"][0]["counts"]["samples"]
     run("date", "--set=+5 years")
     time.sleep(5.0)
-    now = told()
+    now = unit_state()
     say("RESULT", "after_the_jump", now["state"])
     say("RESULT", "samples_meanwhile", now["boards"][0]["counts"]["samples"] - before)
     say("RESULT", "clock_steps", now["counts"].get("clock_steps"))
@@ -254,7 +254,7 @@ def main() -> None:
         serve()
         pulled()
         clock_jumps()
-        say("RESULT", "sync_max_ms", told()["recorder"]["counts"]["sync_max_ms"])
+        say("RESULT", "sync_max_ms", unit_state()["recorder"]["counts"]["sync_max_ms"])
         for count in range(60):
             say("NOW", repr(time.clock_gettime(time.CLOCK_MONOTONIC_RAW)))
             if count == 50:

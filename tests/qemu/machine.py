@@ -80,25 +80,25 @@ class Machine:
 
     def wait_for(self, beginning: str, limit_s: float) -> str:
         """Return the first line with a beginning; raises when it does not come."""
-        found: list[str] = []
+        lines: list[str] = []
         faults: list[str] = []
 
         def look() -> bool:
             words = self.words()
-            found[:] = [line for line in words if line.startswith(beginning)]
+            lines[:] = [line for line in words if line.startswith(beginning)]
             faults[:] = [line for line in words if line.startswith("FAULT")]
             ended = self._process is None or self._process.poll() is not None
-            return bool(found or faults) or ended
+            return bool(lines or faults) or ended
 
         until(look, limit_s, lambda: "\n".join(self.words()[-20:]))
-        if faults and not found:
+        if faults and not lines:
             end_s = time.monotonic() + FAULT_S
             while "FAULT end" not in self.words() and time.monotonic() < end_s:
                 time.sleep(0.5)
             raise RuntimeError("in the machine:\n" + "\n".join(self.words()))
-        if not found:
+        if not lines:
             raise RuntimeError(f"the machine ended: {self.words()[-20:]}")
-        return found[0]
+        return lines[0]
 
     def unplug(self) -> None:
         """Pull the USB adapter."""
@@ -125,12 +125,12 @@ class Machine:
                         raise RuntimeError(f"{command}: {answer['error']}")
 
 
-def until(holds: Callable[[], bool], limit_s: float, told: Callable[[], str]) -> None:
+def until(holds: Callable[[], bool], limit_s: float, description: Callable[[], str]) -> None:
     """Wait for a condition; raises with what `told` returns when it does not come."""
     end_s = time.monotonic() + limit_s
     while not holds():
         if time.monotonic() > end_s:
-            raise TimeoutError(f"waited {limit_s:g} s in vain:\n{told()}")
+            raise TimeoutError(f"waited {limit_s:g} s in vain:\n{description()}")
         time.sleep(0.1)
 
 

@@ -79,13 +79,13 @@ def main() -> int:
             Machine(replace(image, disk=copy), rig.ports[0], folder) as machine,
         ):
             try:
-                found = watch(machine, rig)
+                observed = watch(machine, rig)
             except (TimeoutError, RuntimeError) as fault:
                 print(f"FAILED {fault}")
                 shutil.copy(machine.console, options.images / "console.txt")
                 return 1
-        wrong = judge(found)
-        wrong += after_the_cut(copy, folder / "mount", found)
+        wrong = judge(observed)
+        wrong += after_the_cut(copy, folder / "mount", observed)
     print(f"{time.monotonic() - began_s:.0f} s in all; {wrong} not as expected")
     return int(wrong > 0)
 
@@ -100,10 +100,10 @@ def watch(machine: Machine, rig: RigOnPtys) -> dict[str, str]:
     machine.unplug()
     machine.wait_for("WANT plug", STEP_S)
     halts = rig.halts
-    found = {"turns_while_away": str(rig.turns)}
+    observed = {"turns_while_away": str(rig.turns)}
     machine.plug()
     machine.wait_for("RESULT back", STEP_S)
-    found |= {"halted_on_return": str(rig.halts > halts), "stands": str(not rig.turns)}
+    observed |= {"halted_on_return": str(rig.halts > halts), "stands": str(not rig.turns)}
     machine.wait_for("WANT cut", STEP_S)
     machine.cut()
     told_s: list[float] = []
@@ -111,42 +111,44 @@ def watch(machine: Machine, rig: RigOnPtys) -> dict[str, str]:
         kind, _, rest = line.partition(" ")
         if kind == "RESULT":
             name, _, value = rest.partition(" ")
-            found[name] = value
+            observed[name] = value
         elif kind == "NOW":
             told_s.append(float(rest))
         elif kind == "FAULT":
             raise RuntimeError(rest)
     late_s = max(after - before for before, after in pairwise(told_s)) - TOLD_EVERY_S
-    return found | {"cut_at": repr(told_s[-1]), "latest_turn_s": f"{max(late_s, 0.0):.2f}"}
+    return observed | {"cut_at": repr(told_s[-1]), "latest_turn_s": f"{max(late_s, 0.0):.2f}"}
 
 
-def judge(found: dict[str, str]) -> int:
+def judge(observed: dict[str, str]) -> int:
     """Print what was found; return how much of it should not be so."""
     wanted = EXPECTED | {"halted_on_return": "True", "stands": "True"}
     wrong = 0
-    for name, value in found.items():
+    for name, value in observed.items():
         bad = name in wanted and wanted[name] != value
         wrong += bad
         print(f"{'WRONG' if bad else 'ok':6}{name}: {value}")
-    wrong += len(missing := set(wanted) - set(found))
+    wrong += len(missing := set(wanted) - set(observed))
     print(f"not told: {', '.join(sorted(missing)) or 'nothing'}")
     return wrong
 
 
-def after_the_cut(image: Path, at: Path, found: dict[str, str]) -> int:
+def after_the_cut(image: Path, at: Path, observed: dict[str, str]) -> int:
     """Read what is on the disk after the power cut; return 1 where too much is missing."""
     at.mkdir()
     subprocess.run(["mount", "-o", "loop", str(image), str(at)], check=True)
     try:
-        kept = at.parent / "kept"
-        shutil.copytree(at / "var/lib/gyrorig/recordings", kept)
+        saved = at.parent / "kept"
+        shutil.copytree(at / "var/lib/gyrorig/recordings", saved)
     finally:
         subprocess.run(["umount", str(at)], check=True)
-    for report in recover_folder(kept):
+    for report in recover_folder(saved):
         print(f"      recovered {report}")
-    last_s = max(last_sample_s(path) for path in kept.glob("*.mcap"))
-    lost_s = float(found["cut_at"]) + TOLD_EVERY_S - last_s  # at most: it was cut before the next
-    added_s = float(found["latest_turn_s"]) + float(found["sync_max_ms"]) * 1e-3
+    last_s = max(last_sample_s(path) for path in saved.glob("*.mcap"))
+    lost_s = (
+        float(observed["cut_at"]) + TOLD_EVERY_S - last_s
+    )  # at most: it was cut before the next
+    added_s = float(observed["latest_turn_s"]) + float(observed["sync_max_ms"]) * 1e-3
     limit_s = LIMIT_S + min(added_s, MOST_ADDED_S)
     bad = not lost_s < limit_s
     print(
@@ -164,9 +166,11 @@ def last_sample_s(path: Path) -> float:
     recording = read_recording(path)
     if SAMPLES not in recording.topics:
         return -math.inf
-    own = recording.metadata["gyrorig"]
+    metadata = recording.metadata["gyrorig"]
     last_ns = int(times_ns(recording.array(SAMPLES)["host_time"][-1:])[0])
-    return (last_ns - int(own["anchor_utc_ns"]) + int(own["anchor_monotonic_raw_ns"])) * 1e-9
+    return (
+        last_ns - int(metadata["anchor_utc_ns"]) + int(metadata["anchor_monotonic_raw_ns"])
+    ) * 1e-9
 
 
 if __name__ == "__main__":

@@ -19,11 +19,11 @@ Clusters = Callable[..., AbstractContextManager[tuple[subprocess.Popen[str], str
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Chromium without a window."""
-    one = chromium(tmp_path_factory.mktemp("profile"))
-    if one is None:
+    driver = chromium(tmp_path_factory.mktemp("profile"))
+    if driver is None:
         pytest.skip("no Chromium to drive: apt-get install chromium chromium-driver, selenium")
-    yield one
-    one.quit()
+    yield driver
+    driver.quit()
 
 
 @pytest.fixture

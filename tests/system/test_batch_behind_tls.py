@@ -44,17 +44,17 @@ if __name__ == "__main__":
 def certificates(folder: Path) -> list[str]:
     """Make an authority and a certificate of it; return the three files that TLS needs."""
     folder.mkdir()
-    own = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, folder.name)])
+    subject_name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, folder.name)])
     now = datetime.now(UTC)
     signing = ec.generate_private_key(ec.SECP256R1())
     files = []
     for name, ca in (("authority", True), ("member", False)):
         key = signing if ca else ec.generate_private_key(ec.SECP256R1())
-        subject = own if ca else x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+        subject = subject_name if ca else x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
         made = (
             x509.CertificateBuilder()
             .subject_name(subject)
-            .issuer_name(own)
+            .issuer_name(subject_name)
             .public_key(key.public_key())
             .serial_number(x509.random_serial_number())
             .not_valid_before(now - timedelta(hours=1))
@@ -104,7 +104,7 @@ def test_only_our_certificate_is_accepted(
     assert len(refused.stderr.strip().splitlines()) == 1
     assert "no scheduler answers at tls://" in refused.stderr
 
-    done = batch(tmp_path, address, ours)
-    assert done.returncode == DONE, done.stderr
-    assert json.loads(done.stdout)["ended"] == {"ok": 1}
+    process = batch(tmp_path, address, ours)
+    assert process.returncode == DONE, process.stderr
+    assert json.loads(process.stdout)["ended"] == {"ok": 1}
     assert verify(tmp_path / "store").faults == ()

@@ -98,11 +98,11 @@ def test_a_batch_on_a_scheduler_and_on_a_dying_one(
 ) -> None:
     store = tmp_path / "store"
     command = [*BATCH, "--spool", str(spool), "--store", str(store)]
-    done = subprocess.run(
+    process = subprocess.run(
         [*command, "--scheduler", cluster.address], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 5, done.stderr
-    assert Counter(json.loads(done.stdout)["ended"]) == Counter(ok=1, rejected=4)
+    assert process.returncode == 5, process.stderr
+    assert Counter(json.loads(process.stdout)["ended"]) == Counter(ok=1, rejected=4)
     assert verify(store).faults == ()
 
     for number in range(4, PIECES):
@@ -119,16 +119,18 @@ def test_a_batch_on_a_scheduler_and_on_a_dying_one(
     os.killpg(cluster.process.pid, signal.SIGKILL)
     out, err = child.communicate()  # dask tries to find a lost scheduler for a while
     assert child.returncode == 5, err
-    told = json.loads(out)
-    assert told["put_off"] > 0  # what the scheduler held when it died
-    assert told["put_off_why"].startswith("the workers are gone")
+    document = json.loads(out)
+    assert document["put_off"] > 0  # what the scheduler held when it died
+    assert document["put_off_why"].startswith("the workers are gone")
     here = subprocess.run(command, capture_output=True, text=True, check=False)
     assert here.returncode in (0, 5), here.stderr
     after = json.loads(here.stdout)
     assert after["done_before"] + sum(after["ended"].values()) == PIECES + 1
     assert after["put_off"] == 0
-    assert told["put_off"] + told["not_begun"] + sum(told["ended"].values()) == PIECES - 4
-    statuses = Counter(one for (one,) in StoreIndex(store).query("SELECT status FROM rows"))
+    assert (
+        document["put_off"] + document["not_begun"] + sum(document["ended"].values()) == PIECES - 4
+    )
+    statuses = Counter(status for (status,) in StoreIndex(store).query("SELECT status FROM rows"))
     assert statuses == Counter(ok=1, rejected=PIECES)
     assert verify(store).faults == ()
 
@@ -152,15 +154,15 @@ def test_only_the_job_that_kills_two_workers_is_quarantined(
 ) -> None:
     """The scheduler tells a death to all that waited on that worker: those are tried alone."""
     command = [sys.executable, "-c", POISONED, cluster.address, str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    ended = dict(told["ended"])
-    assert len(told["ended"]) == len(ended) == 12
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    document = json.loads(process.stdout)
+    ended = dict(document["ended"])
+    assert len(document["ended"]) == len(ended) == 12
     assert ended.pop("poison") == "quarantined"
     assert set(ended.values()) == {"rejected"}
-    assert told["killed"] == workers_killed
-    assert told["limited"]
+    assert document["killed"] == workers_killed
+    assert document["limited"]
 
 
 @pytest.mark.parametrize(

@@ -46,12 +46,12 @@ def test_a_batch_on_an_object_store_with_errors(tmp_path: Path, contracts: Path)
 
         ended: Counter[str] = Counter()
         for _ in range(6):  # what one night puts off the next one does
-            done = run(*batch)
-            if done.returncode in (0, 5):
-                ended += Counter(json.loads(done.stdout)["ended"])
+            result = run(*batch)
+            if result.returncode in (0, 5):
+                ended += Counter(json.loads(result.stdout)["ended"])
             if sum(ended.values()) == 5:
                 break
-        assert ended == Counter(ok=1, rejected=4), done.stderr
+        assert ended == Counter(ok=1, rejected=4), result.stderr
         for _ in range(6):
             verified = run(GYRORIG, "store", "verify", store, "--json")
             if verified.returncode != 1:  # a listing was refused: asked again
@@ -62,13 +62,13 @@ def test_a_batch_on_an_object_store_with_errors(tmp_path: Path, contracts: Path)
 
 def test_an_unreachable_bucket_is_reported_in_one_line(tmp_path: Path) -> None:
     environment = s3_server().environment(9)  # nobody listens at the discard port
-    done = subprocess.run(
+    process = subprocess.run(
         [GYRORIG, "batch", "--spool", str(tmp_path), "--store", "s3://none/there"],
         env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), **environment},
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 1
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert "s3://none/there" in done.stderr
+    assert process.returncode == 1
+    assert len(process.stderr.strip().splitlines()) == 1
+    assert "s3://none/there" in process.stderr

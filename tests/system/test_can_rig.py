@@ -68,7 +68,7 @@ steps:
 
 def record(folder: Path, rig: str, program: Path, *more: str) -> Path:
     (folder / "rig.yaml").write_text(rig)
-    done = subprocess.run(
+    process = subprocess.run(
         [
             *(sys.executable, "-m", "gyrorig_daemon", "record", "--json"),
             *("--config", str(folder / "rig.yaml"), "--program", str(program)),
@@ -78,8 +78,8 @@ def record(folder: Path, rig: str, program: Path, *more: str) -> Path:
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
-    return Path(json.loads(done.stdout)["recording"])
+    assert process.returncode == 0, process.stderr
+    return Path(json.loads(process.stdout)["recording"])
 
 
 def test_a_board_on_a_bus_is_calibrated(tmp_path: Path) -> None:
@@ -117,8 +117,8 @@ class Sender(threading.Thread):
             accel = struct.pack("<4H", 32000, 32000, 32981, 0xFFFF)
             bus.send(can.Message(arbitration_id=0x08F02D80, data=accel, is_extended_id=True))
             bus.send(can.Message(arbitration_id=0x0CF02A80, data=rates, is_extended_id=True))
-            one = struct.pack("<h4xBx", -count % 1000, count & 0xFF)
-            bus.send(can.Message(arbitration_id=801, data=one, is_extended_id=False))
+            frame = struct.pack("<h4xBx", -count % 1000, count & 0xFF)
+            bus.send(can.Message(arbitration_id=801, data=frame, is_extended_id=False))
         bus.shutdown()
 
 

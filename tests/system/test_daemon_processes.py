@@ -133,10 +133,10 @@ def test_a_signal_in_motion_halts_and_keeps(tmp_path: Path, number: signal.Signa
         daemon = subprocess.Popen([*GYRORIGD, *arguments], stderr=subprocess.PIPE, text=True)
         wait_for_motion(tmp_path / "out")
         daemon.send_signal(number)
-        _, told = daemon.communicate(timeout=PATIENCE_S)
+        _, errors = daemon.communicate(timeout=PATIENCE_S)
         assert daemon.returncode == (130 if number is signal.SIGINT else 1)
-        assert told.startswith(f"gyrorigd: stopped by {number.name}. The unit is halted")
-        assert told.count("\n") == 1
+        assert errors.startswith(f"gyrorigd: stopped by {number.name}. The unit is halted")
+        assert errors.count("\n") == 1
         stopped_at = pan_steps(ports["ptu"])
         assert 100 < stopped_at < TARGET_STEPS
         assert pan_steps(ports["ptu"]) == stopped_at
@@ -338,5 +338,5 @@ def test_emulate_ends_on_a_signal(tmp_path: Path, number: signal.Signals) -> Non
     names = {process.stdout.readline().split("\t")[0] for _ in range(2)}
     process.send_signal(number)
     assert process.wait(PATIENCE_S) == 0
-    _, told = process.communicate()
-    assert (names, told) == ({"ptu", "board:B-1"}, "")
+    _, errors = process.communicate()
+    assert (names, errors) == ({"ptu", "board:B-1"}, "")

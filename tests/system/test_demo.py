@@ -10,19 +10,19 @@ from gyrorig_solver.calibration.calibration_document import parse_calibration
 
 def test_demo_goes_the_whole_way(tmp_path: Path) -> None:
     out = tmp_path / "demo"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "gyrorig_solver", "demo", "--out", str(out), "--json"],
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr + done.stdout
-    told = json.loads(done.stdout)
-    (board,) = told["boards"]
+    assert process.returncode == 0, process.stderr + process.stdout
+    document = json.loads(process.stdout)
+    (board,) = document["boards"]
     assert board["verdict"] == "good"
     assert len(board["parameters"]) == 13
     assert max(abs(p["sigmas"]) for p in board["parameters"]) <= 3.5
-    assert Path(told["recording"]).is_file()
+    assert Path(document["recording"]).is_file()
     assert parse_calibration(Path(board["file"]).read_bytes(), "v0001").version == 1
     assert Path(board["report"]).read_text().startswith("<!doctype html>")
     assert not list(out.glob("*.part"))
@@ -35,7 +35,7 @@ def test_what_the_demo_wrote_keeps_the_contracts(tmp_path: Path, contract_judge:
         "  - move: {pan_deg: 30.0, speed_deg_s: 60.0}\n"
     )
     out = tmp_path / "demo"
-    done = subprocess.run(
+    process = subprocess.run(
         [
             *(sys.executable, "-m", "gyrorig_solver", "demo"),
             *("--out", str(out), "--program", str(program)),
@@ -44,8 +44,8 @@ def test_what_the_demo_wrote_keeps_the_contracts(tmp_path: Path, contract_judge:
         text=True,
         check=False,
     )
-    assert done.returncode in (1, 4), done.stderr + done.stdout
-    assert "not determined" in done.stdout
+    assert process.returncode in (1, 4), process.stderr + process.stdout
+    assert "not determined" in process.stdout
     written = [*out.glob("*.mcap"), *out.rglob("v*.yaml")]
     assert len(written) == 3  # recording, calibration and findings
     judged = subprocess.run(

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 
 def solved_beside_truth(seed: int, program: str, folder: Path) -> list[ParameterComparison]:
     truth = folder / f"truth-{seed}.yaml"
-    done = subprocess.run(
+    process = subprocess.run(
         [
             *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
             *("--config", str(ROOT / "config" / "rig.yaml")),
@@ -33,7 +33,7 @@ def solved_beside_truth(seed: int, program: str, folder: Path) -> list[Parameter
         text=True,
         check=True,
     )
-    recording = read_recording(Path(json.loads(done.stdout)["recording"]))
+    recording = read_recording(Path(json.loads(process.stdout)["recording"]))
     (board,) = recording.board_ids
     solved = solve_and_store(CalibrationStore(folder / str(seed)), [recording], board)
     return compare_with_truth(solved.calibration, parse_yaml(truth.read_bytes(), truth.name))

@@ -119,18 +119,20 @@ def doctor(
 def test_a_sound_rig_is_left_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with served(E46, BOARD, orders=b"PS200 PP3000 ") as rig:
         config = rig_yaml(tmp_path, PATHS["ptu"], PATHS["board:B-1"])
-        code, found = doctor(config, capsys)
+        code, findings = doctor(config, capsys)
         now_s = (raw_now_ns() - rig.origin_ns) * 1e-9
         assert rig.stage.pan.is_moving(now_s)  # whoever moves it is not disturbed
         assert [order[0] for order in rig.stage.pan.commands].count("halt") == 0
     assert code in (0, 4)  # this computer may have its own flaws
-    assert "PTU-E46-17.5, serial E46-0001, firmware 3.4.2r0" in found["unit identity"]["what"]
-    assert "at 115200 baud" in found["unit identity"]["what"]
-    assert "pan -3090 to 3090, tilt -907 to 604" in found["unit bounds"]["what"]
-    assert found["unit power"]["level"] == "ok"
-    assert "firmware" in found["board B-1 identity"]["what"]
-    assert "samples per second" in found["board B-1 rate"]["what"]  # a warning on a busy computer
-    assert found["tonight fits"]["level"] == "ok"
+    assert "PTU-E46-17.5, serial E46-0001, firmware 3.4.2r0" in findings["unit identity"]["what"]
+    assert "at 115200 baud" in findings["unit identity"]["what"]
+    assert "pan -3090 to 3090, tilt -907 to 604" in findings["unit bounds"]["what"]
+    assert findings["unit power"]["level"] == "ok"
+    assert "firmware" in findings["board B-1 identity"]["what"]
+    assert (
+        "samples per second" in findings["board B-1 rate"]["what"]
+    )  # a warning on a busy computer
+    assert findings["tonight fits"]["level"] == "ok"
 
 
 def test_a_unit_that_is_not_as_configured(
@@ -139,11 +141,11 @@ def test_a_unit_that_is_not_as_configured(
     settings = replace(E46, dialect="d46", homed=False, command_time_ms=5.0)
     with served(settings, BOARD):
         config = rig_yaml(tmp_path, PATHS["ptu"], "emulated", more=", dialect: e46")
-        code, found = doctor(config, capsys)
+        code, findings = doctor(config, capsys)
     assert code == 1
-    assert found["unit wrong_dialect"]["remedy"] == "set ptu.dialect to auto"
-    assert found["unit not_homed"]["level"] == "warning"
-    assert found["board B-1 emulated"]["level"] == "note"
+    assert findings["unit wrong_dialect"]["remedy"] == "set ptu.dialect to auto"
+    assert findings["unit not_homed"]["level"] == "warning"
+    assert findings["board B-1 emulated"]["level"] == "note"
 
 
 def test_devices_that_are_not_the_rig_s_own(
@@ -152,10 +154,10 @@ def test_devices_that_are_not_the_rig_s_own(
     with served(E46, BOARD):
         config = rig_yaml(tmp_path, PATHS["ptu"], PATHS["board:B-1"], more=", serial: E46-0002")
         config.write_text(config.read_text().replace("460800}", "460800, facts: {uid: other}}"))
-        code, found = doctor(config, capsys)
+        code, findings = doctor(config, capsys)
     assert code == 1
-    assert "E46-0001" in found["unit wrong_unit"]["what"]
-    assert "other" in found["board B-1 wrong_board"]["what"]
+    assert "E46-0001" in findings["unit wrong_unit"]["what"]
+    assert "other" in findings["board B-1 wrong_board"]["what"]
 
 
 def test_a_unit_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,20 +169,20 @@ def test_a_unit_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[st
         return b"".join(word + b"\r\n" for word in words)
 
     with device(answer) as port:
-        code, found = doctor(rig_yaml(tmp_path, port, "emulated"), capsys)
+        code, findings = doctor(rig_yaml(tmp_path, port, "emulated"), capsys)
     assert code == 1
-    assert found["unit wrong_baud"]["remedy"] == "set ptu.baud to 9600"
-    assert "the dialect d46" in found["unit identity"]["what"]
-    assert "tilt" in found["unit no_bounds"]["what"]
+    assert findings["unit wrong_baud"]["remedy"] == "set ptu.baud to 9600"
+    assert "the dialect d46" in findings["unit identity"]["what"]
+    assert "tilt" in findings["unit no_bounds"]["what"]
 
 
 def test_cables_that_are_swapped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with served(E46, BOARD):
         config = rig_yaml(tmp_path, PATHS["board:B-1"], PATHS["ptu"])
-        code, found = doctor(config, capsys)
+        code, findings = doctor(config, capsys)
     assert code == 1
-    assert found["unit wrong_device"]["level"] == "fault"
-    assert {"board B-1 silent", "board B-1 text", "board B-1 garbage"} & set(found)
+    assert findings["unit wrong_device"]["level"] == "fault"
+    assert {"board B-1 silent", "board B-1 text", "board B-1 garbage"} & set(findings)
 
 
 def test_nothing_on_either_port(
@@ -188,11 +190,11 @@ def test_nothing_on_either_port(
 ) -> None:
     monkeypatch.setattr(board_module, "FIRST_BYTE_TIMEOUT_S", 0.5)  # nothing will come
     with device(lambda *_: b"") as unit, device(lambda *_: b"") as silent:
-        _, found = doctor(rig_yaml(tmp_path, unit, silent), capsys)
-    assert found["unit silent"]["level"] == found["board B-1 silent"]["level"] == "fault"
+        _, findings = doctor(rig_yaml(tmp_path, unit, silent), capsys)
+    assert findings["unit silent"]["level"] == findings["board B-1 silent"]["level"] == "fault"
     with device(lambda sent, _: sent) as unit:
-        _, found = doctor(rig_yaml(tmp_path, unit, "emulated"), capsys)
-    assert "homes after power-up" in found["unit echo_only"]["remedy"]
+        _, findings = doctor(rig_yaml(tmp_path, unit, "emulated"), capsys)
+    assert "homes after power-up" in findings["unit echo_only"]["remedy"]
 
 
 def test_a_board_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -205,8 +207,8 @@ def test_a_board_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[s
         return frame + (HELLO.encode() if sent else b"")
 
     with device(answer) as port:
-        _, found = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
-    assert found["board B-1 wrong_baud"]["remedy"] == "set its baud to 115200"
+        _, findings = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
+    assert findings["board B-1 wrong_baud"]["remedy"] == "set its baud to 115200"
 
 
 def test_a_board_that_loses_and_does_not_answer(
@@ -214,26 +216,26 @@ def test_a_board_that_loses_and_does_not_answer(
 ) -> None:
     faults = BoardFaults(drop_frame_every=5, flip_bit_every=7)
     with served(E46, replace(BOARD, faults=faults)):
-        _, found = doctor(rig_yaml(tmp_path, "emulated", PATHS["board:B-1"]), capsys)
-    assert "samples missing" in found["board B-1 damaged"]["what"]
+        _, findings = doctor(rig_yaml(tmp_path, "emulated", PATHS["board:B-1"]), capsys)
+    assert "samples missing" in findings["board B-1 damaged"]["what"]
 
 
 def test_boards_that_speak_otherwise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = iter(range(10**9))
     with device(lambda *_: b"%d,1,2,3\r\n" % next(lines)) as port:
-        _, found = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
-        assert found["board B-1 text"]["remedy"].startswith("set format: text")
+        _, findings = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
+        assert findings["board B-1 text"]["remedy"].startswith("set format: text")
         path = tmp_path / "text.yaml"
         path.write_text(
             f"rig: r\nptu: {{port: emulated}}\nboards:\n- {{id: T-1, port: {port}, format: text, "
             "columns: {time: 0, gyro: [1, 2, 3]}, "
             "facts: {uid: t, sensor: s, gyro_scale_rad_s: 0.001}}\n"
         )
-        _, found = doctor(path, capsys)
-        assert "lines of numbers" in found["board T-1 identity"]["what"]
+        _, findings = doctor(path, capsys)
+        assert "lines of numbers" in findings["board T-1 identity"]["what"]
     with device(lambda *_: Sample(0, next(lines) & 0xFFFF, 0, (1, 2, 3)).encode()) as port:
-        _, found = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
-        assert found["board B-1 no_hello"]["level"] == "fault"
+        _, findings = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
+        assert findings["board B-1 no_hello"]["level"] == "fault"
 
 
 def test_a_held_port_is_left_alone(
@@ -248,12 +250,12 @@ def test_a_held_port_is_left_alone(
     with device(listen) as port:
         held = os.open(port, os.O_RDWR | os.O_NOCTTY)
         fcntl.flock(held, fcntl.LOCK_EX)
-        code, found = doctor(rig_yaml(tmp_path, port, "emulated"), capsys)
+        code, findings = doctor(rig_yaml(tmp_path, port, "emulated"), capsys)
         os.close(held)
-        assert {key for key in found if key.startswith("unit ")} <= {"unit held", "unit in_use"}
-        assert f"process {os.getpid()}" in str(found)
+        assert {key for key in findings if key.startswith("unit ")} <= {"unit held", "unit in_use"}
+        assert f"process {os.getpid()}" in str(findings)
         assert not heard
-        code, found = doctor(rig_yaml(tmp_path, port, "emulated"), capsys, "--no-open")
+        code, findings = doctor(rig_yaml(tmp_path, port, "emulated"), capsys, "--no-open")
         assert code in (0, 1, 4)
         assert not heard
 

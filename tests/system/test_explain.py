@@ -47,7 +47,7 @@ def recorded(folder: Path, *more: str) -> tuple[Path, dict[str, Any]]:
     folder.mkdir(parents=True, exist_ok=True)
     program, truth = folder / "program.yaml", folder / "truth.yaml"
     program.write_text(PROGRAM)
-    done = subprocess.run(
+    process = subprocess.run(
         [
             *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
             *("--config", str(ROOT / "config" / "rig.yaml"), "--program", str(program)),
@@ -57,28 +57,28 @@ def recorded(folder: Path, *more: str) -> tuple[Path, dict[str, Any]]:
         text=True,
         check=True,
     )
-    return Path(json.loads(done.stdout)["recording"]), parse_yaml(truth.read_bytes(), "truth")
+    return Path(json.loads(process.stdout)["recording"]), parse_yaml(truth.read_bytes(), "truth")
 
 
 def judged(judge: Path, *files: Path) -> str:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, str(judge), *map(str, files)], capture_output=True, text=True, check=False
     )
-    return done.stdout if done.returncode else ""
+    return process.stdout if process.returncode else ""
 
 
 def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
     tmp_path: Path, contract_judge: Path
 ) -> None:
     path, truth = recorded(tmp_path, "--seed", "21", "--hide", "backlash@pan:0.0015")
-    done = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"), "--json")
-    assert done.returncode == 0, done.stderr
-    (told,) = json.loads(done.stdout)["boards"]
-    file = Path(told["file"])
+    process = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"), "--json")
+    assert process.returncode == 0, process.stderr
+    (board,) = json.loads(process.stdout)["boards"]
+    file = Path(board["file"])
     document = parse_findings(file.read_bytes(), file.name)
-    assert [(one.cause, one.score) for one in score_causes(document, truth)] == [
-        ("backlash", "right")
-    ]
+    assert [
+        (score_cause.cause, score_cause.score) for score_cause in score_causes(document, truth)
+    ] == [("backlash", "right")]
     (cause,) = document.causes
     gap, half = cause.parameters["gap.pan"], 4.0
     assert gap.value is not None
@@ -87,18 +87,18 @@ def test_a_hidden_play_is_named_taken_in_and_kept_by_the_contract(
     assert document.gain is not None
     assert (document.gain.held_out_log_likelihood or 0.0) > 10.0
     assert (file.parent / str(cause.evidence.figure)).read_text().startswith("<?xml")
-    assert "The gears have backlash, on pan" in Path(told["report"]).read_text()
+    assert "The gears have backlash, on pan" in Path(board["report"]).read_text()
 
     store = tmp_path / "calibrations"
-    done = gyrorig("solve", str(path), "--extend", "auto", "--out", str(store), "--json")
-    assert done.returncode == 0, done.stderr
-    (solved,) = json.loads(done.stdout)["boards"]
+    process = gyrorig("solve", str(path), "--extend", "auto", "--out", str(store), "--json")
+    assert process.returncode == 0, process.stderr
+    (solved,) = json.loads(process.stdout)["boards"]
     calibration = parse_calibration(Path(solved["file"]).read_bytes(), "v0001.yaml")
     assert calibration.findings is not None
     assert calibration.findings.causes == ["backlash"]
     assert "backlash" in calibration.solver.terms
-    own = Path(solved["file"]).with_name(calibration.findings.file)
-    assert judged(contract_judge, file, own, Path(solved["file"])) == ""
+    findings_path = Path(solved["file"]).with_name(calibration.findings.file)
+    assert judged(contract_judge, file, findings_path, Path(solved["file"])) == ""
 
 
 @pytest.mark.parametrize(
@@ -116,26 +116,28 @@ def test_faults_of_the_link_are_named_from_the_stream(
     hide: str, cause: str, tmp_path: Path
 ) -> None:
     path, truth = recorded(tmp_path, "--seed", "3", "--hide", hide)
-    done = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"), "--json")
-    assert done.returncode == 0, done.stderr
-    (told,) = json.loads(done.stdout)["boards"]
-    document = parse_findings(Path(told["file"]).read_bytes(), "findings.yaml")
-    assert [(one.cause, one.score) for one in score_causes(document, truth)] == [(cause, "right")]
+    process = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"), "--json")
+    assert process.returncode == 0, process.stderr
+    (board,) = json.loads(process.stdout)["boards"]
+    document = parse_findings(Path(board["file"]).read_bytes(), "findings.yaml")
+    assert [
+        (score_cause.cause, score_cause.score) for score_cause in score_causes(document, truth)
+    ] == [(cause, "right")]
 
 
 def test_a_rig_as_it_should_be_has_no_findings(tmp_path: Path) -> None:
     path, _ = recorded(tmp_path, "--seed", "8")
-    done = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"))
-    assert done.returncode == 0, done.stderr
-    assert "no error found" in done.stdout
-    assert "not detectable here" in done.stdout
+    process = gyrorig("explain", str(path), "--out", str(tmp_path / "findings"))
+    assert process.returncode == 0, process.stderr
+    assert "no error found" in process.stdout
+    assert "not detectable here" in process.stdout
 
 
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "no.mcap").write_bytes(b"not a recording")
-    done = gyrorig("explain", str(tmp_path / "no.mcap"), "--out", str(tmp_path / "out"))
-    assert done.returncode == 3
-    assert len(done.stderr.splitlines()) == 1
+    process = gyrorig("explain", str(tmp_path / "no.mcap"), "--out", str(tmp_path / "out"))
+    assert process.returncode == 3
+    assert len(process.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 
@@ -147,24 +149,24 @@ def test_the_demo_opens_the_seal_at_the_end(tmp_path: Path) -> None:
         "  - move: {pan_deg: 30.0, speed_deg_s: 60.0}\n  - rest: {seconds: 1.0}\n"
     )
     out = tmp_path / "demo"
-    done = gyrorig(
+    process = gyrorig(
         "demo", "--out", str(out), "--program", str(program), "--hide", "random", "--json"
     )
-    assert done.returncode in (0, 1, 4), done.stderr + done.stdout
-    told = json.loads(done.stdout)
+    assert process.returncode in (0, 1, 4), process.stderr + process.stdout
+    document = json.loads(process.stdout)
     hidden = parse_yaml((out / "truth.yaml").read_bytes(), "truth.yaml")["hidden"]
     text = json.dumps(hidden, sort_keys=True, separators=(",", ":"))
-    assert told["seal"] == hashlib.sha256(text.encode()).hexdigest()
-    (board,) = told["boards"]
-    names = {one["cause"] for one in hidden["causes"]}
-    assert names <= {one["cause"] for one in board["hidden"]}
-    assert all(one["words"] for one in board["hidden"])
+    assert document["seal"] == hashlib.sha256(text.encode()).hexdigest()
+    (board,) = document["boards"]
+    names = {entry["cause"] for entry in hidden["causes"]}
+    assert names <= {entry["cause"] for entry in board["hidden"]}
+    assert all(entry["words"] for entry in board["hidden"])
 
 
 def test_a_fitted_recording_cannot_be_held_out(tmp_path: Path) -> None:
     path, _ = recorded(tmp_path, "--seed", "8")
     out = tmp_path / "findings"
-    done = gyrorig("explain", str(path), "--held-out", str(path), "--out", str(out))
-    assert done.returncode == 2
-    assert f"{path.name} is named twice. List each recording once" in done.stderr
+    process = gyrorig("explain", str(path), "--held-out", str(path), "--out", str(out))
+    assert process.returncode == 2
+    assert f"{path.name} is named twice. List each recording once" in process.stderr
     assert not out.exists()

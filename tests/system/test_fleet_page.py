@@ -168,9 +168,9 @@ def test_hidden_faults_are_the_first_alerts(opened: Any) -> None:
 
 def test_common_offsets_are_listed(opened: Any, fleet: Fleet) -> None:
     lines = texts(opened, "#offsets li")
-    told = describe_offsets(fleet[1].offset_comparisons)
-    assert told
-    assert [line.lower() for line in lines] == [f"{line.lower()}." for line in told]
+    descriptions = describe_offsets(fleet[1].offset_comparisons)
+    assert descriptions
+    assert [line.lower() for line in lines] == [f"{line.lower()}." for line in descriptions]
 
 
 def test_a_drifting_board_is_not_shown_in_green(opened: Any, fleet: Fleet) -> None:
@@ -217,8 +217,8 @@ def test_prior_dominated_boards_are_found(opened: Any, fleet: Fleet) -> None:
     click(opened, ".row")
     until(lambda: len(find(opened, "#board figure")) == len(PARAMETER_COLUMNS))
     assert texts(opened, "#board h3") == [f"B{first:06d}"]
-    told = [item for item in texts(opened, "#board figure") if "mostly the fleet's mean" in item]
-    assert len(told) == int(fleet[1].prior_dominated[first].sum())
+    items = [item for item in texts(opened, "#board figure") if "mostly the fleet's mean" in item]
+    assert len(items) == int(fleet[1].prior_dominated[first].sum())
 
 
 def test_a_board_opens_with_its_charts_on_axes(opened: Any, fleet: Fleet) -> None:
@@ -269,9 +269,9 @@ def test_a_board_of_a_drifting_rig_shows_the_shift_of_the_rig(opened: Any) -> No
         "open(boards.rig.of.findIndex((one) => boards.rig.names[one] === 'rig-3'))"
     )
     until(lambda: len(find(opened, "#board figure")) == len(PARAMETER_COLUMNS))
-    (told,) = [item for item in texts(opened, "#board figure") if "not of this board" in item]
-    assert "misalignment.x" in told
-    assert "shift of rig rig-3, not of this board: +0.0" in told
+    (shift_item,) = [item for item in texts(opened, "#board figure") if "not of this board" in item]
+    assert "misalignment.x" in shift_item
+    assert "shift of rig rig-3, not of this board: +0.0" in shift_item
 
 
 def test_tables_of_lots_and_rigs_sort_and_select_their_boards(opened: Any) -> None:

@@ -158,15 +158,15 @@ def test_halted_in_motion(
         pan, tilt = unit.steps()
         assert 0 < pan < PAN_STEPS
         assert 0 < tilt < TILT_STEPS
-    told = capsys.readouterr()
-    assert json.loads(told.out) == {
+    output = capsys.readouterr()
+    assert json.loads(output.out) == {
         "halted": True,
         "port": unit.port,
         "baud": settings.baud,
         "pan_steps": pan,
         "tilt_steps": tilt,
     }
-    assert told.err == ""
+    assert output.err == ""
 
 
 def test_success_is_reported_at_standstill_not_at_the_command(tmp_path: Path) -> None:
@@ -270,10 +270,10 @@ def test_a_silent_port_ends_within_seconds(
         begun = time.monotonic()
         assert run(["halt", "--config", rig_yaml(tmp_path, port)]) == 1
         assert time.monotonic() - begun < TIMEOUT_S
-    told = capsys.readouterr().err
-    assert "nothing answers" in told
-    assert "Check that the unit has stopped" in told
-    assert told.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert "nothing answers" in errors
+    assert "Check that the unit has stopped" in errors
+    assert errors.count("\n") == 1
 
 
 def test_other_devices_are_distinguished(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,9 +351,9 @@ def test_configurations_that_are_broken(
 ) -> None:
     (tmp_path / "rig.yaml").write_text(text)
     assert run(["halt", "--config", str(tmp_path / "rig.yaml"), *more]) == code
-    told = capsys.readouterr().err
-    assert words in told
-    assert told.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert words in errors
+    assert errors.count("\n") == 1
 
 
 def test_no_configuration_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -380,9 +380,9 @@ def test_a_port_that_another_program_holds(
         fcntl.flock(held, fcntl.LOCK_EX)
         assert run(["halt", "--config", rig_yaml(tmp_path, port)]) == 75
         os.close(held)
-    told = capsys.readouterr().err
-    assert f"process {os.getpid()}" in told
-    assert told.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert f"process {os.getpid()}" in errors
+    assert errors.count("\n") == 1
 
 
 def test_it_imports_little() -> None:

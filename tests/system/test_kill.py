@@ -56,7 +56,7 @@ class Victim:
             line = out.readline()
         os.kill(self.process.pid, signal.SIGKILL)
         rest = out.read().splitlines(keepends=True)
-        whole = [one for one in [line, *rest] if one.endswith("\n")]
+        whole = [text for text in [line, *rest] if text.endswith("\n")]
         self.process.wait()
         out.close()
         k, now_ns = whole[-1].split()
@@ -67,7 +67,7 @@ def check(folder: Path, handed: int, handed_ns: int) -> tuple[float, int]:
     """Recover; seconds lost at the end, and how many files there are."""
     reports = recover_folder(folder)
     assert all(report.outcome is not RecoveryOutcome.FAILED for report in reports), reports
-    found: list[int] = []
+    numbers: list[int] = []
     last_ns = 0
     files = sorted(folder.glob("*.mcap"))
     for path in files:
@@ -75,10 +75,10 @@ def check(folder: Path, handed: int, handed_ns: int) -> tuple[float, int]:
         assert recording.is_complete, recording.losses
         samples = recording.array(TOPIC)
         assert (samples["sequence"] == samples["message_sequence"]).all()
-        found += samples["sequence"].tolist()
+        numbers += samples["sequence"].tolist()
         last_ns = int(times_ns(samples["host_time"][-1:])[0])
-    assert found == list(range(len(found)))  # nothing before the end is missing or twice
-    first_ns = handed_ns if not found else last_ns
+    assert numbers == list(range(len(numbers)))  # nothing before the end is missing or twice
+    first_ns = handed_ns if not numbers else last_ns
     return max(handed_ns - first_ns, 0) * 1e-9, len(files)
 
 
@@ -94,7 +94,7 @@ def test_kills_at_random_moments(tmp_path: Path) -> None:
                 [sys.executable, "-c", CHILD, str(folder)], stdout=subprocess.PIPE, text=True
             )
             victims.append(Victim(folder, process, chance.uniform(0.0, 2.5)))
-        for victim in sorted(victims, key=lambda one: one.after_s):
+        for victim in sorted(victims, key=lambda kill: kill.after_s):
             lost_s, count = check(victim.folder, *victim.kill())
             assert lost_s <= LIMIT_S
             files += count

@@ -63,10 +63,10 @@ class Card:
         return run("mount", "-o", options, str(self._image), str(self.folder))
 
     def _switch(self) -> Path:
-        found = subprocess.run(
+        process = subprocess.run(
             ["losetup", "-j", str(self._image)], capture_output=True, text=True, check=False
         )
-        device = Path(found.stdout.split(":")[0]).name
+        device = Path(process.stdout.split(":")[0]).name
         return Path("/sys/fs/ext4", device or "none", "trigger_fs_error")
 
     def fail(self) -> None:
@@ -112,12 +112,12 @@ class Session:
 
 
 def samples(folder: Path) -> list[int]:
-    found: list[int] = []
+    numbers: list[int] = []
     for path in sorted(folder.glob("*.mcap")):
         recording = read_recording(path)
         if TOPIC in recording.topics:
-            found += recording.array(TOPIC)["sequence"].tolist()
-    return found
+            numbers += recording.array(TOPIC)["sequence"].tolist()
+    return numbers
 
 
 def test_a_full_disk_without_a_reserve(small_disk: Path) -> None:
@@ -165,10 +165,10 @@ def test_a_card_that_dies(card: Card) -> None:
     assert session.state() is RecorderState.RECORDING
     session.recorder.close()
     recover_folder(card.folder)
-    found = samples(card.folder)
-    assert sorted(set(found)) == list(range(session.k))
+    numbers = samples(card.folder)
+    assert sorted(set(numbers)) == list(range(session.k))
     # What had reached the card all the same is there twice: at most what one sync covers.
-    assert len(found) - session.k <= 2 * PER_SECOND
+    assert len(numbers) - session.k <= 2 * PER_SECOND
 
 
 RIG = "rig: card\nptu: {port: emulated}\nboards: [{id: B-1, port: emulated}]\n"
@@ -177,8 +177,8 @@ REST = b"name: rest\nsteps:\n  - rest: {seconds: 3600.0}\n"
 
 def degraded(metrics: Path) -> str:
     """What the metrics say of the disk, "" where they say nothing yet."""
-    found = metrics / "gyrorig.prom"
-    lines = found.read_text().splitlines() if found.exists() else []
+    metrics_file = metrics / "gyrorig.prom"
+    lines = metrics_file.read_text().splitlines() if metrics_file.exists() else []
     return next((line for line in lines if line.startswith("gyrorig_recorder_degraded ")), "")
 
 
@@ -211,5 +211,5 @@ def test_one_shot_fails_at_once_on_a_full_disk(small_disk: Path) -> None:
         session.recorder.close()
     (small_disk / "ballast").unlink()
     assert [r.outcome for r in recover_folder(small_disk)] == [RecoveryOutcome.RECOVERED]
-    found = samples(small_disk)
-    assert found == list(range(len(found)))
+    numbers = samples(small_disk)
+    assert numbers == list(range(len(numbers)))

@@ -131,9 +131,9 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     made.close()
 
 
-def wait_for(done: Callable[[], bool], seconds: float = 60.0) -> None:
+def wait_for(is_finished: Callable[[], bool], seconds: float = 60.0) -> None:
     end_s = time.monotonic() + seconds
-    while not done():
+    while not is_finished():
         assert time.monotonic() < end_s
         time.sleep(0.02)
 
@@ -151,7 +151,7 @@ def recorded(bench: Bench) -> Recording:
     return read_recording(path)
 
 
-def told(recording: Recording) -> list[str]:
+def event_texts(recording: Recording) -> list[str]:
     return [m.text for m in recording.messages("/session/event") if isinstance(m, SessionEvent)]
 
 
@@ -171,11 +171,11 @@ def test_a_board_is_replugged_while_the_other_continues(bench: Bench) -> None:
     bench.board.pull()
     wait_for(lambda: growing(bench, "/board/B-2/imu_raw") > growing(bench) + 40)
     bench.board.plug()
-    _, said = daemon.communicate(timeout=60)
-    assert (daemon.returncode, said) == (0, "")
+    _, errors = daemon.communicate(timeout=60)
+    assert (daemon.returncode, errors) == (0, "")
     recording = recorded(bench)
     assert recording.is_complete
-    faults = told(recording)
+    faults = event_texts(recording)
     assert any("board B-1" in text and "is gone, it was unplugged" in text for text in faults)
     assert any("board B-1" in text and "sends samples again, after" in text for text in faults)
     other = recording.array("/board/B-2/imu_raw")["sequence"].astype(np.int64)
@@ -191,13 +191,13 @@ def test_a_unit_unplugged_in_motion_ends_the_program(bench: Bench) -> None:
     daemon = bench.record(MOVE)
     wait_for(lambda: bench.turns() and growing(bench) > 50)
     bench.unit.pull()
-    _, said = daemon.communicate(timeout=60)
+    _, errors = daemon.communicate(timeout=60)
     assert daemon.returncode == 1
-    assert "unplugged" in said
-    assert "was not confirmed" in said
+    assert "unplugged" in errors
+    assert "was not confirmed" in errors
     recording = recorded(bench)
     assert recording.is_complete
-    assert "aborted" in told(recording)
+    assert "aborted" in event_texts(recording)
     for board in ("B-1", "B-2"):
         sequence = recording.array(f"/board/{board}/imu_raw")["sequence"].astype(np.int64)
         assert np.all(np.diff(sequence) == 1)
@@ -220,10 +220,10 @@ def test_a_stopped_process_does_not_catch_up(bench: Bench) -> None:
     wait_for(lambda: growing(bench) > 200)
     with stopped(daemon.pid, 1.2):
         pass
-    _, said = daemon.communicate(timeout=60)
-    assert (daemon.returncode, said) == (0, "")
+    _, errors = daemon.communicate(timeout=60)
+    assert (daemon.returncode, errors) == (0, "")
     recording = recorded(bench)
-    stalls = [text for text in told(recording) if "did not run" in text]
+    stalls = [text for text in event_texts(recording) if "did not run" in text]
     assert any(text.startswith("the acquisition process") for text in stalls)
     assert any(text.startswith("the daemon") for text in stalls)
     for board in ("B-1", "B-2"):

@@ -35,21 +35,21 @@ def _record(out: Path, program: Path, *more: str) -> Path:
 
 def _solve(recording: Path, out: Path, *more: str) -> tuple[int, dict[str, Any]]:
     command = [str(BIN / "gyrorig"), "solve", str(recording), "--out", str(out), "--json", *more]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    found: dict[str, Any] = json.loads(done.stdout)
-    return done.returncode, found["boards"][0]["calibration"]
+    process = subprocess.run(command, check=False, capture_output=True, text=True)
+    document: dict[str, Any] = json.loads(process.stdout)
+    return process.returncode, document["boards"][0]["calibration"]
 
 
 def test_pan_at_tilt_zero_only(tmp_path: Path) -> None:
     program = tmp_path / "pan.yaml"
     program.write_text(PAN_ONLY, encoding="utf-8")
-    code, found = _solve(_record(tmp_path / "r", program), tmp_path / "c")
+    code, document = _solve(_record(tmp_path / "r", program), tmp_path / "c")
     assert code == 4
-    assert found["observability"]["rank"] == 6
-    assert found["parameters"]["scale"]["value"] == [None, None, None]
-    assert found["matrices"]["STM"][0][:2] == [None, None]
-    assert found["matrices"]["STM"][2][2] is not None  # what pan turns is known
-    reasons = " ".join(found["trust"]["reasons"])
+    assert document["observability"]["rank"] == 6
+    assert document["parameters"]["scale"]["value"] == [None, None, None]
+    assert document["matrices"]["STM"][0][:2] == [None, None]
+    assert document["matrices"]["STM"][2][2] is not None  # what pan turns is known
+    reasons = " ".join(document["trust"]["reasons"])
     assert "tilt was not moved; move tilt at a few speeds" in reasons
     assert "sweep it at a positive and at a negative tilt" in reasons
 
@@ -61,16 +61,16 @@ def test_a_polynomial_of_temperature_needs_ten_kelvin(
     program = ROOT / "config" / "programs" / "full.yaml"
     hidden = ("--soak", soak_k, "--hide", "thermal_bias:0.001", "--truth", str(tmp_path / "t.json"))
     recording = _record(tmp_path / "r", program, *hidden)
-    code, found = _solve(recording, tmp_path / "c", "--extend", "thermal_bias")
-    said = [w for w in found["quality"]["warnings"] if w.startswith("thermal_bias")]
-    assert ("thermal_bias" in found["solver"]["terms"]) == fitted
+    code, document = _solve(recording, tmp_path / "c", "--extend", "thermal_bias")
+    warnings = [w for w in document["quality"]["warnings"] if w.startswith("thermal_bias")]
+    assert ("thermal_bias" in document["solver"]["terms"]) == fitted
     assert code == (0 if fitted else 4)
     if not fitted:
-        assert "below 10 K" in said[0]
-        assert "warm the board" in said[0]
+        assert "below 10 K" in warnings[0]
+        assert "warm the board" in warnings[0]
         return
-    assert "by windows left out" in said[0]
+    assert "by windows left out" in warnings[0]
     # The die follows the thermometer late; only a few lags are tried, so 15 % is near.
     truth = json.loads((tmp_path / "t.json").read_text(encoding="utf-8"))
     slope = truth["hidden"]["causes"][0]["parameters"]["slope"]["value"]
-    assert found["parameters"]["thermal_bias"]["value"] == pytest.approx(slope, rel=0.15)
+    assert document["parameters"]["thermal_bias"]["value"] == pytest.approx(slope, rel=0.15)

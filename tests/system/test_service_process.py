@@ -82,7 +82,7 @@ class Service:
             "service: {reserve_mb: 10, board_patience_s: 0.0}\n"
         )
         self.config.write_text(self.sane)
-        self.said: list[str] = []
+        self.notifications: list[str] = []
         self._notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._notify.bind(str(folder / f"notify{name}"))
         self._listener = threading.Thread(target=self._listen, daemon=True)
@@ -102,18 +102,18 @@ class Service:
         return self.process
 
     def start_ready(self) -> subprocess.Popen[str]:
-        before = self.said.count("READY=1")
+        before = self.notifications.count("READY=1")
         process = self.start()
-        wait_for(lambda: self.said.count("READY=1") > before)
+        wait_for(lambda: self.notifications.count("READY=1") > before)
         return process
 
     def status(self) -> dict[str, Any]:
         try:
-            found = send_command(self.socket, "status")["status"]
+            answer = send_command(self.socket, "status")["status"]
         except GyrorigError:
             return {"state": "silent"}
-        assert isinstance(found, dict)
-        return found
+        assert isinstance(answer, dict)
+        return answer
 
     def counted(self, where: str, name: str) -> int:
         """A count of the status, 0 where nobody answers."""
@@ -138,8 +138,8 @@ class Service:
         assert self.process is not None
         if self.process.poll() is None:
             self.process.send_signal(number)
-        _, told = self.process.communicate(timeout=60)
-        return self.process.returncode, told
+        _, errors = self.process.communicate(timeout=60)
+        return self.process.returncode, errors
 
     def close(self) -> None:
         if self.process is not None and self.process.poll() is None:
@@ -150,7 +150,7 @@ class Service:
     def _listen(self) -> None:
         while True:
             try:
-                self.said.append(self._notify.recv(4096).decode())
+                self.notifications.append(self._notify.recv(4096).decode())
             except OSError:
                 return
 
@@ -179,8 +179,8 @@ def test_a_life_ended_by_sigterm_in_motion(service: Service, devices: Devices) -
         never_reads.connect(str(service.socket))
         never_reads.sendall(b'{"command": "watch"}\n' * 3)
         halts, begun_s = devices.halts(), time.monotonic()
-        code, told = service.end()
-    assert code == 0, told
+        code, errors = service.end()
+    assert code == 0, errors
     assert time.monotonic() - begun_s < 25.0
     assert devices.halts() > halts
     assert not devices.turning()
@@ -188,8 +188,8 @@ def test_a_life_ended_by_sigterm_in_motion(service: Service, devices: Devices) -
     assert read_recording(path).is_complete
     (result,) = service.results("failed")
     assert "SIGTERM. The unit is halted" in result["reason"]
-    wait_for(lambda: service.said[-1] == "STOPPING=1")
-    assert service.said.count("WATCHDOG=1") >= 2
+    wait_for(lambda: service.notifications[-1] == "STOPPING=1")
+    assert service.notifications.count("WATCHDOG=1") >= 2
     assert not service.socket.exists()
     assert process.poll() == 0
     assert (service.state / "metrics" / "gyrorig.prom").read_text().startswith("# HELP gyrorig_")
@@ -212,7 +212,7 @@ def test_killed_with_everything_it_halts_first_when_it_is_started_again(
     wait_for(lambda: not devices.turning())
     assert time.monotonic() - begun_s < 35.0  # of 37.5 s that it would have turned
     assert devices.halts() > halts
-    wait_for(lambda: service.said.count("READY=1") == 2)
+    wait_for(lambda: service.notifications.count("READY=1") == 2)
     wait_for(lambda: service.status()["state"] == "ready")
     (result,) = service.results("failed")  # not begun again: it may be what it died of
     assert result["reason"].startswith("The daemon ended while the job was running. Check the rig")
@@ -256,15 +256,15 @@ def test_an_acquisition_process_that_hangs_is_replaced(service: Service, devices
     assert read_recording(Path(result["recording"])).is_complete
     service.enqueue(SHORT)
     wait_for(lambda: service.results("done"))
-    code, told = service.end()
+    code, errors = service.end()
     assert code == 0
-    assert "The ports are opened again" in told
+    assert "The ports are opened again" in errors
 
 
 def listening(pid: int) -> set[tuple[str, int]]:
     """Where a process listens on TCP, as the kernel says: addresses in its own hexadecimal."""
     fds = Path(f"/proc/{pid}/fd")
-    found, inodes = set(), set()
+    addresses, inodes = set(), set()
     for fd in fds.iterdir():
         with contextlib.suppress(FileNotFoundError):  # closed since it was listed
             inodes.add(str(fd.readlink()).removeprefix("socket:[").removesuffix("]"))
@@ -273,8 +273,8 @@ def listening(pid: int) -> set[tuple[str, int]]:
             _, local, _, state, *more = line.split()
             address, _, port = local.partition(":")
             if state == "0A" and more[5] in inodes:  # 0A: it listens
-                found.add((address, int(port, 16)))
-    return found
+                addresses.add((address, int(port, 16)))
+    return addresses
 
 
 def test_a_live_view_listens_on_the_loopback_alone_and_ends_with_the_daemon(
@@ -292,10 +292,10 @@ def test_a_live_view_listens_on_the_loopback_alone_and_ends_with_the_daemon(
     assert json.loads(viewer.recv())["name"] == "gyrorigd"
     service.enqueue(SHORT)
     wait_for(lambda: service.results("done"))
-    code, told = service.end()
+    code, errors = service.end()
     viewer.close()
-    assert code == 0, told
-    assert f"Live view at ws://127.0.0.1:{port}\n" in told
+    assert code == 0, errors
+    assert f"Live view at ws://127.0.0.1:{port}\n" in errors
 
 
 def test_an_emulated_rig_that_dies_is_started_again(service: Service) -> None:
@@ -313,9 +313,9 @@ def test_an_emulated_rig_that_dies_is_started_again(service: Service) -> None:
     wait_for(lambda: service.counted("counts", "emulator_restarts") == 1)
     wait_for(lambda: service.status()["state"] == "ready")
     assert not set(service.children()) & set(children)
-    code, told = service.end()
+    code, errors = service.end()
     assert code == 0
-    assert "The emulated rig has ended (status -9). It is started again." in told
+    assert "The emulated rig has ended (status -9). It is started again." in errors
 
 
 def test_a_second_daemon_ends_at_once(service: Service, devices: Devices) -> None:
@@ -347,6 +347,6 @@ def reload_it(service: Service) -> None:
     service.enqueue(SHORT)
     wait_for(lambda: len(service.results("done")) == 2)
     assert [path.name.split("_")[1] for path in service.recordings()] == ["system", "renamed"]
-    code, told = service.end()
+    code, errors = service.end()
     assert code == 0
-    assert "was rejected. Reason: rig.yaml is not a YAML document" in told
+    assert "was rejected. Reason: rig.yaml is not a YAML document" in errors

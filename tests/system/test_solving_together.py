@@ -22,21 +22,21 @@ def _record(out: Path, program: str) -> Path:
 def test_static_and_moving_make_one_version(tmp_path: Path, contracts: Path) -> None:
     recordings = [_record(tmp_path / "m", "quick.yaml"), _record(tmp_path / "s", "static.yaml")]
     command = [str(BIN / "gyrorig"), "solve", *map(str, recordings), "--out", str(tmp_path / "c")]
-    done = subprocess.run([*command, "--json"], check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    (board,) = json.loads(done.stdout)["boards"]
+    process = subprocess.run([*command, "--json"], check=False, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    (board,) = json.loads(process.stdout)["boards"]
     path = Path(board["file"])
     assert path.name == "v0001.yaml"
-    found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    document = yaml.safe_load(path.read_text(encoding="utf-8"))
     # In the order of time, whatever the order of the arguments.
-    assert [i["name"] for i in found["inputs"]] == [r.name for r in recordings]
-    moving, still = found["quality"]["recordings"]
-    assert found["observability"]["unobservable"] == []
+    assert [i["name"] for i in document["inputs"]] == [r.name for r in recordings]
+    moving, still = document["quality"]["recordings"]
+    assert document["observability"]["unobservable"] == []
     # The last one lay still: its bias is the newest, the offset is that of the one before.
     assert still["time_offset"] is None
-    assert found["parameters"]["time_offset"]["value"] == moving["time_offset"]
-    assert found["parameters"]["bias"]["value"] == still["bias"]
-    assert found["parameters"]["scale"]["value"][0] is not None
+    assert document["parameters"]["time_offset"]["value"] == moving["time_offset"]
+    assert document["parameters"]["bias"]["value"] == still["bias"]
+    assert document["parameters"]["scale"]["value"][0] is not None
     judge = contracts.parent / "tools" / "check_contract.py"
     checked = subprocess.run(
         [sys.executable, str(judge), str(path)], check=False, capture_output=True, text=True
@@ -49,16 +49,16 @@ def test_one_recording_twice_is_refused(tmp_path: Path) -> None:
     twin = tmp_path / "copy.mcap"
     twin.write_bytes(recording.read_bytes())
     command = [str(BIN / "gyrorig"), "solve", str(recording), str(twin), "--out", str(tmp_path)]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert "are one recording" in done.stderr
+    process = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert process.returncode == 2
+    assert "are one recording" in process.stderr
     assert not list(tmp_path.rglob("v0001.yaml"))
 
 
 def test_boards_on_one_unit_are_solved_together(tmp_path: Path) -> None:
     """One on a serial port, two on CAN; the sixteen of `rig-sixteen` are in the benchmark."""
     rig = yaml.safe_load((ROOT / "config" / "rig-sixteen.yaml").read_text(encoding="utf-8"))
-    rig["boards"] = [one for one in rig["boards"] if one["id"] in ("S1", "C1", "C2")]
+    rig["boards"] = [board for board in rig["boards"] if board["id"] in ("S1", "C1", "C2")]
     rig["buses"] = rig["buses"][:1]
     config = tmp_path / "rig.yaml"
     config.write_text(yaml.safe_dump(rig), encoding="utf-8")
@@ -72,23 +72,23 @@ def test_boards_on_one_unit_are_solved_together(tmp_path: Path) -> None:
     subprocess.run([*map(str, command)], check=True, capture_output=True)
     (recording,) = (tmp_path / "r").glob("*.mcap")
     solve = [str(BIN / "gyrorig"), "solve", str(recording), "--json", "--out", str(tmp_path / "c")]
-    done = subprocess.run(solve, check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    boards = json.loads(done.stdout)["boards"]
-    assert sorted(one["board"] for one in boards) == ["C1", "C2", "S1"]
-    for one in boards:
-        assert one["verdict"] == "good"
-        quality = one["calibration"]["quality"]
+    process = subprocess.run(solve, check=False, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    boards = json.loads(process.stdout)["boards"]
+    assert sorted(board["board"] for board in boards) == ["C1", "C2", "S1"]
+    for result in boards:
+        assert result["verdict"] == "good"
+        quality = result["calibration"]["quality"]
         assert quality["boards_together"] == 3
         # Those of a bus have one time, by the edges that both saw.
-        on_bus = one["board"] != "S1"
+        on_bus = result["board"] != "S1"
         assert quality.get("boards_on_one_clock") == (2 if on_bus else None)
         assert not on_bus or 0.0 < quality["clock_moved_s"] < 1e-4
     alone = subprocess.run([*solve, "--board", "C1"], check=False, capture_output=True, text=True)
     (board,) = json.loads(alone.stdout)["boards"]
     assert board["version"] == 2
     assert "boards_together" not in board["calibration"]["quality"]
-    (before,) = (one for one in boards if one["board"] == "C1")
-    own, joint = (x["calibration"]["parameters"]["scale"] for x in (board, before))
-    for value, other, std in zip(own["value"], joint["value"], own["std"], strict=True):
+    (before,) = (board for board in boards if board["board"] == "C1")
+    separate, joint = (x["calibration"]["parameters"]["scale"] for x in (board, before))
+    for value, other, std in zip(separate["value"], joint["value"], separate["std"], strict=True):
         assert abs(value - other) < 2.0 * std

@@ -86,7 +86,7 @@ def written() -> int:
 
 def install(rig: RigOnPtys) -> dict[str, Any]:
     """Install the files as on a Pi, with a configuration for the emulated ports."""
-    said = say("/usr/bin/python3", str(REPO / "systemd/install.py"), "--only-files")
+    output = say("/usr/bin/python3", str(REPO / "systemd/install.py"), "--only-files")
     config = rig.write_config(OUT)
     shutil.copy(config, "/etc/gyrorig/rig.yaml")
     for port in rig.ports:
@@ -98,7 +98,7 @@ def install(rig: RigOnPtys) -> dict[str, Any]:
     night.mkdir()
     (night / "test.conf").write_text(NIGHT)
     say("systemctl", "daemon-reload")
-    return {"said": said, "again": say("/usr/bin/python3", str(REPO / "systemd/install.py"),
+    return {"said": output, "again": say("/usr/bin/python3", str(REPO / "systemd/install.py"),
                                        "--only-files")}  # fmt: skip
 
 
@@ -108,11 +108,11 @@ def ready(rig: RigOnPtys) -> dict[str, Any]:
     until(lambda: rig.turns)
     halts = rig.halts
     began_s = time.monotonic()
-    said = say("systemctl", "restart", SERVICE)
+    output = say("systemctl", "restart", SERVICE)
     pid = show(SERVICE, "MainPID")
     until(METRICS.exists)
     return {
-        "said": said,
+        "said": output,
         "took_s": round(time.monotonic() - began_s, 2),
         "active": show(SERVICE, "ActiveState"),
         "halted": rig.halts > halts and not rig.turns,

@@ -105,10 +105,10 @@ class Manager:
         mark = f"--{time.monotonic_ns()}--"
         self._shell.stdin.write(f"{command} </dev/null 2>&1\necho\necho {mark}\n")
         self._shell.stdin.flush()
-        told = []
+        lines = []
         while (line := self._shell.stdout.readline()) and mark not in line:
-            told.append(line)
-        return "".join(told).strip()
+            lines.append(line)
+        return "".join(lines).strip()
 
     def show(self, unit: str, *names: str) -> dict[str, str]:
         """Return properties of a unit."""

@@ -35,7 +35,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def test_into_an_empty_root(root: Path) -> None:
-    said = install(root)
+    output = install(root)
     for name in (
         "etc/systemd/system/gyrorigd.service",
         "etc/systemd/system/gyrorig-nightly.timer",
@@ -43,8 +43,8 @@ def test_into_an_empty_root(root: Path) -> None:
         "etc/gyrorig/programs/survey-130.yaml",
         "etc/gyrorig/rig.yaml",
     ):
-        assert (root / name).is_file(), said
-        assert f"/{name}" in said
+        assert (root / name).is_file(), output
+        assert f"/{name}" in output
     wanted = root / "etc/systemd/system/multi-user.target.wants/gyrorigd.service"
     assert wanted.is_symlink()
     assert (root / "etc/systemd/system/timers.target.wants/gyrorig-nightly.timer").is_symlink()
@@ -52,15 +52,15 @@ def test_into_an_empty_root(root: Path) -> None:
     assert (root / "var/lib/gyrorig/recordings").is_dir()
     assert "gyrorig" in (root / "etc/passwd").read_text()
     assert not (root / "etc/systemd/network").exists()
-    assert "gyrorigd doctor" in said
+    assert "gyrorigd doctor" in output
 
 
 def test_a_second_time_nothing_is_done(root: Path) -> None:
     install(root)
     before = {path: path.stat().st_mtime_ns for path in root.rglob("*") if path.is_file()}
-    said = install(root)
-    assert "No changes were needed" in said
-    assert "changed  " not in said
+    output = install(root)
+    assert "No changes were needed" in output
+    assert "changed  " not in output
     changed = [path.name for path, at_ns in before.items() if path.stat().st_mtime_ns != at_ns]
     assert set(changed) <= {"installed.json"}
 
@@ -72,11 +72,11 @@ def test_what_a_person_has_changed_stays(root: Path) -> None:
     rules.write_text(mine)
     config = root / "etc/gyrorig/rig.yaml"
     config.write_text("rig: mine\n")
-    said = install(root)
+    output = install(root)
     assert rules.read_text() == mine
     assert config.read_text() == "rig: mine\n"
-    assert "70-gyrorig.rules.new" in said
-    assert "Edit" not in said
+    assert "70-gyrorig.rules.new" in output
+    assert "Edit" not in output
     assert "No changes were needed" in install(root)
 
 
@@ -109,13 +109,13 @@ def test_a_can_bus_only_when_asked_for(root: Path) -> None:
 def test_taken_away_again(root: Path) -> None:
     install(root)
     (root / "var/lib/gyrorig/recordings/a.mcap").write_bytes(b"a")
-    said = install(root, "--remove")
+    output = install(root, "--remove")
     assert not (root / "etc/systemd/system/gyrorigd.service").exists()
     assert not (root / "opt/gyrorig").exists()
     assert not (root / "usr/local/bin/gyrorigd").is_symlink()
     assert (root / "var/lib/gyrorig/recordings/a.mcap").exists()
     assert (root / "etc/gyrorig/rig.yaml").exists()
-    assert "are kept" in said
+    assert "are kept" in output
     install(root)  # and again
 
 
@@ -126,8 +126,8 @@ def test_an_interpreter_in_a_home_is_refused(root: Path, tmp_path: Path) -> None
         python = home / "python3"
         python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
         python.chmod(0o755)
-        said = install(root, "--python", str(python), code=1)
-        assert "in a home directory" in said
+        output = install(root, "--python", str(python), code=1)
+        assert "in a home directory" in output
     finally:
         shutil.rmtree(home)
     assert "python3-venv" in install(root, "--python", "/usr/bin/no-python", code=1)

@@ -17,10 +17,10 @@ THRESHOLD = 15  # exposure of at most 1.5, of 10
 
 
 def tool(name: str, package: str = "systemd") -> str:
-    found = shutil.which(name)
-    if found is None:
+    path = shutil.which(name)
+    if path is None:
         pytest.skip(f"no {name} here: it comes with the package {package}")
-    return found
+    return path
 
 
 def run(*command: str | Path) -> subprocess.CompletedProcess[str]:
@@ -87,7 +87,7 @@ def test_the_daemon_is_halted_for_after_every_end() -> None:
 
 
 def test_the_night_solves_and_then_makes_the_page_of_the_same_store() -> None:
-    batch, fleet = (one.split() for one in values("gyrorig-nightly.service", "ExecStart"))
+    batch, fleet = (line.split() for line in values("gyrorig-nightly.service", "ExecStart"))
     assert (batch[1], fleet[1]) == ("batch", "fleet")
     assert batch[batch.index("--store") + 1] == fleet[2]
     assert values("gyrorig-nightly.service", "Type") == ["oneshot"]  # one after the other
@@ -106,8 +106,8 @@ def test_udev_reads_the_rules_without_complaint() -> None:
 
 def test_udev_would_complain() -> None:
     udevadm = tool("udevadm", "udev")
-    told = complaints(udevadm, 'SUBSYTEM=="tty", ENV{X}="1"\nKERNEL=="x", GOTO="nowhere"\n')
-    assert len(told) >= 2
+    warnings = complaints(udevadm, 'SUBSYTEM=="tty", ENV{X}="1"\nKERNEL=="x", GOTO="nowhere"\n')
+    assert len(warnings) >= 2
 
 
 def complaints(udevadm: str, rules: str) -> list[str]:
@@ -127,11 +127,11 @@ def complaints(udevadm: str, rules: str) -> list[str]:
         check=False,
         timeout=100,
     )
-    said = [line for line in ended.stdout.splitlines() if "70-gyrorig.rules" in line]
-    if not said:
+    lines = [line for line in ended.stdout.splitlines() if "70-gyrorig.rules" in line]
+    if not lines:
         pytest.skip(f"udevadm test does not work here: {ended.stderr.strip()[:200]}")
-    assert said[0].startswith("Reading rules file")
-    return said[1:]
+    assert lines[0].startswith("Reading rules file")
+    return lines[1:]
 
 
 def test_user_and_folders_are_made(tmp_path: Path) -> None:
@@ -147,8 +147,8 @@ def test_user_and_folders_are_made(tmp_path: Path) -> None:
     ended = run(folders, f"--root={tmp_path}", "--create", FILES / "tmpfiles.d" / "gyrorig.conf")
     assert (ended.returncode, ended.stdout) == (0, "")
     for name in ("recordings", "calibrations"):
-        found = (tmp_path / "var/lib/gyrorig" / name).stat()
-        assert (found.st_mode & 0o777, found.st_uid) == (0o750, int(entry[2]))
+        status = (tmp_path / "var/lib/gyrorig" / name).stat()
+        assert (status.st_mode & 0o777, status.st_uid) == (0o750, int(entry[2]))
 
 
 def test_the_units_agree_about_the_folders() -> None:

@@ -56,8 +56,8 @@ def manager(rig: RigOnPtys, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 @pytest.fixture
 def started(manager: Manager) -> Manager:
     """The daemon, ready, whatever the test before has left."""
-    said = manager.say(f"systemctl --user start {SERVICE}")
-    assert said == "", said + log(manager)[-2000:]
+    output = manager.say(f"systemctl --user start {SERVICE}")
+    assert output == "", output + log(manager)[-2000:]
     return manager
 
 
@@ -68,11 +68,11 @@ def log(manager: Manager) -> str:
 def in_motion(manager: Manager, rig: RigOnPtys) -> None:
     state = manager.show(SERVICE, "MainPID")
     assert int(state["MainPID"]) > 0
-    said = manager.say(
+    output = manager.say(
         f"{PREFIX}/bin/gyrorigd enqueue --program {manager.folder}/far.yaml"
         f" --state {manager.folder}/config/gyrorig"
     )
-    assert said.endswith("far"), said
+    assert output.endswith("far"), output
     manager.until(lambda: rig.turns)
 
 

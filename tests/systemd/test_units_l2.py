@@ -69,11 +69,11 @@ def why_not() -> str:
         return "no systemd-nspawn here: it comes with the package systemd-container"
     if not SYSTEM_PYTHON.exists():
         return f"no {SYSTEM_PYTHON} here, which a service's user can start"
-    told = subprocess.run(
+    process = subprocess.run(
         [SYSTEM_PYTHON, "-c", "import sys; print(*sys.version_info[:2])"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if told.stdout.split() != [str(number) for number in sys.version_info[:2]]:
+    if process.stdout.split() != [str(number) for number in sys.version_info[:2]]:
         return f"{SYSTEM_PYTHON} is not of the version that these packages are for"
     return ""
 
@@ -98,7 +98,7 @@ def programs(made: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def observed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     if why := why_not():
         pytest.skip(why)
     folder = tmp_path_factory.mktemp("l2")
@@ -128,19 +128,19 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return loaded
 
 
-def test_nothing_went_wrong_inside(found: dict[str, Any]) -> None:
-    assert "fault" not in found, found["fault"]
+def test_nothing_went_wrong_inside(observed: dict[str, Any]) -> None:
+    assert "fault" not in observed, observed["fault"]
 
 
-def test_installed_on_a_running_system(found: dict[str, Any]) -> None:
-    said = found["install"]["said"]
-    assert "wrote /etc/systemd/system/gyrorigd.service" in said
-    assert "gyrorigd doctor" in said
-    assert "wrote" not in found["install"]["again"]
+def test_installed_on_a_running_system(observed: dict[str, Any]) -> None:
+    output = observed["install"]["said"]
+    assert "wrote /etc/systemd/system/gyrorigd.service" in output
+    assert "gyrorigd doctor" in output
+    assert "wrote" not in observed["install"]["again"]
 
 
-def test_ready_as_its_own_user(found: dict[str, Any]) -> None:
-    ready = found["ready"]
+def test_ready_as_its_own_user(observed: dict[str, Any]) -> None:
+    ready = observed["ready"]
     assert (ready["said"], ready["active"], ready["user"]) == ("", "active", "gyrorig")
     assert ready["halted"]
     assert ready["socket"] == "srw-rw---- gyrorig gyrorig"
@@ -150,9 +150,9 @@ def test_ready_as_its_own_user(found: dict[str, Any]) -> None:
     assert "rig l1" not in ready["stranger"]  # who is not in its group
 
 
-def test_the_sandbox(found: dict[str, Any]) -> None:
-    inside = dict(found["ready"]["inside"])
-    assert inside.pop("uid") == found["ready"]["uid"] != 0
+def test_the_sandbox(observed: dict[str, Any]) -> None:
+    inside = dict(observed["ready"]["inside"])
+    assert inside.pop("uid") == observed["ready"]["uid"] != 0
     assert inside == {
         "capabilities": "0000000000000000",
         "no_new_privileges": "1",
@@ -174,23 +174,23 @@ def test_the_sandbox(found: dict[str, Any]) -> None:
     }
 
 
-def test_killed_and_hung_in_motion(found: dict[str, Any]) -> None:
+def test_killed_and_hung_in_motion(observed: dict[str, Any]) -> None:
     for how in ("killed", "hung"):
-        assert found[how]["stands_s"] < 12.0  # of 37 s that it would have turned
-    assert not found["killed"]["turns"]
-    assert "ended by signal" in found["hung"]["log"]
-    assert "ended by watchdog" in found["hung"]["log"]
+        assert observed[how]["stands_s"] < 12.0  # of 37 s that it would have turned
+    assert not observed["killed"]["turns"]
+    assert "ended by signal" in observed["hung"]["log"]
+    assert "ended by watchdog" in observed["hung"]["log"]
 
 
-def test_a_crash_loop_does_not_end_it(found: dict[str, Any]) -> None:
+def test_a_crash_loop_does_not_end_it(observed: dict[str, Any]) -> None:
     # one kill, one hang, and as many kills in a row as the default would not have borne
-    loop = found["crash_loop"]
+    loop = observed["crash_loop"]
     assert (loop["restarts"], loop["limit"]) == (2 + loop["kills"], "0")
     assert loop["kills"] > DEFAULT_LIMIT
 
 
-def test_stopped_in_motion(found: dict[str, Any]) -> None:
-    stopped = found["stopped"]
+def test_stopped_in_motion(observed: dict[str, Any]) -> None:
+    stopped = observed["stopped"]
     assert (stopped["result"], stopped["turns"]) == ("success", False)
     assert stopped["took_s"] < 30.0
     assert stopped["mode"] == "drwxr-x--- gyrorig"
@@ -200,8 +200,8 @@ def test_stopped_in_motion(found: dict[str, Any]) -> None:
     assert len([name for name in stopped["recordings"] if name.endswith(".mcap")]) == 3
 
 
-def test_the_nightly_run(found: dict[str, Any]) -> None:
-    night = found["night"]
+def test_the_nightly_run(observed: dict[str, Any]) -> None:
+    night = observed["night"]
     assert night["result"] == "success", night
     assert night["status"] in (0, 5)
     assert "v0001.yaml" in night["versions"], night["log"]

@@ -202,5 +202,7 @@ def test_arrays_need_no_extra_packages(golden: Path) -> None:
         "from gyrorig_solver import Calibration\n"
         f"print(Calibration.load({str(golden)!r}).rates([0, 0, 0]).tolist())"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert len(done.stdout.split(",")) == 3
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert len(process.stdout.split(",")) == 3

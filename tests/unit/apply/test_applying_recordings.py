@@ -47,14 +47,14 @@ def source(tmp_path: Path, counts: np.ndarray) -> Path:
         **{"gyro_scale_rad_s": repr(SCALE), "accel_scale_m_s2": repr(FORCE)},
         **{"counter_bits": "32", "bandwidth_hz": "25.0", "config_hash": "c0ffee"},
     }
-    own = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0", "rig": "r"}
+    metadata = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0", "rig": "r"}
     taken_ns = np.rint(np.arange(COUNT) * 1e9 / RATE_HZ).astype(np.int64)
     status = np.full(COUNT, int(ImuStatus.ACCEL_VALID))
     status[100] |= int(ImuStatus.SATURATED)
     status[200] |= int(ImuStatus.REPEATED)
     writer = RecordingWriter(
         tmp_path / "in.mcap",
-        {"gyrorig": own, f"gyrorig.board.{BOARD}": board},
+        {"gyrorig": metadata, f"gyrorig.board.{BOARD}": board},
         [Attachment("note.txt", "text/plain", b"hello")],
     )
     for first in range(0, COUNT, 50):
@@ -93,11 +93,11 @@ def test_an_independent_reader_finds_the_true_rates(
     golden: Path, source: Path, tmp_path: Path, counts: np.ndarray
 ) -> None:
     out = tmp_path / "out.mcap"
-    done = apply_to_recording(Calibration.load(golden), source, out)
+    result_summary = apply_to_recording(Calibration.load(golden), source, out)
     result = messages(out)
     good = np.ones(COUNT, dtype=bool)
     good[[100, 200]] = False
-    assert (done.messages, done.left_out, len(result)) == (498, 2, 498)
+    assert (result_summary.messages, result_summary.left_out, len(result)) == (498, 2, 498)
     plain = json.loads(
         json.dumps(documents.calibration_as_mapping(Calibration.load(golden).document))
     )
@@ -108,11 +108,11 @@ def test_an_independent_reader_finds_the_true_rates(
     turn = np.array(plain["matrices"]["M"])
     force = np.array([xyz(m.linear_acceleration) for _, _, m in result])
     np.testing.assert_allclose(force, np.tile(turn.T @ [0.0, 0.0, 9.81], (498, 1)), atol=1e-12)
-    one = result[0][2]
-    assert one.header.frame_id == f"{BOARD}/stage"
-    assert one.orientation_covariance[0] == -1.0
-    assert one.linear_acceleration_covariance[0] == 0.0
-    covariance = np.array(one.angular_velocity_covariance).reshape(3, 3)
+    first_message = result[0][2]
+    assert first_message.header.frame_id == f"{BOARD}/stage"
+    assert first_message.orientation_covariance[0] == -1.0
+    assert first_message.linear_acceleration_covariance[0] == 0.0
+    covariance = np.array(first_message.angular_velocity_covariance).reshape(3, 3)
     undone = np.array(gain) @ covariance @ np.array(gain).T
     np.testing.assert_allclose(
         undone, np.diag(np.array([0.0005, 0.0005, 0.00075]) ** 2 * 25.0), atol=1e-18
@@ -163,7 +163,7 @@ def test_messages_are_near_others_of_the_same_time(
     with out.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    starts = [one.message_start_time for one in summary.chunk_indexes]
+    starts = [chunk_index.message_start_time for chunk_index in summary.chunk_indexes]
     assert starts == sorted(starts)
     assert len(starts) == 20
 
@@ -176,18 +176,18 @@ def test_batches_and_chunks_do_not_change_the_messages(
     monkeypatch.setattr(recording_copy, "MESSAGES_PER_CHUNK", 13)
     monkeypatch.setattr("gyrorig_solver.apply.corrected_recording.SAMPLES_PER_BATCH", 37)
     apply_to_recording(result, source, tmp_path / "two.mcap")
-    one, two = messages(tmp_path / "one.mcap"), messages(tmp_path / "two.mcap")
-    assert [(a, p) for a, p, _ in one] == [(a, p) for a, p, _ in two]
-    rates = [np.array([xyz(m.angular_velocity) for _, _, m in result]) for result in (one, two)]
+    first, two = messages(tmp_path / "one.mcap"), messages(tmp_path / "two.mcap")
+    assert [(a, p) for a, p, _ in first] == [(a, p) for a, p, _ in two]
+    rates = [np.array([xyz(m.angular_velocity) for _, _, m in result]) for result in (first, two)]
     np.testing.assert_allclose(rates[0], rates[1], rtol=1e-13)
 
 
 def test_an_unfinished_recording_is_accepted(golden: Path, source: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap.part"
     cut.write_bytes(source.read_bytes()[:-9000])
-    done = apply_to_recording(Calibration.load(golden), cut, tmp_path / "out.mcap")
-    assert 0 < done.messages < 498
-    assert done.losses
+    summary = apply_to_recording(Calibration.load(golden), cut, tmp_path / "out.mcap")
+    assert 0 < summary.messages < 498
+    assert summary.losses
     assert read_recording(tmp_path / "out.mcap").is_complete
 
 
@@ -199,10 +199,10 @@ def test_a_board_with_another_setting_is_rejected(
         apply_to_recording(other, source, tmp_path / "out.mcap")
     with pytest.raises(InputError, match="--board"):
         apply_to_recording(Calibration(document(board="B-9")), source, tmp_path / "out.mcap")
-    done = apply_to_recording(
+    summary = apply_to_recording(
         Calibration(document(board="B-9")), source, tmp_path / "out.mcap", str(BOARD)
     )
-    assert done.board == BOARD
+    assert summary.board == BOARD
 
 
 def test_an_existing_copy_is_not_overwritten(golden: Path, source: Path, tmp_path: Path) -> None:
@@ -223,9 +223,9 @@ def test_temperatures_are_taken_from_the_recording(
     count = 800
     board = {"uid": "u", "sensor": "X", "link": "file", "gyro_scale_rad_s": repr(SCALE)}
     board |= {"tick_hz": "1e6", "temperature_scale_c": "0.01", "temperature_offset_c": "25.0"}
-    own = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
+    metadata = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
     writer = RecordingWriter(
-        tmp_path / "in.mcap", {"gyrorig": own, f"gyrorig.board.{BOARD}": board}
+        tmp_path / "in.mcap", {"gyrorig": metadata, f"gyrorig.board.{BOARD}": board}
     )
     taken_ns = np.arange(count) * 50_000_000
     writer.write_imu_array(
@@ -251,8 +251,8 @@ def test_temperatures_are_taken_from_the_recording(
         )
     )
     assert bool(result.not_applied) == bool(lag_s)
-    done = apply_to_recording(result, source, tmp_path / "out.mcap")
-    assert done.outside_warmth == int(np.sum(25.0 + 0.05 * np.arange(0, count, 2) > 26.0))
+    summary = apply_to_recording(result, source, tmp_path / "out.mcap")
+    assert summary.outside_warmth == int(np.sum(25.0 + 0.05 * np.arange(0, count, 2) > 26.0))
     made = [m for _, _, m in messages(tmp_path / "out.mcap")]
     output = np.array([xyz(m.angular_velocity) for m in made])
     degc = 25.0 + 0.05 * np.arange(count) + lag_s

@@ -35,7 +35,7 @@ def test_rates_are_added_to_the_unchanged_text(
 ) -> None:
     counts = table(tmp_path / "in.csv", delimiter=delimiter, end=end)
     result = Calibration.load(golden)
-    done = apply_to_table(
+    summary = apply_to_table(
         result, tmp_path / "in.csv", tmp_path / "out.csv", TableColumns(GYRO, time="t")
     )
     old = (tmp_path / "in.csv").read_text().splitlines()
@@ -46,9 +46,9 @@ def test_rates_are_added_to_the_unchanged_text(
     output = np.array([row[-4:] for row in cells[1:]], dtype=float)
     np.testing.assert_allclose(output[:, :3], result.rates(counts), rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(output[:, 3], np.arange(30) / 100 - 0.0125, atol=1e-9)
-    assert done.rows == 30
-    assert done.without == 0
-    assert done.outside == int(np.sum(np.abs(result.rates(counts)).max(axis=1) > 1.25))
+    assert summary.rows == 30
+    assert summary.without == 0
+    assert summary.outside == int(np.sum(np.abs(result.rates(counts)).max(axis=1) > 1.25))
 
 
 def test_blocks_do_not_change_the_result(
@@ -64,16 +64,16 @@ def test_blocks_do_not_change_the_result(
 
 def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> None:
     (tmp_path / "in.csv").write_text("gx,gy,gz\n1,2,3\n4,,6\nnan,8,9\n10,11,12\n")
-    done = apply_to_table(
+    summary = apply_to_table(
         Calibration.load(golden), tmp_path / "in.csv", tmp_path / "out.csv", TableColumns(GYRO)
     )
     lines = (tmp_path / "out.csv").read_text().splitlines()
     assert [line.endswith(",,,") for line in lines] == [False, False, True, True, False]
-    assert (done.rows, done.without) == (4, 2)
+    assert (summary.rows, summary.without) == (4, 2)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("gx,gy\n1,2\n", "no column 'gz'"),
         ("gx,gy,gz\n", "a header and no rows"),
@@ -84,7 +84,7 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
     ],
 )
 def test_an_unusable_table_is_rejected_and_no_file_remains(
-    golden: Path, tmp_path: Path, text: str, said: str, capsys: Captured
+    golden: Path, tmp_path: Path, text: str, message: str, capsys: Captured
 ) -> None:
     (tmp_path / "in.csv").write_text(text)
     out = tmp_path / "out.csv"
@@ -92,7 +92,7 @@ def test_an_unusable_table_is_rejected_and_no_file_remains(
         ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz", "-o", str(out)]
     )
     assert code == 3
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["in.csv", "v0001.yaml"]
 
 

@@ -76,8 +76,8 @@ def compiled(folder: Path, header: str, main: str, *compiler: str) -> Path:
 
 def run(program: Path, rows: np.ndarray | None = None) -> list[list[float]]:
     text = "" if rows is None else "\n".join(" ".join(map(str, row)) for row in rows.tolist())
-    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    return [[float(word) for word in line.split()] for line in done.stdout.splitlines()]
+    process = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    return [[float(word) for word in line.split()] for line in process.stdout.splitlines()]
 
 
 @pytest.mark.parametrize(
@@ -197,14 +197,14 @@ def test_ros_parameters_applied_to_a_drivers_rates(document: Made) -> None:
     result = document()
     text = export_text(ExportSource.of(result), "ros")
     output = rcl(text)
-    own = {n.removeprefix("gyro_calibration."): v for n, v in output.items()}
-    correction = np.array(own["angular_velocity_correction"]).reshape(3, 3)
+    parameters = {n.removeprefix("gyro_calibration."): v for n, v in output.items()}
+    correction = np.array(parameters["angular_velocity_correction"]).reshape(3, 3)
     read = np.random.default_rng(1).normal(size=(40, 3))
-    rates = (read - own["angular_velocity_bias"]) @ correction.T
+    rates = (read - parameters["angular_velocity_bias"]) @ correction.T
     np.testing.assert_allclose(rates, true_rates(result, read), atol=1e-12)
-    assert own["time_offset"] == 0.0125
-    assert own["noise_density"] == [0.0005, 0.0005, 0.00075]
-    assert "bias_random_walk" not in own  # one axis of it is not known
+    assert parameters["time_offset"] == 0.0125
+    assert parameters["noise_density"] == [0.0005, 0.0005, 0.00075]
+    assert "bias_random_walk" not in parameters  # one axis of it is not known
     assert list(
         yaml.safe_load(export_text(ExportSource.of(result), "ros", ExportOptions("/imu_node")))
     ) == ["/imu_node"]

@@ -42,12 +42,12 @@ def test_kalibrs_file_in_its_own_convention(document: Made) -> None:
     result = document()
     data = kalibr(export_text(ExportSource.of(result), "kalibr", ExportOptions("/board/imu")))
     assert data["rostopic"] == "/board/imu"
-    own = data["gyroscopes"]
-    low, turn = np.array(own["M"]), np.array(own["C_gyro_i"])
+    gyroscopes = data["gyroscopes"]
+    low, turn = np.array(gyroscopes["M"]), np.array(gyroscopes["C_gyro_i"])
     assert np.all(np.triu(low, 1) == 0.0)
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     rate = np.random.default_rng(1).normal(size=(40, 3))
-    read = rate @ (low @ turn).T + own["bias"]
+    read = rate @ (low @ turn).T + gyroscopes["bias"]
     bias = np.array(result.parameters["bias"].value, dtype=np.float64)
     np.testing.assert_allclose(
         np.linalg.solve(gain_of(result), (read - bias).T).T, rate, atol=1e-12
@@ -94,12 +94,16 @@ def test_kalibrs_model_with_a_force(document: Made, frame: Frame) -> None:
     k = np.random.default_rng(13).normal(0.0, 1e-3, (3, 3))
     force = {"value": k.ravel().tolist(), "std": [0.0] * 9, "unit": "rad/s/(m/s^2)"}
     result = document(parameters={"g_sensitivity": force})
-    own = kalibr(export_text(ExportSource.of(result, frame), "kalibr"))["gyroscopes"]
-    low, turn, a = (np.array(own[name]) for name in ("M", "C_gyro_i", "A"))
+    gyroscopes = kalibr(export_text(ExportSource.of(result, frame), "kalibr"))["gyroscopes"]
+    low, turn, a = (np.array(gyroscopes[name]) for name in ("M", "C_gyro_i", "A"))
     rate, accel = np.random.default_rng(14).normal(size=(2, 40, 3))  # in the stage's axes
-    read = rate @ gain_of(result).T + accel @ k.T + own["bias"]  # docs/conventions.md
+    read = rate @ gain_of(result).T + accel @ k.T + gyroscopes["bias"]  # docs/conventions.md
     to_frame = np.eye(3) if frame == "stage" else np.array(result.matrices.M, dtype=np.float64)
-    seen = (rate @ to_frame.T @ turn.T) @ low.T + (accel @ to_frame.T @ turn.T) @ a.T + own["bias"]
+    seen = (
+        (rate @ to_frame.T @ turn.T) @ low.T
+        + (accel @ to_frame.T @ turn.T) @ a.T
+        + gyroscopes["bias"]
+    )
     np.testing.assert_allclose(seen, read, atol=1e-12)
 
 

@@ -103,10 +103,10 @@ def test_document_without_a_total_has_none(tmp_path: Path) -> None:
 def test_stated_intervals_of_the_total_are_used(tmp_path: Path) -> None:
     entry = {"total": 0.2, "interval": [0.6, 1.4]}
     stated = {"parameters": {name: entry for name in NAMES if name != "scale.x"}}
-    found = read(document(uncertainty=stated), tmp_path)
-    assert found["total"] == [0.2, 0.2, 0.2, None, *[0.2] * 9]
+    runs = read(document(uncertainty=stated), tmp_path)
+    assert runs["total"] == [0.2, 0.2, 0.2, None, *[0.2] * 9]
     truth = {"truth": [0.61, 0.59, 1.4, *[1.0] * 10], "base_bias": [1.0] * 3}
-    inside = covered([found | truth], "total")[0]
+    inside = covered([runs | truth], "total")[0]
     assert inside[:3].tolist() == [1.0, 0.0, 1.0]
     assert np.isnan(inside[3])
-    assert covered([found | truth], "total", base_bias=True)[0, 1] == 1.0
+    assert covered([runs | truth], "total", base_bias=True)[0, 1] == 1.0

@@ -50,8 +50,8 @@ def test_solver_finds_the_truth_of_rigs_without_causes(tmp_path: Path) -> None:
         rig = simulate_rig(seed, read_program("survey-40.yaml"), HiddenCauses(), rng)
         recording, out = tmp_path / f"{seed}.mcap", tmp_path / str(seed)
         write_recording(rig, recording)
-        code, said = solve_in_process(())(recording, out)
-        assert code == 0, said
+        code, output = solve_in_process(())(recording, out)
+        assert code == 0, output
         row = {"truth": rig.truth.tolist(), **read_calibration(next(out.glob("*/v0001.yaml")))}
         assert row["verdict"] == "good", row["reasons"]
         z = np.abs(sigmas(row, "std"))
@@ -66,7 +66,7 @@ def test_base_model_is_wrong_where_the_axes_are_skewed(tmp_path: Path) -> None:
     rig = simulate_rig(1, read_program("survey-40.yaml"), causes, rng)
     write_recording(rig, tmp_path / "rig.mcap")
     solve_in_process(("--extend", "none"))(tmp_path / "rig.mcap", tmp_path / "out")
-    found = read_calibration(next((tmp_path / "out").glob("*/v0001.yaml")))
-    error = np.array(found["value"]) - rig.truth
+    calibration = read_calibration(next((tmp_path / "out").glob("*/v0001.yaml")))
+    error = np.array(calibration["value"]) - rig.truth
     # The sensor matrix takes the skew for a turn about y.
     assert abs(error[10]) == pytest.approx(0.003, rel=0.5)

@@ -25,9 +25,9 @@ def steady(plain: SimulatedRig, axis: int) -> np.ndarray:
     """Return a mask of samples in motion whose rate is constant about them."""
     rate = pure_rate(plain)[:, axis]
     span = maximum_filter1d(rate, SETTLED_SAMPLES) - minimum_filter1d(rate, SETTLED_SAMPLES)
-    found = (span < 1e-5) & (np.abs(rate) > 0.1)
-    assert found.sum() > 10
-    return np.asarray(found)
+    is_steady = (span < 1e-5) & (np.abs(rate) > 0.1)
+    assert is_steady.sum() > 10
+    return np.asarray(is_steady)
 
 
 def since_begin_s(plain: SimulatedRig) -> np.ndarray:

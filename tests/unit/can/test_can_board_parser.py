@@ -78,8 +78,8 @@ def samples(events: list[CanBoardEvent]) -> list[tuple[bytes, Sample]]:
     ]
 
 
-def check(board: Board, found: list[tuple[bytes, Sample]]) -> None:
-    for data, sample in found:
+def check(board: Board, samples: list[tuple[bytes, Sample]]) -> None:
+    for data, sample in samples:
         assert (sample.sequence, sample.device_time) == board.truth[data]
 
 

@@ -175,8 +175,8 @@ class Rig:
     def _ping(self, board: str, message: ClockPing) -> None:
         self.pings.setdefault(str(board), []).append(message)
 
-    def run(self, seconds: float, done: Callable[[], bool] | None = None) -> bool:
-        return self.pump.run_until(self.bus.now + round(seconds * 1e9), done)
+    def run(self, seconds: float, is_finished: Callable[[], bool] | None = None) -> bool:
+        return self.pump.run_until(self.bus.now + round(seconds * 1e9), is_finished)
 
     def value(self, name: str) -> int:
         return int(self.boards[0].values().get(f"bus_{name}", "0"))

@@ -53,18 +53,18 @@ class Desk:
         prepare(self.hub)
         self.pump = Pump(wrap(self.hub))
         self.samples: dict[str, list[tuple[ImuRaw, int]]] = {"A": [], "B": []}
-        self.said: list[str] = []
-        sinks = BoardSinks(self._take, self._ping, self.said.append, self.said.append)
+        self.notices: list[str] = []
+        sinks = BoardSinks(self._take, self._ping, self.notices.append, self.notices.append)
         capture = CaptureClock(UTC_NS, ORIGIN_NS)
         self.links = [
             BoardLink(
                 self.pump,
-                BoardPort(id=name, port=f"/dev/{name}", baud=460800, facts=said),
+                BoardPort(id=name, port=f"/dev/{name}", baud=460800, facts=board_facts),
                 capture,
                 sinks,
                 random.Random(seed),
             )
-            for seed, (name, said) in enumerate((("A", facts), ("B", BoardFacts())))
+            for seed, (name, board_facts) in enumerate((("A", facts), ("B", BoardFacts())))
         ]
         self.link, self.other = self.links
 
@@ -117,7 +117,7 @@ def test_a_board_that_is_replugged(batch: int) -> None:
     assert link.is_known
     counts = link.counts
     assert (counts.hung_up, counts.remapped, counts.restarts, counts.missing) == (1, 1, 0, 0)
-    assert not any("restarted" in text for text in desk.said)
+    assert not any("restarted" in text for text in desk.notices)
     sequences = desk.sequences()
     gap = int(np.argmax(np.diff(sequences)))
     assert sum(step != 1 for step in np.diff(sequences)) == 1
@@ -125,8 +125,8 @@ def test_a_board_that_is_replugged(batch: int) -> None:
     # what comes before it has said who it is is not taken: some ten milliseconds
     assert sequences[gap + 1] - sequences[gap] < 1.1 * 300 + 2 * batch
     assert link.counts.unidentified < 3 * batch + 1
-    assert desk.said[0] == "board A on /dev/A is gone, it was unplugged"
-    assert desk.said[1].startswith("board A on /dev/A sends samples again, after 3.")
+    assert desk.notices[0] == "board A on /dev/A is gone, it was unplugged"
+    assert desk.notices[1].startswith("board A on /dev/A sends samples again, after 3.")
     desk.assert_other_is_whole()
     taken = np.array(desk.taken_s())
     assert np.all(np.diff(taken) > 0.0)
@@ -143,7 +143,7 @@ def test_a_reset_is_one_new_epoch(at_s: float, silence_s: float) -> None:
     desk.run(5.5)
     link = desk.link
     assert link.counts.restarts == 1
-    assert desk.said.count("board A has restarted its clock") == 1
+    assert desk.notices.count("board A has restarted its clock") == 1
     assert link.counts.missing <= 1  # nothing joined over the reset
     taken = np.array(desk.taken_s())
     assert np.all(np.diff(taken) > 0.0)
@@ -156,7 +156,7 @@ def test_a_reset_while_it_is_unplugged_and_two_in_a_row() -> None:
     desk.hub.unplug(A, at_ns(3.0), at_ns(5.0))
     desk.run(9.0)
     assert (desk.link.counts.restarts, desk.link.counts.remapped) == (3, 1)
-    assert sum("has restarted while it was disconnected" in text for text in desk.said) == 1
+    assert sum("has restarted while it was disconnected" in text for text in desk.notices) == 1
     assert desk.link.is_known
     assert np.all(np.diff(desk.taken_s()) > 0.0)
     assert desk.link.hello is not None
@@ -178,7 +178,7 @@ def test_another_board_on_the_port_is_not_recorded() -> None:
     assert [link.state for link in desk.links] == [LinkState.FOREIGN] * 2
     assert (len(desk.samples["A"]), len(desk.samples["B"])) == known
     assert desk.link.counts.foreign == 1
-    assert sum("is another board, " in text for text in desk.said) == 2
+    assert sum("is another board, " in text for text in desk.notices) == 2
     for port in (A, B):
         desk.hub.unplug(port, at_ns(6.5), at_ns(7.0))
     desk.run(6.7)
@@ -228,11 +228,11 @@ def test_a_silent_port_is_reopened_and_then_reported() -> None:
     assert (desk.link.state, desk.link.counts.reopened) == (LinkState.SILENT, 0)
     desk.run(10.5)
     assert (desk.link.state, desk.link.counts.reopened) == (LinkState.DEGRADED, 3)
-    assert sum("Check the board" in text for text in desk.said) == 1
+    assert sum("Check the board" in text for text in desk.notices) == 1
     assert desk.link.counts.hung_up == 0
     desk.run(13.0)
     assert desk.link.is_known
-    assert any("sends samples again, after 10." in text for text in desk.said)
+    assert any("sends samples again, after 10." in text for text in desk.notices)
     desk.assert_other_is_whole()
 
 
@@ -241,8 +241,8 @@ def test_bytes_that_are_not_samples() -> None:
     desk = Desk(faults=BoardFaults(garbage=True))
     desk.run(8.5)
     assert desk.link.state is LinkState.DEGRADED
-    (told,) = (text for text in desk.said if "Check the board" in text)
-    assert "sends no gcb1 samples but b'" in told
+    (notice,) = (text for text in desk.notices if "Check the board" in text)
+    assert "sends no gcb1 samples but b'" in notice
     assert int(desk.link.values()["fault_crc"]) + int(desk.link.values()["fault_cobs"]) > 0
     desk.assert_other_is_whole()
 
@@ -329,8 +329,8 @@ def test_losses_reported_by_the_board_are_kept() -> None:
 
 
 def test_a_reset_is_not_counted_as_lost_samples() -> None:
-    told: list[str] = []
-    sinks = BoardSinks(lambda *_: None, lambda *_: None, told.append, told.append)
+    notices: list[str] = []
+    sinks = BoardSinks(lambda *_: None, lambda *_: None, notices.append, notices.append)
     config = BoardPort(id="A", port="/dev/A")
     stream = SampleStream(config, CaptureClock(UTC_NS, ORIGIN_NS), sinks)
     for number in (*range(39_000, 40_000), *range(100)):
@@ -340,7 +340,7 @@ def test_a_reset_is_not_counted_as_lost_samples() -> None:
         stream.handle_frame(frame, FrameEvent(frame, arrival_ns, 0, b""))
     assert (stream.counts.missing, stream.counts.reordered) == (0, 0)
     assert stream.counts.restarts == 1
-    assert told == ["board A has restarted its clock"]
+    assert notices == ["board A has restarted its clock"]
 
 
 @pytest.mark.parametrize("batch", [1, 8])
@@ -418,10 +418,10 @@ class Late:
 
 def test_late_timestamps_are_reported_once() -> None:
     desk = Desk(wrap=lambda hub: Late(hub, 5.0))  # type: ignore[arg-type,return-value]
-    told: list[tuple[str, int, int]] = []
-    desk.pump.on_stall = lambda *stall: told.append(stall)
+    stamps: list[tuple[str, int, int]] = []
+    desk.pump.on_stall = lambda *stall: stamps.append(stall)
     desk.run(5.5)
-    ((who, begin_ns, end_ns),) = told
+    ((who, begin_ns, end_ns),) = stamps
     assert who == "the acquisition process"
     assert end_ns - begin_ns == 1_200_000_000
     assert desk.pump.late_stalls == 1

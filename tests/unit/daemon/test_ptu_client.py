@@ -244,8 +244,8 @@ def test_an_invalid_reply_is_counted_and_requested_again() -> None:
 def test_a_limit_flag_in_a_poll_is_lost_synchrony() -> None:
     unit = ScriptedUnit()
     client, _, _ = client_for(unit)
-    found = made_ready(client, PtuSettings())
-    poller = PositionPoller(found, None, lambda _: None)
+    ready_unit = made_ready(client, PtuSettings())
+    poller = PositionPoller(ready_unit, None, lambda _: None)
     assert poller.read_positions() == {Axis.PAN: 0, Axis.TILT: 0}
     unit.odd["PP"] = b"!P* 100\r\n"
     unit.odd["TP"] = b"!P* 100\r\n"
@@ -255,8 +255,8 @@ def test_a_limit_flag_in_a_poll_is_lost_synchrony() -> None:
 
 def test_a_d46_is_asked_ten_times_a_second_for_its_axes_in_turn() -> None:
     client, hub, seen = client_for(ScriptedUnit())
-    found = made_ready(client, PtuSettings())
-    poller = PositionPoller(found, None, lambda _: None)
+    unit = made_ready(client, PtuSettings())
+    poller = PositionPoller(unit, None, lambda _: None)
     poller.read_positions()
     del hub.heard[:]
     begin_ns, known = hub.now_ns(), len(seen)

@@ -326,8 +326,8 @@ def test_a_board_that_takes_no_requests_is_recorded(tmp_path: Path) -> None:
 
     bench.hub.write = stuck  # type: ignore[method-assign,assignment]
     recording = read_recording(bench.record())
-    told = [event.text for event in events(recording) if event.kind == 3]
-    assert told == [
+    faults = [event.text for event in events(recording) if event.kind == 3]
+    assert faults == [
         "board:B-1 cannot be written: it does not take bytes. No requests are sent for 60 s"
     ]
     last_ns = int(recording.array(POSITION)["log_time"][-1])
@@ -364,10 +364,10 @@ def failing(tmp_path: Path, at_s: float, data: bytes, port: str = "ptu") -> tupl
 
 
 def test_a_limit_flag_in_motion_ends_it_halted(tmp_path: Path) -> None:
-    bench, told = failing(tmp_path, 3.3, b"!P")
-    assert "the unit has lost its position, its pan axis met its limit" in told
-    assert "unit is halted" in told
-    assert str(bench.only_file()) in told
+    bench, message = failing(tmp_path, 3.3, b"!P")
+    assert "the unit has lost its position, its pan axis met its limit" in message
+    assert "unit is halted" in message
+    assert str(bench.only_file()) in message
     assert bench.is_still()
     recording = read_recording(bench.only_file())
     assert recording.is_complete
@@ -378,21 +378,21 @@ def test_a_limit_flag_in_motion_ends_it_halted(tmp_path: Path) -> None:
 
 def test_a_restart_of_the_unit_ends_the_program(tmp_path: Path) -> None:
     banner = b"\r\n### PAN-TILT CONTROLLER v2.12, FLIR, ALL RIGHTS RESERVED\r\n"
-    bench, told = failing(tmp_path, 3.3, banner)
-    assert "it has restarted" in told
+    bench, message = failing(tmp_path, 3.3, banner)
+    assert "it has restarted" in message
     assert read_recording(bench.only_file()).is_complete
 
 
 def test_an_unplugged_unit_leaves_a_readable_file(tmp_path: Path) -> None:
-    bench, told = failing(tmp_path, 3.3, b"")
-    assert "unplugged" in told
-    assert "was not confirmed" in told
+    bench, message = failing(tmp_path, 3.3, b"")
+    assert "unplugged" in message
+    assert "was not confirmed" in message
     assert read_recording(bench.only_file()).is_complete
 
 
 def test_an_unplugged_board_does_not_end_the_program(tmp_path: Path) -> None:
-    bench, told = failing(tmp_path, 3.3, b"", "board:B-1")
-    assert "the link to board B-1" in told
+    bench, message = failing(tmp_path, 3.3, b"", "board:B-1")
+    assert "the link to board B-1" in message
     recording = read_recording(bench.only_file())
     assert [e.phase for e in events(recording)][-1] == "program"
 
@@ -481,8 +481,8 @@ def test_a_full_disk_keeps_what_was_written(tmp_path: Path) -> None:
     assert run.stderr.startswith("gyrorigd: cannot write")
     assert run.stderr.count("\n") == 1
     assert "unit is halted" in run.stderr
-    (kept,) = (tmp_path / "out").iterdir()
-    assert len(read_recording(kept).array(IMU)) > 100
+    (part,) = (tmp_path / "out").iterdir()
+    assert len(read_recording(part).array(IMU)) > 100
 
 
 def test_a_folder_that_cannot_be_created(tmp_path: Path) -> None:

@@ -45,8 +45,8 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Hidden]:
                  str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", str(folder),
                  "--simulated-time", "--seed", str(seed), "--truth", str(truth), *orders]
             )  # fmt: skip
-            told = json.loads(truth.read_text()).get("hidden") or {"causes": []}
-            made[key] = Hidden(read_recording(next(folder.glob("*.mcap"))), told["causes"])
+            hidden_causes = json.loads(truth.read_text()).get("hidden") or {"causes": []}
+            made[key] = Hidden(read_recording(next(folder.glob("*.mcap"))), hidden_causes["causes"])
         return made[key]
 
     return record

@@ -89,7 +89,10 @@ def test_what_all_boards_show_is_the_units(rounded: dict[str, FitExplanation]) -
 
 
 def test_a_units_cause_has_one_size_at_all_boards(rounded: dict[str, FitExplanation]) -> None:
-    sizes = [[(v.value, v.std) for v in one.findings.causes[0].values] for one in rounded.values()]
+    sizes = [
+        [(v.value, v.std) for v in explanation.findings.causes[0].values]
+        for explanation in rounded.values()
+    ]
     for each in zip(*sizes, strict=True):
         values, stds = np.array(each).T
         assert np.ptp(values) < 0.2 * stds.min()  # each fit was told what the others know
@@ -100,9 +103,9 @@ def test_a_shared_cause_is_worth_something_on_another_recording(
     rounded: dict[str, FitExplanation], hidden: Callable[..., Any], config: Path
 ) -> None:
     other = hidden("s_curve:0.03", seed=3, program="survey-40", config=config)
-    for name, one in rounded.items():
-        held_out = prepare_held_out(other.recording, name, one.solution_extended)
-        gain = gain_on_recording(one.solution_base, one.solution_extended, held_out)
+    for name, explanation in rounded.items():
+        held_out = prepare_held_out(other.recording, name, explanation.solution_extended)
+        gain = gain_on_recording(explanation.solution_base, explanation.solution_extended, held_out)
         assert gain.log_likelihood.low > 0.0
 
 
@@ -112,18 +115,18 @@ def test_boards_are_put_together_by_their_recordings(
     """A board that is not there fails for itself; the others are explained."""
     recording = hidden(seed=3, program="quick", config=config).recording
     boards = [BoardId(name) for name in (*BOARDS[:2], "nowhere")]
-    found = dict(explain_boards({board: [recording] for board in boards}))
-    assert isinstance(found.pop(boards[2]), InputError)
-    for board, one in found.items():
-        assert isinstance(one, BoardExplanation)
-        assert one.board == board
-        assert one.findings.verdict == "adequate"
+    explanations = dict(explain_boards({board: [recording] for board in boards}))
+    assert isinstance(explanations.pop(boards[2]), InputError)
+    for board, explanation in explanations.items():
+        assert isinstance(explanation, BoardExplanation)
+        assert explanation.board == board
+        assert explanation.findings.verdict == "adequate"
 
 
 @pytest.mark.parametrize("boards", [2, pytest.param(4, marks=pytest.mark.bench)])
 def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
-    found = explain_jointly(bases("low_pass_lag@GY80-2:0.3", boards=boards))
-    for name, explained in found.items():
+    joint_result = explain_jointly(bases("low_pass_lag@GY80-2:0.3", boards=boards))
+    for name, explained in joint_result.items():
         causes = explained.findings.causes
         if name != "GY80-2":
             assert causes == ()
@@ -158,30 +161,33 @@ def test_whose_a_cause_can_be() -> None:
 
 def test_boards_side_by_side_are_one_least_squares_problem(bases: Bases) -> None:
     """Against a dense solution with one set of the motion's unknowns, put together by itself."""
-    parts = [NuisanceProjector.at_fit(one) for one in bases(boards=2, program="quick").values()]
+    parts = [
+        NuisanceProjector.at_fit(board_fit)
+        for board_fit in bases(boards=2, program="quick").values()
+    ]
     together = JointProjector(parts)
     rng = np.random.default_rng(5)
     signal = rng.standard_normal((2, together.residual.size))
-    apart = [one.normal_blocks() for one in parts]
-    own = [one.board_derivatives.shape[0] for one in apart]
+    apart = [projector.normal_blocks() for projector in parts]
+    parameter_counts = [blocks.board_derivatives.shape[0] for blocks in apart]
     common = apart[0].motion_prior_information.shape[0]
-    size = sum(own) + common
+    size = sum(parameter_counts) + common
     rows, data, first = [], [], 0
-    for k, (one, board) in enumerate(zip(apart, parts, strict=True)):
+    for k, (blocks, board) in enumerate(zip(apart, parts, strict=True)):
         design = np.zeros((board.residual.size, size))
-        design[:, first : first + own[k]] = one.board_derivatives.T
-        motion = np.vstack([one.local_derivatives.toarray(), one.shared_derivatives])
-        design[:, sum(own) :] = motion.T
+        design[:, first : first + parameter_counts[k]] = blocks.board_derivatives.T
+        motion = np.vstack([blocks.local_derivatives.toarray(), blocks.shared_derivatives])
+        design[:, sum(parameter_counts) :] = motion.T
         rows.append(design)
-        data.append(board.residual - motion.T @ one.motion_prior_offset)
-        first += own[k]
+        data.append(board.residual - motion.T @ blocks.motion_prior_offset)
+        first += parameter_counts[k]
     known = np.zeros((size, size))
     pull, first = np.zeros(size), 0
-    for k, one in enumerate(apart):
-        at = slice(first, first + own[k])
-        known[at, at], pull[at] = one.board_prior_information, one.board_prior_score
-        first += own[k]
-    known[first:, first:] = min((one.motion_prior_information for one in apart), key=np.trace)
+    for k, blocks in enumerate(apart):
+        at = slice(first, first + parameter_counts[k])
+        known[at, at], pull[at] = blocks.board_prior_information, blocks.board_prior_score
+        first += parameter_counts[k]
+    known[first:, first:] = min((blocks.motion_prior_information for blocks in apart), key=np.trace)
     whole = np.vstack(rows)
     normal = whole.T @ whole + known
     scale = 1.0 / np.sqrt(np.diag(normal))
@@ -199,17 +205,20 @@ def test_boards_side_by_side_are_one_least_squares_problem(bases: Bases) -> None
 
 def test_a_board_that_is_told_the_rest_ends_where_all_do() -> None:
     """Two quadratics: the sum's minimum is that of one with what it is told of the other."""
-    one = LocalQuadratic(np.diag([4.0, 1.0]), np.array([2.0, -1.0]), 0.0)
+    quadratic = LocalQuadratic(np.diag([4.0, 1.0]), np.array([2.0, -1.0]), 0.0)
     two = LocalQuadratic(np.diag([1.0, 3.0]), np.array([-2.0, 1.0]), 0.0)
-    both = LocalQuadratic(one.information + two.information, one.slope + two.slope, 0.0)
+    both = LocalQuadratic(quadratic.information + two.information, quadratic.slope + two.slope, 0.0)
     at = np.array([0.3, 0.7])
-    knows = prior_from_others(at, both, one)
+    knows = prior_from_others(at, both, quadratic)
     # All rest at `at`: there the one's own slope and what it is told cancel.
-    assert knows.score(at) == pytest.approx(-one.slope)
+    assert knows.score(at) == pytest.approx(-quadratic.slope)
     assert knows.information == pytest.approx(two.information)
-    assert homogeneity_p_value([one, one]) == pytest.approx(1.0)
+    assert homogeneity_p_value([quadratic, quadratic]) == pytest.approx(1.0)
     assert (
-        homogeneity_p_value([one, LocalQuadratic(two.information, -40.0 * one.slope, 0.0)]) < 1e-6
+        homogeneity_p_value(
+            [quadratic, LocalQuadratic(two.information, -40.0 * quadratic.slope, 0.0)]
+        )
+        < 1e-6
     )
 
 

@@ -35,18 +35,18 @@ def recording(hidden: Callable[..., Any], tmp_path_factory: pytest.TempPathFacto
 
 @pytest.mark.parametrize("asked", [AUTO, "axis_nonorthogonality"])
 def test_the_units_cause_has_one_size(recording: Any, asked: str) -> None:
-    found = fit_together([recording], BOARDS, extend=(asked,))
-    assert list(found) == BOARDS
+    fits = fit_together([recording], BOARDS, extend=(asked,))
+    assert list(fits) == BOARDS
     sizes, together = [], []
-    for one in found.values():
-        assert isinstance(one, CriticisedFit)
+    for board_fit in fits.values():
+        assert isinstance(board_fit, CriticisedFit)
         name = "s_curve" if asked == AUTO else asked
-        assert name in one.fit.terms
-        (cause,) = (each for each in one.fit.causes if each.name.startswith(name))
+        assert name in board_fit.fit.terms
+        (cause,) = (each for each in board_fit.fit.causes if each.name.startswith(name))
         values, stds = cause.value, cause.std
         sizes.append((values, stds))
-        together.append(one.fit.extra_numbers.get("boards_together"))
-        assert (one.explanation is not None) == (asked == AUTO)
+        together.append(board_fit.fit.extra_numbers.get("boards_together"))
+        assert (board_fit.explanation is not None) == (asked == AUTO)
         if asked == AUTO:
             assert np.all(np.abs(values - LENGTH_S) < FAR * stds)
     (one_size, one_std), (other, other_std) = sizes

@@ -38,10 +38,10 @@ def base(hidden: Callable[..., Any]) -> Fit:
     return fit
 
 
-def beside(solution: ConvergedFit, cause: str) -> FittedTerm:
-    projection, one = NuisanceProjector.at_fit(solution), find_term(cause)
+def term_on_residual(solution: ConvergedFit, cause: str) -> FittedTerm:
+    projection, term = NuisanceProjector.at_fit(solution), find_term(cause)
     best = cause_search.fit_best_place(
-        projection, scan_catalogue(projection, [one], 1, all_templates(projection, one))
+        projection, scan_catalogue(projection, [term], 1, all_templates(projection, term))
     )
     assert best is not None
     return best[0].extension
@@ -50,7 +50,7 @@ def beside(solution: ConvergedFit, cause: str) -> FittedTerm:
 @pytest.mark.long
 def test_what_the_fit_can_do_without_is_refused(base: Fit) -> None:
     plain = base("backlash@tilt:0.0012")
-    gap = beside(plain, "backlash")
+    gap = term_on_residual(plain, "backlash")
     worm = find_term("worm_error")
     idle = FittedTerm(
         worm,
@@ -58,12 +58,12 @@ def test_what_the_fit_can_do_without_is_refused(base: Fit) -> None:
         np.array([0, 1]),
     )
     tests = cause_search.count_tests(cause_search.testable_terms(NuisanceProjector.at_fit(plain)))
-    found = eliminate_backward(
+    reduced = eliminate_backward(
         refit_with_terms(plain, [gap, idle]), (), tests, cause_search.FALSE_ALARM_RATE
     )
-    assert found.eliminated == {"worm_error"}
-    assert [one.term.cause for one in found.solution.fitted_terms] == ["backlash"]
-    assert found.delta_log_likelihood["backlash"] > 100.0
+    assert reduced.eliminated == {"worm_error"}
+    assert [fitted_term.term.cause for fitted_term in reduced.solution.fitted_terms] == ["backlash"]
+    assert reduced.delta_log_likelihood["backlash"] > 100.0
 
 
 def test_what_stays_needs_a_move_on_either_side(base: Fit) -> None:
@@ -73,10 +73,10 @@ def test_what_stays_needs_a_move_on_either_side(base: Fit) -> None:
     first = min(float(course.end_s) for _, course in setting.motion_profiles)
     last = max(float(course.start_s[0]) for _, course in setting.motion_profiles)
     for before, at in ((setting.begin_s, first), (setting.end_s, last)):
-        one = fit_candidate(projection, slip, None, [np.array([0.0, 0.0, 0.0, before])])
-        assert one is not None
-        assert first <= one.extension.values[3] <= last
-        assert one.infeasible or one.extension.values[3] != at
+        candidate = fit_candidate(projection, slip, None, [np.array([0.0, 0.0, 0.0, before])])
+        assert candidate is not None
+        assert first <= candidate.extension.values[3] <= last
+        assert candidate.infeasible or candidate.extension.values[3] != at
 
 
 def test_a_gain_that_changes_is_the_gain(base: Fit) -> None:
@@ -89,10 +89,10 @@ def test_a_gain_that_changes_is_the_gain(base: Fit) -> None:
 def test_the_gain_is_looked_for_where_rates_are_cut_off(base: Fit) -> None:
     plain = base("dead_zone:0.009")
     assert refit_gain_exactly(plain) is plain
-    one = find_term("dead_zone")
-    sizes = np.array(value_indices(one, role="size"))
-    lame = refit_with_terms(plain, [FittedTerm(one, np.full(3, 0.009), sizes)])
-    found = refit_gain_exactly(lame)
-    assert found is lame or whittle_log_likelihood(found) > whittle_log_likelihood(lame)
-    threshold = found.fitted_terms[0].values
+    term = find_term("dead_zone")
+    sizes = np.array(value_indices(term, role="size"))
+    lame = refit_with_terms(plain, [FittedTerm(term, np.full(3, 0.009), sizes)])
+    refitted = refit_gain_exactly(lame)
+    assert refitted is lame or whittle_log_likelihood(refitted) > whittle_log_likelihood(lame)
+    threshold = refitted.fitted_terms[0].values
     assert threshold == pytest.approx(np.full(3, 0.009), rel=0.05)

@@ -31,7 +31,7 @@ def named(base: ConvergedFit) -> ConvergedFit:
 
 
 def test_the_cause_is_named_where_its_fit_converges(named: ConvergedFit) -> None:
-    assert [one.term.cause for one in named.fitted_terms] == ["backlash"]
+    assert [fitted_term.term.cause for fitted_term in named.fitted_terms] == ["backlash"]
     assert named.converged
 
 
@@ -41,17 +41,17 @@ def test_a_candidate_whose_fit_does_not_converge_is_left_out(
     def refit(
         previous: ConvergedFit, fitted_terms: Sequence[FittedTerm], *limits: int
     ) -> ConvergedFit:
-        found = refit_with_terms(previous, fitted_terms, *limits)
-        has_backlash = any(one.term.cause == "backlash" for one in fitted_terms)
-        return replace(found, convergence=WITHOUT) if has_backlash else found
+        refitted = refit_with_terms(previous, fitted_terms, *limits)
+        has_backlash = any(fitted_term.term.cause == "backlash" for fitted_term in fitted_terms)
+        return replace(refitted, convergence=WITHOUT) if has_backlash else refitted
 
     monkeypatch.setattr(cause_search, "refit_with_terms", refit)
-    found = explain_fit(base, "GY80-1")
-    assert "backlash" not in [one.term.cause for one in found.findings.causes]
-    assert found.solution_extended.converged
+    explanation = explain_fit(base, "GY80-1")
+    assert "backlash" not in [cause.term.cause for cause in explanation.findings.causes]
+    assert explanation.solution_extended.converged
     assert any(
         text.startswith("backlash was left out") and "backlash.gap.tilt" in text
-        for text in found.remarks
+        for text in explanation.remarks
     )
 
 
@@ -62,7 +62,7 @@ def test_the_best_visited_model_is_the_answer(base: ConvergedFit, named: Converg
 
 
 def test_a_cause_of_no_effect_does_not_lead(base: ConvergedFit, named: ConvergedFit) -> None:
-    kept = named.fitted_terms[0]
-    idle = replace(kept, values=0.0 * kept.values)
+    backlash = named.fitted_terms[0]
+    idle = replace(backlash, values=0.0 * backlash.values)
     same = replace(named, fitted_terms=(idle,), sessions=base.sessions, estimate=base.estimate)
     assert best_model(base, [same]) is base

@@ -22,12 +22,12 @@ def weighed(hidden: Callable[..., Any]) -> Callable[[str], FittedCandidate]:
     def fit(hide: str) -> FittedCandidate:
         session = hidden(hide)
         projection = NuisanceProjector.at_fit(fit_base_model([session.recording], session.board))
-        one = find_term(hide.partition(":")[0].partition("@")[0])
-        found = fit_best_place(
-            projection, scan_catalogue(projection, [one], 1, all_templates(projection, one))
+        term = find_term(hide.partition(":")[0].partition("@")[0])
+        place = fit_best_place(
+            projection, scan_catalogue(projection, [term], 1, all_templates(projection, term))
         )
-        assert found is not None
-        return found[0]
+        assert place is not None
+        return place[0]
 
     return fit
 
@@ -35,18 +35,18 @@ def weighed(hidden: Callable[..., Any]) -> Callable[[str], FittedCandidate]:
 def test_a_loss_in_a_move_is_timed_as_finely_as_its_pulse(
     weighed: Callable[[str], FittedCandidate],
 ) -> None:
-    one = weighed("lost_steps@pan:8")
-    assert one.event_std is not None
-    assert 1e-6 < one.event_std < 0.01
+    place = weighed("lost_steps@pan:8")
+    assert place.event_std is not None
+    assert 1e-6 < place.event_std < 0.01
 
 
 def test_a_slip_is_timed_no_finer_than_the_noise_lets_it(
     weighed: Callable[[str], FittedCandidate],
 ) -> None:
     """A turn of 0.7 deg shows 1 % of a rate elsewhere: the noise hides a good while of it."""
-    one = weighed("board_slip:0.012")
-    assert one.event_std is not None
-    assert 0.01 < one.event_std < 5.0
+    place = weighed("board_slip:0.012")
+    assert place.event_std is not None
+    assert 0.01 < place.event_std < 5.0
 
 
 def test_a_smaller_step_is_timed_worse(weighed: Callable[[str], FittedCandidate]) -> None:
@@ -57,6 +57,6 @@ def test_a_smaller_step_is_timed_worse(weighed: Callable[[str], FittedCandidate]
 
 
 def test_what_is_always_there_has_no_time(weighed: Callable[[str], FittedCandidate]) -> None:
-    one = weighed("backlash@tilt:0.0012")
-    assert one.event_std is None
-    assert np.isfinite(one.std).all()
+    place = weighed("backlash@tilt:0.0012")
+    assert place.event_std is None
+    assert np.isfinite(place.std).all()

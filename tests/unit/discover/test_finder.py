@@ -20,7 +20,7 @@ FAR = 4.0  # standard deviations: one in 16 000
 
 
 @pytest.fixture(scope="module")
-def found(hidden: Callable[..., Any]) -> Callable[..., FitExplanation]:
+def explained(hidden: Callable[..., Any]) -> Callable[..., FitExplanation]:
     """Return a function that explains a session, once each."""
     made: dict[tuple[object, ...], FitExplanation] = {}
 
@@ -35,26 +35,28 @@ def found(hidden: Callable[..., Any]) -> Callable[..., FitExplanation]:
 
 @pytest.mark.parametrize("seed", [7, 8])
 def test_nothing_is_found_where_there_is_nothing(
-    found: Callable[..., FitExplanation], seed: int
+    explained: Callable[..., FitExplanation], seed: int
 ) -> None:
-    findings = found(seed=seed).findings
+    findings = explained(seed=seed).findings
     assert findings.verdict == "adequate"
     assert findings.causes == ()
     assert findings.unexplained is None
     assert findings.gain is None
 
 
-def test_it_says_what_could_be_there_unseen(found: Callable[..., FitExplanation]) -> None:
-    findings = found(seed=7).findings
-    sizes = {one.cause: one for one in findings.detection_limits}
+def test_it_says_what_could_be_there_unseen(explained: Callable[..., FitExplanation]) -> None:
+    findings = explained(seed=7).findings
+    sizes = {
+        detection_limit.cause: detection_limit for detection_limit in findings.detection_limits
+    }
     # The axes' squareness is all but taken by the mount: it does the most harm unseen.
     assert (
         sizes["axis_nonorthogonality"].parameter_bias_sigma
         > sizes["worm_error"].parameter_bias_sigma
     )
-    harms = [one.parameter_bias_sigma for one in findings.detection_limits]
+    harms = [detection_limit.parameter_bias_sigma for detection_limit in findings.detection_limits]
     assert harms == sorted(harms, reverse=True)
-    untestable = {one.cause for one in findings.untestable}
+    untestable = {entry.cause for entry in findings.untestable}
     assert "lost_steps" not in untestable  # each axis moves in some of the moves
     assert {"tilt_zero", "wrong_full_scale", "earth_rotation"} <= untestable
 
@@ -68,10 +70,10 @@ def test_it_says_what_could_be_there_unseen(found: Callable[..., FitExplanation]
     ],
 )
 def test_a_hidden_cause_is_named(
-    found: Callable[..., FitExplanation], hide: str, where: set[str]
+    explained: Callable[..., FitExplanation], hide: str, where: set[str]
 ) -> None:
     cause = hide.partition("@")[0].partition(":")[0]
-    findings = found(hide).findings
+    findings = explained(hide).findings
     assert findings.verdict == "explained"
     (named,) = findings.causes
     assert named.candidates == (cause,)
@@ -84,9 +86,9 @@ def test_a_hidden_cause_is_named(
 
 
 def test_the_size_is_the_truth_within_its_uncertainty(
-    found: Callable[..., FitExplanation], hidden: Callable[..., Any]
+    explained: Callable[..., FitExplanation], hidden: Callable[..., Any]
 ) -> None:
-    (named,) = found("backlash@tilt:0.0012").findings.causes
+    (named,) = explained("backlash@tilt:0.0012").findings.causes
     (truth,) = hidden("backlash@tilt:0.0012").truth
     gap = {value.name: value for value in named.values}["gap.tilt"]
     assert gap.value == pytest.approx(truth["size"]["value"], abs=FAR * gap.std)

@@ -24,21 +24,23 @@ def _looked(white: np.ndarray, residual: np.ndarray) -> ScoreStatistics:
     return ScoreStatistics(gram, white @ residual, np.diag(gram).copy(), np.zeros((len(white), 1)))
 
 
-@pytest.mark.parametrize("beside", [0, 2])
-def test_the_best_detail_is_judged_by_chance(beside: int) -> None:
+@pytest.mark.parametrize("strong_signals", [0, 2])
+def test_the_best_detail_is_judged_by_chance(strong_signals: int) -> None:
     rng = np.random.default_rng(11)
     detail = np.arange(1.0, 25.0)
-    white = rng.standard_normal((beside + detail.size, N))
+    white = rng.standard_normal((strong_signals + detail.size, N))
     # What comes first is no surprise, however large it is.
-    there = rng.standard_normal(beside) * 30.0 @ white[:beside]
-    found = []
+    strong_part = rng.standard_normal(strong_signals) * 30.0 @ white[:strong_signals]
+    p_values = []
     for _ in range(DRAWS):
-        judged = choose_detail(_looked(white, rng.standard_normal(N) + there), detail, beside)
+        judged = choose_detail(
+            _looked(white, rng.standard_normal(N) + strong_part), detail, strong_signals
+        )
         assert judged is not None
-        found.append(judged.p_value)
+        p_values.append(judged.p_value)
     # Three nested sets, paid for as if they were apart: never too often.
     for level in (0.1, 0.01):
-        share = float(np.mean(np.array(found) < level))
+        share = float(np.mean(np.array(p_values) < level))
         assert share < level + 3.5 * np.sqrt(level / DRAWS)
         assert share > level / 3.0
 
@@ -92,18 +94,18 @@ def plain(hidden: Callable[..., Any]) -> NuisanceProjector:
 
 def test_every_family_is_of_one_covariate_and_whole(plain: NuisanceProjector) -> None:
     every = list(smooth_families(plain.states))
-    assert {one.covariate for one in every} == {
+    assert {test.covariate for test in every} == {
         "time", "bias_time", "speed", "own_rate", "pan_angle", "tilt_angle", "bias_pan",
         "bias_tilt", "pan_transient", "tilt_transient", "move_gain", "move_delay",
     }  # fmt: skip
-    for one in every:
-        white = one.whitened(plain).dense()
-        assert white.shape == (one.detail.size, plain.residual.size)
+    for test in every:
+        white = test.whitened(plain).dense()
+        assert white.shape == (test.detail.size, plain.residual.size)
         assert np.isfinite(white).all()
-        assert one.detail.min() >= 1.0
+        assert test.detail.min() >= 1.0
 
 
 def test_noise_depends_on_nothing(plain: NuisanceProjector) -> None:
-    found = residual_dependence_tests(plain)
-    assert min(one.p_value for one in found) > 0.01
-    assert max(one.log_evidence for one in found) < 5.0
+    tests = residual_dependence_tests(plain)
+    assert min(test.p_value for test in tests) > 0.01
+    assert max(test.log_evidence for test in tests) < 5.0

@@ -25,15 +25,15 @@ def two(hidden: Callable[..., Any]) -> FitExplanation:
 
 def test_each_cause_has_its_own_gain(two: FitExplanation) -> None:
     findings = two.findings
-    assert {one.cause for one in findings.causes} == {"backlash", "scale_quadratic"}
+    assert {cause.cause for cause in findings.causes} == {"backlash", "scale_quadratic"}
     assert findings.gain is not None
-    for one in findings.causes:
-        assert one.gain is not None
-        assert one.gain.log_likelihood.low > 0.0
-        assert one.gain.log_likelihood.value < findings.gain.log_likelihood.value
+    for cause in findings.causes:
+        assert cause.gain is not None
+        assert cause.gain.log_likelihood.low > 0.0
+        assert cause.gain.log_likelihood.value < findings.gain.log_likelihood.value
         # All else stays: after is after, for each.
-        assert one.gain.rms_after == findings.gain.rms_after
-        assert one.gain.rms_before < findings.gain.rms_before
+        assert cause.gain.rms_after == findings.gain.rms_after
+        assert cause.gain.rms_before < findings.gain.rms_before
 
 
 def test_a_model_without_a_cause_is_that_of_a_fit_that_has_none(two: FitExplanation) -> None:
@@ -44,11 +44,13 @@ def test_a_model_without_a_cause_is_that_of_a_fit_that_has_none(two: FitExplanat
     solution = two.solution_extended
     whole = NuisanceProjector.at_fit(solution)
     windows = np.arange(whole.residual.size) // 997 % 5
-    for k, one in enumerate(solution.fitted_terms):
-        if not one.free_indices.size:
+    for k, fitted_term in enumerate(solution.fitted_terms):
+        if not fitted_term.free_indices.size:
             continue
-        others = [other for other in solution.fitted_terms if other is not one]
-        apart = NuisanceProjector.at_fit(solution, followed_terms=others, restored_terms=[one])
+        others = [other for other in solution.fitted_terms if other is not fitted_term]
+        apart = NuisanceProjector.at_fit(
+            solution, followed_terms=others, restored_terms=[fitted_term]
+        )
         (struck,) = whole.held_out_residuals(windows, [whole.drop_terms([k])])
         (made,) = apart.held_out_residuals(windows, [apart.drop_terms([])])
         assert struck == pytest.approx(made, abs=0.01 * float(np.abs(made).max()))

@@ -14,14 +14,14 @@ SPEED = np.abs(np.sin(np.linspace(0.0, 40.0, N))) * (np.arange(N) % 300 > 90)
 def test_chance_is_what_it_says(either_way: bool) -> None:
     rng = np.random.default_rng(1)
     shapes = speed_shapes(SPEED, float(SPEED.max()))
-    found = [
+    p_values = [
         fit_variance_trend(shapes, rng.standard_normal(N) ** 2 - 1.0, either_way).p_value
         for _ in range(DRAWS)
     ]
     # The better of two is paid for twice, so a little too seldom; squares have longer tails
     # than a normal.
     for level in (0.2, 0.05, 0.01):
-        share = float(np.mean(np.array(found) < level))
+        share = float(np.mean(np.array(p_values) < level))
         assert share < level + 3.5 * np.sqrt(level / DRAWS)
         assert share > 0.3 * level
 
@@ -47,5 +47,5 @@ def test_a_scatter_at_low_speeds_alone_is_found_by_the_speed() -> None:
 
 
 def test_what_never_moves_says_nothing() -> None:
-    found = fit_variance_trend(speed_shapes(np.zeros(N), 0.0), np.ones(N))
-    assert (found.degrees_of_freedom, found.p_value) == (0, 1.0)
+    trend = fit_variance_trend(speed_shapes(np.zeros(N), 0.0), np.ones(N))
+    assert (trend.degrees_of_freedom, trend.p_value) == (0, 1.0)

@@ -23,30 +23,32 @@ def late(hidden: Callable[..., Hidden]) -> Hidden:
 
 
 def test_its_size_is_found(late: Hidden) -> None:
-    found = estimate_jitter(_looked(late), TESTS, ALPHA, 0.8)
-    assert found is not None
-    assert found.is_distinct
-    assert abs(found.deviation_s - 1e-3) < 3.0 * found.std_s
-    assert found.std_s < 5e-5
-    assert found.remaining_trend.p_value > 0.003  # no scatter of another kind is left
+    jitter_result = estimate_jitter(_looked(late), TESTS, ALPHA, 0.8)
+    assert jitter_result is not None
+    assert jitter_result.is_distinct
+    assert abs(jitter_result.deviation_s - 1e-3) < 3.0 * jitter_result.std_s
+    assert jitter_result.std_s < 5e-5
+    assert jitter_result.remaining_trend.p_value > 0.003  # no scatter of another kind is left
 
 
 def test_it_is_the_sole_name(late: Hidden) -> None:
     explained = explain_fit(fit_base_model([late.recording], late.board), late.board).findings
-    assert [one.candidates for one in explained.causes] == [("sample_jitter",)]
+    assert [cause.candidates for cause in explained.causes] == [("sample_jitter",)]
     assert explained.verdict == "explained"
     assert explained.fitted_terms == ()  # no fit can follow it
 
 
 def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., Hidden]) -> None:
-    found = estimate_jitter(_looked(hidden(program="survey-40")), TESTS, ALPHA, 0.8)
-    assert found is not None
-    assert found.p_value > ALPHA / TESTS
-    assert found.detectable_s < 5e-4
+    jitter_result = estimate_jitter(_looked(hidden(program="survey-40")), TESTS, ALPHA, 0.8)
+    assert jitter_result is not None
+    assert jitter_result.p_value > ALPHA / TESTS
+    assert jitter_result.detectable_s < 5e-4
 
 
 @pytest.mark.long
 def test_a_smooth_misfit_is_no_jitter(hidden: Callable[..., Hidden]) -> None:
-    found = estimate_jitter(_looked(hidden("s_curve:0.05", program="survey-40")), TESTS, ALPHA, 0.8)
-    assert found is not None
-    assert not found.is_distinct
+    jitter_result = estimate_jitter(
+        _looked(hidden("s_curve:0.05", program="survey-40")), TESTS, ALPHA, 0.8
+    )
+    assert jitter_result is not None
+    assert not jitter_result.is_distinct

@@ -14,12 +14,12 @@ def _drawn(seed: int, grows: str | None) -> float:
         rng.choice([-1.0, 1.0], BLOCKS), rng.uniform(0.0, 1.5, BLOCKS), np.arange(BLOCKS) / 3.0
     )
     shape = np.exp(rng.normal(0.0, 1.0, (BLOCKS, EACH)))
-    some = {
+    shapes = {
         "axis": where.axis_balance > 0.0,
         "slow": where.speed < 0.5,
         "time": where.time_s > 20.0,
     }
-    share = np.ones(BLOCKS) if grows is None else some[grows] * 1.0
+    share = np.ones(BLOCKS) if grows is None else shapes[grows] * 1.0
     variance = 1.0 + 0.2 * share[:, None] * shape
     swell = find_modulation(
         rng.normal(0.0, np.sqrt(variance)) ** 2, shape, 0.2 * share.mean(), where

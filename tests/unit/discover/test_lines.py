@@ -44,7 +44,7 @@ def test_none_is_looked_for_where_it_would_be_a_drift(drifting: NuisanceProjecto
 def test_a_drift_is_no_line_however_well_one_fits(drifting: NuisanceProjector) -> None:
     rate_hz = drifting.segments[0].noise.sampling.rate_hz
     row = np.array([*[0.0] * FREQUENCY, rate_hz + 0.01])
-    one = fit_candidate(drifting, HUM, None, [row])
-    assert one is not None
-    assert one.delta_log_likelihood > 20.0  # half a wave follows a ramp
-    assert one.infeasible
+    candidate = fit_candidate(drifting, HUM, None, [row])
+    assert candidate is not None
+    assert candidate.delta_log_likelihood > 20.0  # half a wave follows a ramp
+    assert candidate.infeasible

@@ -49,6 +49,6 @@ def test_vibration_alone_is_no_cause(hidden: Callable[..., Any]) -> None:
 
 def test_backlash_is_found_beside_vibration(hidden: Callable[..., Any]) -> None:
     findings = explain(hidden("backlash@tilt:0.0012", seed=7), 1.0).findings
-    assert [one.term.cause for one in findings.causes] == ["backlash"]
+    assert [cause.term.cause for cause in findings.causes] == ["backlash"]
     gap = next(value for value in findings.causes[0].values if value.name == "gap.tilt")
     assert abs(gap.value - 0.0012) < 4.0 * gap.std

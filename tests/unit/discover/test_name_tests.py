@@ -49,8 +49,10 @@ def base(hidden: Callable[..., Any]) -> Base:
 def _named(base: ConvergedFit, cause: str) -> SearchResult:
     """Return where a search ends that knows this cause alone."""
     term = catalogue()[cause]
-    beside = NuisanceProjector.at_fit(base)
-    best = fit_best_place(beside, scan_catalogue(beside, [term], 60, all_templates(beside, term)))
+    projector = NuisanceProjector.at_fit(base)
+    best = fit_best_place(
+        projector, scan_catalogue(projector, [term], 60, all_templates(projector, term))
+    )
     assert best is not None
     solution = refit_with_terms(base, [best[0].extension])
     standing = rank_against_alternatives(solution, 0, [term], 60)
@@ -68,10 +70,10 @@ ACCELERATION_COVARIATES = catalogue()["acceleration_error"].covariates or ()
     ],
 )
 def test_a_right_name_holds(base: Base, hide: str, cause: str) -> None:
-    found = _named(base(hide), cause)
-    after, fallen = reject_misnamed(base(hide), found)
+    named = _named(base(hide), cause)
+    after, fallen = reject_misnamed(base(hide), named)
     assert fallen == ()
-    assert after is found
+    assert after is named
 
 
 @pytest.mark.parametrize(
@@ -92,18 +94,18 @@ def test_a_wrong_name_falls_by_what_it_hangs_on(
     after, fallen = reject_misnamed(fit, _named(fit, cause))
     assert after.ranked_causes == ()
     assert after.solution is fit
-    assert [one.p_value < REJECTION_LEVEL for one in fallen] == [True]
+    assert [test.p_value < REJECTION_LEVEL for test in fallen] == [True]
     assert fallen[0].covariate in covariates | {"time", "speed", "pan_angle", "tilt_angle"}
 
 
 def test_chances_are_uniform_at_most_where_the_name_is_right(base: Base) -> None:
-    found = _named(base("eccentricity@pan:0.002"), "eccentricity")
-    (one,) = found.solution.fitted_terms
-    projection = found.projector
+    named = _named(base("eccentricity@pan:0.002"), "eccentricity")
+    (fitted_term,) = named.solution.fitted_terms
+    projection = named.projector
     every = [(family, False) for family in smooth_families(projection.states)]
-    every += [(family, True) for family in modulated_effects(one, projection.states)]
+    every += [(family, True) for family in modulated_effects(fitted_term, projection.states)]
     heard = [
-        nonparametric_specification_test(projection, one, family, itself)
+        nonparametric_specification_test(projection, fitted_term, family, itself)
         for family, itself in every
     ]
     chances = np.array([h.p_value for h in heard if h is not None])
@@ -116,10 +118,12 @@ def test_a_slip_of_less_than_a_step_is_no_lost_step(base: Base) -> None:
     right = _named(base("lost_steps:1"), "lost_steps")
     assert reject_misnamed(base("lost_steps:1"), right)[1] == ()
     (standing,) = right.ranked_causes
-    (one,) = right.solution.fitted_terms
-    sizes = one.values.copy()
+    (fitted_term,) = right.solution.fitted_terms
+    sizes = fitted_term.values.copy()
     sizes[:2] *= 0.4
-    less = refit_with_terms(right.solution, [type(one)(one.term, sizes, one.free_indices)])
+    less = refit_with_terms(
+        right.solution, [type(fitted_term)(fitted_term.term, sizes, fitted_term.free_indices)]
+    )
     # As a fit would end where the jump itself is as small.
     object.__setattr__(less.fitted_terms[0], "values", sizes)
     after, fallen = reject_misnamed(
@@ -131,10 +135,10 @@ def test_a_slip_of_less_than_a_step_is_no_lost_step(base: Base) -> None:
 
 def test_a_name_falls_by_a_rest_of_its_own_kind_alone(base: Base) -> None:
     fit = base("eccentricity@pan:0.002")
-    found = _named(fit, "eccentricity")
-    large = 2.0 * found.ranked_causes[0].candidate.delta_log_likelihood
+    named = _named(fit, "eccentricity")
+    large = 2.0 * named.ranked_causes[0].candidate.delta_log_likelihood
     of_pan = DependenceTest("pan_angle", "on pan, as a gain", large, 24, 0.0)
     of_time = DependenceTest("bias_time", "on the time, as a bias", large, 24, 0.0)
-    assert find_partial_explanations(found, [of_pan], 0.8) == [True]
-    assert find_partial_explanations(found, [of_time], 0.8) == [False]
-    assert refit_without(fit, found, [True]).solution is fit
+    assert find_partial_explanations(named, [of_pan], 0.8) == [True]
+    assert find_partial_explanations(named, [of_time], 0.8) == [False]
+    assert refit_without(fit, named, [True]).solution is fit

@@ -28,9 +28,9 @@ def _named(hidden: Hidden, cause: str) -> SearchResult:
     """Return where a search ends that knows this cause alone."""
     base = fit_base_model([hidden.recording], hidden.board)
     term = catalogue()[cause]
-    beside = NuisanceProjector.at_fit(base)
+    projector = NuisanceProjector.at_fit(base)
     best = fit_best_place(
-        beside, scan_catalogue(beside, [term], TESTS, all_templates(beside, term))
+        projector, scan_catalogue(projector, [term], TESTS, all_templates(projector, term))
     )
     assert best is not None
     solution = refit_with_terms(base, [best[0].extension])
@@ -39,16 +39,16 @@ def _named(hidden: Hidden, cause: str) -> SearchResult:
 
 
 def test_a_slip_is_not_said_for_what_hangs_on_the_rates(hidden: Callable[..., Hidden]) -> None:
-    found = _named(hidden("scale_asymmetry:0.01"), "board_slip")
-    assert found.ranked_causes[0].candidate.delta_log_likelihood > 20.0  # nats
-    assert find_partial_explanations(found, [OF_RATES], MIN_EXPLAINED_SHARE) == [
+    named = _named(hidden("scale_asymmetry:0.01"), "board_slip")
+    assert named.ranked_causes[0].candidate.delta_log_likelihood > 20.0  # nats
+    assert find_partial_explanations(named, [OF_RATES], MIN_EXPLAINED_SHARE) == [
         False
     ]  # the rest is none of its own kind
-    assert dominated_by_nonparametric(found, [OF_RATES], TESTS, MIN_EXPLAINED_SHARE) == [True]
+    assert dominated_by_nonparametric(named, [OF_RATES], TESTS, MIN_EXPLAINED_SHARE) == [True]
 
 
 def test_a_right_name_beside_what_hangs_on_the_rates_is_said(
     hidden: Callable[..., Hidden],
 ) -> None:
-    found = _named(hidden("eccentricity@pan:0.002", "scale_quadratic:0.003"), "eccentricity")
-    assert dominated_by_nonparametric(found, [OF_RATES], TESTS, MIN_EXPLAINED_SHARE) == [False]
+    named = _named(hidden("eccentricity@pan:0.002", "scale_quadratic:0.003"), "eccentricity")
+    assert dominated_by_nonparametric(named, [OF_RATES], TESTS, MIN_EXPLAINED_SHARE) == [False]

@@ -58,8 +58,8 @@ def test_scores_are_standard_normal_in_noise(projection: NuisanceProjector) -> N
 
 
 def test_what_the_fit_follows_vanishes(projection: NuisanceProjector) -> None:
-    own = projection._basis[:12]  # gain and bias have next to no prior
-    looked = projection.score_statistics(whitened(projection, own))
+    basis = projection._basis[:12]  # gain and bias have next to no prior
+    looked = projection.score_statistics(whitened(projection, basis))
     assert np.diag(looked.information) == pytest.approx(0.0, abs=1e-3 * looked.energy.max())
 
 
@@ -70,8 +70,8 @@ def test_whitening_is_one_signal_and_one_axis_at_a_time(projection: NuisanceProj
     before = signals.copy()
     together = projection.evaluate_signals(lambda scene: signals).dense()
     assert np.array_equal(signals, before)
-    for one, white in zip(signals, together, strict=True):
-        sums = projection.evaluate_signals(partial(_apart, one)).dense().sum(axis=0)
+    for signal, white in zip(signals, together, strict=True):
+        sums = projection.evaluate_signals(partial(_apart, signal)).dense().sum(axis=0)
         assert white == pytest.approx(sums, rel=1e-9, abs=1e-9)
     assert not together[2].any()
 
@@ -80,12 +80,12 @@ def _as_given(signals: FloatArray, _: SignalState) -> FloatArray:
     return signals
 
 
-def _apart(one: FloatArray, scene: SignalState) -> FloatArray:
+def _apart(signal: FloatArray, scene: SignalState) -> FloatArray:
     """Return a signal's three axes as three signals."""
-    found = np.zeros((3, scene.block_count, 3))
+    separate = np.zeros((3, scene.block_count, 3))
     for axis in range(3):
-        found[axis, :, axis] = one[:, axis]
-    return found
+        separate[axis, :, axis] = signal[:, axis]
+    return separate
 
 
 def test_many_signals_say_what_each_says_alone(projection: NuisanceProjector) -> None:

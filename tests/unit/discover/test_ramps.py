@@ -14,25 +14,25 @@ TESTS = 45
 
 def test_ramps_that_are_not_as_told_have_a_name(hidden: Callable[..., Any]) -> None:
     session = hidden("acceleration_error@tilt:-0.01", seed=7)
-    found = detect_ramp_error(
+    ramps = detect_ramp_error(
         fit_base_model([session.recording], session.board), TESTS, FALSE_ALARM_RATE
     )
-    assert found.named is not None
-    assert found.named.where == ("tilt",)
-    tilt = found.named.values[1]
+    assert ramps.named is not None
+    assert ramps.named.where == ("tilt",)
+    tilt = ramps.named.values[1]
     assert tilt.value == pytest.approx(-0.01, abs=4.0 * tilt.std)
     assert tilt.std < 1e-3
-    assert not found.named.extension.free_indices.size  # the base model has them: nothing to fit
+    assert not ramps.named.extension.free_indices.size  # the base model has them: nothing to fit
 
 
 def test_ramps_as_told_have_none_and_a_limit(hidden: Callable[..., Any]) -> None:
     session = hidden(seed=7)
-    found = detect_ramp_error(
+    ramps = detect_ramp_error(
         fit_base_model([session.recording], session.board), TESTS, FALSE_ALARM_RATE
     )
-    assert found.named is None
-    assert [one.where for one in found.detection_limits] == ["pan", "tilt"]
-    assert all(1e-5 < one.size < 1e-2 for one in found.detection_limits)
+    assert ramps.named is None
+    assert [detection_limit.where for detection_limit in ramps.detection_limits] == ["pan", "tilt"]
+    assert all(1e-5 < detection_limit.size < 1e-2 for detection_limit in ramps.detection_limits)
 
 
 def test_answers_are_believed_less_beside_another_law(hidden: Callable[..., Any]) -> None:

@@ -33,7 +33,7 @@ def test_rows_together_are_rows_one_by_one(projection: NuisanceProjector, cause:
         {s.place: s for s in scan_catalogue(projection, [term], 40, row[None])} for row in rows
     ]
     for place, sight in together.items():
-        most = max(one[place].score_test.statistic for one in apart if place in one)
+        most = max(scores[place].score_test.statistic for scores in apart if place in scores)
         assert sight.score_test.statistic == pytest.approx(most, rel=1e-6)
         assert len(sight.detectable_sizes) == len(rows)
 
@@ -46,11 +46,11 @@ def test_memory_that_is_short_changes_nothing(
     before = scan_catalogue(projection, [term], 40)
     monkeypatch.setattr(score_tests, "MAX_SIGNAL_VALUES", 1)
     after = scan_catalogue(projection, [term], 40)
-    for one, other in zip(before, after, strict=True):
-        assert (one.place, one.template.tolist()) == (other.place, other.template.tolist())
-        assert one.score_test.statistic == pytest.approx(other.score_test.statistic, rel=1e-6)
-        assert one.effective_trials == pytest.approx(other.effective_trials, rel=1e-6)
-        mine = np.array([shown.detectable for shown in one.detectable_sizes])
+    for first, other in zip(before, after, strict=True):
+        assert (first.place, first.template.tolist()) == (other.place, other.template.tolist())
+        assert first.score_test.statistic == pytest.approx(other.score_test.statistic, rel=1e-6)
+        assert first.effective_trials == pytest.approx(other.effective_trials, rel=1e-6)
+        mine = np.array([shown.detectable for shown in first.detectable_sizes])
         assert [shown.detectable for shown in other.detectable_sizes] == pytest.approx(
             mine, rel=1e-5
         )
@@ -61,8 +61,8 @@ def test_a_single_signal_is_judged_as_one_of_several(projection: NuisanceProject
     looked = projection.score_statistics(
         WhitenedSignals.of_dense(signals, projection.channel_lengths)
     )
-    one = ScoreTest.of(looked.subset([0]))
+    score_test = ScoreTest.of(looked.subset([0]))
     energy, score = looked.information[0, 0], looked.score[0]
-    assert one.statistic == pytest.approx(score**2 / energy)
-    assert one.one_step_sizes == pytest.approx([score / energy])
-    assert one.degrees_of_freedom == 1
+    assert score_test.statistic == pytest.approx(score**2 / energy)
+    assert score_test.one_step_sizes == pytest.approx([score / energy])
+    assert score_test.degrees_of_freedom == 1

@@ -26,11 +26,11 @@ def pair(hidden: Callable[..., Any]) -> tuple[Any, Any]:
 
 def test_a_lasting_cause_is_worth_something_there(pair: tuple[Any, Any]) -> None:
     first, second = pair
-    found = explain_recordings([first.recording], first.board)
-    causes = {one.cause for one in found.findings.causes}
+    explanation = explain_recordings([first.recording], first.board)
+    causes = {cause.cause for cause in explanation.findings.causes}
     assert causes == {"scale_quadratic", "bias_step"}
-    held_out = prepare_held_out(second.recording, second.board, found.solution_extended)
-    gain = gain_on_recording(found.solution_base, found.solution_extended, held_out)
+    held_out = prepare_held_out(second.recording, second.board, explanation.solution_extended)
+    gain = gain_on_recording(explanation.solution_base, explanation.solution_extended, held_out)
     assert gain.log_likelihood.low > 0.0
     assert gain.rms_after < gain.rms_before
     assert gain.turn_error_after_rad < gain.turn_error_before_rad
@@ -43,8 +43,8 @@ def test_a_lasting_cause_is_worth_something_there(pair: tuple[Any, Any]) -> None
 def test_a_right_model_leaves_noise(pair: tuple[Any, Any]) -> None:
     """Half the squared whitened residual is half the number of values, as of any noise."""
     first, second = pair
-    found = explain_recordings([first.recording], first.board).solution_extended
-    judged = prepare_held_out(second.recording, second.board, found).fit_model(found)
+    solution = explain_recordings([first.recording], first.board).solution_extended
+    judged = prepare_held_out(second.recording, second.board, solution).fit_model(solution)
     many = sum(3 * int(used.sum()) for used in judged.session.used)
     assert -2.0 * judged.log_likelihood / many == pytest.approx(1.0, abs=0.03)
 
@@ -52,13 +52,13 @@ def test_a_right_model_leaves_noise(pair: tuple[Any, Any]) -> None:
 def test_samples_less_a_known_effect_are_taken(pair: tuple[Any, Any]) -> None:
     """A constant rate that is taken off all samples is a bias, and costs nothing."""
     first, second = pair
-    found = fit_base_model([first.recording], first.board)
+    base = fit_base_model([first.recording], first.board)
     recording: Recording = second.recording
-    plain = prepare_held_out(recording, second.board, found).fit_model(found)
-    own = load_samples(recording, second.board)
-    less = replace(own, rate_rad_s=np.asarray(own.rate_rad_s) - 0.01)
-    other = prepare_held_out(recording, second.board, found, less).fit_model(
-        found, same_noise_as=plain
+    plain = prepare_held_out(recording, second.board, base).fit_model(base)
+    second_samples = load_samples(recording, second.board)
+    less = replace(second_samples, rate_rad_s=np.asarray(second_samples.rate_rad_s) - 0.01)
+    other = prepare_held_out(recording, second.board, base, less).fit_model(
+        base, same_noise_as=plain
     )
     assert other.log_likelihood == pytest.approx(plain.log_likelihood, abs=0.05)
     assert other.session.bias_rad_s == pytest.approx(plain.session.bias_rad_s - 0.01, abs=1e-6)

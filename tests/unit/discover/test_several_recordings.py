@@ -26,7 +26,7 @@ def test_a_step_is_found_in_the_recording_in_which_it_was(hidden: Callable[..., 
     # The time is that recording's own: the same as where it is looked at alone.
     (alone,) = explain_recordings([stepped.recording], stepped.board).findings.causes
     assert alone.recording is None
-    time_s, alone_s = ({v.name: v.value for v in one.values}["time"] for one in (named, alone))
+    time_s, alone_s = ({v.name: v.value for v in cause.values}["time"] for cause in (named, alone))
     assert time_s == pytest.approx(alone_s, abs=0.5)
     origin = FindingsOrigin(BoardEntry("GY80-1", ""), [], "2026-01-31T02:30:00Z", "0")
     (cause,) = build_findings_document(explained.findings, [], origin).causes
@@ -34,16 +34,16 @@ def test_a_step_is_found_in_the_recording_in_which_it_was(hidden: Callable[..., 
 
 
 def _named(explained: Any, cause: str) -> NamedCause:
-    (found,) = (one for one in explained.findings.causes if one.cause == cause)
-    assert isinstance(found, NamedCause)
-    return found
+    (named_cause,) = (named for named in explained.findings.causes if named.cause == cause)
+    assert isinstance(named_cause, NamedCause)
+    return named_cause
 
 
 def test_what_all_have_is_known_the_better_for_it(hidden: Callable[..., Any]) -> None:
     hide = "worm_error@pan:0.0006"
-    one, two = hidden(hide, program="survey-40"), hidden(hide)
-    alone = _named(explain_recordings([one.recording], one.board), "worm_error")
-    both = _named(explain_recordings([one.recording, two.recording], one.board), "worm_error")
+    first, two = hidden(hide, program="survey-40"), hidden(hide)
+    alone = _named(explain_recordings([first.recording], first.board), "worm_error")
+    both = _named(explain_recordings([first.recording, two.recording], first.board), "worm_error")
     assert both.recording is None
     assert set(both.where) == {"pan"}
     better = 0

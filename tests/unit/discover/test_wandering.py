@@ -37,16 +37,18 @@ def test_over_longer_it_is_named(hidden: Callable[..., Any]) -> None:
     cause = detect_random_walk(solution, tests=80, alpha=0.0075)
     assert cause is not None
     assert cause.candidates == ("bias_random_walk",)
-    assert all(0.0 < one.std < one.value for one in cause.values[:2])  # hardly any on z
+    assert all(0.0 < value.std < value.value for value in cause.values[:2])  # hardly any on z
 
 
 def test_any_level_might_have_been_the_one(hidden: Callable[..., Any]) -> None:
     """Flicker and walk of three axes are looked at: six chances to be odd."""
     session = hidden("bias_random_walk:0.0003", program="survey-130")
-    one = measure_bias_walk(fit_base_model([session.recording], session.board)).dependence_test
-    alone = chi2_upper_tail(one.statistic, one.degrees_of_freedom)
+    dependence = measure_bias_walk(
+        fit_base_model([session.recording], session.board)
+    ).dependence_test
+    alone = chi2_upper_tail(dependence.statistic, dependence.degrees_of_freedom)
     assert 0.0 < alone < 0.1
-    assert one.p_value == pytest.approx(min(1.0, 6.0 * alone), rel=1e-9, abs=0.0)
+    assert dependence.p_value == pytest.approx(min(1.0, 6.0 * alone), rel=1e-9, abs=0.0)
 
 
 def test_leaps_are_no_random_walk() -> None:

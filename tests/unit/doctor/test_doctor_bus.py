@@ -16,7 +16,7 @@ BUS = BusPort("can0", "socketcan:can0")
 STATISTICS = "/sys/class/net/can0/statistics"
 
 
-def told(**data: Any) -> dict[str, Any]:
+def link_details(**data: Any) -> dict[str, Any]:
     """What `ip -json -details` says of an mcp251xfd."""
     usual = {"state": "ERROR-ACTIVE", "restart_ms": 100, "bittiming": {"bitrate": 1_000_000}}
     return {"ifname": "can0", "linkinfo": {"info_kind": "can", "info_data": usual | data}}
@@ -38,9 +38,9 @@ def put(system: SystemFiles, name: str, text: str) -> None:
 
 
 def codes(system: SystemFiles, bus: BusPort = BUS, **data: Any) -> list[str]:
-    found = check_bus(bus, system, lambda _: told(**data))
-    assert all(finding.remedy for finding in found if finding.level >= Level.WARNING)
-    return [finding.code for finding in found]
+    findings = check_bus(bus, system, lambda _: link_details(**data))
+    assert all(finding.remedy for finding in findings if finding.level >= Level.WARNING)
+    return [finding.code for finding in findings]
 
 
 def test_a_sound_bus(system: SystemFiles) -> None:
@@ -91,8 +91,8 @@ def test_a_rig_with_a_bus(system: SystemFiles, tmp_path: Path) -> None:
         "rig: r\nptu: {port: emulated}\nbuses: [{id: can0, port: emulated}]\n"
         "boards: [{id: B-1, bus: can0, node: 1}, {id: B-2, bus: can0, node: 2}]\n"
     )
-    found = check_rig(CheckRequest(load_rig(path), tmp_path, system=system), lambda _: None)
-    assert "bus can0" in {finding.subject for finding in found}
-    tonight = next(finding for finding in found if finding.subject == "tonight")
+    findings = check_rig(CheckRequest(load_rig(path), tmp_path, system=system), lambda _: None)
+    assert "bus can0" in {finding.subject for finding in findings}
+    tonight = next(finding for finding in findings if finding.subject == "tonight")
     # 100 positions and 2 x 100 samples a second, 64 bytes each
     assert "69.1 MB per hour" in tonight.what

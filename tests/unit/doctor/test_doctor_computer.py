@@ -55,10 +55,10 @@ def codes(findings: Iterable[Finding], least: Level = Level.NOTE) -> list[str]:
 
 
 def test_nothing_to_do(system: SystemFiles) -> None:
-    found = [*check_computer(system), *check_clocks(system, GOOD)]
-    assert codes(found) == []
-    assert EXIT_CODES[worst(found)] == 0
-    assert all(finding.what for finding in found)
+    findings = [*check_computer(system), *check_clocks(system, GOOD)]
+    assert codes(findings) == []
+    assert EXIT_CODES[worst(findings)] == 0
+    assert all(finding.what for finding in findings)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +110,9 @@ def test_a_processor_on_which_numpy_does_not_start(
     system: SystemFiles, text: str, missing: str
 ) -> None:
     put(system, "/proc/cpuinfo", text)
-    found = [f for f in check_computer(system) if f.level > Level.OK]
-    assert [f.code for f in found] == ["processor"] * bool(missing)
-    for finding in found:
+    findings = [f for f in check_computer(system) if f.level > Level.OK]
+    assert [f.code for f in findings] == ["processor"] * bool(missing)
+    for finding in findings:
         assert finding.level is Level.FAULT
         assert f"lacks {missing}. " in finding.what
         assert "-cpu host" in finding.remedy
@@ -159,16 +159,16 @@ def test_clocks(system: SystemFiles) -> None:
 
 
 def test_a_disk_is_measured_and_left_as_it_was(system: SystemFiles, tmp_path: Path) -> None:
-    kept = tmp_path / "recordings"
-    kept.mkdir()
-    (kept / "a.mcap").write_bytes(b"a")
-    found, measured = check_disk(kept / "not" / "there", system)
+    recordings = tmp_path / "recordings"
+    recordings.mkdir()
+    (recordings / "a.mcap").write_bytes(b"a")
+    findings, measured = check_disk(recordings / "not" / "there", system)
     assert measured is not None
-    assert measured.folder == kept
+    assert measured.folder == recordings
     assert measured.free_bytes > 0
     assert measured.write_bytes_s > 0.0
-    assert [finding.subject for finding in found] == ["disk"]
-    assert [path.name for path in kept.iterdir()] == ["a.mcap"]
+    assert [finding.subject for finding in findings] == ["disk"]
+    assert [path.name for path in recordings.iterdir()] == ["a.mcap"]
 
 
 @pytest.mark.parametrize(
@@ -184,8 +184,8 @@ def test_how_slow_a_disk_is(
     level: Level,
 ) -> None:
     monkeypatch.setattr(disk_check, "_timed_write", lambda _: spent_s)
-    found, _ = check_disk(tmp_path, system)
-    assert [(finding.code, finding.level) for finding in found] == [(code, level)]
+    findings, _ = check_disk(tmp_path, system)
+    assert [(finding.code, finding.level) for finding in findings] == [(code, level)]
 
 
 @pytest.mark.parametrize(
@@ -206,8 +206,8 @@ def test_kinds_of_disks(
 ) -> None:
     monkeypatch.setattr(disk_check, "_timed_write", lambda _: 0.001)
     put(system, "/proc/mounts", f"/dev/a / ext4 rw 0 0\n/dev/b {tmp_path} {mount} 0 0\n")
-    found, measured = check_disk(tmp_path, system)
-    assert [(f.code, f.level) for f in found if f.level] == [(code, level)]
+    findings, measured = check_disk(tmp_path, system)
+    assert [(f.code, f.level) for f in findings if f.level] == [(code, level)]
     assert (measured is None) == (level is Level.FAULT)
 
 
@@ -234,16 +234,16 @@ def test_room_for_tonight() -> None:
     may_delete = ServiceSettings(delete_when_full=True)
     (finding,) = check_capacity(DiskMeasurement(folder, 20 * 10**9, 5e6), sixteen, may_delete)
     assert (finding.code, finding.level) == ("deletes", Level.NOTE)
-    one = RecordingLoad(100.0, 100.0, 1)
-    (finding,) = check_capacity(DiskMeasurement(folder, 200 * 10**9, 5e6), one, ServiceSettings())
+    load = RecordingLoad(100.0, 100.0, 1)
+    (finding,) = check_capacity(DiskMeasurement(folder, 200 * 10**9, 5e6), load, ServiceSettings())
     assert (finding.code, finding.level) == ("fits", Level.OK)
-    found = check_capacity(DiskMeasurement(folder, 10**8, 1e5), sixteen, ServiceSettings())
-    assert codes(found) == ["full", "disk_too_slow"]
+    findings = check_capacity(DiskMeasurement(folder, 10**8, 1e5), sixteen, ServiceSettings())
+    assert codes(findings) == ["full", "disk_too_slow"]
     silent = RecordingLoad(0.0, 100.0, 1)
     assert codes(
         check_capacity(DiskMeasurement(folder, 10**9, 1e6), silent, ServiceSettings())
     ) == ["no_rate"]
-    assert list(check_capacity(None, one, ServiceSettings())) == []
+    assert list(check_capacity(None, load, ServiceSettings())) == []
 
 
 def test_what_stands_against_the_schedule() -> None:
@@ -272,8 +272,8 @@ def port() -> Iterator[str]:
 
 def test_a_free_port(system: SystemFiles, port: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(port_check, "open_holders", lambda _: [])
-    found, state = check_port("unit", port, system)
-    assert (found, state.can_open) == ([], True)
+    findings, state = check_port("unit", port, system)
+    assert (findings, state.can_open) == ([], True)
 
 
 def test_names_that_do_not_hold(
@@ -293,9 +293,9 @@ def test_what_is_in_the_way_of_a_port(system: SystemFiles, port: str) -> None:
     name = Path(port).name
     put(system, f"/sys/bus/usb-serial/devices/{name}/latency_timer", "16")
     put(system, "/proc/cmdline", f"console={name},115200 root=/dev/mmcblk0p2")
-    found, _ = check_port("unit", port, system)
-    assert [f.code for f in found if f.level] == ["latency_timer", "console"]
-    assert "16 ms" in found[0].what
+    findings, _ = check_port("unit", port, system)
+    assert [f.code for f in findings if f.level] == ["latency_timer", "console"]
+    assert "16 ms" in findings[0].what
     put(system, f"/sys/bus/usb-serial/devices/{name}/latency_timer", "1")
     put(system, "/proc/cmdline", "console=tty1")
     assert [f.code for f in check_port("unit", port, system)[0]] == ["latency_timer"]

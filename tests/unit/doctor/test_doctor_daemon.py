@@ -57,8 +57,8 @@ def answering(folder: Path, document: dict[str, Any]) -> Iterator[Path]:
 
 def test_a_daemon_at_peace(tmp_path: Path) -> None:
     with answering(tmp_path, status()) as path:
-        found, running = check_daemon(path)
-    assert [finding.code for finding in found] == ["running", "seen", "seen"]
+        findings, running = check_daemon(path)
+    assert [finding.code for finding in findings] == ["running", "seen", "seen"]
     assert running is not None
     assert (running.samples_hz, running.motion_is_locked, running.steps_are_sure) == (
         100.0,
@@ -105,8 +105,8 @@ def test_a_daemon_with_a_worry(
     tmp_path: Path, changes: dict[str, Any], code: str, level: Level
 ) -> None:
     with answering(tmp_path, status(**changes)) as path:
-        found, _ = check_daemon(path)
-    (finding,) = [finding for finding in found if finding.level > Level.OK]
+        findings, _ = check_daemon(path)
+    (finding,) = [finding for finding in findings if finding.level > Level.OK]
     assert (finding.code, finding.level) == (code, level)
     assert finding.remedy
 

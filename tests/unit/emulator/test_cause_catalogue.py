@@ -35,13 +35,13 @@ def settings(*hide: str, seed: int = 3, noise_free: bool = False) -> RigSettings
     )
 
 
-def words_of(told: RigSettings) -> np.ndarray:
+def words_of(rig_settings: RigSettings) -> np.ndarray:
     """The gyro's words and rates of the first board, (n, 6), by the physics alone."""
-    rig = EmulatedRig(told, 0)
+    rig = EmulatedRig(rig_settings, 0)
     for name, time_s, target in MOVES:
         axis = rig.stage.pan if name == "pan" else rig.stage.tilt
         axis.move(time_s, target)
-    imu = rig.boards[told.boards[0].name]._imu
+    imu = rig.boards[rig_settings.boards[0].name]._imu
     blocks = [imu.next_block() for _ in range(round(END_S / BLOCK_S))]
     return np.hstack(
         [np.vstack([b.gyro for b in blocks]), np.vstack([b.rate_rad_s for b in blocks])]
@@ -132,16 +132,16 @@ def test_the_sign_of_the_size_is_the_sign_of_the_effect() -> None:
 
 def test_effects_of_several_causes_add_up() -> None:
     both = words_of(settings("backlash@pan:1e-3", "bias_step:1e-3", noise_free=True))
-    one = words_of(settings("backlash@pan:1e-3", noise_free=True))
+    single = words_of(settings("backlash@pan:1e-3", noise_free=True))
     other = words_of(settings("bias_step:1e-3", noise_free=True))
-    total = (one + other - 2 * plain())[:, 3:]
+    total = (single + other - 2 * plain())[:, 3:]
     assert (both - plain())[:, 3:] == pytest.approx(total, abs=1e-12)
 
 
 def test_every_cause_at_once() -> None:
-    told = settings(*CAUSES)
-    assert np.isfinite(words_of(told)).all()
-    assert len(sample_rig_truth(told).injected) == 41
+    rig_settings = settings(*CAUSES)
+    assert np.isfinite(words_of(rig_settings)).all()
+    assert len(sample_rig_truth(rig_settings).injected) == 41
 
 
 def test_hiding_leaves_the_rest_of_the_truth_and_the_noise_alone() -> None:
@@ -192,17 +192,17 @@ def test_places_are_boards_axes_or_both() -> None:
 
 def test_only_the_named_board_has_it() -> None:
     boards = tuple(BoardSettings(name=name) for name in ("A", "B"))
-    told = replace(settings(noise_free=True), boards=boards)
-    hiding = replace(told, injections=(parse_injection("bias_step@B:1e-3"),))
-    assert (words_of(hiding) == words_of(told)).all()
-    other = replace(told, injections=(parse_injection("bias_step@A:1e-3"),))
-    assert (words_of(other) != words_of(told)).any()
+    rig_settings = replace(settings(noise_free=True), boards=boards)
+    hiding = replace(rig_settings, injections=(parse_injection("bias_step@B:1e-3"),))
+    assert (words_of(hiding) == words_of(rig_settings)).all()
+    other = replace(rig_settings, injections=(parse_injection("bias_step@A:1e-3"),))
+    assert (words_of(other) != words_of(rig_settings)).any()
 
 
 def test_random_draws_causes_that_differ_and_depend_on_the_seed() -> None:
     drawn = [sample_injected_causes(settings("random", "random", seed=seed)) for seed in range(60)]
     assert all(first.cause != second.cause for first, second in drawn)
-    assert len({one.cause for pair in drawn for one in pair}) > 25
+    assert len({cause.cause for pair in drawn for cause in pair}) > 25
     assert drawn[7] == sample_injected_causes(settings("random", "random", seed=7))
 
 

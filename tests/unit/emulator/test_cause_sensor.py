@@ -173,11 +173,11 @@ def test_the_die_follows_the_board_with_a_first_order_lag(
     time_s = np.linspace(0.0, 300.0, 61)
 
     def slope(t: float, rise: np.ndarray) -> np.ndarray:
-        told = (
+        expected = (
             3.0 * (1 - math.exp(-t / warm_s))
             + soak_k * (1 - math.cos(2 * math.pi * max(t - 30.0, 0.0) / 120)) / 2
         )
-        return np.asarray((told - rise) / lag_s)
+        return np.asarray((expected - rise) / lag_s)
 
     solved = integrate.solve_ivp(slope, (0, 300), [0.0], t_eval=time_s, rtol=1e-9, atol=1e-9)
     assert board.rise_k(time_s, lag_s) == pytest.approx(solved.y[0], abs=2e-5)

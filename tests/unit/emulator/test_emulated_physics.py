@@ -162,8 +162,8 @@ def test_clock_skew_is_its_rate() -> None:
 @settings(max_examples=30)
 @given(times=st.lists(st.integers(0, 300_000_000_000), min_size=2, max_size=20))
 def test_clock_reads_the_same_in_any_order(times: list[int]) -> None:
-    one, other = (clock(skew=3e-5, wander_per_rts=1e-6) for _ in range(2))
-    forward = {t: one.ticks(t) for t in sorted(times)}
+    first, other = (clock(skew=3e-5, wander_per_rts=1e-6) for _ in range(2))
+    forward = {t: first.ticks(t) for t in sorted(times)}
     assert {t: other.ticks(t) for t in sorted(times, reverse=True)} == forward
 
 

@@ -42,8 +42,8 @@ def order(folder: Path, *more: str) -> list[str]:
 def recorded(folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
     """What the command printed."""
     assert run(order(folder, *more)) == 0
-    told: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return told
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return document
 
 
 def recording(folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> Recording:
@@ -93,9 +93,9 @@ def test_a_recording_does_not_say_what_it_hides(
     quiet = recording(tmp_path / "quiet", capsys, "--noise-free")
     for other in (hiding, random, quiet):
         assert told_of_itself(other) == told_of_itself(plain)
-        said = str([m for topic in ("/diagnostics", "/session/event")
+        messages = str([m for topic in ("/diagnostics", "/session/event")
                     for m in other.messages(topic)])  # fmt: skip
-        assert not any(cause.split(":")[0] in said for cause in causes)
+        assert not any(cause.split(":")[0] in messages for cause in causes)
 
 
 def test_noise_free_leaves_the_rounding_only(
@@ -125,11 +125,11 @@ def test_the_truth_says_when_steps_were_lost(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     truth = tmp_path / "truth.json"
-    told = recorded(tmp_path, capsys, "--hide", "lost_steps@pan:8", "--truth", str(truth))
+    output = recorded(tmp_path, capsys, "--hide", "lost_steps@pan:8", "--truth", str(truth))
     document = json.loads(truth.read_text())
     at_s = document["happened"]["lost_steps.pan"]["value"]
     (hidden,) = document["hidden"]["causes"]
-    rec = read_recording(Path(told["recording"]))
+    rec = read_recording(Path(output["recording"]))
     begun_s = 1e-9 * (
         int(rec.metadata["gyrorig"]["anchor_monotonic_raw_ns"]) - document["power_up_raw_ns"]
     )
@@ -145,9 +145,9 @@ def test_a_sealed_truth_is_opened_at_the_end(
 ) -> None:
     truth = tmp_path / "truth.json"
     assert run(order(tmp_path, "--hide", "random", "--seed", "8", "--truth", str(truth))) == 0
-    said = capsys.readouterr()
-    seal = json.loads(said.out)["seal"]
-    assert f"SHA-256 {seal}" in said.err
+    output = capsys.readouterr()
+    seal = json.loads(output.out)["seal"]
+    assert f"SHA-256 {seal}" in output.err
     document = json.loads(truth.read_text())
     text = json.dumps(document["hidden"], sort_keys=True, separators=(",", ":"))
     assert hashlib.sha256(text.encode()).hexdigest() == seal == document["seal"]["sha256"]
@@ -194,7 +194,7 @@ def test_the_causes_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
     line = "backlash@pan,tilt: gap between motor and gear; random size: 0.0002 to 0.0025 rad"
     assert line in lines
     assert run(["causes", "--json"]) == 0
-    causes = {told["cause"]: told for told in json.loads(capsys.readouterr().out)["causes"]}
+    causes = {entry["cause"]: entry for entry in json.loads(capsys.readouterr().out)["causes"]}
     assert causes["backlash"]["typical"] == 9e-4
     assert causes["wrong_full_scale"]["nothing_at"] == 1.0
 
@@ -216,9 +216,9 @@ def test_what_cannot_be_hidden_ends_with_2_and_one_line(
         if not simulated:
             arguments.remove("--simulated-time")
         assert run(arguments) == 2
-        said = capsys.readouterr().err
-        assert words in said
-        assert said.count("\n") == 1
+        errors = capsys.readouterr().err
+        assert words in errors
+        assert errors.count("\n") == 1
     assert not list(tmp_path.glob("*.mcap*"))
 
 

@@ -40,9 +40,9 @@ COMMANDS = [(1.0, b"PP2000 "), (3.5, b"TP-500 "), (5.0, b"PP-1500 "), (6.2, b"H 
 END_S = 16.0
 
 
-def session(told: RigSettings) -> tuple[EmulatedRig, np.ndarray]:
+def session(rig_settings: RigSettings) -> tuple[EmulatedRig, np.ndarray]:
     """A rig after its session, and the samples' numbers and words, (n, 4)."""
-    rig = EmulatedRig(replace(told, session_s=(0.0, END_S)), 0)
+    rig = EmulatedRig(replace(rig_settings, session_s=(0.0, END_S)), 0)
     hub, data = VirtualHub(rig), b""
     for at_s, command in [*COMMANDS, (END_S, b"")]:
         while (chunk := hub.read(round(at_s * 1e9))) is not None:
@@ -129,8 +129,8 @@ def test_visibility_goes_with_the_square_of_the_size() -> None:
 
 def test_what_a_calibration_absorbs_is_not_visible() -> None:
     for cause in ("clock_offset:0.02", "step_resolution@pan:1e-3", "wrong_full_scale:2"):
-        told = seen(cause)
-        assert told.absorbed > 0.99999
+        visible = seen(cause)
+        assert visible.absorbed > 0.99999
     assert seen("motor_coupling:1e-3").absorbed < 0.8
     assert seen() == Visibility(0.0, 0.0)
 
@@ -147,10 +147,10 @@ def test_white_noise_alone_has_the_textbook_value() -> None:
     wave = np.outer(np.sin(2 * np.pi * 2.0 * time_s), [1e-3, 0.0, 0.0])
     still = np.zeros_like(plain)
     rates = NoiseFreeRates(np.arange(10000), time_s, plain + wave, plain, plain, still)
-    told = visibility(rates, document, [], (0.0, 100.0))
+    report = visibility(rates, document, [], (0.0, 100.0))
     density = document["noise_density_rad_s_rthz"][0]
     folded = 1.0 + 2 * 0.25**4 + 2 * 0.125**4  # what the 25 Hz low-pass leaves at 100, 200 Hz
-    assert told.noncentrality == pytest.approx(1e-4 / (density**2 * folded), rel=1e-3)
+    assert report.noncentrality == pytest.approx(1e-4 / (density**2 * folded), rel=1e-3)
 
 
 def test_the_minimal_detectable_is_baardas() -> None:
@@ -171,9 +171,9 @@ def test_rates_come_beside_the_recording(
     arguments = ["record", "--config", str(rig), "--program", str(program), "--out", str(tmp_path),
                  "--rates", str(tmp_path / "rates.npz"), "--hide", "bias_ramp@x:1e-4"]  # fmt: skip
     assert run([*arguments, "--simulated-time"]) == 0
-    with np.load(tmp_path / "rates.npz") as told:
-        added = told["GY80-1.hidden_rad_s"] - told["GY80-1.plain_rad_s"]
-        assert added[:, 0] == pytest.approx(1e-4 * told["GY80-1.time_s"], abs=1e-12)
-        assert len(told["pan_s"]) == 1
+    with np.load(tmp_path / "rates.npz") as arrays:
+        added = arrays["GY80-1.hidden_rad_s"] - arrays["GY80-1.plain_rad_s"]
+        assert added[:, 0] == pytest.approx(1e-4 * arrays["GY80-1.time_s"], abs=1e-12)
+        assert len(arrays["pan_s"]) == 1
     assert run(arguments) == 2
     assert "--rates needs --simulated-time" in capsys.readouterr().err

@@ -78,10 +78,10 @@ def test_a_rig_is_a_function_of_its_origin_only_by_a_shift() -> None:
     here = play(VirtualHub(EmulatedRig(SETTINGS, ORIGIN)), [], 2.0)
     rig = EmulatedRig(SETTINGS, ORIGIN + SECOND)
     hub = VirtualHub(rig)
-    there = []
+    outputs = []
     while (chunk := hub.read(ORIGIN + 3 * SECOND)) is not None:
-        there.append(chunk)
-    assert by_port(here) == by_port(there)
+        outputs.append(chunk)
+    assert by_port(here) == by_port(outputs)
 
 
 def test_time_moves_only_in_read_and_never_back() -> None:

@@ -68,18 +68,18 @@ def test_least_squares_finds_the_truth_document(seed: int) -> None:
     omega = np.stack([np.interp(moment, time_s, rates[:, k]) for k in range(3)], axis=1)
     design = np.column_stack([omega, np.ones(len(omega))])
     y = counts[inside] * truth["gyro_scale_rad_s"]
-    found, *_ = np.linalg.lstsq(design, y, rcond=None)
-    residual = y - design @ found
+    estimate, *_ = np.linalg.lstsq(design, y, rcond=None)
+    residual = y - design @ estimate
     density = np.array(truth["noise_density_rad_s_rthz"])
     expected = density * math.sqrt(25.0 * math.pi / (2 * math.sqrt(2)))
     assert residual.std(axis=0) == pytest.approx(expected, rel=0.06)
     # Neighbours share some noise through the low-pass: white over 50 Hz, not over 35 Hz.
     spread = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     sigma = np.outer(spread, density * math.sqrt(truth["odr_hz"] / 2.0))
-    error = found - np.vstack([np.array(truth["STM"]).T, truth["mean_bias_rad_s"]])
+    error = estimate - np.vstack([np.array(truth["STM"]).T, truth["mean_bias_rad_s"]])
     assert np.abs(error[:3] / sigma[:3]).max() < 4.5
     assert np.abs(error[3]).max() < 2e-4
-    assert np.abs(found[:3].T - np.eye(3)).max() > 0.01
+    assert np.abs(estimate[:3].T - np.eye(3)).max() > 0.01
 
 
 def test_truth_is_s_times_t_times_m() -> None:

@@ -170,10 +170,10 @@ def test_one_bin_equals_scipy_regression() -> None:
     left = series.base_residual_rad_s
     by = np.sin(series.angle_rad[1]) * series.rate_rad_s[:, 1]
     by = by + np.cos(series.angle_rad[1]) * series.rate_rad_s[:, 2]
-    some = np.abs(by) > 0.05 * np.abs(by).max()
+    is_large = np.abs(by) > 0.05 * np.abs(by).max()
     bins = regress_in_bins(series, left, BinnedDependence("gain", "pan", 1), axis=2)
-    both = np.concatenate([by[some], -by[some]])  # through the origin
-    wanted = linregress(both, np.concatenate([left[some, 2], -left[some, 2]]))
+    both = np.concatenate([by[is_large], -by[is_large]])  # through the origin
+    wanted = linregress(both, np.concatenate([left[is_large, 2], -left[is_large, 2]]))
     assert bins.value[0] == pytest.approx(100.0 * wanted.slope, rel=1e-9)
     assert bins.bar[0] == pytest.approx(196.0 * wanted.stderr * np.sqrt(2.0), rel=1e-2)
 
@@ -197,11 +197,11 @@ def test_without_angles_a_cause_is_drawn_by_its_effect() -> None:
 
 def test_other_causes_are_in_both_models_of_a_figure() -> None:
     """A large other cause must not show in the figure of a small one."""
-    own, other = np.zeros((N, 3)), np.zeros((N, 3))
-    own[4000:4010, 2], other[:, 2] = 0.01, 1.0
-    series = course(own + other)
-    shown = replace(series, effects={"own": own})
-    flat = replace(course(own), effects={"own": own})
+    own_effect, other = np.zeros((N, 3)), np.zeros((N, 3))
+    own_effect[4000:4010, 2], other[:, 2] = 0.01, 1.0
+    series = course(own_effect + other)
+    shown = replace(series, effects={"own": own_effect})
+    flat = replace(course(own_effect), effects={"own": own_effect})
     assert close_scale(cause_figure(shown, "ringing", "own", ())) == close_scale(
         cause_figure(flat, "ringing", "own", ())
     )

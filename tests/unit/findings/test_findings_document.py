@@ -65,7 +65,7 @@ def test_the_search_and_the_stream_stand_together(
     findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
     document = build_findings_document(findings, raw, origin)
-    assert [(one.cause, one.where) for one in document.causes] == [
+    assert [(cause.cause, cause.where) for cause in document.causes] == [
         ("backlash", "tilt"),
         ("repeated_samples", "all"),
     ]
@@ -94,21 +94,23 @@ def test_swapped_axes_come_first(
     )
     look = replace(raw[0].checks[0], findings=(swapped,))
     document = build_findings_document(findings, [RawChecks("a.mcap", (look,))], origin)
-    assert [one.cause for one in document.causes] == ["axis_swap", "backlash"]
+    assert [cause.cause for cause in document.causes] == ["axis_swap", "backlash"]
 
 
 def test_what_the_search_named_is_not_named_twice(
     findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    own = StreamFinding("backlash", "ptu", (), 1, 1, 0.0, "share", 0.0, "1", "twice", "")
-    look = replace(raw[0].checks[0], findings=(own,))
+    finding = StreamFinding("backlash", "ptu", (), 1, 1, 0.0, "share", 0.0, "1", "twice", "")
+    look = replace(raw[0].checks[0], findings=(finding,))
     document = build_findings_document(findings, [RawChecks("a.mcap", (look,))], origin)
-    assert [one.cause for one in document.causes] == ["backlash"]
+    assert [cause.cause for cause in document.causes] == ["backlash"]
 
 
 def test_numbers_that_are_none_are_null(findings: CauseFindings, origin: FindingsOrigin) -> None:
-    (one,) = findings.causes
-    odd = replace(one, values=(replace(one.values[0], std=math.inf),), statistic=math.nan)
+    (named_cause,) = findings.causes
+    odd = replace(
+        named_cause, values=(replace(named_cause.values[0], std=math.inf),), statistic=math.nan
+    )
     text = to_yaml(build_findings_document(replace(findings, causes=(odd,)), [], origin))
     (back,) = parse_findings(text, "findings.yaml").causes
     assert back.parameters["gap.tilt"].std is None
@@ -126,8 +128,8 @@ def test_other_documents_are_refused(text: str) -> None:
 def test_a_person_reads_verdict_cause_size_and_remedy(
     findings: CauseFindings, raw: list[RawChecks], origin: FindingsOrigin
 ) -> None:
-    said = findings_summary(build_findings_document(findings, raw, origin))
-    lines = said.splitlines()
+    summary = findings_summary(build_findings_document(findings, raw, origin))
+    lines = summary.splitlines()
     assert lines[0] == (
         "GY80-0007 (L3G4200D): not fully explained: the gears have backlash, on tilt, "
         "57.3 ± 5.7 mdeg; samples are repeated, 0.500 ± 0.064 %"
@@ -135,8 +137,8 @@ def test_a_person_reads_verdict_cause_size_and_remedy(
     assert "backlash, on tilt: the gears have backlash" in lines[1]
     assert "gap.tilt +57.3 ± 5.7 mdeg" in lines[2]
     assert "have the worm adjusted" in lines[3]
-    assert "depends on pan, as a gain" in said
-    assert "tilt_sag below 80.2 mdeg; if present, it would bias scale.z by up to 36.0 " in said
+    assert "depends on pan, as a gain" in summary
+    assert "tilt_sag below 80.2 mdeg; if present, it would bias scale.z by up to 36.0 " in summary
 
 
 def test_every_cause_has_a_title_and_a_remedy() -> None:

@@ -31,20 +31,22 @@ def truth(*causes: tuple[str, float, str], board: str | None = None) -> dict[str
 
 
 def scores(document: FindingsDocument, hidden: dict[str, Any]) -> list[tuple[str, str]]:
-    return [(one.cause, one.score) for one in score_causes(document, hidden)]
+    return [
+        (score_cause.cause, score_cause.score) for score_cause in score_causes(document, hidden)
+    ]
 
 
 def test_a_named_cause_is_right(document: FindingsDocument) -> None:
     scored = score_causes(document, truth(("backlash", 0.00105, "rad")))
-    assert [(one.cause, one.score) for one in scored] == [("backlash", "right")]
+    assert [(score.cause, score.score) for score in scored] == [("backlash", "right")]
     assert "size 60.2 mdeg, was injected and named: right, estimated 57.3 mdeg" in score_text(
         document, scored
     )
 
 
 def test_a_stated_set_counts_as_that(findings: CauseFindings, origin: FindingsOrigin) -> None:
-    one = replace(findings.causes[0], one_of=("lost_steps",))
-    document = build_findings_document(replace(findings, causes=(one,)), [], origin)
+    named_set = replace(findings.causes[0], one_of=("lost_steps",))
+    document = build_findings_document(replace(findings, causes=(named_set,)), [], origin)
     assert scores(document, truth(("lost_steps", 0.01, "rad"))) == [("lost_steps", "among")]
 
 

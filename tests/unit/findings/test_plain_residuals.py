@@ -72,11 +72,11 @@ def test_a_shape_is_told_by_what_it_depends_on(covariate: str) -> None:
         "time": 3e-4 * rate.rate_rad_s * late,
         "bias_time": 3e-4 * np.ones((N, 3)) * late,
     }[covariate]
-    found = findings_from_fit(fit_of(left, 1))
-    assert found.verdict == "unexplained"
-    assert found.unexplained is not None
-    assert found.unexplained.leading.covariate == covariate
-    assert found.causes == ()
+    findings = findings_from_fit(fit_of(left, 1))
+    assert findings.verdict == "unexplained"
+    assert findings.unexplained is not None
+    assert findings.unexplained.leading.covariate == covariate
+    assert findings.causes == ()
 
 
 def test_what_gain_bias_and_lag_take_is_not_seen() -> None:

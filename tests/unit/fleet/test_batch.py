@@ -262,8 +262,8 @@ def test_a_batch_killed_repeatedly_loses_and_repeats_nothing(
         with contextlib.suppress(ProcessLookupError):  # it has ended by itself
             os.killpg(child.pid, signal.SIGKILL)
         child.wait()
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    assert done.returncode == 5, done.stderr
+    process = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert process.returncode == 5, process.stderr
     rows_in_index = StoreIndex(store).query("SELECT status FROM rows")
     assert Counter(status for (status,) in rows_in_index) == Counter(ok=2, rejected=6)
     assert len(create_sharded_store(store).versions(BOARD)) == 2

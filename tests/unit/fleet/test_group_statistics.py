@@ -68,9 +68,11 @@ def test_the_difference_of_a_lot_agrees_with_numpy(fleet_json: dict[str, Any]) -
     within = sum(float(((v - v.mean()) ** 2).sum()) for v in VALUES.values())
     variance = within / (sum(LOTS.values()) - len(LOTS))
     for name, item in groups(fleet_json, "lot").items():
-        own = VALUES[name]
+        values = VALUES[name]
         others = np.concatenate([v for other, v in VALUES.items() if other != name])
-        z = (own.mean() - others.mean()) / np.sqrt(variance * (1 / own.size + 1 / others.size))
+        z = (values.mean() - others.mean()) / np.sqrt(
+            variance * (1 / values.size + 1 / others.size)
+        )
         assert item["parameters"]["scale_x"]["z"] == pytest.approx(z, rel=1e-5)
         assert abs(z) > 10.0
 
@@ -88,5 +90,5 @@ def test_a_single_rig_has_no_z_and_boards_have_their_latest_status(
 
 def test_the_page_has_the_same_groups(fleet_json: dict[str, Any], tmp_path: Path) -> None:
     (data,) = script(tmp_path / "store" / "fleet" / "data.js", "FLEET")
-    for there, selected in zip(data["groups"], fleet_json["groups"], strict=True):
-        assert {key: there[key] for key in selected} == selected
+    for group, selected in zip(data["groups"], fleet_json["groups"], strict=True):
+        assert {key: group[key] for key in selected} == selected

@@ -58,7 +58,9 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> tuple[FleetOverview, Hist
 
 def nights_of(histories: list[Any]) -> tuple[int, np.ndarray, np.ndarray]:
     first, base, _, _, unit, moved, std = histories
-    values = [np.array([np.nan if one is None else one for one in each]) for each in (moved, std)]
+    values = [
+        np.array([np.nan if value is None else value for value in each]) for each in (moved, std)
+    ]
     return first, (base or 0.0) + values[0] * unit / STEPS_PER_STD, values[1] * unit / STEPS_PER_STD
 
 
@@ -66,16 +68,18 @@ def test_a_boards_chart_agrees_with_the_statistics(fleet: tuple[FleetOverview, H
     overview, histories = fleet
     compared = 0
     for index, board in enumerate(overview.boards.board):
-        for which, one in enumerate(overview.charts):
+        for which, chart in enumerate(overview.charts):
             first, ewma, std = nights_of(histories[board]["chart"][which])
-            unit = float(np.sqrt(one.variance[index]))
-            wanted = one.baseline[index] + one.ewma_history[first:, index]
-            assert np.isnan(one.ewma_history[:first, index]).all()
+            unit = float(np.sqrt(chart.variance[index]))
+            wanted = chart.baseline[index] + chart.ewma_history[first:, index]
+            assert np.isnan(chart.ewma_history[:first, index]).all()
             np.testing.assert_allclose(ewma, wanted, atol=0.006 * unit, rtol=1e-6)
-            np.testing.assert_allclose(std, one.ewma_history_std[first:, index], atol=0.006 * unit)
+            np.testing.assert_allclose(
+                std, chart.ewma_history_std[first:, index], atol=0.006 * unit
+            )
             last = np.flatnonzero(np.isfinite(ewma))[-1]
-            assert ewma[last] - one.baseline[index] == pytest.approx(
-                one.shift[index], abs=0.011 * unit
+            assert ewma[last] - chart.baseline[index] == pytest.approx(
+                chart.shift[index], abs=0.011 * unit
             )
             assert std[last] == pytest.approx(unit, rel=0.01)
             compared += 1
@@ -86,7 +90,7 @@ def test_a_rigs_chart_ends_at_its_reported_score(
     fleet: tuple[FleetOverview, Histories],
 ) -> None:
     overview, histories = fleet
-    (move,) = [one for one in overview.group_shifts if one.kind == "rig"]
+    (move,) = [group_shift for group_shift in overview.group_shifts if group_shift.kind == "rig"]
     chart = histories[group_key("rig", "rig-3")]["chart"][PARAMETER_COLUMNS.index("misalignment_x")]
     _, ewma, std = nights_of(chart)
     assert ewma[-1] == pytest.approx(move.shift, rel=0.02)
@@ -104,7 +108,7 @@ def test_groups_that_share_boards_with_a_drifting_rig_have_not_shifted(
     """Its move is taken off its boards in the charts of lots and sites."""
     overview, _ = fleet
     charts, limit = group_charts(overview), shared_chart_data(overview)["limits"]["group"]
-    beyond = {key for key, one in charts.items() if abs(one.z["misalignment_x"] or 0.0) > limit}
+    beyond = {key for key, chart in charts.items() if abs(chart.z["misalignment_x"] or 0.0) > limit}
     assert beyond == {group_key("rig", "rig-3")}
     # a lot half of whose boards were measured on it
     assert abs(charts[group_key("lot", "lot-3")].z["misalignment_x"] or 0.0) < 4.0
@@ -128,7 +132,9 @@ def test_temperature_corrected_values_can_be_computed(
     for board in overview.boards.board:
         _, _, warm, slope, *_ = histories[board]["chart"][which]
         assert slope == pytest.approx(1e-3, rel=0.1)
-        points = np.array([[one[2], one[3 + which]] for one in histories[board]["points"]])
+        points = np.array(
+            [[history[2], history[3 + which]] for history in histories[board]["points"]]
+        )
         taken = points[:, 1] - slope * (points[:, 0] - warm)
         shrunk.append(taken.std() / points[:, 1].std())
     assert float(np.median(shrunk)) < 0.3  # 3e-3 of season against 4e-4 of a night's scatter
@@ -141,7 +147,7 @@ def test_only_the_latest_nights_are_kept(tmp_path: Path) -> None:
     histories = read(store, overview)
     assert len(shared_chart_data(overview)["days"]) == HISTORY_NIGHTS
     assert shared_chart_data(overview)["days"][-1] == overview.night_days[-1]
-    assert all(len(one.ewma_history) == HISTORY_NIGHTS for one in overview.charts)
+    assert all(len(chart.ewma_history) == HISTORY_NIGHTS for chart in overview.charts)
     first, ewma, _ = nights_of(histories["B000003"]["chart"][0])
     assert first + len(ewma) == HISTORY_NIGHTS
     unit = float(np.sqrt(overview.charts[0].variance[3]))
@@ -155,4 +161,6 @@ def test_boards_without_a_baseline_have_points_and_no_chart(tmp_path: Path) -> N
     overview = build_overview(store)
     histories = read(store, overview)
     assert set(histories) == set(overview.boards.board)
-    assert all(len(one["points"]) == 2 and "chart" not in one for one in histories.values())
+    assert all(
+        len(history["points"]) == 2 and "chart" not in history for history in histories.values()
+    )

@@ -82,8 +82,8 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def test_rows_of_a_killed_batch_are_kept(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[3]
-    done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], cwd=root, check=False)
-    assert done.returncode == -9
+    process = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], cwd=root, check=False)
+    assert process.returncode == -9
     assert not is_batch_running(tmp_path, "night")
     assert StoreIndex(tmp_path).merge_abandoned_journals() == 1
     assert StoreIndex(tmp_path).finished_keys() == {"k1"}
@@ -178,8 +178,8 @@ except MachineError as fault:
 def test_a_full_disk_leaves_complete_lines(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[3]
     command = [sys.executable, "-c", FULL, str(tmp_path)]
-    done = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True)
-    assert "Free some disk space" in done.stdout
+    process = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True)
+    assert "Free some disk space" in process.stdout
     (path,) = (tmp_path / "journal").iterdir()
     assert len(path.read_bytes().splitlines()) == 1
     assert json.loads(path.read_bytes())["key"] == "k1"

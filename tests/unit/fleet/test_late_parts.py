@@ -24,9 +24,9 @@ def test_a_later_part_makes_the_session_new(tmp_path: Path) -> None:
     spool.mkdir()
     for number, part in enumerate(parts, 1):
         shutil.copy(part.path, spool)
-        done = night(spool, store)
-        assert (done.done_before, done.sessions_by_status) == (0, Counter(ok=1)), (
-            done.unsuccessful_rows
+        batch_result = night(spool, store)
+        assert (batch_result.done_before, batch_result.sessions_by_status) == (0, Counter(ok=1)), (
+            batch_result.unsuccessful_rows
         )
         versions = create_sharded_store(store).versions(BOARD)
         assert len(versions) == number

@@ -74,15 +74,15 @@ def test_a_signed_store_verifies(store: Path, keys: tuple[Path, Path]) -> None:
 def test_sha256sum_and_openssl_check_manifests(store: Path, keys: tuple[Path, Path]) -> None:
     manifest = item(store, "manifest/*.sha256")
     if shutil.which("sha256sum"):
-        done = subprocess.run(
+        process = subprocess.run(
             ["sha256sum", "--check", "--strict", str(manifest.relative_to(store))],
             cwd=store,
             capture_output=True,
             text=True,
             check=False,
         )
-        assert done.returncode == 0, done.stderr
-        assert done.stdout.count(": OK") == 5
+        assert process.returncode == 0, process.stderr
+        assert process.stdout.count(": OK") == 5
     if shutil.which("openssl"):
         command = ["openssl", "pkeyutl", "-verify", "-pubin", "-inkey", str(keys[1]), "-rawin"]
         command += ["-in", str(manifest), "-sigfile", f"{manifest}.sig"]

@@ -39,8 +39,8 @@ def together(count: int, work: Callable[[int], object]) -> None:
         work(number)
 
     with ThreadPoolExecutor(count) as pool:
-        done: list[Future[None]] = [pool.submit(item, number) for number in range(count)]
-    for each in done:
+        futures: list[Future[None]] = [pool.submit(item, number) for number in range(count)]
+    for each in futures:
         each.result()
 
 

@@ -137,8 +137,8 @@ else:
 @pytest.mark.parametrize(("more_bytes", "output"), [(16 << 20, "refused"), (256 << 20, "given")])
 def test_a_process_gets_no_more_memory_than_its_limit(more_bytes: int, output: str) -> None:
     command = [sys.executable, "-c", LIMITED, str(more_bytes)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == output
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == output
 
 
 def test_a_borrowed_process_is_limited_during_the_job_only(
@@ -187,12 +187,12 @@ def test_jobs_that_waited_next_to_a_death_are_repeated_alone(
     tmp_path: Path,
 ) -> None:
     """A scheduler tells a worker's death to all that waited there, not only to who caused it."""
-    beside: dict[str, list[int]] = {}
+    neighbours: dict[str, list[int]] = {}
     pool = WorkerPool(AtOnce, capacity=4, death_exceptions=(DiedError,))
 
     def work(item: Job) -> JobResult:
-        beside.setdefault(item.key, []).append(len(pool.running_jobs))
-        if item.key == "poison" or (item.key.startswith("near") and len(beside[item.key]) == 1):
+        neighbours.setdefault(item.key, []).append(len(pool.running_jobs))
+        if item.key == "poison" or (item.key.startswith("near") and len(neighbours[item.key]) == 1):
             raise DiedError
         return JobResult(item.key, (failure_row(item, "rejected", reason="as asked"),))
 
@@ -203,9 +203,9 @@ def test_jobs_that_waited_next_to_a_death_are_repeated_alone(
     assert ended == {
         item.key: "quarantined" if item.key == "poison" else "rejected" for item in jobs
     }
-    assert {key: len(tries) for key, tries in beside.items() if len(tries) > 1} == {
+    assert {key: len(tries) for key, tries in neighbours.items() if len(tries) > 1} == {
         "near1": 2,
         "poison": 2,
         "near2": 2,
     }
-    assert all(tries[1] == 0 for tries in beside.values() if len(tries) > 1)  # alone
+    assert all(tries[1] == 0 for tries in neighbours.values() if len(tries) > 1)  # alone

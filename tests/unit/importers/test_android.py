@@ -153,7 +153,7 @@ def test_different_and_periodic_motions_are_rejected() -> None:
 def on_a_unit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str, Any]]:
     """A recording of a unit, the log of a phone on it, and what the emulator hid."""
     folder = tmp_path_factory.mktemp("unit")
-    done = subprocess.run(
+    process = subprocess.run(
         [
             *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time", "--json"),
             *("--config", str(ROOT / "config" / "rig.yaml")),
@@ -162,7 +162,7 @@ def on_a_unit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dic
         ],
         check=True, capture_output=True, text=True,
     )  # fmt: skip
-    recording = Path(json.loads(done.stdout)["recording"])
+    recording = Path(json.loads(process.stdout)["recording"])
     samples = load_samples(read_recording(recording), "GY80-1")
     stamp_ns = np.rint((samples.time_s * (1.0 + 4e-5) + 54321.7) * 1e9).astype(np.int64)
     log = folder / "gnss_log.txt"
@@ -176,8 +176,8 @@ def test_a_phone_on_a_unit_becomes_an_additional_board(
     on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     unit, log, _ = on_a_unit
-    done = import_phone(log, tmp_path / "phone.mcap", "NEXUS5", "MPU-6515", unit)
-    both = read_recording(done.path)
+    imported = import_phone(log, tmp_path / "phone.mcap", "NEXUS5", "MPU-6515", unit)
+    both = read_recording(imported.path)
     assert both.is_complete
     assert both.board_ids == (BoardId("GY80-1"), BoardId("NEXUS5"))
     board, phone = (load_samples(both, name) for name in ("GY80-1", "NEXUS5"))
@@ -186,7 +186,7 @@ def test_a_phone_on_a_unit_becomes_an_additional_board(
     assert np.abs(apart_s - np.median(apart_s)).max() < 2e-3
     for topic, messages in read_recording(unit).topics.items():
         assert len(both.topics[topic]) >= len(messages)
-    assert any("clock was estimated from the motion" in note for note in done.notes)
+    assert any("clock was estimated from the motion" in note for note in imported.notes)
     with pytest.raises(UsageError, match="already has a board GY80-1"):
         import_phone(log, tmp_path / "again.mcap", "GY80-1", "MPU-6515", unit)
     assert not list(tmp_path.glob("again*"))
@@ -213,12 +213,12 @@ def test_the_calibration_of_a_phone_agrees_within_its_uncertainty(
     assert result.observability.rank == 12
     hidden = truth | {"boards": {"NEXUS5": truth["boards"]["GY80-1"]}}
     off = {
-        one.name: one.sigmas
-        for one in compare_with_truth(result, hidden)
-        if not one.name.startswith("time")
+        row.name: row.sigmas
+        for row in compare_with_truth(result, hidden)
+        if not row.name.startswith("time")
     }
     assert len(off) == 12
-    sigmas = np.array([abs(one) for one in off.values() if one is not None])
+    sigmas = np.array([abs(offset) for offset in off.values() if offset is not None])
     assert sigmas.size == 12
     assert sigmas.max() < FARTHEST_SIGMA, off
     assert np.sqrt(np.mean(sigmas**2)) < ALL_SIGMA, off
@@ -228,8 +228,8 @@ def test_the_time_of_a_phone_alone_starts_at_zero(
     on_a_unit: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     _, log, _ = on_a_unit
-    done = import_phone(log, tmp_path / "alone.mcap", "PHONE", "android")
-    alone = read_recording(done.path)
+    imported = import_phone(log, tmp_path / "alone.mcap", "PHONE", "android")
+    alone = read_recording(imported.path)
     assert alone.start_ns == 0
     assert alone.metadata["gyrorig.board.PHONE"]["link"] == "file"
-    assert load_samples(alone, "PHONE").number.size == done.samples
+    assert load_samples(alone, "PHONE").number.size == imported.samples

@@ -74,10 +74,10 @@ def test_table_and_archive_give_the_same_recording(tmp_path: Path) -> None:
         *(",".join(map(repr, map(float, (t, *g)))) for t, g in zip(*data.values(), strict=True)),
     ]
     (tmp_path / "in.csv").write_text("\n".join(rows))
-    one = import_measurements(archive(tmp_path / "in.npz", **data), mapped(), tmp_path / "a.mcap")
+    first = import_measurements(archive(tmp_path / "in.npz", **data), mapped(), tmp_path / "a.mcap")
     three = mapped(BASE.replace("[g]", "[gx, gy, gz]"))
     two = import_measurements(tmp_path / "in.csv", three, tmp_path / "b.mcap")
-    a, b = (messages(s.path, "/board/B1/imu_raw") for s in (one, two))
+    a, b = (messages(s.path, "/board/B1/imu_raw") for s in (first, two))
     assert [m.gyro for m in a] == [m.gyro for m in b]
 
 

@@ -89,8 +89,8 @@ def rendered(node: ast.expr) -> str:
             )
         case ast.BinOp(left=left, right=right):
             return rendered(left) + rendered(right)
-        case ast.IfExp(body=one, orelse=other):
-            return f"{rendered(one)} | {rendered(other)}"
+        case ast.IfExp(body=body, orelse=other):
+            return f"{rendered(body)} | {rendered(other)}"
     return f"{{{ast.unparse(node)}}}"
 
 

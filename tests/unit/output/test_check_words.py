@@ -107,12 +107,12 @@ REMARKS = [
 
 @pytest.mark.parametrize(("health", "remedy"), REMARKS)
 def test_every_remark_says_what_to_do(health: RecordingHealth, remedy: str) -> None:
-    (told,) = health_problems(health)
-    assert remedy in told
-    what, _, to_do = told.partition(". ")
+    (remark,) = health_problems(health)
+    assert remedy in remark
+    what, _, to_do = remark.partition(". ")
     assert len(what) > 8
     assert len(to_do) > 8
-    assert "\n" not in told
+    assert "\n" not in remark
 
 
 def test_a_sound_recording_has_no_remark() -> None:
@@ -120,8 +120,8 @@ def test_a_sound_recording_has_no_remark() -> None:
 
 
 def test_a_recording_without_a_board_is_not_usable(tmp_path: Path, capsys: Captured) -> None:
-    own = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
-    writer = RecordingWriter(tmp_path / "empty.mcap", {"gyrorig": own})
+    metadata = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
+    writer = RecordingWriter(tmp_path / "empty.mcap", {"gyrorig": metadata})
     writer.write(SESSION_EVENT_TOPIC, SessionEvent(1, int(EventKind.NOTE), "", "alone"), 1, 1)
     writer.close()
     assert cli.run(["check", str(tmp_path / "empty.mcap")]) == 4

@@ -30,11 +30,11 @@ def test_a_word_that_resembles_nothing_points_to_the_help(capsys: Captured) -> N
 
 @pytest.mark.parametrize("command", ["doctor", "run", "status", "enqueue", "halt", "recover"])
 def test_commands_of_the_daemon_are_passed_on(command: str) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "gyrorig_solver", command, "--help"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert done.stdout.startswith(f"Usage: gyrorigd {command} ")
+    assert process.stdout.startswith(f"Usage: gyrorigd {command} ")
 
 
 def test_a_folder_is_checked_recording_by_recording(tmp_path: Path, capsys: Captured) -> None:

@@ -30,7 +30,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], 
     def record(program: str, seed: int) -> Path:
         if (program, seed) not in made:
             out = folder / f"{program}-{seed}"
-            done = subprocess.run(
+            process = subprocess.run(
                 [
                     *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time"),
                     *("--config", str(ROOT / "config" / "rig.yaml")),
@@ -41,7 +41,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], 
                 text=True,
                 check=True,
             )
-            made[program, seed] = Path(json.loads(done.stdout)["recording"])
+            made[program, seed] = Path(json.loads(process.stdout)["recording"])
         return made[program, seed]
 
     return record
@@ -137,9 +137,9 @@ def test_what_is_no_recording_is_one_line_and_3(
 
 def test_a_reader_that_goes_away_is_no_fault() -> None:
     line = f"{sys.executable} -m gyrorig_solver solve --help | true; exit ${{PIPESTATUS[0]}}"
-    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
-    assert done.stderr == ""
-    assert done.returncode in (0, 1)
+    process = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert process.stderr == ""
+    assert process.returncode in (0, 1)
 
 
 def test_a_demo_that_cannot_record_says_why_in_one_line(tmp_path: Path, capsys: Captured) -> None:
@@ -157,9 +157,9 @@ def test_a_fault_of_the_program_is_one_line_and_1(
 
     monkeypatch.setattr(cli.cli, "main", break_down)
     assert cli.run(["check", "x.mcap"]) == 1
-    said = one_line(capsys.readouterr().err)
-    assert "fault of the program" in said
-    assert "gyrorig --traceback check x.mcap" in said
+    line = one_line(capsys.readouterr().err)
+    assert "fault of the program" in line
+    assert "gyrorig --traceback check x.mcap" in line
 
 
 @pytest.mark.parametrize("missing", ["scipy", "jinja2"])
@@ -168,25 +168,25 @@ def test_without_the_solver_extra_the_error_names_it(missing: str, tmp_path: Pat
         f"import sys; sys.modules[{missing!r}] = None; from gyrorig_solver.cli import run; "
         "print(run(['--help'])); sys.exit(run(['solve', 'x.mcap']))"
     )
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False
     )
-    assert done.returncode == 2, done.stderr
-    assert "gyrorig[solver]" in one_line(done.stderr)
-    assert done.stdout.endswith("0\n")
+    assert process.returncode == 2, process.stderr
+    assert "gyrorig[solver]" in one_line(process.stderr)
+    assert process.stdout.endswith("0\n")
 
 
 @pytest.mark.parametrize("command", ["record", "emulate"])
 def test_the_daemon_gets_its_own_arguments(command: str, tmp_path: Path) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "gyrorig_solver", command, "--config", "none.yaml", "--odd"],
         capture_output=True,
         text=True,
         cwd=tmp_path,
         check=False,
     )
-    assert done.returncode == 2
-    assert "--odd" in done.stderr
+    assert process.returncode == 2
+    assert "--odd" in process.stderr
     shown = subprocess.run(
         [sys.executable, "-m", "gyrorig_solver", command, "--help"],
         capture_output=True,
@@ -205,11 +205,11 @@ def test_check_tells_what_a_recording_can_calibrate(
     assert "sound" in text
     assert "12 of 12" in text
     assert cli.run(["check", str(path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["recordings"][0]
-    assert told["complete"]
-    assert told["boards"][0]["lost"] == 0
-    assert told["boards"][0]["clock_pings"] > 0
-    assert told["identifiable"]
+    description = json.loads(capsys.readouterr().out)["recordings"][0]
+    assert description["complete"]
+    assert description["boards"][0]["lost"] == 0
+    assert description["boards"][0]["clock_pings"] > 0
+    assert description["identifiable"]
 
 
 def test_check_of_a_rest_says_what_is_missing_and_why(
@@ -251,9 +251,9 @@ def test_solving_twice_changes_no_number_and_chains_the_versions(
     path = str(simulated("survey-40", 3))  # quick rests at too few tilts
     for _ in range(2):
         assert cli.run(["solve", path, "--out", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "version 1: good\n  All 12 parameters were determined" in said
-    assert "  Next: use it with `gyrorig apply`" in said
+    output = capsys.readouterr().out
+    assert "version 1: good\n  All 12 parameters were determined" in output
+    assert "  Next: use it with `gyrorig apply`" in output
     first, second = (tmp_path / "GY80-1" / f"v000{n}.yaml" for n in (1, 2))
     digest = "sha256:" + hashlib.sha256(first.read_bytes()).hexdigest()
     assert parse_calibration(second.read_bytes(), "v0002").previous == digest
@@ -272,15 +272,15 @@ def test_a_page_is_made_again_with_its_recordings_or_without(
 ) -> None:
     path, out = simulated("quick", 3), tmp_path / "out"
     assert cli.run(["solve", str(path), "--out", str(out), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["boards"][0]
-    document, page = told["file"], Path(told["report"]).read_text()
+    board = json.loads(capsys.readouterr().out)["boards"][0]
+    document, page = board["file"], Path(board["report"]).read_text()
     again = tmp_path / "again.html"
     assert cli.run(["report", document, str(path), "-o", str(again), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["figures"] is True
     assert again.read_text() == page
     assert cli.run(["report", document, "-o", str(again)]) == 0
     assert "<figure" not in again.read_text()
-    assert told["calibration"]["inputs"][0]["sha256"] in again.read_text()
+    assert board["calibration"]["inputs"][0]["sha256"] in again.read_text()
     capsys.readouterr()
     other = tmp_path / "other.mcap"
     other.write_bytes(path.read_bytes()[:-9000])

@@ -18,19 +18,19 @@ def pinned() -> dict[str, str]:
 
 def needed() -> dict[str, str]:
     """Name and installed version of everything that gyrorig with its extras needs here."""
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     waiting = [("gyrorig", frozenset({"solver", "dev"}))]
-    done = set()
+    visited = set()
     while waiting:
         name, extras = waiting.pop()
-        if (name, extras) in done:
+        if (name, extras) in visited:
             continue
-        done.add((name, extras))
+        visited.add((name, extras))
         try:
             package = distribution(name)
         except PackageNotFoundError:
             continue
-        found[canonicalize_name(name)] = package.version
+        versions[canonicalize_name(name)] = package.version
         for text in package.requires or []:
             requirement = Requirement(text)
             wanted = requirement.marker is None or any(
@@ -38,8 +38,8 @@ def needed() -> dict[str, str]:
             )
             if wanted:
                 waiting.append((requirement.name, frozenset(requirement.extras)))
-    del found["gyrorig"]
-    return found
+    del versions["gyrorig"]
+    return versions
 
 
 def test_only_names_and_versions_are_in_the_file() -> None:

@@ -41,13 +41,13 @@ PRINTED = sorted({tuple(c) for page in PAGES for c in commands_of(page)})
 
 @cache
 def help_of(program: str, *command: str) -> str:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", MODULES[program], *command, "--help"],
         capture_output=True,
         text=True,
         check=False,
     )
-    return done.stdout if done.returncode == 0 else ""
+    return process.stdout if process.returncode == 0 else ""
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
@@ -104,15 +104,15 @@ def test_the_example_of_the_conventions_runs(
 
 
 def test_printed_import_maps_can_be_used() -> None:
-    found = 0
+    map_count = 0
     for page in PAGES:
         for block in re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
             if "schema: gyrorig/import/1" in block:
                 check_import_map(
                     convert_document(parse_yaml(block, page.name), ImportMap, page.name), page.name
                 )
-                found += 1
-    assert found
+                map_count += 1
+    assert map_count
 
 
 def test_decisions_are_numbered_and_name_what_was_refused() -> None:

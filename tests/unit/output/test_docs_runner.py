@@ -31,7 +31,7 @@ def test_every_page_says_how_its_blocks_are_taken(page: Path) -> None:
 
 def test_what_is_left_to_ci_is_run_there() -> None:
     ran = set(re.findall(r"^make PYTHON=\S+ (\S+)", (ROOT / ".ci" / "run").read_text(), re.M))
-    left = [block for page in pages() for block in blocks(page) if block.told == "ci"]
+    left = [block for page in pages() for block in blocks(page) if block.detail == "ci"]
     asked = {line for block in left for line in block.body.splitlines()}
     assert asked == {"make check", "make test"}
     assert {line.removeprefix("make ") for line in asked} <= ran
@@ -55,7 +55,7 @@ def test_what_is_only_looked_at_is_counted_by_its_reason(tmp_path: Path) -> None
         '```sh\nls "$GYRORIG_DATA"\n```\n',
     )
     assert (tally.failure, tally.ran, tally.looked) == ("", 0, {"elsewhere": 2, "data": 1})
-    assert tally.said() == "0 run, 3 looked at (data 1, elsewhere 2)"
+    assert tally.summary() == "0 run, 3 looked at (data 1, elsewhere 2)"
 
 
 def test_what_a_page_takes_for_done_is_done_before(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_where_a_place_cannot_be_its_commands_are_looked_at(
 
     monkeypatch.setattr(Places, "place", nowhere)
     tally = followed(tmp_path, "<!-- test: in rig -->\n```sh\nfalse\nfalse\n```\n")
-    assert tally.said() == "0 run, 2 looked at (rig: a container needs root 2)"
+    assert tally.summary() == "0 run, 2 looked at (rig: a container needs root 2)"
     assert tally.failure == ""
 
 
@@ -115,8 +115,8 @@ def test_what_serves_goes_on_and_has_to_end_well(tmp_path: Path, code: int, fail
 def test_four_is_done_with_something_left_open(tmp_path: Path) -> None:
     """Exit code 4 of our commands is no failure; 3 is one."""
     ours = 'command() { return "$3"; }\n'  # stands for the program: leaves with what it is told
-    done = followed(tmp_path, f"```sh\n{ours}gyrorig leave 4\ngyrorigd leave 4\n```\n")
-    assert done.failure == ""
+    result = followed(tmp_path, f"```sh\n{ours}gyrorig leave 4\ngyrorigd leave 4\n```\n")
+    assert result.failure == ""
     for program in ("gyrorig", "gyrorigd"):
         folder = tmp_path / program
         folder.mkdir()
@@ -125,7 +125,7 @@ def test_four_is_done_with_something_left_open(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("```\ngyrorig solve a.mcap\n```\n", "commands stand in ```sh"),
         ("```text\n$ sudo make install-service\n```\n", "commands stand in ```sh"),
@@ -135,10 +135,10 @@ def test_four_is_done_with_something_left_open(tmp_path: Path) -> None:
         ("<!-- test: later -->\n```sh\nmake\n```\n", "how is it to be taken: 'later'?"),
     ],
 )
-def test_a_block_that_nobody_would_run_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_block_that_nobody_would_run_is_refused(tmp_path: Path, text: str, message: str) -> None:
     page = tmp_path / "page.md"
     page.write_text(f"# A page\n\n```text\nrig  running\n```\n\n{text}")
-    with pytest.raises(DocumentError, match=re.escape(said)) as refused:
+    with pytest.raises(DocumentError, match=re.escape(message)) as refused:
         list(blocks(page))
     assert str(refused.value).startswith("page.md:")
 
@@ -154,5 +154,5 @@ def test_marks_of_a_block(tmp_path: Path) -> None:
     assert (rig.how, rig.place, rig.before, rig.count) == (
         "run", "rig", ("one --out a", "two"), 2,
     )  # fmt: skip
-    assert (save.how, save.told, save.body, save.count) == ("save", "a.yaml", "a: 1\n", 0)
+    assert (save.how, save.detail, save.body, save.count) == ("save", "a.yaml", "a: 1\n", 0)
     assert (python.kind, python.count, python.line) == ("python", 1, 17)

@@ -39,16 +39,20 @@ def _walk(command: click.Command, name: str) -> Iterator[tuple[str, click.Comman
     if isinstance(command, click.Group):
         context = click.Context(command)
         for inner in command.list_commands(context):
-            found = command.get_command(context, inner)
-            assert found is not None
-            yield from _walk(found, f"{name} {inner}")
+            subcommand = command.get_command(context, inner)
+            assert subcommand is not None
+            yield from _walk(subcommand, f"{name} {inner}")
 
 
 COMMANDS = dict([*_walk(gyrorig, "gyrorig"), *_walk(gyrorigd, "gyrorigd")])
 
 
 def _options(command: click.Command) -> set[str]:
-    words = (word for one in command.params for word in (*one.opts, *one.secondary_opts))
+    words = (
+        word
+        for parameter in command.params
+        for word in (*parameter.opts, *parameter.secondary_opts)
+    )
     return {"--help", *words}
 
 
@@ -68,9 +72,9 @@ def test_texts_are_found() -> None:
 
 def test_options_in_messages_exist() -> None:
     wrong = {
-        (one.place, option)
-        for one in TEXTS
-        for option in _OPTION.findall(one.text)
+        (text.place, option)
+        for text in TEXTS
+        for option in _OPTION.findall(text.text)
         if option not in ALL | OTHERS
     }
     assert not wrong
@@ -78,18 +82,18 @@ def test_options_in_messages_exist() -> None:
 
 def test_commands_in_messages_exist_with_their_options() -> None:
     wrong = set()
-    for one in TEXTS:
-        for program, command, below, rest in _COMMAND.findall(one.text):
+    for text in TEXTS:
+        for program, command, below, rest in _COMMAND.findall(text.text):
             name = f"{program} {command}"
             if command in PROSE:
                 continue
             if f"{name} {below}" in COMMANDS:
                 name = f"{name} {below}"
             if name not in COMMANDS:
-                wrong.add((one.place, name))
+                wrong.add((text.place, name))
                 continue
             wrong |= {
-                (one.place, f"{name} {option}")
+                (text.place, f"{name} {option}")
                 for option in _OPTION.findall(rest)
                 if option not in OPTIONS[name]
             }
@@ -99,11 +103,11 @@ def test_commands_in_messages_exist_with_their_options() -> None:
 def test_files_and_targets_in_messages_exist() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     wrong = {
-        (one.place, name) for one in TEXTS for name in _FILE.findall(one.text)
+        (text.place, name) for text in TEXTS for name in _FILE.findall(text.text)
         if not (ROOT / name).exists()
     }  # fmt: skip
     wrong |= {
-        (one.place, target) for one in TEXTS for target in _TARGET.findall(one.text)
+        (text.place, target) for text in TEXTS for target in _TARGET.findall(text.text)
         if not re.search(rf"^{target}:", makefile, re.MULTILINE)
     }  # fmt: skip
     assert not wrong
@@ -114,30 +118,30 @@ def _fields(kind: msgspec.inspect.Type) -> Iterator[msgspec.inspect.Field]:
         case msgspec.inspect.StructType():
             yield from kind.fields
         case msgspec.inspect.UnionType():
-            for one in kind.types:
-                yield from _fields(one)
+            for member in kind.types:
+                yield from _fields(member)
         case msgspec.inspect.ListType() | msgspec.inspect.VarTupleType():
             yield from _fields(kind.item_type)
 
 
 def test_rig_keys_in_messages_exist() -> None:
     wrong = set()
-    for one in TEXTS:
-        for first, rest in _KEYS.findall(re.sub(r"{[^}]*}", "", one.text)):
+    for text in TEXTS:
+        for first, rest in _KEYS.findall(re.sub(r"{[^}]*}", "", text.text)):
             kind: Any = msgspec.inspect.type_info(RigConfig)
             for key in [first, *rest.split(": ")]:
                 inside = {field.encode_name: field.type for field in _fields(kind)}
                 if not inside or (first, key) in NO_KEYS:
                     break
                 if key not in inside:
-                    wrong.add((one.place, f"{first}: {rest}"))
+                    wrong.add((text.place, f"{first}: {rest}"))
                     break
                 kind = inside[key]
     assert not wrong
 
 
-def _without_remedy(said: Iterator[Said]) -> set[tuple[str, str]]:
-    return {(one.place, one.text) for one in said if not one.remedy}
+def _without_remedy(texts: Iterator[Said]) -> set[tuple[str, str]]:
+    return {(text.place, text.text) for text in texts if not text.remedy}
 
 
 def test_every_error_has_a_remedy() -> None:
@@ -149,18 +153,25 @@ def test_every_error_has_a_remedy() -> None:
 
 
 def test_every_finding_has_a_remedy() -> None:
-    assert not _without_remedy(one for one in findings() if one.kind in ("fault", "warning"))
+    assert not _without_remedy(
+        finding for finding in findings() if finding.kind in ("fault", "warning")
+    )
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_has_help_and_a_default(name: str) -> None:
-    for one in COMMANDS[name].params:
-        if not isinstance(one, click.Option):
+    for parameter in COMMANDS[name].params:
+        if not isinstance(parameter, click.Option):
             continue
-        assert one.help, one.opts
-        if one.is_flag or one.required or one.show_default or one.opts == ["--version"]:
+        assert parameter.help, parameter.opts
+        if (
+            parameter.is_flag
+            or parameter.required
+            or parameter.show_default
+            or parameter.opts == ["--version"]
+        ):
             continue
-        says = "default" in one.help or one.multiple
-        assert says or one.help.startswith(
+        says = "default" in parameter.help or parameter.multiple
+        assert says or parameter.help.startswith(
             ("Only ", "Of ", "With ", "In place of ", "Instead of ", "For ")
-        ), one.opts
+        ), parameter.opts

@@ -22,14 +22,14 @@ Captured = pytest.CaptureFixture[str]
 
 def test_a_gain_of_two_axes_asks_for_a_motion_about_three() -> None:
     plain = yaml.safe_load(GOLDEN.read_text())
-    found = parse_calibration(yaml.safe_dump(plain), "good")
+    calibration = parse_calibration(yaml.safe_dump(plain), "good")
     flat = msgspec.structs.replace(
-        found.matrices, STM=[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
+        calibration.matrices, STM=[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
     )
     with pytest.raises(
         InputError, match=r"measure the same rate\. Record a motion about all three"
     ):
-        build_correction(msgspec.structs.replace(found, matrices=flat))
+        build_correction(msgspec.structs.replace(calibration, matrices=flat))
 
 
 def test_a_file_that_is_gone_meanwhile(tmp_path: Path) -> None:
@@ -41,8 +41,8 @@ def test_a_file_that_is_gone_meanwhile(tmp_path: Path) -> None:
 
 
 def test_too_short_says_how_long() -> None:
-    said = str(too_short_error(Sampling(100.0, 8, None, 0.0, differentiated=False)))
-    assert "without a gap lasts 0.64 s. Record for longer. A gap above 2 s" in said
+    message = str(too_short_error(Sampling(100.0, 8, None, 0.0, differentiated=False)))
+    assert "without a gap lasts 0.64 s. Record for longer. A gap above 2 s" in message
 
 
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
@@ -66,6 +66,6 @@ def test_what_the_computer_refuses_has_a_remedy(
 
     monkeypatch.setattr(cli.cli, "main", refuse)
     assert cli.run(["check", "x.mcap"]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("gyrorig: /a/file cannot be used, so it is. ")
-    assert says in said
+    errors = capsys.readouterr().err
+    assert errors.startswith("gyrorig: /a/file cannot be used, so it is. ")
+    assert says in errors

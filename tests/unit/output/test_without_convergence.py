@@ -50,5 +50,5 @@ def test_explain_says_that_the_base_fit_did_not_converge(
     recorded: str, tmp_path: Path, capsys: Captured
 ) -> None:
     assert cli.run(["explain", recorded, "--out", str(tmp_path), "--json"]) in (0, 4)
-    told = json.loads(capsys.readouterr().out)
-    assert "did not converge" in json.dumps(told)
+    document = json.loads(capsys.readouterr().out)
+    assert "did not converge" in json.dumps(document)

@@ -83,13 +83,13 @@ def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def modules_of(extra: str) -> set[str]:
     """Names that can be imported when gyrorig is installed with one extra, or with none."""
     waiting = [("gyrorig", frozenset({extra} - {""}))]
-    done: set[tuple[str, frozenset[str]]] = set()
+    visited: set[tuple[str, frozenset[str]]] = set()
     modules = {"gyrorig_protocol", "gyrorig_daemon", "gyrorig_solver"}
     while waiting:
         name, extras = waiting.pop()
-        if (name, extras) in done:
+        if (name, extras) in visited:
             continue
-        done.add((name, extras))
+        visited.add((name, extras))
         package = distribution(name)
         for text in package.requires or []:
             asked = Requirement(text)
@@ -129,9 +129,9 @@ def test_the_wheel_holds_what_is_needed_without_a_checkout(installed: Path) -> N
     ):
         assert (installed / name).is_file(), name
     (meta,) = installed.glob("gyrorig-*.dist-info")
-    said = HeaderParser().parsestr((meta / "METADATA").read_text())
-    assert said["License-Expression"] == "MIT"
-    assert "LICENSE" in str(said["License-File"])
+    metadata = HeaderParser().parsestr((meta / "METADATA").read_text())
+    assert metadata["License-Expression"] == "MIT"
+    assert "LICENSE" in str(metadata["License-File"])
     assert "gyrorigd = gyrorig_daemon.cli:main" in (meta / "entry_points.txt").read_text()
 
 
@@ -147,9 +147,9 @@ def test_the_source_archive_builds_and_tests(built: Path) -> None:
 
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_each_extra_alone_says_its_version(installed: Path, extra: str) -> None:
-    done = run(installed, extra, "gyrorig", "--version")
-    assert done.returncode == 0, done.stderr
-    assert re.fullmatch(r"gyrorig \d+\.\d+\.\d+\S*\n", done.stdout)
+    result = run(installed, extra, "gyrorig", "--version")
+    assert result.returncode == 0, result.stderr
+    assert re.fullmatch(r"gyrorig \d+\.\d+\.\d+\S*\n", result.stdout)
 
 
 def test_the_daemon_needs_no_extra(installed: Path, tmp_path: Path) -> None:
@@ -157,12 +157,12 @@ def test_the_daemon_needs_no_extra(installed: Path, tmp_path: Path) -> None:
     config = installed / "share" / "gyrorig" / "config"
     program = tmp_path / "short.yaml"
     program.write_text(SHORT)
-    done = run(
+    result = run(
         installed, "", "gyrorigd", "record", "--simulated-time", "--config",
         str(config / "rig.yaml"), "--program", str(program), "--out", str(out), "--json",
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert Path(json.loads(done.stdout)["recording"]).stat().st_size > 10_000
+    assert result.returncode == 0, result.stderr
+    assert Path(json.loads(result.stdout)["recording"]).stat().st_size > 10_000
 
 
 def test_what_an_extra_would_bring_is_named(installed: Path) -> None:
@@ -170,10 +170,10 @@ def test_what_an_extra_would_bring_is_named(installed: Path) -> None:
         ("", ("solve", "x.mcap"), "pip install 'gyrorig[solver]'"),
         ("solver", ("fleet", "store"), "pip install 'gyrorig[fleet]'"),
     ):
-        done = run(installed, extra, "gyrorig", *line)
-        assert done.returncode == 2
-        assert done.stderr.count("\n") == 1
-        assert wanted in done.stderr
+        result = run(installed, extra, "gyrorig", *line)
+        assert result.returncode == 2
+        assert result.stderr.count("\n") == 1
+        assert wanted in result.stderr
 
 
 def test_live_alone_makes_a_live_view(installed: Path) -> None:
@@ -183,9 +183,9 @@ def test_live_alone_makes_a_live_view(installed: Path) -> None:
         "view.show_status({'state': 'ready'})\n"
         "view.close()\n"
     )
-    done = run(installed, "live", "python", code)
-    assert done.returncode == 0, done.stderr
-    assert re.fullmatch(r"Live view at ws://127\.0\.0\.1:\d+\n", done.stdout)
+    result = run(installed, "live", "python", code)
+    assert result.returncode == 0, result.stderr
+    assert re.fullmatch(r"Live view at ws://127\.0\.0\.1:\d+\n", result.stdout)
     without = run(installed, "", "python", code)
     assert without.returncode == 1
     assert "pip install 'gyrorig[live]'" in without.stderr
@@ -194,9 +194,9 @@ def test_live_alone_makes_a_live_view(installed: Path) -> None:
 def test_fleet_alone_takes_recordings_through_a_batch(installed: Path, tmp_path: Path) -> None:
     """`fleet` brings `solver`: what a batch does is solving."""
     code = "import duckdb, s3fs, cryptography, distributed; print(duckdb.sql('SELECT 42'))"
-    done = run(installed, "fleet", "python", code)
-    assert done.returncode == 0, done.stderr
-    assert "42" in done.stdout
+    result = run(installed, "fleet", "python", code)
+    assert result.returncode == 0, result.stderr
+    assert "42" in result.stdout
     config = installed / "share" / "gyrorig" / "config"
     recordings, store = tmp_path / "recordings", str(tmp_path / "store")
     program = tmp_path / "short.yaml"
@@ -208,8 +208,8 @@ def test_fleet_alone_takes_recordings_through_a_batch(installed: Path, tmp_path:
         ("gyrorig", "store", "ls", store),
         ("gyrorig", "store", "verify", store),
     ):  # fmt: skip
-        done = run(installed, "fleet", *line)
-        assert done.returncode == 0, done.stderr
+        result = run(installed, "fleet", *line)
+        assert result.returncode == 0, result.stderr
     assert len(list((tmp_path / "store").rglob("v0001.yaml"))) == 1
 
 
@@ -224,8 +224,8 @@ def test_docs_alone_can_make_a_site(installed: Path, tmp_path: Path) -> None:
         "from mkdocs.config import load_config\n"
         f"build(load_config({str(tmp_path / 'mkdocs.yml')!r}))\n"
     )
-    done = run(installed, "docs", "python", code)
-    assert done.returncode == 0, done.stderr
+    result = run(installed, "docs", "python", code)
+    assert result.returncode == 0, result.stderr
     assert "One page" in (tmp_path / "site" / "index.html").read_text()
 
 
@@ -249,25 +249,25 @@ def test_a_shell_completes(
         f'_{program}_completion {program}; printf "%s\\n" "${{COMPREPLY[@]}}"'
     )
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    done = subprocess.run(
+    process = subprocess.run(
         ["bash", "-c", asks], capture_output=True, text=True, check=False,
         env={**os.environ, "PATH": path},
     )  # fmt: skip
-    assert done.stdout.split() == wanted, done.stderr
+    assert process.stdout.split() == wanted, process.stderr
 
 
 @pytest.mark.parametrize("program", sorted(man.ABOUT))
 def test_the_manual_is_of_todays_commands(program: str) -> None:
-    kept = (man.PAGES / f"{program}.1").read_text(encoding="utf-8")
-    assert kept == man.page(program), "make docs writes it anew"
+    page = (man.PAGES / f"{program}.1").read_text(encoding="utf-8")
+    assert page == man.page(program), "make docs writes it anew"
 
 
 def test_the_solver_alone_imports_a_recording_with_the_wheels_own_map(
     installed: Path, tmp_path: Path
 ) -> None:
-    done = run(
+    result = run(
         installed, "solver", "gyrorig", "import", "nonesuch", "x.csv",
         "--out", str(tmp_path / "x.mcap"),
     )  # fmt: skip
-    assert done.returncode == 2
-    assert "broad" in done.stderr  # the maps that came with the wheel are listed
+    assert result.returncode == 2
+    assert "broad" in result.stderr  # the maps that came with the wheel are listed

@@ -49,17 +49,17 @@ def test_end_to_end_blocks_are_what_the_rig_gives(document: str) -> None:
     Exact digits would tie the document to one processor's rounding, and to the
     millisecond in which each command of the emulated session goes out.
     """
-    kept = blocks.bodies(document)
+    bodies = blocks.bodies(document)
     for name, block in end_to_end.BLOCKS.items():
-        assert blocks.unlike(kept[name], block() + "\n", 0.10, 5.0) == "", name
+        assert blocks.unlike(bodies[name], block() + "\n", 0.10, 5.0) == "", name
 
 
 def test_figures_are_there_and_small(document: str, tmp_path: Path) -> None:
     drawn = draw_figures.draw(tmp_path)
     assert len(drawn) == 7
     for file in drawn:
-        kept = draw_figures.FIGURES / file.name
-        assert kept.stat().st_size < 100_000
+        figure = draw_figures.FIGURES / file.name
+        assert figure.stat().st_size < 100_000
         assert file.stat().st_size < 100_000
         assert f"(paper/figures/{file.name})" in document
 

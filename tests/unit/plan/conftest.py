@@ -53,7 +53,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
         if (program, seed, hide) not in made:
             name = f"{program.stem}-{seed}-{len(made)}"
             truth = folder / f"{name}.yaml"
-            done = subprocess.run(
+            process = subprocess.run(
                 [
                     *(sys.executable, "-m", "gyrorig_daemon", "record", "--simulated-time"),
                     *("--config", str(RIG), "--program", str(program), "--seed", str(seed)),
@@ -65,7 +65,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
                 text=True,
                 check=True,
             )
-            path = Path(json.loads(done.stdout)["recording"])
+            path = Path(json.loads(process.stdout)["recording"])
             made[program, seed, hide] = path, yaml.safe_load(truth.read_text(encoding="utf-8"))
         return made[program, seed, hide]
 

@@ -45,7 +45,9 @@ def paper(rig: RigModel, sensor: SensorModel, shipped: Shipped) -> Detectability
     )
 
 
-def one(outlook: DetectabilityReport, cause: str, place: str | None = None) -> CauseDetectability:
+def detectability_of(
+    outlook: DetectabilityReport, cause: str, place: str | None = None
+) -> CauseDetectability:
     return next(f for f in outlook.causes if (f.term.cause, f.place) == (cause, place))
 
 
@@ -89,27 +91,29 @@ MEASURED = [
 def test_detectable_sizes_are_those_measured_elsewhere(
     full: DetectabilityReport, cause: str, place: str | None, size: float
 ) -> None:
-    found = one(full, cause, place)
-    assert found.is_detectable
-    assert size / 4.0 < found.worst_direction_size < 4.0 * size
+    detectability = detectability_of(full, cause, place)
+    assert detectability.is_detectable
+    assert size / 4.0 < detectability.worst_direction_size < 4.0 * size
 
 
 def test_the_dangerous_causes_are_the_silent_ones(
     full: DetectabilityReport, paper: DetectabilityReport
 ) -> None:
     """Non-orthogonality: 0.993 absorbed, 46 deviations; backlash below 0.3 (same notes)."""
-    silent = one(full, "axis_nonorthogonality")
+    silent = detectability_of(full, "axis_nonorthogonality")
     assert silent.absorbed > 0.98
     assert 15.0 < silent.parameter_bias_sigma < 140.0
-    assert one(full, "backlash", "pan").parameter_bias_sigma < 0.5
-    assert one(full, "worm_error", "pan").parameter_bias_sigma < 0.3
+    assert detectability_of(full, "backlash", "pan").parameter_bias_sigma < 0.5
+    assert detectability_of(full, "worm_error", "pan").parameter_bias_sigma < 0.3
     # Pan at one tilt: undetectable at any size, and still harmful.
-    unseen = one(paper, "axis_nonorthogonality")
+    unseen = detectability_of(paper, "axis_nonorthogonality")
     assert not unseen.is_detectable
     assert unseen.worst_direction_size > 0.1
     assert unseen.parameter_bias_sigma > 1.0
     for outlook in (full, paper):
-        assert not one(outlook, "step_resolution", "pan").is_detectable  # a gauge, exactly
+        assert not detectability_of(
+            outlook, "step_resolution", "pan"
+        ).is_detectable  # a gauge, exactly
         assert {t.cause for t in outlook.fully_absorbed} >= {"tilt_zero", "wrong_full_scale"}
 
 
@@ -147,7 +151,7 @@ def test_a_hidden_cause_moves_the_calibration_as_foreseen(
     """The emulator shares no code with the model. Half the detectable size, same noise."""
     program = ROOT / "config" / "programs" / "quick.yaml"
     prediction = predict_program(shipped("quick"), rig.unit, sensor)
-    foreseen = one(predict_detectability(prediction, sensor, rig.site), cause, place)
+    foreseen = detectability_of(predict_detectability(prediction, sensor, rig.site), cause, place)
     assert size < foreseen.worst_direction_size
     fits = []
     for hide in ((), (f"{cause}@{place}:{size}" if place else f"{cause}:{size}",)):
@@ -156,14 +160,14 @@ def test_a_hidden_cause_moves_the_calibration_as_foreseen(
     clean, moved = (fit.misalignment_rad if place is None else fit.scale for fit in fits)
     group, axis = foreseen.biased_parameter.split(".")
     assert group == ("misalignment" if place is None else "scale")
-    told = (
+    expected_sigma = (
         foreseen.parameter_bias_sigma
         * size
         / foreseen.worst_direction_size
         * prediction.std[foreseen.biased_parameter]
     )
     k = "xyz".index(axis)
-    assert abs(moved[k] - clean[k]) == pytest.approx(told, rel=0.1)
+    assert abs(moved[k] - clean[k]) == pytest.approx(expected_sigma, rel=0.1)
 
 
 def test_projection_agrees_with_dense_least_squares(
@@ -182,9 +186,9 @@ def test_projection_agrees_with_dense_least_squares(
         ("base_compliance", "tilt"),
         ("clock_skew", None),
     ):
-        found = one(outlook, cause, place)
+        detectability = detectability_of(outlook, cause, place)
         sizes = ["x", "y", "z"] if place == "y" else ["pan", "tilt"]
-        column = found.term.tangent_signals(scene, found.template.values)[
+        column = detectability.term.tangent_signals(scene, detectability.template.values)[
             sizes.index(place) if place else 0
         ]
         effect = np.concatenate([white(column), np.zeros(len(knowledge))])
@@ -194,9 +198,11 @@ def test_projection_agrees_with_dense_least_squares(
             max(1, len({f.place for f in outlook.causes if f.term is term}))
             for term in {f.term for f in outlook.causes}
         )
-        wanted = detection_noncentrality(1, tests * found.template.template_count)
+        wanted = detection_noncentrality(1, tests * detectability.template.template_count)
         # The motion's derivatives are taken on another grid here.
-        assert found.worst_direction_size == pytest.approx(np.sqrt(wanted / left), rel=0.01), cause
+        assert detectability.worst_direction_size == pytest.approx(
+            np.sqrt(wanted / left), rel=0.01
+        ), cause
 
 
 def dense(
@@ -207,9 +213,9 @@ def dense(
     n = series.block_count
     scene = signal_states(prediction.session, sensor, Site())[0]
     fine_edges = series.block_edges_s(slice(0, n), scene.intervals_per_instant)
-    found = reference.evaluate(fine_edges)
+    rates = reference.evaluate(fine_edges)
     columns: list[Array] = []
-    rate = scene.measure_sensor_rate(found.rate_rad_s)
+    rate = scene.measure_sensor_rate(rates.rate_rad_s)
     for row in range(3):
         for column in range(3):
             entry = np.zeros((n, 3))
@@ -224,13 +230,13 @@ def dense(
     slope = np.where(np.isfinite(late - early), (late - early) / 2e-5, 0.0)
     columns.append(-scene.measure_stage_rate(slope))
     local, shared = reference.information.size
-    motion = np.zeros((local + shared, len(found.rate_rad_s), 3))
-    for part in found.local:
+    motion = np.zeros((local + shared, len(rates.rate_rad_s), 3))
+    for part in rates.local:
         motion[part.unknown, part.first_interval : part.first_interval + len(part.values)] += (
             part.values
         )
-    motion[local : local + len(found.shared)] = found.shared
-    columns += [scene.measure_stage_rate(one) for one in motion]
+    motion[local : local + len(rates.shared)] = rates.shared
+    columns += [scene.measure_stage_rate(signal) for signal in motion]
     deviation = np.sqrt(sensor.noise.dct_variance(n))
 
     def white(column: Array) -> Array:

@@ -78,22 +78,26 @@ def test_emulated_rig_confirms_it(
     assert fit.noise is not None
     levels = [fit.noise.angle_random_walk, fit.noise.bias_instability, fit.noise.rate_random_walk]
     noisy = replace(sensor, levels=np.column_stack([*levels, np.zeros(3)]) ** 2)
-    found = predict_program(parse_program(planned.read_bytes(), "planned"), rig.unit, noisy)
+    prediction = predict_program(parse_program(planned.read_bytes(), "planned"), rig.unit, noisy)
     for name, std in fit.std.items():
-        assert found.std[name] == pytest.approx(std, rel=0.2), name
+        assert prediction.std[name] == pytest.approx(std, rel=0.2), name
     off = fit.gain - np.array(truth["boards"]["GY80-1"]["STM"])
-    assert np.abs(off / found.gain_std).max() < 4.0
+    assert np.abs(off / prediction.gain_std).max() < 4.0
 
 
 def test_same_seed_same_program_and_criteria_differ(rig: RigModel, sensor: SensorModel) -> None:
-    one = find_program(rig.unit, sensor, 35.0, "mean", seed=3)
+    program = find_program(rig.unit, sensor, 35.0, "mean", seed=3)
     two = find_program(rig.unit, sensor, 35.0, "mean", seed=3)
-    assert one.program == two.program
-    assert one.prediction.duration_s <= 35.0
-    assert one.cost == cost(one.prediction.decision, "mean") == one.prediction.gain_std.mean()
-    assert cost(one.prediction.decision, "worst") == one.prediction.gain_std.max()
-    factors = [one.prediction.std[name] for name in FACTOR_NAMES]
-    assert cost(one.prediction.decision, "mean-factor") == pytest.approx(np.mean(factors))
+    assert program.program == two.program
+    assert program.prediction.duration_s <= 35.0
+    assert (
+        program.cost
+        == cost(program.prediction.decision, "mean")
+        == program.prediction.gain_std.mean()
+    )
+    assert cost(program.prediction.decision, "worst") == program.prediction.gain_std.max()
+    factors = [program.prediction.std[name] for name in FACTOR_NAMES]
+    assert cost(program.prediction.decision, "mean-factor") == pytest.approx(np.mean(factors))
 
 
 @pytest.mark.parametrize("once", [False, True])
@@ -135,20 +139,22 @@ def test_no_program_of_the_family_turns_in_the_mean(
 
 def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
     assert cli.run(["plan", "--rig", RIG, "--program", PAPER, "--details"]) == 4
-    said = capsys.readouterr().out
-    assert "axis_nonorthogonality cannot be detected with this program at any possible size" in said
-    assert "It needs pan sweeps at three or more tilts" in said
-    assert "wrong_full_scale is absorbed completely by the calibration" in said
-    assert "scale_asymmetry" in said.partition("cannot distinguish")[0]
-    assert "9 of 12" in said
-    assert "paper cannot determine column y of the gain" in said
+    output = capsys.readouterr().out
+    assert (
+        "axis_nonorthogonality cannot be detected with this program at any possible size" in output
+    )
+    assert "It needs pan sweeps at three or more tilts" in output
+    assert "wrong_full_scale is absorbed completely by the calibration" in output
+    assert "scale_asymmetry" in output.partition("cannot distinguish")[0]
+    assert "9 of 12" in output
+    assert "paper cannot determine column y of the gain" in output
     assert cli.run(["plan", "--rig", RIG, "--program", PAPER, "--json"]) == 4
-    told = json.loads(capsys.readouterr().out)
-    assert told["exit_code"] == 4
-    assert told["given"]["observability"]["rank"] == 9
-    assert told["given"]["std"]["scale.y"] is None
-    assert told["planned"] is None
-    causes = told["given"]["causes"]
+    document = json.loads(capsys.readouterr().out)
+    assert document["exit_code"] == 4
+    assert document["given"]["observability"]["rank"] == 9
+    assert document["given"]["std"]["scale.y"] is None
+    assert document["planned"] is None
+    causes = document["given"]["causes"]
     unseen = {f["cause"]: f for f in causes["foreseen"]}["axis_nonorthogonality"]
     assert not unseen["visible"]
     assert unseen["harm_sigma"] > 1.0
@@ -156,7 +162,7 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--seconds", "1"], "is not between 5 and 900"),
         (["--seconds", "nan"], "is not between 5 and 900"),
@@ -170,10 +176,10 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
         (["--criterion", "best"], "criterion"),
     ],
 )
-def test_wrong_usage_is_one_line(arguments: list[str], said: str, capsys: Captured) -> None:
+def test_wrong_usage_is_one_line(arguments: list[str], message: str, capsys: Captured) -> None:
     assert cli.run(["plan", "--rig", RIG, *arguments]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert error.count("\n") == 1
 
 

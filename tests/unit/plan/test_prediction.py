@@ -43,23 +43,23 @@ def test_as_solve_says_of_itself(
     board = recording.board_ids[0]
     fit = solve_recording(recording, board)
     assert fit.noise is not None
-    found = predict_program(shipped(name), rig.unit, with_noise(sensor, fit.noise))
-    assert found.observability.unobservable == fit.observability.unobservable
-    assert found.observability.rank == fit.observability.rank
+    prediction = predict_program(shipped(name), rig.unit, with_noise(sensor, fit.noise))
+    assert prediction.observability.unobservable == fit.observability.unobservable
+    assert prediction.observability.rank == fit.observability.rank
     for parameter, std in fit.std.items():
-        assert found.std[parameter] == pytest.approx(std, rel=0.2, nan_ok=True), parameter
-    assert found.gain_std == pytest.approx(fit.gain_std, rel=0.2, nan_ok=True)
+        assert prediction.std[parameter] == pytest.approx(std, rel=0.2, nan_ok=True), parameter
+    assert prediction.gain_std == pytest.approx(fit.gain_std, rel=0.2, nan_ok=True)
     samples = load_samples(recording, board)
-    assert found.duration_s == pytest.approx(np.ptp(samples.time_s), abs=0.4)
+    assert prediction.duration_s == pytest.approx(np.ptp(samples.time_s), abs=0.4)
 
 
 def test_paper_program_cannot_show_the_roll_column(
     rig: RigModel, sensor: SensorModel, shipped: Callable[[str], MotionProgram]
 ) -> None:
-    found = predict_program(shipped("paper"), rig.unit, sensor)
-    assert found.observability.rank == 9
-    assert np.isnan(found.gain_std[:, 1]).all()
-    assert "sweep it at a positive and at a negative tilt" in found.observability.reasons[0]
+    prediction = predict_program(shipped("paper"), rig.unit, sensor)
+    assert prediction.observability.rank == 9
+    assert np.isnan(prediction.gain_std[:, 1]).all()
+    assert "sweep it at a positive and at a negative tilt" in prediction.observability.reasons[0]
 
 
 def program(text: str) -> MotionProgram:
@@ -67,7 +67,7 @@ def program(text: str) -> MotionProgram:
 
 
 @pytest.mark.parametrize(
-    ("steps", "said"),
+    ("steps", "message"),
     [
         ("{move: {pan_deg: 170.0}}", "step 1 of t turns pan to 170 deg"),
         ("{move: {tilt_deg: -50.0}}", "step 1 of t turns tilt to -50 deg"),
@@ -77,8 +77,10 @@ def program(text: str) -> MotionProgram:
         ("{repeat: {times: 9999, steps: [{rest: {seconds: 80000.0}}]}}", "lasts longer than"),
     ],
 )
-def test_programs_that_cannot_be(rig: RigModel, sensor: SensorModel, steps: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
+def test_programs_that_cannot_be(
+    rig: RigModel, sensor: SensorModel, steps: str, message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
         predict_program(program(steps), rig.unit, sensor)
 
 

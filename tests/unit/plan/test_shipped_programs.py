@@ -44,14 +44,14 @@ def test_the_planner_would_ship_it_again(name: str, tmp_path: Path) -> None:
 def test_it_shows_everything_in_its_time(
     name: str, rig: RigModel, sensor: SensorModel, shipped: Shipped
 ) -> None:
-    found = predict_program(shipped(name), rig.unit, sensor)
+    prediction = predict_program(shipped(name), rig.unit, sensor)
     words = asked(name)
     seconds = float(words[words.index("--seconds") + 1])
-    assert seconds - 0.2 < found.duration_s <= seconds
-    assert found.observability.rank == 12
+    assert seconds - 0.2 < prediction.duration_s <= seconds
+    assert prediction.observability.rank == 12
     # Surveys are chosen for causes first: at 40 s one is 0.2 % above the bias's floor.
     most = 0.005 if name.startswith("survey") else 0.001
-    assert bias_excess(found.decision, found.bias_floor_rad_s) < most
+    assert bias_excess(prediction.decision, prediction.bias_floor_rad_s) < most
     steps = unroll_steps(shipped(name).steps, name)
     tilts = {s.tilt_deg for s in steps if isinstance(s, Move) and s.tilt_deg is not None}
     assert len(tilts) >= 3  # with two, axes that are not square are not seen at any size
@@ -63,6 +63,6 @@ def test_surveys_know_more_by_name_than_programs_by_hand(
 ) -> None:
     ours, theirs = (predict_program(shipped(name), rig.unit, sensor) for name in (planned, by_hand))
     assert ours.gain_std.max() < theirs.gain_std.max()
-    seen, known = (predict_detectability(one, sensor, rig.site) for one in (ours, theirs))
+    seen, known = (predict_detectability(program, sensor, rig.site) for program in (ours, theirs))
     assert seen.mean_identifiable_size < 0.8 * known.mean_identifiable_size
     assert seen.max_parameter_bias_sigma < known.max_parameter_bias_sigma

@@ -82,9 +82,9 @@ def test_repeats_are_counted_one_by_one() -> None:
     counts = clean_counts().copy()
     rows = np.arange(500, 11_500, 1000)
     counts[rows] = counts[rows - 1]
-    (found,) = found_in(samples_of(counts)).values()
-    assert (found.cause, found.count) == ("repeated_samples", rows.size)
-    assert found.times_s == pytest.approx(rows / RATE_HZ, abs=1e-3)
+    (finding,) = found_in(samples_of(counts)).values()
+    assert (finding.cause, finding.count) == ("repeated_samples", rows.size)
+    assert finding.times_s == pytest.approx(rows / RATE_HZ, abs=1e-3)
 
 
 def test_repeats_are_detected_by_six_words_if_three_are_coarse() -> None:
@@ -95,8 +95,8 @@ def test_repeats_are_detected_by_six_words_if_three_are_coarse() -> None:
     rows = np.arange(100, 12_000, 200)
     counts[rows], accel[rows] = counts[rows - 1], accel[rows - 1]
     assert "repeated_samples" not in found_in(samples_of(clean_counts(5, 1.0), accel=accel))
-    found = found_in(samples_of(counts, accel=accel))["repeated_samples"]
-    assert abs(found.count - rows.size) <= 1
+    finding = found_in(samples_of(counts, accel=accel))["repeated_samples"]
+    assert abs(finding.count - rows.size) <= 1
 
 
 @pytest.mark.parametrize("bit", [10, 11, 12, 13, 14, 15])
@@ -104,9 +104,9 @@ def test_one_flipped_bit_is_enough(bit: int) -> None:
     counts = clean_counts().copy()
     word = int(counts[6100, 1]) & 0xFFFF
     counts[6100, 1] = ((word ^ (1 << bit)) ^ 0x8000) - 0x8000
-    (found,) = found_in(samples_of(counts)).values()
-    assert (found.cause, found.where, found.count) == ("corrupt_samples", ("y",), 1)
-    assert found.times_s == pytest.approx((61.0,), abs=1e-3)
+    (finding,) = found_in(samples_of(counts)).values()
+    assert (finding.cause, finding.where, finding.count) == ("corrupt_samples", ("y",), 1)
+    assert finding.times_s == pytest.approx((61.0,), abs=1e-3)
 
 
 def test_torn_words_are_detected() -> None:
@@ -118,9 +118,9 @@ def test_torn_words_are_detected() -> None:
     crossing = np.flatnonzero((torn[:, 2] != counts[:, 2]) & (counts[:, 2] < 400))
     rows = crossing[:: max(1, crossing.size // 40)]
     counts[rows, 2] = torn[rows, 2]
-    found = found_in(samples_of(counts))["corrupt_samples"]
-    assert found.where == ("z",)
-    assert 3 <= found.count <= rows.size
+    finding = found_in(samples_of(counts))["corrupt_samples"]
+    assert finding.where == ("z",)
+    assert 3 <= finding.count <= rows.size
 
 
 def test_a_tap_is_not_a_damaged_word() -> None:
@@ -136,28 +136,28 @@ def test_a_tap_is_not_a_damaged_word() -> None:
 def test_a_stuck_axis_and_clipping_are_distinguished() -> None:
     stuck = clean_counts().copy()
     stuck[4000:9000, 0] = stuck[4000, 0]
-    found = found_in(samples_of(stuck))
-    assert found["stuck_axis"].where == ("x",)
-    assert found["stuck_axis"].count == pytest.approx(5000, abs=5)
-    assert "saturation" not in found
+    findings = found_in(samples_of(stuck))
+    assert findings["stuck_axis"].where == ("x",)
+    assert findings["stuck_axis"].count == pytest.approx(5000, abs=5)
+    assert "saturation" not in findings
     cut = np.clip(clean_counts(), -5000, 5000)
-    found = found_in(samples_of(cut))
-    assert set(found) == {"saturation"}
-    assert found["saturation"].size == pytest.approx(5000 * QUANTUM)
+    findings = found_in(samples_of(cut))
+    assert set(findings) == {"saturation"}
+    assert findings["saturation"].size == pytest.approx(5000 * QUANTUM)
 
 
 def test_an_axis_without_any_change_is_stuck() -> None:
     counts = clean_counts().copy()
     counts[:, 1] = 17
-    (found,) = found_in(samples_of(counts)).values()
-    assert (found.cause, found.where, found.share) == ("stuck_axis", ("y",), 1.0)
+    (finding,) = found_in(samples_of(counts)).values()
+    assert (finding.cause, finding.where, finding.share) == ("stuck_axis", ("y",), 1.0)
 
 
 def test_missing_numbers_are_counted() -> None:
     keep = np.setdiff1d(np.arange(N), np.r_[3000:3004, 7000:7003])
-    found = found_in(samples_of(clean_counts()[keep], keep))
-    assert found["lost_samples"].count == 7
-    assert "in 2 gaps" in found["lost_samples"].seen_as
+    findings = found_in(samples_of(clean_counts()[keep], keep))
+    assert findings["lost_samples"].count == 7
+    assert "in 2 gaps" in findings["lost_samples"].seen_as
 
 
 def test_the_saturation_status_of_the_board_is_counted() -> None:
@@ -183,9 +183,9 @@ def test_only_significant_repeats_are_excluded() -> None:
     counts = clean_counts().copy()
     rows = np.arange(500, 11_500, 1000)
     counts[rows] = counts[rows - 1]
-    kept = without_repeats(samples_of(counts))
-    assert np.array_equal(np.flatnonzero(~kept.usable), rows)
-    assert kept.repeated == rows.size
-    assert kept.counts.dtype == np.int16
+    unrepeated = without_repeats(samples_of(counts))
+    assert np.array_equal(np.flatnonzero(~unrepeated.usable), rows)
+    assert unrepeated.repeated == rows.size
+    assert unrepeated.counts.dtype == np.int16
     coarse = samples_of(clean_counts(5, 0.3))
     assert without_repeats(coarse) is coarse

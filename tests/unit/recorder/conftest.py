@@ -72,15 +72,15 @@ class FailingDisk(Disk):
 
 def sequences(folder: Path) -> list[int]:
     """The message sequence numbers of the samples in all finished files, in their order."""
-    found: list[int] = []
+    numbers: list[int] = []
     for path in sorted(folder.glob("*.mcap")):
         recording = read_recording(path)
         assert recording.is_complete, recording.losses
         if TOPIC in recording.topics:
             array = recording.array(TOPIC)
-            found += array["message_sequence"].tolist()
+            numbers += array["message_sequence"].tolist()
             assert (array["device_time"] == array["message_sequence"]).all()
-    return found
+    return numbers
 
 
 def events(folder: Path) -> list[str]:

@@ -50,10 +50,10 @@ def state(recorder: Recorder) -> str:
     return recorder.state.value
 
 
-def once(found: list[int]) -> list[int]:
+def once(numbers: list[int]) -> list[int]:
     """Each sample once: where cutting back is refused, those of one sync may be there twice."""
-    assert len(found) - len(set(found)) <= 2 * PER_SECOND
-    return sorted(set(found))
+    assert len(numbers) - len(set(numbers)) <= 2 * PER_SECOND
+    return sorted(set(numbers))
 
 
 SURVIVE = RecorderSettings(part_s=6.0, survives_faults=True)
@@ -77,10 +77,10 @@ def fail_at(
     assert session.recorder.state is RecorderState.CLOSED
     reports = recover_folder(folder)
     assert all(report.outcome is not RecoveryOutcome.FAILED for report in reports)
-    found = sequences_in(folder)
-    assert sorted(set(found)) == list(range(session.k))
+    numbers = sequences_in(folder)
+    assert sorted(set(numbers)) == list(range(session.k))
     assert session.recorder.counts.lost == 0
-    return len(found) - len(set(found))
+    return len(numbers) - len(set(numbers))
 
 
 def operations_of_a_session(folder: Path, disk_type: Any, sequences_in: Sequences) -> int:
@@ -148,7 +148,7 @@ def test_the_last_minutes_are_kept(
     assert any("continues in memory" in text for text in events_in(tmp_path))
     assert any("continues in a_p001.mcap" in text for text in events_in(tmp_path))
     parts = [read_recording(path).metadata["gyrorig"] for path in sorted(tmp_path.glob("*.mcap"))]
-    assert [(own["part"], own["previous"]) for own in parts] == [("0", ""), ("1", "a.mcap")]
+    assert [(part["part"], part["previous"]) for part in parts] == [("0", ""), ("1", "a.mcap")]
 
 
 def test_memory_is_bounded_and_dropped_messages_are_a_gap(
@@ -168,8 +168,8 @@ def test_memory_is_bounded_and_dropped_messages_are_a_gap(
     session.run(30)
     session.recorder.close()
     recover_folder(tmp_path)
-    found = once(sequences_in(tmp_path))
-    lost = [k for k in range(session.k) if k not in set(found)]
+    numbers = once(sequences_in(tmp_path))
+    lost = [k for k in range(session.k) if k not in set(numbers)]
     assert len(lost) in (counts.lost, counts.lost - 1)  # the word of the fault went too
     assert lost == list(range(lost[0], lost[-1] + 1))  # one gap, the oldest of the outage
 
@@ -243,9 +243,9 @@ def test_a_disk_that_never_comes_back_is_counted_at_the_end(
         session.recorder.close()
     assert session.recorder.counts.dropped_at_close >= 5 * PER_SECOND
     recover_folder(tmp_path)
-    kept = sequences_in(tmp_path)
-    assert kept == list(range(len(kept)))
-    assert len(kept) >= 4 * PER_SECOND
+    numbers = sequences_in(tmp_path)
+    assert numbers == list(range(len(numbers)))
+    assert len(numbers) >= 4 * PER_SECOND
 
 
 def test_one_bad_message_does_not_end_a_long_recording(

@@ -52,15 +52,15 @@ def run(count):
             recorder.tick(at)
         for path in list(recorder.paths[:-2]) if k % 20_000 == 0 else ():
             path.unlink(missing_ok=True)
-told = []
-run(15_000); told.append(rss_kib())
-run(45_000); told.append(rss_kib())
+sizes_kib = []
+run(15_000); sizes_kib.append(rss_kib())
+run(45_000); sizes_kib.append(rss_kib())
 disk.dead = True
-run(50_000); told.append(rss_kib()); ring = recorder.counts.memory_high_water_bytes
+run(50_000); sizes_kib.append(rss_kib()); ring = recorder.counts.memory_high_water_bytes
 disk.dead = False
-run(30_000); told.append(rss_kib())
+run(30_000); sizes_kib.append(rss_kib())
 recorder.close()
-print(json.dumps({"rss_kib": told, "ring": ring, "counts": recorder.counts.values()}))
+print(json.dumps({"rss_kib": sizes_kib, "ring": ring, "counts": recorder.counts.values()}))
 """
 
 
@@ -69,11 +69,11 @@ def test_memory_use_stays_constant(tmp_path: Path) -> None:
         [sys.executable, "-c", SOAK, str(tmp_path)], capture_output=True, text=True, check=False
     )
     assert ended.returncode == 0, ended.stderr
-    told = json.loads(ended.stdout)
-    warm, healthy, failing, after = told["rss_kib"]
-    assert told["counts"]["rotations"] >= 4
-    assert told["counts"]["resumes"] == 1
-    assert told["ring"] > 1 << 19
+    document = json.loads(ended.stdout)
+    warm, healthy, failing, after = document["rss_kib"]
+    assert document["counts"]["rotations"] >= 4
+    assert document["counts"]["resumes"] == 1
+    assert document["ring"] > 1 << 19
     assert healthy - warm < 6 << 10
     # The ring, and what was given back to it because it was not synced.
     assert failing - healthy < (4 << 10) + (6 << 10)

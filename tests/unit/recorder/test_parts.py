@@ -61,16 +61,16 @@ def test_parts_follow_each_other_without_a_gap(tmp_path: Path, contract_judge: P
     assert recorder.paths == tuple(parts)
     assert recorder.counts.rotations == 4
     assert recorder.counts.parts_opened == recorder.counts.parts_closed == 5
-    found, numbers = [], []
+    numbers_by_part, numbers = [], []
     for number, path in enumerate(parts):
         recording = read_recording(path)
-        own = recording.metadata["gyrorig"]
-        assert own["part"] == str(number)
-        assert own["previous"] == ("" if number == 0 else parts[number - 1].name)
+        metadata = recording.metadata["gyrorig"]
+        assert metadata["part"] == str(number)
+        assert metadata["previous"] == ("" if number == 0 else parts[number - 1].name)
         assert recording.attachments[0].data == b"a: 1"
-        found += recording.array(TOPIC)["sequence"].tolist()
+        numbers_by_part += recording.array(TOPIC)["sequence"].tolist()
         numbers += recording.array(TOPIC)["message_sequence"].tolist()
-    assert found == numbers == list(range(450))
+    assert numbers_by_part == numbers == list(range(450))
     command = [sys.executable, str(contract_judge), *map(str, parts)]
     judged = subprocess.run(command, capture_output=True, check=False)
     assert judged.returncode == 0, judged.stdout
@@ -86,16 +86,16 @@ def test_a_part_repeats_the_open_phases(tmp_path: Path) -> None:
             say(recorder, k, EventKind.PHASE_END, "static")
             say(recorder, k, EventKind.PHASE_BEGIN, "turn", "{}")
     recorder.close()
-    told = []
+    first_events = []
     numbers = []
     for path in recorder.paths:
         recording = read_recording(path)
         stamped = recording.topics[EVENTS].timed_messages
-        events = [one.message for one in stamped]
-        told.append([(e.kind, e.phase) for e in events if isinstance(e, SessionEvent)])
+        events = [stamped_event.message for stamped_event in stamped]
+        first_events.append([(e.kind, e.phase) for e in events if isinstance(e, SessionEvent)])
         numbers.append([m.message_sequence for m in stamped])
     begin, end = int(EventKind.PHASE_BEGIN), int(EventKind.PHASE_END)
-    assert told == [
+    assert first_events == [
         [(begin, "program"), (begin, "static")],
         [(begin, "program"), (begin, "static"), (end, "static"), (begin, "turn")],
         [(begin, "program")],  # half a turn by a known angle is none

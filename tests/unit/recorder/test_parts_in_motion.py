@@ -85,8 +85,8 @@ def test_every_part_contains_its_motion(tmp_path: Path) -> None:
         in_motion += turns
         if turns:
             assert isinstance(reference, PanTiltReference)
-            told = np.degrees(reference.angles_rad(at_s))
-            off = np.abs(told - truth)
+            reported_deg = np.degrees(reference.angles_rad(at_s))
+            off = np.abs(reported_deg - truth)
             assert off.max() < 2.0 * STEP_DEG, part.path.name
             assert not reference.motion.unknown_spans, part.path.name
         for topic in ("/ptu/command", "/ptu/position"):  # the daemon's own numbers: no gap
@@ -106,7 +106,7 @@ def command(k: int, text: str, at_ns: int, code: int = 0) -> Record:
     return Record("/ptu/command", message.TYPE, message.encode(), at_ns, at_ns, k)
 
 
-def said(state: PendingCommands) -> list[tuple[str, int]]:
+def commands_of(state: PendingCommands) -> list[tuple[str, int]]:
     return [(record.topic, record.sequence) for record in state.replay_records()]
 
 
@@ -115,7 +115,7 @@ def test_which_commands_are_repeated(tmp_path: Path) -> None:
     for k in range(3):
         state.observe(position(k, 0, k * 10_000_000))
     state.observe(command(0, "V", 25_000_000))
-    assert said(state) == []  # nothing was ordered
+    assert commands_of(state) == []  # nothing was ordered
     state.observe(command(1, "PS500", 31_000_000))
     state.observe(command(2, "TS9", 31_000_000, code=1))  # refused
     state.observe(command(3, "PP900", 32_000_000))
@@ -123,10 +123,10 @@ def test_which_commands_are_repeated(tmp_path: Path) -> None:
         state.observe(position(k, 50 * k, k * 10_000_000))
     again = state.replay_records()
     assert [record.log_ns for record in again] == [20_000_000, 31_000_000, 32_000_000]
-    assert said(state) == [("/ptu/position", 19), ("/ptu/command", 2), ("/ptu/command", 3)]
+    assert commands_of(state) == [("/ptu/position", 19), ("/ptu/command", 2), ("/ptu/command", 3)]
     state.observe(position(20, 900, 200_000_000))
     state.observe(position(21, 900, 210_000_000))
-    assert said(state) == []  # it has arrived
+    assert commands_of(state) == []  # it has arrived
 
 
 def test_standstill_after_a_halt_takes_a_second(tmp_path: Path) -> None:
@@ -137,22 +137,22 @@ def test_standstill_after_a_halt_takes_a_second(tmp_path: Path) -> None:
     state.observe(command(1, "H", 20))
     state.observe(position(2, 99, 30))
     state.observe(position(3, 99, 30 + SECOND // 2))
-    assert len(said(state)) == 3
+    assert len(commands_of(state)) == 3
     state.observe(position(4, 99, 30 + SECOND))
-    assert said(state) == []
+    assert commands_of(state) == []
 
 
 def test_uncertain_commands_are_not_repeated(tmp_path: Path) -> None:
     state = PendingCommands()
     state.observe(command(0, "PP900", 1))
-    assert said(state) == []  # where it came from was never asked
+    assert commands_of(state) == []  # where it came from was never asked
     state = PendingCommands()
     state.observe(position(0, 0, 0))
     for k in range(MAX_COMMANDS + 1):
         state.observe(command(k, f"PP{k}", k + 1))
-    assert said(state) == []
+    assert commands_of(state) == []
     state.invalidate()
     state.observe(position(1, 7, SECOND))
     state.observe(position(2, 7, 3 * SECOND))
     state.observe(command(MAX_COMMANDS + 1, "PP8", 4 * SECOND))
-    assert len(said(state)) == 2
+    assert len(commands_of(state)) == 2

@@ -93,13 +93,13 @@ def check(cut: PowerCut, folder: Path, sequences_in: Sequences) -> set[int]:
     assert not list(folder.glob("*.part"))
     for path in folder.glob("*.mcap"):
         read_strictly(path)
-    found = sequences_in(folder)
-    assert found == sorted(set(found))  # in order, across the parts, none twice
+    numbers = sequences_in(folder)
+    assert numbers == sorted(set(numbers))  # in order, across the parts, none twice
     scratch = str(folder.parent)
     certain = set().union(*(samples_in(content, scratch) for content in cut.synced.values()))
-    assert certain <= set(found)
+    assert certain <= set(numbers)
     assert recover_folder(folder, disk=Unsynced()) == []
-    return set(found)
+    return set(numbers)
 
 
 def run(
@@ -110,9 +110,9 @@ def run(
     disk, given = record(folder / "live", seconds, sync_s)
     tried, worst_s = 0, 0.0
     for cut in power_cuts(disk.log, page_bytes=page):
-        found = check(cut, folder / "cut", sequences_in)
+        numbers = check(cut, folder / "cut", sequences_in)
         known = given[cut.operations]
-        lost = known - len(found & set(range(known)))
+        lost = known - len(numbers & set(range(known)))
         worst_s = max(worst_s, lost / PER_SECOND)
         tried += 1
     return tried, worst_s
@@ -174,9 +174,9 @@ def test_both_files_are_linked_by_digest(tmp_path: Path) -> None:
     materialise(before, work)
     (report,) = recover_folder(work)
     assert report.recording == work / "a.mcap"
-    told = read_recording(report.recording)
+    recording = read_recording(report.recording)
     original = read_recording(report.original).sha256
-    assert told.metadata["gyrorig.recovered"]["original_sha256"] == original
+    assert recording.metadata["gyrorig.recovered"]["original_sha256"] == original
     note = report.original.with_name("a.mcap.part.json").read_text()
     assert original in note
-    assert told.sha256 in note
+    assert recording.sha256 in note

@@ -65,10 +65,10 @@ def test_recoveries_at_once(tmp_path: Path) -> None:
         leave_unfinished(tmp_path, f"r{number}.mcap", 300)
     command = [sys.executable, "-c", RECOVER, str(tmp_path)]
     running = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    done = [int(process.communicate(timeout=100)[0]) for process in running]
+    counts = [int(process.communicate(timeout=100)[0]) for process in running]
     assert [process.returncode for process in running] == [0, 0, 0]
     recover_folder(tmp_path)
-    assert sum(done) <= 12
+    assert sum(counts) <= 12
     assert sorted(count(path) for path in tmp_path.glob("*.mcap")) == [300] * 12
     assert len(list(tmp_path.glob("unclean/*.part"))) == 12
     assert not list(tmp_path.glob("*.recovering"))

@@ -63,10 +63,10 @@ def test_nothing_is_deleted_without_a_rule(spool: Path) -> None:
     ],
 )
 def test_the_oldest_are_deleted_first(spool: Path, rules: RetentionRules, gone: int) -> None:
-    done = apply_retention(spool, rules, [])
-    assert [path.name for path in done.deleted] == [f"r{k}.mcap" for k in range(gone)]
-    assert done.deleted_bytes == 100 * gone
-    assert done.remaining_bytes == 500 - 100 * gone
+    deletions = apply_retention(spool, rules, [])
+    assert [path.name for path in deletions.deleted] == [f"r{k}.mcap" for k in range(gone)]
+    assert deletions.deleted_bytes == 100 * gone
+    assert deletions.remaining_bytes == 500 - 100 * gone
     assert left(spool) == [f"r{k}.mcap" for k in range(gone, 5)]
 
 
@@ -78,8 +78,8 @@ def test_deletes_until_there_is_space(spool: Path) -> None:
 def test_cited_recordings_are_kept(spool: Path, tmp_path: Path) -> None:
     digest = hashlib.sha256((spool / "r0.mcap").read_bytes()).hexdigest()
     store = store_citing(tmp_path, f"- {{name: 'other.mcap', sha256: '{digest}'}}", "- r1.mcap")
-    done = apply_retention(spool, RetentionRules(max_bytes=1), [store])
-    assert [path.name for path in done.cited] == ["r0.mcap", "r1.mcap"]
+    deletions = apply_retention(spool, RetentionRules(max_bytes=1), [store])
+    assert [path.name for path in deletions.cited] == ["r0.mcap", "r1.mcap"]
     assert left(spool) == ["r0.mcap", "r1.mcap"]
 
 

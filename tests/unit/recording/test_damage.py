@@ -94,10 +94,10 @@ def test_cut_at_every_byte(tmp_path: Path, scripted: Any, block: int) -> None:
         assert sum(loss.bytes for loss in actual.losses) == length - used
 
 
-def is_stated(found: Recording, whole: Recording, wanted: dict[str, list[Any]]) -> bool:
+def is_stated(recording: Recording, whole: Recording, wanted: dict[str, list[Any]]) -> bool:
     """The same, or a subset in order with the difference stated."""
-    present = contents(found)
-    if found.metadata != whole.metadata or present.keys() - wanted.keys():
+    present = contents(recording)
+    if recording.metadata != whole.metadata or present.keys() - wanted.keys():
         return False
     missing = 0
     for topic, messages in wanted.items():
@@ -105,11 +105,11 @@ def is_stated(found: Recording, whole: Recording, wanted: dict[str, list[Any]]) 
         if not all(message in rest for message in present.get(topic, [])):
             return False
         missing += len(messages) - len(present.get(topic, []))
-    if found.attachments != whole.attachments and found.is_complete:
+    if recording.attachments != whole.attachments and recording.is_complete:
         return False
-    if missing and found.is_complete:
+    if missing and recording.is_complete:
         return False
-    previous = found.lost_messages
+    previous = recording.lost_messages
     return previous is None or missing == 0 or previous >= missing
 
 

@@ -93,7 +93,7 @@ def explained(
 
 
 def names(result: AttitudeExplanation) -> list[str]:
-    return [one.cause for one in result.findings.causes]
+    return [cause.cause for cause in result.findings.causes]
 
 
 def odd_nulls(make: Maker, gain: FloatArray, seeds: range) -> list[int]:
@@ -167,7 +167,9 @@ def test_a_bias_of_motion_gets_no_name(samples_of: Maker, true_gain: FloatArray)
 def test_what_cannot_be_looked_at_is_said(
     samples_of: Maker, true_gain: FloatArray, cause: str
 ) -> None:
-    blind = {one.cause: one.reason for one in still(samples_of, true_gain).findings.untestable}
+    blind = {
+        entry.cause: entry.reason for entry in still(samples_of, true_gain).findings.untestable
+    }
     assert blind[cause]
 
 

@@ -54,7 +54,7 @@ def test_errors_are_what_the_covariance_says(
 ) -> None:
     scores, lags = [], []
     for seed in range(8):
-        one = session(
+        attitude_session = session(
             tumble(seed),
             samples_of,
             true_gain,
@@ -63,7 +63,7 @@ def test_errors_are_what_the_covariance_says(
             angle_noise_rad,
             rate_noise_rad_s,
         )
-        fit = fit_attitude([one])
+        fit = fit_attitude([attitude_session])
         assert fit.identified
         scores.append(((fit.gain - true_gain) / fit.gain_std).ravel())
         scores.append((fit.bias_rad_s - true_bias_rad_s) / [fit.std[f"bias.{k}"] for k in "xyz"])
@@ -80,8 +80,8 @@ def test_a_noisy_reference_does_not_pull_the_gain_down(
     true_gain: FloatArray,
     true_bias_rad_s: FloatArray,
 ) -> None:
-    one = session(tumble(3), samples_of, true_gain, true_bias_rad_s, 3, 8e-3, 1e-4)
-    fit = fit_attitude([one])
+    attitude_session = session(tumble(3), samples_of, true_gain, true_bias_rad_s, 3, 8e-3, 1e-4)
+    fit = fit_attitude([attitude_session])
     # Differentiated, 8 mrad at 120 Hz is 1.4 rad/s of noise: least squares of y on it
     # would lose most of the gain.
     assert np.abs(fit.gain - true_gain).max() < 5.0 * fit.gain_std.max() < 0.05

@@ -55,8 +55,8 @@ def turning(
 def test_exact_turns_give_the_gain_back(
     samples_of: Maker, true_gain: FloatArray, true_bias_rad_s: FloatArray
 ) -> None:
-    one = turning(samples_of, true_gain, true_bias_rad_s, np.eye(3), None)
-    fit = fit_turns([one])
+    turn_session = turning(samples_of, true_gain, true_bias_rad_s, np.eye(3), None)
+    fit = fit_turns([turn_session])
     np.testing.assert_allclose(fit.gain, true_gain, atol=2e-4)
     np.testing.assert_allclose(fit.bias_rad_s, true_bias_rad_s, atol=3e-5)
     assert fit.observability.rank == 12

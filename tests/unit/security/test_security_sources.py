@@ -50,7 +50,7 @@ def test_there_is_something_to_look_at() -> None:
 
 
 def test_nothing_is_unpickled() -> None:
-    found = []
+    places = []
     for path, tree in trees():
         for node in ast.walk(tree):
             names = []
@@ -59,47 +59,47 @@ def test_nothing_is_unpickled() -> None:
             elif isinstance(node, ast.ImportFrom):
                 names = [node.module or ""]
             if any(name.split(".")[0] in UNPICKLING for name in names):
-                found.append(str(path.relative_to(ROOT)))
+                places.append(str(path.relative_to(ROOT)))
         for name, call in calls(tree):
             if name.endswith(("np.load", "numpy.load")):
                 allowed = {word.arg: ast.unparse(word.value) for word in call.keywords}
                 if allowed.get("allow_pickle") != "False":
-                    found.append(where(path, call))
-    assert found == []
+                    places.append(where(path, call))
+    assert places == []
 
 
 def test_nothing_that_is_read_is_run() -> None:
-    found = []
+    places = []
     for path, tree in trees():
         for name, call in calls(tree):
             shell = [word for word in call.keywords if word.arg == "shell"]
             if name in RUNNING or name in ("os.system", "os.popen") or shell:
-                found.append(f"{where(path, call)} {name}")
-    assert found == []
+                places.append(f"{where(path, call)} {name}")
+    assert places == []
 
 
 def test_yaml_is_loaded_in_one_place_only() -> None:
-    found = {
+    files = {
         path.name
         for path, tree in trees()
         for name, _ in calls(tree)
         if name in ("yaml.load", "yaml.load_all", "yaml.full_load", "yaml.unsafe_load")
         or name.endswith("YAML")
     }
-    assert found == set()  # documents.py drives the safe loader event by event
+    assert files == set()  # documents.py drives the safe loader event by event
     loaders = [path.name for path in PRODUCT if "SafeLoader" in path.read_text(encoding="utf-8")]
     assert loaders == ["documents.py"]
 
 
 def test_nobody_listens_to_a_network() -> None:
-    found = [
+    places = [
         where(path, node)
         for path, tree in trees()
         if path.name not in NETWORK_ALLOWED
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute) and node.attr in NETWORK_FAMILIES
     ]
-    assert found == []
+    assert places == []
 
 
 @pytest.mark.parametrize("unit", ["gyrorigd.service", "gyrorig-nightly.service"])

@@ -160,8 +160,8 @@ class Bench:
     def state_at(self, seconds: float) -> dict[str, Any]:
         """What the status said last at a time."""
         index = max(0, min(len(self.statuses) - 1, round(seconds) - 1))
-        found = [s for s in self.statuses if s["uptime_s"] <= seconds]
-        return found[-1] if found else self.statuses[index]
+        earlier = [s for s in self.statuses if s["uptime_s"] <= seconds]
+        return earlier[-1] if earlier else self.statuses[index]
 
     def is_still(self) -> bool:
         now_s = (self.hub.now_ns() - ORIGIN_NS) * 1e-9

@@ -31,11 +31,11 @@ LATER = ImuRaw(6_000_000_000, 124, 8, 0, 21, (1, -2, 3), (4, 5, -6))
 @pytest.fixture
 def view() -> Iterator[FoxgloveView]:
     pytest.importorskip("foxglove", reason="no foxglove-sdk: it comes with the extra live")
-    said: list[str] = []
-    found = FoxgloveView("127.0.0.1", 0, said.append)
-    yield found
-    found.close()
-    assert not said
+    messages: list[str] = []
+    foxglove = FoxgloveView("127.0.0.1", 0, messages.append)
+    yield foxglove
+    foxglove.close()
+    assert not messages
 
 
 class Viewer:
@@ -50,8 +50,8 @@ class Viewer:
 
     def subscribe(self, topic: str) -> None:
         while topic not in self.channels:
-            told = json.loads(self.socket.recv())
-            for channel in told.get("channels", []):
+            document = json.loads(self.socket.recv())
+            for channel in document.get("channels", []):
                 self.channels[channel["topic"]] = channel
         wanted = {"id": 1, "channelId": self.channels[topic]["id"]}
         self.socket.send(json.dumps({"op": "subscribe", "subscriptions": [wanted]}))
@@ -94,14 +94,14 @@ def test_a_viewer_gets_the_recordings_own_bytes(view: FoxgloveView) -> None:
 
 def test_a_fault_ends_the_view_and_nothing_else() -> None:
     pytest.importorskip("foxglove", reason="no foxglove-sdk: it comes with the extra live")
-    said: list[str] = []
-    view = FoxgloveView("127.0.0.1", 0, said.append)
+    messages: list[str] = []
+    view = FoxgloveView("127.0.0.1", 0, messages.append)
     strange = SessionEvent(1, 0, "program", "x")
     view._channels["/x"] = object()  # has no has_sinks
     view.show_message("/x", strange, 1)
     view.show_message("/x", strange, 2)
-    assert len(said) == 1
-    assert "the recording continues" in said[0]
+    assert len(messages) == 1
+    assert "the recording continues" in messages[0]
 
 
 def test_an_address_that_is_taken(view: FoxgloveView) -> None:
@@ -109,10 +109,10 @@ def test_an_address_that_is_taken(view: FoxgloveView) -> None:
         open_live_view(f"127.0.0.1:{view.port}", print)
 
 
-@pytest.mark.parametrize("told", ["8765", ":8765", "localhost:", "localhost:x", "h:70000"])
-def test_what_is_no_address(told: str) -> None:
+@pytest.mark.parametrize("address", ["8765", ":8765", "localhost:", "localhost:x", "h:70000"])
+def test_what_is_no_address(address: str) -> None:
     with pytest.raises(UsageError, match="is not a valid HOST:PORT"):
-        open_live_view(told, print)
+        open_live_view(address, print)
 
 
 def test_without_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

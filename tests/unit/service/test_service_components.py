@@ -43,8 +43,8 @@ def test_what_systemd_is_told(tmp_path: Path) -> None:
         notifier.feed_watchdog()
         notifier.send_status("waiting:\nfor\x20 it")
         notifier.send_stopping()
-        said = [systemd.recv(500).decode() for _ in range(4)]
-        assert said == ["READY=1", "WATCHDOG=1", "STATUS=waiting: for it", "STOPPING=1"]
+        datagrams = [systemd.recv(500).decode() for _ in range(4)]
+        assert datagrams == ["READY=1", "WATCHDOG=1", "STATUS=waiting: for it", "STOPPING=1"]
         notifier.send_reloading()
         assert systemd.recv(500).startswith(b"RELOADING=1\nMONOTONIC_USEC=")
     notifier.feed_watchdog()  # nobody listens any more: no fault
@@ -78,9 +78,9 @@ class Spoken(SystemdNotifier):
 def test_the_watchdog_is_fed_only_when_every_loop_made_progress() -> None:
     now_ns = 0
     pulse = Heartbeat("socket", 3.0, lambda: now_ns)
-    notifier, told = Spoken(), list[str]()
+    notifier, notices = Spoken(), list[str]()
     timer = WatchdogTimer(
-        notifier, lambda: [pulse.name] if pulse.is_stalled else [], now_ns, told.append
+        notifier, lambda: [pulse.name] if pulse.is_stalled else [], now_ns, notices.append
     )
     for second in range(20):
         now_ns = second * 1_000_000_000
@@ -90,7 +90,7 @@ def test_the_watchdog_is_fed_only_when_every_loop_made_progress() -> None:
             timer.fire(now_ns)
     # every 2 s: 0 to 6 (the loop stops at 4 and may take 3), then from 16 on
     assert notifier.fed == 4 + 2
-    assert told == ["No progress in socket. The watchdog is not fed."]
+    assert notices == ["No progress in socket. The watchdog is not fed."]
 
 
 def test_one_daemon_a_folder(tmp_path: Path) -> None:

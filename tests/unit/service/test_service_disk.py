@@ -71,7 +71,7 @@ def test_it_is_said_and_a_halt_is_still_answered(
     bench, disk = make_bench(), Failing()
     monkeypatch.setattr(session_runner, "Recorder", partial(Recorder, disk=disk))
     metrics = MetricsWriter(bench.state.metrics, every=1)
-    told: dict[str, Any] = {}
+    statuses: dict[str, Any] = {}
 
     def handle(command: str, _: object) -> str:
         if command == "halt":
@@ -87,25 +87,25 @@ def test_it_is_said_and_a_halt_is_still_answered(
             metrics.publish(status)
 
         def look(when: str) -> None:
-            told[when] = send_command(server.path, "status")["status"]["recorder"]
-            told[f"{when} metric"] = metric(metrics, "gyrorig_recorder_degraded")
+            statuses[when] = send_command(server.path, "status")["status"]["recorder"]
+            statuses[f"{when} metric"] = metric(metrics, "gyrorig_recorder_degraded")
 
         bench.parts.publish = publish
         bench.put(FAR, session="on-a-bad-disk")
         bench.at(FAILS_S - 1.0, lambda: look("before"))
         bench.at(FAILS_S, lambda: setattr(disk, "code", code))
         bench.at(LOOKS_S, lambda: look("while it fails"))
-        bench.at(HALTS_S, lambda: told.update(halt=send_command(server.path, "halt")))
+        bench.at(HALTS_S, lambda: statuses.update(halt=send_command(server.path, "halt")))
         with server:
             bench.serve(20.0)
     metrics.close()
-    assert (told["before"]["state"], told["before metric"]) == ("recording", 0.0)
-    assert told["while it fails"]["state"] == "degraded"
-    assert words in told["while it fails"]["degraded"]
-    assert told["while it fails metric"] == 1.0
-    assert told["while it fails"]["counts"]["disk_faults"] >= 1
-    assert told["while it fails"]["counts"]["memory_messages"] > 100
-    assert told["halt"] == {"ok": True, "said": "halt heard"}
+    assert (statuses["before"]["state"], statuses["before metric"]) == ("recording", 0.0)
+    assert statuses["while it fails"]["state"] == "degraded"
+    assert words in statuses["while it fails"]["degraded"]
+    assert statuses["while it fails metric"] == 1.0
+    assert statuses["while it fails"]["counts"]["disk_faults"] >= 1
+    assert statuses["while it fails"]["counts"]["memory_messages"] > 100
+    assert statuses["halt"] == {"ok": True, "said": "halt heard"}
     halted_s = [order[1] for order in bench.rig.stage.pan.commands if order[0] == "halt"]
     assert any(HALTS_S <= at_s < HALTS_S + 1.0 for at_s in halted_s)
     assert bench.state_at(15.0)["state"] == "fault"  # held: an operator's halt

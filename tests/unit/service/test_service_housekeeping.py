@@ -17,9 +17,13 @@ def keeper_of(
     tmp_path: Path,
 ) -> Callable[[ServiceSettings], tuple[Housekeeping, StateFolder, list[str]]]:
     def make(settings: ServiceSettings) -> tuple[Housekeeping, StateFolder, list[str]]:
-        state, told = StateFolder(tmp_path), list[str]()
+        state, log_lines = StateFolder(tmp_path), list[str]()
         state.recordings.mkdir()
-        return Housekeeping(state, lambda: settings, lambda: True, told.append), state, told
+        return (
+            Housekeeping(state, lambda: settings, lambda: True, log_lines.append),
+            state,
+            log_lines,
+        )
 
     return make
 
@@ -44,36 +48,36 @@ Maker = Callable[[ServiceSettings], tuple[Housekeeping, StateFolder, list[str]]]
 
 
 def test_nothing_is_deleted_without_a_rule(keeper_of: Maker) -> None:
-    keeper, state, told = keeper_of(ServiceSettings())
+    keeper, state, log_lines = keeper_of(ServiceSettings())
     paths = recordings(state.recordings, 5)
     keeper.free_space()
     assert all(path.exists() for path in paths)
-    assert told == []
+    assert log_lines == []
 
 
 def test_the_oldest_go_and_what_is_cited_stays(keeper_of: Maker) -> None:
-    keeper, state, told = keeper_of(ServiceSettings(keep_mb=3))
+    keeper, state, log_lines = keeper_of(ServiceSettings(keep_mb=3))
     paths = recordings(state.recordings, 6)
     store = state.root / "calibrations" / "B-1"
     store.mkdir(parents=True)
     (store / "v0001.yaml").write_text("inputs:\n  - recording: r1.mcap\n")
     keeper.free_space()
-    there = [path.name for path in paths if path.exists()]
-    assert there == ["r1.mcap", "r4.mcap", "r5.mcap"]
+    names = [path.name for path in paths if path.exists()]
+    assert names == ["r1.mcap", "r4.mcap", "r5.mcap"]
     assert (keeper.counts.deleted, keeper.counts.deleted_bytes) == (3, 3_000_000)
     assert keeper.counts.kept_for_calibrations == 1
-    assert told == [
+    assert log_lines == [
         "Deleted 3 recordings (3.0 MB) by the retention rules of the rig's configuration."
     ]
 
 
 def test_a_store_that_is_not_mounted_stops_all_deleting(keeper_of: Maker) -> None:
-    keeper, state, told = keeper_of(ServiceSettings(keep_mb=1, stores=("/none/there",)))
+    keeper, state, log_lines = keeper_of(ServiceSettings(keep_mb=1, stores=("/none/there",)))
     paths = recordings(state.recordings, 3)
     keeper.free_space()
     assert all(path.exists() for path in paths)
     assert keeper.counts.retention_failures == 1
-    assert "No recording was deleted" in told[0]
+    assert "No recording was deleted" in log_lines[0]
 
 
 def test_room_is_made_only_where_that_was_allowed(
@@ -92,23 +96,23 @@ def test_room_is_made_only_where_that_was_allowed(
 
 
 def test_what_a_crash_left_is_finished_by_a_child(keeper_of: Maker) -> None:
-    keeper, state, told = keeper_of(ServiceSettings(reserve_mb=0))
+    keeper, state, log_lines = keeper_of(ServiceSettings(reserve_mb=0))
     (state.recordings / "torn.mcap.part").write_bytes(b"\x89MCAP0\r\n" + b"\0" * 50)
     keeper.start()
-    wait_for(lambda: bool(told))
+    wait_for(lambda: bool(log_lines))
     keeper.close()
     assert keeper.counts.recovered == 0
     assert keeper.counts.recovered_lost_bytes == 58
     assert not (state.recordings / "torn.mcap.part").exists()
-    assert "torn.mcap.part" in told[0]
+    assert "torn.mcap.part" in log_lines[0]
 
 
 def test_a_recovery_that_cannot_be_read_is_counted(
     keeper_of: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keeper, state, told = keeper_of(ServiceSettings())
+    keeper, state, log_lines = keeper_of(ServiceSettings())
     (state.recordings / "torn.mcap.part").write_bytes(b"")
     monkeypatch.setattr("sys.executable", "/bin/false")
     keeper._recover()
     assert keeper.counts.not_recovered == 1
-    assert "recordings failed" in told[0]
+    assert "recordings failed" in log_lines[0]

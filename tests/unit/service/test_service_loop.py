@@ -51,9 +51,13 @@ def test_a_job_is_carried_out_and_put_aside(make_bench: Make) -> None:
     assert recording.metadata["gyrorig"]["session"] == "first"
     assert len(recording.array("/board/B-1/imu_raw")) > 200
     (result,) = bench.results("done")
-    told = json.loads(result.read_text())
-    assert (told["result"], told["session"], told["recording"]) == ("done", "first", str(path))
-    assert (told["parts"], told["messages_lost"]) == ([path.name], 0)
+    document = json.loads(result.read_text())
+    assert (document["result"], document["session"], document["recording"]) == (
+        "done",
+        "first",
+        str(path),
+    )
+    assert (document["parts"], document["messages_lost"]) == ([path.name], 0)
     assert bench.state_at(2.0)["state"] == "ready"
     assert bench.state_at(5.0)["state"] == "running"
     assert bench.state_at(14.0)["state"] == "ready"
@@ -65,10 +69,10 @@ def test_the_unit_is_halted_before_anything_else_and_before_readiness(make_bench
     bench = make_bench()
     bench.rig.ptu.receive(b"PS200 PP3000 ", bench.hub.now_ns())  # somebody left it turning
     ready_at: list[float] = []
-    said = bench.notifier._send
+    sent = bench.notifier._send
 
     def note(text: str) -> None:
-        said(text)
+        sent(text)
         if text == "READY=1":
             ready_at.append(bench.pan_deg())
 
@@ -85,8 +89,8 @@ def test_jobs_go_in_the_order_of_their_names(make_bench: Make) -> None:
         bench.put(session=name)
     timers = list(bench.opened.pump._timers)
     bench.serve(40.0, bench.ended("done", 3))
-    told = [json.loads(path.read_text())["session"] for path in bench.results("done")]
-    assert told == ["one", "two", "three"]
+    names = [json.loads(path.read_text())["session"] for path in bench.results("done")]
+    assert names == ["one", "two", "three"]
     sessions = [read_recording(p).metadata["gyrorig"]["session"] for p in bench.recordings()]
     assert sessions == ["one", "two", "three"]
     assert list(bench.opened.pump._timers) == timers  # nothing is left of them
@@ -101,9 +105,9 @@ def test_a_recording_tells_of_its_own_losses_only(make_bench: Make, faulty_board
     recording = read_recording(*bench.recordings())
     *_, last = (m for m in recording.messages("/diagnostics") if isinstance(m, Diagnostics))
     values = {status.name: status.values for status in last.status}["board/B-1"]
-    told = bench.statuses[-1]["boards"][0]["counts"]
-    assert 5 <= int(values["missing"]) <= told["missing"] - 25
-    assert int(values["samples"]) < told["samples"] - 400
+    counts = bench.statuses[-1]["boards"][0]["counts"]
+    assert 5 <= int(values["missing"]) <= counts["missing"] - 25
+    assert int(values["samples"]) < counts["samples"] - 400
 
 
 def test_a_stop_in_motion_halts_closes_and_ends(make_bench: Make) -> None:
@@ -140,9 +144,9 @@ def test_a_fault_of_the_motion_holds_everything_until_cleared(make_bench: Make) 
     bench.at(20.0, bench.orders.clear.set)
     bench.serve(90.0, bench.ended("done", 1))
     first, second = (read_recording(path) for path in bench.recordings())
-    told = events(first)
-    assert any(e.kind == EventKind.FAULT and "met its limit" in e.text for e in told)
-    begun_s = [int(e.host_time_ns) * 1e-9 for e in told]
+    fault_events = events(first)
+    assert any(e.kind == EventKind.FAULT and "met its limit" in e.text for e in fault_events)
+    begun_s = [int(e.host_time_ns) * 1e-9 for e in fault_events]
     rows = first.array("/board/B-1/imu_raw")["log_time"]
     # the recording went on after the halt, until it was cleared
     assert int(rows[-1]) * 1e-9 - begun_s[-1] > 8.0
@@ -189,8 +193,8 @@ def test_after_lost_steps_nothing_moves_without_homing(make_bench: Make) -> None
     failed = [json.loads(path.read_text()) for path in bench.results("failed")]
     assert [f["session"] for f in failed][1:] == ["unsure"]
     assert "--home" in failed[1]["reason"]
-    done = [json.loads(path.read_text())["session"] for path in bench.results("done")]
-    assert done == ["homed", "sure"]
+    sessions = [json.loads(path.read_text())["session"] for path in bench.results("done")]
+    assert sessions == ["homed", "sure"]
 
 
 def test_an_operators_halt_stops_the_session_and_holds(make_bench: Make) -> None:

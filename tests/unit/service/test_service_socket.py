@@ -47,9 +47,9 @@ class Served:
     def exchange(self, data: bytes) -> dict[str, Any]:
         with self.connect() as connection:
             connection.sendall(data)
-            found = json.loads(connection.makefile("rb").readline())
-            assert isinstance(found, dict)
-            return found
+            document = json.loads(connection.makefile("rb").readline())
+            assert isinstance(document, dict)
+            return document
 
 
 @pytest.fixture

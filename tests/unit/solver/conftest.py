@@ -55,7 +55,7 @@ def simulate() -> Callable[..., TestRig]:
     ) -> TestRig:
         rng = np.random.default_rng(seed)
         # A unit that rounds what it is told to a count but stands where it was told.
-        beside = np.random.default_rng([seed, 1])
+        noise_rng = np.random.default_rng([seed, 1])
         acceleration = 4000.0
         plan: list[tuple[int, int, float]] = []
         for tilt in tilts:
@@ -66,7 +66,7 @@ def simulate() -> Callable[..., TestRig]:
         for axis, target, speed in plan:
             if target == where[axis]:
                 continue
-            stand = target + float(beside.uniform(-off_count, off_count))
+            stand = target + float(noise_rng.uniform(-off_count, off_count))
             letter = "PT"[axis]
             exchanges.append((t, t + 0.003, f"{letter}S{speed:.0f}"))
             exchanges.append((t + 0.01, t + 0.013, f"{letter}P{target}"))

@@ -32,21 +32,21 @@ def reference_of(rig: Any) -> PanTiltReference:
 def samples_of(time_s: np.ndarray, rate: np.ndarray, clock: ClockMap | None = None) -> GyroSamples:
     """A board's samples; its clock is the host's where none is given."""
     n = time_s.size
-    own = clock or map_clock(np.rint(time_s * 1e6).astype(np.int64), time_s, 1e6, 64)
+    clock_map = clock or map_clock(np.rint(time_s * 1e6).astype(np.int64), time_s, 1e6, 64)
     return GyroSamples(
         board="B",
         metadata={"bandwidth_hz": "25"},
         origin_ns=0,
-        time_s=own.time_s,
+        time_s=clock_map.time_s,
         host_s=time_s,
         number=np.arange(n),
-        segment=own.segment,
+        segment=clock_map.segment,
         rate_rad_s=rate,
         usable=np.ones(n, np.bool_),
         accel_m_s2=None,
         temperature_degc=None,
         quantum_rad_s=1.527e-4,
-        clock=own,
+        clock=clock_map,
         latency_bounds=None,
         lost=0,
         repeated=0,

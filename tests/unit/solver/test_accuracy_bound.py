@@ -106,7 +106,7 @@ def test_the_bound_is_that_of_dense_algebra(known: bool) -> None:
     session = carry_out(short_program(), 115_200.0, rng)
     board = draw_board(100.0, 25.0, rng)
     counts = sample(board, session.path, (0.5, session.end_s - 0.4), rng)
-    found = bound(board, session, counts, known)
+    cramer_rao = bound(board, session, counts, known)
     n, begin_s = counts.time_s.size, float(counts.time_s[0])
     rate = seen(board, session.path, begin_s, n)
     slope = seen(board, session.path, begin_s, n, slope=True)
@@ -120,12 +120,12 @@ def test_the_bound_is_that_of_dense_algebra(known: bool) -> None:
     turn = np.zeros((13, 13))
     turn[:3, 9:12], turn[3:12, :9], turn[12, 12] = np.eye(3), factor_slopes(board.gain), 1.0
     std = np.sqrt(np.diag(turn @ inverse @ turn.T))
-    own = np.sqrt(np.diag(found.covariance))
+    bound_std = np.sqrt(np.diag(cramer_rao.covariance))
     if known:
-        assert np.allclose(own, std, rtol=2e-3)
+        assert np.allclose(bound_std, std, rtol=2e-3)
     else:
-        assert np.all(own > 0.995 * std)
-        assert own[NAMES.index("time_offset")] > 10.0 * std[NAMES.index("time_offset")]
+        assert np.all(bound_std > 0.995 * std)
+        assert bound_std[NAMES.index("time_offset")] > 10.0 * std[NAMES.index("time_offset")]
 
 
 def test_weighing_by_density_comes_near(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,7 +150,7 @@ def test_the_best_estimate_errs_by_the_bound(known: bool) -> None:
         session = carry_out(short_program(), 9600.0, rng)
         board = draw_board(100.0, 25.0, rng)
         counts = sample(board, session.path, (0.5, session.end_s - 0.4), rng)
-        found = bound(board, session, counts, known)
-        total += float(found.error @ np.linalg.solve(found.covariance, found.error))
+        cramer_rao = bound(board, session, counts, known)
+        total += float(cramer_rao.error @ np.linalg.solve(cramer_rao.covariance, cramer_rao.error))
     low, high = (float(chi2.ppf(share, 24 * 13)) for share in (0.001, 0.999))
     assert low < total < high

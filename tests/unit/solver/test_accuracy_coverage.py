@@ -31,28 +31,28 @@ def planted(claimed: dict[str, float], nulls: dict[str, int]) -> list[dict[str, 
 
 
 def test_one_overconfident_parameter_is_named_and_not_pooled() -> None:
-    found = {"p.yaml": summarise_program(planted({"scale.x": 0.4}, {}))}
-    beyond = [row.item for row in coverage_rows(found) if row.verdict == "NO"]
+    programs = {"p.yaml": summarise_program(planted({"scale.x": 0.4}, {}))}
+    beyond = [row.item for row in coverage_rows(programs) if row.verdict == "NO"]
     assert beyond == ["p.yaml: 95 % intervals, scale.x"]
-    scale = found["p.yaml"]["parameters"]["scale.x"]
+    scale = programs["p.yaml"]["parameters"]["scale.x"]
     assert scale["value"] == pytest.approx(0.567, abs=0.09)
     assert scale["rms_z"] == pytest.approx(2.5, rel=0.15)
     assert scale["low"] < scale["value"] < scale["high"]
 
 
 def test_too_wide_an_interval_is_named_too() -> None:
-    found = summarise_program(planted({"bias.y": 3.0}, {}))
-    assert verdict(found["parameters"]["bias.y"]) == "NO"
+    summary = summarise_program(planted({"bias.y": 3.0}, {}))
+    assert verdict(summary["parameters"]["bias.y"]) == "NO"
 
 
 def test_nulls_are_counted_and_have_no_coverage() -> None:
     rows = [*planted({}, {"scale.y": RUNS, "misalignment.x": 50}), {"seed": 0, "failed": "why"}]
-    found = summarise_program(rows)
-    assert (found["runs"], found["failed"]) == (RUNS, 1)
-    assert found["parameters"]["scale.y"] == {"nulls": RUNS}
-    assert verdict(found["parameters"]["scale.y"]) == ""
-    assert found["parameters"]["misalignment.x"]["nulls"] == 50
-    assert found["parameters"]["bias.x"]["nulls"] == 0
+    summary = summarise_program(rows)
+    assert (summary["runs"], summary["failed"]) == (RUNS, 1)
+    assert summary["parameters"]["scale.y"] == {"nulls": RUNS}
+    assert verdict(summary["parameters"]["scale.y"]) == ""
+    assert summary["parameters"]["misalignment.x"]["nulls"] == 50
+    assert summary["parameters"]["bias.x"]["nulls"] == 0
 
 
 def test_every_shipped_program_is_measured() -> None:

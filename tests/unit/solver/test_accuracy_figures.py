@@ -82,10 +82,10 @@ def verdicts(rows: list[dict[str, Any]]) -> dict[str, str]:
 
 
 def test_an_honest_best_estimate_meets_the_goals() -> None:
-    found = verdicts(planted())
-    assert "NO" not in found.values()
-    assert found["efficiency, scale, the worst axis"] == "yes"
-    assert found["joint chi-squared of 13"] == "yes"
+    by_quantity = verdicts(planted())
+    assert "NO" not in by_quantity.values()
+    assert by_quantity["efficiency, scale, the worst axis"] == "yes"
+    assert by_quantity["joint chi-squared of 13"] == "yes"
 
 
 def test_loss_and_overconfidence_are_named() -> None:
@@ -115,14 +115,14 @@ def test_the_unit_answers_what_it_may(baud: float, counter: bool) -> None:
     assert np.all(answers.instant_s >= answers.lo_s)
     assert np.all(answers.instant_s <= answers.hi_s)
     for axis in (0, 1):
-        own = answers.axis == axis
+        is_axis = answers.axis == axis
         moves = path.of_axis(axis)
-        after = answers.instant_s[own] > moves[-1].end_s
-        assert np.all(answers.steps[own][after] == moves[-1].end_steps)
-        off = answers.steps[own] - path.counted_steps(axis, answers.instant_s[own])
+        after = answers.instant_s[is_axis] > moves[-1].end_s
+        assert np.all(answers.steps[is_axis][after] == moves[-1].end_steps)
+        off = answers.steps[is_axis] - path.counted_steps(axis, answers.instant_s[is_axis])
         assert np.abs(off).max() <= 1.0
-        angle = path.angle_rad(axis, answers.instant_s[own]) / RAD_PER_STEP
-        assert np.abs(answers.steps[own] - angle).max() < 1.6  # a step and detents of 0.1
+        angle = path.angle_rad(axis, answers.instant_s[is_axis]) / RAD_PER_STEP
+        assert np.abs(answers.steps[is_axis] - angle).max() < 1.6  # a step and detents of 0.1
     apart = np.diff(np.unique(answers.lo_s))
     wire_s = (3 + (44 if counter else 9)) * 10.0 / baud
     assert apart.min() >= max(0.010, wire_s + session.least_s)
@@ -146,9 +146,9 @@ def test_runs_err_as_the_best_estimate_does(case: Case) -> None:
     low, high = (float(chi2.ppf(share, 2 * 13)) for share in (1e-4, 1.0 - 1e-4))
     total = 0.0
     for seed in range(2):
-        found = run(case, seed)
-        assert found["shown"] == 13
-        total += found["chi2"]
-        apart = (np.array(found["error"]) - found["best"]) / found["bound"]
+        trial_run = run(case, seed)
+        assert trial_run["shown"] == 13
+        total += trial_run["chi2"]
+        apart = (np.array(trial_run["error"]) - trial_run["best"]) / trial_run["bound"]
         assert np.abs(apart).max() < 1.5
     assert low < total < high

@@ -28,9 +28,11 @@ def test_solution_matches_the_dense_system(local: int) -> None:
     dense, arrow, score = _made(local, 5)
     expected = np.linalg.solve(dense, score)
     np.testing.assert_allclose(solve_arrowhead(arrow, score), expected, rtol=1e-6, atol=1e-9)
-    found = eliminate_local(arrow, score)
+    solution = eliminate_local(arrow, score)
     covariance = np.linalg.inv(dense)[local:, local:]
-    np.testing.assert_allclose(np.linalg.inv(found.information), covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.inv(solution.information), covariance, rtol=1e-6, atol=1e-12
+    )
     np.testing.assert_allclose(arrow.multiply(score), dense @ score, rtol=1e-9, atol=1e-9)
 
 

@@ -30,8 +30,10 @@ def plainly(
         _, first = np.unique(count, return_index=True)
         alone = np.zeros(inside.size, dtype=np.bool_)
         alone[first] = True
-        kept = alone & (count >= np.maximum.accumulate(np.where(alone, count, count.min())))
-        keep[inside[~kept]] = False
+        is_increasing = alone & (
+            count >= np.maximum.accumulate(np.where(alone, count, count.min()))
+        )
+        keep[inside[~is_increasing]] = False
         number[inside] = count - count.min()
         lost += int(count.max() - count.min() + 1 - first.size)
     return number, keep, lost

@@ -26,8 +26,8 @@ def test_clock_drift_changes_no_scale_and_is_reported(simulate: Callable[..., An
     for name in ("scale.x", "scale.y", "scale.z"):
         assert abs(fast.value(name) - right.value(name)) < 0.05 * right.std[name]
     assert not any("clock differs" in text for text in right.warnings)
-    (said,) = [text for text in fast.warnings if "clock differs" in text]
-    assert "The host's clock is used" in said
-    assert "every scale factor would be 0.30 % larger" in said
+    (warning,) = [text for text in fast.warnings if "clock differs" in text]
+    assert "The host's clock is used" in warning
+    assert "every scale factor would be 0.30 % larger" in warning
     assert fast.clock.skew_ppm == pytest.approx(3000.0, abs=20.0)
     assert fast.clock.truth == "the host's capture clock"

@@ -37,12 +37,12 @@ orders = st.lists(
 Told = list[tuple[float, CommandKind, int, MotionLimits]]
 
 
-def laid(told: Told) -> MotionProfile:
+def laid(commands: Told) -> MotionProfile:
     at, given_orders = 0.0, []
-    base = told[0][3].base_speed_steps_s  # a unit does not change it on the way
-    for wait_s, kind, steps, own in told:
+    base = commands[0][3].base_speed_steps_s  # a unit does not change it on the way
+    for wait_s, kind, steps, own_limits in commands:
         at += wait_s
-        law = MotionLimits(own.speed_steps_s, own.acceleration_steps_s2, base)
+        law = MotionLimits(own_limits.speed_steps_s, own_limits.acceleration_steps_s2, base)
         given_orders.append(ProfileCommand(at, kind, float(steps), law))
     return plan_motion(0.0, given_orders)
 
@@ -114,10 +114,10 @@ def test_a_halt_brakes_to_rest() -> None:
     assert course.position_steps(t) == pytest.approx(same.position_steps(t), abs=1e-6)
 
 
-@given(told=orders)
-def test_position_is_continuous_and_speed_within_the_law(told: Told) -> None:
-    course = laid(told)
-    base = told[0][3].base_speed_steps_s
+@given(commands=orders)
+def test_position_is_continuous_and_speed_within_the_law(commands: Told) -> None:
+    course = laid(commands)
+    base = commands[0][3].base_speed_steps_s
     length = np.diff(course.start_s)
     assert np.all(length >= 0.0)
     end_speed = course.start_speed_steps_s[:-1] + course.acceleration_steps_s2[:-1] * length
@@ -157,7 +157,7 @@ def test_stage_rate_is_the_derivative_of_the_attitude() -> None:
     assert np.allclose(result[0], numeric, atol=1e-8)
 
 
-def told(*commands: str) -> list[UnitExchange]:
+def exchanges_of(*commands: str) -> list[UnitExchange]:
     return [UnitExchange(10.0 * k, 10.0 * k + 0.01, True, c) for k, c in enumerate(commands)]
 
 
@@ -183,7 +183,7 @@ def read(exchanges: list[UnitExchange], rests: dict[int, int] | None = None) -> 
 
 def test_moves_are_read_from_commands() -> None:
     motion = MotionReader(SETTINGS, (10, -5)).read(
-        told("PS500", "PP1010 ", "TS300", "TO-95", "PP1010", "PA4000", "PB100", "PP10")
+        exchanges_of("PS500", "PP1010 ", "TS300", "TO-95", "PP1010", "PA4000", "PB100", "PP10")
     )
     assert [(m.axis, m.from_steps, m.to_steps) for m in motion.moves] == [
         (0, 10, 1010),
@@ -197,13 +197,13 @@ def test_moves_are_read_from_commands() -> None:
 
 
 def test_a_setting_at_rest_leaves_the_move_before_as_it_was() -> None:
-    motion = read(told("PS500", "PP1000", "PA4000", "PB200", "PP0"))
+    motion = read(exchanges_of("PS500", "PP1000", "PA4000", "PB200", "PP0"))
     assert [m.acceleration_steps_s2 for m in motion.moves] == [2000.0, 4000.0]
     assert [m.base_speed_steps_s for m in motion.moves] == [0.0, 200.0]
 
 
 def test_slaved_moves_start_together() -> None:
-    motion = read(told("PS500", "TS500", "S", "PP100", "TP200", "A"))
+    motion = read(exchanges_of("PS500", "TS500", "S", "PP100", "TP200", "A"))
     assert [m.command_time_s for m in motion.moves] == [50.0, 50.0]
 
 
@@ -260,9 +260,9 @@ def test_a_move_begins_at_the_polled_count() -> None:
 
 
 def test_unknown_motion_has_a_reason() -> None:
-    assert read(told("PP100")).unknown_spans
+    assert read(exchanges_of("PP100")).unknown_spans
     assert read(told_at([(0.0, "PS100"), (1.0, "PP1000"), (2.0, "PD50")])).unknown_spans
-    assert read(told("WPE")).unknown_spans
+    assert read(exchanges_of("WPE")).unknown_spans
 
 
 def test_a_refused_command_moves_nothing() -> None:

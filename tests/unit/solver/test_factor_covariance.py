@@ -39,9 +39,9 @@ def derived(
 def test_a_hidden_column_makes_null_what_depends_on_its_squares_and_products() -> None:
     """At the nominal gain no first derivative says so: scale.x = |row x|, T_zx = row z . row x."""
     analysis = analyse_observability(information(np.full(12, 3e-4), "y"), NAMES)
-    found = propagate_to_factors(NOMINAL, analysis.covariance, analysis.unobservable_covariance)
-    first_order = found.jacobian @ analysis.unobservable_covariance @ found.jacobian.T
-    second = dict(zip(FACTOR_NAMES, np.diag(found.prior), strict=False))
+    factors = propagate_to_factors(NOMINAL, analysis.covariance, analysis.unobservable_covariance)
+    first_order = factors.jacobian @ analysis.unobservable_covariance @ factors.jacobian.T
+    second = dict(zip(FACTOR_NAMES, np.diag(factors.prior), strict=False))
     before = dict(zip(FACTOR_NAMES, np.diag(first_order), strict=False))
     # g = 0.1 z: E (g^2/2)^2 = 3/4 g^4, E (g g')^2 = g^4, with terms of g^6 beside it.
     assert before["scale.x"] == pytest.approx(0.0, abs=1e-20)
@@ -58,10 +58,10 @@ def test_a_hidden_column_hides_nothing_that_data_know_less_well() -> None:
     """The row's length is known to 5 % only; the hidden entry changes it by less."""
     std = np.full(12, 3e-4)
     std[0] = 0.04
-    found = derived(NOMINAL, information(std, "y"))
-    assert "scale.x" in found.order
-    assert found.std["scale.x"] ** 2 == pytest.approx(0.04**2 + 0.75e-4, rel=0.01)
-    assert np.linalg.eigvalsh(found.covariance).min() > 0.0
+    factors = derived(NOMINAL, information(std, "y"))
+    assert "scale.x" in factors.order
+    assert factors.std["scale.x"] ** 2 == pytest.approx(0.04**2 + 0.75e-4, rel=0.01)
+    assert np.linalg.eigvalsh(factors.covariance).min() > 0.0
 
 
 def test_nothing_changes_where_all_is_observed() -> None:
@@ -72,12 +72,12 @@ def test_nothing_changes_where_all_is_observed() -> None:
     of_data = 1e6 * (mixing @ mixing.T + np.eye(12))
     analysis = analyse_observability(of_data, NAMES)
     assert analysis.rank == 12
-    found = propagate_to_factors(estimate, analysis.covariance, analysis.unobservable_covariance)
+    factors = propagate_to_factors(estimate, analysis.covariance, analysis.unobservable_covariance)
     jacobian = np.eye(12)
     jacobian[:9, :9] = factor_jacobian(factorise(gain))
-    assert np.array_equal(found.data, jacobian @ analysis.covariance @ jacobian.T)
-    assert np.array_equal(found.prior, np.zeros((12, 12)))
-    assert np.array_equal(found.values[:9], factorise(gain).as_vector())
+    assert np.array_equal(factors.data, jacobian @ analysis.covariance @ jacobian.T)
+    assert np.array_equal(factors.prior, np.zeros((12, 12)))
+    assert np.array_equal(factors.values[:9], factorise(gain).as_vector())
 
 
 @pytest.mark.parametrize("hidden", ["x", "y", "z", "xy"])
@@ -87,12 +87,12 @@ def test_the_quadrature_agrees_with_random_draws(hidden: str) -> None:
     gain = np.eye(3) + 0.05 * rng.normal(size=(3, 3))
     estimate = np.concatenate([gain.ravel(), np.zeros(3)])
     analysis = analyse_observability(information(np.full(12, 1e-5), hidden), NAMES)
-    found = propagate_to_factors(estimate, analysis.covariance, analysis.unobservable_covariance)
+    factors = propagate_to_factors(estimate, analysis.covariance, analysis.unobservable_covariance)
     shift = np.zeros((20_000, 3, 3))
     shift[:, :, ["xyz".index(k) for k in hidden]] = 0.1 * rng.normal(size=(20_000, 3, len(hidden)))
-    change = np.array([other_factors(gain + one) for one in shift]) - other_factors(gain)
+    change = np.array([other_factors(gain + step) for step in shift]) - other_factors(gain)
     drawn = np.mean(change**2, axis=0)
-    quadrature = np.diag(found.prior)[:9]
+    quadrature = np.diag(factors.prior)[:9]
     # Beyond the quadratic part a tenth of prior leaves some per cent; draws leave 2 %.
     assert np.all((quadrature > 0.75 * drawn - 1e-9) & (quadrature < 1.25 * drawn + 1e-9))
 
@@ -108,11 +108,11 @@ def test_intervals_hold_beside_a_hidden_column() -> None:
         truth = NOMINAL + PRIOR * rng.normal(size=12)
         hidden = np.diag(analysis.unobservable_covariance) > 0.0
         estimate = np.where(hidden, NOMINAL, truth + std * rng.normal(size=12))
-        found = derived(estimate, of_data)
+        factors = derived(estimate, of_data)
         true = np.concatenate([other_factors(truth[:9].reshape(3, 3)), truth[9:]])
         for name, value in zip((*FACTOR_NAMES, *BIAS_NAMES), true, strict=True):
-            if name in found.order:
-                inside = abs(found.values[name] - value) <= 1.96 * found.std[name]
+            if name in factors.order:
+                inside = abs(factors.values[name] - value) <= 1.96 * factors.std[name]
                 covered.setdefault(name, []).append(bool(inside))
     assert {"scale.x", "scale.z", "nonorthogonality.zx", *BIAS_NAMES} <= set(covered)
     for name, inside in covered.items():
@@ -126,10 +126,10 @@ def test_numbers_of_good_data_beside_a_hidden_column_are_null() -> None:
     for _ in range(20):
         estimate = NOMINAL.copy()
         estimate[[0, 2, 3, 5, 6, 8]] += 0.03 * rng.normal(size=6)
-        found = derived(estimate, information(np.full(12, 2e-4), "y"))
-        assert {"scale.x", "nonorthogonality.zx"} <= set(found.observability.unobservable)
-        assert set(BIAS_NAMES) <= set(found.order)
-        assert np.isfinite(found.gain[:, [0, 2]]).all()
+        factors = derived(estimate, information(np.full(12, 2e-4), "y"))
+        assert {"scale.x", "nonorthogonality.zx"} <= set(factors.observability.unobservable)
+        assert set(BIAS_NAMES) <= set(factors.order)
+        assert np.isfinite(factors.gain[:, [0, 2]]).all()
 
 
 def test_every_null_factor_has_a_reason() -> None:
@@ -138,23 +138,23 @@ def test_every_null_factor_has_a_reason() -> None:
     keep = np.eye(12) - np.outer(spread, spread)
     of_data = keep @ np.diag((1e-3 * PRIOR) ** -2.0) @ keep
     of_data += 1e-6 * np.eye(12)
-    found = derived(NOMINAL, of_data).observability
-    assert found.rank == 11
-    assert any(name in FACTOR_NAMES for name in found.unobservable)
-    assert found.reasons
+    observability = derived(NOMINAL, of_data).observability
+    assert observability.rank == 11
+    assert any(name in FACTOR_NAMES for name in observability.unobservable)
+    assert observability.reasons
 
 
 def test_a_board_that_is_turned_by_a_right_angle_has_null_factors_not_a_fault() -> None:
     """With its hidden column at the nominal value the gain is singular."""
     gain = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     gain[:, 1] = [0.0, 1.0, 0.0]
-    found = derived(
+    factors = derived(
         np.concatenate([gain.ravel(), np.zeros(3)]), information(np.full(12, 1e-4), "y")
     )
-    assert set(FACTOR_NAMES) <= set(found.observability.unobservable)
-    assert found.order == BIAS_NAMES
-    assert np.isfinite(found.covariance).all()
-    assert found.observability.reasons == ("column y of the gain: sweep pan at two tilts",)
+    assert set(FACTOR_NAMES) <= set(factors.observability.unobservable)
+    assert factors.order == BIAS_NAMES
+    assert np.isfinite(factors.covariance).all()
+    assert factors.observability.reasons == ("column y of the gain: sweep pan at two tilts",)
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
@@ -163,7 +163,7 @@ def test_many_factorisations_agree_with_one(mirror: float) -> None:
     gain = np.diag([1.0, mirror, 1.0]) @ rotation_matrix(np.array([0.3, -0.2, 0.5]))
     near = factorise(gain)
     gains = gain + 0.05 * rng.normal(size=(50, 3, 3))
-    each = np.array([factorise(one).as_vector() for one in gains])
+    each = np.array([factorise(gain_matrix).as_vector() for gain_matrix in gains])
     assert np.allclose(factorise_near(gains, near), each, atol=1e-14)
     assert np.isnan(factorise_near(-gains, near)).all()  # of the other handedness
     assert np.isnan(factorise_near(np.zeros((1, 3, 3)), near)).all()

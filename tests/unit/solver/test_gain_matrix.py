@@ -27,16 +27,16 @@ def test_known_factors_are_recovered() -> None:
     rotation = Rotation.from_rotvec([0.02, -0.15, 0.01]).as_matrix()
     lower = np.array([[1, 0, 0], [0.01, 1, 0], [-0.02, 0.005, 1]])
     scale = np.array([0.95, 1.02, 0.88])
-    found = factorise(np.diag(scale) @ lower @ rotation)
-    assert np.allclose(found.scale, scale, atol=1e-12)
-    assert np.allclose(found.nonorthogonality, [0.01, -0.02, 0.005], atol=1e-12)
-    assert np.allclose(found.misalignment_rad, [0.02, -0.15, 0.01], atol=1e-12)
+    factors = factorise(np.diag(scale) @ lower @ rotation)
+    assert np.allclose(factors.scale, scale, atol=1e-12)
+    assert np.allclose(factors.nonorthogonality, [0.01, -0.02, 0.005], atol=1e-12)
+    assert np.allclose(factors.misalignment_rad, [0.02, -0.15, 0.01], atol=1e-12)
 
 
 def test_mirrored_axis_has_a_negative_scale() -> None:
-    found = factorise(np.diag([1.0, -0.98, 1.01]) @ rotation_matrix(np.array([0.01, 0.02, 0.0])))
-    assert np.sign(found.scale).tolist() == [1.0, -1.0, 1.0]
-    assert np.linalg.norm(found.misalignment_rad) < 0.05
+    factors = factorise(np.diag([1.0, -0.98, 1.01]) @ rotation_matrix(np.array([0.01, 0.02, 0.0])))
+    assert np.sign(factors.scale).tolist() == [1.0, -1.0, 1.0]
+    assert np.linalg.norm(factors.misalignment_rad) < 0.05
 
 
 def test_singular_gain_is_rejected() -> None:

@@ -23,10 +23,10 @@ def test_operator_uses_finite_difference_derivatives() -> None:
     signal = RNG.standard_normal(80)
     step_s = float(GRID[-1] - GRID[0]) / 79
     at = np.concatenate([GRID, RNG.uniform(GRID[0] - 3.0, GRID[-1] + 3.0, 300)])
-    there = HermiteInterpolator.of(GRID, at)
+    operator = HermiteInterpolator.of(GRID, at)
     slope = np.gradient(signal, step_s)
-    wanted, _ = there.interpolate(signal[:, None], slope[:, None])
-    assert there.sparse_operator(step_s) @ signal == pytest.approx(wanted[:, 0], abs=1e-12)
+    wanted, _ = operator.interpolate(signal[:, None], slope[:, None])
+    assert operator.sparse_operator(step_s) @ signal == pytest.approx(wanted[:, 0], abs=1e-12)
 
 
 def test_value_is_constant_beyond_the_ends() -> None:

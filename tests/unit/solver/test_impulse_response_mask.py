@@ -24,7 +24,7 @@ def response(at_s: float, twice: bool = False) -> np.ndarray:
     return np.interp(TIME_S - at_s, fine, rate, left=0.0, right=0.0)
 
 
-def kept(left: np.ndarray) -> np.ndarray:
+def usable_rows(left: np.ndarray) -> np.ndarray:
     """Which rows would be set aside but are not."""
     noise = np.random.default_rng(1).standard_normal((N, 3)) * SIGMA
     odd = find_outliers(left + noise, np.ones(N, dtype=np.bool_), 1e-4)
@@ -37,19 +37,19 @@ def kept(left: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("at_s", [1.5003, 2.2571, 3.1])
 @pytest.mark.parametrize("lost", [9e-4, -0.0072])
 def test_lost_step_is_kept(at_s: float, lost: float) -> None:
-    assert kept(lost * np.outer(response(at_s), PAN_SHOWS)).any()
+    assert usable_rows(lost * np.outer(response(at_s), PAN_SHOWS)).any()
 
 
 def test_base_compliance_pulse_is_kept() -> None:
-    assert kept(2e-5 * np.outer(response(1.0002, twice=True), PAN_SHOWS)).any()
+    assert usable_rows(2e-5 * np.outer(response(1.0002, twice=True), PAN_SHOWS)).any()
 
 
 def test_pulse_at_rest_is_a_glitch() -> None:
-    assert not kept(9e-4 * np.outer(response(5.2), PAN_SHOWS)).any()
+    assert not usable_rows(9e-4 * np.outer(response(5.2), PAN_SHOWS)).any()
 
 
 def test_pulse_about_another_axis_is_a_glitch() -> None:
-    assert not kept(9e-4 * np.outer(response(2.2), [1.0, 0.0, 0.0])).any()
+    assert not usable_rows(9e-4 * np.outer(response(2.2), [1.0, 0.0, 0.0])).any()
 
 
 @pytest.mark.parametrize("sigmas", [10.0, 60.0, 400.0])
@@ -57,4 +57,4 @@ def test_pulse_about_another_axis_is_a_glitch() -> None:
 def test_corrupt_word_is_a_glitch(sigmas: float, axis: int) -> None:
     left = np.zeros((N, 3))
     left[[160, 250, 333], axis] = sigmas * SIGMA
-    assert not kept(left).any()
+    assert not usable_rows(left).any()

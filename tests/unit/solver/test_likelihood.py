@@ -44,14 +44,14 @@ def test_errors_match_the_stated_uncertainty(simulate: Simulate, off_count: floa
     total = 0.0
     for seed in range(8):
         rig = simulate(seed, off_count=off_count)
-        found = fit(rig)
+        result = fit(rig)
         true = truth(rig)
-        error = np.array([found.value(n) - true[n] for n in found.order])
-        assert len(found.order) == 13
-        assert found.identified
-        z = error / np.sqrt(np.diag(found.covariance))
+        error = np.array([result.value(n) - true[n] for n in result.order])
+        assert len(result.order) == 13
+        assert result.identified
+        z = error / np.sqrt(np.diag(result.covariance))
         assert np.abs(z).max() < 4.0
-        total += float(error @ np.linalg.solve(found.covariance, error))
+        total += float(error @ np.linalg.solve(result.covariance, error))
         assert (reference_of(rig).move_fit.rest_variance > 0.05 / 12.0) == (off_count > 0.0)
     # 8 x 13 degrees of freedom; scipy.stats.chi2.ppf([0.001, 0.999], 104) = 65.1, 154.3. A
     # little lower, because the constant of the polls is the same in all eight and is uniform.
@@ -60,23 +60,23 @@ def test_errors_match_the_stated_uncertainty(simulate: Simulate, off_count: floa
 
 def test_noise_free_data_recover_the_truth(simulate: Simulate) -> None:
     rig = simulate(3, noise=0.0)
-    found = fit(rig)
-    assert np.allclose(found.gain, rig.gain, atol=3e-4)
-    assert np.allclose(found.bias_rad_s, rig.bias_rad_s, atol=1e-5)
-    assert found.rms_after_rad_s < 0.05 * found.rms_before_rad_s
+    result = fit(rig)
+    assert np.allclose(result.gain, rig.gain, atol=3e-4)
+    assert np.allclose(result.bias_rad_s, rig.bias_rad_s, atol=1e-5)
+    assert result.rms_after_rad_s < 0.05 * result.rms_before_rad_s
 
 
 def test_pan_at_one_tilt_leaves_roll_unobservable(simulate: Simulate) -> None:
     rig = simulate(1, tilts=(0, 400, 0, 400, 0))
     rate = rig.rate_rad_s
-    found = fit(simulate(1, tilts=(0,)), None)
+    result = fit(simulate(1, tilts=(0,)), None)
     assert rate.shape[1] == 3
-    assert {"scale.y", "scale.x"} <= set(found.observability.unobservable)
-    assert np.isnan(found.gain[:, 1]).all()
-    assert np.isfinite(found.gain[:, 2]).all()
-    assert any("one tilt only" in reason for reason in found.observability.reasons)
-    assert all(np.isfinite(found.value(f"bias.{a}")) for a in "xyz")
-    assert found.observability.rank == 6
+    assert {"scale.y", "scale.x"} <= set(result.observability.unobservable)
+    assert np.isnan(result.gain[:, 1]).all()
+    assert np.isfinite(result.gain[:, 2]).all()
+    assert any("one tilt only" in reason for reason in result.observability.reasons)
+    assert all(np.isfinite(result.value(f"bias.{a}")) for a in "xyz")
+    assert result.observability.rank == 6
 
 
 def test_outliers_do_not_bias_the_fit(simulate: Simulate) -> None:
@@ -85,12 +85,12 @@ def test_outliers_do_not_bias_the_fit(simulate: Simulate) -> None:
     spiked = rig.rate_rad_s.copy()
     hit = rng.choice(spiked.shape[0], spiked.shape[0] // 100, replace=False)
     spiked[hit, rng.integers(0, 3, hit.size)] += rng.choice([-1.0, 1.0], hit.size) * 256 * 1.5e-4
-    clean, found = fit(rig), fit(rig, spiked)
-    assert found.outliers > 0.9 * hit.size
+    clean, with_outliers = fit(rig), fit(rig, spiked)
+    assert with_outliers.outliers > 0.9 * hit.size
     for name in clean.order:
-        shift = abs(found.value(name) - clean.value(name))
+        shift = abs(with_outliers.value(name) - clean.value(name))
         assert shift < 0.5 * clean.std[name]
-        assert found.std[name] < 1.05 * clean.std[name]
+        assert with_outliers.std[name] < 1.05 * clean.std[name]
 
 
 def test_noise_levels_are_found(simulate: Simulate) -> None:

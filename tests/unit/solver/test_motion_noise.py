@@ -51,20 +51,20 @@ def estimate(residual: np.ndarray, rate: np.ndarray) -> MotionNoise | None:
 def test_more_noise_in_motion_is_found() -> None:
     rate = stage_rate(40 * PERIOD)
     moving = np.any(rate != 0.0, axis=1)
-    found = estimate(residual_of(np.where(moving, np.sqrt(2.0), 1.0)), rate)
-    assert found is not None
-    variance = found.relative_variance(rate)
+    motion_noise = estimate(residual_of(np.where(moving, np.sqrt(2.0), 1.0)), rate)
+    assert motion_noise is not None
+    variance = motion_noise.relative_variance(rate)
     assert np.all(variance[~moving] == 1.0)
     assert np.allclose(variance[moving], 2.0, rtol=0.08)
 
 
 def test_noise_of_one_motor_that_grows_with_its_speed_is_found() -> None:
     rate = stage_rate(40 * PERIOD)
-    found = estimate(residual_of(np.sqrt(1.0 + 4.0 * rate[:, 0] ** 2)), rate)
-    assert found is not None
-    ratios = found.mean_ratios(rate)
+    motion_noise = estimate(residual_of(np.sqrt(1.0 + 4.0 * rate[:, 0] ** 2)), rate)
+    assert motion_noise is not None
+    ratios = motion_noise.mean_ratios(rate)
     fast, slow = rate[:, 0] == 1.0, rate[:, 0] == 0.5
-    variance = found.relative_variance(rate)
+    variance = motion_noise.relative_variance(rate)
     assert np.allclose(variance[fast], 5.0, rtol=0.1)
     assert np.allclose(variance[slow], 2.0, rtol=0.2)
     assert np.allclose(ratios["pan_motion"], 1.0, atol=0.05)
@@ -104,8 +104,8 @@ def test_division_and_multiplication_are_inverse(keeps_constant: bool) -> None:
     spectra = rng.normal(size=(2, 3, 64))
     divided = relative_std.divide_spectra(spectra)
     for axis in range(3):
-        own = relative_std.divide_spectra(spectra[:, axis], axis)
-        assert np.allclose(own, divided[:, axis])
+        quotient = relative_std.divide_spectra(spectra[:, axis], axis)
+        assert np.allclose(quotient, divided[:, axis])
     if keeps_constant:
         assert np.array_equal(divided[..., 0], spectra[..., 0])
     else:
@@ -162,7 +162,7 @@ def test_a_series_in_parts_gives_nearly_the_same(
     monkeypatch.setattr(series, "PART_BLOCKS", 2048)
     fit = solve_case(Case("in parts", "planned-75.yaml", number=1, motor_noise=MotorNoise(2.0)), 0)
     assert len(fit.sessions[0].series[0].part_slices()) == 4
-    own, theirs = (np.sqrt(np.diag(one.observability.covariance)) for one in (fit, noisy_fit))
+    std, theirs = (np.sqrt(np.diag(result.observability.covariance)) for result in (fit, noisy_fit))
     assert np.all(np.abs(fit.estimate - noisy_fit.estimate)[:9] < 0.5 * theirs[:9])
-    assert np.allclose(own[:9], theirs[:9], rtol=0.05)
-    assert np.all(own[9:12] >= theirs[9:12])
+    assert np.allclose(std[:9], theirs[:9], rtol=0.05)
+    assert np.all(std[9:12] >= theirs[9:12])

@@ -39,7 +39,9 @@ def board(rig: Any, number: int, late_s: float = 0.0) -> tuple[np.ndarray, Conve
     if late_s:
         third = rig.time_s.size // 3
         middle = slice(third, 2 * third)
-        seen = [np.interp(rig.time_s[middle] - late_s, rig.time_s, one) for one in rate.T]
+        seen = [
+            np.interp(rig.time_s[middle] - late_s, rig.time_s, axis_rate) for axis_rate in rate.T
+        ]
         rate[middle] = np.stack(seen, axis=1)
     return gain, solve_motion([(samples_of(rig.time_s, rate), reference_of(rig))])
 
@@ -52,16 +54,16 @@ def alone(rig: Any) -> dict[str, tuple[np.ndarray, ConvergedFit]]:
 def test_joint_fit_does_not_increase_uncertainty(
     alone: dict[str, tuple[np.ndarray, ConvergedFit]],
 ) -> None:
-    found = fit_boards_jointly({name: one for name, (_, one) in alone.items()})
-    assert not found.left_out
-    assert sorted(found.solutions) == sorted(alone)
-    for name, (gain, own) in alone.items():
-        joint = found.solutions[name]
+    joint_fit = fit_boards_jointly({name: solution for name, (_, solution) in alone.items()})
+    assert not joint_fit.left_out
+    assert sorted(joint_fit.solutions) == sorted(alone)
+    for name, (gain, solution) in alone.items():
+        joint = joint_fit.solutions[name]
         assert joint.converged
         error = (joint.gain - gain).ravel()
         chi2 = error @ np.linalg.solve(joint.observability.covariance[:9, :9], error)
         assert chi2 < 27.9  # of 9 degrees, 99.9 %
-        before, after = (np.sqrt(np.diag(s.observability.covariance)) for s in (own, joint))
+        before, after = (np.sqrt(np.diag(s.observability.covariance)) for s in (solution, joint))
         assert np.all(after < before * 1.02)  # the noise is found anew
         session = joint.sessions[0]
         normal = session.normal_equations(joint.gain, joint.noises[0])
@@ -72,16 +74,16 @@ def test_joint_fit_equals_one_large_fit(
     alone: dict[str, tuple[np.ndarray, ConvergedFit]],
 ) -> None:
     """Against a dense matrix over all unknowns, with nothing eliminated by blocks."""
-    found = fit_boards_jointly({name: one for name, (_, one) in alone.items()})
-    solutions = list(found.solutions.values())
+    joint = fit_boards_jointly({name: solution for name, (_, solution) in alone.items()})
+    solutions = list(joint.solutions.values())
     known = solutions[0].sessions[0].reference.information
     local, shared = known.size
     total = local + BOARDS * BASE_PARAMETERS + shared
     dense = np.zeros((total, total))
     unit = np.concatenate([np.arange(local), np.arange(local + BOARDS * BASE_PARAMETERS, total)])
     dense[np.ix_(unit, unit)] += known.to_dense()
-    for n, one in enumerate(solutions):
-        matrix = one.sessions[0].normal_equations(one.gain, one.noises[0]).matrix
+    for n, solution in enumerate(solutions):
+        matrix = solution.sessions[0].normal_equations(solution.gain, solution.noises[0]).matrix
         acting = matrix.size[1] - BASE_PARAMETERS
         first = local + BOARDS * BASE_PARAMETERS
         at = np.concatenate(
@@ -93,12 +95,12 @@ def test_joint_fit_equals_one_large_fit(
         )
         dense[np.ix_(at, at)] += matrix.to_dense()
     covariance = np.linalg.inv(dense)
-    for n, one in enumerate(solutions):
-        own = slice(local + n * BASE_PARAMETERS, local + (n + 1) * BASE_PARAMETERS)
-        expected = covariance[own, own].copy()
-        expected[12, 12] += one.sessions[0].common_std_s ** 2  # a shift that nothing shows
+    for n, solution in enumerate(solutions):
+        rows = slice(local + n * BASE_PARAMETERS, local + (n + 1) * BASE_PARAMETERS)
+        expected = covariance[rows, rows].copy()
+        expected[12, 12] += solution.sessions[0].common_std_s ** 2  # a shift that nothing shows
         scale = np.sqrt(np.diag(expected))
-        difference = (one.observability.covariance - expected) / np.outer(scale, scale)
+        difference = (solution.observability.covariance - expected) / np.outer(scale, scale)
         assert np.abs(difference).max() < 2e-3
 
 
@@ -106,37 +108,39 @@ def test_board_with_another_motion_is_left_out(
     rig: Any, alone: dict[str, tuple[np.ndarray, ConvergedFit]]
 ) -> None:
     _, sick = board(rig, 7, late_s=0.01)
-    solutions = {name: one for name, (_, one) in alone.items()}
-    found = fit_boards_jointly({**solutions, "sick": sick})
-    assert list(found.left_out) == ["sick"]
-    assert "disagrees with 4 other boards" in found.left_out["sick"]
+    solutions = {name: solution for name, (_, solution) in alone.items()}
+    joint = fit_boards_jointly({**solutions, "sick": sick})
+    assert list(joint.left_out) == ["sick"]
+    assert "disagrees with 4 other boards" in joint.left_out["sick"]
     healthy = fit_boards_jointly(solutions)
-    for name, one in healthy.solutions.items():
-        assert found.solutions[name].estimate == pytest.approx(one.estimate, rel=1e-9, abs=1e-12)
+    for name, solution in healthy.solutions.items():
+        assert joint.solutions[name].estimate == pytest.approx(
+            solution.estimate, rel=1e-9, abs=1e-12
+        )
 
 
 def test_two_disagreeing_boards_are_both_left_out(
     rig: Any, alone: dict[str, tuple[np.ndarray, ConvergedFit]]
 ) -> None:
     _, sick = board(rig, 7, late_s=0.01)
-    found = fit_boards_jointly({"B0": alone["B0"][1], "sick": sick})
-    assert not found.solutions
-    assert sorted(found.left_out) == ["B0", "sick"]
-    assert all("with the other board" in why for why in found.left_out.values())
+    joint = fit_boards_jointly({"B0": alone["B0"][1], "sick": sick})
+    assert not joint.solutions
+    assert sorted(joint.left_out) == ["B0", "sick"]
+    assert all("with the other board" in why for why in joint.left_out.values())
 
 
 def test_single_board_has_no_joint_fit(alone: dict[str, tuple[np.ndarray, ConvergedFit]]) -> None:
-    found = fit_boards_jointly({"B0": alone["B0"][1]})
-    assert not found.solutions
-    assert not found.left_out
+    joint = fit_boards_jointly({"B0": alone["B0"][1]})
+    assert not joint.solutions
+    assert not joint.left_out
 
 
 def test_stacked_boards_add_scores_of_the_unit(
     alone: dict[str, tuple[np.ndarray, ConvergedFit]],
 ) -> None:
-    (_, one), (_, two) = list(alone.values())[:2]
+    (_, first), (_, two) = list(alone.values())[:2]
     normals: list[NormalEquations] = [
-        s.sessions[0].normal_equations(s.gain, s.noises[0]) for s in (one, two)
+        s.sessions[0].normal_equations(s.gain, s.noises[0]) for s in (first, two)
     ]
     both = stack_boards(normals, [BASE_PARAMETERS] * 2)
     local, shared = normals[0].matrix.size

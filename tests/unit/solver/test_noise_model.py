@@ -29,8 +29,8 @@ def test_random_walk_variance_matches_monte_carlo() -> None:
     steps = rng.normal(scale=walk / np.sqrt(100.0), size=(4000, n))  # K^2 t
     spectrum = dct(np.cumsum(steps, axis=1), axis=1, norm="ortho")
     expected = NoiseModel(np.tile([0.0, 0.0, walk**2, 0.0], (3, 1)), PLAIN).dct_variance(n)[:, 0]
-    found = np.mean(spectrum**2, axis=0)
-    assert np.allclose(found[1:20] / expected[1:20], 1.0, atol=0.12)
+    density = np.mean(spectrum**2, axis=0)
+    assert np.allclose(density[1:20] / expected[1:20], 1.0, atol=0.12)
     # The bias is the mean over the recording: a walk about it has no part in the constant.
     assert expected[0] < 1e-12 * expected[1]
 
@@ -58,7 +58,7 @@ def test_noise_levels_are_recovered(seed: int) -> None:
     true = NoiseModel(np.array([[2.5e-7, 4e-9, 1e-11, 0.0]] * 3), PLAIN)
     spectrum = rng.normal(size=(200_000, 3)) * np.sqrt(true.dct_variance(200_000))
     residual = np.asarray(idct(spectrum, axis=0, norm="ortho"))
-    found = fit_noise_levels(bin_spectrum([Periodogram.of(residual, 100.0)]), PLAIN)
-    assert np.allclose(found.levels[:, 0], 2.5e-7, rtol=0.05)
-    density = found.density(np.array([0.01, 0.1, 1.0]))
+    noise = fit_noise_levels(bin_spectrum([Periodogram.of(residual, 100.0)]), PLAIN)
+    assert np.allclose(noise.levels[:, 0], 2.5e-7, rtol=0.05)
+    density = noise.density(np.array([0.01, 0.1, 1.0]))
     assert np.allclose(density / true.density(np.array([0.01, 0.1, 1.0])), 1.0, atol=0.35)

@@ -16,24 +16,26 @@ def information(columns: str, std: float = 1e-3) -> np.ndarray:
 
 
 def test_all_parameters_observable() -> None:
-    found = derive_parameters(IDENTITY, NAMES, analyse_observability(information("xyz"), NAMES), {})
-    assert found.observability.rank == 12
-    assert found.observability.unobservable == ()
-    assert np.isclose(found.observability.condition, 1.0)
-    assert all(np.isfinite(v) for v in found.values.values())
+    parameters = derive_parameters(
+        IDENTITY, NAMES, analyse_observability(information("xyz"), NAMES), {}
+    )
+    assert parameters.observability.rank == 12
+    assert parameters.observability.unobservable == ()
+    assert np.isclose(parameters.observability.condition, 1.0)
+    assert all(np.isfinite(v) for v in parameters.values.values())
 
 
 def test_unexcited_column_is_unobservable() -> None:
     words = {"y": "sweep pan at +T and -T"}
-    found = derive_parameters(
+    parameters = derive_parameters(
         IDENTITY, NAMES, analyse_observability(information("xz"), NAMES), words
     )
-    assert found.observability.rank == 9
-    assert np.isnan(found.gain[:, 1]).all()
-    assert "scale.y" in found.observability.unobservable
-    assert found.observability.reasons == ("column y of the gain: sweep pan at +T and -T",)
-    assert set(found.order).isdisjoint(found.observability.unobservable)
-    assert found.covariance.shape == (len(found.order), len(found.order))
+    assert parameters.observability.rank == 9
+    assert np.isnan(parameters.gain[:, 1]).all()
+    assert "scale.y" in parameters.observability.unobservable
+    assert parameters.observability.reasons == ("column y of the gain: sweep pan at +T and -T",)
+    assert set(parameters.order).isdisjoint(parameters.observability.unobservable)
+    assert parameters.covariance.shape == (len(parameters.order), len(parameters.order))
 
 
 def test_two_columns_observable_only_together() -> None:
@@ -45,12 +47,12 @@ def test_two_columns_observable_only_together() -> None:
         direction[3 * row + 1 : 3 * row + 3] = np.sin(t), np.cos(t)
         total += 1e6 * np.outer(direction, direction)
         total[3 * row, 3 * row] += 1e6
-    found = derive_parameters(
+    parameters = derive_parameters(
         IDENTITY, NAMES, analyse_observability(total, NAMES), {"y": "one tilt", "z": "one tilt"}
     )
-    assert found.observability.rank == 9
-    assert np.isnan(found.gain[:, 1:]).all()
-    assert np.isfinite(found.gain[:, 0]).all()
+    assert parameters.observability.rank == 9
+    assert np.isnan(parameters.gain[:, 1:]).all()
+    assert np.isfinite(parameters.gain[:, 0]).all()
 
 
 def test_units_do_not_change_the_decision() -> None:
@@ -62,5 +64,7 @@ def test_units_do_not_change_the_decision() -> None:
 
 def test_columns_with_one_reason_share_a_sentence() -> None:
     words = {"x": "it lay still", "y": "it lay still", "z": "it lay still"}
-    found = derive_parameters(IDENTITY, NAMES, analyse_observability(information(""), NAMES), words)
-    assert found.observability.reasons == ("columns x, y, z of the gain: it lay still",)
+    parameters = derive_parameters(
+        IDENTITY, NAMES, analyse_observability(information(""), NAMES), words
+    )
+    assert parameters.observability.reasons == ("columns x, y, z of the gain: it lay still",)

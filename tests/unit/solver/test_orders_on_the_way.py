@@ -98,13 +98,13 @@ def reference_of(played: Played, counter: bool = True) -> PanTiltReference:
         settings |= {f"{axis}_base_speed": BASE, f"{axis}_acceleration": RAMP}
         settings |= {f"{axis}_min_steps": low, f"{axis}_max_steps": high}
     polls = played.polls
-    found = (
+    instants = (
         counter_instants(played.counter, polls.earliest_s, polls.latest_s, 90e6)
         if counter
         else None
     )
-    if found is not None:
-        polls = UnitPolls(found.at_s, found.at_s, polls.steps, polls.valid, found.width_s)
+    if instants is not None:
+        polls = UnitPolls(instants.at_s, instants.at_s, polls.steps, polls.valid, instants.width_s)
     motion = MotionReader(settings, (0, 0), polls.count_at_rest).read(played.exchanges)
     span = (float(polls.earliest_s[0]), float(polls.latest_s[-1]))
     return PanTiltReference.of(motion, fit_moves(motion, polls), (STEP_RAD, STEP_RAD), span)
@@ -116,11 +116,11 @@ def angle_errors(played: Played, reference: PanTiltReference) -> np.ndarray:
     time_s = 0.5 + period_s * np.arange(n, dtype=np.float64)
     axes = (played.rig.stage.pan, played.rig.stage.tilt)
     true = np.stack([axis.angles_rad(0.5, period_s, n) for axis in axes]) / STEP_RAD
-    found = reference.angles_rad(time_s) / STEP_RAD
+    steps = reference.angles_rad(time_s) / STEP_RAD
     speed = np.gradient(true, period_s, axis=1)
-    shift_s = np.sum(speed * (found - true)) / np.sum(speed**2)
+    shift_s = np.sum(speed * (steps - true)) / np.sum(speed**2)
     assert abs(shift_s) < 3.0 * reference.common_shift_std_s
-    return found - true - shift_s * speed
+    return steps - true - shift_s * speed
 
 
 @pytest.mark.parametrize(("baud", "counter"), [(115200, True), (115200, False), (9600, True)])
@@ -150,17 +150,17 @@ def test_a_board_is_calibrated_through_it_all() -> None:
         gain = np.eye(3) + rng.normal(scale=0.02, size=(3, 3))
         bias = rng.normal(scale=0.02, size=3)
         seen = rate @ gain.T + bias + rng.normal(scale=2e-3, size=rate.shape)
-        found = fit_motion(
+        fit = fit_motion(
             samples_of(0.5 + np.arange(n) / hz, seen), reference_of(played), UNIT_REMEDIES
         )
-        assert found.identified
-        off = np.concatenate([(found.gain - gain).ravel(), found.bias_rad_s - bias])
+        assert fit.identified
+        off = np.concatenate([(fit.gain - gain).ravel(), fit.bias_rad_s - bias])
         assert np.isfinite(off).all()
         factors = factorise(gain)
         true = [*bias, *factors.scale, *factors.nonorthogonality, *factors.misalignment_rad]
-        error = np.array([found.value(name) for name in found.order[:12]]) - true
-        assert np.abs(error / np.sqrt(np.diag(found.covariance))[:12]).max() < 3.5
-        total += float(error @ np.linalg.solve(found.covariance[:12, :12], error))
+        error = np.array([fit.value(name) for name in fit.order[:12]]) - true
+        assert np.abs(error / np.sqrt(np.diag(fit.covariance))[:12]).max() < 3.5
+        total += float(error @ np.linalg.solve(fit.covariance[:12, :12], error))
     assert 25.0 < total < 99.6
 
 

@@ -48,10 +48,14 @@ def test_information_of_two_recordings_adds_up(simulate: Simulate) -> None:
         # Independent evidence of one value: precisions add.
         both = (alone[0].std[name] ** -2 + alone[1].std[name] ** -2) ** -0.5
         assert joint.std[name] == pytest.approx(both, rel=0.06)
-    for rig, own in zip(rigs, joint.recordings, strict=True):
-        assert np.all(np.abs(own.bias_rad_s - rig.bias_rad_s) < 2e-4)  # it wanders by as much
+    for rig, fitted_recording in zip(rigs, joint.recordings, strict=True):
+        assert np.all(
+            np.abs(fitted_recording.bias_rad_s - rig.bias_rad_s) < 2e-4
+        )  # it wanders by as much
         lag_s = rig.lag_s + np.sqrt(2.0) / (2.0 * np.pi * 25.0)
-        assert abs(own.time_offset_s - lag_s) < 3.0 * own.time_offset_std_s
+        assert (
+            abs(fitted_recording.time_offset_s - lag_s) < 3.0 * fitted_recording.time_offset_std_s
+        )
     assert joint.bias_rad_s == pytest.approx(joint.recordings[-1].bias_rad_s)
 
 
@@ -83,25 +87,25 @@ def test_g_sensitivity_is_estimated(simulate: Simulate) -> None:
     samples = samples_of(rig.time_s, rig.rate_rad_s + force @ felt.T)
     setting = RecordingContext(begin_s=float(rig.time_s[0]), end_s=float(rig.time_s[-1]))
     plain = fit_motion(samples, reference, UNIT_REMEDIES)
-    found = fit_recordings(
+    fit = fit_recordings(
         [(samples, reference)],
         UNIT_REMEDIES,
         (),
         [free_term(find_term("g_sensitivity"))],
         [setting],
     )
-    (cause,) = found.causes
+    (cause,) = fit.causes
     assert cause.name == "g_sensitivity"
     value, std = cause.value.reshape(3, 3), cause.std.reshape(3, 3)
     assert np.isnan(value[:, 0]).all()  # no axis of the unit brings gravity onto x
-    assert "g_sensitivity.sensitivity.xx" in found.observability.unobservable
+    assert "g_sensitivity.sensitivity.xx" in fit.observability.unobservable
     z = (value - felt)[:, 1] / std[:, 1]
     assert np.abs(z).max() < 4.0
     # White noise of density N alone: N / sqrt(2 T) over the force's own deviation.
     least = 5.2e-4 / np.sqrt(2.0 * np.ptp(rig.time_s)) / np.std(force[:, 1])
     assert np.all((std[:, 1] > 0.9 * least) & (std[:, 1] < 2.0 * least))
-    assert found.observability.rank == 12
-    pictures = [f.diagnostics for f in (plain, found)]
+    assert fit.observability.rank == 12
+    pictures = [f.diagnostics for f in (plain, fit)]
     before, after = (np.nanmean(np.square(p.residual_rad_s)) for p in pictures if p is not None)
     assert after < before
 
@@ -113,16 +117,16 @@ def test_earth_rotation_is_removed_if_the_site_is_known(simulate: Simulate) -> N
     samples = samples_of(rig.time_s, rig.rate_rad_s)
     setting = RecordingContext(site=site, begin_s=float(rig.time_s[0]), end_s=float(rig.time_s[-1]))
     plain = fit_motion(samples, reference, UNIT_REMEDIES)
-    found = fit_recordings(
+    fit = fit_recordings(
         [(samples, reference)],
         UNIT_REMEDIES,
         (),
         [fixed_term(find_term("earth_rotation"))],
         [setting],
     )
-    assert "earth_rotation" in found.terms
+    assert "earth_rotation" in fit.terms
     # Base z points up: the mean of pan over the program is near zero, and so is tilt's.
-    shift = np.linalg.solve(plain.gain, plain.bias_rad_s - found.bias_rad_s)
+    shift = np.linalg.solve(plain.gain, plain.bias_rad_s - fit.bias_rad_s)
     up = EARTH_RATE_RAD_S * np.sin(np.radians(30.0))
     assert shift[2] == pytest.approx(up, rel=0.2)
     assert np.linalg.norm(shift) < 1.2 * EARTH_RATE_RAD_S
@@ -139,14 +143,14 @@ def test_thermal_bias_order_is_recovered(simulate: Simulate) -> None:
     setting = replace(
         RecordingContext(begin_s=float(time_s[0]), end_s=float(time_s[-1])), temperature=temperature
     )
-    found = fit_recordings(
+    fit = fit_recordings(
         [(samples_of(time_s, rate), reference_of(rig))],
         UNIT_REMEDIES,
         (),
         [free_term(ThermalBias(1))],
         [setting],
     )
-    (cause,) = found.causes
+    (cause,) = fit.causes
     assert np.abs((cause.value - slope) / cause.std).max() < 4.0
     assert cause.unit == "rad/s/K"
 

@@ -58,8 +58,8 @@ def test_decimated_outputs_match_the_full_filter(
     signal = _signal(2, 3, step * blocks)
     every = filter_from_steady(b, a, signal)
     for at in {0, step // 2, step - 1}:
-        found = DecimatingFilter.of(b, a, step, at).filter_from_steady(signal)
-        assert found == pytest.approx(every[..., at::step], abs=1e-11)
+        filtered = DecimatingFilter.of(b, a, step, at).filter_from_steady(signal)
+        assert filtered == pytest.approx(every[..., at::step], abs=1e-11)
 
 
 @pytest.mark.parametrize("hz", [5.0, 25.0, 300.0])

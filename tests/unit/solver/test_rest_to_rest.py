@@ -29,17 +29,17 @@ def path_of(rig: Any, late_s: float = 0.0) -> BoardPath:
 
 
 def agreement(rig: Any, gain: FloatArray, late_s: float = 0.0) -> tuple[float, float]:
-    found = cross_check([path_of(rig, late_s)], gain, rig.bias_rad_s, EXACT, DENSITY, 0.0)
-    assert found is not None
-    assert found.degrees_of_freedom == 9
-    return found.p_value, found.largest_sigma
+    check = cross_check([path_of(rig, late_s)], gain, rig.bias_rad_s, EXACT, DENSITY, 0.0)
+    assert check is not None
+    assert check.degrees_of_freedom == 9
+    return check.p_value, check.largest_sigma
 
 
 def test_cross_check_accepts_the_true_gain(simulate: Simulate) -> None:
     """Six boards: p-values of a right gain spread; none below 1 in 10 000."""
-    found = [agreement(rig, rig.gain)[0] for rig in map(simulate, range(6))]
-    assert min(found) > 1e-4
-    assert max(found) > 0.1
+    agreements = [agreement(rig, rig.gain)[0] for rig in map(simulate, range(6))]
+    assert min(agreements) > 1e-4
+    assert max(agreements) > 0.1
 
 
 def test_cross_check_rejects_a_wrong_gain(simulate: Simulate) -> None:

@@ -238,8 +238,8 @@ def test_values_and_columns_give_the_same_fields() -> None:
     column.field = CountColumn(lambda: counts, 0.5)
     assert np.array_equal(given.field, column.field)
     assert column.field is column.field  # worked out once
-    kept, plain = stored_column(column, "field"), stored_column(given, "field")
-    assert kept is not None
-    assert kept.counts is counts
+    stored, plain = stored_column(column, "field"), stored_column(given, "field")
+    assert stored is not None
+    assert stored.counts is counts
     assert plain is not None
     assert np.array_equal(plain.values(slice(1, 2)), counts[1:2] * 0.5)

@@ -48,11 +48,11 @@ class Bus:
         """How far the boards' times are from each other afterwards, rms."""
         at_s = np.linspace(self.edges_s[0], self.edges_s[-1], 400)
         left = []
-        for name, one in moved.items():
+        for name, shift in moved.items():
             k = int(name)
             own_s = at_s - self.late_ns[k] * 1e-9
             before_s = own_s.copy()
-            one.apply(own_s)
+            shift.apply(own_s)
             left.append(self.error_s(k, at_s) + own_s - before_s)
         return float(np.sqrt(np.mean((np.array(left) - np.mean(left, axis=0)) ** 2)))
 
@@ -64,7 +64,7 @@ def test_boards_share_one_time_up_to_the_interrupt_delay() -> None:
         moved = fit_shared_time({str(k): bus.seen(k) for k in range(6)})
         assert len(moved) == 6
         apart.append(bus.apart_s(moved))
-        assert all(one.board_count == 6 and one.edge_count == 375 for one in moved.values())
+        assert all(shift.board_count == 6 and shift.edge_count == 375 for shift in moved.values())
     assert np.sqrt(np.mean(np.square(apart))) < APART_S
 
 
@@ -72,7 +72,9 @@ def test_the_time_that_all_share_is_the_mean_of_their_own() -> None:
     bus = Bus(3)
     moved = fit_shared_time({str(k): bus.seen(k) for k in range(6)})
     at_s = np.linspace(5.0, 70.0, 50)
-    late = [one.late.delay_at(at_s - bus.late_ns[int(name)] * 1e-9) for name, one in moved.items()]
+    late = [
+        shift.late.delay_at(at_s - bus.late_ns[int(name)] * 1e-9) for name, shift in moved.items()
+    ]
     assert np.mean(late, axis=0) == pytest.approx(np.zeros(50), abs=1e-9)
 
 
@@ -92,8 +94,8 @@ def test_a_late_interrupt_does_not_move_the_time() -> None:
     for seed in range(5):
         bus = Bus(40 + seed)
         boards = {str(k): bus.seen(k) for k in range(6)}
-        for one in boards.values():
-            one.time_s[bus.rng.random(one.time_s.size) < 0.05] += 1e-3
+        for board in boards.values():
+            board.time_s[bus.rng.random(board.time_s.size) < 0.05] += 1e-3
         assert bus.apart_s(fit_shared_time(boards)) < 3.0 * APART_S
 
 
@@ -137,8 +139,8 @@ def test_boards_without_common_edges_keep_their_time() -> None:
 
 
 def test_each_bus_has_a_time_of_its_own() -> None:
-    one, two = Bus(9), Bus(10)
-    boards = {f"a{k}": one.seen(k) for k in range(3)} | {f"b{k}": two.seen(k) for k in range(2)}
+    first, two = Bus(9), Bus(10)
+    boards = {f"a{k}": first.seen(k) for k in range(3)} | {f"b{k}": two.seen(k) for k in range(2)}
     both = fit_shared_time(boards)
     assert {name: result.board_count for name, result in both.items()} == {
         "a0": 3, "a1": 3, "a2": 3, "b0": 2, "b1": 2,

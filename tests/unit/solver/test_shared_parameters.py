@@ -53,19 +53,19 @@ def alone(rig: Any) -> dict[str, ConvergedFit]:
 def joint(alone: dict[str, ConvergedFit]) -> dict[str, ConvergedFit]:
     with pytest.MonkeyPatch.context() as patch:  # keep the equations to compare with
         patch.setattr(SessionFit, "release_equations", lambda _: None)
-        found = fit_boards_jointly(alone, [CAUSE])
-    assert not found.left_out
-    return dict(found.solutions)
+        joint_fit = fit_boards_jointly(alone, [CAUSE])
+    assert not joint_fit.left_out
+    return dict(joint_fit.solutions)
 
 
 def test_shared_cause_has_one_size_and_less_uncertainty(
     alone: dict[str, ConvergedFit], joint: dict[str, ConvergedFit]
 ) -> None:
-    values = [one.estimate[-1] for one in joint.values()]
+    values = [solution.estimate[-1] for solution in joint.values()]
     assert np.ptp(values) < 1e-12
-    stds = [np.sqrt(one.observability.covariance[-1, -1]) for one in joint.values()]
+    stds = [np.sqrt(solution.observability.covariance[-1, -1]) for solution in joint.values()]
     assert stds == pytest.approx([stds[0]] * BOARDS, rel=1e-6)
-    before = [np.sqrt(one.observability.covariance[-1, -1]) for one in alone.values()]
+    before = [np.sqrt(solution.observability.covariance[-1, -1]) for solution in alone.values()]
     # What each knows of its own adds up, but for the motion's errors that all of them share.
     assert stds[0] < 0.8 * min(before)
     assert abs(values[0]) < 4.0 * stds[0]  # there is none
@@ -82,29 +82,32 @@ def test_joint_fit_equals_one_large_fit(joint: dict[str, ConvergedFit]) -> None:
     unit = np.concatenate([np.arange(local), np.arange(first, first + shared)])
     dense[np.ix_(unit, unit)] += known.to_dense()
     places = []
-    for n, one in enumerate(solutions):
-        matrix = one.sessions[0].normal_equations(one.gain, one.noises[0]).matrix
+    for n, solution in enumerate(solutions):
+        matrix = solution.sessions[0].normal_equations(solution.gain, solution.noises[0]).matrix
         acting = matrix.size[1] - BASE_PARAMETERS - 1
-        own = local + n * BASE_PARAMETERS + np.arange(BASE_PARAMETERS)
-        at = np.concatenate([np.arange(local), own, [total - 1], first + np.arange(acting)])
+        indices = local + n * BASE_PARAMETERS + np.arange(BASE_PARAMETERS)
+        at = np.concatenate([np.arange(local), indices, [total - 1], first + np.arange(acting)])
         dense[np.ix_(at, at)] += matrix.to_dense()
-        places.append(np.concatenate([own, [total - 1]]))
+        places.append(np.concatenate([indices, [total - 1]]))
     covariance = np.linalg.inv(dense)
-    for at, one in zip(places, solutions, strict=True):
+    for at, solution in zip(places, solutions, strict=True):
         expected = covariance[np.ix_(at, at)].copy()
-        expected[12, 12] += one.sessions[0].common_std_s ** 2  # a shift that nothing shows
+        expected[12, 12] += solution.sessions[0].common_std_s ** 2  # a shift that nothing shows
         scale = np.sqrt(np.diag(expected))
-        difference = (one.observability.covariance - expected) / np.outer(scale, scale)
+        difference = (solution.observability.covariance - expected) / np.outer(scale, scale)
         assert np.abs(difference).max() < 2e-3
 
 
 def test_unshared_cause_stays_per_board(alone: dict[str, ConvergedFit]) -> None:
-    found = fit_boards_jointly(alone)
-    assert not found.left_out
-    values = [one.estimate[-1] for one in found.solutions.values()]
+    joint_fit = fit_boards_jointly(alone)
+    assert not joint_fit.left_out
+    values = [solution.estimate[-1] for solution in joint_fit.solutions.values()]
     assert np.ptp(values) > 0.0
-    stds = [np.sqrt(one.observability.covariance[-1, -1]) for one in found.solutions.values()]
-    before = [np.sqrt(one.observability.covariance[-1, -1]) for one in alone.values()]
+    stds = [
+        np.sqrt(solution.observability.covariance[-1, -1])
+        for solution in joint_fit.solutions.values()
+    ]
+    before = [np.sqrt(solution.observability.covariance[-1, -1]) for solution in alone.values()]
     assert stds == pytest.approx(before, rel=0.1)
 
 
@@ -126,11 +129,12 @@ def test_agreeing_boards_have_uniform_p_values() -> None:
     rng = np.random.default_rng(5)
     common = np.arange(BASE_PARAMETERS + 2) >= BASE_PARAMETERS
     fair = [
-        shared_term_p_value([one], units, common) for one, units in (drawn(rng) for _ in range(300))
+        shared_term_p_value([marginal], units, common)
+        for marginal, units in (drawn(rng) for _ in range(300))
     ]
     assert kstest(fair, "uniform").pvalue > 1e-3
     far = [drawn(rng, shift=9.0) for _ in range(20)]
-    assert max(shared_term_p_value([one], units, common) for one, units in far) < 1e-6
+    assert max(shared_term_p_value([marginal], units, common) for marginal, units in far) < 1e-6
     assert (
         shared_term_p_value([far[0][0]], far[0][1], np.zeros(BASE_PARAMETERS + 2, dtype=np.bool_))
         == 1.0
@@ -138,9 +142,9 @@ def test_agreeing_boards_have_uniform_p_values() -> None:
 
 
 def test_only_equal_terms_are_shared(alone: dict[str, ConvergedFit]) -> None:
-    one, two = list(alone.values())[:2]
-    width = one.estimate.size
-    causes = average_shared_values([one, two], [CAUSE])
+    first, two = list(alone.values())[:2]
+    width = first.estimate.size
+    causes = average_shared_values([first, two], [CAUSE])
     layout = ParameterLayout.of(causes, 1, [CAUSE])
     assert layout.size == 2 * width - 1
     assert layout.board_index(0)[-1] == layout.board_index(1)[-1]
@@ -151,7 +155,7 @@ def test_only_equal_terms_are_shared(alone: dict[str, ConvergedFit]) -> None:
     assert not separate.is_shared(separate.board_index(1)).any()
     # The joint fit has the other boards' data, so their prior is removed.
     prior = GaussianPrior(np.array([1e-3]), np.array([[1e6]]))
-    known = replace(one, fitted_terms=(replace(one.fitted_terms[0], other_boards_prior=prior),))
+    known = replace(first, fitted_terms=(replace(first.fitted_terms[0], other_boards_prior=prior),))
     assert average_shared_values([known, two], [CAUSE])[0][0].other_boards_prior is None
     assert average_shared_values([known, two], [])[0][0].other_boards_prior is prior
 

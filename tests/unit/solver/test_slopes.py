@@ -53,8 +53,8 @@ def test_slopes_are_the_differences_of_the_whole_course(seed: int) -> None:
         ),
         (result.acceleration, difference(move, orders + CLASSES, 1e-5)),
     ]
-    for own, expected in output:
-        off = np.abs(own - expected) > 2e-3 * np.abs(expected).max() + TINY
+    for slope, expected in output:
+        off = np.abs(slope - expected) > 2e-3 * np.abs(expected).max() + TINY
         # A difference smears what jumps at a leg's begin.
         assert off.mean() < 0.02
 

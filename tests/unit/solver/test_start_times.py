@@ -113,11 +113,11 @@ def dense_fit(made: Made, near: MoveFit) -> Dense:
     for turn in range(14):
         gram, score = np.zeros((size, size)), np.zeros(size)
         for k, move in enumerate(motion.moves):
-            own = np.arange(first[k], first[k + 1])
+            rows = np.arange(first[k], first[k + 1])
             log_speed, log_ramp = values[speed:ramp], float(values[ramp + move.axis])
-            course = move.profile(values[own], log_speed, log_ramp)
+            course = move.profile(values[rows], log_speed, log_ramp)
             at = polls.earliest_s + least / 2.0 + values[-1] * extra
-            inside = (at > values[own[0]]) & (at < course.end_s) & polls.valid[:, move.axis]
+            inside = (at > values[rows[0]]) & (at < course.end_s) & polls.valid[:, move.axis]
             spacing = np.median(np.diff(at[inside]))
             position = course.position_steps(at)
             inside &= np.abs(position - move.from_steps) > 1.5
@@ -128,9 +128,9 @@ def dense_fit(made: Made, near: MoveFit) -> Dense:
             share, sign = course.progress(at), np.sign(rate)
             before = next(starts + n for n, r in enumerate(motion.rests) if r.departure == k)
             model = position + (1 - share) * values[before] + share * values[before + 1]
-            by = differentiate_move(move, values[own], log_speed, log_ramp, at)
+            by = differentiate_move(move, values[rows], log_speed, log_ramp, at)
             jacobian = np.zeros((at.size, size))
-            jacobian[:, own] = by.starts.T
+            jacobian[:, rows] = by.starts.T
             jacobian[:, before], jacobian[:, before + 1] = 1 - share, share
             jacobian[:, [speed + c for c in move.speed_classes]] = by.speeds.T
             jacobian[:, ramp + move.axis] = by.acceleration
@@ -151,9 +151,9 @@ def dense_fit(made: Made, near: MoveFit) -> Dense:
         gram[standing, standing] += 1.0 / variance
         score[standing] -= values[standing] / variance
         values = values + np.linalg.solve(gram, score)
-    kept, drop = np.arange(size - 3), np.arange(size - 3, size)
-    taken = np.linalg.solve(gram[np.ix_(drop, drop)], gram[np.ix_(drop, kept)])
-    left = gram[np.ix_(kept, kept)] - gram[np.ix_(kept, drop)] @ taken
+    indices, drop = np.arange(size - 3), np.arange(size - 3, size)
+    taken = np.linalg.solve(gram[np.ix_(drop, drop)], gram[np.ix_(drop, indices)])
+    left = gram[np.ix_(indices, indices)] - gram[np.ix_(indices, drop)] @ taken
     inner = left[np.ix_(standing, standing)] + np.eye(rests) / DETENT_VARIANCE
     loosened = left - left[:, standing] @ np.linalg.solve(inner, left[standing])
     return Dense(values, loosened, variance)
@@ -163,9 +163,9 @@ def likeliest(gram: np.ndarray, score: np.ndarray, standing: np.ndarray, at: np.
     """Return the variance under which the data are likeliest, by eigenvalues."""
     others = np.setdiff1d(np.arange(score.size), standing)
     carry = np.linalg.solve(gram[np.ix_(others, others)], gram[np.ix_(others, standing)])
-    own = gram[np.ix_(standing, standing)] - gram[np.ix_(standing, others)] @ carry
-    pull = score[standing] - carry.T @ score[others] + own @ at
-    values, vectors = np.linalg.eigh(own)
+    information = gram[np.ix_(standing, standing)] - gram[np.ix_(standing, others)] @ carry
+    pull = score[standing] - carry.T @ score[others] + information @ at
+    values, vectors = np.linalg.eigh(information)
     pull = vectors.T @ pull
     likelihood = [
         np.sum(pull**2 / (values + 1.0 / v)) - np.sum(np.log1p(v * values))
@@ -243,9 +243,12 @@ def test_derivatives_are_the_differences(change: bool) -> None:
         ahead = reference.with_step(step).evaluate(edges, derivatives=False).rate_rad_s
         behind = reference.with_step(-step).evaluate(edges, derivatives=False).rate_rad_s
         column = here.shared[k - local] if k >= local else np.zeros_like(ahead)
-        for one in here.local:
-            if one.unknown == k:
-                column[one.first_interval : one.first_interval + one.values.shape[0]] = one.values
+        for derivative in here.local:
+            if derivative.unknown == k:
+                column[
+                    derivative.first_interval : derivative.first_interval
+                    + derivative.values.shape[0]
+                ] = derivative.values
         off = np.abs((ahead - behind) / (2.0 * step[k]) - column)
         assert np.mean(np.any(off > 1e-4 * np.abs(column).max() + 1e-9, axis=1)) < 2e-3
     # What only polls know of changes no rate.
@@ -279,9 +282,11 @@ def test_a_window_is_a_piece_of_the_whole(change: bool) -> None:
 
 def dense_columns(local: tuple[LocalDerivative, ...], size: int) -> dict[int, np.ndarray]:
     columns: dict[int, np.ndarray] = {}
-    for one in local:
-        column = columns.setdefault(one.unknown, np.zeros((size, 3)))
-        column[one.first_interval : one.first_interval + one.values.shape[0]] += one.values
+    for derivative in local:
+        column = columns.setdefault(derivative.unknown, np.zeros((size, 3)))
+        column[
+            derivative.first_interval : derivative.first_interval + derivative.values.shape[0]
+        ] += derivative.values
     return columns
 
 

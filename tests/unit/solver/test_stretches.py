@@ -100,22 +100,26 @@ def test_a_window_is_a_piece_of_the_whole() -> None:
     counted = reference()
     edges = np.linspace(0.5, 39.0, 3001)
     whole = counted.evaluate(edges)
-    columns = {one.unknown: one for one in whole.local}
+    columns = {derivative.unknown: derivative for derivative in whole.local}
     rng = np.random.default_rng(1)
     for begin, size in zip(rng.integers(0, 2900, 10), rng.integers(2, 900, 10), strict=True):
         stop = min(3000, int(begin + size))
         result = counted.evaluate(edges[begin : stop + 1])
         assert np.allclose(result.rate_rad_s, whole.rate_rad_s[begin:stop], atol=1e-12)
         assert np.allclose(result.shared, whole.shared[:, begin:stop], atol=1e-12)
-        assert len({one.unknown for one in result.local}) == len(result.local)
-        here = {one.unknown: one for one in result.local}
-        for unknown, one in columns.items():
+        assert len({derivative.unknown for derivative in result.local}) == len(result.local)
+        here = {derivative.unknown: derivative for derivative in result.local}
+        for unknown, derivative in columns.items():
             column = np.zeros((3000, 3))
-            column[one.first_interval : one.first_interval + one.values.shape[0]] = one.values
+            column[
+                derivative.first_interval : derivative.first_interval + derivative.values.shape[0]
+            ] = derivative.values
             output = np.zeros((stop - begin, 3))
             if unknown in here:
-                own = here[unknown]
-                output[own.first_interval : own.first_interval + own.values.shape[0]] = own.values
+                windowed = here[unknown]
+                output[
+                    windowed.first_interval : windowed.first_interval + windowed.values.shape[0]
+                ] = windowed.values
             assert np.allclose(output, column[begin:stop], atol=1e-12)
     size = sum(counted.information.size)
     few = counted.evaluate(edges[1500:1520]).local

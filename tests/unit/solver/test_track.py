@@ -25,13 +25,13 @@ moves = st.tuples(
 Told = tuple[int, float, float, float]
 
 
-def closed(told: Told) -> TrapezoidalMoves:
-    way, speed, acceleration, base = (np.array([float(x)]) for x in told)
+def closed(move: Told) -> TrapezoidalMoves:
+    way, speed, acceleration, base = (np.array([float(x)]) for x in move)
     return TrapezoidalMoves.of(way, speed, acceleration, base)
 
 
-def laid(told: Told, by_speed: float = 0.0, by_acceleration: float = 0.0) -> MotionProfile:
-    way, speed, acceleration, base = told
+def laid(move: Told, by_speed: float = 0.0, by_acceleration: float = 0.0) -> MotionProfile:
+    way, speed, acceleration, base = move
     law = MotionLimits(speed * np.exp(by_speed), acceleration * np.exp(by_acceleration), base)
     return plan_motion(0.0, [ProfileCommand(0.0, "to", float(way), law)])
 
@@ -39,29 +39,29 @@ def laid(told: Told, by_speed: float = 0.0, by_acceleration: float = 0.0) -> Mot
 def at(result: TrapezoidalMoves, polynomial: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     leg = np.maximum(np.searchsorted(result.segment_start_s[:, 0], time_s, side="right") - 1, 0)
     since = time_s - result.segment_start_s[leg, 0]
-    one, by, square = polynomial[:, leg, 0]
-    return np.asarray(one + (by + square * since) * since)
+    constant, by, square = polynomial[:, leg, 0]
+    return np.asarray(constant + (by + square * since) * since)
 
 
-@given(told=moves)
-def test_segments_equal_the_profile_of_one_command(told: Told) -> None:
-    result, course = closed(told), laid(told)
+@given(move=moves)
+def test_segments_equal_the_profile_of_one_command(move: Told) -> None:
+    result, course = closed(move), laid(move)
     assert result.end_s[0] == pytest.approx(course.end_s, rel=1e-9)
     t = np.linspace(0.0, course.end_s * 1.1, 400)
     expected = course.position_steps(t)
     assert np.allclose(
-        at(result, result.position, t), expected, rtol=1e-9, atol=1e-9 * told[0] + 1e-7
+        at(result, result.position, t), expected, rtol=1e-9, atol=1e-9 * move[0] + 1e-7
     )
 
 
-@given(told=moves)
-def test_derivatives_are_the_differences(told: Told) -> None:
-    result, course = closed(told), laid(told)
+@given(move=moves)
+def test_derivatives_are_the_differences(move: Told) -> None:
+    result, course = closed(move), laid(move)
     t = np.linspace(0.0, course.end_s * 1.05, 300)
     step = 1e-5
-    for slope, own in ((result.by_speed, (step, 0.0)), (result.by_acceleration, (0.0, step))):
+    for slope, steps in ((result.by_speed, (step, 0.0)), (result.by_acceleration, (0.0, step))):
         ahead, here, behind = (
-            laid(told, n * own[0], n * own[1]).position_steps(t) for n in (1, 0, -1)
+            laid(move, n * steps[0], n * steps[1]).position_steps(t) for n in (1, 0, -1)
         )
         # A difference smears what jumps; and at the edge between trapezoid and triangle, or
         # at the base speed, the slope is another on either side.
@@ -69,16 +69,16 @@ def test_derivatives_are_the_differences(told: Told) -> None:
         jumps = np.abs(t[:, None] - corners).min(axis=1) < 4.0 * step * (1.0 + course.end_s)
         slopes = [ahead - here, here - behind, (ahead - behind) / 2.0]
         closed_form = at(result, slope, t)
-        off = np.min([np.abs(closed_form - one / step) for one in slopes], axis=0)
-        size = np.abs(closed_form).max() + told[0] * 1e-3
+        off = np.min([np.abs(closed_form - slope / step) for slope in slopes], axis=0)
+        size = np.abs(closed_form).max() + move[0] * 1e-3
         assert np.all((off < 1e-3 * size) | jumps)
 
 
-@given(told=moves, share=st.floats(0.001, 0.999))
-def test_the_time_of_a_count_is_when_the_course_passes_it(told: Told, share: float) -> None:
-    gone = np.array([share * told[0]])
-    passed_s = closed(told).time_at(gone, np.zeros(1, dtype=np.int64))
-    assert laid(told).position_steps(passed_s) == pytest.approx(gone, rel=1e-6, abs=1e-6)
+@given(move=moves, share=st.floats(0.001, 0.999))
+def test_the_time_of_a_count_is_when_the_course_passes_it(move: Told, share: float) -> None:
+    gone = np.array([share * move[0]])
+    passed_s = closed(move).time_at(gone, np.zeros(1, dtype=np.int64))
+    assert laid(move).position_steps(passed_s) == pytest.approx(gone, rel=1e-6, abs=1e-6)
 
 
 SETTINGS = {

@@ -64,11 +64,11 @@ class Rosenbrock:
 
 def test_steps_that_raise_the_objective_are_rejected() -> None:
     problem = Rosenbrock(np.array([-1.2, 1.0]))
-    found = minimise(problem, MANY)
-    assert found.converged
+    solution = minimise(problem, MANY)
+    assert solution.converged
     assert problem.rejected > 0
     np.testing.assert_allclose(problem.x, [1.0, 1.0], atol=1e-4)
-    assert found.remaining_nats < NEGLIGIBLE_NATS
+    assert solution.remaining_nats < NEGLIGIBLE_NATS
 
 
 def test_full_steps_that_hold_what_they_predict_are_gauss_newton() -> None:
@@ -76,27 +76,27 @@ def test_full_steps_that_hold_what_they_predict_are_gauss_newton() -> None:
     plain = problem.x.copy()
     for _ in range(2):
         plain = plain + Rosenbrock(plain).propose(0.0).step
-    found = minimise(problem, MANY)
-    assert found.converged
+    solution = minimise(problem, MANY)
+    assert solution.converged
     assert problem.rejected == 0
     np.testing.assert_allclose(problem.x, plain, atol=1e-9)
 
 
 def test_limit_on_evaluations_names_the_parameter_that_still_moves() -> None:
     problem = Rosenbrock(np.array([-1.2, 1.0]))
-    found = minimise(problem, 3)
-    assert not found.converged
+    solution = minimise(problem, 3)
+    assert not solution.converged
     full = problem.propose(0.0)
-    assert found.moving == problem.parameter_names[int(np.argmax(np.abs(full.sigmas)))]
-    assert found.moving_sigma == pytest.approx(full.size_sigma)
-    assert found.moving in found.reason
+    assert solution.moving == problem.parameter_names[int(np.argmax(np.abs(full.sigmas)))]
+    assert solution.moving_sigma == pytest.approx(full.size_sigma)
+    assert solution.moving in solution.reason
 
 
 def test_derivatives_of_the_wrong_sign_never_converge() -> None:
     problem = Rosenbrock(np.array([0.5, 0.25]), wrong_slope=-1.0)
     before = problem.residual(problem.x)
-    found = minimise(problem, MANY)
-    assert not found.converged
+    solution = minimise(problem, MANY)
+    assert not solution.converged
     after = problem.residual(problem.x)
     assert 0.5 * (after @ after - before @ before) < MAX_INCREASE_NATS
 

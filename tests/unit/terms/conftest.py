@@ -131,8 +131,8 @@ class Rig:
     ) -> Callable[[Array], Array]:
         """An angle over time made step by step from the told one, on a fine grid."""
         time_s = np.arange(-0.05, SECONDS + 0.05, 1.0 / 16000.0)
-        told = (self.pan if axis == "pan" else self.tilt)(time_s)
-        made = made_of(time_s, told)
+        angle_rad = (self.pan if axis == "pan" else self.tilt)(time_s)
+        made = made_of(time_s, angle_rad)
         return lambda at: np.interp(at, time_s, made)
 
     def base(self) -> Callable[[Array], Array]:

@@ -21,7 +21,7 @@ from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCo
 
 Array = np.ndarray
 KINDS = ("effect", "known")
-SHOWN = tuple(c for c, one in catalogue().items() if one.kind in KINDS)
+SHOWN = tuple(c for c, term in catalogue().items() if term.kind in KINDS)
 # Of each kind of link one whose effect hangs on what comes before.
 STRONG = {
     "s_curve": [0.06, 0.03],
@@ -35,20 +35,22 @@ STRONG = {
 
 
 def extension(cause: str, values: Any) -> FittedTerm:
-    one = find_term(cause)
+    term = find_term(cause)
     return FittedTerm(
-        one, np.array(values, dtype=np.float64), np.array(value_indices(one, role="size"))
+        term, np.array(values, dtype=np.float64), np.array(value_indices(term, role="size"))
     )
 
 
-def some(cause: str, scene: Any) -> FittedTerm:
+def strong_term(cause: str, scene: Any) -> FittedTerm:
     """Typical sizes, shapes from the middle of the bank."""
-    one = find_term(cause)
-    bank = one.template_bank(scene)
+    term = find_term(cause)
+    bank = term.template_bank(scene)
     values = bank[len(bank) // 2].copy()
-    own = value_parameters(one)
-    for k in value_indices(one, role="size"):
-        values[k] = np.clip(0.7 * own[k].typical_size, own[k].lower, own[k].upper)
+    parameters = value_parameters(term)
+    for k in value_indices(term, role="size"):
+        values[k] = np.clip(
+            0.7 * parameters[k].typical_size, parameters[k].lower, parameters[k].upper
+        )
     return extension(cause, values)
 
 
@@ -61,8 +63,8 @@ def norm(values: Array) -> float:
 
 
 def test_every_cause_has_a_stage() -> None:
-    for one in catalogue().values():
-        assert one.stage in SIGNAL_PATH
+    for term in catalogue().values():
+        assert term.stage in SIGNAL_PATH
     # An axis' own: what it is told, how it turns, what lies in the gap, what the wheel makes.
     order = ["base_speed_jump", "s_curve", "lost_steps", "worm_error", "backlash", "eccentricity"]
     order += ["ringing", "axis_nonorthogonality", "board_slip", "scale_cubic", "bias_step"]
@@ -73,70 +75,78 @@ def test_every_cause_has_a_stage() -> None:
 
 @pytest.mark.parametrize("cause", SHOWN)
 def test_single_cause_has_its_own_effect(cause: str, rig: Any) -> None:
-    one = some(cause, rig.scene)
-    assert np.array_equal(total_effect([one], rig.scene), one.term.effect(rig.scene, one.values))
-    columns = one.term.local_jacobian(rig.scene, one.values)[one.free_indices]
-    assert np.array_equal(fitted_derivatives([one], rig.scene), columns)
+    strong = strong_term(cause, rig.scene)
     assert np.array_equal(
-        TermCascade([], rig.scene).joint_effect(one.term, one.values),
-        total_effect([one], rig.scene),
+        total_effect([strong], rig.scene), strong.term.effect(rig.scene, strong.values)
+    )
+    columns = strong.term.local_jacobian(rig.scene, strong.values)[strong.free_indices]
+    assert np.array_equal(fitted_derivatives([strong], rig.scene), columns)
+    assert np.array_equal(
+        TermCascade([], rig.scene).joint_effect(strong.term, strong.values),
+        total_effect([strong], rig.scene),
     )
 
 
 @pytest.mark.parametrize("cause", SHOWN)
 def test_propagated_signal_contains_the_effect(cause: str, rig: Any) -> None:
     """What a scene shows after a cause, minus what it shows before, is the cause's effect."""
-    one = some(cause, rig.scene)
-    if one.term.stage == "readout":
+    strong = strong_term(cause, rig.scene)
+    if strong.term.stage == "readout":
         return
-    passed = one.term.propagate(rig.scene, one.values)
+    passed = strong.term.propagate(rig.scene, strong.values)
     zero = np.zeros(rig.scene.used_instants.size)
     shown = [scene.block_means(scene.output_at_delay(zero)[0]) for scene in (passed, rig.scene)]
-    effect = one.term.effect(rig.scene, one.values)
+    effect = strong.term.effect(rig.scene, strong.values)
     assert norm(shown[0] - shown[1] - effect) < 1e-3 * max(norm(effect), 1e-9)
 
 
 def test_effects_add_up_in_any_order(rig: Any) -> None:
-    told = all_strong()
-    shares = effects_in_order(told, rig.scene)
-    again = effects_in_order(told[::-1], rig.scene)[::-1]
+    strong_terms = all_strong()
+    shares = effects_in_order(strong_terms, rig.scene)
+    again = effects_in_order(strong_terms[::-1], rig.scene)[::-1]
     assert all(np.array_equal(a, b) for a, b in zip(shares, again, strict=True))
-    assert np.allclose(sum(shares), total_effect(told, rig.scene), atol=1e-15)
-    assert [one.term.cause for one in order_by_stage(told)] == list(STRONG)
+    assert np.allclose(sum(shares), total_effect(strong_terms, rig.scene), atol=1e-15)
+    assert [fitted_term.term.cause for fitted_term in order_by_stage(strong_terms)] == list(STRONG)
 
 
 @pytest.mark.parametrize("cause", STRONG)
 def test_effect_of_removing_a_cause(cause: str, rig: Any) -> None:
-    told = all_strong()
-    gone = next(one for one in told if one.term.cause == cause)
-    rest = [one for one in told if one is not gone]
-    lost = total_effect(told, rig.scene) - total_effect(rest, rig.scene)
-    assert np.allclose(effect_of_removing([gone], told, rig.scene), lost, atol=1e-12)
+    strong_terms = all_strong()
+    gone = next(fitted_term for fitted_term in strong_terms if fitted_term.term.cause == cause)
+    rest = [fitted_term for fitted_term in strong_terms if fitted_term is not gone]
+    lost = total_effect(strong_terms, rig.scene) - total_effect(rest, rig.scene)
+    assert np.allclose(effect_of_removing([gone], strong_terms, rig.scene), lost, atol=1e-12)
 
 
 @pytest.mark.parametrize("cause", STRONG)
 def test_joint_effect_of_a_candidate(cause: str, rig: Any) -> None:
-    told = all_strong()
-    one = next(one for one in told if one.term.cause == cause)
-    rest = [other for other in told if other is not one]
-    exact = total_effect(told, rig.scene) - total_effect(rest, rig.scene)
-    found = TermCascade(rest, rig.scene).joint_effect(one.term, one.values)
+    strong_terms = all_strong()
+    candidate = next(fitted_term for fitted_term in strong_terms if fitted_term.term.cause == cause)
+    rest = [other for other in strong_terms if other is not candidate]
+    exact = total_effect(strong_terms, rig.scene) - total_effect(rest, rig.scene)
+    effect = TermCascade(rest, rig.scene).joint_effect(candidate.term, candidate.values)
     # Products of two small effects are left out: 2 % of a slip, 0.4 % of an asymmetry.
-    assert norm(found - exact) < 0.03 * norm(exact)
+    assert norm(effect - exact) < 0.03 * norm(exact)
 
 
 def test_fitted_derivatives_match_the_total_effect(rig: Any) -> None:
-    told = [one for one in all_strong() if one.term.cause not in ("backlash", "saturation")]
-    columns = fitted_derivatives(told, rig.scene)
+    strong_terms = [
+        fitted_term
+        for fitted_term in all_strong()
+        if fitted_term.term.cause not in ("backlash", "saturation")
+    ]
+    columns = fitted_derivatives(strong_terms, rig.scene)
     row = 0
-    for number, one in enumerate(told):
-        for k in one.free_indices:
-            step = np.zeros(one.values.size)
-            step[k] = 1e-4 * value_parameters(one.term)[k].typical_size
+    for number, fitted_term in enumerate(strong_terms):
+        for k in fitted_term.free_indices:
+            step = np.zeros(fitted_term.values.size)
+            step[k] = 1e-4 * value_parameters(fitted_term.term)[k].typical_size
             moved = [
                 [
-                    FittedTerm(o.term, o.values + sign * step, o.free_indices) if o is one else o
-                    for o in told
+                    FittedTerm(o.term, o.values + sign * step, o.free_indices)
+                    if o is fitted_term
+                    else o
+                    for o in strong_terms
                 ]
                 for sign in (1.0, -1.0)
             ]
@@ -160,32 +170,34 @@ def test_backlash_acts_on_the_rounded_motion(rig: Any) -> None:
         return np.array(out)
 
     theirs = rig.difference(rig.sensor(rig.table(both, "pan"), rig.tilt))
-    told = [
+    fitted_terms = [
         extension("backlash", [gap, 0.0, 1.0, 0.0]),
         extension("s_curve", [length_s, 0.0]),
     ]
-    assert norm(total_effect(told, rig.scene) - theirs) < 0.02 * norm(theirs)
-    added = sum(one.term.effect(rig.scene, one.values) for one in told)
+    assert norm(total_effect(fitted_terms, rig.scene) - theirs) < 0.02 * norm(theirs)
+    added = sum(
+        fitted_term.term.effect(rig.scene, fitted_term.values) for fitted_term in fitted_terms
+    )
     assert norm(added - theirs) > 0.1 * norm(theirs)
 
 
 def test_clock_delay_shifts_the_backlash_pulse(rig: Any) -> None:
     gap, late_s, at_s = 0.004, 0.03, 14.2
 
-    def play(_: Array, told: Array) -> Array:
-        out, at = [], told[0] - gap / 2
-        for angle in told.tolist():
+    def play(_: Array, angle_rad: Array) -> Array:
+        out, at = [], angle_rad[0] - gap / 2
+        for angle in angle_rad.tolist():
             at = min(max(at, angle - gap / 2), angle + gap / 2)
             out.append(at)
         return np.array(out)
 
     geared = rig.sensor(rig.table(play, "pan"), rig.tilt)
     theirs = rig.measured(geared, taken_s=lambda t: t - late_s * (t > at_s)) - rig.measured_base
-    told = [
+    fitted_terms = [
         extension("clock_step", [late_s, at_s]),
         extension("backlash", [gap, 0.0, 1.0, 0.0]),
     ]
-    assert norm(total_effect(told, rig.scene) - theirs) < 0.02 * norm(theirs)
+    assert norm(total_effect(fitted_terms, rig.scene) - theirs) < 0.02 * norm(theirs)
 
 
 def test_tilt_backlash_leaves_the_tilt_zero_uncertain() -> None:
@@ -194,8 +206,8 @@ def test_tilt_backlash_leaves_the_tilt_zero_uncertain() -> None:
     assert find_term("backlash").tilt_zero_std_rad(values) == pytest.approx(gap / 2)
     assert find_term("backlash").tilt_zero_std_rad(np.array([0.003, 0.0, 1.0, 1.0])) == 0.0
     assert all(
-        one.tilt_zero_std_rad(np.ones(len(value_parameters(one)))) == 0.0
-        for cause, one in catalogue().items()
+        term.tilt_zero_std_rad(np.ones(len(value_parameters(term)))) == 0.0
+        for cause, term in catalogue().items()
         if cause != "backlash"
     )
 
@@ -205,10 +217,11 @@ def test_changed_limits_combine(rig: Any) -> None:
     step, begin_s, share, base = 0.0009, 1.0, 0.2, 0.08
     # The way is short: peaks rise with both, until the told speed cuts them off.
     for speed in (1200.0, 2000.0):
-        told = MotionLimits(speed, 4000.0, 60.0)
+        limits = MotionLimits(speed, 4000.0, 60.0)
         both = MotionLimits(speed, 4000.0 * (1.0 + share), 60.0 + base / step)
         courses = [
-            plan_motion(0.0, [ProfileCommand(begin_s, "to", 300.0, one)]) for one in (told, both)
+            plan_motion(0.0, [ProfileCommand(begin_s, "to", 300.0, motion_limits)])
+            for motion_limits in (limits, both)
         ]
         edges = np.arange(0.0, 3.0, 1e-3)
         angles = [step * course.position_steps(edges) for course in courses]
@@ -252,10 +265,10 @@ def test_off_grid_effect_passes_the_actual_filter(jumping: SignalState) -> None:
     bend = extension("base_compliance", [5e-5, 0.0])
     lag = extension("low_pass_lag", [-0.3])
     both, late = total_effect([bend, lag], jumping), total_effect([lag], jumping)
-    own = bend.term.effect(lag.term.propagate(jumping, lag.values), bend.values)
-    assert np.allclose(both - late, own, atol=1e-12)
+    effect = bend.term.effect(lag.term.propagate(jumping, lag.values), bend.values)
+    assert np.allclose(both - late, effect, atol=1e-12)
     # It is no small part of it: the pulses grow as the square of the cut-off.
-    assert norm(own - bend.term.effect(jumping, bend.values)) > 0.3 * norm(own)
+    assert norm(effect - bend.term.effect(jumping, bend.values)) > 0.3 * norm(effect)
     exact = both - total_effect([bend], jumping)
     assert norm(
         TermCascade([bend], jumping).joint_effect(lag.term, lag.values) - exact

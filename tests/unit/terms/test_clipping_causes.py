@@ -45,18 +45,18 @@ def _by_difference(extensions: list[FittedTerm], k: int, step: float, scene: Any
 
 def test_axis_below_its_threshold_has_no_gain_derivative(rig: Any) -> None:
     largest = float(np.abs(rig.scene.sensor_rate_rad_s[:, 1]).max())
-    found = pass_through_of([_dead([0.0, 2.0 * largest, 0.0])], rig.scene)
-    assert found is not None
+    pass_through = pass_through_of([_dead([0.0, 2.0 * largest, 0.0])], rig.scene)
+    assert pass_through is not None
     rate = rig.scene.measure_sensor_rate(rig.scene.rate_rad_s)
-    assert np.allclose(found.gain_derivative[1], -rate.T, atol=1e-9)
-    assert not found.gain_derivative[0].any()
+    assert np.allclose(pass_through.gain_derivative[1], -rate.T, atol=1e-9)
+    assert not pass_through.gain_derivative[0].any()
 
 
 def test_axis_mostly_above_its_threshold_keeps_its_derivative(rig: Any) -> None:
-    found = pass_through_of([_dead([0.0, 0.0, 1e-3])], rig.scene)
-    assert found is not None
+    pass_through = pass_through_of([_dead([0.0, 0.0, 1e-3])], rig.scene)
+    assert pass_through is not None
     rate = rig.scene.measure_sensor_rate(rig.scene.rate_rad_s)
-    assert np.linalg.norm(found.gain_derivative[2]) < 0.05 * np.linalg.norm(rate)
+    assert np.linalg.norm(pass_through.gain_derivative[2]) < 0.05 * np.linalg.norm(rate)
 
 
 def test_causes_without_clipping_have_no_pass_through(rig: Any) -> None:
@@ -66,11 +66,11 @@ def test_causes_without_clipping_have_no_pass_through(rig: Any) -> None:
 def test_derivatives_vanish_beyond_the_limit(rig: Any) -> None:
     limit, scene = _limited(rig.scene, 0.5)
     causes = [limit, _cause("vibration_rectification", [1e-3, 2e-3, 1e-3])]
-    found = fitted_derivatives(causes, scene)[3]
+    derivative = fitted_derivatives(causes, scene)[3]
     true = _by_difference(causes, 1, 1e-6, scene)
     alone = fitted_derivatives(causes[1:], scene)[2]
     assert np.linalg.norm(true) < 0.5 * np.linalg.norm(alone)  # a fast move is cut off
-    assert np.linalg.norm(found - true) < 0.05 * np.linalg.norm(true)
+    assert np.linalg.norm(derivative - true) < 0.05 * np.linalg.norm(true)
 
 
 def test_scale_is_unobservable_below_the_threshold(rig: Any) -> None:
@@ -84,8 +84,8 @@ def test_low_pass_error_with_saturation(rig: Any) -> None:
     limit, scene = _limited(rig.scene, 0.5)
     slower = _cause("low_pass_lag", [-0.4])
     both = total_effect([limit, slower], scene) - total_effect([limit], scene)
-    found = TermCascade([limit], scene).joint_effect(slower.term, slower.values)
-    assert np.linalg.norm(found - both) < 1e-3 * np.linalg.norm(both)
+    effect = TermCascade([limit], scene).joint_effect(slower.term, slower.values)
+    assert np.linalg.norm(effect - both) < 1e-3 * np.linalg.norm(both)
 
 
 def test_plateau_near_the_threshold_has_no_derivative(rig: Any) -> None:

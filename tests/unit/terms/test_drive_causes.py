@@ -25,8 +25,8 @@ def close(ours: np.ndarray, theirs: np.ndarray, share: float) -> None:
 def made(rig: Any, pan: Made | None = None, tilt: Made | None = None) -> np.ndarray:
     """What is measured more if the angles are made from the told ones."""
     angles = [
-        told if how is None else rig.table(how, name)
-        for name, told, how in (("pan", rig.pan, pan), ("tilt", rig.tilt, tilt))
+        position if how is None else rig.table(how, name)
+        for name, position, how in (("pan", rig.pan, pan), ("tilt", rig.tilt, tilt))
     ]
     return np.asarray(rig.difference(rig.sensor(*angles)))
 
@@ -34,9 +34,9 @@ def made(rig: Any, pan: Made | None = None, tilt: Made | None = None) -> np.ndar
 def geared(gap: float, begin: float) -> Made:
     """A pin in a slot, pushed along sample by sample."""
 
-    def follow(time_s: np.ndarray, told: np.ndarray) -> np.ndarray:
-        out, at = [], told[0] - begin * gap / 2
-        for angle in told.tolist():
+    def follow(time_s: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
+        out, at = [], angle_rad[0] - begin * gap / 2
+        for angle in angle_rad.tolist():
             if angle - at > gap / 2:
                 at = angle - gap / 2
             elif at - angle > gap / 2:
@@ -70,14 +70,14 @@ def test_backlash_continues_from_earlier_motion(rig: Any) -> None:
         gain=whole.gain,
         previous_direction=(1.0, 0.0),
     )
-    one = find_term("backlash")
-    ours = one.effect(part, np.array([0.004, 0.0, -1.0, 0.0]))
-    assert np.allclose(ours, one.effect(whole, np.array([0.004, 0.0, 1.0, 0.0])))
+    term = find_term("backlash")
+    ours = term.effect(part, np.array([0.004, 0.0, -1.0, 0.0]))
+    assert np.allclose(ours, term.effect(whole, np.array([0.004, 0.0, 1.0, 0.0])))
 
 
 def test_play_of_a_triangle() -> None:
-    told = np.concatenate([np.linspace(0.0, 1.0, 11), np.linspace(0.9, 0.0, 10)])
-    out = apply_play(told, 0.4, 0.0)
+    angle_rad = np.concatenate([np.linspace(0.0, 1.0, 11), np.linspace(0.9, 0.0, 10)])
+    out = apply_play(angle_rad, 0.4, 0.0)
     assert out[10] == pytest.approx(0.8)
     assert out[13] == pytest.approx(0.8)
     assert out[-1] == pytest.approx(0.2)
@@ -92,26 +92,26 @@ def test_lost_steps(rig: Any, axis: int, at_s: float) -> None:
     sizes = np.zeros(2)
     sizes[axis] = lost
 
-    def fallen(time_s: np.ndarray, told: np.ndarray) -> np.ndarray:
-        return np.asarray(told - lost * (time_s >= at_s - 1e-9))
+    def fallen(time_s: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
+        return np.asarray(angle_rad - lost * (time_s >= at_s - 1e-9))
 
-    one, values = find_term("lost_steps"), np.array([*sizes, at_s])
+    term, values = find_term("lost_steps"), np.array([*sizes, at_s])
     theirs = made(rig, **{("pan", "tilt")[axis]: fallen})
     finer = rig.build(fine=25)
-    close(one.effect(finer, values), theirs, 0.005)
+    close(term.effect(finer, values), theirs, 0.005)
     # What is looked for is the same signal, computed nearby only.
-    close(lost * one.tangent_signals(finer, values)[axis], theirs, 0.005)
+    close(lost * term.tangent_signals(finer, values)[axis], theirs, 0.005)
     # A sample taken while the filter begins to answer sees the grid of 1 ms.
-    close(one.effect(rig.scene, values), theirs, 0.08)
+    close(term.effect(rig.scene, values), theirs, 0.08)
 
 
 def test_steps_are_lost_in_moves_only(rig: Any) -> None:
-    one, scene = find_term("lost_steps"), rig.scene
-    times = one.template_bank(scene)[:, 2]
+    term, scene = find_term("lost_steps"), rig.scene
+    times = term.template_bank(scene)[:, 2]
     assert 100 < times.size <= 2100
     k = np.searchsorted(scene.edges_s, times) - 1
     assert np.all(scene.moving.any(axis=0)[k])
-    assert not one.tangent_signals(scene, np.array([0.0, 0.0, 4.9]))[1].any()
+    assert not term.tangent_signals(scene, np.array([0.0, 0.0, 4.9]))[1].any()
 
 
 @pytest.mark.parametrize("lead", [0, 40])
@@ -126,19 +126,19 @@ def test_pulse_templates_match_the_effect(rig: Any, lead: int) -> None:
         bandwidth_hz=50.0,
         gain=whole.gain,
     )
-    found, one = pulse_templates(scene), find_term("lost_steps")
-    assert np.unique(found.axis).size == 2
-    for k in range(0, found.time_s.size, 401):
-        axis, first = int(found.axis[k]), int(found.first_block[k])
+    pulses, term = pulse_templates(scene), find_term("lost_steps")
+    assert np.unique(pulses.axis).size == 2
+    for k in range(0, pulses.time_s.size, 401):
+        axis, first = int(pulses.axis[k]), int(pulses.first_block[k])
         if axis == 0:
-            exact = one.tangent_signals(scene, np.array([0.0, 0.0, found.time_s[k]]))[axis]
+            exact = term.tangent_signals(scene, np.array([0.0, 0.0, pulses.time_s[k]]))[axis]
         else:
-            shape = LostSteps().angle_shapes(scene, np.array([0.0, 0.0, found.time_s[k]]))[1][1]
+            shape = LostSteps().angle_shapes(scene, np.array([0.0, 0.0, pulses.time_s[k]]))[1][1]
             turn = scene.stage_rate_derivative(1, shape)
             turn[:, 1:] = 0.0
             exact = scene.measure_stage_rate(turn)
         ours = np.zeros_like(exact)
-        ours[first : first + found.values.shape[1]] = found.values[k]
+        ours[first : first + pulses.values.shape[1]] = pulses.values[k]
         close(ours, exact, 1e-3)
 
 
@@ -189,11 +189,11 @@ def test_sag(rig: Any) -> None:
 
 def test_compliance(rig: Any) -> None:
     def pushed(coefficient: float) -> Made:
-        def bend(time_s: np.ndarray, told: np.ndarray) -> np.ndarray:
+        def bend(time_s: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
             h = time_s[1] - time_s[0]
-            push = np.zeros_like(told)
-            push[1:-1] = (told[2:] - 2 * told[1:-1] + told[:-2]) / h**2
-            return told - coefficient * push
+            push = np.zeros_like(angle_rad)
+            push[1:-1] = (angle_rad[2:] - 2 * angle_rad[1:-1] + angle_rad[:-2]) / h**2
+            return angle_rad - coefficient * push
 
         return bend
 
@@ -240,16 +240,16 @@ def test_ringing(rig: Any, frequency_hz: float) -> None:
     """The mode's equation stepped through time (Stormer's rule with damping)."""
     w, damping = 2 * np.pi * frequency_hz, 0.06
 
-    def swing(time_s: np.ndarray, told: np.ndarray) -> np.ndarray:
+    def swing(time_s: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
         h = float(time_s[1] - time_s[0])
-        push = np.zeros_like(told)
-        push[1:-1] = -(told[2:] - 2 * told[1:-1] + told[:-2]) / h**2
+        push = np.zeros_like(angle_rad)
+        push[1:-1] = -(angle_rad[2:] - 2 * angle_rad[1:-1] + angle_rad[:-2]) / h**2
         out, before, q = [], 0.0, 0.0
         for p in push.tolist():
             out.append(q)
             speed = (q - before) / h
             before, q = q, 2 * q - before + h * h * (p - 2 * damping * w * speed - w * w * q)
-        return told + 0.1 * np.array(out)
+        return angle_rad + 0.1 * np.array(out)
 
     ours = find_term("ringing").effect(rig.scene, np.array([0.1, 0.0, frequency_hz, damping]))
     close(ours, made(rig, pan=swing), 0.03)
@@ -327,10 +327,10 @@ def test_moves_with_other_limits(rig: Any, share: float, base_steps_s: float) ->
         for axis in (0, 1)
     )
     edges = np.arange(0.0, 4.0, 1e-3)
-    told = STEP * np.stack([course.position_steps(edges) for _, course in courses])
+    position_rad = STEP * np.stack([course.position_steps(edges) for _, course in courses])
     scene = SignalState.build(
         edges,
-        told,
+        position_rad,
         np.ones(edges.size - 1, dtype=np.bool_),
         instants_per_block=1,
         intervals_per_instant=1,
@@ -339,10 +339,10 @@ def test_moves_with_other_limits(rig: Any, share: float, base_steps_s: float) ->
         context=RecordingContext(rad_per_step=(STEP, STEP), motion_profiles=courses),
     )
     cause = "acceleration_error" if share else "base_speed_jump"
-    one = find_term(cause)
-    assert one.reason_not_testable(scene) is None
+    term = find_term(cause)
+    assert term.reason_not_testable(scene) is None
     values = np.full(2, share or base_steps_s * STEP)
-    ours = one.angle_error(scene, values)  # type: ignore[attr-defined]
+    ours = term.angle_error(scene, values)  # type: ignore[attr-defined]
     fine = np.arange(0.0, 4.0, 1e-5)
     for axis in (0, 1):
         base, other = TOLD[axis], TOLD[axis]

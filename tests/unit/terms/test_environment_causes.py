@@ -54,10 +54,10 @@ def test_g_sensitivity_follows_tilt(rig: Any) -> None:
 
 
 def test_g_sensitivity_needs_several_tilts(rig: Any) -> None:
-    one = find_term("g_sensitivity")
-    assert one.reason_not_testable(rig.scene) is None
+    term = find_term("g_sensitivity")
+    assert term.reason_not_testable(rig.scene) is None
     level = rig.build(seconds=5.0)
-    assert "four tilts" in str(one.reason_not_testable(level))
+    assert "four tilts" in str(term.reason_not_testable(level))
 
 
 def test_thermal_bias_follows_the_temperature(rig: Any) -> None:

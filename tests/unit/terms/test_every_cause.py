@@ -43,16 +43,16 @@ GAUGES = tuple(c for c in CAUSES if catalogue()[c].kind == "gauge")
 def some_values(cause: str, seed: int = 0, share: float = 1.0) -> np.ndarray:
     """Typical sizes with random signs inside the bounds; shapes from the middle of the bank."""
     rng = np.random.default_rng(seed)
-    found = []
+    values = []
     for p in value_parameters(find_term(cause)):
         if p.role == "size":
             size = share * p.typical_size * rng.uniform(0.5, 1.0)
-            found.append(np.clip(size * (rng.choice([-1.0, 1.0])), p.lower, p.upper))
+            values.append(np.clip(size * (rng.choice([-1.0, 1.0])), p.lower, p.upper))
             if p.lower == 0.0:
-                found[-1] = abs(size)
+                values[-1] = abs(size)
         else:
-            found.append(np.nan)
-    return np.array(found)
+            values.append(np.nan)
+    return np.array(values)
 
 
 def with_shapes(cause: str, scene: Any, values: np.ndarray) -> np.ndarray:
@@ -68,38 +68,38 @@ def base_jacobian(rig: Any) -> np.ndarray:
     columns = []
     for row in range(3):
         for column in range(3):
-            one = np.zeros((scene.block_count, 3))
-            one[:, row] = rate[:, column]
-            columns.append(one.ravel())
+            unit_signal = np.zeros((scene.block_count, 3))
+            unit_signal[:, row] = rate[:, column]
+            columns.append(unit_signal.ravel())
     for axis in range(3):
-        one = np.zeros((scene.block_count, 3))
-        one[:, axis] = 1.0
-        columns.append(one.ravel())
+        unit_signal = np.zeros((scene.block_count, 3))
+        unit_signal[:, axis] = 1.0
+        columns.append(unit_signal.ravel())
     columns.append(scene.sample_output(scene.filtered_slope_rad_s2).ravel())
     return np.stack(columns, axis=1)
 
 
 @pytest.mark.parametrize("cause", CAUSES)
 def test_parameters_are_sound(cause: str) -> None:
-    one = find_term(cause)
-    assert one.cause == cause
-    names = value_names(one)
+    term = find_term(cause)
+    assert term.cause == cause
+    names = value_names(term)
     assert len(set(names)) == len(names)
-    for p in one.parameters:
+    for p in term.parameters:
         assert p.lower <= p.start <= p.upper
         assert p.lower < p.upper
         assert p.typical_size > 0.0
         assert p.unit
         if p.role == "size":
             assert p.typical_size <= max(abs(p.lower), abs(p.upper))
-            assert p.start == 0.0 or one.kind == "known"
-    assert one.part == PART_OF[cause]
-    assert set(one.confused_with) <= set(PART_OF)
-    assert cause not in one.confused_with
-    assert one.excitation
-    assert one.effect_if_ignored
-    for place in components_of(one):
-        assert value_indices(one, place)
+            assert p.start == 0.0 or term.kind == "known"
+    assert term.part == PART_OF[cause]
+    assert set(term.confused_with) <= set(PART_OF)
+    assert cause not in term.confused_with
+    assert term.excitation
+    assert term.effect_if_ignored
+    for place in components_of(term):
+        assert value_indices(term, place)
 
 
 @pytest.mark.parametrize("cause", CAUSES)
@@ -153,37 +153,37 @@ def test_an_unknown_cause_gets_few_suggestions() -> None:
 
 @pytest.mark.parametrize("cause", CAUSES)
 def test_description_is_readable(cause: str, rig: Any) -> None:
-    said = find_term(cause).describe(with_shapes(cause, rig.scene, some_values(cause)))
-    assert 10 < len(said) < 200
-    assert "nan" not in said
+    description = find_term(cause).describe(with_shapes(cause, rig.scene, some_values(cause)))
+    assert 10 < len(description) < 200
+    assert "nan" not in description
 
 
 @pytest.mark.parametrize("cause", CAUSES)
 def test_zero_size_has_no_effect(cause: str, rig: Any) -> None:
-    one = find_term(cause)
+    term = find_term(cause)
     values = with_shapes(cause, rig.scene, some_values(cause))
-    values[value_indices(one, role="size")] = 0.0
-    assert np.all(one.effect(rig.scene, values) == 0.0)
-    begin = np.array([p.start for p in value_parameters(one)])
-    if one.kind != "known":
-        assert np.all(one.effect(rig.scene, begin) == 0.0)
+    values[value_indices(term, role="size")] = 0.0
+    assert np.all(term.effect(rig.scene, values) == 0.0)
+    begin = np.array([p.start for p in value_parameters(term)])
+    if term.kind != "known":
+        assert np.all(term.effect(rig.scene, begin) == 0.0)
 
 
 # One interval after another falls into a dead zone: no derivative, only a secant.
 @pytest.mark.parametrize("cause", [c for c in SHOWN if c != "dead_zone"])
 def test_jacobian_matches_finite_differences(cause: str, rig: Any) -> None:
-    one, scene = find_term(cause), rig.scene
+    term, scene = find_term(cause), rig.scene
     values = with_shapes(cause, scene, some_values(cause))
-    columns = one.jacobian(scene, values)
+    columns = term.jacobian(scene, values)
     assert columns.shape == (values.size, scene.block_count, 3)
-    for k, p in enumerate(value_parameters(one)):
+    for k, p in enumerate(value_parameters(term)):
         if cause == "backlash" and p.role == "shape":
             continue  # the first contact falls into one interval or the next; it is scanned
         step = np.zeros(values.size)
         # An event inside an interval acts by the interval's share: finer is no derivative.
-        own = one.derivative_step
-        step[k] = (0.1 if p.role == "size" else 0.7) * own * p.typical_size
-        difference = one.effect(scene, values + step) - one.effect(scene, values - step)
+        steps = term.derivative_step
+        step[k] = (0.1 if p.role == "size" else 0.7) * steps * p.typical_size
+        difference = term.effect(scene, values + step) - term.effect(scene, values - step)
         difference /= 2 * step[k]
         size = np.linalg.norm(difference)
         assert (
@@ -194,21 +194,21 @@ def test_jacobian_matches_finite_differences(cause: str, rig: Any) -> None:
 
 @pytest.mark.parametrize("cause", SHOWN)
 def test_tangent_signals_match_the_template_bank(cause: str, rig: Any) -> None:
-    one, scene = find_term(cause), rig.scene
-    bank = one.template_bank(scene)
+    term, scene = find_term(cause), rig.scene
+    bank = term.template_bank(scene)
     assert bank.ndim == 2
-    sizes = value_indices(one, role="size")
+    sizes = value_indices(term, role="size")
     for row in bank[:: max(1, len(bank) // 3)]:
-        found = one.tangent_signals(scene, row)
-        assert found.shape == (len(sizes), scene.block_count, 3)
-        assert np.all(np.isfinite(found))
+        tangents = term.tangent_signals(scene, row)
+        assert tangents.shape == (len(sizes), scene.block_count, 3)
+        assert np.all(np.isfinite(tangents))
 
 
 @pytest.mark.parametrize("cause", GAUGES)
 def test_gain_absorbs_gauge_causes(cause: str, rig: Any) -> None:
-    one = find_term(cause)
+    term = find_term(cause)
     values = with_shapes(cause, rig.scene, some_values(cause))
-    effect = one.effect(rig.scene, values).ravel()
+    effect = term.effect(rig.scene, values).ravel()
     if not effect.any():
         return
     base = base_jacobian(rig)

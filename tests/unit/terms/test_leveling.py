@@ -66,14 +66,14 @@ def test_offset_and_lean_are_recovered() -> None:
         zero, mount_x = rng.normal(0.0, 0.01, 2)
         lean = (float(rng.normal(0.0, 0.01)), float(rng.normal(0.0, 0.01)))
         mount = Rotation.from_rotvec([mount_x, 0.0, 0.0])
-        found = estimate_level(pan, tilt, readings(pan, tilt, zero, mount, lean, rng), STD)
+        level = estimate_level(pan, tilt, readings(pan, tilt, zero, mount, lean, rng), STD)
         off.append(
             [
-                (found.offset_rad - (zero - mount_x)) / found.offset_std_rad,
-                *((found.lean_rad - np.array(lean)) / found.lean_std_rad),
+                (level.offset_rad - (zero - mount_x)) / level.offset_std_rad,
+                *((level.lean_rad - np.array(lean)) / level.lean_std_rad),
             ]
         )
-        assert found.pans_separate_lean
+        assert level.pans_separate_lean
     spread = np.std(off, axis=0)
     assert np.all((spread > 0.85) & (spread < 1.15))
     assert np.all(np.abs(np.mean(off, axis=0)) < 0.25)
@@ -82,7 +82,7 @@ def test_offset_and_lean_are_recovered() -> None:
 def test_mount_and_tilt_zero_are_inseparable() -> None:
     """The same readings from a zero and from a mount: nothing may tell them apart."""
     pan, tilt = grid()
-    found = [
+    levels = [
         estimate_level(
             pan,
             tilt,
@@ -98,8 +98,8 @@ def test_mount_and_tilt_zero_are_inseparable() -> None:
         )
         for zero, mount in ((0.02, 0.0), (0.0, -0.02), (0.05, 0.03))
     ]
-    for one in found:
-        assert one.offset_rad == pytest.approx(0.02, abs=4 * one.offset_std_rad)
+    for level in levels:
+        assert level.offset_rad == pytest.approx(0.02, abs=4 * level.offset_std_rad)
 
 
 def test_at_one_pan_lean_and_offset_are_inseparable() -> None:
@@ -107,15 +107,15 @@ def test_at_one_pan_lean_and_offset_are_inseparable() -> None:
     lean = (0.01, 0.02)
     rng = np.random.default_rng(1)
     reading = readings(pan, TILTS, 0.005, Rotation.identity(), lean, rng)
-    found = estimate_level(pan, TILTS, reading, STD)
-    assert not found.pans_separate_lean
-    assert found.offset_std_rad == pytest.approx(LEVEL_STD_RAD, rel=0.1)
+    level = estimate_level(pan, TILTS, reading, STD)
+    assert not level.pans_separate_lean
+    assert level.offset_std_rad == pytest.approx(LEVEL_STD_RAD, rel=0.1)
     forward = lean[1] * np.cos(0.6) - lean[0] * np.sin(0.6)
-    assert found.upright_rad == pytest.approx(0.005 + forward, abs=4 * found.upright_std_rad)
-    assert found.upright_std_rad < 1e-3
+    assert level.upright_rad == pytest.approx(0.005 + forward, abs=4 * level.upright_std_rad)
+    assert level.upright_std_rad < 1e-3
     # The gyro, which knows m - z = -0.005 by the rates, brings out the lean.
-    value, std = lean_forward(found, -0.005, 1e-4, die_tolerance_rad=0.01)
-    assert value == pytest.approx(forward, abs=4 * found.upright_std_rad)
+    value, std = lean_forward(level, -0.005, 1e-4, die_tolerance_rad=0.01)
+    assert value == pytest.approx(forward, abs=4 * level.upright_std_rad)
     assert 0.01 < std < 0.0101
 
 
@@ -123,10 +123,10 @@ def test_nominal_mount_is_removed() -> None:
     pan, tilt = grid()
     upside = Rotation.from_matrix(np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]))
     reading = readings(pan, tilt, 0.015, upside, (0.0, 0.0), np.random.default_rng(2))
-    found = estimate_level(pan, tilt, reading, STD, nominal=upside.as_matrix())
-    assert found.offset_rad == pytest.approx(0.015, abs=4 * found.offset_std_rad)
-    assert found.bias_m_s2 == pytest.approx([0.3, -0.4, 0.8], abs=0.03)
-    assert found.reduced_chi2 == pytest.approx(1.0, abs=0.6)
+    level = estimate_level(pan, tilt, reading, STD, nominal=upside.as_matrix())
+    assert level.offset_rad == pytest.approx(0.015, abs=4 * level.offset_std_rad)
+    assert level.bias_m_s2 == pytest.approx([0.3, -0.4, 0.8], abs=0.03)
+    assert level.reduced_chi2 == pytest.approx(1.0, abs=0.6)
 
 
 @pytest.mark.parametrize("tilts", [[0.0, 0.0, 0.001], [0.0, 0.1, 0.2], [-0.5, 0.5]])
@@ -161,9 +161,9 @@ def recorded(rest_scatter: float, seed: int) -> tuple[np.ndarray, np.ndarray, np
 def test_level_is_estimated_from_rests(rest_scatter: float) -> None:
     off = []
     for seed in range(60):
-        found = level_from_rests(*recorded(rest_scatter, seed))
-        assert found.rests == 20
-        off.append((found.offset_rad - 0.01) / found.offset_std_rad)
+        level = level_from_rests(*recorded(rest_scatter, seed))
+        assert level.rests == 20
+        off.append((level.offset_rad - 0.01) / level.offset_std_rad)
     assert 0.75 < np.std(off) < 1.25
 
 

@@ -31,15 +31,15 @@ def test_part_with_a_lead_equals_the_whole_series(rig: Any) -> None:
         context=whole.context,
     )
     assert part.lead_instants == lead
-    there = whole.measure_stage_rate(whole.rate_rad_s)[begin:]
-    assert np.allclose(part.measure_stage_rate(part.rate_rad_s), there, atol=1e-12)
+    whole_rate = whole.measure_stage_rate(whole.rate_rad_s)[begin:]
+    assert np.allclose(part.measure_stage_rate(part.rate_rad_s), whole_rate, atol=1e-12)
 
 
 def test_block_is_the_mean_of_used_instants(rig: Any) -> None:
     scene = rig.scene
     use = scene.used_instants.copy()
     use[0], use[2:4] = False, False
-    some = SignalState.build(
+    partial = SignalState.build(
         scene.edges_s,
         scene.angle_rad,
         use,
@@ -49,11 +49,11 @@ def test_block_is_the_mean_of_used_instants(rig: Any) -> None:
         gain=scene.gain,
     )
     values = np.random.default_rng(0).normal(size=(4, scene.interval_count, 3))
-    found = some.measure_sensor_rate(values)
-    assert found.shape == (4, scene.block_count, 3)
-    assert np.allclose(found[:, 0], values[:, 7])
-    assert np.all(found[:, 1] == 0.0)
-    assert np.allclose(found[:, 2], (values[:, 22] + values[:, 27]) / 2.0)
+    block_rate = partial.measure_sensor_rate(values)
+    assert block_rate.shape == (4, scene.block_count, 3)
+    assert np.allclose(block_rate[:, 0], values[:, 7])
+    assert np.all(block_rate[:, 1] == 0.0)
+    assert np.allclose(block_rate[:, 2], (values[:, 22] + values[:, 27]) / 2.0)
 
 
 def test_coarse_grid_gives_the_same_signal(rig: Any) -> None:
@@ -86,9 +86,9 @@ def test_temperature_readings_are_smoothed() -> None:
     time_s = np.arange(0.0, 1800.0, 0.01)
     true = 30.0 + 12.0 * np.exp(-(((time_s - 700.0) / 350.0) ** 2))
     readings = np.where(np.arange(time_s.size) % 100 == 0, np.round(true), np.nan)
-    found = BoardTemperature.of(time_s, readings)
-    assert found is not None
-    inside = found.die_temperature_rise(np.arange(60.0, 1740.0, 1.0)) + found.mean_degc
+    temperature = BoardTemperature.of(time_s, readings)
+    assert temperature is not None
+    inside = temperature.die_temperature_rise(np.arange(60.0, 1740.0, 1.0)) + temperature.mean_degc
     left = inside - np.interp(np.arange(60.0, 1740.0, 1.0), time_s, true)
     assert np.sqrt(np.mean(left**2)) < 0.2  # of a whole kelvin's steps, 0.29 before
     assert np.max(np.abs(np.diff(inside))) < 0.08  # no edges of 1 K
@@ -102,14 +102,14 @@ def test_too_few_readings_give_no_temperature() -> None:
 def test_late_die_follows_the_heat_equation(tau_s: float) -> None:
     time_s = np.arange(0.0, 600.0, 1.0)
     heard = 20.0 + 5.0 * np.sin(2 * np.pi * time_s / 200.0)
-    found = BoardTemperature(time_s, heard, 20.0).die_temperature_rise(time_s, -tau_s)
+    rise = BoardTemperature(time_s, heard, 20.0).die_temperature_rise(time_s, -tau_s)
     step, x, path = 0.01, 0.0, []
     for k, t in enumerate(np.arange(0.0, 600.0, step)):
         if k % 100 == 0:
             path.append(x)
         x += step * (5.0 * np.sin(2 * np.pi * t / 200.0) - x) / tau_s
     begun = round(8 * tau_s)
-    assert found[begun:] == pytest.approx(np.array(path)[begun:], abs=0.02)
+    assert rise[begun:] == pytest.approx(np.array(path)[begun:], abs=0.02)
 
 
 def test_early_die_leads_the_thermometer() -> None:

@@ -19,7 +19,7 @@ from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCo
 
 DEG = np.pi / 180.0
 STEP = 0.0514 * DEG
-SHOWN = [c for c, one in catalogue().items() if one.kind in ("effect", "known")]
+SHOWN = [c for c, term in catalogue().items() if term.kind in ("effect", "known")]
 SWEEPS = (
     (90.0, (155.0, 60.0, -155.0, -20.0, 0.0)),
     (60.0, (100.0, 155.0, -60.0, -155.0, 0.0)),
@@ -94,14 +94,14 @@ def directions(scene: SignalState) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     base[12] = lag
     flat = base.reshape(13, -1).T
     q, _ = np.linalg.qr(flat / np.linalg.norm(flat, axis=0))
-    found = {}
+    by_cause = {}
     for cause in SHOWN:
-        one = find_term(cause)
-        row = one.template_bank(scene)[len(one.template_bank(scene)) // 2]
-        columns = one.tangent_signals(scene, row)
+        term = find_term(cause)
+        row = term.template_bank(scene)[len(term.template_bank(scene)) // 2]
+        columns = term.tangent_signals(scene, row)
         whole = columns.reshape(len(columns), -1).T
-        found[cause] = (whole, whole - q @ (q.T @ whole))
-    return found
+        by_cause[cause] = (whole, whole - q @ (q.T @ whole))
+    return by_cause
 
 
 def absorbed(pair: tuple[np.ndarray, np.ndarray]) -> float:
@@ -118,10 +118,10 @@ def seen(pair: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return np.asarray(left[:, keep] / size[keep])
 
 
-def alike(one: np.ndarray, other: np.ndarray) -> float:
+def alike(first: np.ndarray, other: np.ndarray) -> float:
     """The largest share of any column's energy that the other cause explains."""
     u, s, _ = np.linalg.svd(other, full_matrices=False)
-    return float(np.max(np.sum((u[:, s > 1e-5].T @ one) ** 2, axis=0)))
+    return float(np.max(np.sum((u[:, s > 1e-5].T @ first) ** 2, axis=0)))
 
 
 def test_share_absorbed_by_the_base_model(directions: Any) -> None:
@@ -155,26 +155,26 @@ def test_correlation_of_similar_causes(directions: Any) -> None:
 
 def test_every_similar_pair_is_declared(directions: Any) -> None:
     of = {cause: seen(pair) for cause, pair in directions.items()}
-    found = []
-    for one in SHOWN:
+    pairs = []
+    for cause_name in SHOWN:
         for other in SHOWN:
-            known = other in find_term(one).confused_with
-            if other != one and not known and alike(of[one], of[other]) > ALIKE:
-                found.append((one, other))
-    assert not found
+            known = other in find_term(cause_name).confused_with
+            if other != cause_name and not known and alike(of[cause_name], of[other]) > ALIKE:
+                pairs.append((cause_name, other))
+    assert not pairs
 
 
 @pytest.mark.parametrize("cause", SHOWN)
 def test_parts_give_the_same_projection_as_the_whole(scene: SignalState, cause: str) -> None:
     """A long recording is worked through in parts; each begins where the last one ended."""
-    one, begin, lead = find_term(cause), 21000, 60
-    row = one.template_bank(scene)[len(one.template_bank(scene)) // 2].copy()
-    for k, p in enumerate(value_parameters(one)):
+    term, begin, lead = find_term(cause), 21000, 60
+    row = term.template_bank(scene)[len(term.template_bank(scene)) // 2].copy()
+    for k, p in enumerate(value_parameters(term)):
         if p.role == "size" and row[k] == 0.0:
             row[k] = p.typical_size
         if p.role == "event":
             row[k] = 330.0
-    whole = one.effect(scene, row)
+    whole = term.effect(scene, row)
     first = (begin - lead) * scene.intervals_per_instant
     part = SignalState.build(
         scene.edges_s[first:],
@@ -186,16 +186,16 @@ def test_parts_give_the_same_projection_as_the_whole(scene: SignalState, cause: 
         gain=scene.gain,
         context=scene.context,
     )
-    found = one.effect(part, row)
+    effect = term.effect(part, row)
     settled = 100  # of a mode that was ringing when the part began
     close = 1e-6 * np.abs(whole).max() + 1e-12
-    assert np.allclose(found[settled:], whole[begin + settled :], atol=close)
+    assert np.allclose(effect[settled:], whole[begin + settled :], atol=close)
 
 
 def test_sign_separates_s_curve_from_base_compliance(scene: SignalState) -> None:
     bend, round_off = find_term("base_compliance"), find_term("s_curve")
-    one = bend.effect(scene, np.array([1e-5, 0.0])).ravel()
+    effect = bend.effect(scene, np.array([1e-5, 0.0])).ravel()
     other = round_off.effect(scene, np.array([0.015, 0.0])).ravel()
-    cosine = one @ other / np.linalg.norm(one) / np.linalg.norm(other)
+    cosine = effect @ other / np.linalg.norm(effect) / np.linalg.norm(other)
     assert cosine < -0.9
     assert all(p.lower == 0.0 for p in (*bend.parameters, *round_off.parameters))

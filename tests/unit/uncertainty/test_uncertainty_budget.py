@@ -138,8 +138,8 @@ def test_the_covariance_is_that_of_a_dense_ridge_fit(leaning: Session) -> None:
     first = local.shape[0]
     added = (covariance[:known, :known] - noise_only)[first : first + 13, first : first + 13]
     jacobian = CalibrationValues.of(leaning.fit).jacobian
-    found = assess_uncertainty(leaning.fit, settings, projector)
-    assert np.diag(found.covariance) == pytest.approx(
+    budget = assess_uncertainty(leaning.fit, settings, projector)
+    assert np.diag(budget.covariance) == pytest.approx(
         np.diag(jacobian @ added @ jacobian.T), rel=1e-3, abs=1e-14
     )
 
@@ -151,8 +151,8 @@ def test_a_long_recording_gives_the_same_in_batches(
     batched = assess_uncertainty(leaning.fit)
     assert batched.covariance == pytest.approx(budget.covariance, rel=1e-6, abs=1e-15)
     assert batched.expected_error == pytest.approx(budget.expected_error, rel=1e-6, abs=1e-12)
-    for one, other in zip(batched.entries, budget.entries, strict=True):
-        assert one.std == pytest.approx(other.std, rel=1e-6, abs=1e-12)
+    for entry, other in zip(batched.entries, budget.entries, strict=True):
+        assert entry.std == pytest.approx(other.std, rel=1e-6, abs=1e-12)
 
 
 def test_fitted_sizes_take_no_part(leaning: Session) -> None:
