@@ -33,7 +33,7 @@ PROCESSES, LEAST_RUNS, QUICK_RUNS, ALL_RUNS = 2, 8, 20, 200
 DRAWN_TOGETHER, TOLD_EVERY = 4, 20
 
 
-def one(job: tuple[Case, int]) -> dict[str, Any]:
+def run_job(job: tuple[Case, int]) -> dict[str, Any]:
     """Return one run, or why there is none: a refusal is a figure, too."""
     case, seed = job
     try:
@@ -42,12 +42,12 @@ def one(job: tuple[Case, int]) -> dict[str, Any]:
         return {"seed": seed, "failed": str(error)}
 
 
-def collect(case: Case, runs: int, kept: Rows, pool: ProcessPoolExecutor) -> Rows:
+def collect(case: Case, runs: int, earlier_rows: Rows, pool: ProcessPoolExecutor) -> Rows:
     """Return the runs of a case, those that are kept and others; progress goes to stderr."""
     begun = time.monotonic()
-    rows = kept[:runs]
+    rows = earlier_rows[:runs]
     jobs = [(case, seed) for seed in range(len(rows), runs)]
-    for row in pool.map(one, jobs, chunksize=DRAWN_TOGETHER):
+    for row in pool.map(run_job, jobs, chunksize=DRAWN_TOGETHER):
         rows.append(row)
         if len(rows) % TOLD_EVERY == 0 or len(rows) == runs:
             took_s = time.monotonic() - begun
@@ -59,8 +59,8 @@ def kept_runs(path: Path | None) -> dict[str, Rows]:
     """Return the runs of an earlier call, so that more can be added."""
     if path is None or not path.exists():
         return {}
-    kept: dict[str, Rows] = json.loads(path.read_text(encoding="utf-8"))
-    return kept
+    rows: dict[str, Rows] = json.loads(path.read_text(encoding="utf-8"))
+    return rows
 
 
 def written(path: Path | None, content: object, indent: int | None = None) -> None:

@@ -49,25 +49,25 @@ def rate(count: int, work: Callable[[], object], repeat: int) -> float:
     return count / best
 
 
-def arrays(found: Calibration, samples: int, repeat: int) -> float:
+def arrays(calibration: Calibration, samples: int, repeat: int) -> float:
     """Print the table of arrays; return the rate of counts in, float64 out."""
     rng = np.random.default_rng(1)
     counts = rng.integers(-20000, 20000, size=(samples, 3), dtype=np.int16)
-    inverse, offset = found.correction.inverse.T, found.correction.offset()
-    scale = found.scale_of("counts")
+    inverse, offset = calibration.correction.inverse.T, calibration.correction.offset()
+    scale = calibration.scale_of("counts")
     say("| arrays | in | out | million samples a second |\n|---|---|---|---:|")
     measured = 0.0
     for kind in (np.int16, np.int32, np.float64):
         given = counts.astype(kind)
         for out_kind in (np.float64, np.float32):
             out = np.empty((samples, 3), dtype=out_kind)
-            per_s = rate(samples, lambda g=given, o=out: found.rates(g, out=o), repeat)  # type: ignore[misc]
+            per_s = rate(samples, lambda g=given, o=out: calibration.rates(g, out=o), repeat)  # type: ignore[misc]
             if kind is np.int16 and out_kind is np.float64:
                 measured = per_s
             say(
                 f"| Calibration.rates | {kind.__name__} | {out_kind.__name__} | {per_s / 1e6:.0f} |"
             )
-    fresh = rate(samples, lambda: found.rates(counts), repeat)
+    fresh = rate(samples, lambda: calibration.rates(counts), repeat)
     say(f"| Calibration.rates, memory of its own | int16 | float64 | {fresh / 1e6:.0f} |")
     plain = rate(samples, lambda: (counts * scale) @ inverse + offset, repeat)
     say(f"| numpy, the plain formula | int16 | float64 | {plain / 1e6:.1f} |")
@@ -93,7 +93,7 @@ def imucal(rates: np.ndarray, repeat: int) -> float | None:
     )
 
 
-def table(found: Calibration, folder: Path) -> None:
+def table(calibration: Calibration, folder: Path) -> None:
     """Print how fast a table is."""
     counts = np.random.default_rng(2).integers(-20000, 20000, size=(TABLE_ROWS, 3))
     with (folder / "in.csv").open("w") as file:
@@ -103,23 +103,25 @@ def table(found: Calibration, folder: Path) -> None:
 
     def work() -> None:
         (folder / "out.csv").unlink(missing_ok=True)
-        apply_to_table(found, folder / "in.csv", folder / "out.csv", columns)
+        apply_to_table(calibration, folder / "in.csv", folder / "out.csv", columns)
 
     per_s = rate(TABLE_ROWS, work, 2)
     say(f"\nA table of {TABLE_ROWS} rows: {per_s / 1e6:.2f} million rows a second")
 
 
-def recording(found: Calibration, folder: Path) -> None:
+def recording(calibration: Calibration, folder: Path) -> None:
     """Print how fast a recording is, read, mapped, applied, copied and written."""
     count = RECORDED_S * RATE_HZ
     counts = np.random.default_rng(3).integers(-3000, 3000, size=(count, 3))
     board = {"uid": "u", "sensor": "L3G4200D", "link": "serial", "tick_hz": "1000000.0"}
-    board |= {"gyro_scale_rad_s": repr(found.nominal_scale_rad_s), "counter_bits": "64"}
-    own = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
+    board |= {"gyro_scale_rad_s": repr(calibration.nominal_scale_rad_s), "counter_bits": "64"}
+    metadata = {"session": "s", "anchor_utc_ns": "0", "anchor_monotonic_raw_ns": "0"}
     taken_ns = np.rint(np.arange(count) * 1e9 / RATE_HZ).astype(np.int64)
     late_ns = np.random.default_rng(4).exponential(2e5, count).astype(np.int64)
     arrived_ns = np.maximum.accumulate(1_790_000_000_000_000_000 + taken_ns + late_ns)
-    writer = RecordingWriter(folder / "in.mcap", {"gyrorig": own, f"gyrorig.board.{BOARD}": board})
+    writer = RecordingWriter(
+        folder / "in.mcap", {"gyrorig": metadata, f"gyrorig.board.{BOARD}": board}
+    )
     for first in range(0, count, RATE_HZ):
         rows = slice(first, first + RATE_HZ)
         writer.write_imu_array(
@@ -137,7 +139,7 @@ def recording(found: Calibration, folder: Path) -> None:
 
     def work() -> None:
         (folder / "out.mcap").unlink(missing_ok=True)
-        apply_to_recording(found, source, folder / "out.mcap")
+        apply_to_recording(calibration, source, folder / "out.mcap")
 
     per_s = rate(count, work, 3)
     sizes = [path.stat().st_size / 1e6 for path in (source, folder / "out.mcap")]
@@ -154,11 +156,11 @@ def main() -> int:
     parser.add_argument("--samples", type=int, default=4_000_000)
     parser.add_argument("--repeat", type=int, default=5)
     asked = parser.parse_args()
-    found = Calibration.load(GOLDEN)
-    measured = arrays(found, asked.samples, asked.repeat)
+    calibration = Calibration.load(GOLDEN)
+    measured = arrays(calibration, asked.samples, asked.repeat)
     with tempfile.TemporaryDirectory() as name:
-        table(found, Path(name))
-        recording(found, Path(name))
+        table(calibration, Path(name))
+        recording(calibration, Path(name))
     if measured < LEAST_M_PER_S * 1e6:
         say(f"missed: {measured / 1e6:.0f} of {LEAST_M_PER_S:.0f} million samples a second")
         return 1

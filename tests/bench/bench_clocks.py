@@ -85,19 +85,19 @@ def line(quick: bool) -> Iterator[Row]:
 def usb_frames(quick: bool) -> Iterator[Row]:
     """20 Hz clock frames at random phase against 1 ms USB frames."""
     for seconds in (75.0, 600.0):
-        found = []
+        results = []
         for skew in (0.5e-6, 5e-6, 50e-6):
             for seed in range(3 if quick else 10):
                 rng = np.random.default_rng([seed, int(seconds), round(skew * 1e7)])
                 true_s = sim.random_instants(seconds, 20.0, rng)
                 ticks = sim.raw_ticks(sim.device_clock(true_s, rng, skew, 1e-8))
                 clock = map_clock(ticks, sim.usb_arrivals(true_s, rng), sim.TICK_HZ, 32)
-                found.append(wander(clock.time_s, true_s)[0])
-        rms = float(np.sqrt(np.mean(np.square(found))))
+                results.append(wander(clock.time_s, true_s)[0])
+        rms = float(np.sqrt(np.mean(np.square(results))))
         yield (
             f"USB 1 ms, random clock frames, 0.5 to 50 ppm, {seconds:.0f} s",
             "<= 10 us",
-            f"{rms:.1f} us rms of {len(found)} runs, the worst {max(found):.1f}",
+            f"{rms:.1f} us rms of {len(results)} runs, the worst {max(results):.1f}",
             rms <= 10.0,
         )
 
@@ -149,7 +149,7 @@ def faults(quick: bool) -> Iterator[Row]:
         for seed in range(trials):
             trial = sim.fault_trial(fault, seed)
             clock = unwrap_ticks(trial.ticks, trial.host_s, sim.TICK_HZ, 32, trial.sequence)
-            begins = tuple(found.index for found in clock.faults)
+            begins = tuple(fault.index for fault in clock.faults)
             bad = sim.is_misclassified(trial, begins, clock.steps, np.flatnonzero(clock.late_mask))
             bad |= clock.wraps != trial.wraps
             wrong += bad and bool(trial.segment_starts)

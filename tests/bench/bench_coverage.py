@@ -33,7 +33,7 @@ Rows = list[dict[str, Any]]
 ALL_RUNS, TOLD_EVERY, CHUNK = 200, 20, 4
 
 
-def one(job: tuple[str, int]) -> dict[str, Any]:
+def run_job(job: tuple[str, int]) -> dict[str, Any]:
     """Return one run, or why there is none."""
     program, seed = job
     try:
@@ -42,11 +42,13 @@ def one(job: tuple[str, int]) -> dict[str, Any]:
         return {"seed": seed, "failed": str(error)}
 
 
-def collect(program: str, runs: int, kept: Rows, pool: ProcessPoolExecutor) -> Iterator[Rows]:
+def collect(
+    program: str, runs: int, earlier_rows: Rows, pool: ProcessPoolExecutor
+) -> Iterator[Rows]:
     """Yield the runs of a program so far; progress goes to stderr."""
-    begun, rows = time.monotonic(), kept[:runs]
+    begun, rows = time.monotonic(), earlier_rows[:runs]
     jobs = [(program, seed) for seed in range(len(rows), runs)]
-    for row in pool.map(one, jobs, chunksize=CHUNK):
+    for row in pool.map(run_job, jobs, chunksize=CHUNK):
         rows.append(row)
         if len(rows) % TOLD_EVERY == 0 or len(rows) == runs:
             took_s = time.monotonic() - begun
@@ -65,17 +67,17 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="write the figures; for the page: coverage.json")
     parser.add_argument("--keep", type=Path, help="keep every run there, and begin with those")
     asked = parser.parse_args()
-    kept: dict[str, Rows] = {}
+    earlier_rows: dict[str, Rows] = {}
     if asked.keep and asked.keep.exists():
-        kept = json.loads(asked.keep.read_text(encoding="utf-8"))
+        earlier_rows = json.loads(asked.keep.read_text(encoding="utf-8"))
     with ProcessPoolExecutor(asked.processes) as pool:
         for program in shipped_programs():
             if asked.program in program:
-                for rows in collect(program, asked.runs, kept.get(program, []), pool):
-                    kept[program] = rows
+                for rows in collect(program, asked.runs, earlier_rows.get(program, []), pool):
+                    earlier_rows[program] = rows
                     if asked.keep:
-                        asked.keep.write_text(json.dumps(kept) + "\n", encoding="utf-8")
-    results = {program: summarise_program(rows) for program, rows in kept.items()}
+                        asked.keep.write_text(json.dumps(earlier_rows) + "\n", encoding="utf-8")
+    results = {program: summarise_program(rows) for program, rows in earlier_rows.items()}
     if asked.out:
         asked.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     judged = list(coverage_rows(results))

@@ -74,7 +74,7 @@ def rig_document(load: boards.Load) -> dict[str, Any]:
 
 def program_document(seconds: float) -> dict[str, Any]:
     """Return a motion that goes on for about so long."""
-    there = [
+    outward = [
         {"move": {"pan_deg": 100.0, "tilt_deg": 20.0, "speed_deg_s": 60.0}},
         {"move": {"pan_deg": -100.0, "tilt_deg": -40.0, "speed_deg_s": 60.0}},
     ]
@@ -82,7 +82,7 @@ def program_document(seconds: float) -> dict[str, Any]:
     return {
         "schema": "gyrorig/program/1",
         "name": "load",
-        "steps": [{"repeat": {"times": times, "steps": there}}],
+        "steps": [{"repeat": {"times": times, "steps": outward}}],
     }
 
 
@@ -167,29 +167,29 @@ def record(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
         taken = load.stop()
     if process.returncode:
         raise SystemExit(f"gyrorigd record failed: {err.strip()[-500:]}")
-    told = tell(Path(out.strip().splitlines()[-1]))
-    late_ms = np.concatenate([board.late_ms for board in told.boards])
+    figures = tell(Path(out.strip().splitlines()[-1]))
+    late_ms = np.concatenate([board.late_ms for board in figures.boards])
     result: dict[str, Any] = {
-        "seconds": told.seconds,
-        "samples": sum(board.samples for board in told.boards),
-        "samples_hz": sum(board.samples for board in told.boards) / told.seconds,
-        "positions_hz": told.positions / told.seconds,
-        "missing": sum(board.missing for board in told.boards),
-        "unordered": sum(board.unordered for board in told.boards),
+        "seconds": figures.seconds,
+        "samples": sum(board.samples for board in figures.boards),
+        "samples_hz": sum(board.samples for board in figures.boards) / figures.seconds,
+        "positions_hz": figures.positions / figures.seconds,
+        "missing": sum(board.missing for board in figures.boards),
+        "unordered": sum(board.unordered for board in figures.boards),
         "dropped_by_boards": sum(board.dropped for board in taken.values()),
         "lost_before_sending": sum(board.lost for board in taken.values()),
-        "boards_with_loss": [board.board for board in told.boards if board.missing],
+        "boards_with_loss": [board.board for board in figures.boards if board.missing],
         "late_ms": quantiles(late_ms),
         "late_ms_serial": quantiles(
-            np.concatenate([b.late_ms for b in told.boards if b.link == "serial"])
+            np.concatenate([b.late_ms for b in figures.boards if b.link == "serial"])
         ),
         "late_ms_can": quantiles(
-            np.concatenate([b.late_ms for b in told.boards if b.link == "can"])
+            np.concatenate([b.late_ms for b in figures.boards if b.link == "can"])
         ),
         "late_ms_of_the_load": dict(
             zip(("p50", "p99", "max"), (us / 1000.0 for us in load.late_us), strict=True)
         ),
-        "bytes_s": told.size / told.seconds,
+        "bytes_s": figures.size / figures.seconds,
         "processes": {},
     }
     for seen in watcher.seen.values():

@@ -131,20 +131,20 @@ def measure(tree: Path, words: Sequence[str], warm_up: Path, turns: int) -> dict
         warm_up: recording that the same command reads first.
         turns: how often the command runs; the least time counts.
     """
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("GYRORIG_", "PYTHON"))}
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("GYRORIG_", "PYTHON"))}
     path = os.pathsep.join(str(tree / package) for package in PACKAGES)
     fixed = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     commands = [[words[0], str(warm_up)], *[list(words)] * turns]
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", PROBE, json.dumps(commands)],
-        env={**kept, **fixed, "PYTHONPATH": path},
+        env={**environment, **fixed, "PYTHONPATH": path},
         capture_output=True,
         text=True,
         check=False,
     )
-    measured = [line for line in done.stdout.splitlines() if line.startswith(MARK)]
-    if done.returncode or not measured:
-        raise RuntimeError(done.stderr)
+    measured = [line for line in process.stdout.splitlines() if line.startswith(MARK)]
+    if process.returncode or not measured:
+        raise RuntimeError(process.stderr)
     figures: dict[str, float] = json.loads(measured[0].removeprefix(MARK))
     return figures
 
@@ -162,9 +162,9 @@ def measured_case(case: Case, tree: Path, recording: Path, warm_up: Path, turns:
         for command in commands_of(case, tree)
     }
     return {
-        **{f"{command}_s": one["seconds"] for command, one in each.items()},
-        "total_s": sum(one["seconds"] for one in each.values()),
-        "peak_mb": max(one["peak_mb"] for one in each.values()),
+        **{f"{command}_s": run["seconds"] for command, run in each.items()},
+        "total_s": sum(run["seconds"] for run in each.values()),
+        "peak_mb": max(run["peak_mb"] for run in each.values()),
     }
 
 
@@ -205,9 +205,11 @@ def main() -> int:
                     which: measured_case(case, tree, path, warm_up, asked.turns)
                     for which, tree in trees.items()
                 }
-                one = figures[name]["this"]
-                missed |= one["total_s"] > case.wanted_s or one["peak_mb"] > case.wanted_mb
-                print(line_of(name, case, one, figures[name].get("other")), flush=True)  # noqa: T201
+                measured = figures[name]["this"]
+                missed |= (
+                    measured["total_s"] > case.wanted_s or measured["peak_mb"] > case.wanted_mb
+                )
+                print(line_of(name, case, measured, figures[name].get("other")), flush=True)  # noqa: T201
     if asked.out:
         asked.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     return int(missed)

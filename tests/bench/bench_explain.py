@@ -48,13 +48,13 @@ def whole(path: Path, turns: int) -> dict[str, float]:
     """Run the command so many times; return its least wall and processor time."""
     command = [sys.executable, "-m", "gyrorig_solver", "explain", str(path)]
     # As installed: compiled once.
-    own = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     wall, spent = [], []
     with tempfile.TemporaryDirectory() as out:
         for _ in range(turns):
             before, begin = os.times(), time.monotonic()
-            done = subprocess.run(
-                [*command, "--out", out], capture_output=True, check=False, env=own
+            process = subprocess.run(
+                [*command, "--out", out], capture_output=True, check=False, env=environment
             )
             wall.append(time.monotonic() - begin)
             after = os.times()
@@ -64,8 +64,8 @@ def whole(path: Path, turns: int) -> dict[str, float]:
                 - before.children_user
                 - before.children_system
             )
-            if done.returncode not in (0, 4):
-                raise RuntimeError(done.stderr.decode())
+            if process.returncode not in (0, 4):
+                raise RuntimeError(process.stderr.decode())
     return {"wall_s": min(wall), "processor_s": min(spent)}
 
 
@@ -103,8 +103,8 @@ def steps(path: Path) -> tuple[dict[str, float], list[str]]:
             explanation = explain_board.explain_board([recording], board)
             written = explain_board.write_explanation(Path(out), explanation)
     finally:
-        for module, name, own in before:
-            setattr(module, name, own)
+        for module, name, original in before:
+            setattr(module, name, original)
     total = time.process_time() - begin
     spent["all else"] = total - sum(spent.values())
     return spent, [cause.cause for cause in written.document.causes]
@@ -119,13 +119,13 @@ def measured(program: str, hide: tuple[str, ...], turns: int) -> dict[str, Any]:
         return {"hidden": len(hide), **whole(path, turns), "steps_s": spent, "named": named}
 
 
-def shown(name: str, bar_s: float, one: dict[str, Any]) -> str:
+def shown(name: str, bar_s: float, case: dict[str, Any]) -> str:
     """One run's figures as lines."""
-    missed = "" if one["wall_s"] < bar_s else f"  MISSED the bar of {bar_s:.0f} s"
-    each = ", ".join(f"{step} {1e3 * spent:.0f}" for step, spent in one["steps_s"].items())
+    missed = "" if case["wall_s"] < bar_s else f"  MISSED the bar of {bar_s:.0f} s"
+    each = ", ".join(f"{step} {1e3 * spent:.0f}" for step, spent in case["steps_s"].items())
     return (
-        f"{name:<14} wall {one['wall_s']:6.2f} s, processor {one['processor_s']:6.2f} s{missed}\n"
-        f"  in process, ms: {each}\n  named: {', '.join(one['named']) or 'nothing'}"
+        f"{name:<14} wall {case['wall_s']:6.2f} s, processor {case['processor_s']:6.2f} s{missed}\n"
+        f"  in process, ms: {each}\n  named: {', '.join(case['named']) or 'nothing'}"
     )
 
 

@@ -149,18 +149,18 @@ def throughput(work: Path, boards: int) -> None:
     for kind, spool in spools(work, boards).items():
         for engine, run in ENGINES.items():
             for workers in (1, 2):
-                found = run(spool, workers)
+                result = run(spool, workers)
                 solved = sum(
                     json.loads(line)["ended"].get("ok", 0)
-                    for line in found.out.splitlines()
+                    for line in result.out.splitlines()
                     if '"ended"' in line
                 )
                 if solved != boards:
-                    raise SystemExit(f"{solved} of {boards} solved by {engine}: {found.err}")
-                each_s = found.cpu_s / boards
+                    raise SystemExit(f"{solved} of {boards} solved by {engine}: {result.err}")
+                each_s = result.cpu_s / boards
                 say(
-                    f"| {kind} | {engine} | {workers} | {found.wall_s:.1f} | {each_s:.2f} "
-                    f"| {3600 / each_s:.0f} | {found.worker_mb:.0f} |"
+                    f"| {kind} | {engine} | {workers} | {result.wall_s:.1f} | {each_s:.2f} "
+                    f"| {3600 / each_s:.0f} | {result.worker_mb:.0f} |"
                 )
 
 
@@ -176,10 +176,10 @@ def overhead(tasks: int) -> None:
             for number in range(count):
                 (spool / f"{number}.mcap").write_bytes(b"foreign %d" % number)
         for engine in ("pool", "dask"):
-            one, all_of = (ENGINES[engine](spool, 1) for spool in (few, many))
-            cpu_ms = (all_of.cpu_s - one.cpu_s) / (tasks - 1) * 1e3
-            wall_ms = (all_of.wall_s - one.wall_s) / (tasks - 1) * 1e3
-            say(f"| {engine} | {cpu_ms:.1f} | {wall_ms:.1f} | {one.cpu_s:.1f} |")
+            small, all_of = (ENGINES[engine](spool, 1) for spool in (few, many))
+            cpu_ms = (all_of.cpu_s - small.cpu_s) / (tasks - 1) * 1e3
+            wall_ms = (all_of.wall_s - small.wall_s) / (tasks - 1) * 1e3
+            say(f"| {engine} | {cpu_ms:.1f} | {wall_ms:.1f} | {small.cpu_s:.1f} |")
 
 
 def growth(work: Path, boards: int) -> None:
@@ -202,11 +202,11 @@ def growth(work: Path, boards: int) -> None:
 def one_document(work: Path, boards: int) -> tuple[str, bytes]:
     """Return a real calibration of board B000000 and its report."""
     spool = spools(work, boards)["75 s at 800 Hz"]
-    one = work / "one"
-    if not one.exists():
-        one.mkdir()
-        shutil.copy(min(spool.glob("*.mcap")), one)
-        subprocess.run(batch(one, work / "one-store"), check=True, capture_output=True)
+    folder = work / "one"
+    if not folder.exists():
+        folder.mkdir()
+        shutil.copy(min(spool.glob("*.mcap")), folder)
+        subprocess.run(batch(folder, work / "one-store"), check=True, capture_output=True)
     version = CalibrationStore(work / "one-store").versions(BoardId("B000000"))[0]
     report = version.path.with_suffix(".report.html").read_bytes()
     return version.path.read_text(encoding="utf-8"), report
@@ -255,15 +255,18 @@ def peer(work: Path, boards: int) -> None:
         theirs = measured([sys.executable, str(PEER), str(spool)])
         if theirs.code:
             raise SystemExit(theirs.err)
-        told = [json.loads(line) for line in theirs.out.splitlines()]
-        each, reading = (sum(one[key] for one in told) / boards for key in ("cpu_s", "read_s"))
+        peer_rows = [json.loads(line) for line in theirs.out.splitlines()]
+        each, reading = (sum(row[key] for row in peer_rows) / boards for key in ("cpu_s", "read_s"))
         with tempfile.TemporaryDirectory() as folder:
             store = Path(folder) / "s"
             subprocess.run(batch(spool, store, "--workers", "1"), check=True, capture_output=True)
             ((mine,),) = StoreIndex(store).query("SELECT avg(seconds) FROM rows")
         paths = sorted(spool.glob("*.mcap"))
-        own = sum(timed(partial(read_recording, path)) for path in paths) / boards
-        say(f"| {kind} | {each:.2f} | {reading:.2f} | {mine:.2f} | {own:.3f} | {each / mine:.1f} |")
+        reading_s = sum(timed(partial(read_recording, path)) for path in paths) / boards
+        say(
+            f"| {kind} | {each:.2f} | {reading:.2f} | {mine:.2f} | {reading_s:.3f} "
+            f"| {each / mine:.1f} |"
+        )
 
 
 def main() -> int:

@@ -87,14 +87,15 @@ def made(folder: Path, plan: FleetPlan) -> tuple[Path, dict[str, float]]:
     store = folder / "store"
     table = write_fleet(store, plan)
     begun_s = time.process_time()
-    found = build_overview(store, read_origins(table))
+    overview = build_overview(store, read_origins(table))
     asked_s = time.process_time()
-    page = Path(write_fleet_page(store, found))
+    page = Path(write_fleet_page(store, overview))
     return page, {
         "overview, s of CPU": asked_s - begun_s,
         "page, s of CPU": time.process_time() - asked_s,
         "data.js, MB": (page.parent / "data.js").stat().st_size / 1e6,
-        "histories, MB": sum(one.stat().st_size for one in page.parent.glob("history/*.js")) / 1e6,
+        "histories, MB": sum(script.stat().st_size for script in page.parent.glob("history/*.js"))
+        / 1e6,
     }
 
 
@@ -105,14 +106,14 @@ def measured(browser: Any, page: Path) -> dict[str, float]:
     ready = "return document.body.dataset.ready === 'yes'"
     while not browser.execute_script(ready):
         time.sleep(0.02)  # between looks
-    found = {"load, ms": float(browser.execute_script("return performance.now()"))}
+    figures = {"load, ms": float(browser.execute_script("return performance.now()"))}
     for name, script in STEPS.items():
-        found[f"{name}, ms"] = min(
+        figures[f"{name}, ms"] = min(
             float(browser.execute_async_script(_TIMED % script)) for _ in range(3)
         )
-    found["open a board, ms"] = float(browser.execute_async_script(OPEN_BOARD))
-    found["open a rig, ms"] = float(browser.execute_async_script(OPEN_GROUP))
-    return found
+    figures["open a board, ms"] = float(browser.execute_async_script(OPEN_BOARD))
+    figures["open a rig, ms"] = float(browser.execute_async_script(OPEN_GROUP))
+    return figures
 
 
 def pictures(browser: Any, page: Path, folder: Path) -> None:
@@ -147,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--boards", type=int, default=100_000, help="0: measure nothing")
     parser.add_argument("--pictures", type=Path, help="put pictures of another, small fleet there")
-    told = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
         browser = chromium(folder / "profile")
@@ -156,13 +157,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         try:
             figures: dict[str, float] = {}
-            if told.boards:
-                page, figures = made(folder, timed_fleet(told.boards))
+            if options.boards:
+                page, figures = made(folder, timed_fleet(options.boards))
                 figures |= measured(browser, page)
-            if told.pictures is not None:
-                pictures(browser, made(folder / "pictured", PICTURED)[0], told.pictures)
+            if options.pictures is not None:
+                pictures(browser, made(folder / "pictured", PICTURED)[0], options.pictures)
             complaints = [
-                one for one in browser.get_log("browser") if one["level"] in ("SEVERE", "WARNING")
+                entry
+                for entry in browser.get_log("browser")
+                if entry["level"] in ("SEVERE", "WARNING")
             ]
         finally:
             browser.quit()

@@ -106,13 +106,13 @@ class Fleet:
     def __init__(self, plan: FleetPlan) -> None:
         self.plan = plan
         rng = np.random.default_rng(plan.seed)
-        kept, self.temperature = rooms_of(plan, rng)
+        measured, self.temperature = rooms_of(plan, rng)
         self.value: dict[str, np.ndarray] = {}
         self.variance: dict[str, np.ndarray] = {}
         for name in PARAMETER_COLUMNS:
             value, std = column_of(plan, name, rng, self.temperature)
-            self.value[name] = np.where(kept, value, np.nan)
-            self.variance[name] = np.where(kept, std**2, np.nan)
+            self.value[name] = np.where(measured, value, np.nan)
+            self.variance[name] = np.where(measured, std**2, np.nan)
         board = np.arange(plan.boards)
         groups = {"rig": board % plan.rigs, "lot": board % plan.lots, "fleet": board * 0}
         self.groups = groups
@@ -132,8 +132,8 @@ class Fleet:
         board = np.arange(self.plan.boards)
         last = {}
         for name in PARAMETER_COLUMNS:
-            there = np.isfinite(self.value[name][: night + 1])
-            last[name] = night - np.argmax(there[::-1], axis=0)
+            is_known = np.isfinite(self.value[name][: night + 1])
+            last[name] = night - np.argmax(is_known[::-1], axis=0)
         none = [""] * len(board)
         return LatestCalibrations(
             board=[str(n) for n in board],
@@ -162,15 +162,18 @@ def ours(fleet: Fleet, kind: str) -> Told:
     for night in range(BEGIN, NIGHTS):
         charts = [ewma_chart(fleet.nights(name, night)) for name in PARAMETER_COLUMNS]
         moved = detect_drift(charts, fleet.groupings)
-        told = [(one.kind, one.group, one.parameter) for one in moved.group_shifts]
+        alerts = [
+            (group_shift.kind, group_shift.group, group_shift.parameter)
+            for group_shift in moved.group_shifts
+        ]
         _, constants, differing = compare_groups(fleet.newest(night))
-        common = [one.result.parameter for one in constants if one.result.is_common]
-        told += [("constant", "all", name) for name in common]
-        told += [(k, one.extreme_group, one.parameter) for _, k, one in differing]
+        common = [constant.result.parameter for constant in constants if constant.result.is_common]
+        alerts += [("constant", "all", name) for name in common]
+        alerts += [(k, test.extreme_group, test.parameter) for _, k, test in differing]
         right = hidden_in(fleet.plan, kind)
-        if right in told and delay is None:
+        if right in alerts and delay is None:
             delay = night - BEGIN + 1
-        wrong += sum(one != right for one in told)
+        wrong += sum(alert != right for alert in alerts)
         board_nights += int(moved.drifting.sum())
     return Told(delay, wrong, board_nights)
 
@@ -196,8 +199,8 @@ def usual(fleet: Fleet, kind: str, limit: float) -> Told:
                 else:
                     wrong += 1
     for night in range(BEGIN, NIGHTS):
-        for told in _of_newest(fleet.newest(night), limit):
-            if told == right:
+        for alert in _of_newest(fleet.newest(night), limit):
+            if alert == right:
                 delay = min(delay or NIGHTS, night - BEGIN + 1)
             else:
                 wrong += 1
@@ -239,7 +242,7 @@ def cases(fleets: int, first_seed: int) -> Iterator[Case]:
         sizes = KINDS[kind]
         size = sizes[number // len(kinds) % len(sizes)]
         fleet = Fleet(plan_of(first_seed + number, kind, size))
-        tests = len(PARAMETER_COLUMNS) * sum(len(one.names) for one in fleet.groupings)
+        tests = len(PARAMETER_COLUMNS) * sum(len(grouping.names) for grouping in fleet.groupings)
         same = float(-ndtri(0.5 * GROUP_FALSE_ALARM_RATE / tests))
         yield Case(
             kind, size, ours(fleet, kind), usual(fleet, kind, LIMIT), usual(fleet, kind, same)
@@ -261,22 +264,24 @@ def raised(boards: int, asked: int, seed: int) -> dict[str, float]:
         slope_spread=SLOPE_SPREAD,
     )
     rng = np.random.default_rng(seed)
-    kept, temperature = rooms_of(plan, rng)
+    measured, temperature = rooms_of(plan, rng)
     board = np.arange(boards)
     groupings = [
         Grouping.by_name(kind, [f"{kind}-{n:05d}" for n in of])
         for kind, of in (("rig", board % 64), ("lot", board % 20), ("fleet", board * 0))
     ]
-    tests = len(PARAMETER_COLUMNS) * sum(len(one.names) for one in groupings)
+    tests = len(PARAMETER_COLUMNS) * sum(len(grouping.names) for grouping in groupings)
     p = np.full((asked, boards, len(PARAMETER_COLUMNS)), np.nan, dtype=np.float32)
     groups = usual_boards = usual_groups = 0
     for at, name in enumerate(PARAMETER_COLUMNS):
         value, std = column_of(plan, name, rng, temperature)
-        value[~kept] = np.nan
+        value[~measured] = np.nan
         for night in range(asked):
             upto = slice(0, 12 + night + 1)
-            one = ewma_chart(ParameterHistory(name, value[upto], std[upto] ** 2, temperature[upto]))
-            moves, left = shifted_groups(one, groupings, tests)
+            chart = ewma_chart(
+                ParameterHistory(name, value[upto], std[upto] ** 2, temperature[upto])
+            )
+            moves, left = shifted_groups(chart, groupings, tests)
             groups += len(moves)
             p[night, :, at] = board_p_values([left])[:, 0]
         usual_boards += int(beyond(value)[12:].sum())
@@ -285,18 +290,18 @@ def raised(boards: int, asked: int, seed: int) -> dict[str, float]:
             usual_groups += int(beyond(means)[12:].sum())
         sys.stderr.write(f"\r{name:<24}")
     sys.stderr.write("\n")
-    told = [int(benjamini_hochberg(night.astype(np.float64)).sum()) for night in p]
+    alarms = [int(benjamini_hochberg(night.astype(np.float64)).sum()) for night in p]
     return {
         "boards": boards,
         "nights": asked,
-        "ours_boards_a_night": float(np.mean(told)),
+        "ours_boards_a_night": float(np.mean(alarms)),
         "ours_groups_a_night": groups / asked,
         "usual_boards_a_night": usual_boards / asked,
         "usual_groups_a_night": usual_groups / asked,
     }
 
 
-def table(found: Sequence[Case]) -> list[str]:
+def table(cases: Sequence[Case]) -> list[str]:
     """Return the figures as lines of a table."""
     lines = [
         "| hidden | size | fleets | told | nights until | wrong a night | Shewhart, 3 sigma: told "
@@ -305,17 +310,17 @@ def table(found: Sequence[Case]) -> list[str]:
     ]
     for kind, sizes in KINDS.items():
         for size in sizes:
-            here = [one for one in found if one.kind == kind and one.size == size]
+            here = [case for case in cases if case.kind == kind and case.size == size]
             if not here:
                 continue
             words = [f"{len(here)}"]
             for way in ("ours", "usual", "wide"):
-                told: list[Told] = [getattr(one, way) for one in here]
-                delays = [one.delay for one in told if one.delay is not None]
+                methods: list[Told] = [getattr(case, way) for case in here]
+                delays = [method.delay for method in methods if method.delay is not None]
                 late = f"{np.median(delays):.0f}" if delays else "-"
-                share = "-" if kind == "nothing" else f"{len(delays)} of {len(told)}"
-                nights = len(told) * (NIGHTS - BEGIN)
-                words += [share, late, f"{sum(one.wrong for one in told) / nights:.3g}"]
+                share = "-" if kind == "nothing" else f"{len(delays)} of {len(methods)}"
+                nights = len(methods) * (NIGHTS - BEGIN)
+                words += [share, late, f"{sum(method.wrong for method in methods) / nights:.3g}"]
             lines.append(f"| {kind} | {size:g} | {' | '.join(words)} |")
     return lines
 
@@ -328,15 +333,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--nights", type=int, default=5, help="asked of the large fleet")
     parser.add_argument("--seed", type=int, default=4_000)
     parser.add_argument("--json", type=Path)
-    told = parser.parse_args(arguments)
-    found = list(cases(told.fleets, told.seed))
-    sys.stdout.write("\n".join(table(found)) + "\n")
-    large = raised(told.boards, told.nights, told.seed)
+    options = parser.parse_args(arguments)
+    results = list(cases(options.fleets, options.seed))
+    sys.stdout.write("\n".join(table(results)) + "\n")
+    large = raised(options.boards, options.nights, options.seed)
     sys.stdout.write(json.dumps(large, indent=1) + "\n")
-    if told.json is not None:
-        document = {"cases": [asdict(one) for one in found], "large": large}
-        told.json.write_text(json.dumps(document, indent=1))
-    quiet = [one.ours.wrong for one in found if one.kind == "nothing"]
+    if options.json is not None:
+        document = {"cases": [asdict(case) for case in results], "large": large}
+        options.json.write_text(json.dumps(document, indent=1))
+    quiet = [case.ours.wrong for case in results if case.kind == "nothing"]
     nights = max(len(quiet), 1) * (NIGHTS - BEGIN)
     return int(sum(quiet) > 3 + 0.01 * nights)
 

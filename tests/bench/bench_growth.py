@@ -84,11 +84,11 @@ def solve_here(path: Path, out: Path) -> dict[str, Any]:
     clock.watch()
     begun = time.monotonic()
     with Path(os.devnull).open("w") as nowhere:
-        said, sys.stdout = sys.stdout, nowhere
+        stdout, sys.stdout = sys.stdout, nowhere
         try:
             code = run(["solve", str(path), "--out", str(out)])
         finally:
-            sys.stdout = said
+            sys.stdout = stdout
     clock.turn()
     return {
         "exit_code": code,
@@ -109,19 +109,19 @@ def measure(seconds: float, folder: Path) -> dict[str, Any]:
         [*maker, "--seconds", str(seconds)], check=True, capture_output=True, text=True
     )
     solver = [sys.executable, str(here), "--solve", str(path), str(folder / f"{seconds:.0f}s")]
-    done = subprocess.run(solver, check=False, capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"{path.name}: {done.stderr.strip().rpartition(chr(10))[2]}")
-    found: dict[str, Any] = json.loads(done.stdout)
+    process = subprocess.run(solver, check=False, capture_output=True, text=True)
+    if process.returncode:
+        raise SystemExit(f"{path.name}: {process.stderr.strip().rpartition(chr(10))[2]}")
+    document: dict[str, Any] = json.loads(process.stdout)
     samples = int(made.stdout.split()[0])
-    found |= {
+    document |= {
         "seconds": seconds,
         "samples": samples,
         "megabytes": round(path.stat().st_size / 1e6, 1),
-        "us_per_sample": round(found["total_cpu_s"] / samples * 1e6, 3),
+        "us_per_sample": round(document["total_cpu_s"] / samples * 1e6, 3),
     }
     path.unlink()
-    return found
+    return document
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -75,11 +75,11 @@ def session(
     recording = read_recording(path)
     boards = recording.board_ids
     joint_data = load_jointly([recording], boards)
-    found = explain_unit_boards(joint_data) if hide else {}
+    explained = explain_unit_boards(joint_data) if hide else {}
     named = {
-        str(board): one.findings.fitted_terms
-        for board, one in found.items()
-        if isinstance(one, BoardExplanation)
+        str(board): explanation.findings.fitted_terms
+        for board, explanation in explained.items()
+        if isinstance(explanation, BoardExplanation)
     }
     begun_s = time.process_time()
     alone = {
@@ -113,12 +113,12 @@ def session(
 
 def _own(named: Sequence[FittedTerm]) -> list[FittedTerm]:
     """Return causes as one board knows them, not told of the others."""
-    return [replace(one, other_boards_prior=None) for one in named]
+    return [replace(cause, other_boards_prior=None) for cause in named]
 
 
 def _causes(fit: GyroFit) -> np.ndarray:
     """Return the values of the causes fitted to a board and their deviations, (values, 2)."""
-    pairs = [np.column_stack([one.value, one.std]) for one in fit.causes]
+    pairs = [np.column_stack([cause.value, cause.std]) for cause in fit.causes]
     return np.concatenate(pairs) if pairs else np.zeros((0, 2))
 
 
@@ -130,22 +130,28 @@ def _apart_s(
 ) -> float:
     """Return how far the times of boards of one bus are from each other, by the true clocks."""
     late: dict[int, list[np.ndarray]] = {}
-    first = max(float(one.time_s[0]) + one.origin_ns * 1e-9 for one in samples.values())
-    last = min(float(one.time_s[-1]) + one.origin_ns * 1e-9 for one in samples.values())
+    first = max(
+        float(board_samples.time_s[0]) + board_samples.origin_ns * 1e-9
+        for board_samples in samples.values()
+    )
+    last = min(
+        float(board_samples.time_s[-1]) + board_samples.origin_ns * 1e-9
+        for board_samples in samples.values()
+    )
     grid_s = np.linspace(first, last, 400)
-    start_ns = min(one.origin_ns for one in samples.values())
-    for board, one in samples.items():
+    start_ns = min(board_samples.origin_ns for board_samples in samples.values())
+    for board, board_samples in samples.items():
         clock = rig.boards[board].clock
-        ticks = recording.imu_columns(BoardId(one.board)).device_time.astype(np.float64)
-        ticks = np.unwrap(ticks, period=2.0**32)[-one.time_s.size :]
+        ticks = recording.imu_columns(BoardId(board_samples.board)).device_time.astype(np.float64)
+        ticks = np.unwrap(ticks, period=2.0**32)[-board_samples.time_s.size :]
         knots_ns = ORIGIN_NS + np.arange(0, end_ns - ORIGIN_NS + 100_000_000, 50_000_000)
         seconds = np.array([clock.seconds(int(at)) for at in knots_ns])
         shown = seconds * clock.truth.tick_hz + clock.truth.start_ticks
         # The counter may have wrapped before the first sample.
         ticks += 2.0**32 * np.round((shown.mean() - ticks.mean()) / 2.0**32)
         true_s = np.interp(ticks, shown, (knots_ns - ORIGIN_NS) * 1e-9)
-        error_s = one.time_s + (one.origin_ns - start_ns) * 1e-9 - true_s
-        at_s = np.interp(grid_s - one.origin_ns * 1e-9, one.time_s, error_s)
+        error_s = board_samples.time_s + (board_samples.origin_ns - start_ns) * 1e-9 - true_s
+        at_s = np.interp(grid_s - board_samples.origin_ns * 1e-9, board_samples.time_s, error_s)
         late.setdefault(_bus(board), []).append(at_s)
     squares = [(np.array(each) - np.mean(each, axis=0)) ** 2 for each in late.values()]
     return float(np.sqrt(np.mean(np.concatenate(squares))))
@@ -204,10 +210,10 @@ def _recorded(
     return path, rig, hub.now_ns()
 
 
-def said(found: Sequence[Compared]) -> list[str]:
+def result_lines(comparisons: Sequence[Compared]) -> list[str]:
     """Return the figures in words."""
-    std = np.concatenate([one.std for one in found], axis=1)
-    error = np.concatenate([one.error for one in found], axis=1)
+    std = np.concatenate([comparison.std for comparison in comparisons], axis=1)
+    error = np.concatenate([comparison.error for comparison in comparisons], axis=1)
     z = error / std
     lines = []
     for group in GROUPS:
@@ -222,26 +228,30 @@ def said(found: Sequence[Compared]) -> list[str]:
             f"  {name}: {inside:.1%} of {z[way].size} values inside their 95 % interval, rms "
             f"{np.sqrt(np.mean(z[way] ** 2)):.3f} deviations"
         )
-    us = np.sqrt(np.mean(np.square([one.apart_s for one in found]), axis=0)) * 1e6
+    us = (
+        np.sqrt(np.mean(np.square([comparison.apart_s for comparison in comparisons]), axis=0))
+        * 1e6
+    )
     lines.append(f"  times of a bus' boards apart by {us[0]:.2f} us alone, {us[1]:.2f} us together")
-    lines += _said_of_cause(found)
-    cpu = np.sum([one.cpu_s for one in found], axis=0) / len(found)
+    lines += _said_of_cause(comparisons)
+    cpu = np.sum([comparison.cpu_s for comparison in comparisons], axis=0) / len(comparisons)
     lines.append(
-        f"  {cpu[0]:.2f} s of CPU alone, {cpu[1]:.2f} s together, {found[0].std.shape[1]} boards; "
-        f"took part: {', '.join(str(one.together) for one in found)}"
+        f"  {cpu[0]:.2f} s of CPU alone, {cpu[1]:.2f} s together, "
+        f"{comparisons[0].std.shape[1]} boards; "
+        f"took part: {', '.join(str(comparison.together) for comparison in comparisons)}"
     )
     return lines
 
 
-def _said_of_cause(found: Sequence[Compared]) -> list[str]:
+def _said_of_cause(comparisons: Sequence[Compared]) -> list[str]:
     """Return how well the hidden cause's sizes are known, where all sessions named the same."""
-    sizes = {one.cause.shape for one in found}
-    if len(sizes) != 1 or not found[0].cause.shape[-1]:
+    sizes = {comparison.cause.shape for comparison in comparisons}
+    if len(sizes) != 1 or not comparisons[0].cause.shape[-1]:
         return []
     lines = []
     for way, name in enumerate(("alone", "together")):
-        values = np.array([one.cause[way] for one in found])
-        std = np.array([one.cause_std[way] for one in found])
+        values = np.array([comparison.cause[way] for comparison in comparisons])
+        std = np.array([comparison.cause_std[way] for comparison in comparisons])
         apart = np.ptp(values, axis=1).mean(axis=0)
         lines.append(
             f"  the cause, {name}: {np.round(values.mean(axis=(0, 1)), 6)}, deviation "
@@ -258,19 +268,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--cause", default="", help="hidden in the unit, as `emulate --hide` has it"
     )
-    told = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     worse = False
     for name, (baud, command_time_ms) in UNITS.items():
-        found = []
-        for n in range(told.sessions):
+        comparisons = []
+        for n in range(options.sessions):
             with tempfile.TemporaryDirectory() as folder:
-                found.append(session(
-                    told.seed + n, baud, command_time_ms, Path(folder),
-                    [told.cause] if told.cause else [],
+                comparisons.append(session(
+                    options.seed + n, baud, command_time_ms, Path(folder),
+                    [options.cause] if options.cause else [],
                 ))  # fmt: skip
-        sys.stdout.write(f"{name}, {len(found)} sessions\n" + "\n".join(said(found)) + "\n")
+        sys.stdout.write(
+            f"{name}, {len(comparisons)} sessions\n" + "\n".join(result_lines(comparisons)) + "\n"
+        )
         sys.stdout.flush()
-        std = np.concatenate([one.std for one in found], axis=1)
+        std = np.concatenate([comparison.std for comparison in comparisons], axis=1)
         worse |= bool(np.mean(std[1] / std[0]) > 1.02)
     return int(worse)
 

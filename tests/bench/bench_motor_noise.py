@@ -72,10 +72,10 @@ def main() -> int:
                 rows = list(
                     pool.map(partial(run_without_bound, case), range(asked.runs), chunksize=8)
                 )
-                found = {"reference": reference, "motor_noise": words, **summarise(rows)}
-                cases.append(found)
-                missed += not COVER_95[0] <= found["cover_95"]["value"] <= COVER_95[1]
-                print(json.dumps(found), flush=True)  # noqa: T201
+                result = {"reference": reference, "motor_noise": words, **summarise(rows)}
+                cases.append(result)
+                missed += not COVER_95[0] <= result["cover_95"]["value"] <= COVER_95[1]
+                print(json.dumps(result), flush=True)  # noqa: T201
                 if asked.out is not None:
                     text = json.dumps({"cases": cases}, indent=1)
                     asked.out.write_text(f"{text}\n", encoding="utf-8")

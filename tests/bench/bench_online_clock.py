@@ -67,8 +67,8 @@ def true_ns(clock: DeviceClock, stamps: IntArray, arrival_ns: IntArray, bits: in
     shown_at_arrival = np.interp(arrival_ns, grid_ns, shown)
     wraps = np.round((shown_at_arrival - stamps) / 2.0**bits)
     ticks = stamps + wraps * 2.0**bits
-    found: FloatArray = np.interp(ticks, shown, grid_ns.astype(np.float64))
-    return found
+    mapped_ns: FloatArray = np.interp(ticks, shown, grid_ns.astype(np.float64))
+    return mapped_ns
 
 
 def row(name: str, errors_us: FloatArray, arrival_us: FloatArray) -> str:
@@ -101,7 +101,7 @@ def main() -> None:
     given = arguments.parse_args()
     print(f"{'us':34} {'bias':>9} {'wander':>8} {'p99':>8} {'max':>8} {'arrival':>10} {'rms':>9}")  # noqa: T201
     for odr, baud, ptu_baud in ((100, 460800, 115200), (100, 115200, 9600), (800, 460800, 115200)):
-        found: dict[str, list[list[FloatArray]]] = {"board": [], "unit": []}
+        errors_by_device: dict[str, list[list[FloatArray]]] = {"board": [], "unit": []}
         for seed in range(given.seeds):
             text = RIG.format(
                 odr=odr, bandwidth=50 if odr == 800 else 25, baud=baud, ptu_baud=ptu_baud, seed=seed
@@ -109,11 +109,13 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 path, rig = record(parse_rig(text, "bench"), given.seconds, Path(folder))
                 board = rig.boards["B"].clock
-                found["board"].append(errors(path, rig, imu_raw_topic(BoardId("B")), board))
+                errors_by_device["board"].append(
+                    errors(path, rig, imu_raw_topic(BoardId("B")), board)
+                )
                 if rig.ptu is not None:
                     unit = rig.ptu.unit.clock
-                    found["unit"].append(errors(path, rig, PTU_POSITION_TOPIC, unit))
-        for name, seeds in found.items():
+                    errors_by_device["unit"].append(errors(path, rig, PTU_POSITION_TOPIC, unit))
+        for name, seeds in errors_by_device.items():
             rate = f"{odr} Hz {baud}" if name == "board" else f"BT {ptu_baud}"
             label = f"{name} {rate}, {given.seeds} seeds"
             joined = [np.concatenate([each[at] for each in seeds]) for at in (0, 1)]

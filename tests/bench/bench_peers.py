@@ -63,17 +63,17 @@ def others() -> None:
         say(f"\nleft out, measured recordings: {missing}")
         return
     with tempfile.TemporaryDirectory() as folder:
-        found = measured.imported(data, Path(folder))
+        rows = measured.imported(data, Path(folder))
         say("\nMotion capture (BROAD): each method is fitted to one trial and tested on another")
         say("trial of the same sensor unit. The head gives fitted → tested trial, the cells the")
         say("rms rotation error of windows of 1 s.\n")
-        say(measured.motion_capture(found))
+        say(measured.motion_capture(rows))
         say("\nGravity (imu_tk_xsens): a fit to one half of the moves is tested on the other half,")
         say('except in rows with "all moves".\n')
-        say(measured.gravity(found))
+        say(measured.gravity(rows))
         if turns.imucal_installed():
             say("\nTurns by hand (imucal_ferraris): our solver compared with imucal.\n")
-            say(measured.hand_turns(found))
+            say(measured.hand_turns(rows))
 
 
 def main() -> int:
@@ -83,11 +83,11 @@ def main() -> int:
     parser.add_argument("--repeat", type=int, default=7, help="of each time; the median counts")
     asked = parser.parse_args()
     begun = time.monotonic()
-    for name, there in (
+    for name, is_installed in (
         (factor_graph.PACKAGE, factor_graph.installed()),
         ("imucal", turns.imucal_installed()),
     ):
-        if not there:
+        if not is_installed:
             say(f"left out, {name} is not installed here: pip install {name}")
     simulated(asked.seeds)
     others()

@@ -85,23 +85,23 @@ def floor(path: Path) -> int:
     """Unpack and check the chunks, and nothing else."""
     data = memoryview(path.read_bytes())
     unpacker = zstandard.ZstdDecompressor()
-    done = 0
+    count = 0
     for chunk in scan_records(data, read_summary(data)).chunks:
         content = unpacker.decompress(data[chunk.data_start : chunk.data_end])
         if zlib.crc32(content) != chunk.crc:
             raise SystemExit("a wrong checksum")
-        done += chunk.indexed_messages or 0
-    return done
+        count += chunk.indexed_messages or 0
+    return count
 
 
 def stock(path: Path) -> int:
     """Decode every message with the stock reader."""
-    done = 0
+    count = 0
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for _ in reader.iter_decoded_messages(log_time_order=False):
-            done += 1
-    return done
+            count += 1
+    return count
 
 
 def clock(read: Callable[[Path], int], path: Path, repeat: int, expected: int) -> float:
@@ -109,10 +109,10 @@ def clock(read: Callable[[Path], int], path: Path, repeat: int, expected: int) -
     best = float("inf")
     for _ in range(repeat):
         begin = time.process_time()
-        found = read(path)
+        result = read(path)
         best = min(best, time.process_time() - begin)
-        if found != expected:
-            raise SystemExit(f"{read.__name__} found {found} messages, not {expected}")
+        if result != expected:
+            raise SystemExit(f"{read.__name__} found {result} messages, not {expected}")
     return best
 
 

@@ -45,7 +45,7 @@ class TrialOptions:
     options: tuple[str, ...]
 
 
-def one(seed: int, asked: TrialOptions) -> dict[str, Any]:
+def run_seed(seed: int, asked: TrialOptions) -> dict[str, Any]:
     """Return the row of one seed; a fault of the program is a row, too."""
     solver = (
         solve_in_process(asked.options)
@@ -79,9 +79,9 @@ def new_rows(seeds: list[int], asked: TrialOptions, jobs: int) -> Iterator[dict[
     with ProcessPoolExecutor(
         jobs, initializer=limit_memory, max_tasks_per_child=RIGS_PER_PROCESS
     ) as pool:
-        waiting = [pool.submit(one, seed, asked) for seed in seeds]
-        for done in as_completed(waiting):
-            yield done.result()
+        waiting = [pool.submit(run_seed, seed, asked) for seed in seeds]
+        for future in as_completed(waiting):
+            yield future.result()
 
 
 def main() -> int:
@@ -102,8 +102,8 @@ def main() -> int:
     asked = TrialOptions(given.persistent, given.program, options)
     out = given.out or Path(tempfile.mkdtemp(), "rows.jsonl")
     wanted = [given.seed * SEEDS_PER_RUN + k for k in range(given.rigs)]
-    done = {row["seed"] for row in read_rows(out)}
-    missing = [seed for seed in wanted if seed not in done]
+    finished = {row["seed"] for row in read_rows(out)}
+    missing = [seed for seed in wanted if seed not in finished]
     begun = time.monotonic()
     with out.open("a", encoding="utf-8") as file:
         for k, row in enumerate(new_rows(missing, asked, given.jobs), start=1):

@@ -66,19 +66,19 @@ def judged(what: str, store: str, boards: int, begun_s: float) -> bool:
     """Count what a store holds, say it, and return whether all is as it should be."""
     place = storage_at(store)
     index = open_index(place)
-    rows = Counter(one for (one,) in index.query("SELECT status FROM rows"))
+    rows = Counter(status for (status,) in index.query("SELECT status FROM rows"))
     keys, written = index.query("SELECT count(DISTINCT key), count(*) FROM all_rows")[0]
-    found = verify(place)
+    report = verify(place)
     whole = (
         rows == Counter(ok=boards, rejected=FOREIGN)
         and keys == boards + FOREIGN
-        and found.versions == boards
-        and not found.faults
+        and report.versions == boards
+        and not report.faults
     )
     say(
         f"| {what} | {boards + FOREIGN} | {rows['ok']} ok, {rows['rejected']} rejected"
         f"{''.join(f', {n} {status}' for status, n in rows.items() if status[0] in 'fq')} "
-        f"| {found.versions} | {written - keys} | {len(found.faults)} "
+        f"| {report.versions} | {written - keys} | {len(report.faults)} "
         f"| {time.monotonic() - begun_s:.0f} | {'held' if whole else 'NOT'} |"
     )
     return whole
@@ -88,7 +88,7 @@ def kill_batch(spool: Path, store: Path, boards: int, kills: int) -> bool:
     """Kill the batch with its workers at random moments, then let it end."""
     chance, begun_s = random.Random(1), time.monotonic()
     first = end(begin(batch(spool, store.with_name("whole"), "--workers", "2")))[0]
-    whole_s, done = float(str(first["elapsed_s"])), 0
+    whole_s, count = float(str(first["elapsed_s"])), 0
     for _ in range(kills):
         child = begin(batch(spool, store, "--workers", "2"))
         try:
@@ -96,9 +96,9 @@ def kill_batch(spool: Path, store: Path, boards: int, kills: int) -> bool:
             child.communicate()
         except subprocess.TimeoutExpired:
             kill(child)
-            done += 1
+            count += 1
     end(begin(batch(spool, store, "--workers", "2")))
-    return judged(f"batch killed {done} times", str(store), boards, begun_s)
+    return judged(f"batch killed {count} times", str(store), boards, begun_s)
 
 
 def kill_workers(spool: Path, store: Path, boards: int, kills: int) -> bool:
@@ -108,29 +108,29 @@ def kill_workers(spool: Path, store: Path, boards: int, kills: int) -> bool:
     work is done anew in another.
     """
     chance, begun_s = random.Random(2), time.monotonic()
-    done = nights = 0
+    count = nights = 0
     held = True
-    while done < kills and nights < kills:
+    while count < kills and nights < kills:
         nights += 1
-        before = done
+        before = count
         child = begin(batch(spool, store, "--workers", "2", "--retry", "quarantined"))
-        while child.poll() is None and done < kills:
+        while child.poll() is None and count < kills:
             workers = [pid for pid in below(child.pid) if _is_worker(pid)]
             if workers:
                 time.sleep(chance.uniform(0.0, 0.8))
                 try:
                     os.kill(chance.choice(workers), signal.SIGKILL)
-                    done += 1
+                    count += 1
                 except ProcessLookupError:
                     continue
             time.sleep(0.3)
         end(child)
         for _ in range(3):
             end(begin(batch(spool, store, "--workers", "2", "--retry", "quarantined")))
-        what = f"worker killed {done - before} times, {done} in all"
+        what = f"worker killed {count - before} times, {count} in all"
         held &= judged(what, str(store), boards, begun_s)
         store.rename(store.with_name(f"{store.name}-{nights}"))
-    return held and done >= kills
+    return held and count >= kills
 
 
 def _is_worker(pid: int) -> bool:
@@ -180,8 +180,8 @@ def bucket_errs(spool: Path, _store: Path, boards: int, kills: int) -> bool:
     """Run nights on an object store that refuses 5 % of all requests, some of them killed."""
     chance, begun_s = random.Random(3), time.monotonic()
     store = f"s3://{BUCKET}/store"
-    with served(errors=0.05) as environment, tempfile.TemporaryDirectory() as kept:
-        environment["XDG_CACHE_HOME"] = kept
+    with served(errors=0.05) as environment, tempfile.TemporaryDirectory() as folder:
+        environment["XDG_CACHE_HOME"] = folder
         os.environ.update(environment)
         nights = killed = 0
         for number in range(kills // 4):
@@ -195,9 +195,9 @@ def bucket_errs(spool: Path, _store: Path, boards: int, kills: int) -> bool:
                 kill(child)
                 killed += 1
         for _ in range(8):
-            told = end(begin([GYRORIG, *_words(spool, store)]))[0]
+            summary = end(begin([GYRORIG, *_words(spool, store)]))[0]
             nights += 1
-            if told and told["put_off"] == 0 and not told.get("others"):
+            if summary and summary["put_off"] == 0 and not summary.get("others"):
                 break
             time.sleep(5.0)
         for _ in range(8):

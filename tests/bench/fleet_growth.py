@@ -74,16 +74,16 @@ def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path,
 def as_measured(number: int, rng: np.random.Generator) -> dict[str, object]:
     """Return what a row of a real night holds beside its keys: no two boards have the same."""
     families = [(name, name.split("_", maxsplit=1)[0]) for name in PARAMETER_COLUMNS]
-    told = {
+    values = {
         name: float(rng.normal(1.0 if family == "scale" else 0.0, SPREAD[family]))
         for name, family in families
     }
-    told |= {
+    values |= {
         f"{name}_std": ERROR[family] * float(rng.uniform(0.7, 1.5)) for name, family in families
     }
     start = datetime(2026, 1, 1, 2, tzinfo=UTC) + timedelta(seconds=200.0 * number)
     return {
-        "parameters": told,
+        "parameters": values,
         "session": f"n{number:06d}",
         "rig": f"rig-{number % 64}",
         "uid": f"{rng.integers(1 << 62):024x}",
@@ -104,20 +104,20 @@ def as_measured(number: int, rng: np.random.Generator) -> dict[str, object]:
 def one_head(folder: Path) -> bytes:
     """Return a recording that holds its head and a note."""
     path = folder / "head.mcap"
-    own = {"session": "n000000", "rig": "r", "part": "0"}
-    own |= {"anchor_utc_ns": "1", "anchor_monotonic_raw_ns": "1"}
-    with RecordingWriter(path, {"gyrorig": own}) as writer:
+    metadata = {"session": "n000000", "rig": "r", "part": "0"}
+    metadata |= {"anchor_utc_ns": "1", "anchor_monotonic_raw_ns": "1"}
+    with RecordingWriter(path, {"gyrorig": metadata}) as writer:
         writer.write(SESSION_EVENT_TOPIC, SessionEvent(1, int(EventKind.NOTE), "", "note"))
     return path.read_bytes()
 
 
 def costs(spool: Path, store: Path, boards: int) -> str:
     """Return one line of the table of growth."""
-    found = scan_spool(spool)
+    scan = scan_spool(spool)
     list_s = timed(lambda: scan_spool(spool))
     begun_s = time.process_time()
-    with RecordingCache(store / RECORDING_CACHE_FILE, found.storage.location) as heads:
-        list(heads.remember(read_recordings(found.storage, found.recordings)))
+    with RecordingCache(store / RECORDING_CACHE_FILE, scan.storage.location) as heads:
+        list(heads.remember(read_recordings(scan.storage, scan.recordings)))
     heads_s = time.process_time() - begun_s
     resume_s = timed(lambda: resume(spool, store))
     ls_s = timed(lambda: newest_versions(store, VersionFilter(), 1000))
@@ -135,14 +135,14 @@ def costs(spool: Path, store: Path, boards: int) -> str:
 
 def resume(spool: Path, store: Path) -> None:
     """Do what a batch does before its first piece of work, where none is new."""
-    found = scan_spool(spool)
-    with RecordingCache(store / RECORDING_CACHE_FILE, found.storage.location) as heads:
-        known, unread = heads.split_known(found)
-    done = StoreIndex(store).finished_keys()
+    scan = scan_spool(spool)
+    with RecordingCache(store / RECORDING_CACHE_FILE, scan.storage.location) as heads:
+        known, unread = heads.split_known(scan)
+    finished = StoreIndex(store).finished_keys()
     settings = SolveSettings(solver_version="0.1.0")
     keys = {
-        job_key(one.digests, settings.solver_version, settings.config_sha256)
-        for one in group_into_sessions(known)
+        job_key(session.digests, settings.solver_version, settings.config_sha256)
+        for session in group_into_sessions(known)
     }
-    if unread or keys - done:
+    if unread or keys - finished:
         raise SystemExit("something is new")

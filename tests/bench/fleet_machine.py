@@ -82,10 +82,10 @@ def below(parent: int) -> list[int]:
         except OSError:
             continue
         parents[int(folder.name)] = int(fields[1])
-    found = {parent}
-    while more := {pid for pid, above in parents.items() if above in found} - found:
-        found |= more
-    return sorted(found - {parent})
+    processes = {parent}
+    while more := {pid for pid, above in parents.items() if above in processes} - processes:
+        processes |= more
+    return sorted(processes - {parent})
 
 
 def pss_mb(pid: int) -> float:

@@ -44,13 +44,13 @@ def table_of(path: Path) -> Table:
                 counts.append((time_s, x, y, z))
             elif channel.topic == "/ptu/position":
                 answers.append((time_s, decoded.pan, decoded.tilt))
-    samples, told = np.array(sorted(counts)), np.array(sorted(answers))
+    samples, positions = np.array(sorted(counts)), np.array(sorted(answers))
     begin_s = samples[0, 0]
-    time_s, told_s = samples[:, 0] - begin_s, told[:, 0] - begin_s
+    time_s, told_s = samples[:, 0] - begin_s, positions[:, 0] - begin_s
     raw = samples[:, 1:] * scale
     width = SMOOTH_S * rate_hz
-    angle = [np.interp(time_s, told_s, told[:, axis]) for axis in (1, 2)]
-    rate = [gaussian_filter1d(one, width, order=1) * rate_hz for one in angle]
+    angle = [np.interp(time_s, told_s, positions[:, axis]) for axis in (1, 2)]
+    rate = [gaussian_filter1d(angles, width, order=1) * rate_hz for angles in angle]
     stage = _stage(gaussian_filter1d(angle[1], width), rate[0], rate[1])
     use = np.ones(time_s.size, dtype=np.bool_)
     measured = gaussian_filter1d(raw, width, axis=0)

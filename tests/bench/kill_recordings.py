@@ -145,7 +145,7 @@ class Rig:
         kill = self._look(out, opened_ns, None if daemon.code == 0 else killed_ns)
         if kill.loss_s is None or kill.loss_s < TELL_S:
             return kill
-        return replace(kill, why=witness.told(killed_s - kill.loss_s))
+        return replace(kill, why=witness.busy_text(killed_s - kill.loss_s))
 
     def _begin(self, out: Path) -> "Forked":
         files = ["--config", str(self._rig), "--program", str(self._program), "--out", str(out)]
@@ -173,10 +173,10 @@ class Rig:
     def _look(self, out: Path, opened_ns: int, killed_ns: int | None) -> Kill:
         """Recover what is left, and compare it with what should be."""
         reports = recover_folder(out)
-        told = [report.outcome for report in reports]
+        outcomes = [report.outcome for report in reports]
         finished = sorted(out.glob("*.mcap"))
-        outcome = told[0].value if told else "closed"
-        if RecoveryOutcome.FAILED in told or (killed_ns is None and told):
+        outcome = outcomes[0].value if outcomes else "closed"
+        if RecoveryOutcome.FAILED in outcomes or (killed_ns is None and outcomes):
             return Kill(outcome, None, 0, reports[0].text)
         lost_s = 0.0 if killed_ns is None else (killed_ns - opened_ns) * 1e-9
         if not finished:
@@ -196,7 +196,7 @@ class Rig:
         sequence = samples["sequence"].astype(np.uint16)
         missing = int((sequence[1:] - sequence[:-1]).astype(np.int64).sum()) - len(sequence) + 1
         last_ns = int(times_ns(samples["host_time"][-1:])[0])
-        loss_s = None if killed_ns is None or not told else max(killed_ns - last_ns, 0) * 1e-9
+        loss_s = None if killed_ns is None or not outcomes else max(killed_ns - last_ns, 0) * 1e-9
         return Kill(outcome, loss_s, len(samples), missing=missing)
 
 
@@ -214,7 +214,7 @@ def main() -> int:
             for job, count in enumerate(share)
         ]
         with multiprocessing.Pool(wanted.jobs) as pool:
-            kills = [kill for some in pool.starmap(work, jobs, chunksize=1) for kill in some]
+            kills = [kill for batch in pool.starmap(work, jobs, chunksize=1) for kill in batch]
     return report(kills)
 
 

@@ -217,9 +217,9 @@ def polls(
     steps = [np.floor(axes[name].at(count_s)[0] + 0.5).astype(int).tolist() for name in "PT"]
     stamps = (START_NS + np.rint(np.stack([asked_s, first_s, reply_s]) * 1e9).astype(int)).tolist()
     both = int(PtuStatus.PAN_ANSWERED | PtuStatus.TILT_ANSWERED)
-    for k, (asked, begun, done, pan, tilt) in enumerate(zip(*stamps, *steps, strict=True)):
+    for k, (asked, begun, replied, pan, tilt) in enumerate(zip(*stamps, *steps, strict=True)):
         angles = pan * RAD_PER_STEP, tilt * RAD_PER_STEP
-        yield PtuPosition(asked, begun, done, pan, tilt, *angles, 0, first + k, both)
+        yield PtuPosition(asked, begun, replied, pan, tilt, *angles, 0, first + k, both)
 
 
 def ping(at_s: float, board: Board, nonce: int, rng: np.random.Generator) -> ClockPing:
@@ -264,7 +264,7 @@ def write_long(path: Path, seconds: float, seed: int = 1) -> int:
     rng = np.random.default_rng(seed)
     axes, commands = programmed(seconds, rng)
     board = Board(axes, rng)
-    told = count = nonce = 0
+    written = count = nonce = 0
     with RecordingWriter(path, metadata()) as writer:
         writer.write(
             SESSION_EVENT_TOPIC, SessionEvent(START_NS, EventKind.PHASE_BEGIN, "program", "")
@@ -272,21 +272,21 @@ def write_long(path: Path, seconds: float, seed: int = 1) -> int:
         for begin_s in np.arange(0.0, seconds, PIECE_S).tolist():
             end_s = min(begin_s + PIECE_S, seconds)
             rows = board.piece(round(end_s * RATE_HZ) - board.first)
-            here = [one for one in commands[told:] if one[0] < end_s]
+            here = [command for command in commands[written:] if command[0] < end_s]
             for asked_s, answered_s, text in here:
                 asked, first, last = (
                     START_NS + round(s * 1e9) for s in (asked_s, answered_s - BYTE_S, answered_s)
                 )
-                exchange = PtuCommandRecord(asked, first, last, told, 0, text, "*")
+                exchange = PtuCommandRecord(asked, first, last, written, 0, text, "*")
                 writer.write(PTU_COMMAND_TOPIC, exchange)
-                told += 1
+                written += 1
             positions = polls(poll_times(begin_s, end_s, here, rng), axes, count, rng)
             waiting = next(positions, None)
             for first in range(0, rows["sequence"].size, int(RATE_HZ) // 50):
                 part = slice(first, first + int(RATE_HZ) // 50)
-                one = {name: values[part] for name, values in rows.items()}
-                writer.write_imu_array(BOARD, publish_time_ns=None, **one)
-                now_ns = int(one["host_time_ns"][-1])
+                row = {name: values[part] for name, values in rows.items()}
+                writer.write_imu_array(BOARD, publish_time_ns=None, **row)
+                now_ns = int(row["host_time_ns"][-1])
                 while waiting is not None and waiting.reply_time_ns <= now_ns:
                     writer.write(PTU_POSITION_TOPIC, waiting)
                     waiting, count = next(positions, None), count + 1

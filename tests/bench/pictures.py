@@ -69,7 +69,7 @@ def record_outside(folder: Path) -> Path:
     """Record a session with something in it that is in no catalogue, by another program."""
     folder.mkdir(parents=True)
     every = json.loads((ROOT / "tests" / "hidden" / "fast_tier.json").read_text(encoding="utf-8"))
-    (line,) = (one for one in every if one["seed"] == OUTSIDE)
+    (line,) = (entry for entry in every if entry["seed"] == OUTSIDE)
     (folder / "lines.json").write_text(json.dumps([line]), encoding="utf-8")
     program = ROOT / "tests" / "hidden" / "record_fast.py"
     words = [sys.executable, program, "--out", folder, "--lines", folder / "lines.json"]
@@ -80,10 +80,10 @@ def record_outside(folder: Path) -> Path:
 def made(out: Path, *command: str | Path) -> Path:
     """Run a command that writes a page into `out`, and return it, not that of its findings."""
     words = [str(BIN / "gyrorig"), *map(str, command), "--out", str(out)]
-    done = subprocess.run(words, check=False, capture_output=True, text=True)
-    if done.returncode not in (DONE, NOT_IDENTIFIABLE, REFUSED):
-        raise RuntimeError(f"{' '.join(words)}: left with {done.returncode}: {done.stderr}")
-    (page,) = (one for one in out.rglob("*.html") if not one.name.endswith(".findings.html"))
+    process = subprocess.run(words, check=False, capture_output=True, text=True)
+    if process.returncode not in (DONE, NOT_IDENTIFIABLE, REFUSED):
+        raise RuntimeError(f"{' '.join(words)}: left with {process.returncode}: {process.stderr}")
+    (page,) = (path for path in out.rglob("*.html") if not path.name.endswith(".findings.html"))
     return page
 
 
@@ -128,12 +128,12 @@ def status_page(folder: Path) -> Path:
             return int(session.get("step", 0)) >= STATUS_STEP
 
         _until(daemon, is_there)
-        said = asked()
+        status = asked()
     finally:
         daemon.terminate()
         daemon.wait(PATIENCE_S)
     page = folder / "status.html"
-    page.write_text(TERMINAL % html.escape(said), encoding="utf-8")
+    page.write_text(TERMINAL % html.escape(status), encoding="utf-8")
     return page
 
 
@@ -186,7 +186,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--pictures", type=Path, required=True, help="where they go")
     parser.add_argument("--all", action="store_true", help="each page, light, dark and on a phone")
-    told = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
         browser = chromium(folder / "profile")
@@ -195,8 +195,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 1
         try:
             pages = {**reports(folder), "Status": status_page(folder / "service")}
-            for name, page, look in every_look(pages) if told.all else SHOWN:
-                path = told.pictures / f"{name}.png"
+            for name, page, look in every_look(pages) if options.all else SHOWN:
+                path = options.pictures / f"{name}.png"
                 picture(browser, pages[page], look, path)
                 print(f"{path}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
         finally:

@@ -29,8 +29,8 @@ def _look(pid: int, at_s: float) -> _Look:
     ran = waited = 0
     on_disk = False
     for task in Path(f"/proc/{pid}/task").iterdir():
-        one, two, _ = (task / "schedstat").read_text().split()
-        ran, waited = ran + int(one), waited + int(two)
+        running_ns, two, _ = (task / "schedstat").read_text().split()
+        ran, waited = ran + int(running_ns), waited + int(two)
         on_disk |= (task / "stat").read_text().rpartition(")")[2].split()[0] == "D"
     return _Look(at_s, ran * 1e-9, waited * 1e-9, on_disk)
 
@@ -57,20 +57,20 @@ class Witness:
         self._ended.set()
         self._thread.join()
 
-    def told(self, since_s: float) -> str:
+    def busy_text(self, since_s: float) -> str:
         """Return in one line what they did since a time of `time.monotonic`."""
         words = []
         for name, looks in self._looks.items():
-            own = [look for look in looks if look.at_s >= since_s - EVERY_S]
-            if len(own) < 2:
+            recent = [look for look in looks if look.at_s >= since_s - EVERY_S]
+            if len(recent) < 2:
                 words.append(f"{name}: not seen")
                 continue
-            first, last = own[0], own[-1]
-            gap_s = max(b.at_s - a.at_s for a, b in pairwise(own))
+            first, last = recent[0], recent[-1]
+            gap_s = max(b.at_s - a.at_s for a, b in pairwise(recent))
             words.append(
                 f"{name}: ran {last.ran_s - first.ran_s:.2f} s and waited for a processor "
                 f"{last.waited_s - first.waited_s:.2f} s of {last.at_s - first.at_s:.2f} s, "
-                f"on the disk in {sum(look.on_disk for look in own)} of {len(own)} looks, "
+                f"on the disk in {sum(look.on_disk for look in recent)} of {len(recent)} looks, "
                 f"{gap_s:.2f} s apart at most"
             )
         return "; ".join(words)

@@ -44,9 +44,9 @@ class FleetPlan:
 def rooms_of(plan: FleetPlan, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return which boards are measured on which nights, and at which temperatures."""
     shape = (plan.nights, plan.boards)
-    kept = rng.random(shape) < plan.measured
+    measured = rng.random(shape) < plan.measured
     season = 4.0 * np.sin(np.arange(plan.nights) / 4.0)[:, None]
-    return kept, 25.0 + season + rng.normal(0.0, 0.5, shape)
+    return measured, 25.0 + season + rng.normal(0.0, 0.5, shape)
 
 
 def column_of(
@@ -80,9 +80,9 @@ def skew_of(plan: FleetPlan) -> np.ndarray:
     """Return how fast each board's clock is against its host's, ppm; NaN where boards have none."""
     if plan.clock_ppm is None:
         return np.full(plan.boards, np.nan)
-    own = np.random.default_rng([plan.seed, 2]).normal(0.0, plan.clock_ppm, plan.boards)
+    skew_ppm = np.random.default_rng([plan.seed, 2]).normal(0.0, plan.clock_ppm, plan.boards)
     host = [plan.host_ppm.get(board % plan.rigs, 0.0) for board in range(plan.boards)]
-    skew: np.ndarray = own + plan.tick_ppm - np.array(host)
+    skew: np.ndarray = skew_ppm + plan.tick_ppm - np.array(host)
     return skew
 
 
@@ -91,19 +91,19 @@ def write_fleet(store: Path, plan: FleetPlan) -> Path:
     create_sharded_store(store)
     (store / "index").mkdir(exist_ok=True)
     rng = np.random.default_rng(plan.seed)
-    kept, temperature = rooms_of(plan, rng)
-    night, board = np.nonzero(kept)
-    version = (np.cumsum(kept, axis=0))[kept]
+    measured, temperature = rooms_of(plan, rng)
+    night, board = np.nonzero(measured)
+    version = (np.cumsum(measured, axis=0))[measured]
     columns: dict[str, np.ndarray] = {
         "n_board": board,
         "n_night": night,
         "n_version": version,
-        "temperature": temperature[kept],
+        "temperature": temperature[measured],
         "skew": skew_of(plan)[board],
     }
     for name in PARAMETER_COLUMNS:
         value, std = column_of(plan, name, rng, temperature)
-        columns[name], columns[f"{name}_std"] = value[kept], std[kept]
+        columns[name], columns[f"{name}_std"] = value[measured], std[measured]
     made = {
         "key": "'synthetic-' || n_board || '-' || n_version",
         "status": "'ok'",

@@ -133,10 +133,10 @@ def energies(
     hide = cause + (f"@{place}" if place else "") + f":{size!r}"
     with noise_held():
         base = _solved(program, soak_k, seed, hide)
-        found = extended(base, SAME.get((cause, place), cause))
-    own = found.fitted_terms[-1].values if found.fitted_terms else np.zeros(0)
+        extended_fit = extended(base, SAME.get((cause, place), cause))
+    values = extended_fit.fitted_terms[-1].values if extended_fit.fitted_terms else np.zeros(0)
     floor = floor_of(program, soak_k, seed)
-    return Energies(floor, energy(base), energy(found), tuple(own.tolist()))
+    return Energies(floor, energy(base), energy(extended_fit), tuple(values.tolist()))
 
 
 @cache
@@ -151,9 +151,9 @@ def extended(base: ConvergedFit, cause: str) -> ConvergedFit:
     projection = NuisanceProjector.at_fit(base)
     term = catalogue()[cause]
     tests = count_tests(testable_terms(projection))
-    found = scan_catalogue(projection, [term], tests, all_templates(projection, term))
+    scores = scan_catalogue(projection, [term], tests, all_templates(projection, term))
     # A place left out because it shows too little to be worth it would count as left.
-    best = fit_best_place(projection, [s for s in found if s.place is None])
+    best = fit_best_place(projection, [s for s in scores if s.place is None])
     if best is None:
         raise ValueError(f"{cause} could not be fitted")
     return _solve_with(base, best[0].extension)
@@ -197,8 +197,8 @@ def noise_held() -> Iterator[None]:
 
 def _solved(program: str, soak_k: float | None, seed: int, *hidden: str) -> ConvergedFit:
     """Record a session in simulated time and fit the base model to it."""
-    told = [word for one in hidden for word in ("--hide", one)]
-    told += ["--soak", repr(soak_k)] if soak_k else []
+    options = [word for cause in hidden for word in ("--hide", cause)]
+    options += ["--soak", repr(soak_k)] if soak_k else []
     with tempfile.TemporaryDirectory() as folder:
         rates = Path(folder) / "rates.npz"
         with contextlib.redirect_stdout(io.StringIO()):
@@ -206,7 +206,7 @@ def _solved(program: str, soak_k: float | None, seed: int, *hidden: str) -> Conv
                 ["record", "--config", str(ROOT / "config" / "rig.yaml"), "--program",
                  str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", folder,
                  "--simulated-time", "--noise-free", "--seed", str(seed), "--rates", str(rates),
-                 *told]
+                 *options]
             )  # fmt: skip
         if code:
             raise RuntimeError(f"recording {hidden} ended with {code}")
@@ -235,11 +235,11 @@ def fitted(
     deviation = DENSITY_RAD_S_RTHZ * np.sqrt(1.11 * bandwidth_hz)  # Butterworth, second order
     samples = replace(rounded, rate_rad_s=rate_rad_s, quantum_rad_s=float(deviation))
     reference = read_pan_tilt_reference(recording, samples.origin_ns)
-    found = [(recording, samples, reference)]
-    chosen = select_terms(found, ())
+    recordings = [(recording, samples, reference)]
+    chosen = select_terms(recordings, ())
     settings = [
-        replace(one, quantum_rad_s=rounded.quantum_rad_s)
-        for one in chosen.contexts or read_contexts(found)
+        replace(context, quantum_rad_s=rounded.quantum_rad_s)
+        for context in chosen.contexts or read_contexts(recordings)
     ]
     return solve_motion([(samples, reference)], chosen.extensions, settings)
 
@@ -253,8 +253,8 @@ def _exact(samples: GyroSamples, unrounded: NDArray[np.float64]) -> NDArray[np.f
         float(np.median(np.abs(unrounded[number[often] + k] - words[often]).max(axis=1)))
         for k in shifts
     ]
-    told = unrounded[number + shifts[int(np.argmin(misfit))]]
-    return np.where(np.abs(told - words) <= 0.51 * samples.quantum_rad_s, told, words)
+    exact = unrounded[number + shifts[int(np.argmin(misfit))]]
+    return np.where(np.abs(exact - words) <= 0.51 * samples.quantum_rad_s, exact, words)
 
 
 def main() -> None:
@@ -265,9 +265,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here too")
     parser.add_argument("causes", nargs="*", metavar="CAUSE[@PLACE][:SIZE]")
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     known = catalogue()
-    wanted = told.causes or [
+    wanted = arguments.causes or [
         f"{name}@{place}" if place else name
         for name, cause in CAUSES.items()
         if name in known and known[name].kind == "effect"
@@ -276,29 +276,31 @@ def main() -> None:
     sys.stdout.write(
         f"{'cause':32} {'floor':>6} {'effect':>11} {'left':>9} {'share':>8}  seconds  values\n"
     )
-    lines = [_line(one, told.program, told.soak, told.seed) for one in wanted]
-    if told.json is not None:
-        some = [line for line in lines if line is not None]
-        told.json.write_bytes(msgspec.json.format(msgspec.json.encode(some), indent=1) + b"\n")
+    lines = [_line(cause, arguments.program, arguments.soak, arguments.seed) for cause in wanted]
+    if arguments.json is not None:
+        remainders = [line for line in lines if line is not None]
+        arguments.json.write_bytes(
+            msgspec.json.format(msgspec.json.encode(remainders), indent=1) + b"\n"
+        )
 
 
-def _line(one: str, program: str, soak_k: float | None, seed: int) -> Left | None:
+def _line(hidden_cause: str, program: str, soak_k: float | None, seed: int) -> Left | None:
     """Fit one cause, print its line and return it; None where it cannot be fitted."""
-    name, _, size = one.partition(":")
+    name, _, size = hidden_cause.partition(":")
     cause, _, place = name.partition("@")
     soak_k = SOAKED.get(cause) if soak_k is None else soak_k
     begin = time.monotonic()
     try:
         e = energies(cause, float(size) if size else None, place or None, program, soak_k, seed)
     except (ValueError, RuntimeError) as fault:
-        sys.stdout.write(f"{one:32} {fault}\n")
+        sys.stdout.write(f"{hidden_cause:32} {fault}\n")
         return None
-    said = " ".join(f"{v:.5g}" for v in e.values)
+    words = " ".join(f"{v:.5g}" for v in e.values)
     share = f"{e.share:8.3%}" if e.effect > UNSEEN else "  in base"
     mark = "*" if e.effect > UNSEEN and e.share > GOAL else ""
     sys.stdout.write(
-        f"{one:32} {e.floor:6.1f} {e.effect:11.1f} {e.term - e.floor:9.2f} {share:9}"
-        f"{mark:1} {time.monotonic() - begin:6.1f}  {said}\n"
+        f"{hidden_cause:32} {e.floor:6.1f} {e.effect:11.1f} {e.term - e.floor:9.2f} {share:9}"
+        f"{mark:1} {time.monotonic() - begin:6.1f}  {words}\n"
     )
     sys.stdout.flush()
     effect, left = round(e.effect, 2), round(e.term - e.floor, 4)

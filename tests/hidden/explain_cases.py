@@ -33,15 +33,15 @@ Row = dict[str, Any]
 
 def results_of(path: Path) -> dict[int, Row]:
     """Return the lines of a results file by seed; a line cut off by a stop is left out."""
-    found: dict[int, Row] = {}
+    results: dict[int, Row] = {}
     if path.exists():
         for text in path.read_text(encoding="utf-8").splitlines():
             try:
                 row = json.loads(text)
             except json.JSONDecodeError:
                 continue
-            found[int(row["seed"])] = row
-    return found
+            results[int(row["seed"])] = row
+    return results
 
 
 def held_path(out: Path) -> Path:
@@ -60,7 +60,7 @@ def said_of(case: Path, variant: str, out: Path) -> Row:
     look = VARIANTS[variant]
     try:
         stated = explained(case / "recording.mcap", look.explain)
-        line = look.said(line_of(seed, variant, stated), stated)
+        line = look.line_of(line_of(seed, variant, stated), stated)
     except Exception as fault:  # a crash is an outcome: it is counted
         line = {"seed": seed, "variant": variant, "crashed": f"{type(fault).__name__}: {fault}"}
         _write(out, {**line, "seal": seal})
@@ -89,8 +89,8 @@ def _write(out: Path, row: Row) -> None:
 
 def end_cut_line(path: Path) -> None:
     """End a line that a stop cut off, so that the next one begins anew."""
-    said = path.read_bytes() if path.exists() else b""
-    if said and not said.endswith(b"\n"):
+    content = path.read_bytes() if path.exists() else b""
+    if content and not content.endswith(b"\n"):
         with path.open("ab") as file:
             file.write(b"\n")
 
@@ -103,8 +103,8 @@ def explain_all(todo: Sequence[Path], variant: str, out: Path, workers: int) -> 
         return
     with ProcessPoolExecutor(workers) as pool:
         waiting = [pool.submit(said_of, case, variant, out) for case in todo]
-        for done in as_completed(waiting):
-            yield done.result()
+        for future in as_completed(waiting):
+            yield future.result()
 
 
 def main() -> None:
@@ -115,19 +115,21 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--variant", choices=sorted(VARIANTS), default="real")
     parser.add_argument("--most", type=int, default=None, help="stop after so many cases")
-    told = parser.parse_args()
-    told.out.parent.mkdir(parents=True, exist_ok=True)
-    for path in (told.out, held_path(told.out), bounds_path(told.out)):
+    arguments = parser.parse_args()
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    for path in (arguments.out, held_path(arguments.out), bounds_path(arguments.out)):
         end_cut_line(path)
-    done = results_of(told.out)
-    every = [case for corpus in told.corpus for case in cases(corpus)]
-    todo = [case for case in every if int(case.name) not in done][: told.most]
+    finished = results_of(arguments.out)
+    every = [case for corpus in arguments.corpus for case in cases(corpus)]
+    todo = [case for case in every if int(case.name) not in finished][: arguments.most]
     sys.stderr.write(f"{len(every)} cases, {len(every) - len(todo)} done or left for later\n")
     begin = time.monotonic()
-    for k, line in enumerate(explain_all(todo, told.variant, told.out, told.workers), 1):
+    for k, line in enumerate(
+        explain_all(todo, arguments.variant, arguments.out, arguments.workers), 1
+    ):
         each = (time.monotonic() - begin) / k
         left = each * (len(todo) - k)
-        names = line.get("crashed") or [one["set"] for one in (*line["causes"], *line["raw"])]
+        names = line.get("crashed") or [entry["set"] for entry in (*line["causes"], *line["raw"])]
         sys.stderr.write(
             f"{k}/{len(todo)} {each:.1f} s each, {left / 60.0:.0f} min left: "
             f"{line['seed']} {line.get('verdict', '')} {names}\n"

@@ -23,8 +23,8 @@ Line = dict[str, Any]
 
 def sessions() -> list[Line]:
     """Return the fast tier's sessions as the truth drew and sized them."""
-    found: list[Line] = json.loads(SESSIONS.read_text(encoding="utf-8"))
-    return found
+    lines: list[Line] = json.loads(SESSIONS.read_text(encoding="utf-8"))
+    return lines
 
 
 def name_of(line: Line) -> str:
@@ -41,9 +41,9 @@ class Sessions:
         self._folder = folder
         self._there: set[str] = set()
         self._said: dict[tuple[str, str], Stated] = {}
-        told = folder / "lines.json"
-        told.write_text(json.dumps(self.lines), encoding="utf-8")
-        order = [sys.executable, str(RECORDER), "--out", str(folder), "--lines", str(told)]
+        lines_path = folder / "lines.json"
+        lines_path.write_text(json.dumps(self.lines), encoding="utf-8")
+        order = [sys.executable, str(RECORDER), "--out", str(folder), "--lines", str(lines_path)]
         self._recorder = subprocess.Popen(order, stdout=subprocess.PIPE, text=True)
 
     def close(self) -> None:
@@ -54,10 +54,10 @@ class Sessions:
     def path(self, name: str) -> Path:
         """Return where a session's recording is, as soon as it is there."""
         while name not in self._there:
-            said = self._recorder.stdout.readline() if self._recorder.stdout else ""
-            if not said:
+            line_text = self._recorder.stdout.readline() if self._recorder.stdout else ""
+            if not line_text:
                 raise RuntimeError(f"{name} was not recorded")
-            self._there.add(said.strip())
+            self._there.add(line_text.strip())
         return self._folder / f"{name}.mcap"
 
     def stated(self, line: Line, variant: str = REAL) -> Stated:
@@ -71,8 +71,10 @@ class Sessions:
     def outcome(self, line: Line, variant: str = REAL) -> Outcome:
         """Return a session's outcome with a finder."""
         stated = self.stated(line, variant)
-        said = VARIANTS[variant].said(line_of(int(line["seed"]), variant, stated), stated)
-        return outcome_of(answer_of(line), said)
+        outcome_line = VARIANTS[variant].line_of(
+            line_of(int(line["seed"]), variant, stated), stated
+        )
+        return outcome_of(answer_of(line), outcome_line)
 
 
 def answer_of(line: Line) -> Answer:

@@ -27,7 +27,7 @@ def make(out: Path, rounds: int, a_round: int | None) -> list[str]:
         order = [sys.executable, str(MAKER), "--out", str(out), "--rounds", str(rounds)]
         order += ["--a-round", str(a_round)] if a_round else []
         started.append(subprocess.Popen([*order, "--tiers", *tiers]))
-    codes = [one.wait() for one in started]
+    codes = [process.wait() for process in started]
     if any(codes):
         raise SystemExit(f"long tier: the sessions were not made: {codes}")
     return [str(out / tier) for tiers in SIDE_BY_SIDE for tier in tiers]
@@ -40,11 +40,11 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=50, help="fewer make a smaller corpus")
     parser.add_argument("--a-round", type=int, help="at most so many sessions of a part a round")
-    told = parser.parse_args()
-    corpora = make(told.out, told.rounds, told.a_round)
-    lines = str(told.out / "results.jsonl")
+    arguments = parser.parse_args()
+    corpora = make(arguments.out, arguments.rounds, arguments.a_round)
+    lines = str(arguments.out / "results.jsonl")
     steps = (
-        ["explain_cases.py", *corpora, "--out", lines, "--workers", str(told.workers)],
+        ["explain_cases.py", *corpora, "--out", lines, "--workers", str(arguments.workers)],
         ["score_cases.py", *corpora, "--results", lines, "--out", str(RESULTS)],
         ["write_scores.py"],
     )

@@ -71,11 +71,11 @@ class Bank:
                 for row in rows
             ]
         )
-        left = np.array([projection.orthogonal_component(one) for one in every])
+        left = np.array([projection.orthogonal_component(signal) for signal in every])
         energy, raw = np.sum(left**2, axis=1), np.sum(every**2, axis=1)
-        some = energy > VANISHED * np.maximum(raw, 1e-300)
-        scale = np.where(some, np.sqrt(np.maximum(energy, 1e-300)), 1.0)
-        white = np.where(some[:, None], left, 0.0) / scale[:, None]
+        is_visible = energy > VANISHED * np.maximum(raw, 1e-300)
+        scale = np.where(is_visible, np.sqrt(np.maximum(energy, 1e-300)), 1.0)
+        white = np.where(is_visible[:, None], left, 0.0) / scale[:, None]
         return cls(term, white, len(every) // len(rows))
 
     def best(self, score: FloatArray, at: IntArray) -> tuple[FloatArray, int]:
@@ -87,14 +87,14 @@ class Bank:
         """
         best, degrees = np.zeros(score.shape[1]), 0
         for first in range(0, len(self.white), self.sizes):
-            own = first + at
-            own = own[np.any(self.white[own] != 0.0, axis=1)]
-            if not own.size:
+            index = first + at
+            index = index[np.any(self.white[index] != 0.0, axis=1)]
+            if not index.size:
                 continue
-            strength, along = np.linalg.eigh(self.white[own] @ self.white[own].T)
+            strength, along = np.linalg.eigh(self.white[index] @ self.white[index].T)
             keep = strength > ALIKE
             root = along[:, keep] / np.sqrt(strength[keep])
-            best = np.maximum(best, np.sum((root.T @ score[own]) ** 2, axis=0))
+            best = np.maximum(best, np.sum((root.T @ score[index]) ** 2, axis=0))
             degrees = max(degrees, int(keep.sum()))
         return best, degrees
 
@@ -128,8 +128,8 @@ def measured(session: Path, draws: int) -> Multiplicity:
     for score in drawn(np.concatenate([bank.white for bank in banks]), draws, seed=1):
         parts = np.split(score, ends[:-1])
         for j, (k, at) in enumerate(spots):
-            some, degrees[j] = banks[k].best(parts[k], at)
-            best[j].append(some)
+            statistics, degrees[j] = banks[k].best(parts[k], at)
+            best[j].append(statistics)
     looks: dict[str, float] = {t.cause: quick_templates(projection, t)[1] for t in terms
                                if t.cause in BY_RESIDUAL}  # fmt: skip
     chance = np.ones(draws)
@@ -137,13 +137,13 @@ def measured(session: Path, draws: int) -> Multiplicity:
         if not degrees[j]:
             continue
         all_draws = np.concatenate(best[j])[:draws]
-        own = 1.0
+        own_tests = 1.0
         if len(banks[k].white) > banks[k].sizes:
             bar = float(np.quantile(all_draws, 1.0 - BAR))
-            own = max(own, BAR / float(chi2.sf(bar, degrees[j])))
-        chance = np.minimum(chance, own * chi2.sf(all_draws, degrees[j]))
+            own_tests = max(own_tests, BAR / float(chi2.sf(bar, degrees[j])))
+        chance = np.minimum(chance, own_tests * chi2.sf(all_draws, degrees[j]))
         cause = banks[k].term.cause
-        looks[cause] = max(looks.get(cause, 1.0), own)
+        looks[cause] = max(looks.get(cause, 1.0), own_tests)
     tests = count_tests(terms)
     apart = count_tests([t for t in terms if t.cause in BY_RESIDUAL])
     effective = FALSE_ALARMS / float(np.quantile(chance, FALSE_ALARMS)) + apart
@@ -158,13 +158,13 @@ def main() -> None:
     parser.add_argument("session", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--draws", type=int, default=200_000)
-    told = parser.parse_args()
-    found = []
-    for session in told.session:
-        found.append(measured(session, told.draws))
-        one = found[-1]
-        sys.stderr.write(f"{one.program}: {one.effective_tests} of {one.tests} tests\n")
-    told.out.write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n")
+    arguments = parser.parse_args()
+    results = []
+    for session in arguments.session:
+        results.append(measured(session, arguments.draws))
+        last = results[-1]
+        sys.stderr.write(f"{last.program}: {last.effective_tests} of {last.tests} tests\n")
+    arguments.out.write_bytes(msgspec.json.format(msgspec.json.encode(results), indent=1) + b"\n")
 
 
 if __name__ == "__main__":

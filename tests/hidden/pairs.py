@@ -71,14 +71,14 @@ def left_share(
         program: of config/programs.
         seed: of the rig and of what is drawn of the causes.
     """
-    one = completeness()
-    told = hidden.split(",")
-    floor = one.floor_of(program, None, seed)
-    with one.noise_held():
-        base = one._solved(program, None, seed, *told)
-        found = together(base, [name.partition(":")[0].partition("@")[0] for name in told])
-    effect = one.energy(base) - floor
-    return (one.energy(found) - floor) / effect, effect, found
+    script = completeness()
+    causes = hidden.split(",")
+    floor = script.floor_of(program, None, seed)
+    with script.noise_held():
+        base = script._solved(program, None, seed, *causes)
+        fit = together(base, [name.partition(":")[0].partition("@")[0] for name in causes])
+    effect = script.energy(base) - floor
+    return (script.energy(fit) - floor) / effect, effect, fit
 
 
 def together(base: ConvergedFit, causes: list[str]) -> ConvergedFit:
@@ -90,13 +90,13 @@ def together(base: ConvergedFit, causes: list[str]) -> ConvergedFit:
         weighed = []
         for cause in open_causes:
             term = catalogue()[cause]
-            found = scan_catalogue(projection, [term], tests, all_templates(projection, term))
-            best = fit_best_place(projection, [s for s in found if s.place is None])
+            scores = scan_catalogue(projection, [term], tests, all_templates(projection, term))
+            best = fit_best_place(projection, [s for s in scores if s.place is None])
             if best is not None:
                 weighed.append(best[0])
         if not weighed:
             raise ValueError(f"{open_causes} could not be fitted")
-        first = max(weighed, key=lambda one: one.delta_log_likelihood)
+        first = max(weighed, key=lambda candidate: candidate.delta_log_likelihood)
         solution = _solve_with(solution, first.extension)
         open_causes.remove(first.extension.term.cause)
     return solution
@@ -107,19 +107,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--program", default="survey-40")
     parser.add_argument("causes", nargs="*", metavar="CAUSE[@PLACE]:SIZE,...")
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     sys.stdout.write(f"{'causes':48} {'effect':>11} {'share':>8}  seconds  values\n")
-    for hidden in told.causes or PAIRS:
+    for hidden in arguments.causes or PAIRS:
         begin = time.monotonic()
-        share, effect, found = left_share(hidden, told.program)
-        said = " ".join(
-            f"{one.term.cause}.{name}={value:.4g}"
-            for one in found.fitted_terms
-            for name, value in zip(value_names(one.term), one.values, strict=True)
+        share, effect, fit = left_share(hidden, arguments.program)
+        words = " ".join(
+            f"{fitted_term.term.cause}.{name}={value:.4g}"
+            for fitted_term in fit.fitted_terms
+            for name, value in zip(value_names(fitted_term.term), fitted_term.values, strict=True)
         )
         sys.stdout.write(
             f"{hidden:48} {effect:11.1f} {share:8.3%} {'' if share <= GOAL else '*':1} "
-            f"{time.monotonic() - begin:6.1f}  {said}\n"
+            f"{time.monotonic() - begin:6.1f}  {words}\n"
         )
         sys.stdout.flush()
 

@@ -53,19 +53,19 @@ def hold(line: Line, path: Path) -> None:
 
 def sized(corpora: Iterable[Path]) -> list[Line]:
     """Return lines for the sessions of corpora that hide one thing, or nothing."""
-    found = []
+    entries = []
     for corpus in corpora:
         for path in sorted(corpus.glob("*/answer.json"), key=lambda p: int(p.parent.name)):
-            told = json.loads(path.read_text(encoding="utf-8"))
-            line = {"seed": told["seed"], "kind": told["kind"], "program": told["program"],
-                    "soak_k": told["soak_k"], **told["rig"]}  # fmt: skip
-            for one in told["causes"][:1]:
-                kind, _, name = str(one["cause"]).rpartition(":")
-                place = "" if one["place"] in EVERYWHERE else one["place"]
+            document = json.loads(path.read_text(encoding="utf-8"))
+            line = {key: document[key] for key in ("seed", "kind", "program", "soak_k")}
+            line |= document["rig"]
+            for cause in document["causes"][:1]:
+                kind, _, name = str(cause["cause"]).rpartition(":")
+                place = "" if cause["place"] in EVERYWHERE else cause["place"]
                 line |= {"shape" if kind else "cause": name, "place": place}
-                line |= {"size": one["size"]["value"], "times": one["times_detectable"]}
-            found.append(line | {"groups": told.get("expected_groups") or []})
-    return found
+                line |= {"size": cause["size"]["value"], "times": cause["times_detectable"]}
+            entries.append(line | {"groups": document.get("expected_groups") or []})
+    return entries
 
 
 def main() -> None:
@@ -74,16 +74,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--lines", type=Path, help="the sessions to record, JSON")
     parser.add_argument("--sizes", type=Path, nargs="+")
-    told = parser.parse_args()
-    if told.sizes:
-        text = ",\n".join(json.dumps(line) for line in sized(told.sizes))
+    arguments = parser.parse_args()
+    if arguments.sizes:
+        text = ",\n".join(json.dumps(line) for line in sized(arguments.sizes))
         sys.stdout.write(f"[\n{text}\n]\n")
         return
-    every = json.loads(told.lines.read_text(encoding="utf-8"))
-    told.out.mkdir(parents=True, exist_ok=True)
+    every = json.loads(arguments.lines.read_text(encoding="utf-8"))
+    arguments.out.mkdir(parents=True, exist_ok=True)
     for line in every:
         name = str(line.get("name", line["seed"]))
-        hold(line, told.out / f"{name}.mcap")
+        hold(line, arguments.out / f"{name}.mcap")
         sys.stdout.write(f"{name}\n")
         sys.stdout.flush()
 

@@ -39,54 +39,58 @@ def judged(corpora: Sequence[Path], results: Sequence[Path]) -> Kept:
             line = lines.get(int(case.name))
             if line is not None:
                 outcomes.append(outcome_of(opened(case, line["seal"]), line))
-    there = {one.seed for one in outcomes}
+    seeds = {outcome.seed for outcome in outcomes}
     gaps = [
         Gap(seed, row["nats"], row["short"], row["values"])
         for path in results
         for seed, row in results_of(held_path(path)).items()
-        if seed in there
+        if seed in seeds
     ]
     bounds = [
         Bound(**row)
         for path in results
         for seed, row in results_of(bounds_path(path)).items()
-        if seed in there
+        if seed in seeds
     ]
     return Kept(
-        sorted(outcomes, key=lambda one: one.seed),
-        sorted(gaps, key=lambda one: one.seed),
-        sorted(bounds, key=lambda one: one.seed),
+        sorted(outcomes, key=lambda outcome: outcome.seed),
+        sorted(gaps, key=lambda gap: gap.seed),
+        sorted(bounds, key=lambda bound: bound.seed),
     )
 
 
-def said(kept: Kept) -> str:
+def summary_text(judged_cases: Kept) -> str:
     """Return the figures beside their goals, and what went wrong in which case, for a terminal."""
-    found = figures(kept.outcomes, kept.gaps, kept.bounds)
-    failed = {goal.name for goal in missed(found)}
+    results = figures(judged_cases.outcomes, judged_cases.gaps, judged_cases.bounds)
+    failed = {goal.name for goal in missed(results)}
     lines = [
-        f"{goal.number:2d} {goal.words}: {found[goal.name].words} "
+        f"{goal.number:2d} {goal.words}: {results[goal.name].words} "
         f"{'MISSED' if goal.name in failed else ''}"
         for goal in GOALS
     ]
-    return "\n".join([*lines, "", *(_fault(one) for one in kept.outcomes if _faulty(one))])
+    return "\n".join(
+        [*lines, "", *(_fault(outcome) for outcome in judged_cases.outcomes if _faulty(outcome))]
+    )
 
 
-def _faulty(one: Outcome) -> bool:
+def _faulty(outcome: Outcome) -> bool:
     """Return whether somebody should look at a case."""
-    if one.kind in ("null", "unobservable"):
-        return one.alarmed
-    large = all(fate.times >= 1.9 for fate in one.fates)
-    if one.kind in ("outside", "nearly"):
-        return large and (one.wrong_sole or not one.rest)
-    return bool(one.extra) or (large and not all(fate.sole for fate in one.fates))
+    if outcome.kind in ("null", "unobservable"):
+        return outcome.alarmed
+    large = all(fate.times >= 1.9 for fate in outcome.fates)
+    if outcome.kind in ("outside", "nearly"):
+        return large and (outcome.wrong_sole or not outcome.rest)
+    return bool(outcome.extra) or (large and not all(fate.sole for fate in outcome.fates))
 
 
-def _fault(one: Outcome) -> str:
-    true = ", ".join(f"{f.cause}@{f.place} {f.times:.1f}x: {f.said}" for f in one.fates)
-    sets = "; ".join("|".join(names) for names in one.sets)
-    rest = f", rest {', '.join(one.rest)}" if one.rest else ""
-    soak = " soak" if one.soak else ""
-    return f"{one.seed} {one.kind} {one.program}{soak}: hid [{true}] said [{sets}]{rest}"
+def _fault(outcome: Outcome) -> str:
+    true = ", ".join(f"{f.cause}@{f.place} {f.times:.1f}x: {f.said}" for f in outcome.fates)
+    sets = "; ".join("|".join(names) for names in outcome.sets)
+    rest = f", rest {', '.join(outcome.rest)}" if outcome.rest else ""
+    soak = " soak" if outcome.soak else ""
+    return (
+        f"{outcome.seed} {outcome.kind} {outcome.program}{soak}: hid [{true}] said [{sets}]{rest}"
+    )
 
 
 def main() -> None:
@@ -95,11 +99,11 @@ def main() -> None:
     parser.add_argument("corpus", type=Path, nargs="+")
     parser.add_argument("--results", type=Path, nargs="+", required=True)
     parser.add_argument("--out", type=Path, help="keep the outcomes here")
-    told = parser.parse_args()
-    kept = judged(told.corpus, told.results)
-    sys.stdout.write(said(kept) + "\n")
-    if told.out is not None:
-        write_kept(told.out, kept)
+    arguments = parser.parse_args()
+    judged_cases = judged(arguments.corpus, arguments.results)
+    sys.stdout.write(summary_text(judged_cases) + "\n")
+    if arguments.out is not None:
+        write_kept(arguments.out, judged_cases)
 
 
 if __name__ == "__main__":

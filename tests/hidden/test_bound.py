@@ -17,9 +17,9 @@ def test_the_nearest_rival_of_an_asymmetry_is_a_square(tmp_path: Path) -> None:
              "--base", "910000", "--first", str(910_000 + ASYMMETRY), "--count", "1"]  # fmt: skip
     subprocess.run(order, check=True, capture_output=True)
     (case,) = cases(tmp_path)
-    told = opened(case, sealed(case))
-    bound = bound_of(case, told)
-    assert told.names == ["scale_asymmetry"]
+    answer = opened(case, sealed(case))
+    bound = bound_of(case, answer)
+    assert answer.names == ["scale_asymmetry"]
     assert bound is not None
     assert bound.rival == "scale_quadratic"
     assert bound.left < 0.3  # they are alike to 84 % and more: reference, discovery.md section 2

@@ -13,11 +13,11 @@ def _completeness() -> ModuleType:
     name = "hidden_completeness"
     if name not in sys.modules:
         path = Path(__file__).with_name("completeness.py")
-        told = importlib.util.spec_from_file_location(name, path)
-        assert told is not None
-        assert told.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(told)
-        told.loader.exec_module(sys.modules[name])
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
     return sys.modules[name]
 
 
@@ -52,9 +52,9 @@ LEAST = 20.0  # energy of an effect that can be seen at all
     ],
 )
 def test_its_term_leaves_next_to_nothing(cause: str, place: str | None, size: float | None) -> None:
-    found = completeness.energies(cause, size, place)
-    assert found.effect > LEAST
-    assert found.share <= completeness.GOAL
+    energies = completeness.energies(cause, size, place)
+    assert energies.effect > LEAST
+    assert energies.share <= completeness.GOAL
 
 
 @pytest.mark.parametrize(

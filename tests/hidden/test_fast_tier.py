@@ -24,8 +24,8 @@ WANDERING = (17, 22)  # nulls whose bias wanders enough to matter
 BARS = [goal for goal in goals.GOALS if goal.name != "false_alarms_upper"]
 SMALL = [
     *NULLS[:1],
-    *(one for one in NULLS if one["seed"] in WANDERING),
-    *(one for one in CAUSES if one["cause"] in FEW),
+    *(line for line in NULLS if line["seed"] in WANDERING),
+    *(line for line in CAUSES if line["cause"] in FEW),
     *OUTSIDE[:1],
 ]
 
@@ -44,7 +44,7 @@ def known(line: Line) -> object:
 
 
 @pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
+def recorded_sessions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
     made = Sessions(tmp_path_factory.mktemp("fast"), sessions())
     yield made
     made.close()
@@ -52,55 +52,57 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
 
 def test_every_cause_that_can_be_sized_is_in_the_tier() -> None:
     assert len(NULLS) == 20
-    assert len({one["cause"] for one in CAUSES}) == len(CAUSES) >= 30
+    assert len({line["cause"] for line in CAUSES}) == len(CAUSES) >= 30
     # Steps are lost whole: a single one may be more than was asked for.
-    assert all(one["times"] is None or one["times"] > 2.9 for one in CAUSES)
+    assert all(line["times"] is None or line["times"] > 2.9 for line in CAUSES)
 
 
 @pytest.mark.parametrize("line", NULLS, ids=name_of)
-def test_no_false_alarm_on_a_null(there: Sessions, line: Line) -> None:
+def test_no_false_alarm_on_a_null(recorded_sessions: Sessions, line: Line) -> None:
     """Of 20, one in a hundred allows none."""
-    one = there.outcome(line)
-    assert not one.alarmed, (one.sets, one.rest)
+    outcome = recorded_sessions.outcome(line)
+    assert not outcome.alarmed, (outcome.sets, outcome.rest)
 
 
 @pytest.mark.parametrize("line", [known(line) for line in CAUSES])
-def test_a_cause_is_found_and_no_other_is_named(there: Sessions, line: Line) -> None:
-    one = there.outcome(line)
-    assert one.alarmed
-    assert not one.misled, one.sets
+def test_a_cause_is_found_and_no_other_is_named(recorded_sessions: Sessions, line: Line) -> None:
+    outcome = recorded_sessions.outcome(line)
+    assert outcome.alarmed
+    assert not outcome.misled, outcome.sets
 
 
-def not_alone(there: Sessions) -> set[str]:
+def not_alone(recorded_sessions: Sessions) -> set[str]:
     """Return the causes whose name was not right, or not the only one."""
-    return {str(one["cause"]) for one in CAUSES if not sole_right(there.outcome(one))}
+    return {
+        str(line["cause"]) for line in CAUSES if not sole_right(recorded_sessions.outcome(line))
+    }
 
 
-def test_no_other_cause_lacks_its_right_name(there: Sessions) -> None:
-    assert not_alone(there) - NOT_ALONE == set()
+def test_no_other_cause_lacks_its_right_name(recorded_sessions: Sessions) -> None:
+    assert not_alone(recorded_sessions) - NOT_ALONE == set()
 
 
 @pytest.mark.xfail(condition=bool(KNOWN), reason="see KNOWN", strict=True)
-def test_causes_have_their_right_name_alone(there: Sessions) -> None:
-    assert len(not_alone(there)) <= math.floor((1.0 - goals.SOLE_RIGHT) * len(CAUSES))
+def test_causes_have_their_right_name_alone(recorded_sessions: Sessions) -> None:
+    assert len(not_alone(recorded_sessions)) <= math.floor((1.0 - goals.SOLE_RIGHT) * len(CAUSES))
 
 
 @pytest.mark.parametrize("line", OUTSIDE, ids=lambda line: str(line["shape"]))
-def test_what_is_in_no_catalogue_gets_no_name(there: Sessions, line: Line) -> None:
-    one = there.outcome(line)
-    assert not one.wrong_sole, one.sets
-    assert one.rest
+def test_what_is_in_no_catalogue_gets_no_name(recorded_sessions: Sessions, line: Line) -> None:
+    outcome = recorded_sessions.outcome(line)
+    assert not outcome.wrong_sole, outcome.sets
+    assert outcome.rest
 
 
-def test_the_finder_as_it_ships_meets_the_goals_on_a_few(there: Sessions) -> None:
-    assert missed(figures([there.outcome(line) for line in SMALL]), BARS) == []
+def test_the_finder_as_it_ships_meets_the_goals_on_a_few(recorded_sessions: Sessions) -> None:
+    assert missed(figures([recorded_sessions.outcome(line) for line in SMALL]), BARS) == []
 
 
 @pytest.mark.parametrize("variant", sorted(set(VARIANTS) - {REAL}))
-def test_a_finder_made_worse_misses_a_goal(there: Sessions, variant: str) -> None:
+def test_a_finder_made_worse_misses_a_goal(recorded_sessions: Sessions, variant: str) -> None:
     outcomes = []
     for line in SMALL:
-        outcomes.append(there.outcome(line, variant))
+        outcomes.append(recorded_sessions.outcome(line, variant))
         if missed(figures(outcomes), BARS):
             return
     pytest.fail(f"nothing caught a finder that {VARIANTS[variant].words}")

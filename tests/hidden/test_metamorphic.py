@@ -33,43 +33,43 @@ LINES: list[Line] = [
 
 
 @pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
+def recorded_sessions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
     made = Sessions(tmp_path_factory.mktemp("changed"), LINES)
     yield made
     made.close()
 
 
-def findings(there: Sessions, k: int) -> CauseFindings:
-    return there.stated(LINES[k]).explained.findings
+def findings(recorded_sessions: Sessions, k: int) -> CauseFindings:
+    return recorded_sessions.stated(LINES[k]).explained.findings
 
 
-def only(found: CauseFindings) -> NamedCause:
-    (one,) = found.causes
-    assert one.candidates == (HIDDEN["cause"],)
-    return one
+def only(findings: CauseFindings) -> NamedCause:
+    (cause,) = findings.causes
+    assert cause.candidates == (HIDDEN["cause"],)
+    return cause
 
 
-def size(one: NamedCause, axis: str) -> tuple[float, float]:
+def size(cause: NamedCause, axis: str) -> tuple[float, float]:
     """Return the fitted coefficient of an axis with its deviation."""
-    value = next(v for v in one.values if v.name == f"coefficient.{axis}")
+    value = next(v for v in cause.values if v.name == f"coefficient.{axis}")
     return value.value, value.std
 
 
-def test_a_flipped_effect_flips_the_estimate(there: Sessions) -> None:
-    plus, minus = (size(only(findings(there, k)), "x") for k in (0, 1))
+def test_a_flipped_effect_flips_the_estimate(recorded_sessions: Sessions) -> None:
+    plus, minus = (size(only(findings(recorded_sessions, k)), "x") for k in (0, 1))
     # Both are of the same noise: their sum is what it adds to each, less than two deviations.
     assert plus[0] > 0.0 > minus[0]
     assert plus[0] == pytest.approx(-minus[0], abs=FAR * np.hypot(plus[1], minus[1]))
 
 
-def test_at_size_zero_nothing_is_found(there: Sessions) -> None:
-    found = findings(there, 2)
-    assert found.verdict == "adequate"
-    assert found.causes == ()
+def test_at_size_zero_nothing_is_found(recorded_sessions: Sessions) -> None:
+    result = findings(recorded_sessions, 2)
+    assert result.verdict == "adequate"
+    assert result.causes == ()
 
 
-def test_a_program_run_backwards_has_the_same_names(there: Sessions) -> None:
-    forth, back = (only(findings(there, k)) for k in (0, 4))
+def test_a_program_run_backwards_has_the_same_names(recorded_sessions: Sessions) -> None:
+    forth, back = (only(findings(recorded_sessions, k)) for k in (0, 4))
     assert "x" in forth.where
     assert "x" in back.where
     others = [v for v in back.values if v.name != "coefficient.x"]
@@ -81,7 +81,7 @@ def test_a_program_run_backwards_has_the_same_names(there: Sessions) -> None:
     assert back.statistic == pytest.approx(forth.statistic, abs=slack)
 
 
-def test_a_board_mounted_otherwise_has_the_same_names(there: Sessions) -> None:
+def test_a_board_mounted_otherwise_has_the_same_names(recorded_sessions: Sessions) -> None:
     def turned(samples: GyroSamples) -> GyroSamples:
         accel = samples.accel_m_s2
         return replace(
@@ -90,26 +90,26 @@ def test_a_board_mounted_otherwise_has_the_same_names(there: Sessions) -> None:
             accel_m_s2=None if accel is None else np.roll(accel, 1, axis=1),
         )
 
-    recording = read_recording(there.path("plus"))
+    recording = read_recording(recorded_sessions.path("plus"))
     with patch.object(board_data, "load_samples", lambda *a: turned(load_samples(*a))):
-        one = only(explain_recordings([recording], recording.board_ids[0]).findings)
-    before = only(findings(there, 0))
-    assert {TURNED[axis] for axis in before.where} == set(one.where)
-    was, now = size(before, "x"), size(one, "y")
+        cause = only(explain_recordings([recording], recording.board_ids[0]).findings)
+    before = only(findings(recorded_sessions, 0))
+    assert {TURNED[axis] for axis in before.where} == set(cause.where)
+    was, now = size(before, "x"), size(cause, "y")
     assert now[0] == pytest.approx(was[0], abs=0.1 * was[1])
-    assert one.statistic == pytest.approx(before.statistic, rel=0.02)
+    assert cause.statistic == pytest.approx(before.statistic, rel=0.02)
 
 
-def test_the_evidence_of_two_runs_adds(there: Sessions) -> None:
-    each = [only(findings(there, k)) for k in (0, 3)]
-    recordings = [read_recording(there.path(name)) for name in ("plus", "again")]
+def test_the_evidence_of_two_runs_adds(recorded_sessions: Sessions) -> None:
+    each = [only(findings(recorded_sessions, k)) for k in (0, 3)]
+    recordings = [read_recording(recorded_sessions.path(name)) for name in ("plus", "again")]
     both = only(explain_recordings(recordings, recordings[0].board_ids[0]).findings)
-    total = sum(one.statistic for one in each)
+    total = sum(cause.statistic for cause in each)
     # Chi-squared about its non-centrality: 2 (d + 2 lambda) is its variance. What both share
     # (the gain) is told better by two, so that less of the effect is taken by it.
     slack = FAR * np.sqrt(2.0 * (both.degrees_of_freedom + 2.0 * total))
     assert both.statistic == pytest.approx(total, abs=slack)
-    assert both.statistic > 1.4 * max(one.statistic for one in each)
+    assert both.statistic > 1.4 * max(cause.statistic for cause in each)
     value, std = size(both, "x")
-    assert std < min(size(one, "x")[1] for one in each)
-    assert value == pytest.approx(np.mean([size(one, "x")[0] for one in each]), abs=FAR * std)
+    assert std < min(size(cause, "x")[1] for cause in each)
+    assert value == pytest.approx(np.mean([size(cause, "x")[0] for cause in each]), abs=FAR * std)

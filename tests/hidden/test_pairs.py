@@ -35,8 +35,8 @@ def _pairs() -> ModuleType:
 )
 def test_two_leave_nothing_of_what_both_do(hidden: str, name: str, size: float | None) -> None:
     pairs = _pairs()
-    share, _, found = pairs.left_share(hidden)
+    share, _, fit = pairs.left_share(hidden)
     assert share <= pairs.GOAL
-    values = dict(zip(found.names, found.estimate, strict=True))
+    values = dict(zip(fit.names, fit.estimate, strict=True))
     if size is not None:
         assert values[name] == pytest.approx(size, rel=0.01)

@@ -45,8 +45,8 @@ def named(*names: str, gap: float = 0.001) -> dict[str, Any]:
     return {"set": list(names), "values": {"gap.tilt": [gap, 1e-4]}, "sizes": ["gap.tilt"]}
 
 
-def judged(told: Answer, *causes: dict[str, Any], **line: Any) -> Outcome:
-    return outcome_of(told, {**LINE, "causes": list(causes), **line})
+def judged(sealed_answer: Answer, *causes: dict[str, Any], **line: Any) -> Outcome:
+    return outcome_of(sealed_answer, {**LINE, "causes": list(causes), **line})
 
 
 def figure(name: str, *outcomes: Outcome) -> float:
@@ -63,25 +63,25 @@ def test_limits_are_the_published_ones() -> None:
 
 
 def test_a_right_name_alone_is_right() -> None:
-    one = judged(answer(("backlash", 2.0)), named("backlash"))
-    assert figure("sole_right", one) == 1.0
-    assert figure("wrong_names", one) == 0.0
-    assert confusion([one], 2.0) == {"backlash": {"backlash": 1}}
+    outcome = judged(answer(("backlash", 2.0)), named("backlash"))
+    assert figure("sole_right", outcome) == 1.0
+    assert figure("wrong_names", outcome) == 0.0
+    assert confusion([outcome], 2.0) == {"backlash": {"backlash": 1}}
 
 
 def test_a_set_is_no_sole_name_unless_its_members_are_one_effect() -> None:
-    one = judged(answer(("backlash", 2.0)), named("backlash", "base_compliance"))
-    assert figure("sole_right", one) == 0.0
-    assert figure("wrong_names", one) == 0.0
+    outcome = judged(answer(("backlash", 2.0)), named("backlash", "base_compliance"))
+    assert figure("sole_right", outcome) == 0.0
+    assert figure("wrong_names", outcome) == 0.0
     twins = judged(answer(("tilt_sag", 2.0)), named("tilt_sag", "eccentricity"))
     assert figure("sole_right", twins) == 1.0
 
 
 def test_a_wrong_name_beside_the_right_one_is_not_right() -> None:
-    one = judged(answer(("backlash", 2.0)), named("backlash"), named("ringing"))
-    assert figure("sole_right", one) == 0.0
-    assert one.extra == (("ringing",),)
-    assert figure("wrong_names", one) == 0.0  # the truth was stated
+    outcome = judged(answer(("backlash", 2.0)), named("backlash"), named("ringing"))
+    assert figure("sole_right", outcome) == 0.0
+    assert outcome.extra == (("ringing",),)
+    assert figure("wrong_names", outcome) == 0.0  # the truth was stated
 
 
 def test_a_wrong_name_counts_where_the_truth_is_not_stated() -> None:
@@ -112,26 +112,26 @@ def test_detection_counts_whatever_was_said() -> None:
 
 
 def test_outside_needs_the_right_group_first_and_no_name() -> None:
-    told = answer(("outside:dip", 3.0), kind="outside", groups=("own_rate", "speed"))
-    right = judged(told, unexplained=["speed", "time"])
-    late = judged(told, unexplained=["time", "speed"])
-    wrong = judged(told, named("scale_cubic"))
+    outside = answer(("outside:dip", 3.0), kind="outside", groups=("own_rate", "speed"))
+    right = judged(outside, unexplained=["speed", "time"])
+    late = judged(outside, unexplained=["time", "speed"])
+    wrong = judged(outside, named("scale_cubic"))
     assert figure("outside_group", right, late) == 0.5
     assert figure("outside_wrong", right, late, wrong) == pytest.approx(1 / 3)
 
 
 def test_a_shape_may_be_called_by_the_entry_that_it_is_near_to() -> None:
-    told = answer(("nearly:soft", 3.0), kind="nearly", near="backlash")
-    assert figure("nearly_wrong", judged(told, named("backlash"))) == 0.0
-    assert figure("nearly_wrong", judged(told, named("ringing"))) == 1.0
+    nearly = answer(("nearly:soft", 3.0), kind="nearly", near="backlash")
+    assert figure("nearly_wrong", judged(nearly, named("backlash"))) == 0.0
+    assert figure("nearly_wrong", judged(nearly, named("ringing"))) == 1.0
 
 
 def test_many_are_counted_by_stated_sets() -> None:
-    told = answer(("backlash", 5.0), ("ringing", 4.0), ("tilt_sag", 0.5), kind="many")
-    one = judged(told, named("backlash"), named("s_curve", "ringing"), named("worm_error"))
-    assert figure("recall", one) == 1.0  # the third cannot be seen
-    assert figure("precision", one) == pytest.approx(2 / 3)
-    assert figure("recall", judged(told, named("ringing"))) == 0.5
+    many = answer(("backlash", 5.0), ("ringing", 4.0), ("tilt_sag", 0.5), kind="many")
+    outcome = judged(many, named("backlash"), named("s_curve", "ringing"), named("worm_error"))
+    assert figure("recall", outcome) == 1.0  # the third cannot be seen
+    assert figure("precision", outcome) == pytest.approx(2 / 3)
+    assert figure("recall", judged(many, named("ringing"))) == 0.5
 
 
 def test_intervals_are_held_against_truth_after_selection() -> None:
@@ -147,13 +147,13 @@ def test_what_estimating_costs_is_allowed() -> None:
     gaps = [Gap(1, 200.0, 6.0, 10), Gap(2, 90.0, 5.0, 10), Gap(3, 90.0, 9.0, 10)]
     assert figures([], gaps)["gap"].value == pytest.approx(0.0)
     assert [goal.name for goal in missed(figures([], gaps))] == []
-    worse = [replace(one, short=one.short + 0.5) for one in gaps]
+    worse = [replace(gap, short=gap.short + 0.5) for gap in gaps]
     assert [goal.name for goal in missed(figures([], worse))] == ["gap"]
 
 
 def test_phases_are_compared_by_their_parts() -> None:
-    told = dict(true_values("worm_error", "pan", {"amplitude": 2.0, "phase": 0.0}))
-    assert told == {"cosine.pan": 0.0, "sine.pan": 2.0}
+    values = dict(true_values("worm_error", "pan", {"amplitude": 2.0, "phase": 0.0}))
+    assert values == {"cosine.pan": 0.0, "sine.pan": 2.0}
     assert dict(true_values("board_slip", "all", {"turn.x": 0.5}))["turn.x"] == -0.5
     assert not dict(true_values("corrupt_samples", None, {"share": 0.1}))
 
@@ -180,9 +180,9 @@ def _case(folder: Path) -> str:
 
 def test_an_answer_opens_by_its_seal_only(tmp_path: Path) -> None:
     seal = _case(tmp_path / "12")
-    told = opened(tmp_path / "12", seal)
-    assert told.causes[0].parameters == {"step.x": 1.0, "step.y": 2.0, "step.z": 3.0}
-    assert told.calibration["bias.y"] == 0.2
+    opened_answer = opened(tmp_path / "12", seal)
+    assert opened_answer.causes[0].parameters == {"step.x": 1.0, "step.y": 2.0, "step.z": 3.0}
+    assert opened_answer.calibration["bias.y"] == 0.2
     path = tmp_path / "12" / "answer.json"
     path.write_text(path.read_text().replace("bias_step", "bias_ramp"))
     with pytest.raises(SealError):
@@ -199,11 +199,13 @@ def test_a_line_cut_off_by_a_stop_is_done_again(tmp_path: Path) -> None:
 
 
 def test_what_is_kept_gives_the_same_figures(tmp_path: Path) -> None:
-    told = answer(("backlash", 2.0))
-    kept = Kept([judged(told, named("backlash")), judged(told, named("ringing"))], [])
-    write_kept(tmp_path / "kept.json", kept)
+    sealed_answer = answer(("backlash", 2.0))
+    judged_cases = Kept(
+        [judged(sealed_answer, named("backlash")), judged(sealed_answer, named("ringing"))], []
+    )
+    write_kept(tmp_path / "kept.json", judged_cases)
     again = read_kept(tmp_path / "kept.json")
-    before, after = figures(kept.outcomes), figures(again.outcomes)
+    before, after = figures(judged_cases.outcomes), figures(again.outcomes)
     assert {k: v.words for k, v in before.items()} == {k: v.words for k, v in after.items()}
     picture = confusion_picture(again.outcomes)
     assert "backlash: 1 of 2 called ringing" in picture
@@ -226,11 +228,13 @@ def test_what_the_data_bear_goes_with_what_the_best_rival_leaves() -> None:
 
 
 def test_the_bound_is_said_beside_the_figure_and_kept(tmp_path: Path) -> None:
-    told = answer(("scale_asymmetry", 2.0))
-    kept = Kept([judged(told, named("scale_asymmetry"))], [], [bound(0.0, told.seed)])
-    figure = figures(kept.outcomes, (), kept.bounds)["sole_right"]
+    sealed_answer = answer(("scale_asymmetry", 2.0))
+    judged_cases = Kept(
+        [judged(sealed_answer, named("scale_asymmetry"))], [], [bound(0.0, sealed_answer.seed)]
+    )
+    figure = figures(judged_cases.outcomes, (), judged_cases.bounds)["sole_right"]
     assert figure.words.endswith("upper bound 0.0 %")
-    write_kept(tmp_path / "kept.json", kept)
-    assert read_kept(tmp_path / "kept.json").bounds == kept.bounds
-    assert "`scale_quadratic`" in tables.inseparable(kept.bounds)
+    write_kept(tmp_path / "kept.json", judged_cases)
+    assert read_kept(tmp_path / "kept.json").bounds == judged_cases.bounds
+    assert "`scale_quadratic`" in tables.inseparable(judged_cases.bounds)
     assert tables.inseparable([]) == "Not measured."

@@ -42,13 +42,13 @@ NONCENTRALITY = ROOT / "tests" / "support" / "noncentrality.py"
 
 def imported(file: Path) -> set[str]:
     """Every module that a file names in an import."""
-    found: set[str] = set()
+    names: set[str] = set()
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            found.add(node.module or "")
-    return found
+            names.add(node.module or "")
+    return names
 
 
 def test_the_truth_imports_nothing_of_the_finder() -> None:
@@ -86,9 +86,9 @@ def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_draws_depend_on_the_seed_alone() -> None:
-    one, again, other = drawn(300_003, "mixed"), drawn(300_003, "mixed"), drawn(300_004, "mixed")
-    assert one == again
-    assert one != other
+    first, again, other = drawn(300_003, "mixed"), drawn(300_003, "mixed"), drawn(300_004, "mixed")
+    assert first == again
+    assert first != other
 
 
 def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
@@ -118,9 +118,9 @@ def test_the_answer_is_sealed_and_not_in_the_recording(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_a_rung_is_met_by_the_session_that_comes_of_it(tmp_path: Path) -> None:
     # nearly all of it is absorbed: what is left hangs on how the samples fall on the edges
-    told = sizer_of(RIG).size_of_cause("s_curve", "", 2.0, 1.0)
-    assert told is not None
-    item = Item("s_curve", "", told.size, 2.0, told.seen)
+    sized = sizer_of(RIG).size_of_cause("s_curve", "", 2.0, 1.0)
+    assert sized is not None
+    item = Item("s_curve", "", sized.size, 2.0, sized.seen)
     make.make(tmp_path, Session("ladder", "one", RIG, (item,), rung=2.0))
     answer = json.loads((tmp_path / "answer.json").read_text())
     (cause,) = answer["causes"]
@@ -135,10 +135,10 @@ def test_a_rung_is_met_by_the_session_that_comes_of_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["clock_step", "saturation"])
 def test_a_size_is_as_visible_as_wanted(name: str) -> None:
-    told = sizer_of(RIG).size_of_cause(name, "", 3.0, 1.0)
-    assert told is not None
-    assert told.seen.noncentrality == pytest.approx(9.0 * detectable_of(name), rel=0.05)
-    assert sizer_of(RIG).visibility(InjectionRequest(name, "", told.size)) == told.seen
+    sized = sizer_of(RIG).size_of_cause(name, "", 3.0, 1.0)
+    assert sized is not None
+    assert sized.seen.noncentrality == pytest.approx(9.0 * detectable_of(name), rel=0.05)
+    assert sizer_of(RIG).visibility(InjectionRequest(name, "", sized.size)) == sized.seen
 
 
 def test_what_scatters_only_has_a_size_too() -> None:
@@ -152,9 +152,9 @@ def test_what_scatters_only_has_a_size_too() -> None:
 @pytest.mark.parametrize("name", sorted(SHAPES))
 def test_every_shape_outside_the_catalogue_shows(name: str) -> None:
     rig = replace(RIG, soak_k=20.0) if SHAPES[name].needs_soak else RIG
-    told = shape_sized(sizer_of(rig), SHAPES[name], rig, 3.0)
-    assert told is not None
-    assert told.seen.noncentrality == pytest.approx(9.0 * detectable_noncentrality(), rel=0.05)
+    sized = shape_sized(sizer_of(rig), SHAPES[name], rig, 3.0)
+    assert sized is not None
+    assert sized.seen.noncentrality == pytest.approx(9.0 * detectable_noncentrality(), rel=0.05)
 
 
 def test_a_ladder_goes_round_all_causes_before_the_next_rung() -> None:
@@ -181,7 +181,9 @@ def test_sizes_are_counted_as_the_rig_draws_them(name: str) -> None:
     order = InjectionRequest(name, "", CAUSES[name].typical)
     (hidden,) = sample_rig_truth(replace(settings_of(RIG), injections=(order,))).injected
     drawn_sizes = sum(
-        np.size(told.value) for key, told in hidden.parameters.items() if key not in shapes
+        np.size(parameter.value)
+        for key, parameter in hidden.parameters.items()
+        if key not in shapes
     )
     # three of the nine of gravity's matrix never show: the stage tilts about one axis
     assert sizes_of(name) == drawn_sizes - (3 if name == "g_sensitivity" else 0)

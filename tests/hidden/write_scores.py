@@ -28,7 +28,7 @@ PICTURE = DOCS / "img" / "confusion.svg"
 
 
 @cache
-def kept() -> Kept:
+def read_judged() -> Kept:
     """Return the results of the last run of the long tier."""
     return read_kept(RESULTS)
 
@@ -41,27 +41,29 @@ def measured() -> list[once.Multiplicity]:
 
 def picture() -> str:
     """Return the confusion matrix as SVG."""
-    return confusion_picture(kept().outcomes)
+    return confusion_picture(read_judged().outcomes)
 
 
 BLOCKS: dict[str, Block] = {
-    "cases": lambda: tables.cases(kept().outcomes),
-    "reached": lambda: tables.reached(kept().outcomes),
-    "goals": lambda: tables.goals(kept().outcomes, kept().gaps, kept().bounds, measured()),
-    "nulls": lambda: tables.nulls(kept().outcomes),
+    "cases": lambda: tables.cases(read_judged().outcomes),
+    "reached": lambda: tables.reached(read_judged().outcomes),
+    "goals": lambda: tables.goals(
+        read_judged().outcomes, read_judged().gaps, read_judged().bounds, measured()
+    ),
+    "nulls": lambda: tables.nulls(read_judged().outcomes),
     "looks": lambda: once.counted(measured()),
-    "once": lambda: once.said(measured()),
-    "causes": lambda: tables.causes(kept().outcomes),
-    "confused": lambda: tables.confused(kept().outcomes),
-    "inseparable": lambda: tables.inseparable(kept().bounds),
-    "shapes": lambda: tables.shapes(kept().outcomes),
-    "blind": lambda: tables.blind(kept().outcomes),
-    "many": lambda: tables.many(kept().outcomes),
-    "gaps": lambda: tables.gaps(kept().gaps),
-    "complete": lambda: complete.said(complete.read(COMPLETENESS)),
-    "covered": lambda: tables.covered(kept().outcomes),
-    "harm": lambda: tables.harm(kept().outcomes),
-    "seconds": lambda: tables.seconds(kept().outcomes),
+    "once": lambda: once.table_text(measured()),
+    "causes": lambda: tables.causes(read_judged().outcomes),
+    "confused": lambda: tables.confused(read_judged().outcomes),
+    "inseparable": lambda: tables.inseparable(read_judged().bounds),
+    "shapes": lambda: tables.shapes(read_judged().outcomes),
+    "blind": lambda: tables.blind(read_judged().outcomes),
+    "many": lambda: tables.many(read_judged().outcomes),
+    "gaps": lambda: tables.gaps(read_judged().gaps),
+    "complete": lambda: complete.table_text(complete.read(COMPLETENESS)),
+    "covered": lambda: tables.covered(read_judged().outcomes),
+    "harm": lambda: tables.harm(read_judged().outcomes),
+    "seconds": lambda: tables.seconds(read_judged().outcomes),
 }
 
 

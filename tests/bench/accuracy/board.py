@@ -54,12 +54,12 @@ def draw_board(rate_hz: float, bandwidth_hz: float, rng: np.random.Generator) ->
     quantum = float(rng.choice(QUANTA_RAD_S))
     levels = []
     for _ in range(3):
-        own = white * float(rng.uniform(0.8, 1.25))
+        white_axis = white * float(rng.uniform(0.8, 1.25))
         levels.append(
             Levels(
-                white=own,
-                flicker=own * float(np.sqrt(np.pi * flicker_hz) * rng.uniform(0.7, 1.4)),
-                walk=own
+                white=white_axis,
+                flicker=white_axis * float(np.sqrt(np.pi * flicker_hz) * rng.uniform(0.7, 1.4)),
+                walk=white_axis
                 * float(2.0 * np.pi * walk_hz / 3.0 / np.sqrt(2.0) * rng.uniform(0.7, 1.4)),
                 quantum_rad_s=quantum,
             )
@@ -141,8 +141,8 @@ def through(board: Board, rate_rad_s: FloatArray, slope: bool) -> FloatArray:
     response = response * np.exp(-2j * np.pi * f * (board.lag_s + 0.5 / fine_hz))
     if slope:
         response = response * 2j * np.pi * f
-    found = irfft(rfft(rate_rad_s, axis=0) * response[:, None], m, axis=0)
-    return np.asarray(found[:: board.oversampling], dtype=np.float64)
+    filtered = irfft(rfft(rate_rad_s, axis=0) * response[:, None], m, axis=0)
+    return np.asarray(filtered[:: board.oversampling], dtype=np.float64)
 
 
 def _white(

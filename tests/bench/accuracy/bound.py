@@ -121,33 +121,33 @@ class _Unknown:
 def _unknowns(session: Session) -> list[_Unknown]:
     """Return starts, rests, speeds, accelerations."""
     path = session.path
-    found = []
+    unknowns = []
     for k, move in enumerate(path.moves):
         during = ((move.start_s, move.end_s),)
         pair = [
             _with(path, {k: replace(move, start_s=move.start_s + s * START_STEP_S)})
             for s in (1.0, -1.0)
         ]
-        found.append(_Unknown(pair[0], pair[1], START_STEP_S, during, 0.0))
+        unknowns.append(_Unknown(pair[0], pair[1], START_STEP_S, during, 0.0))
     for axis in (0, 1):
-        own = path.of_axis(axis)
-        for k in range(len(own) + 1):
+        axis_path = path.of_axis(axis)
+        for k in range(len(axis_path) + 1):
             pair = [_rested(path, axis, k, s * REST_STEP) for s in (1.0, -1.0)]
-            near = own[max(0, k - 1) : k + 1]
+            near = axis_path[max(0, k - 1) : k + 1]
             spans = tuple((move.start_s, move.end_s) for move in near)
             if axis == 1:
                 # The tilt turns what pan does, from the move that came to the one that left.
-                begin_s = own[k - 1].start_s if k > 0 else 0.0
-                spans = ((begin_s, own[k].end_s if k < len(own) else session.end_s),)
+                begin_s = axis_path[k - 1].start_s if k > 0 else 0.0
+                spans = ((begin_s, axis_path[k].end_s if k < len(axis_path) else session.end_s),)
             off = float(path.off_steps[axis][k])
-            found.append(_Unknown(pair[0], pair[1], REST_STEP, spans, DETENT_STEPS**-2, off))
+            unknowns.append(_Unknown(pair[0], pair[1], REST_STEP, spans, DETENT_STEPS**-2, off))
     for own_class in sorted(set(session.classes)):
         at = [k for k, c in enumerate(session.classes) if c == own_class]
-        found.append(_scaled(path, at, "speed_steps_s", session.log_speed[own_class]))
+        unknowns.append(_scaled(path, at, "speed_steps_s", session.log_speed[own_class]))
     for axis in (0, 1):
         at = [k for k, move in enumerate(path.moves) if move.axis == axis]
-        found.append(_scaled(path, at, "acceleration_steps_s2", session.log_ramp[axis]))
-    return found
+        unknowns.append(_scaled(path, at, "acceleration_steps_s2", session.log_ramp[axis]))
+    return unknowns
 
 
 def _with(path: Path, changed: dict[int, Trapezoid]) -> Path:
@@ -227,15 +227,15 @@ def _add_short(
     cross = values @ weighed[first:stop]
     information[13 + k, at] += cross
     information[at, 13 + k] += cross
-    own = cover.weigh_short(values[:, None])[:, 0]
-    score[13 + k] += float(own @ noise[first:stop])
+    weighed_columns = cover.weigh_short(values[:, None])[:, 0]
+    score[13 + k] += float(weighed_columns @ noise[first:stop])
     for other in short:
         low = max(first, pieces[other].first)
         high = min(stop, pieces[other].first + parts[other].size)
         if other < k or high <= low:
             continue
         theirs = parts[other][low - pieces[other].first : high - pieces[other].first]
-        value = float(own[low - first : high - first] @ theirs)
+        value = float(weighed_columns[low - first : high - first] @ theirs)
         information[13 + k, 13 + other] += value
         if other != k:
             information[13 + other, 13 + k] += value
@@ -252,9 +252,9 @@ def _answers(session: Session, size: int) -> tuple[FloatArray, FloatArray]:
         at_s, extra = answers.instant_s, np.zeros(answers.lo_s.size)
     rows, weights, residuals, tails = [], [], [], []
     for axis in (0, 1):
-        own = answers.axis == axis
-        time_s, wide = at_s[own], extra[own]
-        told = path.counted_steps(axis, time_s)
+        is_axis = answers.axis == axis
+        time_s, wide = at_s[is_axis], extra[is_axis]
+        counted_steps = path.counted_steps(axis, time_s)
         speed = np.zeros(time_s.size)
         edge = np.full(time_s.size, np.inf)
         for move in path.of_axis(axis):
@@ -265,7 +265,7 @@ def _answers(session: Session, size: int) -> tuple[FloatArray, FloatArray]:
             edge = np.where(inside, near, edge)
         use = (speed != 0.0) & (edge > 1.5)
         time_s, wide, speed = time_s[use], wide[use], speed[use]
-        residuals.append(answers.steps[own][use] - told[use])
+        residuals.append(answers.steps[is_axis][use] - counted_steps[use])
         weights.append(1.0 / (1.0 / 12.0 + (speed * wide) ** 2 / 12.0))
         columns = np.zeros((time_s.size, size))
         for k, unknown in enumerate(unknowns):

@@ -46,14 +46,14 @@ def run_program(program: str, seed: int) -> dict[str, Any]:
     board = draw_board(RATE_HZ, BANDWIDTH_HZ, rng)
     counts = sample(board, session.path, (HEAD_S, session.end_s - TAIL_S), rng)
     reference = answered_reference(session)
-    found = fit_motion(samples_of(board, counts), reference, UNIT_REMEDIES)
-    error = np.array([found.value(name) for name in NAMES]) - truth(board, counts)
-    std = np.array([found.std[name] for name in NAMES])
+    fit = fit_motion(samples_of(board, counts), reference, UNIT_REMEDIES)
+    error = np.array([fit.value(name) for name in NAMES]) - truth(board, counts)
+    std = np.array([fit.std[name] for name in NAMES])
     apart_variance = std[-1] ** 2 - reference.common_shift_std_s**2
     errors = np.concatenate(
-        [error, [error[-1] - session.common_s], (found.gain - board.gain).ravel()]
+        [error, [error[-1] - session.common_s], (fit.gain - board.gain).ravel()]
     )
-    stds = np.concatenate([std, [np.sqrt(max(apart_variance, 0.0))], found.gain_std.ravel()])
+    stds = np.concatenate([std, [np.sqrt(max(apart_variance, 0.0))], fit.gain_std.ravel()])
     is_null = ~(np.isfinite(errors) & np.isfinite(stds))
     return {
         "seed": seed,
@@ -106,13 +106,13 @@ def verdict(figures: Summary) -> str:
 def coverage_rows(programs: Summary) -> Iterator[Row]:
     """Yield one row of the table of goals for each program and parameter that has intervals."""
     low, high = goals.COVER_95
-    for program, found in programs.items():
-        for name, figures in found["parameters"].items():
-            said = verdict(figures)
-            if said:
+    for program, summary in programs.items():
+        for name, figures in summary["parameters"].items():
+            words = verdict(figures)
+            if words:
                 yield Row(
                     f"{program}: 95 % intervals, {name}",
                     f"{low:.2f} to {high:.2f}",
                     f"{figures['value']:.3f} ({figures['low']:.3f} to {figures['high']:.3f})",
-                    said,
+                    words,
                 )

@@ -102,9 +102,9 @@ def efficiency(runs: Runs, parameter: int) -> Figure:
 
 def paired_efficiency(runs: Runs, parameter: int) -> Figure:
     """Return the deviation of the best estimate over that of the solver, on the same noise."""
-    own = (runs.error[:, parameter] / runs.bound[:, parameter]) ** 2
+    normalised = (runs.error[:, parameter] / runs.bound[:, parameter]) ** 2
     best = (runs.best[:, parameter] / runs.bound[:, parameter]) ** 2
-    return ratio(best, own)
+    return ratio(best, normalised)
 
 
 def ratio(upper: FloatArray, lower: FloatArray) -> Figure:

@@ -70,14 +70,14 @@ def answered_reference(session: Session) -> ReferenceMotion:
     steps = np.column_stack([np.where(valid[:, k], answers.steps, 0.0) for k in (0, 1)])
     polls = UnitPolls(answers.lo_s, answers.hi_s, steps, valid)
     if answers.ticks is not None:
-        found = counter_instants(
+        instants = counter_instants(
             answers.ticks[::2], polls.earliest_s[::2], polls.latest_s[::2], COUNTER_HZ
         )
-        if found is not None:
-            at_s = np.repeat(found.at_s, 2)
-            polls = UnitPolls(at_s, at_s, steps, valid, found.width_s)
+        if instants is not None:
+            at_s = np.repeat(instants.at_s, 2)
+            polls = UnitPolls(at_s, at_s, steps, valid, instants.width_s)
     exchanges = [
-        UnitExchange(told, answered, True, text) for told, answered, text in session.orders
+        UnitExchange(command, answered, True, text) for command, answered, text in session.orders
     ]
     motion = MotionReader(session.settings, (0, 0), polls.count_at_rest).read(exchanges)
     return choose_reference(motion, polls, (RAD_PER_STEP, RAD_PER_STEP))

@@ -69,30 +69,30 @@ class Covariance:
         flicker = (flicker_density(self.levels.flicker, f) * half)[:, None]
         mean = columns.mean(axis=0)
         centred = columns - mean
-        one = rfft(np.ones(n), ring)[:, None]
-        of_one = irfft(one[:, 0] * flicker[:, 0], ring)[:n]
+        window = rfft(np.ones(n), ring)[:, None]
+        of_one = irfft(window[:, 0] * flicker[:, 0], ring)[:n]
         spectrum = rfft(columns, ring, axis=0)
-        spectrum = spectrum * (white + flicker) - flicker * one * mean
-        found = irfft(spectrum, ring, axis=0)[:n]
+        spectrum = spectrum * (white + flicker) - flicker * window * mean
+        product = irfft(spectrum, ring, axis=0)[:n]
         # A walk is the running sum of steps: K^2 dt L L'.
         walk = np.cumsum(np.cumsum(centred[::-1], axis=0)[::-1], axis=0)
         walk *= self.levels.walk**2 / self.rate_hz
-        found += walk - walk.mean(axis=0) - of_one @ centred / n
-        return np.asarray(found, dtype=np.float64)
+        product += walk - walk.mean(axis=0) - of_one @ centred / n
+        return np.asarray(product, dtype=np.float64)
 
     def weigh(self, columns: FloatArray) -> FloatArray:
         """Return the inverse of the covariance times columns, by conjugate gradients."""
-        found, left = np.zeros_like(columns), columns.copy()
+        weighed, left = np.zeros_like(columns), columns.copy()
         near = self._nearly(left)
         way = near.copy()
         strength = np.sum(left * near, axis=0)
         goal = ACCURATE**2 * strength
         for _ in range(MOST_ROUNDS):
             if np.all(strength <= goal):
-                return found
+                return weighed
             moved = self.times(way)
             step = strength / np.maximum(np.sum(way * moved, axis=0), TINY)
-            found += step * way
+            weighed += step * way
             left -= step * moved
             near = self._nearly(left)
             before, strength = strength, np.sum(left * near, axis=0)

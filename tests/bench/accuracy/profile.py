@@ -107,23 +107,23 @@ class Path:
 
     @cached_property
     def _by_axis(self) -> tuple[_Moves, _Moves]:
-        found = []
+        tables = []
         for axis in (0, 1):
-            own = [move for move in self.moves if move.axis == axis]
-            starts = np.array([move.start_s for move in own])
-            found.append((own, starts, np.array([move.end_s for move in own])))
-        return found[0], found[1]
+            axis_moves = [move for move in self.moves if move.axis == axis]
+            starts = np.array([move.start_s for move in axis_moves])
+            tables.append((axis_moves, starts, np.array([move.end_s for move in axis_moves])))
+        return tables[0], tables[1]
 
     def _where(self, axis: int, time_s: FloatArray, detents: bool) -> FloatArray:
         moves, starts, ends = self._by_axis[axis]
         off = self.off_steps[axis] if detents else np.zeros(len(moves) + 1)
         if time_s.size == 0:
             return np.zeros(0)
-        done = int(np.searchsorted(ends, time_s[0]))
+        ended = int(np.searchsorted(ends, time_s[0]))
         begun = int(np.searchsorted(starts, time_s[-1], side="right"))
-        stood = moves[done - 1].end_steps if done else self.begin_steps[axis]
-        where = np.full(time_s.size, stood + off[done])
-        for k in range(done, begun):
+        stood = moves[ended - 1].end_steps if ended else self.begin_steps[axis]
+        where = np.full(time_s.size, stood + off[ended])
+        for k in range(ended, begun):
             move, gained = moves[k], off[k + 1] - off[k]
             first, last = np.searchsorted(time_s, [move.start_s, move.end_s])
             if last > first:

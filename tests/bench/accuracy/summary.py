@@ -92,16 +92,17 @@ def outlier_cost(clean: Sequence[dict[str, Any]], hit: Sequence[dict[str, Any]])
     """Return the efficiency with outliers over that without, of the same runs, by group."""
     seeds = {row["seed"] for row in hit if row.get("shown") == len(NAMES)}
     seeds &= {row["seed"] for row in clean if row.get("shown") == len(NAMES)}
-    one = gather([row for row in clean if row["seed"] in seeds])
+    clean_runs = gather([row for row in clean if row["seed"] in seeds])
     two = gather([row for row in hit if row["seed"] in seeds])
     cost = {}
     for group in ALL_GROUPS:
         at = members(group)
         upper, lower = (
-            np.mean((runs.error[:, at] / runs.bound[:, at]) ** 2, axis=1) for runs in (one, two)
+            np.mean((runs.error[:, at] / runs.bound[:, at]) ** 2, axis=1)
+            for runs in (clean_runs, two)
         )
         cost[group] = asdict(ratio(upper, lower))
-    everything = [np.mean((runs.error / runs.bound) ** 2, axis=1) for runs in (one, two)]
+    everything = [np.mean((runs.error / runs.bound) ** 2, axis=1) for runs in (clean_runs, two)]
     cost["all"] = asdict(ratio(*everything))
     return cost
 
@@ -109,8 +110,8 @@ def outlier_cost(clean: Sequence[dict[str, Any]], hit: Sequence[dict[str, Any]])
 def judged(results: Summary) -> Iterator[Row]:
     """Yield the table of goals."""
     for case in goals.CASES:
-        found = results["cases"].get(case.name)
-        if found is None or case.spikes:
+        result = results["cases"].get(case.name)
+        if result is None or case.spikes:
             continue
         known = case.baud is None
         goal = goals.KNOWN_EFFICIENCY if known else goals.ANSWERS_EFFICIENCY
@@ -118,22 +119,22 @@ def judged(results: Summary) -> Iterator[Row]:
             if group == "time_offset":
                 continue
             worst = min(
-                (found["parameters"][NAMES[k]]["paired"] for k in members(group)),
+                (result["parameters"][NAMES[k]]["paired"] for k in members(group)),
                 key=lambda figure: float(figure["value"]),
             )
             yield _at_least(f"{case.name}: efficiency, {group}, the worst axis", goal, worst)
-        yield from _offset(case.name, found, known)
+        yield from _offset(case.name, result, known)
         for what, limits in (("68", goals.COVER_68), ("95", goals.COVER_95)):
             for group in ALL_GROUPS:
-                figure = found["groups"][group][f"cover_{what}"]
+                figure = result["groups"][group][f"cover_{what}"]
                 yield _between(f"{case.name}: {what} % intervals, {group}", limits, figure)
-            figure = found["together"][f"cover_{what}"]
+            figure = result["together"][f"cover_{what}"]
             yield _between(f"{case.name}: {what} % intervals, all", limits, figure)
-        p_value = found["chi2"]["p_value"]
+        p_value = result["chi2"]["p_value"]
         yield Row(
             f"{case.name}: joint chi-squared of 13",
             f"p >= {goals.CHI2_P}",
-            f"mean {_said(found['chi2']['mean'])}, p {p_value:.2g}",
+            f"mean {_said(result['chi2']['mean'])}, p {p_value:.2g}",
             "yes" if p_value >= goals.CHI2_P else "NO",
         )
     for name, cost in results["outliers"].items():
@@ -142,11 +143,11 @@ def judged(results: Summary) -> Iterator[Row]:
             yield _at_least(f"{name}: with outliers over without, {group}", least, figure)
 
 
-def _offset(name: str, found: Summary, known: bool) -> Iterator[Row]:
+def _offset(name: str, summary: Summary, known: bool) -> Iterator[Row]:
     """The time offset; from answers with and without what no answer can show."""
-    parts = [("time offset", found["parameters"]["time_offset"])]
+    parts = [("time offset", summary["parameters"]["time_offset"])]
     if not known:
-        parts.append(("time offset without the constant", found["offset_apart"]))
+        parts.append(("time offset without the constant", summary["offset_apart"]))
     for words, figures in parts:
         achieved = figures["efficiency"]
         value, low, high = (1.0 / achieved[k] for k in ("value", "high", "low"))

@@ -50,18 +50,18 @@ def run(case: Case, seed: int) -> dict[str, Any]:
     best = bound(board, session, counts, profile_known=case.baud is None)
     given = spiked(board, counts, case.spikes, rng) if case.spikes else counts
     reference = reference_of(case, session)
-    found = fit_motion(samples_of(board, given), reference, UNIT_REMEDIES)
+    fit = fit_motion(samples_of(board, given), reference, UNIT_REMEDIES)
     true = truth(board, counts)
-    error = np.array([found.value(name) for name in NAMES]) - true
-    at = {name: k for k, name in enumerate(found.order)}
+    error = np.array([fit.value(name) for name in NAMES]) - true
+    at = {name: k for k, name in enumerate(fit.order)}
     shown = [name for name in NAMES if name in at]
     pick = np.array([at[name] for name in shown])
-    covariance = found.covariance[np.ix_(pick, pick)]
+    covariance = fit.covariance[np.ix_(pick, pick)]
     left = error[[NAMES.index(name) for name in shown]]
     return {
         "seed": seed,
         "error": error.tolist(),
-        "std": [found.std[name] for name in NAMES],
+        "std": [fit.std[name] for name in NAMES],
         "bound": np.sqrt(np.diag(best.covariance)).tolist(),
         "best": best.error.tolist(),
         "best_chi2": float(best.error @ np.linalg.solve(best.covariance, best.error)),
@@ -71,12 +71,12 @@ def run(case: Case, seed: int) -> dict[str, Any]:
         "common_s": 0.0 if case.baud is None else session.common_s,
         "common_std_s": 0.0 if case.baud is None else session.least_s / float(np.sqrt(12.0)),
         "stated_common_s": reference.common_shift_std_s,
-        "outliers": found.outliers,
-        "reduced_chi2": found.reduced_chi2,
-        "reference": found.reference,
-        "warnings": list(found.warnings),
-        "distrust": list(found.limited_reasons),
-        "noise": _noise(board, found),
+        "outliers": fit.outliers,
+        "reduced_chi2": fit.reduced_chi2,
+        "reference": fit.reference,
+        "warnings": list(fit.warnings),
+        "distrust": list(fit.limited_reasons),
+        "noise": _noise(board, fit),
         "duration_s": session.end_s,
     }
 
@@ -105,27 +105,27 @@ def solve_case(case: Case, seed: int) -> ConvergedFit:
 def run_without_bound(case: Case, seed: int) -> dict[str, Any]:
     """Return what came of one run whose bound nobody knows: error, std and noise in motion."""
     board, session, counts, _ = simulate(case, seed)
-    found = fit_motion(samples_of(board, counts), reference_of(case, session), UNIT_REMEDIES)
-    white = {} if found.noise is None else found.noise.white_by_motor_state
-    at_rest = np.ones(3) if found.noise is None else found.noise.angle_random_walk
+    fit = fit_motion(samples_of(board, counts), reference_of(case, session), UNIT_REMEDIES)
+    white = {} if fit.noise is None else fit.noise.white_by_motor_state
+    at_rest = np.ones(3) if fit.noise is None else fit.noise.angle_random_walk
     return {
         "seed": seed,
-        "error": (np.array([found.value(name) for name in NAMES]) - truth(board, counts)).tolist(),
-        "std": [found.std[name] for name in NAMES],
+        "error": (np.array([fit.value(name) for name in NAMES]) - truth(board, counts)).tolist(),
+        "std": [fit.std[name] for name in NAMES],
         "noise_ratio": (white.get("in_motion", at_rest) / at_rest).tolist(),
-        "reduced_chi2": found.reduced_chi2,
-        "widened": any("uncertainties were multiplied" in text for text in found.warnings),
+        "reduced_chi2": fit.reduced_chi2,
+        "widened": any("uncertainties were multiplied" in text for text in fit.warnings),
     }
 
 
-def _noise(board: Board, found: GyroFit) -> list[list[float]]:
+def _noise(board: Board, fit: GyroFit) -> list[list[float]]:
     """Return the levels found over the true ones: white, flicker, walk; three axes each."""
-    if found.noise is None:
+    if fit.noise is None:
         return []
     ratios = (
-        found.noise.angle_random_walk / [level.white for level in board.levels],
-        found.noise.bias_instability / [level.flicker for level in board.levels],
-        found.noise.rate_random_walk / [level.walk for level in board.levels],
+        fit.noise.angle_random_walk / [level.white for level in board.levels],
+        fit.noise.bias_instability / [level.flicker for level in board.levels],
+        fit.noise.rate_random_walk / [level.walk for level in board.levels],
     )
     return [[float(value) for value in ratio] for ratio in ratios]
 

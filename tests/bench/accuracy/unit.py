@@ -89,7 +89,7 @@ class _Line:
     classes: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        rng, told = self.rng, self.program.settings
+        rng, settings = self.rng, self.program.settings
         self.byte_s = 10.0 / self.baud
         self.least_s = float(rng.uniform(*LEAST_THOUGHT_S))
         self.share = float(rng.uniform())
@@ -99,8 +99,8 @@ class _Line:
         lag = float(rng.uniform(-0.5, 0.5))
         self.counting = (lag, float(rng.uniform(-1.0, 1.0)) * (0.5 - abs(lag)))
         self.where = [0, 0]
-        self.base = _steps(told.base_speed_deg_s or 51.4)
-        self.ramp = _steps(told.acceleration_deg_s2 or 102.9)
+        self.base = _steps(settings.base_speed_deg_s or 51.4)
+        self.ramp = _steps(settings.acceleration_deg_s2 or 102.9)
         self.true_ramp = self.ramp * np.exp(rng.normal(scale=LOG_SPEED_STD, size=2))
         self.speeds: dict[tuple[int, int], tuple[int, float]] = {}
         self.next_axis = 0
@@ -185,11 +185,11 @@ class _Line:
             self._order(f"{'PT'[axis]}S{speed}")
         if len(targets) > 1:
             self._order("S")
-        told = [self._order(f"{'PT'[axis]}P{target}") for axis, target, _ in targets]
+        orders = [self._order(f"{'PT'[axis]}P{target}") for axis, target, _ in targets]
         if len(targets) > 1:
-            told = [self._order("I")] * len(targets)
+            orders = [self._order("I")] * len(targets)
         end_s = self.now_s
-        for (axis, target, speed), at_s in zip(targets, told, strict=True):
+        for (axis, target, speed), at_s in zip(targets, orders, strict=True):
             if target == self.where[axis]:
                 continue
             scale = float(np.exp(self.rng.normal(scale=LOG_SPEED_STD)))

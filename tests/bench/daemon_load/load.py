@@ -101,9 +101,9 @@ class Load:
         if self._process is None:
             return {}
         self._process.terminate()
-        told, _ = self._process.communicate(timeout=20)
+        output, _ = self._process.communicate(timeout=20)
         self._process = None
-        rows = [line.split() for line in told.splitlines()]
+        rows = [line.split() for line in output.splitlines()]
         *told_boards, (_, p50, p99, worst) = rows
         self.late_us = int(p50), int(p99), int(worst)
         return {row[0]: Taken(*(int(word) for word in row[1:])) for row in told_boards}

@@ -22,10 +22,10 @@ class Seen:
 
 def children(pid: int) -> list[int]:
     """Return the processes that `pid` has started."""
-    found: list[int] = []
+    identifiers: list[int] = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        found += [int(word) for word in task.read_text().split()]
-    return found
+        identifiers += [int(word) for word in task.read_text().split()]
+    return identifiers
 
 
 def command(pid: int) -> str:

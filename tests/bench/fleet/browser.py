@@ -32,6 +32,6 @@ def chromium(profile: Path, width: int = 1300, height: int = 1400) -> Any | None
     for word in (*WORDS, f"window-size={width},{height}", f"user-data-dir={profile}"):
         options.add_argument(f"--{word}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    one = webdriver.Chrome(options, webdriver.ChromeService(driver))
-    one.set_page_load_timeout(PATIENCE_S)
-    return one
+    browser = webdriver.Chrome(options, webdriver.ChromeService(driver))
+    browser.set_page_load_timeout(PATIENCE_S)
+    return browser

@@ -33,18 +33,18 @@ def figures(store: Path, nights: int) -> dict[str, tuple[float, ...]]:
         board = np.array([row[0] for row in rows])
         value, std = (np.array([row[at] for row in rows], dtype=float) for at in (1, 2))
         means, within, free = [], 0.0, 0
-        for one in np.unique(board):
-            own = value[board == one]
-            means.append(own.mean())
-            within += float(((own - own.mean()) ** 2).sum())
-            free += own.size - 1
+        for board_name in np.unique(board):
+            board_values = value[board == board_name]
+            means.append(board_values.mean())
+            within += float(((board_values - board_values.mean()) ** 2).sum())
+            free += board_values.size - 1
         family = name.split("_", maxsplit=1)[0]
-        found = (
+        estimates = (
             float(np.var(means, ddof=1)),
             within / max(free, 1),
             float(np.median(std)) ** 2,
         )
-        squares.setdefault(family, []).append(found)
+        squares.setdefault(family, []).append(estimates)
     return {
         family: tuple(float(np.sqrt(np.mean(column))) for column in zip(*three, strict=True))
         for family, three in squares.items()
@@ -56,13 +56,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("store", type=Path)
     parser.add_argument("--nights", type=int, default=10_000)
-    told = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     lines = [
         "| family | boards differ by | drawn | a board's nights | drawn with what is stated "
         "| stated | rows-only maker |",
         "|---|---|---|---|---|---|---|",
     ]
-    for family, (spread, within, stated) in figures(told.store, told.nights).items():
+    for family, (spread, within, stated) in figures(options.store, options.nights).items():
         expected = float(np.hypot(SCATTER[family], stated))
         lines.append(
             f"| {family} | {spread:.2e} | {SPREAD[family]:.0e} | {within:.2e} | {expected:.2e} "

@@ -130,7 +130,7 @@ def make(out: Path, draw: FleetDraw, program: str) -> int:
     hidden = {
         "draw": asdict(draw),
         "program": program,
-        "broken": {_name(one): one.broken for one in sessions if one.broken},
+        "broken": {_name(session): session.broken for session in sessions if session.broken},
     }
     (out / "hidden.json").write_text(json.dumps(hidden, indent=1))
     made, begun_s = 0, time.monotonic()
@@ -165,24 +165,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rig-drift", metavar="RIG:NIGHT:RAD")
     parser.add_argument("--board-drift", metavar="BOARD:NIGHT:SCALE")
     parser.add_argument("--constant", type=float, metavar="SHARE")
-    told = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     numbers = ("boards", "nights", "rigs", "lots", "at_once", "seed")
-    given = {n: getattr(told, n) for n in numbers if getattr(told, n) is not None}
+    given = {n: getattr(options, n) for n in numbers if getattr(options, n) is not None}
     draw = FleetDraw(
         **given,
-        odr_hz=told.odr,
-        measured=told.measured,
-        broken=told.broken,
-        constant=told.constant,
+        odr_hz=options.odr,
+        measured=options.measured,
+        broken=options.broken,
+        constant=options.constant,
     )
-    if told.bad_lot is not None:
-        lot, scale = told.bad_lot.split(":")
+    if options.bad_lot is not None:
+        lot, scale = options.bad_lot.split(":")
         draw = replace(draw, bad_lot=(int(lot), float(scale)))
-    if told.rig_drift is not None:
-        draw = replace(draw, rig_drift=_drift(told.rig_drift))
-    if told.board_drift is not None:
-        draw = replace(draw, board_drift=_drift(told.board_drift))
-    sys.stdout.write(f"{make(told.out, draw, told.program)} recordings made\n")
+    if options.rig_drift is not None:
+        draw = replace(draw, rig_drift=_drift(options.rig_drift))
+    if options.board_drift is not None:
+        draw = replace(draw, board_drift=_drift(options.board_drift))
+    sys.stdout.write(f"{make(options.out, draw, options.program)} recordings made\n")
 
 
 def _drift(text: str) -> tuple[int, int, float]:

@@ -82,11 +82,11 @@ def sessions_of(draw: FleetDraw) -> Iterator[Session]:
         first_number = number
         here = np.flatnonzero(rng.random(draw.boards) < draw.measured)
         for rig in range(draw.rigs):
-            own = [int(board) for board in here if draw.rig_of(int(board)) == rig]
-            for first in range(0, len(own), draw.at_once):
+            rig_boards = [int(board) for board in here if draw.rig_of(int(board)) == rig]
+            for first in range(0, len(rig_boards), draw.at_once):
                 spoilt = rng.random() < draw.broken
                 broken = BROKEN[int(rng.integers(len(BROKEN)))] if spoilt else None
-                boards = tuple(own[first : first + draw.at_once])
+                boards = tuple(rig_boards[first : first + draw.at_once])
                 yield Session(number, number - first_number, night, rig, boards, broken)
                 number += 1
 
@@ -106,8 +106,8 @@ def truth_of(draw: FleetDraw, session: Session) -> RigTruth:
     settings = settings_of(draw, session)
     drawn = sample_rig_truth(settings)
     boards: Mapping[str, BoardTruth] = {
-        one.name: _board_tonight(draw, session, board, one)
-        for board, one in zip(session.boards, settings.boards, strict=True)
+        settings_of_board.name: _board_tonight(draw, session, board, settings_of_board)
+        for board, settings_of_board in zip(session.boards, settings.boards, strict=True)
     }
     return replace(drawn, boards=boards)
 
@@ -115,10 +115,10 @@ def truth_of(draw: FleetDraw, session: Session) -> RigTruth:
 def _board_tonight(
     draw: FleetDraw, session: Session, board: int, settings: BoardSettings
 ) -> BoardTruth:
-    own = np.random.default_rng([draw.seed, _BOARD, board])
+    board_rng = np.random.default_rng([draw.seed, _BOARD, board])
     tonight = np.random.default_rng([draw.seed, _NIGHT, session.night, board])
-    drawn = sample_board_truth(settings, own)
-    of_part = {family: own.normal(0.0, size, 3) for family, size in SPREAD.items()}
+    drawn = sample_board_truth(settings, board_rng)
+    of_part = {family: board_rng.normal(0.0, size, 3) for family, size in SPREAD.items()}
     value = {f: of_part[f] + tonight.normal(0.0, SCATTER[f], 3) for f in of_part}
     room = ROOM_DEGC + SEASON_K * np.sin(session.night / 4.0) + tonight.normal(0.0, DAY_K)
     scale = 1.0 + value["scale"] + _scale_hidden(draw, session, board)

@@ -32,19 +32,19 @@ def beyond(value: np.ndarray, limit: float = LIMIT, baseline: int = BASELINE_NIG
     sigma = _moving_range(held) / _D2
     with np.errstate(invalid="ignore"):
         out = np.abs(value - centre) > limit * sigma
-    found: np.ndarray = out & measured & ~in_base & (count >= baseline)
-    return found
+    is_beyond: np.ndarray = out & measured & ~in_base & (count >= baseline)
+    return is_beyond
 
 
 def group_means(value: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
     """Return the means of groups of boards about each board's own first nights, by night."""
     measured = np.isfinite(value)
     in_base = measured & (np.cumsum(measured, axis=0) <= BASELINE_NIGHTS)
-    own = np.where(in_base, value, 0.0).sum(axis=0) / np.maximum(in_base.sum(axis=0), 1)
-    left = np.where(measured, value - own, 0.0)
+    base_mean = np.where(in_base, value, 0.0).sum(axis=0) / np.maximum(in_base.sum(axis=0), 1)
+    left = np.where(measured, value - base_mean, 0.0)
     means = np.full((len(value), count), np.nan)
-    for night, (row, there) in enumerate(zip(left, measured, strict=True)):
-        many = np.bincount(group, there, count)
+    for night, (row, is_measured) in enumerate(zip(left, measured, strict=True)):
+        many = np.bincount(group, is_measured, count)
         total = np.bincount(group, row, count)
         means[night] = np.where(many > 0, total / np.maximum(many, 1), np.nan)
     return means

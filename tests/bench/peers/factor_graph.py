@@ -44,12 +44,12 @@ def solve(table: Table) -> FloatArray:
         graph.add(gtsam.CustomFactor(noise, [key], error))
     start = gtsam.Values()
     start.insert(key, np.concatenate([np.eye(3).ravel(), np.zeros(4)]))
-    found = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
+    estimate = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
     std = np.full(13, np.nan)
     # Where a direction is hidden it refuses the covariance, and does not say which.
     with contextlib.suppress(RuntimeError):
-        std = np.sqrt(np.diag(gtsam.Marginals(graph, found).marginalCovariance(key)))
-    return np.stack([found.atVector(key), std])
+        std = np.sqrt(np.diag(gtsam.Marginals(graph, estimate).marginalCovariance(key)))
+    return np.stack([estimate.atVector(key), std])
 
 
 def _error(

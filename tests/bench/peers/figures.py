@@ -32,14 +32,14 @@ def runs(
     program: str, seeds: int, known: bool, columns: tuple[int, ...]
 ) -> tuple[Estimates, FloatArray]:
     """Return each method's errors over the seeds, and the bounds, shape (runs, 13)."""
-    found: dict[str, list[FloatArray]] = {}
+    errors_by_method: dict[str, list[FloatArray]] = {}
     bounds = []
     for seed in range(seeds):
-        one = record(program, seed, RATE_HZ, BANDWIDTH_HZ, known)
-        bounds.append(bound(one, columns))
+        trial = record(program, seed, RATE_HZ, BANDWIDTH_HZ, known)
+        bounds.append(bound(trial, columns))
         for name, run in _ways():
-            found.setdefault(name, []).append(run(one) - [one.truth, np.zeros(13)])
-    return {name: np.array(errors) for name, errors in found.items()}, np.array(bounds)
+            errors_by_method.setdefault(name, []).append(run(trial) - [trial.truth, np.zeros(13)])
+    return {name: np.array(errors) for name, errors in errors_by_method.items()}, np.array(bounds)
 
 
 def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
@@ -50,8 +50,8 @@ def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
     """
     limitations = {peer.name: peer.limitation for peer in peers()}
     rows = []
-    for name, found in errors.items():
-        error, stated = found[:, 0], found[:, 1]
+    for name, method_errors in errors.items():
+        error, stated = method_errors[:, 0], method_errors[:, 1]
         cells = []
         for at, (off, least) in enumerate(zip(_by_group(error), _by_group(bounds), strict=True)):
             if not np.all(np.isfinite(off)):
@@ -63,8 +63,8 @@ def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
             else:
                 cells.append(ratio(_rms(off / least)))
         units = (error / stated)[:, :9]
-        there = np.isfinite(units) & np.isfinite(bounds[:, :9])
-        cells.append(ratio(_rms(units[there])) if there.any() else "no std stated")
+        is_known = np.isfinite(units) & np.isfinite(bounds[:, :9])
+        cells.append(ratio(_rms(units[is_known])) if is_known.any() else "no std stated")
         rows.append([name, *cells, limitations.get(name, "")])
     head = ["rms error / bound", *GROUPS, "gain: rms error / stated std", "limitation"]
     return table(head, rows)
@@ -73,25 +73,25 @@ def accuracy(errors: Estimates, bounds: FloatArray, known: bool) -> str:
 def hidden_column(errors: Estimates) -> str:
     """What each method says of the roll column where nothing turned about roll."""
     rows = []
-    for name, found in errors.items():
-        column = _by_group(found[:, 0])[1]
-        said = "no value"
+    for name, method_errors in errors.items():
+        column = _by_group(method_errors[:, 0])[1]
+        words = "no value"
         if np.all(np.isfinite(column)):
-            said = f"a value; the rms error of its three entries is {number(_rms(column), 3)}"
-        rows.append([name, said])
+            words = f"a value; the rms error of its three entries is {number(_rms(column), 3)}"
+        rows.append([name, words])
     return table(["method", "result for the roll column"], rows)
 
 
 def turned(seeds: int) -> str:
     """imucal and our turns on its own kind of session, in units of the bound."""
-    found: dict[str, list[FloatArray]] = {}
+    errors_by_method: dict[str, list[FloatArray]] = {}
     for seed in range(seeds):
-        one = turns.session(seed, RATE_HZ, BANDWIDTH_HZ)
-        least = turns.bound(one)
-        for name, run in _turn_ways(one).items():
-            found.setdefault(name, []).append((run() - one.truth) / least)
+        turn_session = turns.session(seed, RATE_HZ, BANDWIDTH_HZ)
+        least = turns.bound(turn_session)
+        for name, run in _turn_ways(turn_session).items():
+            errors_by_method.setdefault(name, []).append((run() - turn_session.truth) / least)
     rows = []
-    for name, units in found.items():
+    for name, units in errors_by_method.items():
         all_of = np.array(units)
         rows.append([name, ratio(_rms(all_of[:, :9])), ratio(_rms(all_of[:, 9:]))])
     return table(["rms error / bound", "gain", "bias"], rows)
@@ -102,13 +102,13 @@ def times(repeat: int) -> str:
 
     The peers' table of the unit's angles is ready beforehand; ours is made within its time.
     """
-    one = record(SWEEPS, 0, FAST_HZ, FAST_BANDWIDTH_HZ, known=False)
-    measured_rad, stage_rad = (np.ascontiguousarray(side.T) for side in integrated(one.table))
+    trial = record(SWEEPS, 0, FAST_HZ, FAST_BANDWIDTH_HZ, known=False)
+    measured_rad, stage_rad = (np.ascontiguousarray(side.T) for side in integrated(trial.table))
     ways: dict[str, Callable[[], object]] = {
         EQ_7: lambda: gain_by_pseudoinverse(measured_rad, stage_rad),
-        OURS: lambda: ours(one),
-        f"{OURS}, its reference alone": one.reference,
-        **{peer.name: partial(peer.run, one.table) for peer in peers()},
+        OURS: lambda: ours(trial),
+        f"{OURS}, its reference alone": trial.reference,
+        **{peer.name: partial(peer.run, trial.table) for peer in peers()},
         **_turn_ways(turns.session(0, FAST_HZ, FAST_BANDWIDTH_HZ)),
     }
     measured = _cpu_s(ways, repeat)
@@ -117,14 +117,14 @@ def times(repeat: int) -> str:
             name,
             number(1e3 * taken, 2),
             *(
-                ratio(taken / measured[beside]) if beside in measured else "-"
-                for beside in (EQ_7, turns.IMUCAL, OURS)
+                ratio(taken / measured[reference]) if reference in measured else "-"
+                for reference in (EQ_7, turns.IMUCAL, OURS)
             ),
         ]
         for name, taken in measured.items()
     ]
     head = ["method", "processor time, ms"]
-    head += [f"time / time of {beside}" for beside in ("eq. 7 alone", "imucal", OURS)]
+    head += [f"time / time of {reference}" for reference in ("eq. 7 alone", "imucal", OURS)]
     return table(head, rows)
 
 
@@ -146,17 +146,17 @@ def _ways() -> list[tuple[str, Callable[[Recording], FloatArray]]]:
 
 
 def _on_table(run: Callable[[Table], FloatArray]) -> Callable[[Recording], FloatArray]:
-    return lambda one: run(one.table)
+    return lambda trial: run(trial.table)
 
 
-def _turn_ways(one: turns.Session) -> dict[str, Callable[[], FloatArray]]:
+def _turn_ways(turn_session: turns.Session) -> dict[str, Callable[[], FloatArray]]:
     """Ours by known turns and, where it is installed, imucal; both made ready."""
-    samples, reference = one.samples, one.reference
+    samples, reference = turn_session.samples, turn_session.reference
     ways: dict[str, Callable[[], FloatArray]] = {
         turns.OURS: lambda: turns.by_turns(samples, reference)
     }
     if turns.imucal_installed():
-        ways[turns.IMUCAL] = turns.Imucal(one).compute
+        ways[turns.IMUCAL] = turns.Imucal(turn_session).compute
     return ways
 
 
@@ -168,12 +168,14 @@ def _cpu_s(ways: dict[str, Callable[[], object]], repeat: int) -> dict[str, floa
             begun = time.process_time()
             run()
             taken[name].append(time.process_time() - begun)
-    return {name: float(np.median(one[1:])) for name, one in taken.items()}  # the first warms up
+    return {
+        name: float(np.median(times_s[1:])) for name, times_s in taken.items()
+    }  # the first warms up
 
 
 def _by_group(values: FloatArray) -> list[FloatArray]:
     """Split runs of 13 values into the groups, each (runs, entries)."""
-    parts = [groups(one) for one in values]
+    parts = [groups(value) for value in values]
     return [np.array([part[k] for part in parts]) for k in range(len(GROUPS))]
 
 

@@ -48,12 +48,12 @@ def motion_capture(measured: Measured) -> str:
     }
     errors = {}
     for name, way in ways.items():
-        found = {trial: way(one) for trial, one in loaded.items()}
-        errors[name] = [_judged(loaded[test], found[train]) for train, test in pairs]
+        gains = {trial: way(trial_data) for trial, trial_data in loaded.items()}
+        errors[name] = [_judged(loaded[test], gains[train]) for train, test in pairs]
     rows = []
     for name, found_deg in errors.items():
         ratio = float(np.exp(np.mean(np.log(np.array(found_deg) / np.array(errors[OURS])))))
-        rows.append([name, *(number(one, 3) for one in found_deg), number(ratio, 2)])
+        rows.append([name, *(number(error_deg, 3) for error_deg in found_deg), number(ratio, 2)])
     ratio_title = f"geometric mean of error / error of {OURS}"
     head = ["rms error, °", *(f"{a} → {b}" for a, b in pairs), ratio_title]
     return table(head, rows)
@@ -66,8 +66,8 @@ def gravity(measured: Measured) -> str:
 
 def hand_turns(measured: Measured) -> str:
     """How far imucal's gain and ours are apart on imucal's own session."""
-    one = measured.load("ferraris")
-    ours = fit_turns([(one.samples, TurnReference(one.turns, one.rests))])
+    loaded = measured.load("ferraris")
+    ours = fit_turns([(loaded.samples, TurnReference(loaded.turns, loaded.rests))])
     theirs, _ = turn_sets.imucal_result(measured)
     apart = float(np.abs(ours.gain - theirs).max())
     std = float(ours.gain_std.max())
@@ -77,36 +77,36 @@ def hand_turns(measured: Measured) -> str:
     )
 
 
-def _ours(one: Loaded) -> FloatArray:
-    if one.attitude is None:
-        raise ValueError(f"{one.samples.board} has no reference attitude")
-    found = fit_attitude([(one.samples, one.attitude)])
-    return np.concatenate([found.gain.ravel(), found.bias_rad_s, [found.time_offset_s]])
+def _ours(loaded: Loaded) -> FloatArray:
+    if loaded.attitude is None:
+        raise ValueError(f"{loaded.samples.board} has no reference attitude")
+    fit = fit_attitude([(loaded.samples, loaded.attitude)])
+    return np.concatenate([fit.gain.ravel(), fit.bias_rad_s, [fit.time_offset_s]])
 
 
 def _of_table(run: Callable[[Table], FloatArray]) -> Callable[[Loaded], FloatArray]:
-    return lambda one: run(_table(one))[0]
+    return lambda loaded: run(_table(loaded))[0]
 
 
-def _judged(one: Loaded, found: FloatArray) -> float:
+def _judged(loaded: Loaded, gain: FloatArray) -> float:
     """Rotation error in degrees with gain and offset as found; the bias is the rests' own."""
-    if one.attitude is None:
-        raise ValueError(f"{one.samples.board} has no reference attitude")
-    rate = (one.samples.rate_rad_s - rest_bias(one)) @ np.linalg.inv(found[:9].reshape(3, 3)).T
-    time_s = one.samples.time_s - np.nan_to_num(found[12])
-    moving = ~one.at_rest(one.attitude.time_s)
-    error = window_rotation_error(time_s, rate, one.attitude, WINDOW_S, moving)
+    if loaded.attitude is None:
+        raise ValueError(f"{loaded.samples.board} has no reference attitude")
+    rate = (loaded.samples.rate_rad_s - rest_bias(loaded)) @ np.linalg.inv(gain[:9].reshape(3, 3)).T
+    time_s = loaded.samples.time_s - np.nan_to_num(gain[12])
+    moving = ~loaded.at_rest(loaded.attitude.time_s)
+    error = window_rotation_error(time_s, rate, loaded.attitude, WINDOW_S, moving)
     return float(np.degrees(error.rms_rad))
 
 
-def _table(one: Loaded) -> Table:
+def _table(loaded: Loaded) -> Table:
     """The reference differentiated, interpolated to the samples and smoothed as they are."""
-    samples, attitude = one.samples, one.attitude
+    samples, attitude = loaded.samples, loaded.attitude
     if attitude is None:
         raise ValueError(f"{samples.board} has no reference attitude")
-    there = np.all(np.isfinite(attitude.orientation_xyzw), axis=1)
-    turned = Rotation.from_quat(attitude.orientation_xyzw[there])
-    at_s = attitude.time_s[there]
+    is_known = np.all(np.isfinite(attitude.orientation_xyzw), axis=1)
+    turned = Rotation.from_quat(attitude.orientation_xyzw[is_known])
+    at_s = attitude.time_s[is_known]
     step_s = np.diff(at_s)
     rate = (turned[:-1].inv() * turned[1:]).as_rotvec() / step_s[:, None]
     middle_s, time_s = (at_s[1:] + at_s[:-1]) / 2.0, samples.time_s
@@ -121,7 +121,7 @@ def _table(one: Loaded) -> Table:
         raw_rad_s=samples.rate_rad_s,
         measured_rad_s=gaussian_filter1d(samples.rate_rad_s, width, axis=0),
         stage_rad_s=gaussian_filter1d(stage, width, axis=0),
-        static=np.asarray(one.at_rest(time_s)),
+        static=np.asarray(loaded.at_rest(time_s)),
         use=np.asarray(samples.usable & (np.convolve(lost, reach, "same") < 0.5)),
         pan_rad=np.zeros(time_s.size),
         tilt_rad=np.zeros(time_s.size),

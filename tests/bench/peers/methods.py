@@ -51,7 +51,7 @@ class Peer:
 
 def peers() -> tuple[Peer, ...]:
     """Every peer that runs here."""
-    found = [
+    methods = [
         Peer(PINV, pinv, f"{NO_OFFSET}, which makes its gain wrong", True),
         Peer("paper, as printed", paper, NO_ROLL, False),
         Peer("paper, interpretation of Table 3", paper_as_tabled, NO_ROLL, False),
@@ -60,16 +60,16 @@ def peers() -> tuple[Peer, ...]:
     ]
     if factor_graph.installed():
         named = f"GTSAM {factor_graph.version()}"
-        found.append(Peer(named, factor_graph.solve, UNNAMED, True))
-    return tuple(found)
+        methods.append(Peer(named, factor_graph.solve, UNNAMED, True))
+    return tuple(methods)
 
 
 def ours(recording: Recording) -> FloatArray:
     """The whole fit, its reference made of the orders and answers."""
-    found = fit_motion(recording.samples, recording.reference(), UNIT_REMEDIES)
-    value = np.concatenate([found.gain.ravel(), found.bias_rad_s, [found.time_offset_s]])
-    bias_std = [found.std[f"bias.{axis}"] for axis in "xyz"]
-    return np.stack([value, [*found.gain_std.ravel(), *bias_std, found.std["time_offset"]]])
+    fit = fit_motion(recording.samples, recording.reference(), UNIT_REMEDIES)
+    value = np.concatenate([fit.gain.ravel(), fit.bias_rad_s, [fit.time_offset_s]])
+    bias_std = [fit.std[f"bias.{axis}"] for axis in "xyz"]
+    return np.stack([value, [*fit.gain_std.ravel(), *bias_std, fit.std["time_offset"]]])
 
 
 def unstated(value: FloatArray) -> FloatArray:
@@ -104,10 +104,10 @@ def _static_bias(table: Table) -> FloatArray:
 
 def paper(table: Table, reading: PaperReading | None = None) -> FloatArray:
     """Eq. 6 to 12 with the bias of the quasi-static test, as `--method paper` runs them."""
-    found = calibrate_as_printed(
+    calibration = calibrate_as_printed(
         table.time_s, table.raw_rad_s, table.pan_rad, table.tilt_rad, table.static, reading=reading
     )
-    return unstated(np.concatenate([found.STM.ravel(), found.bias_rad_s, [np.nan]]))
+    return unstated(np.concatenate([calibration.STM.ravel(), calibration.bias_rad_s, [np.nan]]))
 
 
 def paper_as_tabled(table: Table) -> FloatArray:
@@ -125,19 +125,19 @@ def numeric(table: Table) -> FloatArray:
         return np.asarray((measured - turned @ as_gain(values[:9]).T - values[9:12]).ravel())
 
     start = np.concatenate([np.ones(3), np.zeros(10)])
-    found = least_squares(residual, start, method="lm", x_scale="jac")
+    solution = least_squares(residual, start, method="lm", x_scale="jac")
     # Its covariance as everybody makes it: the residual taken for white.
-    white = 2.0 * found.cost / (found.fun.size - 13)
-    jacobian = np.asarray(found.jac, dtype=np.float64)
+    white = 2.0 * solution.cost / (solution.fun.size - 13)
+    jacobian = np.asarray(solution.jac, dtype=np.float64)
     covariance = white * np.linalg.pinv(jacobian.T @ jacobian)
     turn = np.zeros((13, 13))
     turn[9:, 9:] = np.eye(4)
     for k in range(9):
         step = np.zeros(9)
         step[k] = 1e-6
-        change = as_gain(found.x[:9] + step) - as_gain(found.x[:9] - step)
+        change = as_gain(solution.x[:9] + step) - as_gain(solution.x[:9] - step)
         turn[:9, k] = change.ravel() / 2e-6
-    value = np.concatenate([as_gain(found.x[:9]).ravel(), found.x[9:]])
+    value = np.concatenate([as_gain(solution.x[:9]).ravel(), solution.x[9:]])
     return np.stack([value, np.sqrt(np.diag(turn @ covariance @ turn.T))])
 
 
@@ -172,6 +172,6 @@ def rests_only(table: Table) -> FloatArray:
         decision = analyse_observability(information, rest_to_rest.GAIN_AND_BIAS_NAMES)
         step = decision.pseudo_inverse @ score
         gain, bias = gain + step[:9].reshape(3, 3), bias + step[9:]
-    found = np.stack([np.append(gain.ravel(), bias), np.sqrt(np.diag(decision.covariance))])
-    found[:, np.diag(decision.unobservable_covariance) > HIDDEN] = np.nan
-    return np.column_stack([found, [np.nan, np.nan]])
+    result = np.stack([np.append(gain.ravel(), bias), np.sqrt(np.diag(decision.covariance))])
+    result[:, np.diag(decision.unobservable_covariance) > HIDDEN] = np.nan
+    return np.column_stack([result, [np.nan, np.nan]])

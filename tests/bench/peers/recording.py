@@ -169,10 +169,10 @@ def _polled(session: Session, counts: Counts, rate_hz: float) -> Table:
     width = SMOOTH_S * rate_hz
     angle = []
     for axis in (0, 1):
-        own = answers.axis == axis
-        steps = np.interp(counts.time_s, middle_s[own], answers.steps[own])
+        is_axis = answers.axis == axis
+        steps = np.interp(counts.time_s, middle_s[is_axis], answers.steps[is_axis])
         angle.append(np.asarray(steps * RAD_PER_STEP, dtype=np.float64))
-    rate = [gaussian_filter1d(one, width, order=1) * rate_hz for one in angle]
+    rate = [gaussian_filter1d(angles, width, order=1) * rate_hz for angles in angle]
     stage = _stage(gaussian_filter1d(angle[1], width), rate[0], rate[1])
     measured = gaussian_filter1d(counts.rate_rad_s, width, axis=0)
     return _table(session, counts, rate_hz, measured, stage, angle)

@@ -97,13 +97,16 @@ def session(seed: int, rate_hz: float, bandwidth_hz: float) -> Session:
     return Session(board, counts, accel, seen, sections)
 
 
-def bound(one: Session) -> FloatArray:
+def bound(session: Session) -> FloatArray:
     """Return the least standard deviations of G and bias where each turn's course is known."""
-    design = np.column_stack([one.true_rad_s, np.ones(one.counts.time_s.size)])
+    design = np.column_stack([session.true_rad_s, np.ones(session.counts.time_s.size)])
     std = np.zeros(12)
     for row in range(3):
         cover = Covariance(
-            one.board.levels[row], one.board.bandwidth_hz, one.board.rate_hz, len(design)
+            session.board.levels[row],
+            session.board.bandwidth_hz,
+            session.board.rate_hz,
+            len(design),
         )
         information = design.T @ cover.weigh(design)
         std[[3 * row, 3 * row + 1, 3 * row + 2, 9 + row]] = np.sqrt(
@@ -120,29 +123,29 @@ def imucal_installed() -> bool:
 class Imucal:
     """imucal on one session, its sections cut beforehand."""
 
-    def __init__(self, one: Session) -> None:
+    def __init__(self, session: Session) -> None:
         imucal, pandas = import_module("imucal"), import_module("pandas")
-        columns = np.column_stack([one.accel_m_s2, np.degrees(one.counts.rate_rad_s)])
+        columns = np.column_stack([session.accel_m_s2, np.degrees(session.counts.rate_rad_s)])
         names = [f"{kind}_{axis}" for kind in ("acc", "gyr") for axis in "xyz"]
         frame = pandas.DataFrame(columns, columns=names)
-        listed = {k: {"start": s.start, "end": s.stop} for k, s in one.sections.items()}
+        listed = {k: {"start": s.start, "end": s.stop} for k, s in session.sections.items()}
         self._regions = imucal.ferraris_regions_from_section_list(frame, pandas.DataFrame(listed).T)
         self._method = imucal.FerrarisCalibration(grav=GRAVITY_M_S2, expected_angle=-360)
-        self._rate_hz = one.board.rate_hz
+        self._rate_hz = session.board.rate_hz
 
     def compute(self) -> FloatArray:
         """Return its gain and bias: its model is measured = K R true + K_ga acc + b."""
-        found = self._method.compute(
+        calibration = self._method.compute(
             self._regions, self._rate_hz, from_acc_unit="m/s^2", from_gyr_unit="deg/s"
         )
-        gain = np.asarray(found.K_g @ found.R_g, np.float64)
-        return np.concatenate([gain.ravel(), np.radians(found.b_g)])
+        gain = np.asarray(calibration.K_g @ calibration.R_g, np.float64)
+        return np.concatenate([gain.ravel(), np.radians(calibration.b_g)])
 
 
 def by_turns(samples: GyroSamples, reference: TurnReference) -> FloatArray:
     """Return our gain and bias."""
-    found = fit_turns([(samples, reference)])
-    return np.concatenate([found.gain.ravel(), found.bias_rad_s])
+    fit = fit_turns([(samples, reference)])
+    return np.concatenate([fit.gain.ravel(), fit.bias_rad_s])
 
 
 def _frequencies(count: int, rate_hz: float) -> FloatArray:

@@ -60,10 +60,10 @@ def record_case(case: EmulatedCase, folder: Path, program: Path = PROGRAM) -> Pa
     folder.mkdir(parents=True, exist_ok=True)
     document = yaml.safe_load(program.read_text(encoding="utf-8"))
     document["settings"]["base_speed_deg_s"] = case.base_speed_deg_s
-    told = folder / "program.yaml"
-    told.write_text(yaml.safe_dump(document), encoding="utf-8")
+    program_path = folder / "program.yaml"
+    program_path.write_text(yaml.safe_dump(document), encoding="utf-8")
     command = [str(Path(sys.executable).with_name("gyrorigd")), "record", "--simulated-time"]
-    command += ["--config", str(RIG), "--program", str(told), "--out", str(folder)]
+    command += ["--config", str(RIG), "--program", str(program_path), "--out", str(folder)]
     command += ["--truth", str(folder / "truth.json"), "--seed", str(case.seed)]
     for cause in case.causes:
         command += ["--hide", cause]
@@ -85,12 +85,12 @@ def judge_case(
     """Record a case where it is missing, solve it with a `gyrorig` program, and compare."""
     recording = record_case(case, folder / "recordings" / case.name.replace(" ", "-"))
     out = folder / "out" / case.name.replace(" ", "-")
-    code, said = solve_by_program(program, options)(recording, out)
+    code, output = solve_by_program(program, options)(recording, out)
     written = sorted(out.glob("*/v*.yaml"), key=lambda path: path.stat().st_mtime)
     written = [path for path in written if path.stem.removeprefix("v").isdigit()]
     row: dict[str, Any] = {"case": case.name, "exit_code": code}
     if not written:
-        return row | {"failed": said.strip()[-200:]}
+        return row | {"failed": output.strip()[-200:]}
     row |= read_calibration(written[-1])
     return row | {"truth": true_parameters(recording.with_name("truth.json"))}
 

@@ -110,10 +110,10 @@ def draw_gyroscope(rng: np.random.Generator, causes: HiddenCauses) -> Gyroscope:
 def _draw_levels(
     white: float, flicker_hz: float, walk_hz: float, quantum: float, rng: np.random.Generator
 ) -> Levels:
-    own = white * float(rng.uniform(0.8, 1.25))
-    flicker = own * float(np.sqrt(np.pi * flicker_hz) * rng.uniform(0.7, 1.4))
-    walk = own * float(2.0 * np.pi * walk_hz / 3.0 / np.sqrt(2.0) * rng.uniform(0.7, 1.4))
-    return Levels(own, flicker, walk, quantum)
+    white_axis = white * float(rng.uniform(0.8, 1.25))
+    flicker = white_axis * float(np.sqrt(np.pi * flicker_hz) * rng.uniform(0.7, 1.4))
+    walk = white_axis * float(2.0 * np.pi * walk_hz / 3.0 / np.sqrt(2.0) * rng.uniform(0.7, 1.4))
+    return Levels(white_axis, flicker, walk, quantum)
 
 
 def element_rad_s(

@@ -206,8 +206,8 @@ def _without_lost(
     share = causes.get("lost_samples")
     if not share:
         return stream
-    kept = rng.uniform(size=stream.number.size) >= share
-    kept[[0, -1]] = True
-    rows = np.flatnonzero(kept)
+    is_received = rng.uniform(size=stream.number.size) >= share
+    is_received[[0, -1]] = True
+    rows = np.flatnonzero(is_received)
     columns = (getattr(stream, name)[rows] for name in BoardStream.__slots__)
     return BoardStream(*columns)

@@ -102,15 +102,15 @@ class _Line:
     next_axis: int = 0
 
     def __post_init__(self) -> None:
-        rng, told, causes = self.rng, self.program.settings, self.causes
+        rng, settings, causes = self.rng, self.program.settings, self.causes
         self.byte_s = 10.0 / self.baud
         self.least_s = float(rng.uniform(*THOUGHT_S))
         self.share = float(rng.uniform())
         self.start_s = float(rng.uniform(*START_S))
         self.count_lag = float(rng.uniform(-0.5, 0.5))
         self.count_shift = float(rng.uniform(-1.0, 1.0)) * (0.5 - abs(self.count_lag))
-        self.base = _steps(told.base_speed_deg_s or DEFAULT_BASE_DEG_S)
-        self.ramp = _steps(told.acceleration_deg_s2 or DEFAULT_RAMP_DEG_S2)
+        self.base = _steps(settings.base_speed_deg_s or DEFAULT_BASE_DEG_S)
+        self.ramp = _steps(settings.acceleration_deg_s2 or DEFAULT_RAMP_DEG_S2)
         timer = np.exp(rng.normal(scale=LOG_SPEED_STD, size=2))
         self.true_base = [self.base + causes.get("base_speed_jump", a) / RAD_PER_STEP for a in AXES]
         self.true_ramp = [
@@ -146,10 +146,10 @@ class _Line:
             self.send(f"{'PT'[axis]}S{speed}")
         if len(targets) > 1:
             self.send("S")
-        told = [self.send(f"{'PT'[axis]}P{steps}") for axis, steps, _ in targets]
+        orders = [self.send(f"{'PT'[axis]}P{steps}") for axis, steps, _ in targets]
         if len(targets) > 1:
-            told = [self.send("I")] * len(targets)
-        ends_s = [self._start(*target, at_s) for target, at_s in zip(targets, told, strict=True)]
+            orders = [self.send("I")] * len(targets)
+        ends_s = [self._start(*target, at_s) for target, at_s in zip(targets, orders, strict=True)]
         self.poll_for(max(ends_s, default=0.0) - self.now_s)
         for _ in range(4):  # two replies of each axis at its target end a move
             self._poll()

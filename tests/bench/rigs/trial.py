@@ -34,10 +34,10 @@ def solve_in_process(options: Sequence[str]) -> Solver:
     def solve(recording: Path, out: Path) -> tuple[int, str]:
         from gyrorig_solver.cli import run  # noqa: PLC0415 - a trial by program needs no solver
 
-        said = io.StringIO()
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             code = run(["--quiet", "solve", str(recording), "--out", str(out), *options])
-        return code, said.getvalue()
+        return code, output.getvalue()
 
     return solve
 
@@ -48,12 +48,12 @@ def solve_by_program(program: str, options: Sequence[str]) -> Solver:
     def solve(recording: Path, out: Path) -> tuple[int, str]:
         command = [program, "--quiet", "solve", str(recording), "--out", str(out), *options]
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 command, capture_output=True, text=True, check=False, timeout=SOLVE_LIMIT_S
             )
         except subprocess.TimeoutExpired:
             return 1, f"not done after {SOLVE_LIMIT_S:g} s"
-        return done.returncode, done.stdout + done.stderr
+        return process.returncode, process.stdout + process.stderr
 
     return solve
 
@@ -68,11 +68,11 @@ def run_trial(seed: int, is_persistent: bool, solver: Solver) -> dict[str, Any]:
         write_recording(rig, recording)
         del rig
         begun_s = _cpu_s()
-        code, said = solver(recording, out)
+        code, output = solver(recording, out)
         row |= {"exit_code": code, "cpu_s": round(_cpu_s() - begun_s, 2)}
         written = sorted(out.glob("*/v0001.yaml"))
         if not written:
-            return row | {"failed": said.strip().splitlines()[-1:] or ["no output"]}
+            return row | {"failed": output.strip().splitlines()[-1:] or ["no output"]}
         return row | read_calibration(written[0])
 
 

@@ -60,13 +60,13 @@ class Answer:
     @property
     def names(self) -> list[str]:
         """The names of the hidden causes."""
-        return [one.cause for one in self.causes]
+        return [cause.cause for cause in self.causes]
 
 
 def cases(corpus: Path) -> list[Path]:
     """Return the folders of all complete cases, sorted by seed."""
-    found = [p.parent for p in corpus.glob(f"*/{RECORDING}") if p.parent.name.isdigit()]
-    return sorted(found, key=lambda p: int(p.name))
+    folders = [p.parent for p in corpus.glob(f"*/{RECORDING}") if p.parent.name.isdigit()]
+    return sorted(folders, key=lambda p: int(p.name))
 
 
 def sealed(case: Path) -> str:
@@ -87,45 +87,45 @@ def opened(case: Path, seal: str) -> Answer:
     raw = (case / ANSWER).read_bytes()
     if hashlib.sha256(raw).hexdigest() != seal:
         raise SealError(f"{case.name}: the answer is not the one that was sealed")
-    told = json.loads(raw)
-    if told["schema"] not in SCHEMAS or str(told["seed"]) != case.name:
+    document = json.loads(raw)
+    if document["schema"] not in SCHEMAS or str(document["seed"]) != case.name:
         raise SealError(f"{case.name}: the answer is of another kind or case")
-    detectable = float(told.get("detectable", 0.0))
-    (board,) = told["truth"]["boards"].values()
+    detectable = float(document.get("detectable", 0.0))
+    (board,) = document["truth"]["boards"].values()
     return Answer(
-        seed=int(told["seed"]),
-        kind=str(told["kind"]),
-        tier=str(told["tier"]),
-        program=str(told["program"]),
-        soak_k=float(told["soak_k"] or 0.0),
-        decoy=told.get("decoy"),
-        causes=tuple(_cause(one, detectable) for one in told["causes"]),
-        groups=tuple(told.get("expected_groups") or ()),
-        allowed=tuple(told.get("expected_set") or ()),
-        near=told.get("near"),
-        calibration=_calibration(board, told["causes"]),
+        seed=int(document["seed"]),
+        kind=str(document["kind"]),
+        tier=str(document["tier"]),
+        program=str(document["program"]),
+        soak_k=float(document["soak_k"] or 0.0),
+        decoy=document.get("decoy"),
+        causes=tuple(_cause(entry, detectable) for entry in document["causes"]),
+        groups=tuple(document.get("expected_groups") or ()),
+        allowed=tuple(document.get("expected_set") or ()),
+        near=document.get("near"),
+        calibration=_calibration(board, document["causes"]),
         gain=tuple(tuple(map(float, row)) for row in board["STM"]),
     )
 
 
-def _cause(told: Mapping[str, Any], detectable: float) -> HiddenCause:
-    times, beside = told.get("times_detectable"), told.get("beside_others")
+def _cause(entry: Mapping[str, Any], detectable: float) -> HiddenCause:
+    times, beside_others = entry.get("times_detectable"), entry.get("beside_others")
     seen = COUNTED if times is None else float(times)
-    least = float(told.get("detectable", detectable))
+    least = float(entry.get("detectable", detectable))
     return HiddenCause(
-        cause=str(told["cause"]),
-        place=told.get("place"),
+        cause=str(entry["cause"]),
+        place=entry.get("place"),
         times=seen,
-        beside_others=seen if beside is None else math.sqrt(max(beside, 0.0) / least),
-        parameters=dict(_flat(told.get("parameters") or {})),
-        noncentrality=told.get("noncentrality"),
+        beside_others=seen if beside_others is None else math.sqrt(max(beside_others, 0.0) / least),
+        parameters=dict(_flat(entry.get("parameters") or {})),
+        noncentrality=entry.get("noncentrality"),
     )
 
 
 def _flat(parameters: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
     """Yield each value; values per sensor axis as name.x and so on."""
-    for name, told in parameters.items():
-        value = told["value"]
+    for name, parameter in parameters.items():
+        value = parameter["value"]
         if isinstance(value, list):
             yield from ((f"{name}.{axis}", float(v)) for axis, v in zip("xyz", value, strict=True))
         else:
@@ -139,9 +139,9 @@ def _calibration(board: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) 
     """
     factors = factorise(np.array(board["STM"]))
     offset_s = float(board["time_offset_s"])
-    for one in causes:
-        if one["cause"] == "low_pass_lag":
-            change = float(one["parameters"]["cutoff_change"]["value"])
+    for cause in causes:
+        if cause["cause"] == "low_pass_lag":
+            change = float(cause["parameters"]["cutoff_change"]["value"])
             # Butterworth, second order: its delay at zero frequency is sqrt(2) / omega.
             delay_s = math.sqrt(2.0) / (2.0 * math.pi * float(board["low_pass"]["cutoff_hz"]))
             offset_s += delay_s * (1.0 / (1.0 + change) - 1.0)

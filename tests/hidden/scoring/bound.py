@@ -53,19 +53,19 @@ def bound_of(case: Path, answer: Answer) -> Bound | None:
         projection = NuisanceProjector.at_fit(_without_noise(case))
         terms = testable_terms(projection)
         tests = count_tests(terms)
-        own = fit_best_place(
+        own_fit = fit_best_place(
             projection, scan_catalogue(projection, [term], tests, all_templates(projection, term))
         )
-        if own is None or own[0].delta_log_likelihood < LEAST * 0.5 * hidden.noncentrality:
+        if own_fit is None or own_fit[0].delta_log_likelihood < LEAST * 0.5 * hidden.noncentrality:
             return None
         others = [t for t in terms if not _one_line(t.cause, hidden.cause)]
         name, won = _best(
             projection,
             scan_catalogue(projection, others, tests),
-            own[0].delta_log_likelihood,
+            own_fit[0].delta_log_likelihood,
             tests,
         )
-    left = min(max(1.0 - won / own[0].delta_log_likelihood, 0.0), 1.0)
+    left = min(max(1.0 - won / own_fit[0].delta_log_likelihood, 0.0), 1.0)
     return Bound(
         answer.seed, hidden.cause, hidden.times, answer.soak_k != 0.0, name, left,
         left * hidden.noncentrality,
@@ -89,17 +89,17 @@ def _best(
     """Return the rival with the largest log-likelihood gain, and that gain in nats."""
     name, won = "", 0.0
     by_cause: dict[str, list[CandidateScore]] = {}
-    for one in seen:
-        by_cause.setdefault(one.term.cause, []).append(one)
-    for cause, own in by_cause.items():
-        first = 0.5 * max(one.score_test.statistic for one in own)
+    for score in seen:
+        by_cause.setdefault(score.term.cause, []).append(score)
+    for cause, scores in by_cause.items():
+        first = 0.5 * max(score.score_test.statistic for score in scores)
         if first > NEAR * whole:
-            term = own[0].term
-            told = fit_best_place(
+            term = scores[0].term
+            rival_fit = fit_best_place(
                 projection,
                 scan_catalogue(projection, [term], tests, all_templates(projection, term)),
             )
-            first = 0.0 if told is None else told[0].delta_log_likelihood
+            first = 0.0 if rival_fit is None else rival_fit[0].delta_log_likelihood
         if first > won:
             name, won = cause, first
     return name, won

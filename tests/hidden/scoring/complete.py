@@ -37,15 +37,15 @@ def read(path: Path) -> list[Left]:
     return msgspec.json.decode(path.read_bytes(), type=list[Left])
 
 
-def said(found: Sequence[Left]) -> str:
+def table_text(remainders: Sequence[Left]) -> str:
     """Return the table, sorted by decreasing share of the residual."""
     rows = [
-        (f"`{one.cause}`" + (f" {one.place}" if one.place else ""),
-         f"`{one.program}`" + (f", {one.soak_k:g} K" if one.soak_k else ""),
-         f"{one.effect:.4g}",
-         "absorbed by the base model" if one.effect < UNSEEN else f"{100.0 * one.share:.3f} %",
-         "" if one.effect < UNSEEN else "met" if one.share <= COMPLETE_LEFT else "missed")
-        for one in sorted(found, key=lambda one: (one.effect < UNSEEN, -one.share))
+        (f"`{left.cause}`" + (f" {left.place}" if left.place else ""),
+         f"`{left.program}`" + (f", {left.soak_k:g} K" if left.soak_k else ""),
+         f"{left.effect:.4g}",
+         "absorbed by the base model" if left.effect < UNSEEN else f"{100.0 * left.share:.3f} %",
+         "" if left.effect < UNSEEN else "met" if left.share <= COMPLETE_LEFT else "missed")
+        for left in sorted(remainders, key=lambda left: (left.effect < UNSEEN, -left.share))
     ]  # fmt: skip
     head = ("cause", "session", "energy of the effect", "residual after its term", "goal 9 (0.2 %)")
     return table(head, rows)

@@ -57,24 +57,38 @@ def figures(
     measured: Sequence[Multiplicity] = (),
 ) -> dict[str, Figure]:
     """Return the figure of each goal by name; `measured`: effective trials of a search."""
-    nulls = _share(_of_kind(outcomes, "null"), lambda one: one.alarmed)
-    rungs = [one for one in _of_kind(outcomes, "one") if on_rung(one, 2.0) or on_rung(one, 3.0)]
-    plain = [one for one in rungs if not one.soak]
-    soaked = [one for one in rungs if one.soak]
-    once = [one for one in _of_kind(outcomes, "one") if on_rung(one, 1.0)]
-    bound = [one for one in outcomes if one.kind in IN_CATALOGUE and largest(one) >= _least(BOUND)]
-    outside = [one for one in _of_kind(outcomes, "outside") if largest(one) >= _least(FAR)]
-    nearly = [one for one in _of_kind(outcomes, "nearly") if largest(one) >= _least(FAR)]
+    nulls = _share(_of_kind(outcomes, "null"), lambda outcome: outcome.alarmed)
+    rungs = [
+        outcome
+        for outcome in _of_kind(outcomes, "one")
+        if on_rung(outcome, 2.0) or on_rung(outcome, 3.0)
+    ]
+    plain = [outcome for outcome in rungs if not outcome.soak]
+    soaked = [outcome for outcome in rungs if outcome.soak]
+    once = [outcome for outcome in _of_kind(outcomes, "one") if on_rung(outcome, 1.0)]
+    bound = [
+        outcome
+        for outcome in outcomes
+        if outcome.kind in IN_CATALOGUE and largest(outcome) >= _least(BOUND)
+    ]
+    outside = [
+        outcome for outcome in _of_kind(outcomes, "outside") if largest(outcome) >= _least(FAR)
+    ]
+    nearly = [
+        outcome for outcome in _of_kind(outcomes, "nearly") if largest(outcome) >= _least(FAR)
+    ]
     many = _of_kind(outcomes, "many")
-    harm = Share(sum(one.harm_printed for one in outcomes), len(outcomes))
+    harm = Share(sum(outcome.harm_printed for outcome in outcomes), len(outcomes))
     return {
         "false_alarms": _of(nulls),
         "false_alarms_upper": Figure(nulls.upper if nulls.trials else np.nan, str(nulls)),
         "sole_right": _beside(_of(_share(plain, sole_right)), plain, bounds),
         "sole_right_soak": _beside(_of(_share(soaked, sole_right)), soaked, bounds),
-        "wrong_names": _count(_share(bound, lambda one: one.misled)),
-        "detected_once": _beside_tests(_share(once, lambda one: one.alarmed), once, measured),
-        "outside_wrong": _of(_share(outside, lambda one: one.wrong_sole)),
+        "wrong_names": _count(_share(bound, lambda outcome: outcome.misled)),
+        "detected_once": _beside_tests(
+            _share(once, lambda outcome: outcome.alarmed), once, measured
+        ),
+        "outside_wrong": _of(_share(outside, lambda outcome: outcome.wrong_sole)),
         "outside_group": _of(_share(outside, right_group)),
         "nearly_wrong": _of(_share(nearly, _nearly_wrong)),
         "recall": _of(recall(many)),
@@ -95,95 +109,97 @@ def missed(figures_: dict[str, Figure], goals: Iterable[Goal] = GOALS) -> list[G
     ]
 
 
-def on_rung(one: Outcome, times: float) -> bool:
+def on_rung(outcome: Outcome, times: float) -> bool:
     """Return whether a case hides one cause of the given number of minimum detectable sizes."""
-    return len(one.fates) == 1 and abs(one.fates[0].times / times - 1.0) <= RUNG_WIDTH
+    return len(outcome.fates) == 1 and abs(outcome.fates[0].times / times - 1.0) <= RUNG_WIDTH
 
 
-def largest(one: Outcome) -> float:
+def largest(outcome: Outcome) -> float:
     """Return the largest hidden size of a case, in minimum detectable sizes; 0 for none."""
-    return max((fate.times for fate in one.fates), default=0.0)
+    return max((fate.times for fate in outcome.fates), default=0.0)
 
 
-def sole_right(one: Outcome) -> bool:
+def sole_right(outcome: Outcome) -> bool:
     """Return whether the only hidden cause is the only stated name."""
-    (fate,) = one.fates
-    return fate.sole and len(one.sets) == 1
+    (fate,) = outcome.fates
+    return fate.sole and len(outcome.sets) == 1
 
 
-def right_group(one: Outcome) -> bool:
+def right_group(outcome: Outcome) -> bool:
     """Return whether an unexplained rest is reported with the true covariate first."""
-    return bool(one.rest) and one.rest[0] in one.expected
+    return bool(outcome.rest) and outcome.rest[0] in outcome.expected
 
 
 def recall(many: Sequence[Outcome]) -> Share:
     """Return the share of detectable hidden causes that are in stated sets."""
-    seen = [fate for one in many for fate in one.fates if fate.times >= SEEN]
+    seen = [fate for outcome in many for fate in outcome.fates if fate.times >= SEEN]
     return Share(sum(fate.stated for fate in seen), len(seen))
 
 
 def precision(many: Sequence[Outcome]) -> Share:
     """Return the share of stated sets that contain a hidden cause."""
-    sets = sum(len(one.sets) for one in many)
-    return Share(sets - sum(len(one.extra) for one in many), sets)
+    sets = sum(len(outcome.sets) for outcome in many)
+    return Share(sets - sum(len(outcome.extra) for outcome in many), sets)
 
 
 def covered_causes(outcomes: Iterable[Outcome]) -> Share:
     """Return the coverage of the intervals of correctly named sizes."""
-    each = [c for one in outcomes if one.kind in IN_CATALOGUE for c in one.covered_causes]
+    each = [
+        c for outcome in outcomes if outcome.kind in IN_CATALOGUE for c in outcome.covered_causes
+    ]
     return Share(sum(c.inside for c in each), len(each))
 
 
 def covered_calibration(outcomes: Iterable[Outcome]) -> Share:
     """Return the coverage of the calibration's intervals, after selection."""
     kinds = ("null", *IN_CATALOGUE)
-    each = [c for one in outcomes if one.kind in kinds for c in one.covered_calibration]
+    each = [c for outcome in outcomes if outcome.kind in kinds for c in outcome.covered_calibration]
     return Share(sum(c.inside for c in each), len(each))
 
 
 def confusion(outcomes: Iterable[Outcome], times: float) -> dict[str, Counter[str]]:
     """Return for each cause hidden alone how often it was given which name."""
-    found: dict[str, Counter[str]] = {}
-    for one in outcomes:
-        if one.kind == "one" and on_rung(one, times):
-            found.setdefault(one.fates[0].cause, Counter())[one.fates[0].said] += 1
-    return dict(sorted(found.items()))
+    counts: dict[str, Counter[str]] = {}
+    for outcome in outcomes:
+        if outcome.kind == "one" and on_rung(outcome, times):
+            counts.setdefault(outcome.fates[0].cause, Counter())[outcome.fates[0].said] += 1
+    return dict(sorted(counts.items()))
 
 
 def by_cause(outcomes: Iterable[Outcome], times: float) -> dict[str, list[Outcome]]:
     """Return the cases that hide one cause of a size, by cause."""
-    found: dict[str, list[Outcome]] = {}
-    for one in outcomes:
-        if one.kind == "one" and on_rung(one, times):
-            found.setdefault(one.fates[0].cause, []).append(one)
-    return dict(sorted(found.items()))
+    groups: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        if outcome.kind == "one" and on_rung(outcome, times):
+            groups.setdefault(outcome.fates[0].cause, []).append(outcome)
+    return dict(sorted(groups.items()))
 
 
-def _nearly_wrong(one: Outcome) -> bool:
+def _nearly_wrong(outcome: Outcome) -> bool:
     """A shape similar to a cause can have its name; any other sole name is wrong."""
-    return any(is_sole(names) and one.near not in names for names in one.sets)
+    return any(is_sole(names) and outcome.near not in names for names in outcome.sets)
 
 
 def _of_kind(outcomes: Iterable[Outcome], kind: str) -> list[Outcome]:
-    return [one for one in outcomes if one.kind == kind]
+    return [outcome for outcome in outcomes if outcome.kind == kind]
 
 
 def _least(times: float) -> float:
     return times * (1.0 - RUNG_WIDTH)
 
 
-def _share(some: Sequence[Outcome], hit: Callable[[Outcome], bool]) -> Share:
-    return Share(sum(hit(one) for one in some), len(some))
+def _share(outcomes: Sequence[Outcome], hit: Callable[[Outcome], bool]) -> Share:
+    return Share(sum(hit(outcome) for outcome in outcomes), len(outcomes))
 
 
 def _of(share: Share) -> Figure:
     return Figure(share.value, str(share))
 
 
-def _beside(figure: Figure, some: Sequence[Outcome], bounds: Sequence[Bound]) -> Figure:
+def _beside(figure: Figure, outcomes: Sequence[Outcome], bounds: Sequence[Bound]) -> Figure:
     """Add the bound on the figure; a case without a bound counts as certain."""
-    chance = {one.seed: one.chance for one in bounds}
-    each = [chance.get(one.seed, 1.0) for one in some]
+    chance = {bound.seed: bound.chance for bound in bounds}
+    each = [chance.get(outcome.seed, 1.0) for outcome in outcomes]
     if not each or not chance:
         return figure
     most = 100.0 * sum(each) / len(each)
@@ -196,7 +212,7 @@ def _beside_tests(
     """Add the power of the separate tests of the causes, at the search's number of trials."""
     if not once or not measured:
         return _of(share)
-    most = 100.0 * borne(measured, [one.fates[0].cause for one in once])
+    most = 100.0 * borne(measured, [outcome.fates[0].cause for outcome in once])
     return Figure(share.value, f"{share}; separate tests {most:.1f} %")
 
 
@@ -208,8 +224,8 @@ def _gap(gaps: Sequence[Gap]) -> Figure:
     """Return the median gap to the oracle beyond the allowed cost of estimation."""
     if not gaps:
         return Figure(np.nan, "none measured")
-    beyond = [one.short - one.allowed for one in gaps]
-    short = float(np.median([one.short for one in gaps]))
-    allowed = float(np.median([one.allowed for one in gaps]))
+    beyond = [gap.short - gap.allowed for gap in gaps]
+    short = float(np.median([gap.short for gap in gaps]))
+    allowed = float(np.median([gap.allowed for gap in gaps]))
     words = f"median difference {short:.1f} nats in {len(gaps)} cases, allowed {allowed:.1f}"
     return Figure(float(np.median(beyond)), words)

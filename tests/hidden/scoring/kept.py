@@ -23,11 +23,11 @@ class Kept:
     bounds: list[Bound] = field(default_factory=list)  # for cases that hide one cause
 
 
-def write_kept(path: Path, kept: Kept) -> None:
+def write_kept(path: Path, judged_cases: Kept) -> None:
     """Write one line per case, then the second recordings and the bounds."""
-    lines = [msgspec.json.encode(_short(one)) for one in kept.outcomes]
-    gaps = [msgspec.json.encode(one) for one in kept.gaps]
-    bounds = [msgspec.json.encode(_shortened(one)) for one in kept.bounds]
+    lines = [msgspec.json.encode(_short(outcome)) for outcome in judged_cases.outcomes]
+    gaps = [msgspec.json.encode(gap) for gap in judged_cases.gaps]
+    bounds = [msgspec.json.encode(_shortened(bound)) for bound in judged_cases.bounds]
     between = b",\n"
     body = b'{"outcomes":[\n%b\n],"gaps":[\n%b\n],"bounds":[\n%b\n]}\n' % (
         between.join(lines), between.join(gaps), between.join(bounds),
@@ -41,25 +41,25 @@ def read_kept(path: Path) -> Kept:
     return msgspec.json.decode(path.read_bytes(), type=Kept)
 
 
-def _short(one: Outcome) -> Outcome:
+def _short(outcome: Outcome) -> Outcome:
     """Return an outcome rounded to the digits that a figure needs."""
 
     def near(each: tuple[Covered, ...]) -> tuple[Covered, ...]:
         return tuple(replace(c, sigma=round(c.sigma, SIGMA_DIGITS)) for c in each)
 
     return replace(
-        one,
-        fates=tuple(replace(fate, times=round(fate.times, 2)) for fate in one.fates),
-        covered_causes=near(one.covered_causes),
-        covered_calibration=near(one.covered_calibration),
-        harm=None if one.harm is None else (one.harm[0], round(one.harm[1], 1)),
+        outcome,
+        fates=tuple(replace(fate, times=round(fate.times, 2)) for fate in outcome.fates),
+        covered_causes=near(outcome.covered_causes),
+        covered_calibration=near(outcome.covered_calibration),
+        harm=None if outcome.harm is None else (outcome.harm[0], round(outcome.harm[1], 1)),
     )
 
 
-def _shortened(one: Bound) -> Bound:
+def _shortened(bound: Bound) -> Bound:
     return replace(
-        one,
-        times=round(one.times, 2),
-        left=round(one.left, 4),
-        noncentrality=round(one.noncentrality, 2),
+        bound,
+        times=round(bound.times, 2),
+        left=round(bound.left, 4),
+        noncentrality=round(bound.noncentrality, 2),
     )

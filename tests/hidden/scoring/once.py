@@ -58,12 +58,14 @@ def borne(measured: Sequence[Multiplicity], causes: Iterable[str]) -> float:
     return float(np.mean(each)) if each else float("nan")
 
 
-def said(measured: Sequence[Multiplicity]) -> str:
+def table_text(measured: Sequence[Multiplicity]) -> str:
     """Return the table of trials and power, one row per cause."""
-    names = sorted({name for one in measured for name in one.looks})
+    names = sorted({name for multiplicity in measured for name in multiplicity.looks})
     rows = []
     for name in names:
-        looks = [one.looks[name] for one in measured if name in one.looks]
+        looks = [
+            multiplicity.looks[name] for multiplicity in measured if name in multiplicity.looks
+        ]
         rows.append(
             (f"`{name}`", str(sizes_of(name)), f"{np.median(looks):.1f}",
              f"{100.0 * _mean_chance(measured, name):.0f} %")
@@ -78,15 +80,21 @@ def said(measured: Sequence[Multiplicity]) -> str:
 def counted(measured: Sequence[Multiplicity]) -> str:
     """Return the table of the effective numbers of tests."""
     rows = [
-        (f"`{one.program}`" + (" with soak" if one.soak else ""), str(one.tests),
-         f"{one.effective_tests:.0f}")
-        for one in measured
+        (f"`{multiplicity.program}`" + (" with soak" if multiplicity.soak else ""),
+         str(multiplicity.tests), f"{multiplicity.effective_tests:.0f}")
+        for multiplicity in measured
     ]  # fmt: skip
     return table(("program", "tests in the search", "effective number of independent tests"), rows)
 
 
 def _mean_chance(measured: Sequence[Multiplicity], cause: str) -> float:
-    own = [one for one in measured if cause in one.looks]
-    tests = float(np.mean([one.effective_tests for one in own or measured]))
-    looks = float(np.median([one.looks[cause] for one in own])) if own else 1.0
+    with_cause = [multiplicity for multiplicity in measured if cause in multiplicity.looks]
+    tests = float(
+        np.mean([multiplicity.effective_tests for multiplicity in with_cause or measured])
+    )
+    looks = (
+        float(np.median([multiplicity.looks[cause] for multiplicity in with_cause]))
+        if with_cause
+        else 1.0
+    )
     return chance_once(cause, tests, looks)

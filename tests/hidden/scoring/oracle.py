@@ -27,7 +27,7 @@ from gyrorig_solver.pipeline.prepare_board import prepare_held_out
 EVERY = 7  # every seventh sample is enough to find the start of a recording
 
 
-def gap_of(case: Path, found: FitExplanation, seal: str) -> dict[str, Any] | None:
+def gap_of(case: Path, explanation: FitExplanation, seal: str) -> dict[str, Any] | None:
     """Open a case's answer and compare its finder's model with the oracle.
 
     None if a hidden cause belongs to one recording only: no model can predict it in another.
@@ -41,19 +41,27 @@ def gap_of(case: Path, found: FitExplanation, seal: str) -> dict[str, Any] | Non
     if not all(_persists(name) for name in answer.names):
         return None
     recording = read_recording(case / HELD)
-    samples = load_samples(recording, found.board)
-    effect = effect_on(samples, case / HELD_RATES, found.board)
+    samples = load_samples(recording, explanation.board)
+    effect = effect_on(samples, case / HELD_RATES, explanation.board)
     clean = replace(samples, rate_rad_s=samples.rate_rad_s - effect)
-    extended = found.solution_extended
-    other = prepare_held_out(recording, found.board, extended, samples)
-    known = tuple(one for one in found.solution_base.fitted_terms if not one.free_indices.size)
-    truth = _with_gain(replace(found.solution_base, fitted_terms=known), np.array(answer.gain))
-    oracle = prepare_held_out(recording, found.board, extended, clean).fit_model(truth)
+    extended = explanation.solution_extended
+    other = prepare_held_out(recording, explanation.board, extended, samples)
+    known = tuple(
+        fitted_term
+        for fitted_term in explanation.solution_base.fitted_terms
+        if not fitted_term.free_indices.size
+    )
+    truth = _with_gain(
+        replace(explanation.solution_base, fitted_terms=known), np.array(answer.gain)
+    )
+    oracle = prepare_held_out(recording, explanation.board, extended, clean).fit_model(truth)
     each = {}
-    for name, model in (("base", found.solution_base), ("extended", extended)):
-        own = other.fit_model(model)
-        each[name] = other.fit_model(model, replace(own, noise=oracle.noise)).log_likelihood
-    values = GAIN_PARAMETERS + sum(int(one.free_indices.size) for one in extended.fitted_terms)
+    for name, model in (("base", explanation.solution_base), ("extended", extended)):
+        own_fit = other.fit_model(model)
+        each[name] = other.fit_model(model, replace(own_fit, noise=oracle.noise)).log_likelihood
+    values = GAIN_PARAMETERS + sum(
+        int(fitted_term.free_indices.size) for fitted_term in extended.fitted_terms
+    )
     short = oracle.log_likelihood - each["extended"]
     gap = Gap(answer.seed, oracle.log_likelihood - each["base"], short, values)
     return {"nats": round(gap.nats, 3), "short": round(gap.short, 3), "values": gap.values}

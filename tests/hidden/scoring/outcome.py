@@ -87,7 +87,7 @@ class Outcome:
     @property
     def extra(self) -> tuple[tuple[str, ...], ...]:
         """The stated sets that contain no hidden cause."""
-        true = {one.cause for one in self.fates}
+        true = {fate.cause for fate in self.fates}
         return tuple(names for names in self.sets if not true & set(names))
 
     @property
@@ -98,7 +98,7 @@ class Outcome:
     @property
     def misled(self) -> bool:
         """Whether a wrong sole name was stated while a hidden cause is not in any set."""
-        return self.wrong_sole and not all(one.stated for one in self.fates)
+        return self.wrong_sole and not all(fate.stated for fate in self.fates)
 
 
 def is_sole(names: Sequence[str]) -> bool:
@@ -110,21 +110,21 @@ def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
     """Judge one case. A crash counts as a wrong name."""
     if "crashed" in line:
         line = {**BROKEN, "causes": [{"set": [CRASHED]}]}
-    said = [tuple(one["set"]) for one in (*line["causes"], *line["raw"])]
+    sets = [tuple(entry["set"]) for entry in (*line["causes"], *line["raw"])]
     rest = tuple(line["unexplained"])
     fates = tuple(
-        Fate(one.cause, one.place, one.times, _said_of(one.cause, said, answer, rest))
-        for one in answer.causes
+        Fate(cause.cause, cause.place, cause.times, _said_of(cause.cause, sets, answer, rest))
+        for cause in answer.causes
     )
-    absent = [one for one in line["absent"] if one[4] is not None]
-    worst = max(absent, key=lambda one: float(one[4]), default=None)
+    absent = [limit for limit in line["absent"] if limit[4] is not None]
+    worst = max(absent, key=lambda limit: float(limit[4]), default=None)
     return Outcome(
         seed=answer.seed,
         kind=answer.kind,
         program=answer.program,
         soak=answer.soak_k != 0.0,  # warmed first or cooled
         fates=fates,
-        sets=tuple(said),
+        sets=tuple(sets),
         rest=rest,
         expected=answer.groups,
         covered_causes=tuple(_of_causes(answer, line)),
@@ -141,32 +141,32 @@ def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
 
 
 def _said_of(
-    cause: str, said: Sequence[tuple[str, ...]], answer: Answer, rest: Sequence[str]
+    cause: str, sets: Sequence[tuple[str, ...]], answer: Answer, rest: Sequence[str]
 ) -> Name:
-    with_it = [names for names in said if cause in names]
+    with_it = [names for names in sets if cause in names]
     if any(is_sole(names) for names in with_it):
         return cause
     if with_it:
         return AMONG
     # If several are hidden, a wrong name counts for the case, not for one of the causes.
-    alone = [names for names in said if is_sole(names)]
+    alone = [names for names in sets if is_sole(names)]
     if len(answer.causes) == 1 and alone:
         return alone[0][0]
-    return REST if rest else (AMONG + " others" if said else MISSED)
+    return REST if rest else (AMONG + " others" if sets else MISSED)
 
 
 def _of_causes(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
     """Compare each named size with its true value, if the name is right and has one."""
-    found = []
+    coverages = []
     for hidden in answer.causes:
-        named = [one for one in line["causes"] if one["set"][0] == hidden.cause]
-        for one in named[:1]:
+        named = [entry for entry in line["causes"] if entry["set"][0] == hidden.cause]
+        for entry in named[:1]:
             true_of = true_values(hidden.cause, hidden.place, hidden.parameters)
             for name, true in true_of:
-                value, std = one["values"].get(name, (None, None))
-                if value is not None and std and name in one["sizes"]:
-                    found.append(Covered(f"{hidden.cause}.{name}", (value - true) / std))
-    return found
+                value, std = entry["values"].get(name, (None, None))
+                if value is not None and std and name in entry["sizes"]:
+                    coverages.append(Covered(f"{hidden.cause}.{name}", (value - true) / std))
+    return coverages
 
 
 def _of_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
@@ -178,11 +178,11 @@ def _of_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
     hidden = set(answer.names)
     if hidden & RELABELS:
         return []
-    found = []
+    coverages = []
     for name, true in answer.calibration.items():
         if name == "time_offset" and hidden & MOVES_LAG:
             continue
         value, std, _ = line["calibration"].get(name, (None, None, None))
         if value is not None and std and math.isfinite(true):
-            found.append(Covered(name, (value - true) / std))
-    return found
+            coverages.append(Covered(name, (value - true) / std))
+    return coverages

@@ -21,16 +21,16 @@ STYLE = (
 
 def confusion_picture(outcomes: Sequence[Outcome]) -> str:
     """Return the SVG: one row per hidden cause, one column per stated name."""
-    found: dict[str, Counter[str]] = {}
+    counts: dict[str, Counter[str]] = {}
     for times in (2.0, 3.0):
-        for cause, said in confusion(outcomes, times).items():
-            found.setdefault(cause, Counter()).update(said)
-    rows = sorted(found)
-    others = sorted({said for one in found.values() for said in one} - {*rows})
+        for cause, counter in confusion(outcomes, times).items():
+            counts.setdefault(cause, Counter()).update(counter)
+    rows = sorted(counts)
+    others = sorted({name for counter in counts.values() for name in counter} - {*rows})
     last = [name for name in (AMONG, REST, MISSED) if name in others]
     columns = [*rows, *(name for name in others if name not in last), *last]
     width, height = LEFT + CELL * len(columns) + 20, TOP + CELL * len(rows) + 40
-    body = [*_names(rows, columns), *_cells(found, rows, columns)]
+    body = [*_names(rows, columns), *_cells(counts, rows, columns)]
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" '
         'aria-labelledby="title" font-family="system-ui, sans-serif">\n'
@@ -58,23 +58,23 @@ def _names(rows: Sequence[str], columns: Sequence[str]) -> list[str]:
 
 
 def _cells(
-    found: dict[str, Counter[str]], rows: Sequence[str], columns: Sequence[str]
+    counts: dict[str, Counter[str]], rows: Sequence[str], columns: Sequence[str]
 ) -> list[str]:
     out = []
     for i, hidden in enumerate(rows):
         y = TOP + CELL * i
         end = LEFT + CELL * len(columns)
         out.append(f'<line class="line" x1="{LEFT}" y1="{y}" x2="{end}" y2="{y}"/>')
-        total = sum(found[hidden].values())
-        for j, said in enumerate(columns):
-            count = found[hidden][said]
+        total = sum(counts[hidden].values())
+        for j, column in enumerate(columns):
+            count = counts[hidden][column]
             if count:
-                kind = "right" if said in (hidden, AMONG) else "wrong"
+                kind = "right" if column in (hidden, AMONG) else "wrong"
                 share = count / total
                 out.append(
                     f'<rect class="{kind}" x="{LEFT + CELL * j + 1}" y="{y + 1}" '
                     f'width="{CELL - 2}" height="{CELL - 2}" rx="2" '
                     f'opacity="{0.25 + 0.75 * share:.2f}"><title>{escape(hidden)}: {count} of '
-                    f"{total} called {escape(said)}</title></rect>"
+                    f"{total} called {escape(column)}</title></rect>"
                 )
     return out

@@ -39,4 +39,4 @@ class Bound:
 
 def possible(bounds: Sequence[Bound]) -> float:
     """Return the largest share of cases that can be stated alone, NaN for none."""
-    return sum(one.chance for one in bounds) / len(bounds) if bounds else math.nan
+    return sum(bound.chance for bound in bounds) / len(bounds) if bounds else math.nan

@@ -58,11 +58,11 @@ def explained(path: Path, look: Look = explain_recordings) -> Stated:
     recording = read_recording(path)
     board = recording.board_ids[0]
     raw = [RawChecks(recording.path.name, check_stream(load_samples(recording, board)))]
-    found = look([recording], board)
+    explanation = look([recording], board)
     metadata = recording.metadata.get(f"gyrorig.board.{board}", {})
     profile = find_profile(metadata.get("sensor", ""))
     tolerance = None if profile is None else profile.scale_tolerance
-    gain = check_gain(np.asarray(found.solution_extended.gain), tolerance)
+    gain = check_gain(np.asarray(explanation.solution_extended.gain), tolerance)
     raw.append(RawChecks(recording.path.name, gain))
     origin = FindingsOrigin(
         BoardEntry(board, metadata.get("sensor", "")),
@@ -70,70 +70,72 @@ def explained(path: Path, look: Look = explain_recordings) -> Stated:
         NOTHING_OPENED,
         "",
     )
-    return Stated(recording, found, build_findings_document(found.findings, raw, origin))
+    return Stated(
+        recording, explanation, build_findings_document(explanation.findings, raw, origin)
+    )
 
 
 def line_of(seed: int, variant: str, stated: Stated) -> dict[str, Any]:
     """Return the stored line: names, sizes, rest, calibration, limits; plain JSON."""
     findings = stated.explained.findings
     rest = findings.unexplained
-    named = {one.cause for one in findings.causes}
+    named = {cause.cause for cause in findings.causes}
     return {
         "seed": seed,
         "variant": variant,
         "verdict": stated.document.verdict,
-        "causes": [_named(one) for one in findings.causes],
-        "raw": [_raw(one) for one in stated.document.causes if one.cause not in named],
+        "causes": [_named(cause) for cause in findings.causes],
+        "raw": [_raw(cause) for cause in stated.document.causes if cause.cause not in named],
         "unexplained": [s.covariate for s in (rest.leading, *rest.others)] if rest else [],
         "signatures": [s.covariate for s in findings.dependence_tests[:3]],
         "nats": _short(findings.gain.log_likelihood.value) if findings.gain else None,
         "calibration": _calibration(stated.explained),
         "absent": [
             [
-                one.cause,
-                one.where,
-                _short(one.size),
-                one.biased_parameter,
-                _short(one.parameter_bias_sigma),
+                detection_limit.cause,
+                detection_limit.where,
+                _short(detection_limit.size),
+                detection_limit.biased_parameter,
+                _short(detection_limit.parameter_bias_sigma),
             ]
-            for one in findings.detection_limits
+            for detection_limit in findings.detection_limits
         ],
-        "not_testable": sorted({one.cause for one in stated.document.not_testable}),
+        "not_testable": sorted({entry.cause for entry in stated.document.not_testable}),
         "harm_printed": _harm_printed(findings, stated.document),
         "seconds": round(findings.duration_s, 2),
     }
 
 
-def _named(one: NamedCause) -> dict[str, Any]:
+def _named(cause: NamedCause) -> dict[str, Any]:
     return {
-        "set": list(one.candidates),
-        "where": list(one.where),
-        "values": {v.name: [_short(v.value), _short(v.std)] for v in one.values},
-        "free": int(one.extension.free_indices.size),
-        "sizes": [value_names(one.term)[k] for k in value_indices(one.term, role="size")],
-        "statistic": _short(one.statistic),
-        "posterior": _short(one.posterior),
-        "harm_sigma": _short(one.parameter_bias_sigma),
-        "sigma": {c.parameter: _short(c.sigma) for c in one.changes[:3]},
+        "set": list(cause.candidates),
+        "where": list(cause.where),
+        "values": {v.name: [_short(v.value), _short(v.std)] for v in cause.values},
+        "free": int(cause.extension.free_indices.size),
+        "sizes": [value_names(cause.term)[k] for k in value_indices(cause.term, role="size")],
+        "statistic": _short(cause.statistic),
+        "posterior": _short(cause.posterior),
+        "harm_sigma": _short(cause.parameter_bias_sigma),
+        "sigma": {c.parameter: _short(c.sigma) for c in cause.changes[:3]},
     }
 
 
-def _raw(one: CauseEntry) -> dict[str, Any]:
-    return {"set": [one.cause, *one.one_of], "where": one.where}
+def _raw(entry: CauseEntry) -> dict[str, Any]:
+    return {"set": [entry.cause, *entry.one_of], "where": entry.where}
 
 
-def _calibration(found: FitExplanation) -> dict[str, list[float | None]]:
+def _calibration(explanation: FitExplanation) -> dict[str, list[float | None]]:
     """Return value and uncertainty of each parameter with the named causes, and its base value.
 
     The true bias is the mean over the recording. With a named cause that changes the bias, the
     calibration has the bias at which that cause is zero, so the mean of the cause is added.
     """
     after, before = (
-        CalibrationValues.of(found.solution_extended),
-        CalibrationValues.of(found.solution_base),
+        CalibrationValues.of(explanation.solution_extended),
+        CalibrationValues.of(explanation.solution_base),
     )
     value, std = after.values.copy(), after.std.copy()
-    shift, variance = _mean_of_moves(found.solution_extended)
+    shift, variance = _mean_of_moves(explanation.solution_extended)
     at = [k for k, name in enumerate(CALIBRATION_PARAMETERS) if name.startswith("bias.")]
     value[at] += shift
     std[at] = np.where(np.isfinite(std[at]), np.sqrt(variance), np.nan)
@@ -146,23 +148,29 @@ def _calibration(found: FitExplanation) -> dict[str, list[float | None]]:
 def _mean_of_moves(solution: ConvergedFit) -> tuple[FloatArray, FloatArray]:
     """Return the mean bias change of the named causes, (3,), and the variance of the sum."""
     covariance = solution.observability.covariance
-    own = np.arange(GAIN_PARAMETERS, GAIN_PARAMETERS + 3)
-    moving = [one for one in solution.fitted_terms if one.term.cause in MOVES_BIAS]
+    indices = np.arange(GAIN_PARAMETERS, GAIN_PARAMETERS + 3)
+    moving = [
+        fitted_term for fitted_term in solution.fitted_terms if fitted_term.term.cause in MOVES_BIAS
+    ]
     if not moving:
-        return np.zeros(3), np.diag(covariance)[own]
+        return np.zeros(3), np.diag(covariance)[indices]
     shift, blocks = np.zeros(3), 0
     along = np.zeros((3, covariance.shape[0]))
     for _, _, model, _, scene in solution.sessions[-1].iter_derivatives(solution.gain):
         blocks += int(model.used.sum())
         at = GAIN_PARAMETERS + SESSION_PARAMETERS
-        for one in solution.fitted_terms:
-            if one.term.cause in MOVES_BIAS:
-                shift += one.term.effect(scene, one.values)[model.used].sum(axis=0)
-                columns = one.term.jacobian(scene, one.values)[one.free_indices]
-                along[:, at : at + one.free_indices.size] += columns[:, model.used].sum(axis=1).T
-            at += one.free_indices.size
+        for fitted_term in solution.fitted_terms:
+            if fitted_term.term.cause in MOVES_BIAS:
+                shift += fitted_term.term.effect(scene, fitted_term.values)[model.used].sum(axis=0)
+                columns = fitted_term.term.jacobian(scene, fitted_term.values)[
+                    fitted_term.free_indices
+                ]
+                along[:, at : at + fitted_term.free_indices.size] += (
+                    columns[:, model.used].sum(axis=1).T
+                )
+            at += fitted_term.free_indices.size
     along /= blocks
-    along[:, own] += np.eye(3)
+    along[:, indices] += np.eye(3)
     return shift / blocks, np.einsum("ij,jk,ik->i", along, covariance, along)
 
 
@@ -170,15 +178,15 @@ def _harm_printed(findings: CauseFindings, document: FindingsDocument) -> bool:
     """Return whether the largest undetected bias is in the document and in the summary."""
     if not findings.detection_limits:
         return True
-    worst = max(findings.detection_limits, key=lambda one: one.parameter_bias_sigma)
-    kept = any(
-        one.cause == worst.cause
-        and one.where == worst.where
-        and one.by_sigma is not None
-        and math.isclose(one.by_sigma, worst.parameter_bias_sigma, rel_tol=1e-6)
-        for one in document.minimal_detectable
+    worst = max(findings.detection_limits, key=lambda limit: limit.parameter_bias_sigma)
+    is_printed = any(
+        limit.cause == worst.cause
+        and limit.where == worst.where
+        and limit.by_sigma is not None
+        and math.isclose(limit.by_sigma, worst.parameter_bias_sigma, rel_tol=1e-6)
+        for limit in document.minimal_detectable
     )
-    return kept and f"not detectable here   {worst.cause}" in findings_summary(document)
+    return is_printed and f"not detectable here   {worst.cause}" in findings_summary(document)
 
 
 def _short(value: float) -> float | None:

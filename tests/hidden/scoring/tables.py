@@ -39,12 +39,12 @@ def cases(outcomes: Outcomes) -> str:
     """Return the number of cases per kind and program."""
     rows = []
     for kind in KINDS:
-        own = [one for one in outcomes if one.kind == kind]
+        chosen = [outcome for outcome in outcomes if outcome.kind == kind]
         programs = ", ".join(
-            f"`{p}` {n}" for p, n in sorted(Counter(o.program for o in own).items())
+            f"`{p}` {n}" for p, n in sorted(Counter(o.program for o in chosen).items())
         )
-        soaked, decoys = sum(o.soak for o in own), sum(o.decoy is not None for o in own)
-        rows.append((kind, str(len(own)), programs, str(soaked), str(decoys)))
+        soaked, decoys = sum(o.soak for o in chosen), sum(o.decoy is not None for o in chosen)
+        rows.append((kind, str(len(chosen)), programs, str(soaked), str(decoys)))
     return table(
         (
             "kind",
@@ -59,9 +59,9 @@ def cases(outcomes: Outcomes) -> str:
 
 def reached(outcomes: Outcomes) -> str:
     """Return how many of the required sessions were run."""
-    alone = sum(one.kind == "null" for one in outcomes)
+    alone = sum(outcome.kind == "null" for outcome in outcomes)
     other = len(outcomes) - alone
-    said = [
+    lines = [
         f"- {what}: {count} of {asked} were run"
         + ("." if count >= asked else ". Therefore the confidence limits are wider.")
         for what, count, asked in (
@@ -69,7 +69,7 @@ def reached(outcomes: Outcomes) -> str:
             ("Sessions with a hidden effect", other, HIDDEN),
         )
     ]
-    return "\n".join(said)
+    return "\n".join(lines)
 
 
 def goals(
@@ -79,11 +79,11 @@ def goals(
     measured: Sequence[Multiplicity] = (),
 ) -> str:
     """Return every goal with its figure."""
-    found = figures(outcomes, gaps, bounds, measured)
-    failed = {(goal.number, goal.name) for goal in missed(found)}
+    results = figures(outcomes, gaps, bounds, measured)
+    failed = {(goal.number, goal.name) for goal in missed(results)}
     rows = []
     for goal in GOALS:
-        figure = found[goal.name]
+        figure = results[goal.name]
         verdict = "missed" if (goal.number, goal.name) in failed else "met"
         if np.isnan(figure.value):
             verdict = "not measured"
@@ -109,30 +109,30 @@ def _value(goal: Goal, value: float) -> str:
 
 def nulls(outcomes: Outcomes) -> str:
     """Return the false alarms by program, and their names."""
-    own = [one for one in outcomes if one.kind == "null"]
+    chosen = [outcome for outcome in outcomes if outcome.kind == "null"]
     rows = []
-    for program, group in _grouped(own, lambda one: one.program):
-        alarms = [one for one in group if one.alarmed]
-        said = Counter(_said(one) for one in alarms)
-        words = "; ".join(f"{text} ({n})" for text, n in said.most_common())
+    for program, group in _grouped(chosen, lambda outcome: outcome.program):
+        alarms = [outcome for outcome in group if outcome.alarmed]
+        names = Counter(_said(outcome) for outcome in alarms)
+        words = "; ".join(f"{text} ({n})" for text, n in names.most_common())
         rows.append((f"`{program}`", str(Share(len(alarms), len(group))), words))
     return table(("program", "sessions with a false alarm", "reported causes"), rows)
 
 
 def causes(outcomes: Outcomes) -> str:
     """Return the result for each cause hidden alone, at each size."""
-    plain = [one for one in outcomes if not one.soak]
-    soaked = [one for one in outcomes if one.soak]
+    plain = [outcome for outcome in outcomes if not outcome.soak]
+    soaked = [outcome for outcome in outcomes if outcome.soak]
     at = {rung: by_cause(plain, rung) for rung in RUNGS}
     soak = [o for o in soaked if o.kind == "one" and (on_rung(o, 2.0) or on_rung(o, 3.0))]
-    names = sorted({name for found in at.values() for name in found})
+    names = sorted({name for counts in at.values() for name in counts})
     rows = []
     for name in names:
         once = at[1.0].get(name, [])
-        cells = [f"{sum(one.alarmed for one in once)} of {len(once)}"]
+        cells = [f"{sum(outcome.alarmed for outcome in once)} of {len(once)}"]
         for rung in RUNGS[1:]:
             cells.append(_fates(at[rung].get(name, [])))
-        cells.append(_fates([one for one in soak if one.fates[0].cause == name]))
+        cells.append(_fates([outcome for outcome in soak if outcome.fates[0].cause == name]))
         rows.append((f"`{name}`", *cells))
     head = (
         "cause",
@@ -148,14 +148,14 @@ def _fates(group: Outcomes) -> str:
     """Return how often the name was right and alone, and the other results."""
     if not group:
         return ""
-    right = sum(sole_right(one) for one in group)
-    other = Counter(_instead(one) for one in group if not sole_right(one))
+    right = sum(sole_right(outcome) for outcome in group)
+    other = Counter(_instead(outcome) for outcome in group if not sole_right(outcome))
     words = ", ".join(f"{n} {text}" for text, n in other.most_common())
     return f"{right} of {len(group)}" + (f"; {words}" if words else "")
 
 
-def _instead(one: Outcome) -> str:
-    (fate,) = one.fates
+def _instead(outcome: Outcome) -> str:
+    (fate,) = outcome.fates
     if fate.sole:
         return "with an additional wrong name"
     if fate.said == AMONG:
@@ -167,14 +167,16 @@ def confused(outcomes: Outcomes) -> str:
     """Return every case at 2x or more with a stated set that contains no hidden cause."""
     rows = [
         (
-            str(one.seed),
-            f"`{one.program}`" + (" with soak" if one.soak else ""),
-            ", ".join(f"{fate.cause} {fate.times:.1f}x" for fate in one.fates),
-            "; ".join(" or ".join(names) for names in one.extra),
-            "yes" if one.misled else "no",
+            str(outcome.seed),
+            f"`{outcome.program}`" + (" with soak" if outcome.soak else ""),
+            ", ".join(f"{fate.cause} {fate.times:.1f}x" for fate in outcome.fates),
+            "; ".join(" or ".join(names) for names in outcome.extra),
+            "yes" if outcome.misled else "no",
         )
-        for one in outcomes
-        if one.kind in IN_CATALOGUE and largest(one) >= BOUND * (1.0 - RUNG_WIDTH) and one.extra
+        for outcome in outcomes
+        if outcome.kind in IN_CATALOGUE
+        and largest(outcome) >= BOUND * (1.0 - RUNG_WIDTH)
+        and outcome.extra
     ]
     if not rows:
         return "None."
@@ -186,16 +188,20 @@ def confused(outcomes: Outcomes) -> str:
 def inseparable(bounds_: Sequence[Bound]) -> str:
     """Return the causes with a similar rival, and the bound on right names."""
     rows = []
-    for cause, group in _grouped(bounds_, lambda one: one.cause):
-        at_two = [one.chance for one in group if one.times > 1.5]  # goals for names begin at 2x
+    for cause, group in _grouped(bounds_, lambda bound: bound.cause):
+        at_two = [
+            bound.chance for bound in group if bound.times > 1.5
+        ]  # goals for names begin at 2x
         if not at_two or min(at_two) >= DOUBTFUL:
             continue
         cells = []
         for rung, soak in ((2.0, False), (3.0, False), (2.0, True), (3.0, True)):
-            own = [o for o in group if abs(o.times / rung - 1.0) <= RUNG_WIDTH and o.soak == soak]
-            cells.append(f"{100.0 * possible(own):.0f} %" if own else "")
-        rivals = Counter(one.rival for one in group).most_common(2)
-        left = np.median([one.left for one in group])
+            chosen = [
+                o for o in group if abs(o.times / rung - 1.0) <= RUNG_WIDTH and o.soak == soak
+            ]
+            cells.append(f"{100.0 * possible(chosen):.0f} %" if chosen else "")
+        rivals = Counter(bound.rival for bound in group).most_common(2)
+        left = np.median([bound.left for bound in group])
         names = ", ".join(f"`{name}`" for name, _ in rivals)
         rows.append((f"`{cause}`", names, f"{100.0 * left:.1f} %", *cells))
     if not rows:
@@ -215,10 +221,11 @@ def inseparable(bounds_: Sequence[Bound]) -> str:
 def shapes(outcomes: Outcomes) -> str:
     """Return the results for shapes outside the catalogue or similar to a cause."""
     rows = []
-    own = [one for one in outcomes if one.kind in ("outside", "nearly")]
-    for (kind, name), group in _grouped(own, lambda one: (one.kind, _shape(one))):
+    chosen = [outcome for outcome in outcomes if outcome.kind in ("outside", "nearly")]
+    for (kind, name), group in _grouped(chosen, lambda outcome: (outcome.kind, _shape(outcome))):
         wrong = sum(
-            any(is_sole(names) and one.near not in names for names in one.sets) for one in group
+            any(is_sole(names) and outcome.near not in names for names in outcome.sets)
+            for outcome in group
         )
         rows.append(
             (
@@ -226,8 +233,8 @@ def shapes(outcomes: Outcomes) -> str:
                 name,
                 str(len(group)),
                 f"{min(map(largest, group)):.1f} to {max(map(largest, group)):.1f}",
-                str(sum(bool(one.rest) for one in group)),
-                str(sum(right_group(one) for one in group)),
+                str(sum(bool(outcome.rest) for outcome in group)),
+                str(sum(right_group(outcome) for outcome in group)),
                 str(wrong),
             )
         )
@@ -243,30 +250,33 @@ def shapes(outcomes: Outcomes) -> str:
     return table(head, rows)
 
 
-def _shape(one: Outcome) -> str:
-    return ", ".join(fate.cause.partition(":")[2] or fate.cause for fate in one.fates)
+def _shape(outcome: Outcome) -> str:
+    return ", ".join(fate.cause.partition(":")[2] or fate.cause for fate in outcome.fates)
 
 
 def blind(outcomes: Outcomes) -> str:
     """Return the results for unobservable causes and inseparable pairs."""
-    hidden = [one for one in outcomes if one.kind == "unobservable"]
-    silent = Share(sum(not one.alarmed for one in hidden), len(hidden))
-    told = Share(sum(one.said_blind for one in hidden), len(hidden))
-    pairs = [one for one in outcomes if one.decoy == "pair"]
+    hidden = [outcome for outcome in outcomes if outcome.kind == "unobservable"]
+    silent = Share(sum(not outcome.alarmed for outcome in hidden), len(hidden))
+    stated_share = Share(sum(outcome.said_blind for outcome in hidden), len(hidden))
+    pairs = [outcome for outcome in outcomes if outcome.decoy == "pair"]
     right = [
-        one
-        for one in pairs
-        if all(fate.stated for fate in one.fates)
-        and all(set(names) <= {*one.allowed, *(f.cause for f in one.fates)} for names in one.sets)
+        outcome
+        for outcome in pairs
+        if all(fate.stated for fate in outcome.fates)
+        and all(
+            set(names) <= {*outcome.allowed, *(f.cause for f in outcome.fates)}
+            for names in outcome.sets
+        )
     ]
-    decoys = [one for one in outcomes if one.decoy in ("temperature", "idle_channel")]
+    decoys = [outcome for outcome in outcomes if outcome.decoy in ("temperature", "idle_channel")]
     rows = [
         ("a hidden cause is unobservable: nothing is named", str(silent)),
-        ("a hidden cause is unobservable: it is reported as not testable", str(told)),
+        ("a hidden cause is unobservable: it is reported as not testable", str(stated_share)),
         ("two causes that the solver cannot separate: both are stated, and nothing else",
          str(Share(len(right), len(pairs)))),
         ("a decoy in the session: no wrong name",
-         str(Share(sum(not one.extra for one in decoys), len(decoys)))),
+         str(Share(sum(not outcome.extra for outcome in decoys), len(decoys)))),
     ]  # fmt: skip
     return table(("test", "share of right results"), rows)
 
@@ -274,9 +284,9 @@ def blind(outcomes: Outcomes) -> str:
 def many(outcomes: Outcomes) -> str:
     """Return the results for several causes at once."""
     rows = []
-    own = [one for one in outcomes if one.kind in ("two", "many")]
-    for count, group in _grouped(own, lambda one: len(one.fates)):
-        rest = Share(sum(bool(one.rest) for one in group), len(group))
+    chosen = [outcome for outcome in outcomes if outcome.kind in ("two", "many")]
+    for count, group in _grouped(chosen, lambda outcome: len(outcome.fates)):
+        rest = Share(sum(bool(outcome.rest) for outcome in group), len(group))
         rows.append(
             (str(count), str(len(group)), str(recall(group)), str(precision(group)), str(rest))
         )
@@ -294,9 +304,9 @@ def gaps(gaps_: Sequence[Gap]) -> str:
     """Return the gap to the oracle on second recordings."""
     if not gaps_:
         return "None measured."
-    short = np.array([one.short for one in gaps_])
-    share = np.array([1.0 - one.short / one.nats for one in gaps_ if one.nats > 0.0])
-    allowed = np.array([one.allowed for one in gaps_])
+    short = np.array([gap.short for gap in gaps_])
+    share = np.array([1.0 - gap.short / gap.nats for gap in gaps_ if gap.nats > 0.0])
+    allowed = np.array([gap.allowed for gap in gaps_])
     quarters = ", ".join(f"{v:.1f}" for v in np.percentile(short, (25, 50, 75)))
     rows = [
         ("number of second recordings", str(len(gaps_))),
@@ -311,9 +321,9 @@ def gaps(gaps_: Sequence[Gap]) -> str:
 def covered(outcomes: Outcomes) -> str:
     """Return the coverage by calibration parameter and by cause."""
     kinds = ("null", *IN_CATALOGUE)
-    own = [one for one in outcomes if one.kind in kinds]
-    each = [(c.what, c) for one in own for c in one.covered_calibration]
-    each += [(c.what.partition(".")[0], c) for one in own for c in one.covered_causes]
+    chosen = [outcome for outcome in outcomes if outcome.kind in kinds]
+    each = [(c.what, c) for outcome in chosen for c in outcome.covered_calibration]
+    each += [(c.what.partition(".")[0], c) for outcome in chosen for c in outcome.covered_causes]
     rows = []
     for what in dict.fromkeys(name for name, _ in each):
         inside = [c for name, c in each if name == what]
@@ -333,13 +343,15 @@ def covered(outcomes: Outcomes) -> str:
 
 def harm(outcomes: Outcomes) -> str:
     """Return the cause with the largest bias at its detectable size, by program."""
-    own = [one for one in outcomes if one.kind == "null" and one.harm is not None]
+    chosen = [
+        outcome for outcome in outcomes if outcome.kind == "null" and outcome.harm is not None
+    ]
     rows = []
-    for program, group in _grouped(own, lambda one: one.program):
-        worst = [one.harm for one in group if one.harm is not None]
-        top, sigma = max(worst, key=lambda one: one[1])
+    for program, group in _grouped(chosen, lambda outcome: outcome.program):
+        worst = [outcome.harm for outcome in group if outcome.harm is not None]
+        top, sigma = max(worst, key=lambda entry: entry[1])
         names = Counter(name for name, _ in worst).most_common(2)
-        printed = Share(sum(one.harm_printed for one in group), len(group))
+        printed = Share(sum(outcome.harm_printed for outcome in group), len(group))
         rows.append(
             (
                 f"`{program}`",
@@ -362,21 +374,23 @@ def harm(outcomes: Outcomes) -> str:
 def seconds(outcomes: Outcomes) -> str:
     """Return the duration of an explanation, with both cores busy."""
     rows = []
-    for (kind, program), group in _grouped(outcomes, lambda one: (one.kind, one.program)):
-        took = [one.seconds for one in group]
+    for (kind, program), group in _grouped(
+        outcomes, lambda outcome: (outcome.kind, outcome.program)
+    ):
+        took = [outcome.seconds for outcome in group]
         rows.append(
             (kind, f"`{program}`", str(len(took)), f"{np.median(took):.1f}", f"{max(took):.1f}")
         )
     return table(("kind", "program", "sessions", "median, s", "longest, s"), rows)
 
 
-def _said(one: Outcome) -> str:
-    names = " + ".join(" or ".join(names) for names in one.sets)
-    return names or f"unexplained: {one.rest[0]}"
+def _said(outcome: Outcome) -> str:
+    names = " + ".join(" or ".join(names) for names in outcome.sets)
+    return names or f"unexplained: {outcome.rest[0]}"
 
 
 def _grouped(outcomes: Sequence[T], key: Callable[[T], K]) -> list[tuple[K, list[T]]]:
-    found: dict[K, list[T]] = {}
-    for one in outcomes:
-        found.setdefault(key(one), []).append(one)
-    return sorted(found.items(), key=lambda pair: str(pair[0]))
+    groups: dict[K, list[T]] = {}
+    for outcome in outcomes:
+        groups.setdefault(key(outcome), []).append(outcome)
+    return sorted(groups.items(), key=lambda pair: str(pair[0]))

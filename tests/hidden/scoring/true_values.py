@@ -73,10 +73,10 @@ def true_values(
             yield f"cosine.{part}", amplitude * math.sin(phase)
             yield f"sine.{part}", amplitude * math.cos(phase)
         return
-    for told, name, turned in RULES.get(cause, ()):
+    for given_name, name, turned in RULES.get(cause, ()):
         for parameter, value in parameters.items():
             stem, _, axis = parameter.partition(".")
-            if stem != told:
+            if stem != given_name:
                 continue
             if axis:
                 yield f"{name}.{axis}", turned(value)

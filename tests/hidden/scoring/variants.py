@@ -42,7 +42,7 @@ class Variant:
 
     words: str
     explain: Look
-    said: Callable[[Line, Stated], Line]
+    line_of: Callable[[Line, Stated], Line]
 
 
 def _explain(recordings: Sequence[Recording], board: str) -> FitExplanation:
@@ -86,7 +86,7 @@ def _no_projection(recordings: Sequence[Recording], board: str) -> FitExplanatio
 def _top(solution: ConvergedFit) -> str:
     """Return the cause with the best score on the residual of a fit."""
     projection = NuisanceProjector.at_fit(solution)
-    taken = {one.term.cause for one in solution.fitted_terms}
+    taken = {fitted_term.term.cause for fitted_term in solution.fitted_terms}
     terms = [term for term in testable_terms(projection) if term.cause not in taken]
     return scan_catalogue(projection, terms, count_tests(terms))[0].term.cause
 
@@ -113,14 +113,16 @@ def _shuffled(line: Line, _stated: Stated) -> Line:
     other = dict(zip(names, [*names[1:], names[0]], strict=True))
 
     def renamed(ones: Sequence[Line]) -> list[Line]:
-        return [{**one, "set": [other.get(name, name) for name in one["set"]]} for one in ones]
+        return [
+            {**entry, "set": [other.get(name, name) for name in entry["set"]]} for entry in ones
+        ]
 
     return {**line, "causes": renamed(line["causes"]), "raw": renamed(line["raw"])}
 
 
 def _named(line: Line, causes: Sequence[Line], cause: str) -> Line:
-    own = {"set": [cause], "where": [], "values": {}, "free": 0, "sizes": []}
-    return {**line, "causes": [*causes, own], "unexplained": [], "verdict": "explained"}
+    named = {"set": [cause], "where": [], "values": {}, "free": 0, "sizes": []}
+    return {**line, "causes": [*causes, named], "unexplained": [], "verdict": "explained"}
 
 
 REAL = "real"

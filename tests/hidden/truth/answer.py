@@ -23,7 +23,7 @@ def answer_of(session: Session, recorded: Recorded, sizer: Sizer) -> dict[str, A
     first_s, last_s = recorded.course.span_s
     span_ns = (ORIGIN_NS + round(first_s * 1e9), ORIGIN_NS + round(last_s * 1e9))
     truth = recorded.rig.truth_document(*span_ns)
-    told = {one["cause"]: one for one in truth.get("hidden", {}).get("causes", [])}
+    by_cause = {entry["cause"]: entry for entry in truth.get("hidden", {}).get("causes", [])}
     for board in truth["boards"].values():
         delay_s = math.sqrt(2.0) / (2.0 * math.pi * board["low_pass"]["cutoff_hz"])
         board["time_offset_s"] = board["tau_s"] + delay_s
@@ -41,8 +41,8 @@ def answer_of(session: Session, recorded: Recorded, sizer: Sizer) -> dict[str, A
         },
         "decoy": session.decoy,
         "causes": [
-            _cause(item, told.get(item.name), beside, session)
-            for item, beside in zip(session.items, _beside(session, sizer), strict=True)
+            _cause(item, by_cause.get(item.name), beside_others, session)
+            for item, beside_others in zip(session.items, _beside(session, sizer), strict=True)
         ],
         "expected_groups": [group for shape in shapes for group in shape.groups],
         "near": next((shape.near for shape in shapes if shape.near), None),
@@ -70,24 +70,24 @@ def seal(folder: Path, document: dict[str, Any]) -> str:
 
 
 def _cause(
-    item: Item, told: dict[str, Any] | None, beside: float | None, session: Session
+    item: Item, entry: dict[str, Any] | None, beside_others: float | None, session: Session
 ) -> dict[str, Any]:
-    if told is None:
-        told = _shape(item, session)
-    size = told["size"]["value"]
+    if entry is None:
+        entry = _shape(item, session)
+    size = entry["size"]["value"]
     seen = item.seen
     lambda_ = None if seen is None else seen.noncentrality
     counted, varied = item.name in COUNTED, item.name in IN_VARIANCE
     return {
-        "cause": told["cause"],
-        "place": told["where"],
-        "board": told["board"],
+        "cause": entry["cause"],
+        "place": entry["where"],
+        "board": entry["board"],
         "sign": -1 if size < 0.0 else 1,
-        "size": told["size"],
-        "parameters": told["parameters"],
+        "size": entry["size"],
+        "parameters": entry["parameters"],
         "statistic": "count" if counted else "variance" if varied else "mean",
         "noncentrality": lambda_,
-        "beside_others": beside,
+        "beside_others": beside_others,
         "absorbed": None if seen is None else seen.absorbed,
         "sizes": sizes_of(item.name),
         "detectable": detectable_of(item.name),
@@ -100,20 +100,20 @@ def _cause(
 
 def _shape(item: Item, session: Session) -> dict[str, Any]:
     shape, size = SHAPES[item.name], item.size or 0.0
-    told = parameters(shape, size, settings_of(session.rig))
+    quantities = parameters(shape, size, settings_of(session.rig))
     prefix = "nearly" if item.name in NEARLY else "outside"
     return {
         "cause": f"{prefix}:{item.name}",
         "where": "all",
         "board": BOARD,
         "size": _plain(Quantity(size, shape.unit)),
-        "parameters": {name: _plain(one) for name, one in told.items()},
+        "parameters": {name: _plain(quantity) for name, quantity in quantities.items()},
     }
 
 
-def _plain(told: Quantity) -> dict[str, Any]:
-    value = list(told.value) if isinstance(told.value, tuple) else told.value
-    return {"value": value, "unit": told.unit}
+def _plain(quantity: Quantity) -> dict[str, Any]:
+    value = list(quantity.value) if isinstance(quantity.value, tuple) else quantity.value
+    return {"value": value, "unit": quantity.unit}
 
 
 def _beside(session: Session, sizer: Sizer) -> list[float | None]:

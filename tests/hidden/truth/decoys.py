@@ -35,9 +35,9 @@ def hot_truth(settings: RigSettings) -> RigTruth:
 
 def with_idle_channel(path: Path, seed: int) -> None:
     """Write a recording anew with a channel that nothing depends on: a wandering number."""
-    beside = path.with_name(path.name + ".idle")
+    idle_path = path.with_name(path.name + ".idle")
     rng = np.random.default_rng([seed, 0x49444C45])
-    with path.open("rb") as source, beside.open("wb") as file:
+    with path.open("rb") as source, idle_path.open("wb") as file:
         reader = make_reader(source)
         header = reader.get_header()
         writer = Writer(file)
@@ -73,4 +73,4 @@ def with_idle_channel(path: Path, seed: int) -> None:
                 message.sequence,
             )  # fmt: skip
         writer.finish()  # type: ignore[no-untyped-call]
-    beside.replace(path)
+    idle_path.replace(path)

@@ -116,8 +116,8 @@ class _Drawing:
         place, sign = self.place(name), self.sign(name)
         if name in COUNTED:
             return Item(name, place, None)
-        told = self.sizer.size_of_cause(name, place, times, sign)
-        return None if told is None else Item(name, place, told.size, times, told.seen)
+        sized = self.sizer.size_of_cause(name, place, times, sign)
+        return None if sized is None else Item(name, place, sized.size, times, sized.seen)
 
 
 def drawn(
@@ -194,14 +194,14 @@ def _pair(drawing: _Drawing) -> Session:
 
 
 def _two(drawing: _Drawing) -> Session:
-    found: list[Item] = []
+    items: list[Item] = []
     for name in drawing.rng.permutation(SIZED).tolist():
         item = drawing.at(name, TWO_TIMES)
         if item is not None:
-            found.append(item)
-        if len(found) == 2:
+            items.append(item)
+        if len(items) == 2:
             break
-    return Session(drawing.tier, "two", drawing.rig, tuple(found), held=_held(drawing, *found))
+    return Session(drawing.tier, "two", drawing.rig, tuple(items), held=_held(drawing, *items))
 
 
 def _many(drawing: _Drawing) -> Session:
@@ -230,9 +230,9 @@ def _shape(shapes: dict[str, Shape]) -> "Callable[[_Drawing], Session]":
             ):
                 continue
             times = float(np.exp(rng.uniform(np.log(3.0), np.log(10.0))))
-            told = shape_sized(drawing.sizer, shape, rig, times)
-            if told is not None:
-                item = Item(name, "", told.size, times, told.seen)
+            sized = shape_sized(drawing.sizer, shape, rig, times)
+            if sized is not None:
+                item = Item(name, "", sized.size, times, sized.seen)
                 return Session(drawing.tier, kind, rig, (item,))
         return _null(drawing)
 
@@ -328,8 +328,8 @@ def on_rung(sizer: Sizer, session: Session) -> Session | None:
     if abs(item.seen.noncentrality / wanted - 1.0) < RUNG_WIDTH:
         return None
     sign = -1.0 if item.size < 0.0 else 1.0
-    told = sizer.size_of_cause(item.name, item.place, session.rung, sign)
-    return None if told is None else replace(session, items=(replace(item, size=told.size),))
+    sized = sizer.size_of_cause(item.name, item.place, session.rung, sign)
+    return None if sized is None else replace(session, items=(replace(item, size=sized.size),))
 
 
 def orders_of(items: Sequence[Item]) -> tuple[InjectionRequest, ...]:

@@ -51,15 +51,15 @@ def main() -> None:
     parser.add_argument("--tiers", nargs="+", choices=TIERS, default=list(TIERS))
     parser.add_argument("--a-round", type=int, help="at most so many sessions of a part a round")
     parser.add_argument("--beyond", type=int, default=0, help="added to every seed: fresh sessions")
-    told = parser.parse_args()
-    for turn in range(told.rounds):
+    arguments = parser.parse_args()
+    for turn in range(arguments.rounds):
         for part in PARTS:
-            a_round = min(part.a_round, told.a_round or part.a_round)
+            a_round = min(part.a_round, arguments.a_round or part.a_round)
             at = turn * a_round
-            if at < part.count and part.tier in told.tiers:
-                first = part.first + told.beyond
+            if at < part.count and part.tier in arguments.tiers:
+                first = part.first + arguments.beyond
                 make.main(
-                    ["--out", str(told.out / part.folder), "--tier", part.tier,
+                    ["--out", str(arguments.out / part.folder), "--tier", part.tier,
                      "--base", str(first), "--first", str(first + at),
                      "--count", str(min(a_round, part.count - at)),
                      "--rungs", *part.rungs]

@@ -89,21 +89,21 @@ def _hold(folder: Path, session: Session, truth: RigTruth) -> None:
     write_rates(folder / "held.npz", twins.rates(like), course.moves_s)
 
 
-def run(told: argparse.Namespace) -> int:
+def run(namespace: argparse.Namespace) -> int:
     """Make what is not there yet; return how many."""
-    out: Path = told.out
+    out: Path = namespace.out
     out.mkdir(parents=True, exist_ok=True)
-    of, many = (int(word) for word in told.shard.split("/"))
+    of, many = (int(word) for word in namespace.shard.split("/"))
     skipped = out / SKIPPED
     left_out = set(skipped.read_text().split()) if skipped.exists() else set()
     made, begun_s = 0, time.monotonic()
-    for seed in range(told.first, told.first + told.count):
+    for seed in range(namespace.first, namespace.first + namespace.count):
         folder = out / str(seed)
-        if (seed - told.first) % many != of - 1 or str(seed) in left_out:
+        if (seed - namespace.first) % many != of - 1 or str(seed) in left_out:
             continue
         if (folder / "recording.mcap").exists():
             continue
-        session = drawn(seed, told.tier, told.rungs, told.base or told.first)
+        session = drawn(seed, namespace.tier, namespace.rungs, namespace.base or namespace.first)
         if session is None:
             with skipped.open("a") as file:
                 file.write(f"{seed}\n")

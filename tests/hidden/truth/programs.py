@@ -38,16 +38,16 @@ def reversed_steps(steps: list[Step]) -> list[Step]:
         ValueError: the steps do not end where they begin, at zero, or do more than move and rest.
     """
     at = {"pan_deg": 0.0, "tilt_deg": 0.0}
-    found: list[Step] = []
+    reversed_list: list[Step] = []
     for step in steps:
         if set(step) == {"rest"}:
-            found.append(step)
+            reversed_list.append(step)
             continue
         if set(step) != {"move"}:
             raise ValueError(f"{set(step)} has no opposite")
         back = {key: at.get(key, value) for key, value in step["move"].items()}
         at |= {key: value for key, value in step["move"].items() if key in at}
-        found.append({"move": back})
+        reversed_list.append({"move": back})
     if any(at.values()):
         raise ValueError(f"it ends at {at}, not where it began")
-    return found[::-1]
+    return reversed_list[::-1]

@@ -65,7 +65,7 @@ class Course:
     @property
     def moves_s(self) -> list[tuple[str, float]]:
         """Axis and begin of each move, since power-up."""
-        return [(n, o[1]) for n, told in self.orders.items() for o in told if o[0] == "move"]
+        return [(n, o[1]) for n, orders in self.orders.items() for o in orders if o[0] == "move"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

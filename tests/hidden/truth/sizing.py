@@ -97,18 +97,18 @@ class Sizer:
         for order in orders:
             rates = None if order is None else self.rates(order)
             left.append(None if rates is None else self.space(rates).projected_effect(rates))
-        told: list[float | None] = []
-        for k, own in enumerate(left):
-            if own is None:
-                told.append(None)
+        shares: list[float | None] = []
+        for k, signal in enumerate(left):
+            if signal is None:
+                shares.append(None)
                 continue
             others = [o for j, o in enumerate(left) if j != k and o is not None]
-            rest = own
+            rest = signal
             if others:
                 basis = np.stack(others, axis=1)
-                rest = own - basis @ np.linalg.lstsq(basis, own, rcond=None)[0]
-            told.append(float(rest @ rest))
-        return told
+                rest = signal - basis @ np.linalg.lstsq(basis, signal, rcond=None)[0]
+            shares.append(float(rest @ rest))
+        return shares
 
     def of_cause(self, name: str, place: str) -> Callable[[float], Visibility]:
         """Return how visible a cause is, by its size."""
@@ -145,10 +145,10 @@ class Sizer:
         best: tuple[float, Sized] | None = None
         before: tuple[float, float] | None = None
         for round_ in range(_ROUNDS):
-            told = seen(sign * math.exp(x))
-            y = math.log(max(told.noncentrality, 1e-12))
+            visibility = seen(sign * math.exp(x))
+            y = math.log(max(visibility.noncentrality, 1e-12))
             if best is None or abs(y - aim) < best[0]:
-                best = abs(y - aim), Sized(sign * math.exp(x), told, least)
+                best = abs(y - aim), Sized(sign * math.exp(x), visibility, least)
             if best[0] < NEAR or (y < aim and x >= top - 1e-12):
                 break
             low, high = (max(low, x), high) if y < aim else (low, min(high, x))
@@ -169,13 +169,13 @@ class Sizer:
         cause, seen, least = CAUSES[name], self.of_cause(name, place), detectable_of(name)
         if name == "saturation":
             peak = float(np.abs(self._plain_rates().plain_rad_s).max())
-            told = self.sized(lambda x: seen(peak - x), (times, least), 0.05 * peak, 0.8 * peak)
-            return None if told is None else Sized(peak - told.size, told.seen, least)
+            size = self.sized(lambda x: seen(peak - x), (times, least), 0.05 * peak, 0.8 * peak)
+            return None if size is None else Sized(peak - size.size, size.seen, least)
         if cause.is_integer:
-            one = seen(1.0)
-            if one.noncentrality <= 0.0:
+            at_one = seen(1.0)
+            if at_one.noncentrality <= 0.0:
                 return None
-            steps = max(round(times / Sized(1.0, one, least).times), 1)
+            steps = max(round(times / Sized(1.0, at_one, least).times), 1)
             return (
                 Sized(sign * steps, seen(sign * steps), least)
                 if steps <= cause.sampled_max

@@ -23,11 +23,11 @@ from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
 from gyrorig_daemon.emulator.causes import CAUSES, Cause
 
 
-def verdict(cause: type[Cause], told: Sized | None) -> str:
+def verdict(cause: type[Cause], sized: Sized | None) -> str:
     """Return whether a cause shows at the sizes that it usually has."""
-    if told is None:
+    if sized is None:
         return "never"
-    size = abs(told.size)
+    size = abs(sized.size)
     if cause.name == "saturation":
         return "yes"
     if size <= cause.sampled_min:
@@ -37,23 +37,23 @@ def verdict(cause: type[Cause], told: Sized | None) -> str:
 
 def row(sizer: Sizer, cause: type[Cause], place: str) -> str:
     """Return a line of the table."""
-    told = sizer.size_of_cause(cause.name, place, 1.0, 1.0)
-    if told is None:
+    sized = sizer.size_of_cause(cause.name, place, 1.0, 1.0)
+    if sized is None:
         top = Sized(
             cause.sampled_max,
             sizer.of_cause(cause.name, place)(cause.sampled_max),
             detectable_of(cause.name),
         )
-        told = top if top.times > 1.0 else None  # it begins with a jump past 1x
+        sized = top if top.times > 1.0 else None  # it begins with a jump past 1x
         shown = f"{top.times:.2g}x at {cause.sampled_max:.2g}"
     else:
-        shown = f"{abs(told.size):.2g}"
-        if told.times > 1.1:
-            shown += f" ({told.times:.1f}x)"
+        shown = f"{abs(sized.size):.2g}"
+        if sized.times > 1.1:
+            shown += f" ({sized.times:.1f}x)"
     unit = "" if cause.unit == "1" else f" {cause.unit}"
     where = f"@{place}" if place else ""
     usual = f"{cause.sampled_min:.2g} to {cause.sampled_max:.2g}"
-    return f"| {cause.name}{where} | {shown}{unit} | {usual} | {verdict(cause, told)} |"
+    return f"| {cause.name}{where} | {shown}{unit} | {usual} | {verdict(cause, sized)} |"
 
 
 def main() -> None:
@@ -62,10 +62,10 @@ def main() -> None:
     parser.add_argument("--programs", nargs="+", choices=list(PROGRAMS), default=list(PROGRAMS))
     parser.add_argument("--soak", type=float, default=0.0)
     parser.add_argument("--seed", type=int, default=5)
-    told = parser.parse_args()
-    for program in told.programs:
-        sizer = sizer_of(RigDraw(told.seed, program, told.soak))
-        head = f"{program}, soak {told.soak:g} K" if told.soak else program
+    arguments = parser.parse_args()
+    for program in arguments.programs:
+        sizer = sizer_of(RigDraw(arguments.seed, program, arguments.soak))
+        head = f"{program}, soak {arguments.soak:g} K" if arguments.soak else program
         sys.stdout.write(
             f"\n{head}\n\n| cause | seen from | usual sizes | seen |\n|---|---|---|---|\n"
         )

@@ -12,8 +12,9 @@ NAMELESS = {"found", "told", "said", "one", "some", "there", "own", "beside", "d
 FILE_KEYS = {
     "solver/gyrorig_solver/findings/findings_document.py": {"found", "said"},
     "solver/gyrorig_solver/fleet/store/index_rows.py": {"beside"},
+    "tests/hidden/scoring/outcome.py": {"said"},
 }
-FOLDERS = ("daemon", "docs", "firmware_protocol", "solver", "systemd")
+FOLDERS = ("daemon", "docs", "firmware_protocol", "solver", "systemd", "tests")
 
 
 def bound_names(tree: ast.AST) -> Iterator[tuple[str, int]]:

@@ -34,10 +34,10 @@ class Settling:
 
 def _begins_s(motor: Motor, time_s: FloatArray) -> list[float]:
     """Return when the motor began to turn, not long before the end of some times."""
-    told = motor.planned(float(time_s[0]) - _LONG_S, float(time_s[-1]))
+    planned = motor.planned(float(time_s[0]) - _LONG_S, float(time_s[-1]))
     return [
         piece.start_s
-        for piece, before in told
+        for piece, before in planned
         if before == 0.0 and (piece.speed_steps_s != 0.0 or piece.acceleration_steps_s2 != 0.0)
     ]
 
