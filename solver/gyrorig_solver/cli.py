@@ -217,7 +217,7 @@ def _system_error_text(fault: OSError) -> str:
     }
     name = fault.filename or "a resource of this computer"
     remedy = remedies.get(fault.errno or 0, "Check the disk and the permissions.")
-    return f"{name} cannot be used, {fault.strerror or fault}. {remedy}"
+    return f"{name} cannot be used ({fault.strerror or fault}). {remedy}"
 
 
 def _print_failure(terminal: Terminal, text: str, code: int) -> int:

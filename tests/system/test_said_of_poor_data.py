@@ -69,7 +69,7 @@ def test_a_polynomial_of_temperature_needs_ten_kelvin(
         assert "below 10 K" in warnings[0]
         assert "warm the board" in warnings[0]
         return
-    assert "by windows left out" in warnings[0]
+    assert "selected with windows" in warnings[0]
     # The die follows the thermometer late; only a few lags are tried, so 15 % is near.
     truth = json.loads((tmp_path / "t.json").read_text(encoding="utf-8"))
     slope = truth["hidden"]["causes"][0]["parameters"]["slope"]["value"]

@@ -97,7 +97,7 @@ def _read_port_and_baud(path: Path, port_is_given: bool) -> tuple[str | None, in
         if port_is_given:
             return None, None
         raise UsageError(
-            f"{path} cannot be read, {fault.strerror}", "give the unit's port with --port"
+            f"{path} cannot be read ({fault.strerror})", "give the unit's port with --port"
         ) from fault
     port, baud = _port_and_baud(text, path.name)
     if port is None and not port_is_given:

@@ -166,7 +166,7 @@ def _validate_emulated_buses(rig: "RigConfig", name: str) -> None:
         load = len(boards) * 2 * rig.emulator.odr_hz * _FRAME_BITS / bus.bitrate
         if load > _MAX_BUS_LOAD:
             raise UsageError(
-                f"{name}: the boards use {load:.0%} of bus {bus.id}, and frames are late beyond "
-                f"{_MAX_BUS_LOAD:.0%}",
+                f"{name}: the boards use {load:.0%} of the capacity of bus {bus.id}, and above "
+                f"{_MAX_BUS_LOAD:.0%} frames arrive late",
                 "give a higher `bitrate`, fewer boards or a lower `odr_hz` under `emulator`",
             )

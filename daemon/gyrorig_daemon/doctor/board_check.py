@@ -212,7 +212,7 @@ def _check_identity(subject: str, config: BoardPort, traffic: BoardTraffic) -> l
         remedy = "check which board is on this port, or change its facts"
         findings.append(fault(subject, "wrong_board", message, remedy))
     if not hello.uid and not config.facts.uid:
-        message = "it has no unique id, so that any board on this port would get its calibration"
+        message = "it has no unique id, so any board on this port would get its calibration"
         findings.append(
             fault(subject, "no_uid", message, "set boards: facts: uid, and label the board")
         )
@@ -254,7 +254,7 @@ def _check_rate(subject: str, config: BoardPort, traffic: BoardTraffic) -> list[
     )
     summary = f"{rate_hz:.0f} samples per second, {line_load:.0%} of the line capacity"
     if nominal_hz and rate_hz and abs(rate_hz / nominal_hz - 1.0) > RATE_TOLERANCE:
-        message = f"{summary}; nominal are {nominal_hz:g}"
+        message = f"{summary}; the nominal rate is {nominal_hz:g}"
         remedy = (
             "increase the baud rate and the rate of the sensor bus (100 kHz is slow), batch "
             "samples, or reduce the sample rate"

@@ -84,7 +84,7 @@ def _check_controller(
         remedy = f"change one of them; see {NETWORK_FILE}"
         findings.append(fault(subject, "wrong_bitrate", message, remedy))
     if state in ("BUS-OFF", "STOPPED"):
-        message = f"{name} is {state.lower()}, so that nothing is sent or received"
+        message = f"{name} is {state.lower()}, so nothing is sent or received"
         findings.append(fault(subject, "bus_off", message, "check terminations and bit rate"))
     elif state in ("ERROR-PASSIVE", "ERROR-WARNING"):
         message = f"{name} is {state.lower()}: frames are damaged or not acknowledged"
@@ -103,7 +103,7 @@ def _check_losses(subject: str, name: str, system: SystemFiles) -> Iterator[Find
     }
     losses = ", ".join(f"{counter} {count}" for counter, count in counts.items() if count)
     if losses:
-        message = f"{name} has lost frames since it is up: {losses}"
+        message = f"{name} has lost frames since it was started: {losses}"
         remedy = "use fewer boards per bus, or an mcp251xfd (an mcp2515 buffers two frames)"
         yield warning(subject, "frames_lost", message, remedy)
 

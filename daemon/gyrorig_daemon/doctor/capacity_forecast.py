@@ -56,19 +56,23 @@ def check_capacity(
     if duration_s >= NIGHT_S:
         yield ok(SUBJECT, "fits", f"{summary}. Enough for {_format_duration(duration_s)}")
     elif service.delete_when_full:
-        message = f"{summary}. The disk is full in {hours:.1f} h; then the oldest are deleted"
+        message = (
+            f"{summary}. The disk is full in {hours:.1f} h; then the oldest recordings are deleted"
+        )
         yield note(SUBJECT, "deletes", message)
     elif duration_s <= 0.0:
         yield fault(SUBJECT, "full", f"{summary}. Nothing can be recorded", remedy)
     else:
-        message = f"{summary}. The disk is full in {hours:.1f} h; then recording waits"
+        message = (
+            f"{summary}. The disk is full in {hours:.1f} h; then recording waits for free space"
+        )
         yield warning(SUBJECT, "fills_up", message, remedy)
     if rate_bytes_s > 0.5 * disk.write_bytes_s:
         message = (
             f"{_format_size(rate_bytes_s)} per second must be written, and the disk can write "
             f"{_format_size(disk.write_bytes_s)} per second"
         )
-        remedy = "record to a faster disk: --out of record, --state of run"
+        remedy = "record to a faster disk (--out of `gyrorigd record`, --state of `gyrorigd run`)"
         yield fault(SUBJECT, "disk_too_slow", message, remedy)
 
 

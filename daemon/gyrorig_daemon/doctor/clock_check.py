@@ -31,7 +31,7 @@ def _check_utc(system: SystemFiles, clocks: HostClocks) -> Iterator[Finding]:
     services = sorted(set(TIME_SERVICES) & system.running_programs())
     time_text = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(clocks.realtime_ns // 10**9))
     if clocks.realtime_ns < EARLIEST_VALID_NS:
-        message = f"the clock shows {time_text}, so that it was never set"
+        message = f"the clock shows {time_text}, which means that it was never set"
         remedy = "connect a network with a time server, or set it: timedatectl set-time ..."
         yield warning(SUBJECT, "wrong_date", message, remedy)
         return

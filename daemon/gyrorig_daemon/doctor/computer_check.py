@@ -94,7 +94,7 @@ def _check_load(system: SystemFiles) -> Iterator[Finding]:
     with contextlib.suppress(ValueError, IndexError):
         load = float(fields[1])  # over five minutes
         if load > 1.5 * cores:
-            message = f"the load is {load:.1f} on {cores} cores, so that timestamps are late"
+            message = f"the load is {load:.1f} on {cores} cores, so timestamps are late"
             remedy = "find the program with top, and end it or give it nice 19"
             yield warning(SUBJECT, "load", message, remedy)
 

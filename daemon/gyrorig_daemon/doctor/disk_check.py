@@ -39,7 +39,7 @@ def check_disk(folder: Path, system: SystemFiles) -> tuple[list[Finding], DiskMe
     existing = _nearest_existing(folder)
     file_system, options = _mount_of(existing, system)
     if "ro" in options.split(","):
-        message = f"{existing} is mounted read-only, as the kernel does with a failing card"
+        message = f"{existing} is mounted read-only; the kernel does this if the card fails"
         remedy = "check dmesg, copy the data, and replace the card"
         return [fault(SUBJECT, "read_only", message, remedy)], None
     if not os.access(existing, os.W_OK):

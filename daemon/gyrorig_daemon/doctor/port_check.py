@@ -76,7 +76,7 @@ def _check_name(subject: str, path: str, system: SystemFiles) -> Iterator[Findin
     ]
     name = stable_names[0] if stable_names else "a name in /dev/serial/by-id"
     message = f"{path} can be another device when the cables are connected in another order"
-    remedy = f"use {name}; with ptu.serial and facts: uid another device is never mistaken for it"
+    remedy = f"use {name}, and set ptu.serial or facts: uid, so that another device is detected"
     yield warning(subject, "unstable_name", message, remedy)
 
 

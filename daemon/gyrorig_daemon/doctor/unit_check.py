@@ -186,7 +186,7 @@ def _check_power(line: DirectPtuLine) -> list[Finding]:
     hottest_c = max(power.temperatures_c, default=0.0)
     summary = f"supply {power.supply_v:.1f} V, {hottest_c:.0f} degC at the hottest"
     if power.supply_v < LOW_SUPPLY_V:
-        remedy = "supply 12 to 30 V at its plug also while it moves; use thicker or shorter wires"
+        remedy = "use a supply and wires that give 12 to 30 V at its plug, also while it moves"
         return [warning(SUBJECT, "low_supply", f"{summary}. The unit will lose steps", remedy)]
     if hottest_c > HIGH_MOTOR_TEMPERATURE_C:
         return [warning(SUBJECT, "hot", summary, "reduce the holding current, or let it cool down")]

@@ -162,7 +162,7 @@ def _send_halt(line: DirectPtuLine) -> None:
             return
         answer_text = repr(answer.text[:40]) if isinstance(answer, Refusal) else answer_text
     raise DeviceError(
-        f"the unit on {line.port} does not acknowledge the halt command, it answers {answer_text}",
+        f"the unit on {line.port} does not acknowledge the halt command: it answers {answer_text}",
         "check that it has stopped. Switch off its power if it has not",
     )
 

@@ -106,7 +106,7 @@ class FoxgloveView:
             )
         except (RuntimeError, OSError, ValueError) as fault:
             raise BusyError(
-                f"the live view cannot listen on {host}:{port}, {fault}",
+                f"the live view cannot listen on {host}:{port} ({fault})",
                 "choose another address with --live HOST:PORT",
             ) from fault
         self.port = int(self._server.port)

@@ -146,11 +146,11 @@ def _wait_for_version(client: PtuClient) -> FirmwareVersion:
     if set(received.decode("latin-1")) <= set(QUERY_VERSION.encode().decode("ascii")):
         raise DeviceError(
             f"the device on {client.location} only echoes its input",
-            "wait until it stops if it is a pan-tilt unit that homes after power-up. "
+            "if it is a pan-tilt unit that homes after power-up, wait until it stops. "
             "Otherwise check the ports in the rig's configuration",
         )
     raise DeviceError(
-        f"the device on {client.location} is not a pan-tilt unit, it answers {received[:32]!r}",
+        f"the device on {client.location} is not a pan-tilt unit: it answers {received[:32]!r}",
         "check the ports in the rig's configuration. The device was not moved",
     )
 

@@ -143,7 +143,7 @@ class PartOpener:
             return self._disk.free_bytes(folder)
         except OSError as fault:
             raise MachineError(
-                f"{folder} cannot be read, {fault.strerror}",
+                f"{folder} cannot be read ({fault.strerror})",
                 f"check `ls -ld {folder}` and its disk",
             ) from fault
 

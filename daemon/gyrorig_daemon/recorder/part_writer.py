@@ -235,7 +235,7 @@ class PartWriter:
         self._counts.refused += 1
         if not self._settings.survives_faults:
             raise MachineError(
-                f"the recording ended because of an internal error on {topic}, {fault}", REPORT_BUG
+                f"the recording ended because of an internal error on {topic} ({fault})", REPORT_BUG
             )
 
     def _run_step(self, writer: RecordingWriter, step: Callable[[], None]) -> bool:

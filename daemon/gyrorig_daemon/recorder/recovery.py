@@ -83,7 +83,7 @@ def recover_folder(folder: Path, reserve_bytes: int = 0, disk: Disk = DISK) -> l
         parts = list_abandoned_files(folder, "*.mcap.part")
     except OSError as fault:
         raise MachineError(
-            f"{folder} cannot be read, {fault.strerror}", f"check `ls -ld {folder}` and its disk"
+            f"{folder} cannot be read ({fault.strerror})", f"check `ls -ld {folder}` and its disk"
         ) from fault
     reports = (_recover_locked(part, reserve_bytes, disk) for part in parts)
     return [recovery for recovery in reports if recovery is not None]
@@ -159,7 +159,7 @@ def _retry_hint(part: Path) -> str:
 def _recovered_report(original: Path, final: Path) -> RecoveryReport:
     metadata = read_file_metadata(final)[RECOVERED_RECORD]
     messages, lost = int(metadata["messages"]), int(metadata["lost_bytes"])
-    text = f"{final.name}: {messages} messages recovered, {lost} damaged bytes at its end lost"
+    text = f"{final.name}: {messages} messages recovered; {lost} damaged bytes at its end are lost"
     return RecoveryReport(original, RecoveryOutcome.RECOVERED, final, messages, lost, text)
 
 

@@ -163,7 +163,7 @@ class _CitationIndex:
                     self._read_document(document)
             except OSError as fault:
                 raise MachineError(
-                    f"{fault.filename or store} cannot be read, {fault.strerror}, so no recording "
+                    f"{fault.filename or store} cannot be read ({fault.strerror}), so no recording "
                     "can be deleted",
                     "fix its permissions, or remove it from `service: stores` in the rig's "
                     "configuration",
@@ -211,7 +211,7 @@ def _files(folder: Path) -> list[_File]:
                 files.append(_File(path, status.st_size, status.st_mtime))
     except OSError as fault:
         raise MachineError(
-            f"{folder} cannot be read, {fault.strerror}", f"check `ls -ld {folder}` and its disk"
+            f"{folder} cannot be read ({fault.strerror})", f"check `ls -ld {folder}` and its disk"
         ) from fault
     return sorted(files, key=lambda file: (file.time_s, file.path.name))
 
@@ -224,7 +224,7 @@ def _delete(path: Path, disk: Disk) -> None:
             disk.unlink(note)
     except OSError as fault:
         raise MachineError(
-            f"{path} cannot be deleted, {fault.strerror}",
+            f"{path} cannot be deleted ({fault.strerror})",
             "give its folder to the daemon's user (chown). Recording continues",
         ) from fault
 

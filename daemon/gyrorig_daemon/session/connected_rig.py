@@ -120,5 +120,5 @@ class Rig:
         seconds = (end_ns - begin_ns) * 1e-9
         begin_s = self.capture.utc_ns(begin_ns) * 1e-9
         is_daemon = process_name == "the daemon"
-        late = "" if is_daemon else "; the next arrival timestamps are late by up to that"
-        self._fault(f"{process_name} did not run for {seconds:.3f} s from {begin_s:.3f} s on{late}")
+        late = "" if is_daemon else "; the next timestamps can be late by this time"
+        self._fault(f"{process_name} did not run for {seconds:.3f} s, from {begin_s:.3f} s{late}")

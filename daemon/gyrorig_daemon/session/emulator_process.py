@@ -118,7 +118,7 @@ def write_truth(path: Path, document: Mapping[str, Any]) -> None:
         write_atomically(path, text.encode(), durable=False)
     except OSError as fault:
         raise MachineError(
-            f"{path} cannot be written, {fault.strerror}", "choose another file with --truth"
+            f"{path} cannot be written ({fault.strerror})", "choose another file with --truth"
         ) from fault
 
 
@@ -184,7 +184,7 @@ class EmulatorProcess:
             )
         except OSError as fault:
             raise MachineError(
-                f"the emulated rig cannot be started, {fault.strerror}",
+                f"the emulated rig cannot be started ({fault.strerror})",
                 "free memory or end other processes, and start again",
             ) from fault
         line = b"" if self._process.stdout is None else self._process.stdout.readline()

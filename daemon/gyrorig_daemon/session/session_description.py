@@ -140,5 +140,5 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise MachineError(
-            f"{folder} cannot be created, {fault.strerror}", "choose another folder with --out"
+            f"{folder} cannot be created ({fault.strerror})", "choose another folder with --out"
         ) from fault

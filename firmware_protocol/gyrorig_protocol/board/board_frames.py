@@ -101,7 +101,7 @@ class Batch(Frame, frozen=True, gc=False):
         count = len(self.gyro)
         if not count or (self.accel is not None and len(self.accel) != count):
             raise UsageError(
-                f"a batch has {count} rates and another number of accelerations",
+                f"a batch has {count} rates and a different number of accelerations",
                 "give at least one sample, and as many accelerations as rates",
             )
         if self.accel is None:

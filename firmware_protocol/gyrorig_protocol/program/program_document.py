@@ -142,8 +142,8 @@ def unroll_steps(
         if len(actions) != 1:
             set_keys = " and ".join(key for key in STEP_KINDS if getattr(step, key) is not None)
             raise UsageError(
-                f"step {parent_number}{number} of {name} is {set_keys or 'empty'}",
-                f"give the step exactly one of {', '.join(STEP_KINDS)}",
+                f"step {parent_number}{number} of {name} has {set_keys or 'no action'}",
+                f"give every step one of the keys {', '.join(STEP_KINDS)}, and not more than one",
             )
         action = actions[0]
         if isinstance(action, Repeat):

@@ -195,7 +195,7 @@ def _read_text(text: str, _query: str) -> str | ValueFault:
 
 
 _READERS: dict[AnswerKind, Callable[[str, str], Value | ValueFault]] = {
-    AnswerKind.NOTHING: lambda text, _query: ValueFault("an answer to nothing", text),
+    AnswerKind.NOTHING: lambda text, _query: ValueFault("an answer without a query", text),
     AnswerKind.DONE: _read_acknowledgement,
     AnswerKind.INTEGER: read_integer,
     AnswerKind.RESOLUTION: read_resolution_arcsec,

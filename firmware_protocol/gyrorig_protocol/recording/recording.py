@@ -247,8 +247,8 @@ class Recording:
         message_type = MESSAGE_TYPES.get(entry.type)
         if message_type is None:
             raise InputError(
-                f"{self.path} has messages of type {entry.type} on {topic}, which is not in "
-                "format 1",
+                f"{self.path} has messages of type {entry.type} on {topic}, and recording "
+                "format 1 does not have this type",
                 "read the topic with the program that wrote it",
             )
         if entry.array is None and entry.columns is None:

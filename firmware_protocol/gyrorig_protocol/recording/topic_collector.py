@@ -238,7 +238,7 @@ class TopicCollector:
         )
         if channel.encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
             self.scan.notes.append(
-                f"{channel.topic!r} is not read, because it is not cdr with ros2msg"
+                f"{channel.topic!r} is not read, because it is not CDR with a ros2msg schema"
             )
             return _ChannelStore(channel.topic, "", None)
         return self._open_typed_channel(number, channel, schema)

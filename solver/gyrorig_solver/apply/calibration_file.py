@@ -55,7 +55,7 @@ def read_document(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as fault:
         raise InputError(
-            f"cannot read {path}, {fault.strerror}",
+            f"cannot read {path} ({fault.strerror})",
             "give a calibration file, for example GY80-1/v0001.yaml",
         ) from fault
 

@@ -83,7 +83,7 @@ def apply_to_table(
         lines = source.open(encoding="utf-8", errors="surrogateescape", newline="")
     except OSError as fault:
         raise InputError(
-            f"cannot read {source}, {fault.strerror}", "give a readable table (CSV)"
+            f"cannot read {source} ({fault.strerror})", "give a readable table (CSV)"
         ) from fault
     with lines:
         try:
@@ -97,7 +97,7 @@ def apply_to_table(
             temporary.replace(out)
         except OSError as fault:
             raise MachineError(
-                f"cannot write {out}, {fault.strerror}",
+                f"cannot write {out} ({fault.strerror})",
                 "free space on the disk, or choose another file with -o",
             ) from fault
         finally:

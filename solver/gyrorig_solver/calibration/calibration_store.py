@@ -93,7 +93,7 @@ class CalibrationStore:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as fault:
             raise MachineError(
-                f"cannot create the folder {folder}, {fault.strerror}",
+                f"cannot create the folder {folder} ({fault.strerror})",
                 "choose another folder with --out",
             ) from fault
         if not os.access(folder, os.W_OK | os.X_OK):
@@ -192,7 +192,7 @@ def create_sharded_store(folder: Path) -> CalibrationStore:
             others = [p.name for p in folder.iterdir() if not p.name.startswith(temporary_prefix)]
         except OSError as fault:
             raise MachineError(
-                f"cannot create the store {folder}, {fault.strerror}",
+                f"cannot create the store {folder} ({fault.strerror})",
                 "choose another folder with --store",
             ) from fault
         # Check again: another process writes the marker before any other file.
@@ -218,7 +218,7 @@ def _is_sharded(folder: Path) -> bool:
         return False
     except OSError as fault:
         raise MachineError(
-            f"cannot read {marker}, {fault.strerror}", "fix its permissions"
+            f"cannot read {marker} ({fault.strerror})", "fix its permissions"
         ) from fault
     check_store_marker(text, str(marker))
     return True

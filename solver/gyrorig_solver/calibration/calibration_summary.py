@@ -109,7 +109,9 @@ def _contribution_rows(calibration: CalibrationDocument) -> list[str]:
             continue
         unit = "" if group.unit == "1" else f" {group.unit}"
         size = format_two_digits(row.contribution * group.factor)
-        rows[row.cause] = f"{name}: {contribution_name(row)} ± {size}{unit}; {row.remedy}"
+        rows[row.cause] = (
+            f"{name}: {contribution_name(row)} ± {size}{unit}; to reduce it: {row.remedy}"
+        )
     labels = ["largest contributions", *[""] * CONTRIBUTIONS]
     return [
         f"  {label:<21} {text}"

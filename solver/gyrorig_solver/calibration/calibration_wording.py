@@ -38,7 +38,7 @@ def verdict_sentence(calibration: CalibrationDocument) -> str:
         return "Do not use this calibration. Fix the problems below and record again."
     if verdict == "limited" and observability.unobservable:
         return (
-            "Some parameters could not be determined. The values shown are valid; read the "
+            "Some parameters could not be determined. The other values are valid; read the "
             "notes below."
         )
     determined = f"All {observability.of} parameters were determined."

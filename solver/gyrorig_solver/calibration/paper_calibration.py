@@ -61,7 +61,7 @@ def solve_with_paper_method(
         )
     except ValueError as fault:
         raise InputError(
-            f"the paper's method cannot use board {board}, {fault}",
+            f"the paper's method cannot use board {board} ({fault})",
             "record a program with static intervals and moves, such as survey-40, or use --method "
             "likelihood",
         ) from fault

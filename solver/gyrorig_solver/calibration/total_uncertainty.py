@@ -108,7 +108,7 @@ def _limit_reason(name: str, record: UncertaintyRecord) -> str:
     limit = f"{format_short(entry.limit * factor)} {unit}".strip()
     return (
         f"the total standard uncertainty of {name} is {numbers}, above the limit of {limit}. The "
-        f"largest contribution is {origin}. It becomes smaller by: {remedy}"
+        f"largest contribution is {origin}. To reduce it: {remedy}"
     )
 
 

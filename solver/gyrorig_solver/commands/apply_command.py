@@ -192,7 +192,7 @@ def _rate_remark(correction: Calibration, outside: int, total: int, unit: str) -
     """Return a remark on rates above the range in which the calibration was measured."""
     limit_rad_s = max(abs(bound) for bound in correction.document.validity.rate_rad_s)
     return (
-        f"  remark: {outside} of {total} {unit} ({100.0 * outside / total:.2g} %) turn faster than "
-        f"{math.degrees(limit_rad_s):.4g} deg/s, the fastest reading in the recordings of this "
-        "calibration. Their rates are extrapolated; a few are normal."
+        f"  remark: {outside} of {total} {unit} ({100.0 * outside / total:.2g} %) have rates above "
+        f"{math.degrees(limit_rad_s):.4g} deg/s, the largest rate in the recordings of this "
+        "calibration. These rates are extrapolated. A few such samples are normal."
     )

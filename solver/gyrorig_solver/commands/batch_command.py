@@ -72,8 +72,8 @@ _RETRY_STATUSES = ("rejected", "failed", "quarantined")
     type=click.Choice(["none", "auto"]),
     default=AUTO,
     show_default=True,
-    help="auto: search each recording for causes of errors, and fit those that are found; "
-    "none: only test for them.",
+    help="auto: search each recording for causes, and fit the causes that are found; "
+    "none: only test for causes.",
 )
 @click.option(
     "--retry",

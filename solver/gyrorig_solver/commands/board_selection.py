@@ -14,8 +14,8 @@ def select_boards(recording: Recording, wanted: str | None) -> tuple[BoardId, ..
     available = recording.board_ids
     if not available:
         raise InputError(
-            f"{recording.path.name} holds no board",
-            "connect one, see with `gyrorigd doctor` that it answers, and record again",
+            f"{recording.path.name} contains no board",
+            "connect a board, check with `gyrorigd doctor` that it answers, and record again",
         )
     if wanted is None:
         return available

@@ -65,7 +65,7 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
     type=click.Choice(AIMS),
     default="calibration",
     show_default=True,
-    help="Search for the least uncertainties, or for the best separation of causes.",
+    help="Search for the smallest uncertainties, or for the best separation of causes.",
 )
 @click.option(
     "--sensor",
@@ -208,7 +208,7 @@ def _read_file(path: Path, wanted: str) -> bytes:
     try:
         return path.read_bytes()
     except OSError as fault:
-        raise UsageError(f"{path} cannot be read, {fault.strerror}", f"name {wanted}") from fault
+        raise UsageError(f"{path} cannot be read ({fault.strerror})", f"give {wanted}") from fault
 
 
 def _write_program(
@@ -246,7 +246,10 @@ def _program_description(plan_result: PlanResult, options: dict[str, Any]) -> st
     duration_text = f"{plan_result.prediction.duration_s:.1f} s"
     if options["aim"] == "causes":
         return f"planned to separate causes: {plan_result.design.poses} tilts, {duration_text}"
-    return f"planned for the least {options['criterion']} standard deviation in {duration_text}"
+    return (
+        f"planned for the smallest standard deviation (criterion {options['criterion']}) in "
+        f"{duration_text}"
+    )
 
 
 def _print_detectability(

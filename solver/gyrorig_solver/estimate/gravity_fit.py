@@ -44,7 +44,7 @@ REASON_TEXTS = {
     "y": "too few moves turned about the board's y axis; turn it about all axes",
     "z": "too few moves turned about the board's z axis; turn it about all axes",
     "bias": "there is no rest that is long enough; hold the board still for some seconds",
-    "time_offset": "gravity at rest contains no time; use a moving reference",
+    "time_offset": "gravity at rest does not depend on time; use a moving reference",
 }
 
 
@@ -99,8 +99,9 @@ def fit_gravity(
         ),
         reason_texts=REASON_TEXTS,
         warnings=(
-            f"the residual of a move is {np.degrees(sigma_rad):.2f} deg per direction, and the "
-            "standard deviations are scaled to this residual",
+            "the residual of a move has a standard deviation of "
+            f"{np.degrees(sigma_rad):.2f} deg in each direction, and the standard deviations of "
+            "the result are scaled to it",
         ),
         limited_reasons=() if converged else (_NOT_CONVERGED,),
         extra_numbers={

@@ -10,9 +10,9 @@ UNIT_REMEDIES = {
     "time_offset": "nothing was accelerated; move and stop a few times",
 }
 REST_REMEDIES = {
-    "x": "the board lay still; turn it about all three axes by a reference",
-    "y": "the board lay still; turn it about all three axes by a reference",
-    "z": "the board lay still; turn it about all three axes by a reference",
+    "x": "the board did not move; turn it about all three axes with a reference",
+    "y": "the board did not move; turn it about all three axes with a reference",
+    "z": "the board did not move; turn it about all three axes with a reference",
     "bias": "there are too few samples; record at rest for a minute",
     "time_offset": "nothing moved; use a moving reference",
 }

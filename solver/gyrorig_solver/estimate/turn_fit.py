@@ -39,7 +39,7 @@ REASON_TEXTS = {
     "y": "there is no turn about the stage's y axis; add one",
     "z": "there is no turn about the stage's z axis; add one",
     "bias": "there is no rest before, between or after the turns; add a recording at rest",
-    "time_offset": "the integral over a turn does not depend on it; use a moving reference",
+    "time_offset": "the total angle of a turn does not depend on it; use a moving reference",
 }
 
 
@@ -112,18 +112,18 @@ def _warnings(
     solver: "_TurnSolver", std_rad: float, axis_std_rad: float, is_checked: bool
 ) -> tuple[str, ...]:
     text = (
-        f"the stated angles have an uncertainty of {np.degrees(std_rad):.2g} deg and the stated "
-        f"axes one of {np.degrees(axis_std_rad):.2g} deg, which limits the result"
+        f"the uncertainties of the stated angles ({np.degrees(std_rad):.2g} deg) and of the stated "
+        f"axes ({np.degrees(axis_std_rad):.2g} deg) limit the accuracy of the result"
     )
-    text += "" if is_checked else "; the data cannot test them"
+    text += "" if is_checked else "; the data cannot test these uncertainties"
     unseen_axes = "".join(
         axis for axis, is_turned in zip("xyz", solver.axis_turned, strict=True) if not is_turned
     )
     if not unseen_axes:
         return (text,)
     return text, (
-        "the board did not turn about all axes. Scale factors and misalignment assume nominal "
-        f"values, within 0.1, for the columns without turns ({', '.join(unseen_axes)})"
+        "the board did not turn about all axes. For the gain columns without a turn "
+        f"({', '.join(unseen_axes)}), the nominal values are assumed, with an uncertainty of 0.1"
     )
 
 

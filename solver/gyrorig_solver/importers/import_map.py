@@ -143,7 +143,7 @@ def load_import_map(path: Path) -> ImportMap:
         text = path.read_bytes()
     except OSError as error:
         raise UsageError(
-            f"cannot read the import map {path}, {error.strerror}",
+            f"cannot read the import map {path} ({error.strerror})",
             "give a map with --map, for example one in config/imports",
         ) from error
     return check_import_map(
@@ -207,11 +207,12 @@ def _check_time(time: TimeBase, name: str) -> None:
     if time.stamp == "arrival":
         if time.key is None or time.rate_hz is None:
             raise UsageError(
-                f"{name}: arrival times need key and rate_hz",
-                "give the column of arrivals and the sensor's nominal rate",
+                f"{name}: with `stamp: arrival`, both key and rate_hz are needed",
+                "give the column of arrival times (key) and the sensor's nominal rate (rate_hz)",
             )
     elif sum(given is not None for given in (time.key, time.rate_hz, time.rate_key)) != 1:
         raise UsageError(
-            f"{name} needs exactly one of key, rate_hz, rate_key",
-            "give a column of times, a rate, or an array with the rate",
+            f"{name} must contain one of key, rate_hz and rate_key, and only one of them",
+            "give a column of times (key), a rate in Hz (rate_hz) or an array with the rate "
+            "(rate_key)",
         )

@@ -115,7 +115,7 @@ def values_at_samples(
     is_near = distance_s <= 0.5 * float(np.median(np.diff(time_s)))
     largest_ms = 1e3 * float(distance_s[is_near].max()) if is_near.any() else 0.0
     notes.append(
-        f"{stream}: the nearest value was used, {int((~is_near).sum())} samples have none, the "
-        f"largest shift is {largest_ms:.3f} ms"
+        f"{stream}: each sample has the nearest value in time; the largest time difference is "
+        f"{largest_ms:.3f} ms, and {int((~is_near).sum())} samples have no value nearby"
     )
     return np.where(is_near[:, None], values[nearest], np.nan)

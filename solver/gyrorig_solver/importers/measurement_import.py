@@ -125,13 +125,13 @@ def _phases_from_file(sections: SectionFile, imu: ImuStream, folder: Path) -> li
         document = json.loads(path.read_bytes())
     except OSError as error:
         raise InputError(
-            f"cannot read the section list {path}, {error.strerror}",
+            f"cannot read the section list {path} ({error.strerror})",
             "put it into the folder of the input, and give its name as `name` under `sections` in "
             "the import map",
         ) from error
     except (ValueError, RecursionError) as error:
         raise InputError(
-            f"{path.name} is not valid JSON, {' '.join(str(error).split())[:160]}",
+            f"{path.name} is not valid JSON ({' '.join(str(error).split())[:160]})",
             "correct the file",
         ) from error
     phases = [

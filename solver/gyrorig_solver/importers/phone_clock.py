@@ -113,7 +113,7 @@ def _find_lag(phone: FloatArray, unit: FloatArray) -> tuple[int, float]:
         )
     if others.max() > MAX_SECOND_SHARE * cross[best]:
         raise InputError(
-            "the motion is periodic and fits at two lags",
+            "the motion is periodic, so that the log fits the recording at more than one time",
             "record a program that does not repeat, such as survey-130",
         )
     return lag, correlation

@@ -75,7 +75,7 @@ def judge_criticism(trust: Trust, criticism: FitCriticism) -> Trust:
         leading = criticism.dependences[0]
         clauses.append(f"the residual depends {leading.description} (p = {leading.p_value:.1g})")
     reason = (
-        f"{', and '.join(clauses)}, so the parameters may be further off than they state. "
+        f"{', and '.join(clauses)}, so the errors can be larger than the stated uncertainties. "
         "Solve with `--extend auto`, or run `gyrorig explain`"
     )
     return _limit(trust, [reason])
@@ -92,7 +92,7 @@ def _unexplained_reasons(findings: FindingsDocument) -> list[str]:
     )
     return [
         "part of the residual is not explained by any known cause; it depends "
-        f"{unexplained.best_covariate} and can move a parameter{size_text}. "
+        f"{unexplained.best_covariate}. It can bias a parameter{size_text}. "
         "Read the findings report, fix the rig and record again"
     ]
 

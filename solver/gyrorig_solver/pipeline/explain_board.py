@@ -65,7 +65,8 @@ from gyrorig_solver.report.report_series import (
 )
 
 NO_RATES_REMARK = (
-    "the residual over time was not tested: the reference gives angles and no motion between them"
+    "the residual over time was not tested, because the reference gives angles but not the "
+    "motion between them"
 )
 NO_CAUSE_REMARK = "no cause was named, so nothing was tested on {}"
 ALL_RECORDINGS = "all recordings"  # whose common gain a check is of

@@ -165,14 +165,16 @@ def _thermal_bias(
     lag_s = THERMAL_LAGS_S[choice.temperature_index]
     if choice.order == 0:
         return None, (
-            f"over {choice.span_k:.1f} K windows left out are predicted no better with it"
+            f"over {choice.span_k:.1f} K it does not improve the prediction of windows that were "
+            "left out of the fit"
         )
     extension = free_term(ThermalBias(choice.order))
     extension.values[-1] = lag_s
     lag_text = f", lag {lag_s:+.0f} s" if lag_s else ""
     return (
         extension,
-        f"order {choice.order}{lag_text} over {choice.span_k:.1f} K, by windows left out",
+        f"order {choice.order}{lag_text} over {choice.span_k:.1f} K, selected with windows that "
+        "were left out of the fit",
     )
 
 

@@ -80,7 +80,7 @@ def causes_notes(report: DetectabilityReport) -> list[str]:
     for term in report.fully_absorbed:
         notes.append(
             f"{term.cause} is absorbed completely by the calibration ({term.effect_if_ignored}); "
-            f"no motion can separate it. It needs {term.excitation}."
+            f"motion alone cannot separate it. It needs {term.excitation}."
         )
     for term, reason in report.not_applicable:
         notes.append(f"{term.cause} cannot be tested: {reason}.")

@@ -116,8 +116,8 @@ def load_rig(path: Path) -> RigModel:
         text = path.read_bytes()
     except OSError as fault:
         raise UsageError(
-            f"{path} cannot be read, {fault.strerror}",
-            "name a rig's file, such as config/rig.yaml, with --rig",
+            f"{path} cannot be read ({fault.strerror})",
+            "give a rig's file, such as config/rig.yaml, with --rig",
         ) from fault
     document = convert_document(parse_yaml(text, path.name), _Rig, path.name)
     unit, board, emulator = document.ptu, document.boards[0], document.emulator

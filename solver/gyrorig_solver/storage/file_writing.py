@@ -25,7 +25,7 @@ def write_file(path: Path, data: bytes, *, replace: bool) -> bool:
         return write_atomically(path, data, replace=replace)
     except OSError as fault:
         raise MachineError(
-            f"cannot write {path}, {fault.strerror}", _write_remedy(fault)
+            f"cannot write {path} ({fault.strerror})", _write_remedy(fault)
         ) from fault
 
 

@@ -31,7 +31,7 @@ class Folder:
             return None
         except OSError as fault:
             raise MachineError(
-                f"cannot read {self.path / name}, {fault.strerror}",
+                f"cannot read {self.path / name} ({fault.strerror})",
                 "check the disk and the permissions of the file",
             ) from fault
 
@@ -49,7 +49,7 @@ class Folder:
             path.parent.mkdir(parents=True, exist_ok=True)
             return write_atomically(path, data, replace=replace)
         except OSError as fault:
-            raise MachineError(f"cannot write {path}, {fault.strerror}", _remedy(fault)) from fault
+            raise MachineError(f"cannot write {path} ({fault.strerror})", _remedy(fault)) from fault
 
     def remove(self, names: Iterable[str]) -> None:
         """See `Storage`."""
@@ -58,7 +58,7 @@ class Folder:
                 (self.path / name).unlink(missing_ok=True)
             except OSError as fault:
                 raise MachineError(
-                    f"cannot remove {self.path / name}, {fault.strerror}",
+                    f"cannot remove {self.path / name} ({fault.strerror})",
                     "check the permissions of its folder",
                 ) from fault
 

@@ -285,7 +285,7 @@ def test_names_that_do_not_hold(
     better.symlink_to(port)
     finding = check_port("unit", port, system)[0][0]
     assert finding.code == "unstable_name"
-    named = "use /dev/serial/by-id/usb-FTDI_PTU00001-if00-port0; with ptu.serial"
+    named = "use /dev/serial/by-id/usb-FTDI_PTU00001-if00-port0, and set ptu.serial"
     assert finding.remedy.startswith(named)
 
 

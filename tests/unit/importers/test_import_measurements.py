@@ -151,7 +151,7 @@ def test_accel_with_other_times_is_taken_from_the_nearest(tmp_path: Path) -> Non
     valid = [bool(m.status & 1 << 8) for m in result]
     assert valid == [i % 2 == 0 for i in range(100)]
     assert result[0].accel[0] == 9810000
-    assert "50 samples have none, the largest shift is 1.000 ms" in summary.notes[0]
+    assert "difference is 1.000 ms, and 50 samples have no value nearby" in summary.notes[0]
 
 
 def test_turns_and_rests_become_phases(tmp_path: Path) -> None:
@@ -257,8 +257,11 @@ def test_bytes_never_raise_anything_else(tmp_path: Path, content: bytes, suffix:
         (BASE + "colour: red\n", "map has the unknown key 'colour'"),
         (BASE.replace("rad/s", "rpm"), "gyro: unit is the text 'rpm'. Give one of"),
         (BASE.replace("unit: rad/s", "unit: counts"), "no scale_rad_s"),
-        (BASE.replace("{key: t, unit: s}", "{unit: s}"), "needs exactly one of key"),
-        (BASE.replace("{key: t, unit: s}", "{key: t, stamp: arrival}"), "arrival times need"),
+        (BASE.replace("{key: t, unit: s}", "{unit: s}"), "must contain one of key"),
+        (
+            BASE.replace("{key: t, unit: s}", "{key: t, stamp: arrival}"),
+            "both key and rate_hz are needed",
+        ),
         (BASE.replace("[g]", "[gx, gy]"), "2 keys"),
         (BASE + "turns: [{axis: [0.0, 0.0, 2.0], angle_deg: 1.0, std_deg: 1.0}]\n", "turn axis"),
         (BASE + "sections: {name: ../x.json}\n", "sections: name is the text"),

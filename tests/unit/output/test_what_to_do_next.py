@@ -46,7 +46,9 @@ def test_too_short_says_how_long() -> None:
 
 
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"No such file or directory\. Name a rig's file, such as"):
+    with pytest.raises(
+        UsageError, match=r"No such file or directory\)\. Give a rig's file, such as"
+    ):
         load_rig(tmp_path / "none.yaml")
 
 
@@ -67,5 +69,5 @@ def test_what_the_computer_refuses_has_a_remedy(
     monkeypatch.setattr(cli.cli, "main", refuse)
     assert cli.run(["check", "x.mcap"]) == 1
     errors = capsys.readouterr().err
-    assert errors.startswith("gyrorig: /a/file cannot be used, so it is. ")
+    assert errors.startswith("gyrorig: /a/file cannot be used (so it is). ")
     assert says in errors

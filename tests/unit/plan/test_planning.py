@@ -171,8 +171,11 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
         (["--seconds", "25", "--for", "causes"], "that separates causes. Give --seconds 39"),
         (["--out", "x.yaml", "--program", PAPER], "Give --seconds"),
         (["--sensor", "../../etc"], "has no profile of"),
-        (["--sensor", "missing.yaml"], "cannot be read, No such file or directory. Name a profile"),
-        (["--program", "missing.yaml"], "cannot be read, No such file or directory. Name a pro"),
+        (
+            ["--sensor", "missing.yaml"],
+            "cannot be read (No such file or directory). Give a profile",
+        ),
+        (["--program", "missing.yaml"], "cannot be read (No such file or directory). Give a pro"),
         (["--criterion", "best"], "criterion"),
     ],
 )

@@ -22,7 +22,7 @@ class BiasRandomWalk(SensorCause):
     """The bias follows a random walk, linear between knots that are sampled once, in order."""
 
     name = "bias_random_walk"
-    size_meaning = "largest rate random walk coefficient, besides the sensor's own"
+    size_meaning = "largest rate random walk coefficient, in addition to that of the sensor"
     unit = "rad/s/sqrt(s)"
     typical = 5e-5
     sampled_min, sampled_max = 2e-5, 2e-4

@@ -89,7 +89,7 @@ class CanBusLink:
         except DeviceError as fault:
             self.counts["sync_refused"] += 1
             self.due_ns = now_ns + SYNC_RETRY_NS
-            self._report_fault("sync", now_ns, f"{fault.problem}. Its boards get no common edge")
+            self._report_fault("sync", now_ns, f"{fault.problem}. Its boards get no SYNC frames")
             return
         self.counts["sync_sent"] += 1
         if len(self._edges) >= MAX_PENDING_EDGES:

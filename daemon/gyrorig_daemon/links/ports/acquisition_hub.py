@@ -86,7 +86,7 @@ class AcquisitionHub:
             )
         except OSError as fault:
             raise MachineError(
-                f"the acquisition process cannot be started, {fault.strerror}",
+                f"the acquisition process cannot be started ({fault.strerror})",
                 "free memory or end other processes, and start again",
             ) from fault
         if self._child.stdin is None or self._child.stdout is None:

@@ -86,7 +86,7 @@ def _lock_exclusively(fd: int) -> None:
     with contextlib.suppress(OSError):  # unknown before Linux 3.8
         fcntl.ioctl(fd, _TIOCGEXCL, exclusive)
     if any(exclusive):  # the kernel does not enforce it for root
-        raise BlockingIOError(errno.EAGAIN, "another program holds it alone")
+        raise BlockingIOError(errno.EAGAIN, "another program has opened it exclusively")
     if os.major(os.fstat(fd).st_rdev) not in _PTY_MAJORS:
         fcntl.ioctl(fd, termios.TIOCEXCL)
 

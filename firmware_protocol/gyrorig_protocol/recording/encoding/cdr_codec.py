@@ -37,8 +37,8 @@ def unpack_fields(layout: struct.Struct, data: bytes, name: str) -> list[int | f
     """
     if len(data) != layout.size or data[:4] != ENCAPSULATION:
         raise InputError(
-            f"{name} has {len(data)} bytes that begin with {data[:4].hex()}, "
-            f"not {layout.size} that begin with 00010000",
+            f"{name} is damaged: it has {len(data)} bytes that begin with {data[:4].hex()} "
+            f"instead of {layout.size} bytes that begin with 00010000",
             "copy the file again, or record again",
         )
     return list(layout.unpack(data)[1:])

@@ -30,7 +30,7 @@ def map_file(path: Path) -> memoryview:
         if not stat.S_ISREG(status.st_mode):
             raise InputError(f"{path} is not a regular file", "give a recording (.mcap)")
         if status.st_size == 0:
-            raise InputError(f"{path} is empty, because its writer ended at once", "record again")
+            raise InputError(f"{path} is empty, it contains no recording", "record again")
         with path.open("rb") as file:
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except (FileNotFoundError, NotADirectoryError) as error:

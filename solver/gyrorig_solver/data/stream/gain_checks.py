@@ -80,14 +80,18 @@ def _check_axes(gain: FloatArray) -> CheckResult:
         (first, second) = pairs[0]
         exchanged = (AXES[first], AXES[second])
         summary = (
-            f"axes {AXES[first]} and {AXES[second]} are exchanged, because no mount mirrors a board"
+            f"axes {AXES[first]} and {AXES[second]} are exchanged: the gain is mirrored, and no "
+            "mount can mirror a board"
         )
         return _mirror_result(
             summary, (_axis_finding("axis_swap", "exchanged", exchanged, summary),)
         )
     if not pairs and np.array_equal(np.abs(permutation), np.eye(3)):
         axis_names = " and ".join(reversed_axes)
-        summary = f"axis {axis_names} has the wrong sign, because no mount mirrors a board"
+        summary = (
+            f"axis {axis_names} has the wrong sign: the gain is mirrored, and no mount can mirror "
+            "a board"
+        )
         if len(negative) == 3:
             summary += "; the unit's pan_sign and tilt_sign can be wrong instead"
         return _mirror_result(

@@ -55,8 +55,8 @@ class ReferenceSmoothing(LinearTerm):
     )
     covariates = None
     picture = None
-    excitation = "turns that change quickly, the axis with them"
-    effect_if_ignored = "gains come out too large, the more so the quicker the turns"
+    excitation = "fast changes of the rate and of the axis of rotation"
+    effect_if_ignored = "the gains are too large; their error grows with the speed of the turns"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return -1/2 G (w'' + w x w'), (1, blocks, 3)."""
@@ -104,7 +104,7 @@ class MovingBias(LinearTerm):
     covariates = None
     picture = None
     excitation = "rests in several poses between motions of several speeds"
-    effect_if_ignored = "the bias of the moving board is not that of the resting one"
+    effect_if_ignored = "the bias in motion differs from the bias at rest"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return where the board moves on each axis, (3, blocks, 3)."""
@@ -117,13 +117,13 @@ class MovingBias(LinearTerm):
     def describe(self, values: FloatArray) -> str:
         """Describe the shifts."""
         shifts = format_list(values / DEG * 1e3, XYZ, "mdeg/s")
-        return f"the bias of the moving board is not that of the resting one: {shifts}"
+        return f"the bias in motion differs from the bias at rest: {shifts}"
 
 
 class ForceSensitivity(GSensitivity):
     """K against all three components of what the board's accelerometer reads."""
 
-    excitation = "an accelerometer in the recording, and poses all around"
+    excitation = "an accelerometer in the recording, and poses in all orientations"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return each component of the force on each axis, (9, blocks, 3)."""
@@ -139,7 +139,7 @@ class ForceSensitivity(GSensitivity):
         if not isinstance(state, AttitudeState) or state.measured_force_m_s2 is None:
             return "the recording has no accelerometer data; record the accelerometer too"
         if float(np.ptp(state.measured_force_m_s2, axis=0).min()) < MIN_FORCE_SPAN_M_S2:
-            return "the board was never turned over; hold it in poses all around"
+            return "the board was never turned over; hold it in poses of all orientations"
         return None
 
 

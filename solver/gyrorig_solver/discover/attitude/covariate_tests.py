@@ -51,14 +51,20 @@ def covariate_tests(scenes: Sequence[SignalState]) -> list[CovariateTest]:
     moving = partial(_term_effect, MovingBias())
     return [
         CovariateTest("own_rate", "on each axis' own rate", partial(_own_rate_signals, largest)),
-        CovariateTest("speed", "on the speed, as a gain", partial(_gain_signals, _speed, speeds)),
-        CovariateTest("time", "on the time, as a gain", partial(_gain_signals, _time, times)),
         CovariateTest(
-            "bias_time", "on the time, as a bias", partial(_bias_signals, _time, bias_knots)
+            "speed", "on the speed (change of the gain)", partial(_gain_signals, _speed, speeds)
         ),
-        CovariateTest("moving_bias", "on whether the board moves, as a bias", moving),
         CovariateTest(
-            "frequency", "on how quickly the rates change, as a filter", _rate_derivatives
+            "time", "on the time (change of the gain)", partial(_gain_signals, _time, times)
+        ),
+        CovariateTest(
+            "bias_time",
+            "on the time (change of the bias)",
+            partial(_bias_signals, _time, bias_knots),
+        ),
+        CovariateTest("moving_bias", "on whether the board moves (change of the bias)", moving),
+        CovariateTest(
+            "frequency", "on how quickly the rates change (effect of a filter)", _rate_derivatives
         ),
         CovariateTest("turning_axis", "on how the axis turns between attitudes", _turning_axis),
     ]

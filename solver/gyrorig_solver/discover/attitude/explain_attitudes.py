@@ -73,7 +73,7 @@ from gyrorig_solver.model.term import (
 )
 from gyrorig_solver.reference.attitude_reference import AttitudeReference
 
-DESCRIPTIONS = {"moving_bias": "on whether the board moves, as a bias"}
+DESCRIPTIONS = {"moving_bias": "on whether the board moves (change of the bias)"}
 ACTING_SIGMA = 3.0
 
 

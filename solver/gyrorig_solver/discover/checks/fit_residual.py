@@ -28,9 +28,9 @@ KNOTS = 7
 MIN_BLOCKS = 256
 DESCRIPTIONS = {
     "own_rate": "on each axis' own rate",
-    "speed": "on the speed, as a gain",
-    "time": "on the time, as a gain",
-    "bias_time": "on the time, as a bias",
+    "speed": "on the speed (change of the gain)",
+    "time": "on the time (change of the gain)",
+    "bias_time": "on the time (change of the bias)",
 }
 
 
@@ -61,7 +61,7 @@ def findings_from_fit(fit: GyroFit) -> CauseFindings:
 def _untestable_causes(fit: GyroFit) -> list[UntestableCause]:
     compared = fit.reference.partition(";")[0] or "its own quantity"
     why = (
-        f"the reference gives only {compared}, and not the rate at each moment; record the board "
+        f"the reference ({compared}) does not give the rate at each moment; record the board "
         "on a pan-tilt unit, or with reference attitudes"
     )
     return [

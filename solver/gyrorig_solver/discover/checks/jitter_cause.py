@@ -154,8 +154,8 @@ def describe_random_walk(projection: NuisanceProjector) -> str:
     levels = np.mean([segment.noise.levels for segment in projection.segments], axis=0)
     axis_levels = np.sqrt(levels[:, 2])
     typical = np.sqrt([nominal_levels(float(white))[2] for white in levels[:, 0]])
-    ratio = format_list(axis_levels / typical, XYZ, "times an ordinary part's")
+    ratio = format_list(axis_levels / typical, XYZ, "times that of an ordinary part")
     return (
-        "the noise levels hold it and all uncertainties allow for it: "
-        f"{format_list(axis_levels / DEG * 1e3, XYZ, 'mdeg/s after a second')}, {ratio}"
+        "the noise model and all uncertainties include it: "
+        f"{format_list(axis_levels / DEG * 1e3, XYZ, 'mdeg/s after one second')}, {ratio}"
     )

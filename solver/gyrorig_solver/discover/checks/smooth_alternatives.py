@@ -45,7 +45,7 @@ class BasisFamily:
     """Smooth basis functions of one covariate; a covariate can have several families."""
 
     covariate: str
-    description: str  # "on pan, as a gain"
+    description: str  # "on pan (change of the gain)"
     signals: tuple[Callable[[SignalState], FloatArray], ...]  # each to (some of k, blocks, 3)
     detail: FloatArray  # (k,), half waves of each signal: 1 is the smoothest
 
@@ -75,8 +75,8 @@ def smooth_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
         scenes: all parts of all recordings that are fitted together.
     """
     time = _covariate_span(scenes, _time)
-    yield _gain_family("time", "on the time, as a gain", _time, time, TIME_WAVES)
-    yield _bias_family("bias_time", "on the time, as a bias", [(_time, time, BIAS_WAVES)])
+    yield _gain_family("time", "on the time (change of the gain)", _time, time, TIME_WAVES)
+    yield _bias_family("bias_time", "on the time (change of the bias)", [(_time, time, BIAS_WAVES)])
     speed = _covariate_span(scenes, _speed)
     if speed is not None:  # a board at rest has no speeds
         yield _speed_family(speed)
@@ -88,11 +88,13 @@ def smooth_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
         span, other_span = spans[axis], spans[1 - axis]
         if span is None:
             continue
-        yield _gain_family(f"{name}_angle", f"on {name}, as a gain", _ANGLES[axis], span, count)
+        yield _gain_family(
+            f"{name}_angle", f"on {name} (change of the gain)", _ANGLES[axis], span, count
+        )
         poses = [(_ANGLES[axis], span, POSE_WAVES)]
         if other_span is not None:
             poses.append((_ANGLES[1 - axis], other_span, CROSS_WAVES))
-        yield _bias_family(f"bias_{name}", f"on {name}, as a bias", poses)
+        yield _bias_family(f"bias_{name}", f"on {name} (change of the bias)", poses)
     yield from _move_families(scenes)
 
 
@@ -116,7 +118,7 @@ def modulated_effects(
             signal = partial(_modulated_effect, extension, covariate, span)
             yield BasisFamily(
                 name,
-                f"on {_COVARIATE_TEXT[name]}, in its size",
+                f"on {_COVARIATE_TEXT[name]} (change of its size)",
                 (signal,),
                 _wave_numbers(MODULATION_WAVES),
             )
@@ -236,7 +238,7 @@ def _speed_family(span: tuple[float, float]) -> BasisFamily:
         return scene.sample_output(np.concatenate([gain, waves * scene.filtered_slope_rad_s2]))
 
     detail = np.tile(_wave_numbers(SPEED_WAVES), 2)
-    return BasisFamily("speed", "on the speed, as a gain or a delay", (signal,), detail)
+    return BasisFamily("speed", "on the speed (change of the gain or delay)", (signal,), detail)
 
 
 def _rate_family(scenes: Sequence[SignalState]) -> BasisFamily:
@@ -288,10 +290,12 @@ def _move_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
             partial(_per_move_signals, spans[at : at + MOVES_PER_BATCH], delay)
             for at in range(0, len(spans), MOVES_PER_BATCH)
         )
-        yield BasisFamily(f"move_{name}", f"on the move, as a {name}", each, np.ones(len(spans)))
+        yield BasisFamily(
+            f"move_{name}", f"on the move (change of the {name})", each, np.ones(len(spans))
+        )
     yield BasisFamily(
         "move_gain",
-        "on the time since a move began, as a gain",
+        "on the time since a move began (change of the gain)",
         (partial(_gain_since_move_start, np.sort(spans[:, 0])),),
         _wave_numbers(EDGE_WAVES),
     )

@@ -116,7 +116,9 @@ def measure_bias_walk(solution: ConvergedFit) -> BiasWalkTest:
     ratios = np.stack([excess_walk(noise) for noise in solution.noises]).max(axis=0)
     worst = int(np.argmax(ratios))
     ratio = float(ratios[worst])
-    description = f"on the time: the bias wanders {ratio:.1f} times as much as an ordinary part's"
+    description = (
+        f"on the time: the bias wanders {ratio:.1f} times as much as that of an ordinary part"
+    )
     # Any of the levels could have been the one: all were looked at (Bonferroni).
     tested = LEVELS_PER_AXIS * sum(len(noise.levels) for noise in solution.noises)
     p_value = min(1.0, tested * chi2_upper_tail(likelihood_ratio, capped)) if capped else 1.0

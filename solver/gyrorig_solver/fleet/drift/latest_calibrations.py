@@ -86,7 +86,7 @@ def read_origins(path: Path) -> BoardOrigins:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as fault:
         raise UsageError(
-            f"{path} cannot be read, {fault.strerror}",
+            f"{path} cannot be read ({fault.strerror})",
             "give a table with the columns board, lot, site",
         ) from fault
     except UnicodeDecodeError as fault:
@@ -149,7 +149,7 @@ def query_columns(index: StoreIndex, sql: str) -> dict[str, npt.NDArray[Any]]:
             answer: dict[str, npt.NDArray[Any]] = database.execute(sql).fetchnumpy()
         except duckdb.Error as fault:
             raise InputError(
-                f"the index cannot be read, {' '.join(str(fault).split())[:200]}",
+                f"the index cannot be read ({' '.join(str(fault).split())[:200]})",
                 "write it again from the calibrations with `gyrorig store rebuild-index STORE`",
             ) from fault
     return answer

@@ -61,7 +61,7 @@ def write_shrinkage_estimates(store: Path | Storage, overview: FleetOverview) ->
             data = path.read_bytes()
     except (OSError, duckdb.IOException) as fault:
         raise MachineError(
-            f"shrinkage estimates cannot be written, {' '.join(str(fault).split())[:200]}",
+            f"shrinkage estimates cannot be written ({' '.join(str(fault).split())[:200]})",
             "free some space for temporary files",
         ) from fault
     storage.write_new(name, data)
@@ -92,7 +92,7 @@ def read_shrinkage_estimates(store: Path | Storage, board: str) -> dict[str, Shr
             rows = database.execute(sql, [str(path), board]).fetchall()
     except duckdb.Error as fault:
         raise InputError(
-            f"{files[-1]} cannot be read, {' '.join(str(fault).split())[:200]}",
+            f"{files[-1]} cannot be read ({' '.join(str(fault).split())[:200]})",
             "remove it, and write it again with `gyrorig fleet`",
         ) from fault
     if not rows:

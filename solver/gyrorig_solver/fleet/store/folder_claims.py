@@ -110,7 +110,7 @@ class FolderClaims:
                 os.close(fd)
         except OSError as fault:
             raise MachineError(
-                f"cannot write {self._folder}, {fault.strerror}",
+                f"cannot write {self._folder} ({fault.strerror})",
                 "free some disk space, or fix the permissions of the store",
             ) from fault
 

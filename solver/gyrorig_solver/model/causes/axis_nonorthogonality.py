@@ -49,7 +49,9 @@ class AxisNonOrthogonality(NonlinearTerm):
     covariates = ("tilt_angle",)
     picture = BinnedDependence("gain", "tilt", 10)
     excitation = "pan sweeps at three or more tilts that are far apart"
-    effect_if_ignored = "the gain's x row and M absorb it: up to 46 sigma before it is detected"
+    effect_if_ignored = (
+        "row x of the gain and M absorb it, with errors of up to 46 sigma before it is detected"
+    )
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the exact change of the rate, (blocks, 3)."""

@@ -62,7 +62,9 @@ class Eccentricity(LinearAngleTerm):
     )
     covariates = ("pan_angle",)
     picture = BinnedDependence("gain", "pan")
-    excitation = "pan over its full range; over +-80 deg the two harmonics look alike"
+    excitation = (
+        "pan over its full range; within +-80 deg the two harmonics cannot be distinguished"
+    )
     effect_if_ignored = "the scale factors are valid at the pan angles of the recording only"
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:

@@ -41,7 +41,9 @@ class TiltSag(LinearAngleTerm):
     picture = BinnedDependence("gain", "tilt", 10)
     equivalent_causes = ("eccentricity",)
     excitation = "pan sweeps at five tilts over the whole range"
-    effect_if_ignored = "M and the scale factors absorb it: tens of sigma before it is detected"
+    effect_if_ignored = (
+        "M and the scale factors absorb it, with errors of tens of sigma before it is detected"
+    )
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return cosine and sine of the tilt angle."""

@@ -54,7 +54,7 @@ class WarmUp(LinearTerm):
     remedy = "switch the board on ten minutes before recording"
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "time")
-    excitation = "one recording from power-on on, and one an hour later"
+    excitation = "one recording that starts at power-on, and one an hour later"
     effect_if_ignored = "the bias is that of a board that is still warming up"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
