@@ -189,7 +189,8 @@ def noise_held() -> Iterator[None]:
         return _ordinary(sampling)
 
     with (
-        patch("gyrorig_solver.estimate.likelihood_fit.fit_noise_levels", held),
+        patch("gyrorig_solver.estimate.session_fit.fit_noise_levels", held),
+        patch("gyrorig_solver.estimate.session_fit.limit_to_rest", lambda noise, _: noise),
         patch.object(SessionFit, "update_motion_noise", lambda *_: False),
     ):
         yield

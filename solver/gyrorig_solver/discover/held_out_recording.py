@@ -17,7 +17,7 @@ from gyrorig_solver.estimate.board_fit import DERIVATIVE_REFRESH_SIGMA, OUTLIER_
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.information import marginalise
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel, bin_spectrum, fit_noise_levels
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.observability import PRIOR_STD
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
@@ -131,10 +131,8 @@ def _fit_nuisances(session: SessionFit, gain: FloatArray, noise: NoiseModel | No
 
 
 def _fit_noise(session: SessionFit, gain: FloatArray, before: NoiseModel | None) -> NoiseModel:
-    pieces, _ = session.noise_periodograms(gain)
-    return fit_noise_levels(
-        bin_spectrum(pieces), session.sampling, None if before is None else before.levels
-    )
+    levels = None if before is None else before.levels
+    return session.fit_noise(gain, session.sampling, levels).noise
 
 
 def _whitened_residuals(

@@ -21,8 +21,6 @@ from gyrorig_solver.estimate.noise.noise_model import (
     NoiseModel,
     Sampling,
     Spectrum,
-    bin_spectrum,
-    fit_noise_levels,
 )
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, ParameterLayout
 from gyrorig_solver.estimate.session_fit import SessionFit
@@ -205,19 +203,15 @@ class BoardFit:
             session.bias_rad_s = session_sums.bias(self.gain)
 
     def _fit_noise(self) -> None:
-        periodograms = [session.noise_periodograms(self.gain) for session in self.sessions]
-        self.spectra = [
-            bin_spectrum(session_periodograms) for session_periodograms, _ in periodograms
-        ]
-        self.noise_sources = [source for _, source in periodograms]
         previous_levels: list[FloatArray | None] = [noise.levels for noise in self.noises]
         previous_levels = previous_levels or [None] * len(self.sessions)
-        self.noises = [
-            fit_noise_levels(spectrum, self._sampling(session), levels)
-            for spectrum, session, levels in zip(
-                self.spectra, self.sessions, previous_levels, strict=True
-            )
+        fitted = [
+            session.fit_noise(self.gain, self._sampling(session), levels)
+            for session, levels in zip(self.sessions, previous_levels, strict=True)
         ]
+        self.noises = [session_noise.noise for session_noise in fitted]
+        self.spectra = [session_noise.spectrum for session_noise in fitted]
+        self.noise_sources = [session_noise.source for session_noise in fitted]
 
     def _sampling(self, session: SessionFit) -> Sampling:
         """Return a recording's sampling, with the sensor's true low-pass for the noise."""

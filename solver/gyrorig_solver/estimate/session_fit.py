@@ -32,10 +32,22 @@ from gyrorig_solver.estimate.noise.motion_noise import (
     MotionResidual,
     estimate_motion_noise,
 )
-from gyrorig_solver.estimate.noise.noise_estimation import ResidualSegment, noise_periodograms
-from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Periodogram, Sampling
+from gyrorig_solver.estimate.noise.noise_estimation import (
+    ResidualSegment,
+    noise_periodograms,
+    resting_blocks,
+)
+from gyrorig_solver.estimate.noise.noise_model import (
+    NoiseModel,
+    Periodogram,
+    Sampling,
+    Spectrum,
+    bin_spectrum,
+    fit_noise_levels,
+)
 from gyrorig_solver.estimate.noise.outliers import find_outliers, robust_spread
 from gyrorig_solver.estimate.noise.relative_std import RelativeStd
+from gyrorig_solver.estimate.noise.rest_noise import RestDifferences, limit_to_rest
 from gyrorig_solver.estimate.noise.whitening import PartModel, WhitenedPart, whiten_residual
 from gyrorig_solver.estimate.reference_prediction import (
     instants_per_block,
@@ -115,6 +127,15 @@ class _StateKey:
             and np.array_equal(self.gain, other.gain)
             and np.array_equal(self.bias_rad_s, other.bias_rad_s)
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionNoise:
+    """The noise of one recording, and its origin."""
+
+    noise: NoiseModel
+    spectrum: Spectrum  # of the residual
+    source: str  # the part of the recording that was used
 
 
 class SessionFit:
@@ -493,6 +514,26 @@ class SessionFit:
             )
         ]
         return noise_periodograms(segments, self.sampling.rate_hz)
+
+    def fit_noise(
+        self, gain: FloatArray, sampling: Sampling, initial_levels: FloatArray | None = None
+    ) -> SessionNoise:
+        """Estimate the noise at rest from the residual's spectrum.
+
+        Args:
+            gain: G, shape (3, 3).
+            sampling: how the residual was sampled.
+            initial_levels: (3, 4), from a previous fit.
+        """
+        periodograms, source = self.noise_periodograms(gain)
+        spectrum = bin_spectrum(periodograms)
+        noise = fit_noise_levels(spectrum, sampling, initial_levels)
+        at_rest = [
+            resting_blocks(used, moving, self.sampling.rate_hz)
+            for used, moving in zip(self.used, self.moving, strict=True)
+        ]
+        differences = RestDifferences.of(self.residuals(gain), at_rest)
+        return SessionNoise(limit_to_rest(noise, differences), spectrum, source)
 
     def update_motion_noise(self, gain: FloatArray, noise: NoiseModel) -> bool:
         """Estimate the noise in motion; return whether that changed the weights.

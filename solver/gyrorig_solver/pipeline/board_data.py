@@ -8,6 +8,7 @@ from gyrorig_protocol.errors import UsageError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
+from gyrorig_solver.data.stream.stuck_axes import without_clipping
 from gyrorig_solver.reference.known_turns import TurnReference, read_turns
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 from gyrorig_solver.reference.rest_reference import RestReference, mostly_at_rest
@@ -60,18 +61,20 @@ class BoardData:
 
     @cached_property
     def sessions(self) -> tuple[Session, ...]:
-        """Each recording with its samples, exact repeats removed, and its reference motion.
+        """Each recording with its samples and its reference motion.
+
+        Exact repeats and clipped samples are marked as not usable.
 
         Raises:
             UsageError: a recording has neither a unit nor rest throughout, the board's settings
                 differ between recordings, or a recording is given twice.
         """
-        unrepeated = tuple(without_repeats(samples) for samples in self.samples)
+        usable = tuple(without_clipping(without_repeats(samples)) for samples in self.samples)
         check_given_once(self.recordings)
-        _check_same_settings(self.recordings, unrepeated)
+        _check_same_settings(self.recordings, usable)
         return tuple(
             (recording, samples, reference_motion(recording, samples))
-            for recording, samples in zip(self.recordings, unrepeated, strict=True)
+            for recording, samples in zip(self.recordings, usable, strict=True)
         )
 
 

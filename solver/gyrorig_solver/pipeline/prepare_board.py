@@ -12,6 +12,7 @@ from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
+from gyrorig_solver.data.stream.stuck_axes import without_clipping
 from gyrorig_solver.discover.held_out_recording import HeldOutRecording
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
@@ -131,10 +132,11 @@ def prepare_held_out(
     temperature = None if context is None else context.temperature
     mean_degc = None if temperature is None else temperature.mean_degc
     _require_unit([recording])
-    unrepeated = without_repeats(load_samples(recording, board) if samples is None else samples)
-    motion = reference_motion(recording, unrepeated)
-    (own_context,) = read_contexts([(recording, unrepeated, motion)], mean_degc)
-    return HeldOutRecording(create_session(unrepeated, motion, own_context), recording.path.name)
+    loaded = load_samples(recording, board) if samples is None else samples
+    usable = without_clipping(without_repeats(loaded))
+    motion = reference_motion(recording, usable)
+    (own_context,) = read_contexts([(recording, usable, motion)], mean_degc)
+    return HeldOutRecording(create_session(usable, motion, own_context), recording.path.name)
 
 
 def _require_unit(recordings: Sequence[Recording]) -> None:

@@ -15,6 +15,7 @@ from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.stream.count_stream import StreamFinding, poisson_tail
 from gyrorig_solver.data.stream.exact_repeats import without_repeats
 from gyrorig_solver.data.stream.stream_checks import check_stream
+from gyrorig_solver.data.stream.stuck_axes import without_clipping
 
 RATE_HZ, QUANTUM = 100.0, 1.5e-4
 N = 12_000
@@ -189,3 +190,17 @@ def test_only_significant_repeats_are_excluded() -> None:
     assert unrepeated.counts.dtype == np.int16
     coarse = samples_of(clean_counts(5, 0.3))
     assert without_repeats(coarse) is coarse
+
+
+def test_clipped_samples_and_their_neighbours_are_excluded() -> None:
+    clean = clean_counts()
+    clipped = np.clip(clean, -5000, 5000)
+    usable = without_clipping(samples_of(clipped)).usable
+    assert not usable[(np.abs(clipped) == 5000).any(axis=1)].any()
+    # The noise decides which samples near the limit are clipped: none of them is left.
+    distance = np.abs(np.abs(clean) - 5000).min(axis=1)
+    on_plateau = np.abs(np.diff(clean, axis=0, append=clean[-1:])).max(axis=1) < 40
+    assert not usable[(distance < 20) & on_plateau].any()
+    assert usable.mean() > 0.4
+    unclipped = samples_of(clean)
+    assert without_clipping(unclipped) is unclipped

@@ -2,19 +2,22 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data.count_columns import stored_column
 from gyrorig_solver.data.samples import GyroSamples
 
 PIECE_ROWS = 1 << 17  # rows per piece; 8 h at 800 Hz are 23 million
 MAX_P_VALUE = 1e-6  # significance level of a finding
 WINDOW_SAMPLES = 64  # samples over which noise and motion are assumed to be constant
 AXES = ("x", "y", "z")
+COUNT_FIELDS = ("host_s", "rate_rad_s", "accel_m_s2", "temperature_degc")
 NOISE_ROWS = 1 << 14
 MAX_REPEAT_SHARE = 0.9
 _MAX_EXAMPLES = 50
@@ -126,6 +129,23 @@ class CountStream:
         """Return the times of at most `_MAX_EXAMPLES` samples, s since the first."""
         first = self.samples.time_s[0]
         return tuple(float(self.samples.time_s[k] - first) for k in rows[:_MAX_EXAMPLES])
+
+
+def replace_usable(
+    samples: GyroSamples, usable: BoolArray, repeated: int | None = None
+) -> GyroSamples:
+    """Return samples with another mask of usable ones.
+
+    Args:
+        samples: their counts are shared.
+        usable: the mask, (n,).
+        repeated: number of repeated samples; None: as before.
+    """
+    count_fields: dict[str, Any] = {
+        name: stored_column(samples, name) for name in COUNT_FIELDS
+    }  # not as values, which `replace` would read
+    count = samples.repeated if repeated is None else repeated
+    return replace(samples, usable=usable, repeated=count, **count_fields)
 
 
 def poisson_tail(count: int, expected: float) -> float:

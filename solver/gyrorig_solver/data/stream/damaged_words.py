@@ -3,13 +3,16 @@
 A single wrong word with error A appears as A (1, -4, 6, -4, 1) in the fourth difference, which
 is not possible for a motion behind a low-pass. It is reported only if the error agrees with one
 flipped bit, or with the high byte of the previous sample. The check needs no model: on the
-residual of a fit, backlash was once taken for a flipped bit.
+residual of a fit, backlash was once taken for a flipped bit. A jump of the rate at the start of a
+move makes spikes too, and some of them agree with a damaged word by chance. If other spikes do not
+agree, more must agree than by chance.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import bdtrc
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.data.stream.count_stream import (
@@ -27,6 +30,9 @@ MAX_OTHER_AXES_SIGMAS = 6.0  # the same, for the other axes
 MAX_NEIGHBOUR_SIGMAS = 3.5  # the same, for the neighbours after the spike is subtracted
 SINGLE_SPIKE_SIGMAS = 30.0  # one such word is sufficient; of smaller ones MIN_WORDS are needed
 MIN_WORDS = 3
+MAX_CHANCE_P = 1e-3  # of so many spikes that agree with a damaged word by chance
+# Errors that are added to a spike, to measure how often it agrees by chance; in counts.
+CONTROL_ERRORS = (37.0, -53.0, 71.0, -89.0, 103.0, -127.0)
 WORD_BITS = 16
 REMEDY = (
     "add a check sum to the frame, read the six bytes in one burst with block data update on, "
@@ -35,13 +41,14 @@ REMEDY = (
 
 
 @dataclass(frozen=True, slots=True)
-class DamagedWord:
-    """One damaged word."""
+class WordSpike:
+    """A word that differs from both neighbours more than the motion allows."""
 
     row: int
     axis: int
-    kind: str
+    kind: str  # "bit", "torn", or "" where it agrees with neither
     sigmas: float
+    chance: float  # probability that it agrees with a damaged word by chance
 
 
 def check_damaged_words(stream: CountStream) -> CheckResult:
@@ -50,8 +57,15 @@ def check_damaged_words(stream: CountStream) -> CheckResult:
         return CheckResult(
             CHECK_NAME, "not checked, because the file has physical values instead of raw words"
         )
-    by_position = {(word.row, word.axis): word for word in _find_damaged_words(stream)}
-    words = sorted(by_position.values(), key=lambda word: word.row)
+    by_position = {(spike.row, spike.axis): spike for spike in _find_spikes(stream)}
+    spikes = sorted(by_position.values(), key=lambda spike: spike.row)
+    words = [spike for spike in spikes if spike.kind]
+    p_value = _chance_p_value(spikes)
+    if p_value > MAX_CHANCE_P:
+        return CheckResult(
+            CHECK_NAME,
+            f"none of {3 * stream.size} words is damaged; the motion has {len(spikes)} spikes",
+        )
     if len(words) < MIN_WORDS and all(word.sigmas < SINGLE_SPIKE_SIGMAS for word in words):
         return CheckResult(CHECK_NAME, f"none of {3 * stream.size} words is damaged")
     flips = sum(word.kind == "bit" for word in words)
@@ -67,7 +81,7 @@ def check_damaged_words(stream: CountStream) -> CheckResult:
         where=axes,
         count=len(words),
         total=stream.size,
-        p_value=0.0,
+        p_value=p_value,
         quantity="share",
         size=share,
         unit="1",
@@ -78,7 +92,19 @@ def check_damaged_words(stream: CountStream) -> CheckResult:
     return CheckResult(CHECK_NAME, summary, (finding,))
 
 
-def _find_damaged_words(stream: CountStream) -> Iterator[DamagedWord]:
+def _chance_p_value(spikes: Sequence[WordSpike]) -> float:
+    """Return the probability that so many spikes agree with damaged words by chance.
+
+    It is 0 if all of them agree, because then nothing shows that the motion makes spikes.
+    """
+    agreeing = sum(bool(spike.kind) for spike in spikes)
+    if agreeing == len(spikes):
+        return 0.0
+    chance = sum(spike.chance for spike in spikes) / len(spikes)
+    return float(bdtrc(agreeing - 1, len(spikes), chance))
+
+
+def _find_spikes(stream: CountStream) -> Iterator[WordSpike]:
     for rows, counts in stream.pieces():
         if counts.shape[0] < 2 * WINDOW_SAMPLES:
             continue
@@ -88,10 +114,22 @@ def _find_damaged_words(stream: CountStream) -> Iterator[DamagedWord]:
         deviation = _local_deviation(spike_size)
         is_spike = np.abs(spike_size) > MIN_SPIKE_SIGMAS * deviation
         for row, axis in np.argwhere(is_spike):
-            kind = _damage_kind(counts, spike_size, deviation, int(row), int(axis))
-            if kind:
-                sigmas = float(abs(spike_size[row, axis]) / deviation[row, axis])
-                yield DamagedWord(rows.start + int(row) + 2, int(axis), kind, sigmas)
+            if not _is_single_word(counts, spike_size, deviation, int(row), int(axis)):
+                continue
+            before, word = (int(counts[row + k, axis]) for k in (1, 2))
+            amplitude, unit = float(spike_size[row, axis]), float(deviation[row, axis])
+            kind = _bit_or_byte_error(word, before, amplitude, unit)
+            agreeing = sum(
+                bool(_bit_or_byte_error(word, before, amplitude + error, unit))
+                for error in CONTROL_ERRORS
+            )
+            yield WordSpike(
+                rows.start + int(row) + 2,
+                int(axis),
+                kind,
+                abs(amplitude) / unit,
+                agreeing / len(CONTROL_ERRORS),
+            )
 
 
 def _local_deviation(spike_size: FloatArray) -> FloatArray:
@@ -118,26 +156,22 @@ def _local_deviation(spike_size: FloatArray) -> FloatArray:
     )[: spike_size.shape[0]]
 
 
-def _damage_kind(
+def _is_single_word(
     counts: IntArray, spike_size: FloatArray, deviation: FloatArray, row: int, axis: int
-) -> str:
-    """Return what a spike at fourth difference `row` is: bit, torn, or "" for neither."""
+) -> bool:
+    """Return whether a spike at fourth difference `row` is of one word of one axis."""
     if row < 2 or row >= spike_size.shape[0] - 2:
-        return ""
+        return False
     amplitude, unit = float(spike_size[row, axis]), float(deviation[row, axis])
     neighbours = spike_size[row - 2 : row + 3, axis] - amplitude * SPIKE_PATTERN / 6.0
     if np.abs(neighbours).max() > MAX_NEIGHBOUR_SIGMAS * unit:
-        return ""  # wider than one sample: a motion
+        return False  # wider than one sample: a motion
     others = [k for k in range(3) if k != axis]
     others_moved = bool(
         np.any(np.abs(spike_size[row, others]) > MAX_OTHER_AXES_SIGMAS * deviation[row, others])
     )
     is_repeat = np.array_equal(counts[row + 2], counts[row + 1])  # another defect
-    if others_moved or is_repeat:
-        return ""
-    return _bit_or_byte_error(
-        int(counts[row + 2, axis]), int(counts[row + 1, axis]), amplitude, unit
-    )
+    return not others_moved and not is_repeat
 
 
 def _bit_or_byte_error(word: int, before: int, amplitude: float, unit: float) -> str:

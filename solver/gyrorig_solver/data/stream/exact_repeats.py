@@ -5,8 +5,7 @@ the repeat share of each axis, with independent axes. If the board has an accele
 words must be equal, which hardly ever happens by chance.
 """
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from gyrorig_solver.data.stream.count_stream import (
     CountStream,
     StreamFinding,
     poisson_tail,
+    replace_usable,
 )
 
 CHECK_NAME = "repeated samples"
@@ -27,7 +27,6 @@ MAX_CHANCE_SHARE = 0.2  # of the repeats; above this share by chance none is exc
 CHANCE_FACTOR = 1.25  # the axes are not quite independent: one motion drives all of them
 MIN_REPEATS = 3
 MAX_SAMPLES_WITH_ACCEL = 4_000_000  # samples
-COUNT_FIELDS = ("host_s", "rate_rad_s", "accel_m_s2", "temperature_degc")
 REMEDY = (
     "read the sensor on its data-ready signal or at its output rate, and check for a lossy "
     "radio link that repeats the last sample"
@@ -97,12 +96,7 @@ def without_repeats(samples: GyroSamples) -> GyroSamples:
     usable = samples.usable.copy()
     newly_excluded = int(np.count_nonzero(usable[repeats.rows]))
     usable[repeats.rows] = False
-    count_fields: dict[str, Any] = {
-        name: stored_column(samples, name) for name in COUNT_FIELDS
-    }  # not as values, which `replace` would read
-    return replace(
-        samples, usable=usable, repeated=samples.repeated + newly_excluded, **count_fields
-    )
+    return replace_usable(samples, usable, samples.repeated + newly_excluded)
 
 
 def _find_repeats(stream: CountStream) -> _Repeats:

@@ -5,20 +5,27 @@ below 1e-9. A run at the highest or lowest count of the axis is clipping.
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
+from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.stream.count_stream import (
     AXES,
+    PIECE_ROWS,
     CheckResult,
     CountStream,
     StreamFinding,
+    replace_usable,
     true_runs,
 )
 
 STUCK_CHECK_NAME, CLIPPING_CHECK_NAME = "stuck axes", "clipping"
 MAX_RUN_PROBABILITY = 1e-9
 MIN_RUN_LENGTH = 8
+CLIPPING_MARGIN_S = 0.1
 STUCK_REMEDY = "check the register address and the power mode of that axis, and the sensor itself"
 CLIPPING_REMEDY = "use a larger full scale, or turn more slowly"
 
@@ -51,46 +58,92 @@ def _join_descriptions(findings: list[StreamFinding]) -> str:
     return "; ".join(finding.seen_as for finding in findings)
 
 
-def _check_axis(stream: CountStream, axis: int) -> tuple[list[StreamFinding], list[StreamFinding]]:
+def without_clipping(samples: GyroSamples) -> GyroSamples:
+    """Return samples with clipped ones, and their neighbours, marked as not usable.
+
+    A sample is clipped if a rate is at the end at which its axis stays: the true rate is larger.
+    Near that end only samples with a negative error of the noise are not clipped. Samples that
+    are less than `CLIPPING_MARGIN_S` from a clipped one are therefore not usable either.
+    """
+    stream = CountStream(samples)
+    clipped = np.zeros(stream.size, dtype=np.bool_)
+    for axis in range(3):
+        for limit in {run.value for run in _long_runs(stream, axis) if run.is_extreme}:
+            for start in range(0, stream.size, PIECE_ROWS):
+                rows = slice(start, start + PIECE_ROWS)
+                clipped[rows] |= samples.counts[rows, axis] == limit
+    if not clipped.any():
+        return samples
+    margin = math.ceil(CLIPPING_MARGIN_S / samples.period_s)
+    return replace_usable(samples, samples.usable & ~binary_dilation(clipped, iterations=margin))
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Successive equal counts of an axis, more than its noise makes by chance."""
+
+    row: int  # of the first count
+    length: int
+    value: int  # counts
+    is_extreme: bool  # the highest or lowest count of the axis
+    others_change: bool  # whether another axis changes during the run
+
+
+def _long_runs(stream: CountStream, axis: int) -> list[_Run]:
+    """Return the runs of equal counts that the noise of an axis does not explain."""
     share = float(stream.repeat_share[axis])
     min_length = max(
         MIN_RUN_LENGTH, math.ceil(math.log(MAX_RUN_PROBABILITY / stream.size) / math.log(share))
     )
     lowest, highest = stream.samples.counts[:, axis].min(), stream.samples.counts[:, axis].max()
     if lowest == highest:
-        if stream.samples.counts.min() == stream.samples.counts.max():
-            return [], []  # no axis has a signal; this is not a defect of one axis
-        return [_stuck_axis_finding(stream, axis, stream.size, (0.0,))], []
-    stuck_count, clipped_count = 0, 0
-    stuck_rows: list[int] = []
-    clipped_rows: list[int] = []
+        return []
+    runs = []
     for rows, counts in stream.pieces():
         is_repeat = np.diff(counts, axis=0) == 0
         for first, stop in true_runs(is_repeat[:, axis]):
             length = stop - first + 1
             if length < min_length:
                 continue
-            value, row = counts[first, axis], rows.start + first
-            if value in (lowest, highest):
-                clipped_count += length
-                clipped_rows.append(row)
-            elif not is_repeat[first:stop, (axis + 1) % 3].all():
-                stuck_count += length
-                stuck_rows.append(row)
-    stuck = (
-        [_stuck_axis_finding(stream, axis, stuck_count, stream.times_s(np.array(stuck_rows)))]
-        if stuck_count
-        else []
-    )
-    clipped = []
-    if clipped_count:
-        limit = max(abs(int(lowest)), abs(int(highest))) * stream.samples.quantum_rad_s
+            value = int(counts[first, axis])
+            others_change = not is_repeat[first:stop, (axis + 1) % 3].all()
+            is_extreme = value in (lowest, highest)
+            runs.append(_Run(rows.start + first, length, value, is_extreme, others_change))
+    return runs
+
+
+def _check_axis(stream: CountStream, axis: int) -> tuple[list[StreamFinding], list[StreamFinding]]:
+    counts = stream.samples.counts
+    if counts[:, axis].min() == counts[:, axis].max():
+        if counts.min() == counts.max():
+            return [], []  # no axis has a signal; this is not a defect of one axis
+        return [_stuck_axis_finding(stream, axis, stream.size, (0.0,))], []
+    runs = _long_runs(stream, axis)
+    clipped_runs = [run for run in runs if run.is_extreme]
+    stuck_runs = [run for run in runs if not run.is_extreme and run.others_change]
+    stuck, clipped = [], []
+    if stuck_runs:
+        stuck = [
+            _stuck_axis_finding(
+                stream, axis, sum(run.length for run in stuck_runs), _times_s(stream, stuck_runs)
+            )
+        ]
+    if clipped_runs:
+        limit = max(abs(run.value) for run in clipped_runs) * stream.samples.quantum_rad_s
         clipped = [
             _clipping_finding(
-                stream, axis, clipped_count, limit, stream.times_s(np.array(clipped_rows))
+                stream,
+                axis,
+                sum(run.length for run in clipped_runs),
+                limit,
+                _times_s(stream, clipped_runs),
             )
         ]
     return stuck, clipped
+
+
+def _times_s(stream: CountStream, runs: Sequence[_Run]) -> tuple[float, ...]:
+    return stream.times_s(np.array([run.row for run in runs]))
 
 
 def _stuck_axis_finding(

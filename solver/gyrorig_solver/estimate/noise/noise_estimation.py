@@ -63,10 +63,7 @@ def noise_periodograms(
     rests = [
         segment.residual[run]
         for segment in segments
-        for run in _runs(
-            segment.used & ~_extend_after(segment.moving, round(SETTLING_TIME_S * rate_hz)),
-            shortest,
-        )
+        for run in _runs(resting_blocks(segment.used, segment.moving, rate_hz), shortest)
     ]
     rest_s = sum(rest.shape[0] for rest in rests) / rate_hz
     if rest_s < MIN_TOTAL_REST_S or not any(segment.moving.any() for segment in segments):
@@ -78,6 +75,11 @@ def noise_periodograms(
         f"spectrum: {rest_s:.0f} s of rests above {split_hz:.1f} Hz, whole recording below"
     )
     return [*low_periodograms, *rest_periodograms], description
+
+
+def resting_blocks(used: BoolArray, moving: BoolArray, rate_hz: float) -> BoolArray:
+    """Return which used blocks are at rest, after the unit has settled, (n,)."""
+    return used & ~_extend_after(moving, round(SETTLING_TIME_S * rate_hz))
 
 
 def _runs(mask: BoolArray, min_length: int) -> list[slice]:

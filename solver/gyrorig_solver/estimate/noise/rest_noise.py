@@ -1,0 +1,88 @@
+"""The noise at rest as a check of the fitted noise levels.
+
+A large unmodelled effect raises the residual in motion. In recordings with short rests the levels
+are fitted to the whole residual, so that such an effect becomes flicker, and the white noise
+disappears. Differences of successive samples at rest have neither.
+
+What to use when: `difference_power` of the residuals; `limit_to_rest` for fitted levels.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.estimate.noise.noise_model import (
+    NoiseModel,
+    Sampling,
+    nominal_levels,
+    quantum_density,
+    unit_densities,
+)
+
+MIN_PAIRS = 200  # of successive samples at rest
+MAX_POWER_RATIO = 4.0  # of the fitted white noise and that at rest, either way
+FREQUENCY_BINS = 500
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestDifferences:
+    """Differences of successive block means at rest."""
+
+    sum_of_squares: FloatArray  # (3,)
+    count: int
+
+    @classmethod
+    def of(cls, residuals: Sequence[FloatArray], at_rest: Sequence[BoolArray]) -> "RestDifferences":
+        """Return the differences of successive blocks that are both at rest.
+
+        Args:
+            residuals: of each series, (n, 3).
+            at_rest: of each series, (n,), without the time in which the unit settles.
+        """
+        total, count = np.zeros(3), 0
+        for residual, rest in zip(residuals, at_rest, strict=True):
+            pairs = rest[1:] & rest[:-1]
+            total += np.sum(np.diff(residual, axis=0)[pairs] ** 2, axis=0)
+            count += int(pairs.sum())
+        return cls(total, count)
+
+    @property
+    def power(self) -> FloatArray:
+        """The mean square of the differences, shape (3,)."""
+        return self.sum_of_squares / max(self.count, 1)
+
+
+def limit_to_rest(noise: NoiseModel, differences: RestDifferences) -> NoiseModel:
+    """Return the noise; where it contradicts the noise at rest, that of an ordinary part.
+
+    An axis contradicts if its fitted white noise differs from that at rest by more than
+    `MAX_POWER_RATIO`. It then gets the white noise at rest, and the flicker and random walk of an
+    ordinary part with this white noise.
+
+    Args:
+        noise: fitted to the residual.
+        differences: at rest.
+    """
+    if differences.count < MIN_PAIRS or noise.sampling.differentiated:
+        return noise
+    nominal = nominal_levels(1.0)
+    nominal[3] = 0.0  # of attitudes only
+    quantum_power = quantum_density(noise.sampling) * noise.sampling.rate_hz
+    unit_power = float(nominal @ _unit_difference_power(noise.sampling))
+    white_at_rest = np.maximum(differences.power - quantum_power, quantum_power) / unit_power
+    log_ratio = np.log(np.maximum(noise.levels[:, 0], 1e-300) / white_at_rest)
+    contradicts = np.abs(log_ratio) > np.log(MAX_POWER_RATIO)
+    if not contradicts.any():
+        return noise
+    levels = np.where(contradicts[:, None], white_at_rest[:, None] * nominal, noise.levels)
+    return replace(noise, levels=levels)
+
+
+def _unit_difference_power(sampling: Sampling) -> FloatArray:
+    """Return the mean square of differences of successive blocks by each unit process, (4,)."""
+    width_hz = sampling.rate_hz / 2.0 / FREQUENCY_BINS
+    frequency_hz = np.asarray((np.arange(FREQUENCY_BINS) + 0.5) * width_hz, dtype=np.float64)
+    response = 4.0 * np.sin(np.pi * frequency_hz / sampling.rate_hz) ** 2
+    return np.asarray(unit_densities(frequency_hz, sampling) @ response * width_hz)
