@@ -25,7 +25,7 @@ EXIT_CODES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Described:
+class CommandDescription:
     """One command: how it is called, what it does, examples, options with their help."""
 
     name: str  # "gyrorig store verify"
@@ -35,12 +35,14 @@ class Described:
     options: tuple[tuple[str, str], ...]
 
 
-def described(program: str) -> Iterator[Described]:
+def described(program: str) -> Iterator[CommandDescription]:
     """Yield a program's commands, groups of commands before what is in them."""
     yield from _walk(program, PROGRAMS[program], None)
 
 
-def _walk(name: str, command: click.Command, parent: click.Context | None) -> Iterator[Described]:
+def _walk(
+    name: str, command: click.Command, parent: click.Context | None
+) -> Iterator[CommandDescription]:
     # as narrow as a page, whatever terminal this runs in
     context = click.Context(
         command, info_name=name.rsplit(maxsplit=1)[-1], parent=parent, terminal_width=200
@@ -54,7 +56,7 @@ def _walk(name: str, command: click.Command, parent: click.Context | None) -> It
                 yield from _walk(f"{name} {inner}", subcommand, context)
 
 
-def _described(name: str, command: click.Command, context: click.Context) -> Described:
+def _described(name: str, command: click.Command, context: click.Context) -> CommandDescription:
     paragraphs, examples = _help_of(command.help or "")
     options = []
     for parameter in command.get_params(context):
@@ -62,7 +64,7 @@ def _described(name: str, command: click.Command, context: click.Context) -> Des
         if record is not None and record[1] and "--help" not in record[0]:
             options.append((record[0], " ".join(record[1].split())))
     usage = " ".join([name, *command.collect_usage_pieces(context)])
-    return Described(name, usage, paragraphs, examples, tuple(options))
+    return CommandDescription(name, usage, paragraphs, examples, tuple(options))
 
 
 def _help_of(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

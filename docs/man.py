@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from docs.commands import EXIT_CODES, PROGRAMS, Described, described
+from docs.commands import EXIT_CODES, PROGRAMS, CommandDescription, described
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "share" / "man" / "man1"
@@ -52,7 +52,7 @@ def page(program: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _command(command: Described) -> Iterator[str]:
+def _command(command: CommandDescription) -> Iterator[str]:
     yield f'.SS "{_escaped(command.usage)}"'
     for number, paragraph in enumerate(command.paragraphs):
         if number:

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 from docs.markdown import number, table
-from docs.measured.sessions import Loaded, Measured, gain_and_std, value_and_std
+from docs.measured.sessions import LoadedRecording, MeasuredSets, gain_and_std, value_and_std
 from docs.measured.tables import MILLI, findings, reasons, refusals
 
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument
@@ -22,22 +22,22 @@ VERSIONS = {
 SAME_UNIT = (("02", "05", "07"), ("24", "03"))
 
 
-def trial(measured: Measured, name: str) -> CalibrationDocument:
+def trial(measured: MeasuredSets, name: str) -> CalibrationDocument:
     """The calibration made of one trial."""
     return measured.calibration(*VERSIONS[name])
 
 
-def broad_found(measured: Measured) -> str:
+def broad_found(measured: MeasuredSets) -> str:
     """What each trial gives by itself."""
     return findings({f"trial {name}": trial(measured, name) for name in VERSIONS})
 
 
-def broad_doubts(measured: Measured) -> str:
+def broad_doubts(measured: MeasuredSets) -> str:
     """What the solver says against its own results."""
     return reasons({f"trial {name}": trial(measured, name) for name in VERSIONS})
 
 
-def broad_gains(measured: Measured) -> str:
+def broad_gains(measured: MeasuredSets) -> str:
     """How far the gains of trials of one unit lie apart."""
     rows = []
     for unit in SAME_UNIT:
@@ -65,7 +65,7 @@ def broad_gains(measured: Measured) -> str:
     return table(head, rows)
 
 
-def broad_bias(measured: Measured) -> str:
+def broad_bias(measured: MeasuredSets) -> str:
     """The fitted bias and the mean of the rests of the same trial."""
     rows = []
     for name in VERSIONS:
@@ -80,30 +80,30 @@ def broad_bias(measured: Measured) -> str:
     return table(["trial", *(f"{a}, fitted / at rest, °/s" for a in "xyz")], rows)
 
 
-def rest_bias(loaded: Loaded) -> FloatArray:
+def rest_bias(loaded: LoadedRecording) -> FloatArray:
     """The mean rate of a trial's rests."""
     # The mean: these gyros count in steps of 0.061 deg/s, and a median is one of the steps.
     still = loaded.at_rest(loaded.samples.time_s)
     return np.asarray(loaded.samples.rate_rad_s[still].mean(axis=0), np.float64)
 
 
-def fit_of(measured: Measured, name: str) -> tuple[float, FloatArray, FloatArray]:
+def fit_of(measured: MeasuredSets, name: str) -> tuple[float, FloatArray, FloatArray]:
     """Time offset in s, bias and gain of one trial's fit."""
     calibration = trial(measured, name)
     offset_s = float(value_and_std(calibration, "time_offset")[0][0])
     return offset_s, value_and_std(calibration, "bias")[0], gain_and_std(calibration)[0]
 
 
-def car_found(measured: Measured) -> str:
+def car_found(measured: MeasuredSets) -> str:
     """The phone's gyro with the camera's pose as the reference."""
     return findings({"with the pose": measured.calibration("COMMA-PHONE")})
 
 
-def car_doubts(measured: Measured) -> str:
+def car_doubts(measured: MeasuredSets) -> str:
     """Why the pose is distrusted."""
     return reasons({"pose": measured.calibration("COMMA-PHONE")})
 
 
-def car_refused(measured: Measured) -> str:
+def car_refused(measured: MeasuredSets) -> str:
     """What is no gyro data."""
     return refusals(measured.runs["car-imu-can"])

@@ -16,7 +16,7 @@ from itertools import permutations
 import numpy as np
 from docs.markdown import number, table
 from docs.measured.attitude_sets import SAME_UNIT, fit_of, rest_bias
-from docs.measured.sessions import Loaded, Measured
+from docs.measured.sessions import LoadedRecording, MeasuredSets
 from tests.support.rotation_error import window_rotation_error
 
 from gyrorig_solver.data.arrays import FloatArray
@@ -82,7 +82,7 @@ class Pair:
         return np.asarray(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), np.float64)
 
 
-def held_out(measured: Measured) -> str:
+def held_out(measured: MeasuredSets) -> str:
     """Rotation error of every ordered pair, one column per set of parameters."""
     rows = []
     for pair in pairs(measured):
@@ -100,7 +100,7 @@ def held_out(measured: Measured) -> str:
     )
 
 
-def factors(measured: Measured) -> str:
+def factors(measured: MeasuredSets) -> str:
     """Error ratios of each pair, compared with raw and with the time offset alone."""
     rows = []
     for pair in pairs(measured):
@@ -125,7 +125,7 @@ def factors(measured: Measured) -> str:
     return table(head, rows)
 
 
-def summary(measured: Measured) -> str:
+def summary(measured: MeasuredSets) -> str:
     """The number of pairs in which the calibration helps, and by how much."""
     all_pairs = pairs(measured)
     whole = [pair.factor(RAW, ALL) for pair in all_pairs]
@@ -174,14 +174,14 @@ def _titled(name: str) -> str:
 
 
 @cache
-def pairs(measured: Measured) -> tuple[Pair, ...]:
+def pairs(measured: MeasuredSets) -> tuple[Pair, ...]:
     """Every ordered pair of trials of one unit."""
     return tuple(
         _pair(measured, train, test) for unit in SAME_UNIT for train, test in permutations(unit, 2)
     )
 
 
-def bands(measured: Measured) -> str:
+def bands(measured: MeasuredSets) -> str:
     """The fast trial fitted up to several frequency limits, tested on trials of its unit."""
     fast = measured.load(FAST)
     if fast.attitude is None:
@@ -203,7 +203,7 @@ def bands(measured: Measured) -> str:
     return table([*head, *(f"tested on trial {name}, °" for name in (*SLOW, FAST))], rows)
 
 
-def _pair(measured: Measured, train: str, test: str) -> Pair:
+def _pair(measured: MeasuredSets, train: str, test: str) -> Pair:
     loaded = measured.load(test)
     angles = {}
     begin = np.zeros(0)
@@ -215,7 +215,7 @@ def _pair(measured: Measured, train: str, test: str) -> Pair:
 
 
 def _errors(
-    loaded: Loaded, offset_s: float, bias_rad_s: FloatArray, gain: FloatArray
+    loaded: LoadedRecording, offset_s: float, bias_rad_s: FloatArray, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Angle errors of the windows in motion, and when each begins."""
     attitude = loaded.attitude
@@ -229,7 +229,7 @@ def _errors(
 
 
 def _ways(
-    measured: Measured, train: str, test: str, loaded: Loaded
+    measured: MeasuredSets, train: str, test: str, loaded: LoadedRecording
 ) -> Iterator[tuple[str, float, FloatArray, FloatArray]]:
     """The parameter sets: name, time offset, bias and gain."""
     offset_s, bias, gain = fit_of(measured, train)

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 from docs.markdown import number, table
-from docs.measured.sessions import EXPLAINED, Measured
+from docs.measured.sessions import EXPLAINED, MeasuredSets
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.arrays import FloatArray
@@ -26,18 +26,18 @@ TRIALS = ("02", "05", "07", "24", "03", "33")
 MOST = 3  # sizes of one cause that are written out
 
 
-def findings_of(measured: Measured, name: str) -> FindingsDocument:
+def findings_of(measured: MeasuredSets, name: str) -> FindingsDocument:
     """The findings that one explain command wrote."""
     (path,) = (measured.folder / EXPLAINED / name).glob("*/findings.yaml")
     return parse_findings(path.read_bytes(), path.name)
 
 
-def names(measured: Measured) -> list[str]:
+def names(measured: MeasuredSets) -> list[str]:
     """The folders of all explain commands, in the order of the page."""
     return [command.line.rpartition("/")[2] for command in measured.runs[EXPLAINED]]
 
 
-def causes(measured: Measured) -> str:
+def causes(measured: MeasuredSets) -> str:
     """Verdict, causes and unexplained dependence, one row per command."""
     rows = []
     for name in names(measured):
@@ -55,7 +55,7 @@ def causes(measured: Measured) -> str:
     return table(["recordings", "verdict", "causes", "residual depends"], rows)
 
 
-def gains(measured: Measured) -> str:
+def gains(measured: MeasuredSets) -> str:
     """The gain of the named causes on data that they were not fitted to."""
     rows = []
     for name in names(measured):
@@ -82,7 +82,7 @@ def gains(measured: Measured) -> str:
     return table(head, rows)
 
 
-def smoothing(measured: Measured) -> str:
+def smoothing(measured: MeasuredSets) -> str:
     """The averaging time of each trial's attitudes."""
     rows = []
     for name in TRIALS:
@@ -97,7 +97,7 @@ def smoothing(measured: Measured) -> str:
     return table(["trial", "averaging time of attitudes, ms rms"], rows)
 
 
-def moving(measured: Measured) -> str:
+def moving(measured: MeasuredSets) -> str:
     """The bias in motion minus the bias at rest, per trial."""
     rows = []
     for name in TRIALS:
@@ -111,7 +111,7 @@ def moving(measured: Measured) -> str:
 
 
 @cache
-def moving_bias(measured: Measured, name: str) -> tuple[FloatArray, FloatArray]:
+def moving_bias(measured: MeasuredSets, name: str) -> tuple[FloatArray, FloatArray]:
     """Bias in motion minus bias at rest and its standard deviation, rad/s."""
     recording = read_recording(measured.folder / f"{name}.mcap")
     data = load_board([recording], recording.board_ids[0])
@@ -127,7 +127,7 @@ def moving_bias(measured: Measured, name: str) -> tuple[FloatArray, FloatArray]:
     return covariance @ looked.score, np.sqrt(np.diag(covariance))
 
 
-def untold(measured: Measured) -> str:
+def untold(measured: MeasuredSets) -> str:
     """The recordings in which only the raw samples can be checked, with the reason."""
     lines = []
     for name in names(measured):

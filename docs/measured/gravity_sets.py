@@ -8,7 +8,7 @@ from docs.measured.printed import (
     IMU_CALIBRATION_SCALE_RAD_S,
     IMU_TK,
 )
-from docs.measured.sessions import Measured, gain_and_std, value_and_std
+from docs.measured.sessions import MeasuredSets, gain_and_std, value_and_std
 from docs.measured.tables import AXES, findings, gains_beside, reasons, untold
 
 from gyrorig_solver.calibration.calibration_wording import value_std_pairs
@@ -17,7 +17,7 @@ from gyrorig_solver.model.gain_matrix import factorise
 from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, format_quantity
 
 
-def xsens_found(measured: Measured) -> str:
+def xsens_found(measured: MeasuredSets) -> str:
     """The result and that of imu_tk, in the same factors."""
     calibration = measured.calibration("XSENS-MTI")
     scale_rad_s = _scale_rad_s(measured, "xsens")
@@ -48,14 +48,14 @@ def _factors(gain: FloatArray) -> FloatArray:
     return np.concatenate([factors.scale, factors.nonorthogonality, factors.misalignment_rad])
 
 
-def xsens_gains(measured: Measured) -> str:
+def xsens_gains(measured: MeasuredSets) -> str:
     """The nine gains and those of imu_tk."""
     ours = gain_and_std(measured.calibration("XSENS-MTI"))
     theirs = IMU_TK.gain(_scale_rad_s(measured, "xsens"))
     return gains_beside(ours, theirs, ("gyrorig", "imu_tk"), 5)
 
 
-def xsens_bias(measured: Measured) -> str:
+def xsens_bias(measured: MeasuredSets) -> str:
     """The bias and the two biases of imu_tk."""
     scale = _scale_rad_s(measured, "xsens")
     bias, std = value_and_std(measured.calibration("XSENS-MTI"), "bias")
@@ -83,12 +83,12 @@ def xsens_bias(measured: Measured) -> str:
     return table(["axis", *titles], rows)
 
 
-def xsens_doubts(measured: Measured) -> str:
+def xsens_doubts(measured: MeasuredSets) -> str:
     """What this session does not determine."""
     return reasons({"session": measured.calibration("XSENS-MTI")})
 
 
-def raw_counts_found(measured: Measured) -> str:
+def raw_counts_found(measured: MeasuredSets) -> str:
     """The rest and the poses."""
     return findings(
         {
@@ -98,7 +98,7 @@ def raw_counts_found(measured: Measured) -> str:
     )
 
 
-def raw_counts_untold(measured: Measured) -> str:
+def raw_counts_untold(measured: MeasuredSets) -> str:
     """The parameters without a value."""
     rows = [
         [title, untold(measured.calibration("MPU6050-RAW", version))]
@@ -107,7 +107,7 @@ def raw_counts_untold(measured: Measured) -> str:
     return table(["recording", "no value"], rows)
 
 
-def raw_counts_doubts(measured: Measured) -> str:
+def raw_counts_doubts(measured: MeasuredSets) -> str:
     """The reasons."""
     return reasons(
         {
@@ -117,7 +117,7 @@ def raw_counts_doubts(measured: Measured) -> str:
     )
 
 
-def raw_counts_beside(measured: Measured) -> str:
+def raw_counts_beside(measured: MeasuredSets) -> str:
     """The result of the poses and that in the authors' repository."""
     scale = _scale_rad_s(measured, "poses")
     calibration = measured.calibration("MPU6050-RAW", 2)
@@ -141,5 +141,5 @@ def raw_counts_beside(measured: Measured) -> str:
     return table(["parameter", "gyrorig", "ImuCalibration", "difference / std"], rows)
 
 
-def _scale_rad_s(measured: Measured, name: str) -> float:
+def _scale_rad_s(measured: MeasuredSets, name: str) -> float:
     return measured.load(name).samples.quantum_rad_s

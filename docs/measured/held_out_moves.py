@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from docs.markdown import number, table
 from docs.measured.printed import IMU_TK
-from docs.measured.sessions import Measured
+from docs.measured.sessions import MeasuredSets
 from scipy.optimize import least_squares
 
 from gyrorig_solver.data.arrays import FloatArray
@@ -51,7 +51,7 @@ class Move:
         return float(np.arctan2(sine, carried @ self.after))
 
 
-def held_out(measured: Measured) -> str:
+def held_out(measured: MeasuredSets) -> str:
     """Angle errors of the moves, per set of parameters."""
     loaded = measured.load("xsens")
     samples, quiet = loaded.samples, loaded.rests[0]

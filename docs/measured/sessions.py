@@ -139,7 +139,7 @@ class CommandRun:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Loaded:
+class LoadedRecording:
     """One imported recording as the estimators take it."""
 
     samples: GyroSamples
@@ -156,7 +156,7 @@ class Loaded:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class MeasuredSets:
     """Every set, imported, checked and solved below one folder."""
 
     data: Path
@@ -180,7 +180,7 @@ class Measured:
         """The findings that `gyrorig explain` wrote."""
         return sorted((self.folder / EXPLAINED).rglob("*.yaml"))
 
-    def load(self, name: str) -> Loaded:
+    def load(self, name: str) -> LoadedRecording:
         """Read a recording back."""
         recording = read_recording(self.folder / f"{name}.mcap")
         samples = load_samples(recording, recording.board_ids[0])
@@ -192,12 +192,12 @@ class Measured:
             attitude = read_attitude(
                 np.asarray(time_s, np.float64), raw["orientation"], raw["standard_deviation"]
             )
-        return Loaded(samples, phases.turns, phases.rests, attitude)
+        return LoadedRecording(samples, phases.turns, phases.rests, attitude)
 
 
 def run_all(
     data: Path, folder: Path, commands: Mapping[str, tuple[str, ...]] = COMMANDS
-) -> Measured:
+) -> MeasuredSets:
     """Run every command of the page, or those given.
 
     Args:
@@ -209,7 +209,7 @@ def run_all(
     with contextlib.chdir(folder):
         for name, lines in commands.items():
             runs[name] = tuple(_run(line, data) for line in lines)
-    return Measured(data, folder, runs)
+    return MeasuredSets(data, folder, runs)
 
 
 def _run(line: str, data: Path) -> CommandRun:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 from docs.markdown import number, table
-from docs.measured.sessions import EXPLAINED, CommandRun, Measured
+from docs.measured.sessions import EXPLAINED, CommandRun, MeasuredSets
 
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import collapse_groups, value_std_pairs
@@ -20,7 +20,7 @@ def commands(runs: Iterable[CommandRun]) -> str:
     return "\n".join(("```sh", *(command.line for command in runs), "```"))
 
 
-def codes(measured: Measured) -> str:
+def codes(measured: MeasuredSets) -> str:
     """The exit status of each command of each set."""
     rows = []
     for name, runs in measured.runs.items():

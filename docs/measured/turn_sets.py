@@ -5,7 +5,7 @@ from importlib import import_module
 
 import numpy as np
 from docs.markdown import number, table
-from docs.measured.sessions import Loaded, Measured, gain_and_std, value_and_std
+from docs.measured.sessions import LoadedRecording, MeasuredSets, gain_and_std, value_and_std
 from docs.measured.tables import AXES, findings, gains_beside, reasons, refusals, untold
 
 from gyrorig_solver.data.arrays import FloatArray
@@ -13,7 +13,7 @@ from gyrorig_solver.data.arrays import FloatArray
 RATE_HZ = 102.4  # of the Ferraris session, by its repository's example
 
 
-def imucal_result(measured: Measured) -> tuple[FloatArray, FloatArray]:
+def imucal_result(measured: MeasuredSets) -> tuple[FloatArray, FloatArray]:
     """Gain and bias in deg/s that the installed imucal makes of the same session.
 
     Raises:
@@ -36,18 +36,18 @@ def imucal_result(measured: Measured) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def ferraris_found(measured: Measured) -> str:
+def ferraris_found(measured: MeasuredSets) -> str:
     """The session's result."""
     return findings({"session": measured.calibration("FERRARIS")})
 
 
-def ferraris_gains(measured: Measured) -> str:
+def ferraris_gains(measured: MeasuredSets) -> str:
     """The nine gains and those of imucal."""
     ours = gain_and_std(measured.calibration("FERRARIS"))
     return gains_beside(ours, imucal_result(measured)[0], ("gyrorig", "imucal"), 5)
 
 
-def ferraris_bias(measured: Measured) -> str:
+def ferraris_bias(measured: MeasuredSets) -> str:
     """The bias and that of imucal."""
     bias, std = value_and_std(measured.calibration("FERRARIS"), "bias")
     theirs = imucal_result(measured)[1]
@@ -62,17 +62,17 @@ def ferraris_bias(measured: Measured) -> str:
     return table(["axis", "gyrorig, °/s", "imucal, °/s"], rows)
 
 
-def ferraris_doubts(measured: Measured) -> str:
+def ferraris_doubts(measured: MeasuredSets) -> str:
     """What this session does not tell."""
     return reasons({"session": measured.calibration("FERRARIS")})
 
 
-def serial_found(measured: Measured) -> str:
+def serial_found(measured: MeasuredSets) -> str:
     """Rest and turns solved together."""
     return findings({"rest and both turns": measured.calibration("MPU6050-SERIAL")})
 
 
-def serial_sums(measured: Measured) -> str:
+def serial_sums(measured: MeasuredSets) -> str:
     """Each turn by a plain sum, with the bias of the rest's mean: no fit in it."""
     bias = float(measured.load("rest").samples.rate_rad_s[:, 0].mean())
     rows = []
@@ -93,17 +93,17 @@ def serial_sums(measured: Measured) -> str:
     return table(head, rows)
 
 
-def _counted_rad(turn: Loaded, bias_rad_s: float) -> float:
+def _counted_rad(turn: LoadedRecording, bias_rad_s: float) -> float:
     samples = turn.samples
     return float(np.trapezoid(samples.rate_rad_s[:, 0] - bias_rad_s, samples.time_s))
 
 
-def serial_refused(measured: Measured) -> str:
+def serial_refused(measured: MeasuredSets) -> str:
     """The turns without the rest."""
     return refusals(measured.runs["mpu6050-serial-log"])
 
 
-def serial_untold(measured: Measured) -> str:
+def serial_untold(measured: MeasuredSets) -> str:
     """What two turns about one axis leave open."""
     calibration = measured.calibration("MPU6050-SERIAL")
     return f"No value: {untold(calibration)}.\n\n" + reasons({"together": calibration})

@@ -28,10 +28,10 @@ from docs.measured import (
     tables,
     turn_sets,
 )
-from docs.measured.sessions import COMMANDS, Measured, measured_folder, run_all
+from docs.measured.sessions import COMMANDS, MeasuredSets, measured_folder, run_all
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "measured-data.md"
-TABLES: dict[str, Callable[[Measured], str]] = {
+TABLES: dict[str, Callable[[MeasuredSets], str]] = {
     "exit-codes": tables.codes,
     "broad-found": attitude_sets.broad_found,
     "broad-held-out": cross_validation.held_out,
@@ -69,7 +69,7 @@ TABLES: dict[str, Callable[[Measured], str]] = {
 }
 
 
-def blocks(measured: Measured) -> dict[str, Block]:
+def blocks(measured: MeasuredSets) -> dict[str, Block]:
     """Every block of the page, for one run of the commands."""
     lines = {f"{name}-commands": partial(tables.commands, measured.runs[name]) for name in COMMANDS}
     return {**lines, **{name: partial(made, measured) for name, made in TABLES.items()}}

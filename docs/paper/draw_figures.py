@@ -40,7 +40,7 @@ EVERY = 10  # drawn at 10 Hz
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
+class SimulatedBoard:
     """A simulated board on the paper's two tests."""
 
     board: PrintedBoard
@@ -53,20 +53,20 @@ class Simulated:
         return calibrated(self.motion, self.rate_rad_s, bias)
 
 
-def simulated(board: PrintedBoard, gain: FloatArray, static_s: float, seed: int) -> Simulated:
+def simulated(board: PrintedBoard, gain: FloatArray, static_s: float, seed: int) -> SimulatedBoard:
     """`board` with `gain`, Table 2's static bias as degrees per second, and noise, on path A."""
     motion = along(next(iter(paths().values())), static_s=static_s)
     noise = white_noise_rad_s(motion.time_s.size, seed, RATE_HZ)
     rate = motion.body_rate_rad_s() @ gain.T + np.radians(board.bias_static) + noise
-    return Simulated(board, gain, motion, np.asarray(rate))
+    return SimulatedBoard(board, gain, motion, np.asarray(rate))
 
 
-def gy80() -> Simulated:
+def gy80() -> SimulatedBoard:
     """The GY80 of check_estimators.py; static test of 100 s (section III)."""
     return simulated(GY80, true_gain(), static_s=100.0, seed=4)
 
 
-def mpu6515() -> Simulated:
+def mpu6515() -> SimulatedBoard:
     """The MPU 6515: Table 3's scales, a mount of -1.8 degrees; static test of 30 s (section IV)."""
     gain = MPU.S @ rotation_about_tilt_axis(np.radians(-1.8))
     return simulated(MPU, np.asarray(gain), static_s=30.0, seed=8)
@@ -144,7 +144,7 @@ def reference_figure() -> Figure:
     return figure
 
 
-def static_figure(case: Simulated, number_in_paper: int) -> Figure:
+def static_figure(case: SimulatedBoard, number_in_paper: int) -> Figure:
     """Figures 5 and 8: the integrated static test, and the same without its slope."""
     figure, first, second = _panels(
         f"Fig. {number_in_paper}, simulated {case.board.name}: static test",
@@ -163,7 +163,7 @@ def static_figure(case: Simulated, number_in_paper: int) -> Figure:
     return figure
 
 
-def quasi_static_figure(case: Simulated, number_in_paper: int) -> Figure:
+def quasi_static_figure(case: SimulatedBoard, number_in_paper: int) -> Figure:
     """Figures 6 and 9: the integrated cycles with the line taken for the bias, and without."""
     figure, first, second = _panels(
         f"Fig. {number_in_paper}, simulated {case.board.name}: quasi-static test",
@@ -181,7 +181,7 @@ def quasi_static_figure(case: Simulated, number_in_paper: int) -> Figure:
     return figure
 
 
-def corrected_figure(case: Simulated, number_in_paper: int) -> Figure:
+def corrected_figure(case: SimulatedBoard, number_in_paper: int) -> Figure:
     """Figures 7 and 10: measured angles beside the reference, before and after calibration."""
     figure, first, second = _panels(
         f"Fig. {number_in_paper}, simulated {case.board.name}: solid measured, dotted reference",

@@ -24,7 +24,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.bench.fleet_growth import costs, fill
-from tests.bench.fleet_machine import Measured, measured, timed
+from tests.bench.fleet_machine import CommandCost, measured, timed
 from tests.bench.synthetic_fleet import FleetPlan, write_fleet
 
 from gyrorig_protocol.identity import BoardId
@@ -98,13 +98,13 @@ def batch(spool: Path, store: Path, *more: str) -> list[str]:
     return [GYRORIG, "batch", "--spool", str(spool), "--store", str(store), "--json", *more]
 
 
-def by_pool(spool: Path, workers: int) -> Measured:
+def by_pool(spool: Path, workers: int) -> CommandCost:
     """Run a batch on this machine's own processes."""
     with tempfile.TemporaryDirectory() as folder:
         return measured(batch(spool, Path(folder) / "s", "--workers", str(workers)))
 
 
-def by_dask(spool: Path, workers: int) -> Measured:
+def by_dask(spool: Path, workers: int) -> CommandCost:
     """Run a batch on a scheduler, whose start and end count too."""
     script = (
         "import subprocess, sys, json; from tests.bench.bench_fleet import batch, cluster; "
@@ -120,7 +120,7 @@ def by_dask(spool: Path, workers: int) -> Measured:
         return measured(command, {**os.environ, "PYTHONPATH": root})
 
 
-def by_shards(spool: Path, workers: int) -> Measured:
+def by_shards(spool: Path, workers: int) -> CommandCost:
     """Run so many batches at once, each with one worker and its own shard."""
     with tempfile.TemporaryDirectory() as folder:
         commands = [
@@ -132,7 +132,7 @@ def by_shards(spool: Path, workers: int) -> Measured:
         return measured(["sh", "-c", " & ".join(commands) + " & wait"])
 
 
-ENGINES: dict[str, Callable[[Path, int], Measured]] = {
+ENGINES: dict[str, Callable[[Path, int], CommandCost]] = {
     "pool": by_pool,
     "dask": by_dask,
     "shards": by_shards,

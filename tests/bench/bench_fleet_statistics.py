@@ -52,7 +52,7 @@ KINDS = {"nothing": (0.0,), "rig": RIG_SIZES, "lot": LOT_SIZES, "constant": CONS
 
 
 @dataclass(frozen=True)
-class Told:
+class AlertRecord:
     """What one way of asking said of one fleet."""
 
     delay: int | None  # nights from its begin until what is hidden was told, None: never
@@ -66,9 +66,9 @@ class Case:
 
     kind: str
     size: float
-    ours: Told
-    usual: Told
-    wide: Told  # Shewhart's, the limits so wide that groups raise as little as ours
+    ours: AlertRecord
+    usual: AlertRecord
+    wide: AlertRecord  # Shewhart's, the limits so wide that groups raise as little as ours
 
 
 def family(parameter: str) -> str:
@@ -156,7 +156,7 @@ class Fleet:
         )
 
 
-def ours(fleet: Fleet, kind: str) -> Told:
+def ours(fleet: Fleet, kind: str) -> AlertRecord:
     """Ask a fleet as `gyrorig fleet` does, night after night."""
     delay, wrong, board_nights = None, 0, 0
     for night in range(BEGIN, NIGHTS):
@@ -175,10 +175,10 @@ def ours(fleet: Fleet, kind: str) -> Told:
             delay = night - BEGIN + 1
         wrong += sum(alert != right for alert in alerts)
         board_nights += int(moved.drifting.sum())
-    return Told(delay, wrong, board_nights)
+    return AlertRecord(delay, wrong, board_nights)
 
 
-def usual(fleet: Fleet, kind: str, limit: float) -> Told:
+def usual(fleet: Fleet, kind: str, limit: float) -> AlertRecord:
     """Ask it by Shewhart's charts: each board, each group, each mean against nominal.
 
     Args:
@@ -204,7 +204,7 @@ def usual(fleet: Fleet, kind: str, limit: float) -> Told:
                 delay = min(delay or NIGHTS, night - BEGIN + 1)
             else:
                 wrong += 1
-    return Told(delay, wrong, board_nights)
+    return AlertRecord(delay, wrong, board_nights)
 
 
 def _of_newest(newest: LatestCalibrations, limit: float) -> Iterator[tuple[str, str, str]]:
@@ -315,7 +315,7 @@ def table(cases: Sequence[Case]) -> list[str]:
                 continue
             words = [f"{len(here)}"]
             for way in ("ours", "usual", "wide"):
-                methods: list[Told] = [getattr(case, way) for case in here]
+                methods: list[AlertRecord] = [getattr(case, way) for case in here]
                 delays = [method.delay for method in methods if method.delay is not None]
                 late = f"{np.median(delays):.0f}" if delays else "-"
                 share = "-" if kind == "nothing" else f"{len(delays)} of {len(methods)}"

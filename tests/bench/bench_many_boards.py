@@ -54,7 +54,7 @@ GROUPS = ("scale", "nonorthogonality", "misalignment")
 
 
 @dataclass(frozen=True)
-class Compared:
+class JointComparison:
     """One session: alone first, together second."""
 
     std: np.ndarray  # (2, boards, 9)
@@ -68,7 +68,7 @@ class Compared:
 
 def session(
     seed: int, baud: int, command_time_ms: float, folder: Path, hide: Sequence[str] = ()
-) -> Compared:
+) -> JointComparison:
     """Record and solve one session both ways."""
     path, rig, end_ns = _recorded(seed, baud, command_time_ms, folder, hide)
     truth = {name: board.imu.gain for name, board in rig.truth.boards.items()}
@@ -108,7 +108,7 @@ def session(
             for fits in (alone.values(), [_fit(together[b]) for b in boards])
         ]
     )
-    return Compared(std, error, cpu_s, taken, apart_s, values[..., 0], values[..., 1])
+    return JointComparison(std, error, cpu_s, taken, apart_s, values[..., 0], values[..., 1])
 
 
 def _own(named: Sequence[FittedTerm]) -> list[FittedTerm]:
@@ -210,7 +210,7 @@ def _recorded(
     return path, rig, hub.now_ns()
 
 
-def result_lines(comparisons: Sequence[Compared]) -> list[str]:
+def result_lines(comparisons: Sequence[JointComparison]) -> list[str]:
     """Return the figures in words."""
     std = np.concatenate([comparison.std for comparison in comparisons], axis=1)
     error = np.concatenate([comparison.error for comparison in comparisons], axis=1)
@@ -243,7 +243,7 @@ def result_lines(comparisons: Sequence[Compared]) -> list[str]:
     return lines
 
 
-def _said_of_cause(comparisons: Sequence[Compared]) -> list[str]:
+def _said_of_cause(comparisons: Sequence[JointComparison]) -> list[str]:
     """Return how well the hidden cause's sizes are known, where all sessions named the same."""
     sizes = {comparison.cause.shape for comparison in comparisons}
     if len(sizes) != 1 or not comparisons[0].cause.shape[-1]:

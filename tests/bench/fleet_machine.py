@@ -19,7 +19,7 @@ LOOK_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class CommandCost:
     """What a command took."""
 
     wall_s: float
@@ -35,7 +35,7 @@ def adopt() -> None:
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
-def measured(command: Sequence[str], environment: Mapping[str, str] | None = None) -> Measured:
+def measured(command: Sequence[str], environment: Mapping[str, str] | None = None) -> CommandCost:
     """Run a command to its end and that of all it has started."""
     adopt()
     before, begun_s = _cpu_s(), time.monotonic()
@@ -51,7 +51,7 @@ def measured(command: Sequence[str], environment: Mapping[str, str] | None = Non
     end.set()
     looker.join()
     reap()
-    return Measured(wall_s, _cpu_s() - before, most[0], out, err, child.returncode)
+    return CommandCost(wall_s, _cpu_s() - before, most[0], out, err, child.returncode)
 
 
 def reap() -> None:

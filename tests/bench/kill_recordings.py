@@ -73,7 +73,7 @@ class Kill:
     why: str = ""  # what the processes did in the time that is lost
 
 
-class Forked:
+class ForkedRecorder:
     """A `gyrorigd` that begins without importing anything."""
 
     def __init__(self, arguments: list[str]) -> None:
@@ -147,11 +147,11 @@ class Rig:
             return kill
         return replace(kill, why=witness.busy_text(killed_s - kill.loss_s))
 
-    def _begin(self, out: Path) -> "Forked":
+    def _begin(self, out: Path) -> "ForkedRecorder":
         files = ["--config", str(self._rig), "--program", str(self._program), "--out", str(out)]
         refused = 0
         while True:
-            daemon = Forked(["record", *files])
+            daemon = ForkedRecorder(["record", *files])
             deadline = time.monotonic() + 60.0
             while not self._files(out) and time.monotonic() < deadline:
                 if daemon.wait(0.01):

@@ -1,6 +1,6 @@
 """How long processes stood still, and why, in the last seconds: a witness beside them.
 
-What to use when: `Witness` beside a process that is going to be killed; `told` says what each
+What to use when: `Witness` beside a process that is going to be killed; `busy_text` says what each
 of the processes did in a span of time: ran, waited for a processor, or slept on the disk.
 The kernel counts the first two for every thread (/proc/PID/task/TID/schedstat); the third is
 the state D, looked at.
@@ -42,7 +42,7 @@ class Witness:
         """Begin to look.
 
         Args:
-            pids: by the names that `told` uses.
+            pids: by the names that `busy_text` uses.
         """
         self._pids = dict(pids)
         self._looks: dict[str, deque[_Look]] = {

@@ -44,7 +44,7 @@ class Outcome:
     Attributes:
         status: same, different, new, updated, skipped or failed.
         seconds: how long the command took.
-        found: where its result differs.
+        differences: where its result differs.
         remark: why it was skipped or has failed.
     """
 

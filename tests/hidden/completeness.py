@@ -43,7 +43,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from tests.hidden.scoring.complete import UNSEEN, Left
+from tests.hidden.scoring.complete import UNSEEN, Remainder
 from tests.hidden.scoring.goals import COMPLETE_LEFT
 
 from gyrorig_daemon.cli import run
@@ -285,7 +285,7 @@ def main() -> None:
         )
 
 
-def _line(hidden_cause: str, program: str, soak_k: float | None, seed: int) -> Left | None:
+def _line(hidden_cause: str, program: str, soak_k: float | None, seed: int) -> Remainder | None:
     """Fit one cause, print its line and return it; None where it cannot be fitted."""
     name, _, size = hidden_cause.partition(":")
     cause, _, place = name.partition("@")
@@ -305,7 +305,7 @@ def _line(hidden_cause: str, program: str, soak_k: float | None, seed: int) -> L
     )
     sys.stdout.flush()
     effect, left = round(e.effect, 2), round(e.term - e.floor, 4)
-    return Left(cause, place, program, soak_k or 0.0, effect, left)
+    return Remainder(cause, place, program, soak_k or 0.0, effect, left)
 
 
 if __name__ == "__main__":

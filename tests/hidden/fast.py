@@ -12,7 +12,7 @@ from typing import Any
 
 from tests.hidden.scoring.answers import Answer, HiddenCause
 from tests.hidden.scoring.outcome import Outcome, outcome_of
-from tests.hidden.scoring.stated import Stated, explained, line_of
+from tests.hidden.scoring.stated import StatedExplanation, explained, line_of
 from tests.hidden.scoring.variants import REAL, VARIANTS
 
 HERE = Path(__file__).resolve().parent
@@ -40,7 +40,7 @@ class Sessions:
         self.lines = list(lines)
         self._folder = folder
         self._there: set[str] = set()
-        self._said: dict[tuple[str, str], Stated] = {}
+        self._said: dict[tuple[str, str], StatedExplanation] = {}
         lines_path = folder / "lines.json"
         lines_path.write_text(json.dumps(self.lines), encoding="utf-8")
         order = [sys.executable, str(RECORDER), "--out", str(folder), "--lines", str(lines_path)]
@@ -60,7 +60,7 @@ class Sessions:
             self._there.add(line_text.strip())
         return self._folder / f"{name}.mcap"
 
-    def stated(self, line: Line, variant: str = REAL) -> Stated:
+    def stated(self, line: Line, variant: str = REAL) -> StatedExplanation:
         """Return what a finder says of a session, before any change of its words."""
         look = VARIANTS[variant].explain
         key = name_of(line), "" if look is VARIANTS[REAL].explain else variant

@@ -17,12 +17,12 @@ from tests.hidden.explain_cases import bounds_path, held_path, results_of
 from tests.hidden.scoring.answers import cases, opened
 from tests.hidden.scoring.figures import Gap, figures, missed
 from tests.hidden.scoring.goals import GOALS
-from tests.hidden.scoring.kept import Kept, write_kept
+from tests.hidden.scoring.kept import JudgedCases, write_judged_cases
 from tests.hidden.scoring.outcome import Outcome, outcome_of
 from tests.hidden.scoring.possible import Bound
 
 
-def judged(corpora: Sequence[Path], results: Sequence[Path]) -> Kept:
+def judged(corpora: Sequence[Path], results: Sequence[Path]) -> JudgedCases:
     """Return the outcome of every case that was explained.
 
     Args:
@@ -52,14 +52,14 @@ def judged(corpora: Sequence[Path], results: Sequence[Path]) -> Kept:
         for seed, row in results_of(bounds_path(path)).items()
         if seed in seeds
     ]
-    return Kept(
+    return JudgedCases(
         sorted(outcomes, key=lambda outcome: outcome.seed),
         sorted(gaps, key=lambda gap: gap.seed),
         sorted(bounds, key=lambda bound: bound.seed),
     )
 
 
-def summary_text(judged_cases: Kept) -> str:
+def summary_text(judged_cases: JudgedCases) -> str:
     """Return the figures beside their goals, and what went wrong in which case, for a terminal."""
     results = figures(judged_cases.outcomes, judged_cases.gaps, judged_cases.bounds)
     failed = {goal.name for goal in missed(results)}
@@ -103,7 +103,7 @@ def main() -> None:
     judged_cases = judged(arguments.corpus, arguments.results)
     sys.stdout.write(summary_text(judged_cases) + "\n")
     if arguments.out is not None:
-        write_kept(arguments.out, judged_cases)
+        write_judged_cases(arguments.out, judged_cases)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from tests.hidden.explain_cases import end_cut_line, results_of
 from tests.hidden.scoring import tables
 from tests.hidden.scoring.answers import SCHEMAS, Answer, HiddenCause, SealError, opened
 from tests.hidden.scoring.figures import Gap, confusion, figures, missed
-from tests.hidden.scoring.kept import Kept, read_kept, write_kept
+from tests.hidden.scoring.kept import JudgedCases, read_judged_cases, write_judged_cases
 from tests.hidden.scoring.outcome import Outcome, outcome_of
 from tests.hidden.scoring.picture import confusion_picture
 from tests.hidden.scoring.possible import Bound, possible
@@ -200,11 +200,11 @@ def test_a_line_cut_off_by_a_stop_is_done_again(tmp_path: Path) -> None:
 
 def test_what_is_kept_gives_the_same_figures(tmp_path: Path) -> None:
     sealed_answer = answer(("backlash", 2.0))
-    judged_cases = Kept(
+    judged_cases = JudgedCases(
         [judged(sealed_answer, named("backlash")), judged(sealed_answer, named("ringing"))], []
     )
-    write_kept(tmp_path / "kept.json", judged_cases)
-    again = read_kept(tmp_path / "kept.json")
+    write_judged_cases(tmp_path / "kept.json", judged_cases)
+    again = read_judged_cases(tmp_path / "kept.json")
     before, after = figures(judged_cases.outcomes), figures(again.outcomes)
     assert {k: v.words for k, v in before.items()} == {k: v.words for k, v in after.items()}
     picture = confusion_picture(again.outcomes)
@@ -229,12 +229,12 @@ def test_what_the_data_bear_goes_with_what_the_best_rival_leaves() -> None:
 
 def test_the_bound_is_said_beside_the_figure_and_kept(tmp_path: Path) -> None:
     sealed_answer = answer(("scale_asymmetry", 2.0))
-    judged_cases = Kept(
+    judged_cases = JudgedCases(
         [judged(sealed_answer, named("scale_asymmetry"))], [], [bound(0.0, sealed_answer.seed)]
     )
     figure = figures(judged_cases.outcomes, (), judged_cases.bounds)["sole_right"]
     assert figure.words.endswith("upper bound 0.0 %")
-    write_kept(tmp_path / "kept.json", judged_cases)
-    assert read_kept(tmp_path / "kept.json").bounds == judged_cases.bounds
+    write_judged_cases(tmp_path / "kept.json", judged_cases)
+    assert read_judged_cases(tmp_path / "kept.json").bounds == judged_cases.bounds
     assert "`scale_quadratic`" in tables.inseparable(judged_cases.bounds)
     assert tables.inseparable([]) == "Not measured."

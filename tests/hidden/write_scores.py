@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from docs.blocks import write_or_check
 from docs.markdown import Block
 from tests.hidden.scoring import complete, once, tables
-from tests.hidden.scoring.kept import Kept, read_kept
+from tests.hidden.scoring.kept import JudgedCases, read_judged_cases
 from tests.hidden.scoring.picture import confusion_picture
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -28,9 +28,9 @@ PICTURE = DOCS / "img" / "confusion.svg"
 
 
 @cache
-def read_judged() -> Kept:
+def read_judged() -> JudgedCases:
     """Return the results of the last run of the long tier."""
-    return read_kept(RESULTS)
+    return read_judged_cases(RESULTS)
 
 
 @cache

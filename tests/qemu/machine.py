@@ -126,7 +126,7 @@ class Machine:
 
 
 def until(holds: Callable[[], bool], limit_s: float, description: Callable[[], str]) -> None:
-    """Wait for a condition; raises with what `told` returns when it does not come."""
+    """Wait for a condition; raises with what `description` returns when it does not come."""
     end_s = time.monotonic() + limit_s
     while not holds():
         if time.monotonic() > end_s:

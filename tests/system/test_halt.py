@@ -33,7 +33,7 @@ MOVES_S = 60.0  # so long may a thread be kept from serving the unit
 PAN_STEPS, TILT_STEPS = 3000, 600
 
 
-class Emulated:
+class EmulatedRigThread:
     """An emulated rig on ptys, served in a thread; it may be put in motion beforehand."""
 
     def __init__(self, settings: PtuSettings, orders: bytes = b"", only_at: int = 0) -> None:
@@ -91,7 +91,7 @@ class Emulated:
 
         ptu.receive = receive  # type: ignore[method-assign]
 
-    def __enter__(self) -> "Emulated":
+    def __enter__(self) -> "EmulatedRigThread":
         self._thread.start()
         return self
 
@@ -150,7 +150,7 @@ def rig_yaml(folder: Path, port: str, board: str = "/dev/none", baud: int = 1152
 def test_halted_in_motion(
     tmp_path: Path, settings: PtuSettings, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with Emulated(settings, BOTH_TURN) as unit:
+    with EmulatedRigThread(settings, BOTH_TURN) as unit:
         assert unit.both.wait(MOVES_S)
         config = rig_yaml(tmp_path, unit.port, baud=settings.baud)
         assert run(["halt", "--config", config, "--json"]) == 0
@@ -174,7 +174,7 @@ def test_success_is_reported_at_standstill_not_at_the_command(tmp_path: Path) ->
     slow_to_stop = replace(
         E46, base_speed_steps_s=50, speed_steps_s=2900, acceleration_steps_s2=200
     )
-    with Emulated(slow_to_stop, b"PP-3000 ") as unit:
+    with EmulatedRigThread(slow_to_stop, b"PP-3000 ") as unit:
         pan = unit.rig.stage.pan
         assert unit.ramps.wait(MOVES_S)
         begun = time.monotonic()
@@ -188,7 +188,9 @@ def test_success_is_reported_at_standstill_not_at_the_command(tmp_path: Path) ->
 
 
 def test_a_command_truncated_by_a_crash(tmp_path: Path) -> None:
-    with Emulated(E46, b"PS200 PP3000 PP-30") as unit:  # the writer died before the last 00
+    with EmulatedRigThread(
+        E46, b"PS200 PP3000 PP-30"
+    ) as unit:  # the writer died before the last 00
         assert unit.moves.wait(MOVES_S)
         halt_unit(unit.port, (115200,))
         assert not unit.turning()
@@ -196,7 +198,7 @@ def test_a_command_truncated_by_a_crash(tmp_path: Path) -> None:
 
 def test_a_few_line_faults_are_tolerated() -> None:
     faults = PtuFaults(garbage_every=5, lose_byte_every=7)
-    with Emulated(replace(E46, faults=faults), BOTH_TURN) as unit:
+    with EmulatedRigThread(replace(E46, faults=faults), BOTH_TURN) as unit:
         assert unit.moves.wait(MOVES_S)
         halt_unit(unit.port, (115200,))
         assert not unit.turning()
@@ -207,7 +209,7 @@ def test_halt_stops_a_unit_left_moving_by_killed_processes(
 ) -> None:
     program = tmp_path / "program.yaml"
     program.write_text("name: p\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 4.0}\n")
-    with Emulated(replace(E46, command_time_ms=2.0)) as unit:
+    with EmulatedRigThread(replace(E46, command_time_ms=2.0)) as unit:
         config = rig_yaml(tmp_path, unit.port, unit.board)
         daemon = subprocess.Popen(
             [*GYRORIGD, "record", "--config", config, "--program", program, "--out", tmp_path]
@@ -240,7 +242,7 @@ def test_a_recording_refused_for_a_missing_board_halts_the_unit_too(
 ) -> None:
     program = tmp_path / "program.yaml"
     program.write_text("name: p\nsteps:\n  - rest: {seconds: 1.0}\n")
-    with Emulated(E46, BOTH_TURN) as unit:
+    with EmulatedRigThread(E46, BOTH_TURN) as unit:
         assert unit.moves.wait(MOVES_S)
         config = rig_yaml(tmp_path, unit.port)
         arguments = ["record", "--config", config, "--program", str(program)]
@@ -256,7 +258,7 @@ def test_another_baud_rate_than_configured(
     monkeypatch.setattr(
         standalone_halt, "OTHER_BAUD_ANSWER_S", 1.5
     )  # this machine may have other work
-    with Emulated(replace(E46, baud=19200), BOTH_TURN, only_at=19200) as unit:
+    with EmulatedRigThread(replace(E46, baud=19200), BOTH_TURN, only_at=19200) as unit:
         assert unit.moves.wait(MOVES_S)
         assert run(["halt", "--config", rig_yaml(tmp_path, unit.port)]) == 0
         assert not unit.turning()
@@ -279,7 +281,7 @@ def test_a_silent_port_ends_within_seconds(
 def test_other_devices_are_distinguished(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(standalone_halt, "FIRST_ANSWER_S", 0.2)
     monkeypatch.setattr(direct_ptu_line, "DRAIN_S", 0.1)
-    with Emulated(E46) as rig, pytest.raises(DeviceError, match="is not a pan-tilt unit"):
+    with EmulatedRigThread(E46) as rig, pytest.raises(DeviceError, match="is not a pan-tilt unit"):
         halt_unit(rig.board, (460800,))
     noise = bytes(range(256)) * 2
     with scripted(lambda _: noise) as port, pytest.raises(DeviceError, match="is not a pan-tilt"):
@@ -361,7 +363,7 @@ def test_no_configuration_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "Give --config" in capsys.readouterr().err
     assert run(["halt", "--config", str(tmp_path / "none.yaml")]) == 2
     assert "cannot be read" in capsys.readouterr().err
-    with Emulated(replace(E46, baud=9600), BOTH_TURN) as unit:
+    with EmulatedRigThread(replace(E46, baud=9600), BOTH_TURN) as unit:
         assert run(["halt", "--config", str(tmp_path / "none.yaml"), "--port", unit.port]) == 0
         assert not unit.turning()
 

@@ -15,7 +15,7 @@ US_WRAP = 1 << 32
 
 
 @dataclass(frozen=True)
-class BoardTold:
+class BoardFigures:
     """One board of a recording."""
 
     board: str
@@ -27,21 +27,21 @@ class BoardTold:
 
 
 @dataclass(frozen=True)
-class Told:
+class RecordingFigures:
     """A whole recording."""
 
-    boards: list[BoardTold]
+    boards: list[BoardFigures]
     positions: int
     seconds: float
     size: int
 
 
-def tell(path: Path) -> Told:
+def tell(path: Path) -> RecordingFigures:
     """Return what a recording holds; device times must be CLOCK_MONOTONIC_RAW in us."""
     recording = read_recording(path)
     metadata = recording.metadata["gyrorig"]
     utc_minus_raw_ns = int(metadata["anchor_utc_ns"]) - int(metadata["anchor_monotonic_raw_ns"])
-    boards: list[BoardTold] = []
+    boards: list[BoardFigures] = []
     for board in recording.board_ids:
         imu = recording.imu(board)
         numbers = imu["sequence"].astype(np.int64)
@@ -52,7 +52,7 @@ def tell(path: Path) -> Told:
         late_us = raw_us - imu["device_time"].astype(np.float64) + US_WRAP / 2
         late_us = late_us % US_WRAP - US_WRAP / 2  # a kernel's stamp may be a microsecond early
         boards.append(
-            BoardTold(
+            BoardFigures(
                 str(board),
                 recording.metadata[f"gyrorig.board.{board}"]["link"],
                 len(numbers),
@@ -63,7 +63,7 @@ def tell(path: Path) -> Told:
         )
     first_ns, last_ns = recording.span_ns
     positions = recording.topics.get(PTU_POSITION_TOPIC)
-    return Told(
+    return RecordingFigures(
         boards,
         0 if positions is None else len(positions),
         (last_ns - first_ns) * 1e-9,

@@ -11,7 +11,7 @@ PAGE_KB = os.sysconf("SC_PAGE_SIZE") // 1024
 
 
 @dataclass
-class Seen:
+class ProcessHistory:
     """One process over time."""
 
     name: str
@@ -45,7 +45,7 @@ class Watcher:
 
     def __init__(self, pid: int, every_s: float = 2.0) -> None:
         self._pid, self._every_s = pid, every_s
-        self.seen: dict[int, Seen] = {}
+        self.seen: dict[int, ProcessHistory] = {}
         self._ended = threading.Event()
         self.began_s = time.monotonic()
         self.lasted_s = 0.0
@@ -70,7 +70,7 @@ class Watcher:
         cpu_s, rss_kb = usage(pid)
         seen = self.seen.get(pid)
         if seen is None:
-            seen = self.seen[pid] = Seen(_name(command(pid)), first_cpu_s=cpu_s)
+            seen = self.seen[pid] = ProcessHistory(_name(command(pid)), first_cpu_s=cpu_s)
         seen.cpu_s = cpu_s - (seen.first_cpu_s or 0.0)
         seen.rss_kb.append(rss_kb)
 

@@ -12,7 +12,7 @@ import numpy as np
 from docs.markdown import number, table
 from docs.measured import held_out_moves, turn_sets
 from docs.measured.attitude_sets import SAME_UNIT, rest_bias
-from docs.measured.sessions import COMMANDS, Loaded, Measured, run_all
+from docs.measured.sessions import COMMANDS, LoadedRecording, MeasuredSets, run_all
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from tests.bench.accuracy.profile import FloatArray
@@ -31,17 +31,17 @@ SMOOTH_S = 0.02
 NOTHING = np.concatenate([np.eye(3).ravel(), np.zeros(4)])
 
 
-def imported(data: Path, folder: Path) -> Measured:
+def imported(data: Path, folder: Path) -> MeasuredSets:
     """Import the sets into an empty folder; nothing is solved."""
     lines = {name: tuple(line for line in COMMANDS[name] if " import " in line) for name in SETS}
     return run_all(data, folder, lines)
 
 
-def motion_capture(measured: Measured) -> str:
+def motion_capture(measured: MeasuredSets) -> str:
     """Held-out rotation error of every ordered pair of one unit's trials, for each method."""
     loaded = {name: measured.load(name) for unit in SAME_UNIT for name in unit}
     pairs = [pair for unit in SAME_UNIT for pair in permutations(unit, 2)]
-    ways: dict[str, Callable[[Loaded], FloatArray]] = {
+    ways: dict[str, Callable[[LoadedRecording], FloatArray]] = {
         "raw gyro": lambda _: NOTHING,
         **{peer.name: _of_table(peer.run) for peer in peers() if peer.any_reference},
         OURS: _ours,
@@ -59,12 +59,12 @@ def motion_capture(measured: Measured) -> str:
     return table(head, rows)
 
 
-def gravity(measured: Measured) -> str:
+def gravity(measured: MeasuredSets) -> str:
     """Held-out moves beside imu_tk's own result and its method."""
     return held_out_moves.held_out(measured)
 
 
-def hand_turns(measured: Measured) -> str:
+def hand_turns(measured: MeasuredSets) -> str:
     """How far imucal's gain and ours are apart on imucal's own session."""
     loaded = measured.load("ferraris")
     ours = fit_turns([(loaded.samples, TurnReference(loaded.turns, loaded.rests))])
@@ -77,18 +77,18 @@ def hand_turns(measured: Measured) -> str:
     )
 
 
-def _ours(loaded: Loaded) -> FloatArray:
+def _ours(loaded: LoadedRecording) -> FloatArray:
     if loaded.attitude is None:
         raise ValueError(f"{loaded.samples.board} has no reference attitude")
     fit = fit_attitude([(loaded.samples, loaded.attitude)])
     return np.concatenate([fit.gain.ravel(), fit.bias_rad_s, [fit.time_offset_s]])
 
 
-def _of_table(run: Callable[[Table], FloatArray]) -> Callable[[Loaded], FloatArray]:
+def _of_table(run: Callable[[Table], FloatArray]) -> Callable[[LoadedRecording], FloatArray]:
     return lambda loaded: run(_table(loaded))[0]
 
 
-def _judged(loaded: Loaded, gain: FloatArray) -> float:
+def _judged(loaded: LoadedRecording, gain: FloatArray) -> float:
     """Rotation error in degrees with gain and offset as found; the bias is the rests' own."""
     if loaded.attitude is None:
         raise ValueError(f"{loaded.samples.board} has no reference attitude")
@@ -99,7 +99,7 @@ def _judged(loaded: Loaded, gain: FloatArray) -> float:
     return float(np.degrees(error.rms_rad))
 
 
-def _table(loaded: Loaded) -> Table:
+def _table(loaded: LoadedRecording) -> Table:
     """The reference differentiated, interpolated to the samples and smoothed as they are."""
     samples, attitude = loaded.samples, loaded.attitude
     if attitude is None:

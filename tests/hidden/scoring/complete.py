@@ -1,7 +1,7 @@
 """Residual of each cause's effect after its own term, without noise: goal 9.
 
-What to use when: `Left` is one line that `tests/hidden/completeness.py --json` wrote; `said` makes
-the table, with the limit of the goal.
+What to use when: `Remainder` is one line that `tests/hidden/completeness.py --json` wrote;
+`table_text` makes the table, with the limit of the goal.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ UNSEEN = 1.0  # energy below which the base model absorbs the effect completely
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class Remainder:
     """Energies of one cause at its typical size, whitened: twice the nats."""
 
     cause: str
@@ -32,12 +32,12 @@ class Left:
         return self.left / self.effect if self.effect >= UNSEEN else 0.0
 
 
-def read(path: Path) -> list[Left]:
+def read(path: Path) -> list[Remainder]:
     """Return the results of `completeness.py`."""
-    return msgspec.json.decode(path.read_bytes(), type=list[Left])
+    return msgspec.json.decode(path.read_bytes(), type=list[Remainder])
 
 
-def table_text(remainders: Sequence[Left]) -> str:
+def table_text(remainders: Sequence[Remainder]) -> str:
     """Return the table, sorted by decreasing share of the residual."""
     rows = [
         (f"`{left.cause}`" + (f" {left.place}" if left.place else ""),

@@ -1,6 +1,6 @@
 """Stored results of the long tier: one line per case, enough to compute every figure.
 
-What to use when: `write_kept` after judging, `read_kept` for the page and its test.
+What to use when: `write_judged_cases` after judging, `read_judged_cases` for the page and its test.
 """
 
 from dataclasses import dataclass, field, replace
@@ -8,14 +8,14 @@ from pathlib import Path
 
 import msgspec
 from tests.hidden.scoring.figures import Gap
-from tests.hidden.scoring.outcome import Covered, Outcome
+from tests.hidden.scoring.outcome import Coverage, Outcome
 from tests.hidden.scoring.possible import Bound
 
 SIGMA_DIGITS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class JudgedCases:
     """All outcomes, second recordings, and bounds from rivals."""
 
     outcomes: list[Outcome]
@@ -23,7 +23,7 @@ class Kept:
     bounds: list[Bound] = field(default_factory=list)  # for cases that hide one cause
 
 
-def write_kept(path: Path, judged_cases: Kept) -> None:
+def write_judged_cases(path: Path, judged_cases: JudgedCases) -> None:
     """Write one line per case, then the second recordings and the bounds."""
     lines = [msgspec.json.encode(_short(outcome)) for outcome in judged_cases.outcomes]
     gaps = [msgspec.json.encode(gap) for gap in judged_cases.gaps]
@@ -36,15 +36,15 @@ def write_kept(path: Path, judged_cases: Kept) -> None:
     path.write_bytes(body)
 
 
-def read_kept(path: Path) -> Kept:
-    """Return the results that `write_kept` wrote."""
-    return msgspec.json.decode(path.read_bytes(), type=Kept)
+def read_judged_cases(path: Path) -> JudgedCases:
+    """Return the results that `write_judged_cases` wrote."""
+    return msgspec.json.decode(path.read_bytes(), type=JudgedCases)
 
 
 def _short(outcome: Outcome) -> Outcome:
     """Return an outcome rounded to the digits that a figure needs."""
 
-    def near(each: tuple[Covered, ...]) -> tuple[Covered, ...]:
+    def near(each: tuple[Coverage, ...]) -> tuple[Coverage, ...]:
         return tuple(replace(c, sigma=round(c.sigma, SIGMA_DIGITS)) for c in each)
 
     return replace(

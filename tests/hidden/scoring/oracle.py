@@ -34,7 +34,7 @@ def gap_of(case: Path, explanation: FitExplanation, seal: str) -> dict[str, Any]
 
     Args:
         case: folder with a second recording.
-        found: explanation of the first recording; already written.
+        explanation: of the first recording; already written.
         seal: of the answer.
     """
     answer = opened(case, seal)

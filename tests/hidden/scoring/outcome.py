@@ -44,7 +44,7 @@ class Fate:
 
 
 @dataclass(frozen=True, slots=True)
-class Covered:
+class Coverage:
     """One interval and the true value."""
 
     what: str
@@ -68,8 +68,8 @@ class Outcome:
     sets: tuple[tuple[str, ...], ...]  # stated, the likeliest name first
     rest: tuple[str, ...]  # covariates of the unexplained rest, the strongest first
     expected: tuple[str, ...]  # its true covariates
-    covered_causes: tuple[Covered, ...]
-    covered_calibration: tuple[Covered, ...]
+    covered_causes: tuple[Coverage, ...]
+    covered_calibration: tuple[Coverage, ...]
     harm: tuple[str, float] | None  # cause with the largest bias at its detectable size
     harm_printed: bool
     said_blind: bool  # every hidden cause was reported as not testable
@@ -155,7 +155,7 @@ def _said_of(
     return REST if rest else (AMONG + " others" if sets else MISSED)
 
 
-def _of_causes(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
+def _of_causes(answer: Answer, line: Mapping[str, Any]) -> list[Coverage]:
     """Compare each named size with its true value, if the name is right and has one."""
     coverages = []
     for hidden in answer.causes:
@@ -165,11 +165,11 @@ def _of_causes(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
             for name, true in true_of:
                 value, std = entry["values"].get(name, (None, None))
                 if value is not None and std and name in entry["sizes"]:
-                    coverages.append(Covered(f"{hidden.cause}.{name}", (value - true) / std))
+                    coverages.append(Coverage(f"{hidden.cause}.{name}", (value - true) / std))
     return coverages
 
 
-def _of_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
+def _of_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Coverage]:
     """Compare the calibration after selection, where a true value exists.
 
     With exchanged or inverted axes the gain has another definition. A lag that changes is not a
@@ -184,5 +184,5 @@ def _of_calibration(answer: Answer, line: Mapping[str, Any]) -> list[Covered]:
             continue
         value, std, _ = line["calibration"].get(name, (None, None, None))
         if value is not None and std and math.isfinite(true):
-            coverages.append(Covered(name, (value - true) / std))
+            coverages.append(Coverage(name, (value - true) / std))
     return coverages

@@ -45,7 +45,7 @@ MOVES_BIAS = ("bias_ramp", "bias_step", "thermal_bias", "warm_up")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stated:
+class StatedExplanation:
     """Explanation of one recording, with its fits."""
 
     recording: Recording
@@ -53,7 +53,7 @@ class Stated:
     document: FindingsDocument
 
 
-def explained(path: Path, look: Look = explain_recordings) -> Stated:
+def explained(path: Path, look: Look = explain_recordings) -> StatedExplanation:
     """Explain the first board of a recording as `gyrorig explain` does, without pictures."""
     recording = read_recording(path)
     board = recording.board_ids[0]
@@ -70,12 +70,12 @@ def explained(path: Path, look: Look = explain_recordings) -> Stated:
         NOTHING_OPENED,
         "",
     )
-    return Stated(
+    return StatedExplanation(
         recording, explanation, build_findings_document(explanation.findings, raw, origin)
     )
 
 
-def line_of(seed: int, variant: str, stated: Stated) -> dict[str, Any]:
+def line_of(seed: int, variant: str, stated: StatedExplanation) -> dict[str, Any]:
     """Return the stored line: names, sizes, rest, calibration, limits; plain JSON."""
     findings = stated.explained.findings
     rest = findings.unexplained

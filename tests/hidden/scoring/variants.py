@@ -2,7 +2,8 @@
 
 The product does not know the variants: each one patches a single rule from outside.
 
-What to use when: `VARIANTS` by name; `explain` explains recordings, `said` can change the result.
+What to use when: `VARIANTS` by name; `explain` explains recordings, `line_of` can change
+the result.
 """
 
 import sys
@@ -13,7 +14,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from tests.hidden.scoring.stated import Look, Stated
+from tests.hidden.scoring.stated import Look, StatedExplanation
 
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.arrays import FloatArray
@@ -42,7 +43,7 @@ class Variant:
 
     words: str
     explain: Look
-    line_of: Callable[[Line, Stated], Line]
+    line_of: Callable[[Line, StatedExplanation], Line]
 
 
 def _explain(recordings: Sequence[Recording], board: str) -> FitExplanation:
@@ -91,23 +92,23 @@ def _top(solution: ConvergedFit) -> str:
     return scan_catalogue(projection, terms, count_tests(terms))[0].term.cause
 
 
-def _as_it_is(line: Line, _stated: Stated) -> Line:
+def _as_it_is(line: Line, _stated: StatedExplanation) -> Line:
     return line
 
 
-def _top_score(line: Line, stated: Stated) -> Line:
+def _top_score(line: Line, stated: StatedExplanation) -> Line:
     """State the cause with the best score on the base model's residual, always."""
     return _named(line, [], _top(stated.explained.solution_base))
 
 
-def _never_unknown(line: Line, stated: Stated) -> Line:
+def _never_unknown(line: Line, stated: StatedExplanation) -> Line:
     """Name the best-scoring cause instead of an unexplained rest."""
     if not line["unexplained"]:
         return line
     return _named(line, line["causes"], _top(stated.explained.solution_extended))
 
 
-def _shuffled(line: Line, _stated: Stated) -> Line:
+def _shuffled(line: Line, _stated: StatedExplanation) -> Line:
     """Replace each cause by its neighbour in the catalogue."""
     names = sorted(cause for cause, term in catalogue().items() if term.kind in ("effect", "raw"))
     other = dict(zip(names, [*names[1:], names[0]], strict=True))

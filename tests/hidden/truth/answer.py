@@ -9,7 +9,7 @@ from typing import Any
 from tests.hidden.truth.detectable import detectable_of, sizes_of
 from tests.hidden.truth.draws import Item, Session
 from tests.hidden.truth.outside import NEARLY, SHAPES
-from tests.hidden.truth.session import BOARD, ORIGIN_NS, Recorded, settings_of
+from tests.hidden.truth.session import BOARD, ORIGIN_NS, RecordedSession, settings_of
 from tests.hidden.truth.shapes import parameters
 from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
 
@@ -18,7 +18,7 @@ from gyrorig_daemon.emulator.causes import Quantity
 SCHEMA = "gyrorig/hidden-answer/2"
 
 
-def answer_of(session: Session, recorded: Recorded, sizer: Sizer) -> dict[str, Any]:
+def answer_of(session: Session, recorded: RecordedSession, sizer: Sizer) -> dict[str, Any]:
     """Return the whole truth about a session as plain values."""
     first_s, last_s = recorded.course.span_s
     span_ns = (ORIGIN_NS + round(first_s * 1e9), ORIGIN_NS + round(last_s * 1e9))

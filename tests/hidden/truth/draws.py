@@ -13,7 +13,7 @@ from tests.hidden.truth.detectable import detectable_of
 from tests.hidden.truth.outside import NEARLY, OUTSIDE, SHAPES, Shape
 from tests.hidden.truth.session import Course, More, RigDraw, course, settings_of
 from tests.hidden.truth.shapes import hanger
-from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
+from tests.hidden.truth.sizing import COUNTED, Sizer, VisibleSize
 from tests.support.noncentrality import Visibility
 
 from gyrorig_daemon.emulator.causes import CAUSES
@@ -239,7 +239,7 @@ def _shape(shapes: dict[str, Shape]) -> "Callable[[_Drawing], Session]":
     return of
 
 
-def shape_sized(sizer: Sizer, shape: Shape, rig: RigDraw, times: float) -> Sized | None:
+def shape_sized(sizer: Sizer, shape: Shape, rig: RigDraw, times: float) -> VisibleSize | None:
     """Return the size at which a shape is so many times its minimal detectable size."""
     settings = settings_of(rig)
 

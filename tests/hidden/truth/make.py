@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 from tests.hidden.truth.answer import answer_of, seal
 from tests.hidden.truth.decoys import hot_truth, with_idle_channel
 from tests.hidden.truth.draws import TIERS, Session, drawn, on_rung, orders_of, seen_by
-from tests.hidden.truth.session import BOARD, ORIGIN_NS, Recorded, record, settings_of
+from tests.hidden.truth.session import BOARD, ORIGIN_NS, RecordedSession, record, settings_of
 from tests.hidden.truth.sizing import COUNTED, IN_VARIANCE, Sizer
 
 from gyrorig_daemon.emulator.emulated_rig import EmulatedRig
@@ -56,7 +56,7 @@ def make(folder: Path, session: Session) -> str:
     return sealed
 
 
-def _fitting(session: Session, raw: Path) -> tuple[Session, Recorded, Sizer]:
+def _fitting(session: Session, raw: Path) -> tuple[Session, RecordedSession, Sizer]:
     """Hold a session, with a ladder's rung met by the session as it was.
 
     How visible an effect on the edges of the motion is depends on how the samples fall on

@@ -69,7 +69,7 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recorded:
+class RecordedSession:
     """A session that was held."""
 
     rig: EmulatedRig
@@ -91,7 +91,7 @@ def settings_of(draw: RigDraw) -> RigSettings:
 
 def record(
     draw: RigDraw, path: Path, truth: RigTruth | None = None, more: More | None = None
-) -> Recorded:
+) -> RecordedSession:
     """Hold a session and put its recording at `path`.
 
     Args:
@@ -118,7 +118,7 @@ def record(
         span_s = _span_s(made, capture)
         made.replace(path)
     orders = {"pan": tuple(rig.stage.pan.commands), "tilt": tuple(rig.stage.tilt.commands)}
-    return Recorded(rig, Course(orders, hub.now_ns(), span_s))
+    return RecordedSession(rig, Course(orders, hub.now_ns(), span_s))
 
 
 @lru_cache(maxsize=64)

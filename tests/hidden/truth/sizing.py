@@ -38,7 +38,7 @@ _STEEPEST = 8.0  # of the energy with size, in logarithms
 
 
 @dataclass(frozen=True, slots=True)
-class Sized:
+class VisibleSize:
     """A size and what it shows."""
 
     size: float
@@ -126,7 +126,7 @@ class Sizer:
         wanted: tuple[float, float],
         start: float,
         most: float,
-    ) -> Sized | None:
+    ) -> VisibleSize | None:
         """Return the size at which an effect is so many times its minimal detectable size.
 
         Args:
@@ -142,13 +142,13 @@ class Sizer:
         aim = math.log(times**2 * least)
         sign, x, top = math.copysign(1.0, start), math.log(min(abs(start), most)), math.log(most)
         low, high = -math.inf, math.inf
-        best: tuple[float, Sized] | None = None
+        best: tuple[float, VisibleSize] | None = None
         before: tuple[float, float] | None = None
         for round_ in range(_ROUNDS):
             visibility = seen(sign * math.exp(x))
             y = math.log(max(visibility.noncentrality, 1e-12))
             if best is None or abs(y - aim) < best[0]:
-                best = abs(y - aim), Sized(sign * math.exp(x), visibility, least)
+                best = abs(y - aim), VisibleSize(sign * math.exp(x), visibility, least)
             if best[0] < NEAR or (y < aim and x >= top - 1e-12):
                 break
             low, high = (max(low, x), high) if y < aim else (low, min(high, x))
@@ -161,7 +161,7 @@ class Sizer:
                 x = 0.5 * (low + high)  # what jumps with the size is halved until it fits
         return best[1] if best is not None and best[0] < _ROUGHLY else None
 
-    def size_of_cause(self, name: str, place: str, times: float, sign: float) -> Sized | None:
+    def size_of_cause(self, name: str, place: str, times: float, sign: float) -> VisibleSize | None:
         """Return a cause's size at so many times the minimal detectable one, None above the most.
 
         A rate that is never exceeded is the smaller the more it shows; steps are lost whole.
@@ -170,14 +170,14 @@ class Sizer:
         if name == "saturation":
             peak = float(np.abs(self._plain_rates().plain_rad_s).max())
             size = self.sized(lambda x: seen(peak - x), (times, least), 0.05 * peak, 0.8 * peak)
-            return None if size is None else Sized(peak - size.size, size.seen, least)
+            return None if size is None else VisibleSize(peak - size.size, size.seen, least)
         if cause.is_integer:
             at_one = seen(1.0)
             if at_one.noncentrality <= 0.0:
                 return None
-            steps = max(round(times / Sized(1.0, at_one, least).times), 1)
+            steps = max(round(times / VisibleSize(1.0, at_one, least).times), 1)
             return (
-                Sized(sign * steps, seen(sign * steps), least)
+                VisibleSize(sign * steps, seen(sign * steps), least)
                 if steps <= cause.sampled_max
                 else None
             )

@@ -18,12 +18,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 from tests.hidden.truth.detectable import detectable_of
 from tests.hidden.truth.draws import PROGRAMS, sizer_of
 from tests.hidden.truth.session import RigDraw
-from tests.hidden.truth.sizing import COUNTED, Sized, Sizer
+from tests.hidden.truth.sizing import COUNTED, Sizer, VisibleSize
 
 from gyrorig_daemon.emulator.causes import CAUSES, Cause
 
 
-def verdict(cause: type[Cause], sized: Sized | None) -> str:
+def verdict(cause: type[Cause], sized: VisibleSize | None) -> str:
     """Return whether a cause shows at the sizes that it usually has."""
     if sized is None:
         return "never"
@@ -39,7 +39,7 @@ def row(sizer: Sizer, cause: type[Cause], place: str) -> str:
     """Return a line of the table."""
     sized = sizer.size_of_cause(cause.name, place, 1.0, 1.0)
     if sized is None:
-        top = Sized(
+        top = VisibleSize(
             cause.sampled_max,
             sizer.of_cause(cause.name, place)(cause.sampled_max),
             detectable_of(cause.name),

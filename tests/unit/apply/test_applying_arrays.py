@@ -16,7 +16,7 @@ from gyrorig_solver import Calibration
 from gyrorig_solver.apply.affine import BLOCK_SAMPLES, transform_readings
 from gyrorig_solver.calibration import calibration_document as documents
 
-Made = Callable[..., documents.CalibrationDocument]
+DocumentFactory = Callable[..., documents.CalibrationDocument]
 RNG = np.random.default_rng(20260401)
 MATRIX, OFFSET = RNG.normal(size=(3, 3)), RNG.normal(size=3)
 
@@ -62,7 +62,7 @@ def test_an_unsuitable_output_array_is_rejected() -> None:
             transform_readings(readings, MATRIX, OFFSET, out)
 
 
-def test_the_formula_of_the_conventions(document: Made) -> None:
+def test_the_formula_of_the_conventions(document: DocumentFactory) -> None:
     result = Calibration(document())
     gain = np.array(result.document.matrices.STM, dtype=np.float64)
     bias = np.array(result.document.parameters["bias"].value, dtype=np.float64)
@@ -77,7 +77,7 @@ def test_the_formula_of_the_conventions(document: Made) -> None:
     np.testing.assert_array_equal(result.times([1.0, 2.0]), [0.9875, 1.9875])
 
 
-def test_the_sensors_axes_differ_by_the_rotation_alone(document: Made) -> None:
+def test_the_sensors_axes_differ_by_the_rotation_alone(document: DocumentFactory) -> None:
     stage, sensor = Calibration(document()), Calibration(document(), "sensor")
     turn = np.array(stage.document.matrices.M, dtype=np.float64)
     reading = RNG.normal(size=(20, 3))
@@ -107,7 +107,7 @@ EVERY = {
 }
 
 
-def test_every_cause_of_the_sensor_is_corrected(document: Made) -> None:
+def test_every_cause_of_the_sensor_is_corrected(document: DocumentFactory) -> None:
     """The model forward, written out here axis by axis, comes back to the rates it began with."""
     result = Calibration(document(parameters=EVERY))
     matrices = result.document.matrices
@@ -130,7 +130,7 @@ def test_every_cause_of_the_sensor_is_corrected(document: Made) -> None:
     assert any("bias_step@2" in words for words in result.not_applied)
 
 
-def test_a_single_parameter_has_the_name_of_its_cause(document: Made) -> None:
+def test_a_single_parameter_has_the_name_of_its_cause(document: DocumentFactory) -> None:
     slope = {"thermal_bias": EVERY["thermal_bias.slope"]}
     slope |= {n: EVERY[n] for n in ("thermal_bias.reference",)}
     result = Calibration(document(parameters=slope))
@@ -139,7 +139,7 @@ def test_a_single_parameter_has_the_name_of_its_cause(document: Made) -> None:
     np.testing.assert_allclose(cold - warm, drift, atol=1e-12)
 
 
-def test_needed_temperatures_and_forces_must_be_given(document: Made) -> None:
+def test_needed_temperatures_and_forces_must_be_given(document: DocumentFactory) -> None:
     warm = {n: p for n, p in EVERY.items() if n.startswith("thermal_bias")}
     result = Calibration(document(parameters=warm))
     with pytest.raises(UsageError, match="depends on the temperature"):
@@ -151,13 +151,15 @@ def test_needed_temperatures_and_forces_must_be_given(document: Made) -> None:
         Calibration(document(parameters=force)).rates(np.ones((4, 3)))
 
 
-def test_thermal_causes_without_a_reference_temperature_are_not_applied(document: Made) -> None:
+def test_thermal_causes_without_a_reference_temperature_are_not_applied(
+    document: DocumentFactory,
+) -> None:
     result = Calibration(document(parameters={"thermal_bias.slope": parameter([1.0, 1.0, 1.0])}))
     assert result.correction.is_affine
     assert "has no reference temperature" in " ".join(result.not_applied)
 
 
-def test_an_unobservable_gain_is_not_applied(document: Made) -> None:
+def test_an_unobservable_gain_is_not_applied(document: DocumentFactory) -> None:
     with pytest.raises(InputError, match=r"has no value for .*scale.*Record a motion"):
         Calibration(document("limited"))
     bias = Calibration(document("limited"), bias_only=True)
@@ -166,19 +168,21 @@ def test_an_unobservable_gain_is_not_applied(document: Made) -> None:
     )
 
 
-def test_a_calibration_with_the_verdict_refused_raises_its_reason(document: Made) -> None:
+def test_a_calibration_with_the_verdict_refused_raises_its_reason(
+    document: DocumentFactory,
+) -> None:
     trust = {"verdict": "refused", "reasons": ["the residual is too large: check the signs"]}
     with pytest.raises(InputError, match=r"must not be applied\. .*check the signs"):
         Calibration(document(trust=trust))
 
 
 @pytest.mark.parametrize("bad", [np.ones(4), np.ones((2, 2, 3)), np.array(["a", "b", "c"])])
-def test_readings_of_another_shape_are_rejected(document: Made, bad: np.ndarray) -> None:
+def test_readings_of_another_shape_are_rejected(document: DocumentFactory, bad: np.ndarray) -> None:
     with pytest.raises(UsageError, match=r"shape \(n, 3\)"):
         Calibration(document()).rates(bad)
 
 
-def test_counts_without_a_nominal_scale_are_rejected(document: Made) -> None:
+def test_counts_without_a_nominal_scale_are_rejected(document: DocumentFactory) -> None:
     result = Calibration(document(config={"gyro_scale_rad_s": None}))
     with pytest.raises(UsageError, match="nominal scale of a count"):
         result.rates(np.ones((4, 3)))

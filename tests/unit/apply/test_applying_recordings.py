@@ -26,7 +26,7 @@ from gyrorig_solver.calibration import calibration_document as documents
 from gyrorig_solver.data.samples import load_samples
 
 Captured = pytest.CaptureFixture[str]
-Made = Callable[..., documents.CalibrationDocument]
+DocumentFactory = Callable[..., documents.CalibrationDocument]
 BOARD = BoardId("GY80-0007")
 START_NS = 1_790_000_000_000_000_000
 COUNT, RATE_HZ = 500, 100.0
@@ -192,7 +192,7 @@ def test_an_unfinished_recording_is_accepted(golden: Path, source: Path, tmp_pat
 
 
 def test_a_board_with_another_setting_is_rejected(
-    document: Made, source: Path, tmp_path: Path
+    document: DocumentFactory, source: Path, tmp_path: Path
 ) -> None:
     other = Calibration(document(config={"bandwidth_hz": 110.0}))
     with pytest.raises(InputError, match=r"bandwidth_hz 25.0 in .* calibration is for 110"):
@@ -217,7 +217,7 @@ def test_an_existing_copy_is_not_overwritten(golden: Path, source: Path, tmp_pat
 
 @pytest.mark.parametrize("lag_s", [0.0, 5.0])
 def test_temperatures_are_taken_from_the_recording(
-    document: Made, tmp_path: Path, lag_s: float
+    document: DocumentFactory, tmp_path: Path, lag_s: float
 ) -> None:
     """A ramp of 1 K a second; a thermometer that is late by 5 s reads 5 K less than the die."""
     count = 800

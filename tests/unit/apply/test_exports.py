@@ -22,7 +22,7 @@ from gyrorig_solver.export.export_source import ExportSource
 from gyrorig_solver.export.flight_controllers import shift_polynomial
 
 Captured = pytest.CaptureFixture[str]
-Made = Callable[..., CalibrationDocument]
+DocumentFactory = Callable[..., CalibrationDocument]
 SCALE = 0.00015271630954950384  # the golden calibration's
 BIAS = [0.0078125, -0.015625, 0.03125]
 WARM: dict[str, Any] = {
@@ -84,7 +84,7 @@ def run(program: Path, rows: np.ndarray | None = None) -> list[list[float]]:
     "compiler", [["gcc", *FLAGS], ["g++", "-x", "c++", "-std=c++11", "-Wall", "-Wextra", "-Werror"]]
 )
 def test_compiled_c_gives_the_true_rates(
-    document: Made, tmp_path: Path, compiler: list[str]
+    document: DocumentFactory, tmp_path: Path, compiler: list[str]
 ) -> None:
     result = document()
     header = c_header(ExportSource.of(result), "NAME")
@@ -105,7 +105,7 @@ def test_compiled_c_gives_the_true_rates(
     assert error < 1e-7
 
 
-def test_c_with_a_temperature(document: Made, tmp_path: Path) -> None:
+def test_c_with_a_temperature(document: DocumentFactory, tmp_path: Path) -> None:
     result = document(parameters=WARM)
     main = """
 #include <stdio.h>
@@ -133,7 +133,7 @@ int main(void)
     np.testing.assert_allclose(rows[:, 1:], true_rates(result, read - drift), atol=1e-6)
 
 
-def test_the_self_test_finds_a_wrong_number(document: Made, tmp_path: Path) -> None:
+def test_the_self_test_finds_a_wrong_number(document: DocumentFactory, tmp_path: Path) -> None:
     header = c_header(ExportSource.of(document()), "NAME")
     first = re.search(r"static const int32_t A\[3\]\[3\] = \{\s*\{(\d+)", header)
     assert first is not None
@@ -160,7 +160,9 @@ def test_fixed_point_never_overflows_and_keeps_its_bound(scale: float) -> None:
         assert off <= fixed.error_bound_rad_s(limit) * (1.0 + 1e-6) + 1e-9 * np.abs(wanted).max()
 
 
-def test_hostile_names_stay_inside_their_comments(document: Made, tmp_path: Path) -> None:
+def test_hostile_names_stay_inside_their_comments(
+    document: DocumentFactory, tmp_path: Path
+) -> None:
     result = document(
         board="a_b", trust={"verdict": "limited", "reasons": ['*/ #error "x" \\', "é\n"]}
     )
@@ -193,7 +195,7 @@ def rcl(text: str) -> dict[str, Any]:
     return flat
 
 
-def test_ros_parameters_applied_to_a_drivers_rates(document: Made) -> None:
+def test_ros_parameters_applied_to_a_drivers_rates(document: DocumentFactory) -> None:
     result = document()
     text = export_text(ExportSource.of(result), "ros")
     output = rcl(text)
@@ -224,7 +226,7 @@ def px4(text: str) -> dict[str, float]:
     return result
 
 
-def test_px4_subtracts_the_bias_and_its_drift(document: Made) -> None:
+def test_px4_subtracts_the_bias_and_its_drift(document: DocumentFactory) -> None:
     plain = px4(export_text(ExportSource.of(document("limited")), "px4", ExportOptions(slot=1)))
     assert plain == dict(
         zip(("CAL_GYRO1_XOFF", "CAL_GYRO1_YOFF", "CAL_GYRO1_ZOFF"), BIAS, strict=True)
@@ -246,7 +248,7 @@ def test_px4_subtracts_the_bias_and_its_drift(document: Made) -> None:
             assert output == pytest.approx(slope * warmth + square * warmth**2, abs=1e-12)
 
 
-def test_ardupilot_subtracts_the_bias_and_its_drift(document: Made) -> None:
+def test_ardupilot_subtracts_the_bias_and_its_drift(document: DocumentFactory) -> None:
     text = export_text(ExportSource.of(document(parameters=WARM)), "ardupilot")
     lines = [line for line in text.splitlines() if not line.startswith("#")]
     result = {name: float(value) for name, value in (line.split(",") for line in lines)}
@@ -270,7 +272,7 @@ def test_ardupilot_subtracts_the_bias_and_its_drift(document: Made) -> None:
 
 
 def test_ardupilots_own_library_reads_the_file(
-    document: Made, tmp_path: Path, capsys: Captured
+    document: DocumentFactory, tmp_path: Path, capsys: Captured
 ) -> None:
     path = tmp_path / "gyro.parm"
     path.write_text(export_text(ExportSource.of(document(parameters=WARM)), "ardupilot"))
@@ -281,7 +283,7 @@ def test_ardupilots_own_library_reads_the_file(
     assert len(result) == sum(not line.startswith("#") for line in path.read_text().splitlines())
 
 
-def test_relative_temperatures_are_not_exported_to_autopilots(document: Made) -> None:
+def test_relative_temperatures_are_not_exported_to_autopilots(document: DocumentFactory) -> None:
     """Where a sensor's temperature counts from anywhere, TMIN and TREF would be wrong."""
     result = document(parameters=WARM, validity={"rate_rad_s": [-1.0, 1.0]})
     for kind in ("px4", "ardupilot"):
@@ -301,7 +303,7 @@ def test_a_polynomial_moved_to_another_reference() -> None:
         np.testing.assert_allclose(((degc - 35.0) ** powers) @ new, was, rtol=1e-10, atol=1e-9)
 
 
-def test_json_has_the_numbers_and_the_document(document: Made) -> None:
+def test_json_has_the_numbers_and_the_document(document: DocumentFactory) -> None:
     result = document()
     output = json.loads(export_text(ExportSource.of(result), "json"))
     read = np.random.default_rng(1).normal(size=(10, 3))
@@ -313,13 +315,15 @@ def test_json_has_the_numbers_and_the_document(document: Made) -> None:
 
 
 @pytest.mark.parametrize("kind", ["c", "ros"])
-def test_an_unobservable_gain_is_not_exported(document: Made, kind: str) -> None:
+def test_an_unobservable_gain_is_not_exported(document: DocumentFactory, kind: str) -> None:
     with pytest.raises(InputError, match=r"has no value for .*scale"):
         export_text(ExportSource.of(document("limited")), kind)
 
 
 @pytest.mark.parametrize("kind", [k for k in FORMATS if k != "json"])
-def test_causes_that_a_format_lacks_are_listed_or_rejected(document: Made, kind: str) -> None:
+def test_causes_that_a_format_lacks_are_listed_or_rejected(
+    document: DocumentFactory, kind: str
+) -> None:
     bent = {"scale_cubic": {"value": [1e-4] * 3, "std": [0.0] * 3, "unit": "s^2/rad^2"}}
     text = export_text(ExportSource.of(document(parameters=bent)), kind)
     assert "not contained in this format: scale_cubic" in text
@@ -330,7 +334,7 @@ def test_causes_that_a_format_lacks_are_listed_or_rejected(document: Made, kind:
         export_text(ExportSource.of(document(parameters=force)), kind)
 
 
-def test_every_export_names_its_frame(document: Made) -> None:
+def test_every_export_names_its_frame(document: DocumentFactory) -> None:
     for kind in ("c", "ros", "kalibr", "json"):
         stage, sensor = (
             export_text(ExportSource.of(document(), frame), kind) for frame in ("stage", "sensor")
@@ -343,12 +347,12 @@ def test_every_export_names_its_frame(document: Made) -> None:
 
 
 @pytest.mark.parametrize("kind", ["px4", "ardupilot"])
-def test_a_frame_without_effect_is_rejected(document: Made, kind: str) -> None:
+def test_a_frame_without_effect_is_rejected(document: DocumentFactory, kind: str) -> None:
     with pytest.raises(UsageError, match=r"in the sensor's own axes only\. Leave out --frame"):
         export_text(ExportSource.of(document(), "sensor"), kind)
 
 
-def test_options_that_a_format_lacks_are_rejected(document: Made) -> None:
+def test_options_that_a_format_lacks_are_rejected(document: DocumentFactory) -> None:
     source = ExportSource.of(document())
     for kind, options in (
         ("c", ExportOptions("1st")),

@@ -21,7 +21,7 @@ from gyrorig_solver.estimate.noise.noise_model import (
 from gyrorig_solver.export.export_formats import ExportOptions, export_text
 from gyrorig_solver.export.export_source import ExportSource
 
-Made = Callable[..., CalibrationDocument]
+DocumentFactory = Callable[..., CalibrationDocument]
 
 
 def gain_of(result: CalibrationDocument) -> np.ndarray:
@@ -38,7 +38,7 @@ def kalibr(text: str) -> dict[str, Any]:
     return data
 
 
-def test_kalibrs_file_in_its_own_convention(document: Made) -> None:
+def test_kalibrs_file_in_its_own_convention(document: DocumentFactory) -> None:
     result = document()
     data = kalibr(export_text(ExportSource.of(result), "kalibr", ExportOptions("/board/imu")))
     assert data["rostopic"] == "/board/imu"
@@ -55,7 +55,7 @@ def test_kalibrs_file_in_its_own_convention(document: Made) -> None:
     assert "accelerometer_noise_density" not in data  # not ours to tell: Kalibr asks for it
 
 
-def test_kalibrs_density_makes_the_noise_of_the_samples(document: Made) -> None:
+def test_kalibrs_density_makes_the_noise_of_the_samples(document: DocumentFactory) -> None:
     """Samples, our estimate of their density, Kalibr's file, Kalibr's own noise of a sample.
 
     kalibr_common/ConfigReader.py: sigma_d = gyroscope_noise_density / sqrt(1 / update_rate).
@@ -76,7 +76,7 @@ def test_kalibrs_density_makes_the_noise_of_the_samples(document: Made) -> None:
         assert discrete == pytest.approx(samples.std(axis=0).max(), rel=0.02)
 
 
-def test_kalibrs_random_walk_is_what_our_noise_means_by_it(document: Made) -> None:
+def test_kalibrs_random_walk_is_what_our_noise_means_by_it(document: DocumentFactory) -> None:
     """Its bias takes steps of sigma_b sqrt(dt); the spectrum of such a bias is our K's."""
     output = kalibr(export_text(ExportSource.of(document()), "kalibr"))
     rate_hz, count = output["update_rate"], 40_000
@@ -89,7 +89,7 @@ def test_kalibrs_random_walk_is_what_our_noise_means_by_it(document: Made) -> No
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_kalibrs_model_with_a_force(document: Made, frame: Frame) -> None:
+def test_kalibrs_model_with_a_force(document: DocumentFactory, frame: Frame) -> None:
     """read = M C true + A C accel + bias, both in the frame that was asked for."""
     k = np.random.default_rng(13).normal(0.0, 1e-3, (3, 3))
     force = {"value": k.ravel().tolist(), "std": [0.0] * 9, "unit": "rad/s/(m/s^2)"}
@@ -107,7 +107,7 @@ def test_kalibrs_model_with_a_force(document: Made, frame: Frame) -> None:
     np.testing.assert_allclose(seen, read, atol=1e-12)
 
 
-def test_kalibr_takes_the_noise_of_a_calibration_without_a_gain(document: Made) -> None:
+def test_kalibr_takes_the_noise_of_a_calibration_without_a_gain(document: DocumentFactory) -> None:
     data = kalibr(export_text(ExportSource.of(document("limited")), "kalibr"))
     assert "gyroscopes" not in data
     with pytest.raises(InputError, match="lacks the noise of the gyro"):

@@ -334,7 +334,7 @@ def test_a_board_that_takes_no_requests_is_recorded(tmp_path: Path) -> None:
     assert last_ns - int(recording.array(IMU)["log_time"][-1]) < 200_000_000
 
 
-class Scripted(VirtualHub):
+class ScriptedHub(VirtualHub):
     """The emulated rig, with the unit's bytes replaced from a moment on."""
 
     def __init__(self, rig: EmulatedRig, at_s: float, data: bytes, port: str = "ptu") -> None:
@@ -357,7 +357,7 @@ class Scripted(VirtualHub):
 
 def failing(tmp_path: Path, at_s: float, data: bytes, port: str = "ptu") -> tuple[Bench, str]:
     bench = Bench(tmp_path)
-    bench.hub = Scripted(bench.rig, at_s, data, port)
+    bench.hub = ScriptedHub(bench.rig, at_s, data, port)
     with pytest.raises(DeviceError) as caught:
         bench.record()
     return bench, str(caught.value)

@@ -17,7 +17,7 @@ CONFIG = ROOT / "config" / "rig.yaml"
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenRecording:
     """A recording, and what it hides."""
 
     recording: Recording
@@ -30,11 +30,13 @@ class Hidden:
 
 
 @pytest.fixture(scope="module")
-def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Hidden]:
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., HiddenRecording]:
     """Return a function that records a session with something hidden in it, once each."""
-    made: dict[tuple[str, ...], Hidden] = {}
+    made: dict[tuple[str, ...], HiddenRecording] = {}
 
-    def record(*hide: str, seed: int = 7, program: str = "quick", config: Path = CONFIG) -> Hidden:
+    def record(
+        *hide: str, seed: int = 7, program: str = "quick", config: Path = CONFIG
+    ) -> HiddenRecording:
         key = (*hide, str(seed), program, str(config))
         if key not in made:
             folder = tmp_path_factory.mktemp("hidden")
@@ -46,7 +48,9 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Hidden]:
                  "--simulated-time", "--seed", str(seed), "--truth", str(truth), *orders]
             )  # fmt: skip
             hidden_causes = json.loads(truth.read_text()).get("hidden") or {"causes": []}
-            made[key] = Hidden(read_recording(next(folder.glob("*.mcap"))), hidden_causes["causes"])
+            made[key] = HiddenRecording(
+                read_recording(next(folder.glob("*.mcap"))), hidden_causes["causes"]
+            )
         return made[key]
 
     return record

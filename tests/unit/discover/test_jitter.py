@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import pytest
-from tests.unit.discover.conftest import Hidden
+from tests.unit.discover.conftest import HiddenRecording
 
 from gyrorig_solver.discover.checks.jitter_estimate import estimate_jitter
 from gyrorig_solver.discover.fit_explanation import explain_fit
@@ -13,16 +13,16 @@ from gyrorig_solver.pipeline.prepare_board import fit_base_model
 ALPHA, TESTS = 0.005, 60
 
 
-def _looked(hidden: Hidden) -> NuisanceProjector:
+def _looked(hidden: HiddenRecording) -> NuisanceProjector:
     return NuisanceProjector.at_fit(fit_base_model([hidden.recording], hidden.board))
 
 
 @pytest.fixture(scope="module")
-def late(hidden: Callable[..., Hidden]) -> Hidden:
+def late(hidden: Callable[..., HiddenRecording]) -> HiddenRecording:
     return hidden("sample_jitter:1e-3", program="survey-40")
 
 
-def test_its_size_is_found(late: Hidden) -> None:
+def test_its_size_is_found(late: HiddenRecording) -> None:
     jitter_result = estimate_jitter(_looked(late), TESTS, ALPHA, 0.8)
     assert jitter_result is not None
     assert jitter_result.is_distinct
@@ -31,14 +31,14 @@ def test_its_size_is_found(late: Hidden) -> None:
     assert jitter_result.remaining_trend.p_value > 0.003  # no scatter of another kind is left
 
 
-def test_it_is_the_sole_name(late: Hidden) -> None:
+def test_it_is_the_sole_name(late: HiddenRecording) -> None:
     explained = explain_fit(fit_base_model([late.recording], late.board), late.board).findings
     assert [cause.candidates for cause in explained.causes] == [("sample_jitter",)]
     assert explained.verdict == "explained"
     assert explained.fitted_terms == ()  # no fit can follow it
 
 
-def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., Hidden]) -> None:
+def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., HiddenRecording]) -> None:
     jitter_result = estimate_jitter(_looked(hidden(program="survey-40")), TESTS, ALPHA, 0.8)
     assert jitter_result is not None
     assert jitter_result.p_value > ALPHA / TESTS
@@ -46,7 +46,7 @@ def test_there_is_none_where_nothing_is_hidden(hidden: Callable[..., Hidden]) ->
 
 
 @pytest.mark.long
-def test_a_smooth_misfit_is_no_jitter(hidden: Callable[..., Hidden]) -> None:
+def test_a_smooth_misfit_is_no_jitter(hidden: Callable[..., HiddenRecording]) -> None:
     jitter_result = estimate_jitter(
         _looked(hidden("s_curve:0.05", program="survey-40")), TESTS, ALPHA, 0.8
     )

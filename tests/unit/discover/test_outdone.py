@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from tests.unit.discover.conftest import Hidden
+from tests.unit.discover.conftest import HiddenRecording
 
 from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.discover.cause_search import (
@@ -24,7 +24,7 @@ TESTS = 60
 OF_RATES = DependenceTest("own_rate", "on the rates about the axes", 200.0, 24, 0.0)
 
 
-def _named(hidden: Hidden, cause: str) -> SearchResult:
+def _named(hidden: HiddenRecording, cause: str) -> SearchResult:
     """Return where a search ends that knows this cause alone."""
     base = fit_base_model([hidden.recording], hidden.board)
     term = catalogue()[cause]
@@ -38,7 +38,9 @@ def _named(hidden: Hidden, cause: str) -> SearchResult:
     return SearchResult(solution, (standing,), NuisanceProjector.at_fit(solution), ())
 
 
-def test_a_slip_is_not_said_for_what_hangs_on_the_rates(hidden: Callable[..., Hidden]) -> None:
+def test_a_slip_is_not_said_for_what_hangs_on_the_rates(
+    hidden: Callable[..., HiddenRecording],
+) -> None:
     named = _named(hidden("scale_asymmetry:0.01"), "board_slip")
     assert named.ranked_causes[0].candidate.delta_log_likelihood > 20.0  # nats
     assert find_partial_explanations(named, [OF_RATES], MIN_EXPLAINED_SHARE) == [
@@ -48,7 +50,7 @@ def test_a_slip_is_not_said_for_what_hangs_on_the_rates(hidden: Callable[..., Hi
 
 
 def test_a_right_name_beside_what_hangs_on_the_rates_is_said(
-    hidden: Callable[..., Hidden],
+    hidden: Callable[..., HiddenRecording],
 ) -> None:
     named = _named(hidden("eccentricity@pan:0.002", "scale_quadratic:0.003"), "eccentricity")
     assert dominated_by_nonparametric(named, [OF_RATES], TESTS, MIN_EXPLAINED_SHARE) == [False]

@@ -28,7 +28,7 @@ from gyrorig_solver.fleet.jobs.session_job import (
     failure_row,
     run_job,
 )
-from gyrorig_solver.fleet.jobs.workers import Deferred, WorkerPool, local_pools, run_all
+from gyrorig_solver.fleet.jobs.workers import DeferredJob, WorkerPool, local_pools, run_all
 from gyrorig_solver.fleet.store.folder_claims import FolderClaims
 from gyrorig_solver.fleet.store.store_index import StoreIndex
 from gyrorig_solver.fleet.store.store_verification import verify
@@ -201,7 +201,7 @@ def test_only_the_job_that_kills_its_worker_twice_is_quarantined(tmp_path: Path)
 
 def test_a_job_that_the_machine_refuses_is_deferred(tmp_path: Path) -> None:
     reported = list(run_all([make_job("k", tmp_path)], pools(1, refuses)))
-    assert [type(item) for item in reported] == [Deferred]
+    assert [type(item) for item in reported] == [DeferredJob]
 
 
 def test_jobs_without_workers_are_deferred_and_the_batch_ends(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_jobs_without_workers_are_deferred_and_the_batch_ends(tmp_path: Path) ->
 
     jobs = [make_job(f"k{number}", tmp_path) for number in range(5)]
     reported = list(run_all(jobs, [WorkerPool(none), WorkerPool(none)]))
-    assert [type(item) for item in reported] == [Deferred] * 5
+    assert [type(item) for item in reported] == [DeferredJob] * 5
 
 
 def test_a_store_that_refuses_everything_ends_the_batch_early(tmp_path: Path) -> None:

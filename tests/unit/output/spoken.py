@@ -16,7 +16,7 @@ ERRORS = ("UsageError", "InputError", "DeviceError", "MachineError", "BusyError"
 FINDINGS = ("fault", "warning", "note")
 
 
-class Said(NamedTuple):
+class UserText(NamedTuple):
     """One text; what is put into it stands in braces, as its source."""
 
     place: str  # path:line
@@ -25,16 +25,16 @@ class Said(NamedTuple):
     remedy: str | None = None
 
 
-def errors() -> Iterator[Said]:
+def errors() -> Iterator[UserText]:
     """Yield every error of the tree that is made in the product."""
     for path, tree in trees():
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and _name(node.func) in ERRORS and node.args:
                 remedy = rendered(node.args[1]) if len(node.args) > 1 else None
-                yield Said(_place(path, node), _name(node.func), rendered(node.args[0]), remedy)
+                yield UserText(_place(path, node), _name(node.func), rendered(node.args[0]), remedy)
 
 
-def findings() -> Iterator[Said]:
+def findings() -> Iterator[UserText]:
     """Yield every finding of the doctor: subject, code, what, remedy."""
     for path, tree in trees():
         if "/doctor/" not in path:
@@ -42,10 +42,10 @@ def findings() -> Iterator[Said]:
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and _name(node.func) in FINDINGS and len(node.args) > 2:
                 remedy = rendered(node.args[3]) if len(node.args) > 3 else None
-                yield Said(_place(path, node), _name(node.func), rendered(node.args[2]), remedy)
+                yield UserText(_place(path, node), _name(node.func), rendered(node.args[2]), remedy)
 
 
-def texts() -> Iterator[Said]:
+def texts() -> Iterator[UserText]:
     """Yield every string of more than a word that is no docstring."""
     for path, tree in trees():
         docstrings = {
@@ -64,7 +64,7 @@ def texts() -> Iterator[Said]:
             if isinstance(node, ast.Constant) and not isinstance(node.value, str):
                 continue
             if " " in (text := rendered(node)).strip():
-                yield Said(_place(path, node), "text", text)
+                yield UserText(_place(path, node), "text", text)
 
 
 @cache

@@ -7,7 +7,7 @@ from typing import Any
 import click
 import msgspec
 import pytest
-from tests.unit.output.spoken import ROOT, Said, errors, findings, texts
+from tests.unit.output.spoken import ROOT, UserText, errors, findings, texts
 
 from gyrorig_daemon.commands.command_group import cli as gyrorigd
 from gyrorig_daemon.config.rig_document import RigConfig
@@ -140,7 +140,7 @@ def test_rig_keys_in_messages_exist() -> None:
     assert not wrong
 
 
-def _without_remedy(texts: Iterator[Said]) -> set[tuple[str, str]]:
+def _without_remedy(texts: Iterator[UserText]) -> set[tuple[str, str]]:
     return {(text.place, text.text) for text in texts if not text.remedy}
 
 

@@ -29,7 +29,7 @@ SYNC_S = 1.0
 Sequences = Callable[[Path], list[int]]
 
 
-class Unsynced(Disk):
+class UnsyncedDisk(Disk):
     """A disk that does not wait: thousands of files are made here, and none is kept."""
 
     def create(self, path: Path) -> DiskFile:
@@ -88,7 +88,7 @@ def check(cut: PowerCut, folder: Path, sequences_in: Sequences) -> set[int]:
     materialise(cut.state, folder)
     for path in folder.glob("*.mcap"):
         read_strictly(path)  # nothing unfinished ever has a final name
-    reports = recover_folder(folder, disk=Unsynced())
+    reports = recover_folder(folder, disk=UnsyncedDisk())
     assert all(report.outcome is not RecoveryOutcome.FAILED for report in reports), reports
     assert not list(folder.glob("*.part"))
     for path in folder.glob("*.mcap"):
@@ -98,7 +98,7 @@ def check(cut: PowerCut, folder: Path, sequences_in: Sequences) -> set[int]:
     scratch = str(folder.parent)
     certain = set().union(*(samples_in(content, scratch) for content in cut.synced.values()))
     assert certain <= set(numbers)
-    assert recover_folder(folder, disk=Unsynced()) == []
+    assert recover_folder(folder, disk=UnsyncedDisk()) == []
     return set(numbers)
 
 
@@ -160,7 +160,7 @@ def test_a_power_cut_while_recovering(tmp_path: Path, sequences_in: Sequences) -
     for cut in states:
         folder = tmp_path / "cut"
         materialise(cut.state, folder)
-        recover_folder(folder, disk=Unsynced())
+        recover_folder(folder, disk=UnsyncedDisk())
         assert sequences_in(folder) == wanted
         # The original is kept, wherever it is now.
         originals = [path.read_bytes() for path in folder.rglob("*.part")]

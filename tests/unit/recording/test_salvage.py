@@ -15,7 +15,7 @@ from gyrorig_protocol.recording.recording import Recording
 from gyrorig_protocol.recording.salvage import RECOVERED_RECORD, is_finished, read_strictly, salvage
 
 
-class _Unsynced(Disk):
+class _UnsyncedDisk(Disk):
     """A disk that does not wait: a thousand files are made here, and none is kept."""
 
     def create(self, path: Path) -> DiskFile:
@@ -24,7 +24,7 @@ class _Unsynced(Disk):
         return file
 
 
-QUICK = _Unsynced()
+QUICK = _UnsyncedDisk()
 ABOUT = {"original": "a.mcap.part", "original_sha256": "00"}
 
 

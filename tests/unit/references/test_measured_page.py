@@ -27,7 +27,9 @@ CAN_SHOW_ALL, NOT_IDENTIFIABLE, REFUSED = 0, 4, 3
 
 
 @pytest.fixture(scope="module")
-def measured(measured_data: Path, tmp_path_factory: pytest.TempPathFactory) -> sessions.Measured:
+def measured(
+    measured_data: Path, tmp_path_factory: pytest.TempPathFactory
+) -> sessions.MeasuredSets:
     return sessions.run_all(measured_data.resolve(), tmp_path_factory.mktemp("measured"))
 
 
@@ -36,7 +38,7 @@ def document() -> str:
     return write.DOCUMENT.read_text(encoding="utf-8")
 
 
-def test_the_exit_statuses_follow_the_contract(measured: sessions.Measured) -> None:
+def test_the_exit_statuses_follow_the_contract(measured: sessions.MeasuredSets) -> None:
     refused = []
     for runs in measured.runs.values():
         for command in runs:
@@ -52,7 +54,7 @@ def test_the_exit_statuses_follow_the_contract(measured: sessions.Measured) -> N
 
 
 def test_what_they_write_keeps_the_contracts(
-    measured: sessions.Measured, contract_judge: Path
+    measured: sessions.MeasuredSets, contract_judge: Path
 ) -> None:
     recordings, documents = measured.recordings(), measured.documents()
     explanations = measured.explanations()
@@ -69,7 +71,7 @@ def test_what_they_write_keeps_the_contracts(
     assert judged.returncode == 0, judged.stdout + judged.stderr
 
 
-def test_a_calibration_names_the_findings_beside_it(measured: sessions.Measured) -> None:
+def test_a_calibration_names_the_findings_beside_it(measured: sessions.MeasuredSets) -> None:
     for path in measured.documents():
         if path.name.endswith(FINDINGS_SUFFIX):
             continue
@@ -80,13 +82,13 @@ def test_a_calibration_names_the_findings_beside_it(measured: sessions.Measured)
         )
 
 
-def test_every_block_is_in_the_page_once(measured: sessions.Measured, document: str) -> None:
+def test_every_block_is_in_the_page_once(measured: sessions.MeasuredSets, document: str) -> None:
     names = blocks.block_names(document)
     assert len(set(names)) == len(names)
     assert set(names) == set(write.blocks(measured))
 
 
-def test_blocks_are_what_the_commands_give(measured: sessions.Measured, document: str) -> None:
+def test_blocks_are_what_the_commands_give(measured: sessions.MeasuredSets, document: str) -> None:
     """The words must agree, a number within 1 % or three of its last digit.
 
     Less than any of the standard deviations beside them.
@@ -104,7 +106,7 @@ def test_decimals_in_prose_stand_in_a_block_too(document: str) -> None:
     assert {number for number in by_hand if number not in made} == set()
 
 
-def test_gains_of_a_document_are_those_of_the_fit(measured: sessions.Measured) -> None:
+def test_gains_of_a_document_are_those_of_the_fit(measured: sessions.MeasuredSets) -> None:
     """The page goes back from S, T, M and their covariance; the solver has G at first hand."""
     fit = solve_recordings([read_recording(measured.folder / "ferraris.mcap")], "FERRARIS")
     gain, std = sessions.gain_and_std(measured.calibration("FERRARIS"))
@@ -113,7 +115,7 @@ def test_gains_of_a_document_are_those_of_the_fit(measured: sessions.Measured) -
 
 
 def test_imu_tk_method_run_here_gives_what_its_program_printed(
-    measured: sessions.Measured,
+    measured: sessions.MeasuredSets,
 ) -> None:
     """On all moves: each entry of the gain within a third of the standard deviation it printed."""
     loaded = measured.load("xsens")

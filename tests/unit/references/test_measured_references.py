@@ -26,15 +26,15 @@ from gyrorig_solver.reference.attitude_reference import AttitudeReference, read_
 from gyrorig_solver.reference.known_turns import TurnReference, read_turns
 
 MAPS = Path(__file__).resolve().parents[3] / "config" / "imports"
-Loaded = tuple[GyroSamples, TurnReference, AttitudeReference | None]
-Loader = Callable[[str, str], Loaded]
+LoadedRecording = tuple[GyroSamples, TurnReference, AttitudeReference | None]
+Loader = Callable[[str, str], LoadedRecording]
 
 
 @pytest.fixture
 def load(measured_data: Path, tmp_path: Path) -> Loader:
     """Import a file by a shipped map and return what the estimators take."""
 
-    def loaded(name: str, source: str) -> Loaded:
+    def loaded(name: str, source: str) -> LoadedRecording:
         out = tmp_path / f"{Path(source).stem}.mcap"
         import_measurements(measured_data / source, load_import_map(MAPS / f"{name}.yaml"), out)
         recording = read_recording(out)

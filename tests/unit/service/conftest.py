@@ -50,7 +50,7 @@ steps:
 """
 
 
-class Spoken(SystemdNotifier):
+class RecordingNotifier(SystemdNotifier):
     """Remembers what systemd would be told."""
 
     def __init__(self) -> None:
@@ -75,7 +75,7 @@ class Bench:
         self.rig = EmulatedRig(change(settings) if change else settings, ORIGIN_NS)
         self.hub = VirtualHub(self.rig)
         self.orders = OperatorRequests()
-        self.notifier = Spoken()
+        self.notifier = RecordingNotifier()
         self.log: list[str] = []
         self.statuses: list[dict[str, Any]] = []
         self.stepped_s = 0.0  # how far the wall clock was set

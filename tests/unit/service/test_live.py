@@ -137,7 +137,7 @@ def test_a_clock_anchored_anew_goes_on() -> None:
     assert thinning.is_due(TOPIC, 10**18 - 5 * 10**9)
 
 
-class Seen:
+class CountingView:
     """A view that counts."""
 
     def __init__(self) -> None:
@@ -154,7 +154,7 @@ class Seen:
 
 
 def seen_by_a_view(bench: Any, seconds: float) -> Counter[str]:
-    seen = Seen()
+    seen = CountingView()
     bench.parts.view = bench.opened.view = seen
     bench.serve(seconds)
     return seen.topics

@@ -66,7 +66,7 @@ def test_an_abstract_address_and_somebody_elses_watchdog() -> None:
     SystemdNotifier.from_environment({}).send_ready()
 
 
-class Spoken(SystemdNotifier):
+class RecordingNotifier(SystemdNotifier):
     def __init__(self) -> None:
         super().__init__(None, 8.0)
         self.fed = 0
@@ -78,7 +78,7 @@ class Spoken(SystemdNotifier):
 def test_the_watchdog_is_fed_only_when_every_loop_made_progress() -> None:
     now_ns = 0
     pulse = Heartbeat("socket", 3.0, lambda: now_ns)
-    notifier, notices = Spoken(), list[str]()
+    notifier, notices = RecordingNotifier(), list[str]()
     timer = WatchdogTimer(
         notifier, lambda: [pulse.name] if pulse.is_stalled else [], now_ns, notices.append
     )

@@ -19,10 +19,10 @@ RIG = (
     "rig: NAME\nptu: {port: emulated, baud: 115200}\n"
     "boards: [{id: B-1, port: emulated, baud: 460800}]\n"
 )
-Turn = Callable[["Scripted"], LoopExit]
+Turn = Callable[["ScriptedProcess"], LoopExit]
 
 
-class Scripted(service_process.ServiceProcess):
+class ScriptedProcess(service_process.ServiceProcess):
     """The process without ports: each opening does what the next turn says."""
 
     def __init__(self, folder: Path, turns: list[Turn], refused: tuple[str, ...] = ()) -> None:
@@ -53,7 +53,7 @@ class Scripted(service_process.ServiceProcess):
 class Loop:
     """In place of the daemon's loop."""
 
-    def __init__(self, service: Scripted, parts: ServiceContext) -> None:
+    def __init__(self, service: ScriptedProcess, parts: ServiceContext) -> None:
         assert parts.config_text == service.config.read_bytes() or service.refused
         self._service = service
 
@@ -69,23 +69,23 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield Path(made)
 
 
-def end(_: Scripted) -> LoopExit:
+def end(_: ScriptedProcess) -> LoopExit:
     return LoopExit.END
 
 
-def lose(_: Scripted) -> LoopExit:
+def lose(_: ScriptedProcess) -> LoopExit:
     raise PortsGoneError("the acquisition process ended")
 
 
 def test_a_reload_opens_the_new_rig(folder: Path) -> None:
-    service = Scripted(folder, [lambda s: s.reload("second"), end])
+    service = ScriptedProcess(folder, [lambda s: s.reload("second"), end])
     service.run()
     assert service.opened == ["first", "second"]
 
 
 def test_ports_that_cannot_be_opened_bring_the_old_rig_back(folder: Path) -> None:
     turns: list[Turn] = [lambda s: s.reload("bad"), lambda s: s.reload("third"), end]
-    service = Scripted(folder, turns, ("bad",))
+    service = ScriptedProcess(folder, turns, ("bad",))
     service.run()
     assert service.opened == ["first", "bad", "first", "third"]
     assert service._counts.reloads_refused == 1
@@ -95,27 +95,27 @@ def test_a_lost_acquisition_process_is_replaced_for_ever(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     turns: list[Turn] = [lose, lose, lose, lose, lose, end]
-    service = Scripted(folder, turns)
+    service = ScriptedProcess(folder, turns)
     service.run()
     assert service._counts.acquisition_restarts == 5
     assert capsys.readouterr().err.count("The ports are opened again") == 5
 
 
 def test_a_port_that_is_taken_later_is_waited_for_and_at_the_start_it_is_not(folder: Path) -> None:
-    def taken(_: Scripted) -> LoopExit:
+    def taken(_: ScriptedProcess) -> LoopExit:
         raise BusyError("/dev/x (ptu) is busy")
 
-    Scripted(folder, [taken, taken, end]).run()
-    service = Scripted(folder, [], ("first",))
+    ScriptedProcess(folder, [taken, taken, end]).run()
+    service = ScriptedProcess(folder, [], ("first",))
     with pytest.raises(UsageError, match="cannot be used"):
         service.run()
 
 
 def test_told_to_end_while_nothing_can_be_opened(folder: Path) -> None:
-    def end_then_lose(service: Scripted) -> LoopExit:
+    def end_then_lose(service: ScriptedProcess) -> LoopExit:
         service.orders.request_termination("SIGTERM")
         raise PortsGoneError("the acquisition process ended")
 
-    service = Scripted(folder, [end_then_lose])
+    service = ScriptedProcess(folder, [end_then_lose])
     service.run()
     assert service.opened == ["first"]

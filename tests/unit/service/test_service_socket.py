@@ -24,7 +24,7 @@ from gyrorig_daemon.service.status_server import Peer, StatusServer
 from gyrorig_protocol.errors import BusyError, MachineError
 
 
-class Served:
+class ServedSocket:
     """A server on a path short enough for a socket, and what it handed on."""
 
     def __init__(self, folder: Path) -> None:
@@ -53,9 +53,9 @@ class Served:
 
 
 @pytest.fixture
-def served() -> Iterator[Served]:
+def served() -> Iterator[ServedSocket]:
     with tempfile.TemporaryDirectory() as folder:
-        made = Served(Path(folder))
+        made = ServedSocket(Path(folder))
         with made.server:
             made.server.publish({"state": "ready"})
             yield made
@@ -68,7 +68,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-def test_status_and_commands(served: Served) -> None:
+def test_status_and_commands(served: ServedSocket) -> None:
     assert send_command(served.path, "status") == {"ok": True, "status": {"state": "ready"}}
     assert send_command(served.path, "halt")["said"] == "halt heard"
     assert send_command(served.path, "clear")["said"] == "clear heard"
@@ -76,7 +76,7 @@ def test_status_and_commands(served: Served) -> None:
     assert served.path.stat().st_mode & 0o777 == 0o660
 
 
-def test_watching(served: Served) -> None:
+def test_watching(served: ServedSocket) -> None:
     answers = stream_responses(served.path, "watch")
     assert next(answers)["status"] == {"state": "ready"}
     served.server.publish({"state": "running"})
@@ -84,7 +84,7 @@ def test_watching(served: Served) -> None:
     answers.close()  # type: ignore[attr-defined]
 
 
-def test_who_may_command(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_may_command(served: ServedSocket, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server_module.Peer, "may_command", property(lambda self: self.uid == 12345))
     for command in ("clear", "reload"):
         with pytest.raises(RefusedRequestError, match="is for root"):
@@ -117,7 +117,7 @@ def test_the_peer_is_what_the_kernel_says() -> None:
         b"x" * 9000 + b"\n",
     ],
 )
-def test_what_is_no_request(served: Served, data: bytes) -> None:
+def test_what_is_no_request(served: ServedSocket, data: bytes) -> None:
     answer = served.exchange(data)
     assert answer["ok"] is False
     assert answer["error"]
@@ -125,7 +125,7 @@ def test_what_is_no_request(served: Served, data: bytes) -> None:
     assert send_command(served.path, "status")["ok"]  # it lives
 
 
-def test_a_reader_that_never_reads_is_dropped_and_nobody_else_waits(served: Served) -> None:
+def test_a_reader_that_never_reads_is_dropped_and_nobody_else_waits(served: ServedSocket) -> None:
     with served.connect() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.sendall(b'{"command": "watch"}\n')
@@ -146,7 +146,7 @@ def test_a_reader_that_never_reads_is_dropped_and_nobody_else_waits(served: Serv
 
 
 def test_a_client_that_says_nothing_is_dropped(
-    served: Served, monkeypatch: pytest.MonkeyPatch
+    served: ServedSocket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server_module, "CLIENT_TIMEOUT_S", 0.1)
     with served.connect() as idle:
@@ -154,7 +154,7 @@ def test_a_client_that_says_nothing_is_dropped(
     assert served.counts.clients_slow == 0  # it was not slow, only idle
 
 
-def test_one_byte_at_a_time_and_two_in_one(served: Served) -> None:
+def test_one_byte_at_a_time_and_two_in_one(served: ServedSocket) -> None:
     with served.connect() as connection:
         lines = connection.makefile("rb")
         for byte in b'{"command": "status"}\n':
@@ -167,7 +167,7 @@ def test_one_byte_at_a_time_and_two_in_one(served: Served) -> None:
         ]
 
 
-def test_too_many_clients(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_clients(served: ServedSocket, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server_module, "MAX_CLIENTS", 3)
     held = [served.connect() for _ in range(3)]
     wait_for(lambda: served.counts.clients == 3)
@@ -180,7 +180,7 @@ def test_too_many_clients(served: Served, monkeypatch: pytest.MonkeyPatch) -> No
     assert send_command(served.path, "status")["ok"]
 
 
-def test_a_socket_of_a_daemon_that_lives_and_of_one_that_died(served: Served) -> None:
+def test_a_socket_of_a_daemon_that_lives_and_of_one_that_died(served: ServedSocket) -> None:
     with pytest.raises(BusyError, match="another daemon serves"):
         StatusServer(served.path, lambda *_: "", ServiceCounts()).__enter__()
     other = served.path.with_name("dead")

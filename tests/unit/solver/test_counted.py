@@ -33,7 +33,7 @@ SETTINGS = {
 
 
 @dataclass(frozen=True)
-class Made:
+class SimulatedMotion:
     """One run in plain arrays; the unit counts the steps that it has made."""
 
     time_s: np.ndarray
@@ -41,7 +41,7 @@ class Made:
     polls: UnitPolls
 
 
-def make(seed: int) -> Made:
+def make(seed: int) -> SimulatedMotion:
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, LENGTH_S, 1.0 / FINE_HZ)
     steps = np.zeros((2, time_s.size))
@@ -59,10 +59,10 @@ def make(seed: int) -> Made:
     rising = np.stack([np.interp(at_s + 1e-3, time_s, s) for s in steps]) >= true
     counted = np.where(rising, np.floor(true + 1e-6), np.ceil(true - 1e-6)).T
     polls = UnitPolls(request_s, hi_s, counted, np.ones(counted.shape, dtype=np.bool_))
-    return Made(time_s, steps, polls)
+    return SimulatedMotion(time_s, steps, polls)
 
 
-def reference_of(made: Made) -> CountedReference:
+def reference_of(made: SimulatedMotion) -> CountedReference:
     return counted_reference(made.polls, (STEP_RAD, STEP_RAD), "no move was commanded")
 
 

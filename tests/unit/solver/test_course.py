@@ -34,10 +34,10 @@ orders = st.lists(
     min_size=1,
     max_size=4,
 )
-Told = list[tuple[float, CommandKind, int, MotionLimits]]
+CommandList = list[tuple[float, CommandKind, int, MotionLimits]]
 
 
-def laid(commands: Told) -> MotionProfile:
+def laid(commands: CommandList) -> MotionProfile:
     at, given_orders = 0.0, []
     base = commands[0][3].base_speed_steps_s  # a unit does not change it on the way
     for wait_s, kind, steps, own_limits in commands:
@@ -115,7 +115,7 @@ def test_a_halt_brakes_to_rest() -> None:
 
 
 @given(commands=orders)
-def test_position_is_continuous_and_speed_within_the_law(commands: Told) -> None:
+def test_position_is_continuous_and_speed_within_the_law(commands: CommandList) -> None:
     course = laid(commands)
     base = commands[0][3].base_speed_steps_s
     length = np.diff(course.start_s)

@@ -45,7 +45,7 @@ LENGTH_S = 43.0
 
 
 @dataclass(frozen=True)
-class Played:
+class HostLog:
     """What the host saw, times in s since the rig's power-up."""
 
     rig: EmulatedRig
@@ -54,7 +54,7 @@ class Played:
     counter: np.ndarray
 
 
-def play(seed: int, baud: int = 115200) -> Played:
+def play(seed: int, baud: int = 115200) -> HostLog:
     unit = PtuSettings(
         baud=baud,
         command_time_ms=5.0,
@@ -89,10 +89,10 @@ def play(seed: int, baud: int = 115200) -> Played:
     table = np.array(rows)
     valid = np.ones((len(rows), 2), dtype=np.bool_)
     polls = UnitPolls(table[:, 0], table[:, 1], table[:, 2:4], valid)
-    return Played(rig, exchanges, polls, np.array([row[6] for row in rows], dtype=np.int64))
+    return HostLog(rig, exchanges, polls, np.array([row[6] for row in rows], dtype=np.int64))
 
 
-def reference_of(played: Played, counter: bool = True) -> PanTiltReference:
+def reference_of(played: HostLog, counter: bool = True) -> PanTiltReference:
     settings: dict[str, float] = {}
     for axis, low, high in (("pan", -3090, 3090), ("tilt", -907, 604)):
         settings |= {f"{axis}_base_speed": BASE, f"{axis}_acceleration": RAMP}
@@ -110,7 +110,7 @@ def reference_of(played: Played, counter: bool = True) -> PanTiltReference:
     return PanTiltReference.of(motion, fit_moves(motion, polls), (STEP_RAD, STEP_RAD), span)
 
 
-def angle_errors(played: Played, reference: PanTiltReference) -> np.ndarray:
+def angle_errors(played: HostLog, reference: PanTiltReference) -> np.ndarray:
     """Return found minus true angle in steps, (2, n), the common shift in time taken out."""
     period_s, n = 1e-3, round((LENGTH_S - 1.0) * 1e3)
     time_s = 0.5 + period_s * np.arange(n, dtype=np.float64)

@@ -33,7 +33,7 @@ AGREE = 5e-3  # standard deviations; what a solve is stopped at is some 1e-3
 
 
 @dataclass(frozen=True)
-class Made:
+class SimulatedMotion:
     """A motion, what was polled of it, and where it was at the polls."""
 
     motion: UnitMotion
@@ -41,7 +41,9 @@ class Made:
     starts_s: np.ndarray
 
 
-def make(seed: int, moves: int = 10, off_steps: float = 0.0, change: bool = False) -> Made:
+def make(
+    seed: int, moves: int = 10, off_steps: float = 0.0, change: bool = False
+) -> SimulatedMotion:
     """Moves of pan, every third of tilt; rests off their counts; one order on the way."""
     rng = np.random.default_rng(seed)
     told_s, exchanges, legs, starts = 2.0, [], [], []
@@ -75,7 +77,7 @@ def make(seed: int, moves: int = 10, off_steps: float = 0.0, change: bool = Fals
     valid = rng.uniform(size=steps.shape) > 0.02
     motion = MotionReader(SETTINGS, (0, 0)).read(exchanges)
     polls = UnitPolls(request_s, hi_s, np.rint(steps), valid)
-    return Made(motion, polls, np.array(starts))
+    return SimulatedMotion(motion, polls, np.array(starts))
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class Dense:
     rest_variance: float
 
 
-def dense_fit(made: Made, near: MoveFit) -> Dense:
+def dense_fit(made: SimulatedMotion, near: MoveFit) -> Dense:
     """Return the dense solution, with the scatter of the instants that `near` found."""
     motion, polls = made.motion, made.polls
     first = np.concatenate([[0], np.cumsum([len(m.commands) for m in motion.moves])])
@@ -218,7 +220,7 @@ def test_starts_are_where_they_were_within_what_is_claimed() -> None:
     assert 75.5 < total < 177.6
 
 
-def reference_of(made: Made) -> PanTiltReference:
+def reference_of(made: SimulatedMotion) -> PanTiltReference:
     span = (float(made.polls.earliest_s[0]), float(made.polls.latest_s[-1]))
     result = fit_moves(made.motion, made.polls)
     return PanTiltReference.of(made.motion, result, (STEP_RAD, STEP_RAD), span)

@@ -22,15 +22,15 @@ moves = st.tuples(
     st.floats(200.0, 8000.0),  # steps/s^2
     st.floats(0.0, 1500.0),  # base
 )
-Told = tuple[int, float, float, float]
+MoveTuple = tuple[int, float, float, float]
 
 
-def closed(move: Told) -> TrapezoidalMoves:
+def closed(move: MoveTuple) -> TrapezoidalMoves:
     way, speed, acceleration, base = (np.array([float(x)]) for x in move)
     return TrapezoidalMoves.of(way, speed, acceleration, base)
 
 
-def laid(move: Told, by_speed: float = 0.0, by_acceleration: float = 0.0) -> MotionProfile:
+def laid(move: MoveTuple, by_speed: float = 0.0, by_acceleration: float = 0.0) -> MotionProfile:
     way, speed, acceleration, base = move
     law = MotionLimits(speed * np.exp(by_speed), acceleration * np.exp(by_acceleration), base)
     return plan_motion(0.0, [ProfileCommand(0.0, "to", float(way), law)])
@@ -44,7 +44,7 @@ def at(result: TrapezoidalMoves, polynomial: np.ndarray, time_s: np.ndarray) -> 
 
 
 @given(move=moves)
-def test_segments_equal_the_profile_of_one_command(move: Told) -> None:
+def test_segments_equal_the_profile_of_one_command(move: MoveTuple) -> None:
     result, course = closed(move), laid(move)
     assert result.end_s[0] == pytest.approx(course.end_s, rel=1e-9)
     t = np.linspace(0.0, course.end_s * 1.1, 400)
@@ -55,7 +55,7 @@ def test_segments_equal_the_profile_of_one_command(move: Told) -> None:
 
 
 @given(move=moves)
-def test_derivatives_are_the_differences(move: Told) -> None:
+def test_derivatives_are_the_differences(move: MoveTuple) -> None:
     result, course = closed(move), laid(move)
     t = np.linspace(0.0, course.end_s * 1.05, 300)
     step = 1e-5
@@ -75,7 +75,7 @@ def test_derivatives_are_the_differences(move: Told) -> None:
 
 
 @given(move=moves, share=st.floats(0.001, 0.999))
-def test_the_time_of_a_count_is_when_the_course_passes_it(move: Told, share: float) -> None:
+def test_the_time_of_a_count_is_when_the_course_passes_it(move: MoveTuple, share: float) -> None:
     gone = np.array([share * move[0]])
     passed_s = closed(move).time_at(gone, np.zeros(1, dtype=np.int64))
     assert laid(move).position_steps(passed_s) == pytest.approx(gone, rel=1e-6, abs=1e-6)

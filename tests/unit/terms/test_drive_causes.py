@@ -14,7 +14,7 @@ from gyrorig_solver.model.drive_effects import apply_play, moving_average, repla
 from gyrorig_solver.model.signal_state import RecordingContext, SignalState
 from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
 
-Made = Callable[[np.ndarray, np.ndarray], np.ndarray]
+PathEffect = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def close(ours: np.ndarray, theirs: np.ndarray, share: float) -> None:
@@ -22,7 +22,7 @@ def close(ours: np.ndarray, theirs: np.ndarray, share: float) -> None:
     assert np.linalg.norm(ours - theirs) < share * np.linalg.norm(theirs)
 
 
-def made(rig: Any, pan: Made | None = None, tilt: Made | None = None) -> np.ndarray:
+def made(rig: Any, pan: PathEffect | None = None, tilt: PathEffect | None = None) -> np.ndarray:
     """What is measured more if the angles are made from the told ones."""
     angles = [
         position if how is None else rig.table(how, name)
@@ -31,7 +31,7 @@ def made(rig: Any, pan: Made | None = None, tilt: Made | None = None) -> np.ndar
     return np.asarray(rig.difference(rig.sensor(*angles)))
 
 
-def geared(gap: float, begin: float) -> Made:
+def geared(gap: float, begin: float) -> PathEffect:
     """A pin in a slot, pushed along sample by sample."""
 
     def follow(time_s: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
@@ -188,7 +188,7 @@ def test_sag(rig: Any) -> None:
 
 
 def test_compliance(rig: Any) -> None:
-    def pushed(coefficient: float) -> Made:
+    def pushed(coefficient: float) -> PathEffect:
         def bend(time_s: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
             h = time_s[1] - time_s[0]
             push = np.zeros_like(angle_rad)

@@ -26,7 +26,7 @@ from gyrorig_solver.fleet.jobs.spool_scanner import (
     read_recordings,
     scan_spool,
 )
-from gyrorig_solver.fleet.jobs.workers import Deferred, WorkerPool, run_all
+from gyrorig_solver.fleet.jobs.workers import DeferredJob, WorkerPool, run_all
 from gyrorig_solver.fleet.store.bucket_index import cache_folder
 from gyrorig_solver.fleet.store.bucket_store import create_store
 from gyrorig_solver.fleet.store.index_rows import IndexRow
@@ -261,7 +261,7 @@ def _run_jobs(
 ) -> None:
     for outcome in run_all(jobs, pools):
         try:
-            if isinstance(outcome, Deferred):
+            if isinstance(outcome, DeferredJob):
                 raise outcome.fault
             journal.add(outcome.rows)
             _count_result(outcome, summary)
@@ -272,7 +272,7 @@ def _run_jobs(
                 with contextlib.suppress(MachineError):  # the next batch merges it
                     index.merge_journal(journal.start_next_part())
         except MachineError as fault:
-            key = outcome.job.key if isinstance(outcome, Deferred) else outcome.key
+            key = outcome.job.key if isinstance(outcome, DeferredJob) else outcome.key
             _defer(summary, key, fault)  # nothing of the job is recorded
         progress(summary)
 

@@ -70,7 +70,7 @@ class WorkerPool:
 
 
 @dataclass(frozen=True, slots=True)
-class Deferred:
+class DeferredJob:
     """A job that was not done and not recorded, because the machine or the store refused."""
 
     job: Job
@@ -94,7 +94,7 @@ def local_pools(workers: int, memory_bytes: int) -> list[WorkerPool]:
     return [WorkerPool(make) for _ in range(workers)]
 
 
-def run_all(jobs: Iterable[Job], pools: list[WorkerPool]) -> Iterator[JobResult | Deferred]:
+def run_all(jobs: Iterable[Job], pools: list[WorkerPool]) -> Iterator[JobResult | DeferredJob]:
     """Yield the result of each job when it is ready.
 
     Jobs are taken one by one as pools become free, so `jobs` can be a generator. When the caller
@@ -129,8 +129,8 @@ def run_all(jobs: Iterable[Job], pools: list[WorkerPool]) -> Iterator[JobResult 
             pool.discard_executor()
 
 
-def _deferred(job: Job) -> Deferred:
-    return Deferred(
+def _deferred(job: Job) -> DeferredJob:
+    return DeferredJob(
         job, MachineError("the workers are gone", "start the workers and the batch again")
     )
 
@@ -161,12 +161,12 @@ def _next_job(pool: WorkerPool, retries: list[Job], new_jobs: Iterator[Job]) -> 
 
 def _job_result(
     future: "Future[JobResult]", job: Job, pool: WorkerPool, deaths: dict[str, int]
-) -> JobResult | Deferred | None:
+) -> JobResult | DeferredJob | None:
     """Return the result of a job; None if its worker died and the job is repeated."""
     try:
         return future.result()
     except MachineError as fault:
-        return Deferred(job, fault)
+        return DeferredJob(job, fault)
     except pool.death_exceptions as fault:
         if not pool.running_jobs:  # a shared executor continues with other jobs
             pool.discard_executor()
