@@ -143,10 +143,14 @@ def _counted(
     helped = [
         ratio[0] for ratio, verdict in zip(factor, verdicts, strict=True) if verdict == "helps"
     ]
-    line = f"- {comparison} the calibration helps in {len(helped)} of {len(all_pairs)} pairs"
+    count = f"{len(helped)} of {len(all_pairs)} pairs"
+    line = f"- {comparison} the calibration reduces the error in {count}"
     if helped:
-        line += f", by {number(min(helped), 2)} to {number(max(helped), 2)} times"
-    for verdict, words in (("no difference", "makes no difference in"), ("harms", "harms in")):
+        line += f", by a factor of {number(min(helped), 2)} to {number(max(helped), 2)}"
+    for verdict, words in (
+        ("no difference", "makes no significant difference in"),
+        ("harms", "increases the error in"),
+    ):
         titles = [
             f"{pair.title} ({number(ratio[0], 2)})"
             for pair, ratio, its in zip(all_pairs, factor, verdicts, strict=True)

@@ -88,7 +88,7 @@ def _unexplained_reasons(findings: FindingsDocument) -> list[str]:
     size_text = (
         ""
         if unexplained.harm_sigma is None
-        else f" by up to about {max(unexplained.harm_sigma, 1.0):.0f} standard uncertainties"
+        else f" by up to about {max(unexplained.harm_sigma, 1.0):.0f} times its uncertainty"
     )
     return [
         "part of the residual is not explained by any known cause; it depends "

@@ -165,7 +165,7 @@ def test_a_harmful_rest_limits_the_trust(findings: CauseFindings, origin: Findin
     limited = judge_findings(good, build_findings_document(findings, [], origin), [])
     assert limited.verdict == "limited"
     assert "depends on pan (change of the gain)" in limited.reasons[0]
-    assert "up to about 6 standard uncertainties" in limited.reasons[0]
+    assert "up to about 6 times its uncertainty" in limited.reasons[0]
     clean = build_findings_document(replace(findings, unexplained=None), [], origin)
     assert judge_findings(good, clean, []) == good
     unfitted = judge_findings(good, clean, ["scale_cubic"])
