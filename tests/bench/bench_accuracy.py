@@ -55,7 +55,7 @@ def collect(case: Case, runs: int, earlier_rows: Rows, pool: ProcessPoolExecutor
     return rows
 
 
-def kept_runs(path: Path | None) -> dict[str, Rows]:
+def earlier_runs(path: Path | None) -> dict[str, Rows]:
     """Return the runs of an earlier call, so that more can be added."""
     if path is None or not path.exists():
         return {}
@@ -81,7 +81,7 @@ def main() -> int:
     )
     asked = parser.parse_args()
     count = QUICK_RUNS if asked.quick else asked.runs
-    runs = kept_runs(asked.keep)
+    runs = earlier_runs(asked.keep)
     with ProcessPoolExecutor(PROCESSES) as pool:
         for case in CASES:
             if asked.case in case.name:

@@ -83,7 +83,7 @@ def session(
     }
     begun_s = time.process_time()
     alone = {
-        board: solve_recordings([recording], board, named_terms=_own(named.get(board, ())))
+        board: solve_recordings([recording], board, named_terms=_own_terms(named.get(board, ())))
         for board in boards
     }
     half_s = time.process_time()
@@ -111,7 +111,7 @@ def session(
     return JointComparison(std, error, cpu_s, taken, apart_s, values[..., 0], values[..., 1])
 
 
-def _own(named: Sequence[FittedTerm]) -> list[FittedTerm]:
+def _own_terms(named: Sequence[FittedTerm]) -> list[FittedTerm]:
     """Return causes as one board knows them, not told of the others."""
     return [replace(cause, other_boards_prior=None) for cause in named]
 
@@ -233,7 +233,7 @@ def result_lines(comparisons: Sequence[JointComparison]) -> list[str]:
         * 1e6
     )
     lines.append(f"  times of a bus' boards apart by {us[0]:.2f} us alone, {us[1]:.2f} us together")
-    lines += _said_of_cause(comparisons)
+    lines += _cause_lines(comparisons)
     cpu = np.sum([comparison.cpu_s for comparison in comparisons], axis=0) / len(comparisons)
     lines.append(
         f"  {cpu[0]:.2f} s of CPU alone, {cpu[1]:.2f} s together, "
@@ -243,7 +243,7 @@ def result_lines(comparisons: Sequence[JointComparison]) -> list[str]:
     return lines
 
 
-def _said_of_cause(comparisons: Sequence[JointComparison]) -> list[str]:
+def _cause_lines(comparisons: Sequence[JointComparison]) -> list[str]:
     """Return how well the hidden cause's sizes are known, where all sessions named the same."""
     sizes = {comparison.cause.shape for comparison in comparisons}
     if len(sizes) != 1 or not comparisons[0].cause.shape[-1]:

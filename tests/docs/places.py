@@ -53,7 +53,7 @@ class Places:
         Args:
             data: measured data, $GYRORIG_DATA of every command.
         """
-        self._kept = ExitStack()
+        self._resources = ExitStack()
         self._made: dict[str, Place] = {}
         self._refused: dict[str, str] = {}  # words of what was tried, and why there is none
         programs = Path(sys.executable).parent
@@ -75,7 +75,7 @@ class Places:
         trace: TracebackType | None,
     ) -> None:
         """Take away all that was made."""
-        self._kept.close()
+        self._resources.close()
 
     def place(self, word: str, folder: Path) -> Place:
         """Return where the blocks marked with `word` are run.
@@ -96,7 +96,7 @@ class Places:
                 "bucket": self._bucket, "clone": self._clone, "wheel": self._wheel,
                 "rig": self._rig,
             }  # fmt: skip
-            fresh = Path(self._kept.enter_context(tempfile.TemporaryDirectory()))
+            fresh = Path(self._resources.enter_context(tempfile.TemporaryDirectory()))
             self._made[word] = make[word](fresh)
         made = self._made[word]
         # A bucket and a wheel can be had anywhere.
@@ -105,7 +105,7 @@ class Places:
     def _bucket(self, fresh: Path) -> Place:
         if why := ObjectStore.why_not():
             raise CannotBeHereError(why)
-        store = self._kept.enter_context(ObjectStore(fresh))
+        store = self._resources.enter_context(ObjectStore(fresh))
         return Place(fresh, {**self._environment, **store.environment}, store.prefix)
 
     def _clone(self, fresh: Path) -> Place:
@@ -133,7 +133,9 @@ class Places:
         if why := RigsComputer.why_not():
             raise CannotBeHereError(why)
         try:
-            computer = self._kept.enter_context(RigsComputer(fresh, _cloned(fresh / "gyrorig")))
+            computer = self._resources.enter_context(
+                RigsComputer(fresh, _cloned(fresh / "gyrorig"))
+            )
         except DoesNotBootError as fault:
             self._refused["rig"] = str(fault)
             raise CannotBeHereError(str(fault)) from fault

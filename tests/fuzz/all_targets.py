@@ -21,6 +21,6 @@ TARGETS = {
 FOUND = Path(__file__).with_name("found")
 
 
-def found_inputs(name: str) -> list[bytes]:
+def crash_inputs(name: str) -> list[bytes]:
     """Return the inputs with which this target once failed."""
     return [path.read_bytes() for path in sorted((FOUND / name).glob("*"))]

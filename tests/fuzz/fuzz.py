@@ -112,11 +112,11 @@ def run_one(name: str, seconds: float, out: Path, guided: bool) -> None:
     if guided:
         _guided(name, seconds, out)
         return
-    from tests.fuzz.all_targets import TARGETS, found_inputs  # noqa: PLC0415
+    from tests.fuzz.all_targets import TARGETS, crash_inputs  # noqa: PLC0415
     from tests.fuzz.mutate import mutate  # noqa: PLC0415
 
     target = TARGETS[name]
-    seeds = [*target.seeds(), *found_inputs(name)]
+    seeds = [*target.seeds(), *crash_inputs(name)]
     chance, tried, end = random.Random(name), 0, time.process_time() + seconds
     data = b""
     try:
@@ -135,11 +135,11 @@ def _guided(name: str, seconds: float, out: Path) -> None:
     atheris: Any = importlib.import_module("atheris")  # an optional extra
 
     with atheris.instrument_imports(include=list(PRODUCT)):
-        from tests.fuzz.all_targets import TARGETS, found_inputs  # noqa: PLC0415
+        from tests.fuzz.all_targets import TARGETS, crash_inputs  # noqa: PLC0415
     target = TARGETS[name]
     corpus = out / "corpus" / name  # grows from run to run
     corpus.mkdir(parents=True, exist_ok=True)
-    for number, seed in enumerate([*target.seeds(), *found_inputs(name)]):
+    for number, seed in enumerate([*target.seeds(), *crash_inputs(name)]):
         (corpus / f"seed-{number}").write_bytes(seed[: target.max_bytes])
     arguments = [
         sys.argv[0], str(corpus), f"-max_total_time={max(1, round(TIMEOUT_FACTOR * seconds))}",

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.fuzz.all_targets import TARGETS, found_inputs
+from tests.fuzz.all_targets import TARGETS, crash_inputs
 from tests.fuzz.inject import KINDS, inject
 from tests.fuzz.mutate import mutate
 from tests.fuzz.target import GuaranteeError
@@ -20,7 +20,7 @@ def test_a_target_withstands_random_input(name: str) -> None:
     seeds = list(target.seeds())
     assert seeds
     chance = random.Random(f"gyrorig {name}")
-    for data in [b"", *seeds, *found_inputs(name)]:
+    for data in [b"", *seeds, *crash_inputs(name)]:
         target.run(data)
     for _ in range(INPUTS):
         target.run(mutate(chance, seeds, target.max_bytes))

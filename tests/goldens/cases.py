@@ -47,7 +47,7 @@ class Case:
         return names | {"batch-bucket"} if self.name in BUCKET_READERS else names
 
     @property
-    def kept_folder(self) -> str:
+    def output_folder(self) -> str:
         """Folder whose files are kept, inside the working folder."""
         return self.folder or self.name
 

@@ -108,7 +108,7 @@ class Runner:
             while waiting or running:
                 for name in list(self._ready(waiting, self._options.jobs - len(running))):
                     waiting.remove(name)
-                    future = pool.submit(self._one, name)
+                    future = pool.submit(self._run_case, name)
                     running[future] = name
                 finished, _ = wait(running, return_when=FIRST_COMPLETED)
                 for future in finished:
@@ -134,7 +134,7 @@ class Runner:
             hidden = len(outcome.differences) - len(shown)
             _say(f"    and {hidden} more differences (--all shows them)")
 
-    def _one(self, name: str) -> Outcome:
+    def _run_case(self, name: str) -> Outcome:
         """Run one case or make one material."""
         for need in self._needs(name):
             if self.outcomes[need].status in ("skipped", "failed"):

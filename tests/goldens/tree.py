@@ -81,7 +81,7 @@ class Tree:
             check=False,
         )
         return result_of(
-            process.returncode, process.stdout, process.stderr, work / case.kept_folder
+            process.returncode, process.stdout, process.stderr, work / case.output_folder
         )
 
     def check(self) -> None:

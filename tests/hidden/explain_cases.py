@@ -54,7 +54,7 @@ def bounds_path(out: Path) -> Path:
     return out.with_suffix(".bounds.jsonl")
 
 
-def said_of(case: Path, variant: str, out: Path) -> Row:
+def answer_line(case: Path, variant: str, out: Path) -> Row:
     """Explain one case and write its line; then what needs the truth, where there is such."""
     seed, seal = int(case.name), sealed(case)
     look = VARIANTS[variant]
@@ -99,10 +99,10 @@ def explain_all(todo: Sequence[Path], variant: str, out: Path, workers: int) -> 
     """Yield each case's line as it is done."""
     if workers <= 1:
         for case in todo:
-            yield said_of(case, variant, out)
+            yield answer_line(case, variant, out)
         return
     with ProcessPoolExecutor(workers) as pool:
-        waiting = [pool.submit(said_of, case, variant, out) for case in todo]
+        waiting = [pool.submit(answer_line, case, variant, out) for case in todo]
         for future in as_completed(waiting):
             yield future.result()
 

@@ -39,8 +39,8 @@ class Sessions:
         """Begin to record; truth and finder share files alone, and no process."""
         self.lines = list(lines)
         self._folder = folder
-        self._there: set[str] = set()
-        self._said: dict[tuple[str, str], StatedExplanation] = {}
+        self._recorded_names: set[str] = set()
+        self._explained: dict[tuple[str, str], StatedExplanation] = {}
         lines_path = folder / "lines.json"
         lines_path.write_text(json.dumps(self.lines), encoding="utf-8")
         order = [sys.executable, str(RECORDER), "--out", str(folder), "--lines", str(lines_path)]
@@ -53,20 +53,20 @@ class Sessions:
 
     def path(self, name: str) -> Path:
         """Return where a session's recording is, as soon as it is there."""
-        while name not in self._there:
+        while name not in self._recorded_names:
             line_text = self._recorder.stdout.readline() if self._recorder.stdout else ""
             if not line_text:
                 raise RuntimeError(f"{name} was not recorded")
-            self._there.add(line_text.strip())
+            self._recorded_names.add(line_text.strip())
         return self._folder / f"{name}.mcap"
 
     def stated(self, line: Line, variant: str = REAL) -> StatedExplanation:
         """Return what a finder says of a session, before any change of its words."""
         look = VARIANTS[variant].explain
         key = name_of(line), "" if look is VARIANTS[REAL].explain else variant
-        if key not in self._said:
-            self._said[key] = explained(self.path(name_of(line)), look)
-        return self._said[key]
+        if key not in self._explained:
+            self._explained[key] = explained(self.path(name_of(line)), look)
+        return self._explained[key]
 
     def outcome(self, line: Line, variant: str = REAL) -> Outcome:
         """Return a session's outcome with a finder."""

@@ -27,7 +27,7 @@ class SessionSummary:
     samples: Mapping[BoardId, int]
 
 
-def ignore_progress(_done: int, _total: int) -> None:
+def ignore_progress(_step: int, _total: int) -> None:
     """Show no progress."""
 
 

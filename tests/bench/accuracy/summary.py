@@ -134,7 +134,7 @@ def judged(results: Summary) -> Iterator[Row]:
         yield Row(
             f"{case.name}: joint chi-squared of 13",
             f"p >= {goals.CHI2_P}",
-            f"mean {_said(result['chi2']['mean'])}, p {p_value:.2g}",
+            f"mean {_figure_text(result['chi2']['mean'])}, p {p_value:.2g}",
             "yes" if p_value >= goals.CHI2_P else "NO",
         )
     for name, cost in results["outliers"].items():
@@ -159,24 +159,26 @@ def _offset(name: str, summary: Summary, known: bool) -> Iterator[Row]:
         )
 
 
-def _said(figure: Summary) -> str:
+def _figure_text(figure: Summary) -> str:
     return f"{figure['value']:.3f} ({figure['low']:.3f} to {figure['high']:.3f})"
 
 
 def _at_least(item: str, goal: float, figure: Summary) -> Row:
     reached, chance = figure["value"] >= goal, figure["high"] >= goal
-    return Row(item, f">= {goal:.2f}", _said(figure), _verdict(reached, chance))
+    return Row(item, f">= {goal:.2f}", _figure_text(figure), _verdict(reached, chance))
 
 
 def _at_most(item: str, goal: float, figure: Summary) -> Row:
     reached, chance = figure["value"] <= goal, figure["low"] <= goal
-    return Row(item, f"<= {goal:.2f}", _said(figure), _verdict(reached, chance))
+    return Row(item, f"<= {goal:.2f}", _figure_text(figure), _verdict(reached, chance))
 
 
 def _between(item: str, goal: tuple[float, float], figure: Summary) -> Row:
     reached = goal[0] <= figure["value"] <= goal[1]
     chance = figure["low"] <= goal[1] and figure["high"] >= goal[0]
-    return Row(item, f"{goal[0]:.2f} to {goal[1]:.2f}", _said(figure), _verdict(reached, chance))
+    return Row(
+        item, f"{goal[0]:.2f} to {goal[1]:.2f}", _figure_text(figure), _verdict(reached, chance)
+    )
 
 
 def _verdict(reached: bool, chance: bool) -> str:

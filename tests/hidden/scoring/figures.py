@@ -82,8 +82,8 @@ def figures(
     return {
         "false_alarms": _of(nulls),
         "false_alarms_upper": Figure(nulls.upper if nulls.trials else np.nan, str(nulls)),
-        "sole_right": _beside(_of(_share(plain, sole_right)), plain, bounds),
-        "sole_right_soak": _beside(_of(_share(soaked, sole_right)), soaked, bounds),
+        "sole_right": _beside_chance(_of(_share(plain, sole_right)), plain, bounds),
+        "sole_right_soak": _beside_chance(_of(_share(soaked, sole_right)), soaked, bounds),
         "wrong_names": _count(_share(bound, lambda outcome: outcome.misled)),
         "detected_once": _beside_tests(
             _share(once, lambda outcome: outcome.alarmed), once, measured
@@ -196,7 +196,7 @@ def _of(share: Share) -> Figure:
     return Figure(share.value, str(share))
 
 
-def _beside(figure: Figure, outcomes: Sequence[Outcome], bounds: Sequence[Bound]) -> Figure:
+def _beside_chance(figure: Figure, outcomes: Sequence[Outcome], bounds: Sequence[Bound]) -> Figure:
     """Add the bound on the figure; a case without a bound counts as certain."""
     chance = {bound.seed: bound.chance for bound in bounds}
     each = [chance.get(outcome.seed, 1.0) for outcome in outcomes]

@@ -113,7 +113,7 @@ def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
     sets = [tuple(entry["set"]) for entry in (*line["causes"], *line["raw"])]
     rest = tuple(line["unexplained"])
     fates = tuple(
-        Fate(cause.cause, cause.place, cause.times, _said_of(cause.cause, sets, answer, rest))
+        Fate(cause.cause, cause.place, cause.times, _given_name(cause.cause, sets, answer, rest))
         for cause in answer.causes
     )
     absent = [limit for limit in line["absent"] if limit[4] is not None]
@@ -140,7 +140,7 @@ def outcome_of(answer: Answer, line: Mapping[str, Any]) -> Outcome:
     )
 
 
-def _said_of(
+def _given_name(
     cause: str, sets: Sequence[tuple[str, ...]], answer: Answer, rest: Sequence[str]
 ) -> Name:
     with_it = [names for names in sets if cause in names]

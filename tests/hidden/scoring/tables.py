@@ -113,7 +113,7 @@ def nulls(outcomes: Outcomes) -> str:
     rows = []
     for program, group in _grouped(chosen, lambda outcome: outcome.program):
         alarms = [outcome for outcome in group if outcome.alarmed]
-        names = Counter(_said(outcome) for outcome in alarms)
+        names = Counter(_names_text(outcome) for outcome in alarms)
         words = "; ".join(f"{text} ({n})" for text, n in names.most_common())
         rows.append((f"`{program}`", str(Share(len(alarms), len(group))), words))
     return table(("program", "sessions with a false alarm", "reported causes"), rows)
@@ -384,7 +384,7 @@ def seconds(outcomes: Outcomes) -> str:
     return table(("kind", "program", "sessions", "median, s", "longest, s"), rows)
 
 
-def _said(outcome: Outcome) -> str:
+def _names_text(outcome: Outcome) -> str:
     names = " + ".join(" or ".join(names) for names in outcome.sets)
     return names or f"unexplained: {outcome.rest[0]}"
 

@@ -42,7 +42,9 @@ def answer_of(session: Session, recorded: RecordedSession, sizer: Sizer) -> dict
         "decoy": session.decoy,
         "causes": [
             _cause(item, by_cause.get(item.name), beside_others, session)
-            for item, beside_others in zip(session.items, _beside(session, sizer), strict=True)
+            for item, beside_others in zip(
+                session.items, _times_beside_others(session, sizer), strict=True
+            )
         ],
         "expected_groups": [group for shape in shapes for group in shape.groups],
         "near": next((shape.near for shape in shapes if shape.near), None),
@@ -116,7 +118,7 @@ def _plain(quantity: Quantity) -> dict[str, Any]:
     return {"value": value, "unit": quantity.unit}
 
 
-def _beside(session: Session, sizer: Sizer) -> list[float | None]:
+def _times_beside_others(session: Session, sizer: Sizer) -> list[float | None]:
     """Return each effect's non-centrality with the others taken off as well."""
     items = session.items
     if len(items) < 2:

@@ -168,7 +168,7 @@ def _null(drawing: _Drawing) -> Session:
     return Session(drawing.tier, "null", drawing.rig, decoy=decoy)
 
 
-def _one(drawing: _Drawing) -> Session:
+def _single_cause(drawing: _Drawing) -> Session:
     rng = drawing.rng
     if rng.random() < 0.05:
         return _pair(drawing)
@@ -339,7 +339,7 @@ def orders_of(items: Sequence[Item]) -> tuple[InjectionRequest, ...]:
 
 _OF_KIND: dict[str, Callable[[_Drawing], Session]] = {
     "null": _null,
-    "one": _one,
+    "one": _single_cause,
     "two": _two,
     "many": _many,
     "outside": _shape(OUTSIDE),

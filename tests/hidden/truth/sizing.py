@@ -81,9 +81,9 @@ class Sizer:
     def space(self, rates: NoiseFreeRates) -> NuisanceProjector:
         """Return the space beside what a calibration estimates of such rates."""
         if rates.aligned_rad_s is not rates.plain_rad_s:
-            return self._beside(rates)
+            return self._space_with_rates(rates)
         if self._plain_space is None:
-            self._plain_space = self._beside(rates)
+            self._plain_space = self._space_with_rates(rates)
         return self._plain_space
 
     def visibility(self, *hide: InjectionRequest, more: More | None = None) -> Visibility:
@@ -196,5 +196,5 @@ class Sizer:
         count = int(self.space(plain).inside.sum())
         return walk_noncentrality(self._board, walk, count)
 
-    def _beside(self, rates: NoiseFreeRates) -> NuisanceProjector:
+    def _space_with_rates(self, rates: NoiseFreeRates) -> NuisanceProjector:
         return NuisanceProjector(rates, self._board, self._course.moves_s, self._course.span_s)

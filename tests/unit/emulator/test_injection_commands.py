@@ -51,7 +51,7 @@ def recording(folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> R
     return read_recording(Path(recorded(folder, capsys, *more)["recording"]))
 
 
-def told_of_itself(rec: Recording) -> tuple[object, object]:
+def own_description(rec: Recording) -> tuple[object, object]:
     """What a recording says besides its messages, without the instant it was made."""
     metadata = {name: dict(record) for name, record in rec.metadata.items()}
     for key in ("anchor_utc_ns", "anchor_monotonic_raw_ns"):
@@ -92,7 +92,7 @@ def test_a_recording_does_not_say_what_it_hides(
                        str(tmp_path / "truth.json"))  # fmt: skip
     quiet = recording(tmp_path / "quiet", capsys, "--noise-free")
     for other in (hiding, random, quiet):
-        assert told_of_itself(other) == told_of_itself(plain)
+        assert own_description(other) == own_description(plain)
         messages = str([m for topic in ("/diagnostics", "/session/event")
                     for m in other.messages(topic)])  # fmt: skip
         assert not any(cause.split(":")[0] in messages for cause in causes)

@@ -41,8 +41,8 @@ def fleet_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, 
     (tmp_path / "boards.csv").write_text("\n".join(lines), encoding="utf-8")
     command = ["fleet", str(tmp_path / "store"), "--boards", str(tmp_path / "boards.csv"), "--json"]
     assert run(command) == 0
-    found_: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return found_
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return document
 
 
 def groups(fleet_json: dict[str, Any], kind: str) -> dict[str, Any]:

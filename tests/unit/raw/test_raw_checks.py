@@ -67,7 +67,7 @@ def samples_of(
     )
 
 
-def found_in(samples: GyroSamples) -> dict[str, StreamFinding]:
+def findings_in(samples: GyroSamples) -> dict[str, StreamFinding]:
     return {
         finding.cause: finding for result in check_stream(samples) for finding in result.findings
     }
@@ -76,14 +76,14 @@ def found_in(samples: GyroSamples) -> dict[str, StreamFinding]:
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("noise", [0.2, 1.0, 8.0])
 def test_clean_counts_raise_no_alarm(seed: int, noise: float) -> None:
-    assert found_in(samples_of(clean_counts(seed, noise))) == {}
+    assert findings_in(samples_of(clean_counts(seed, noise))) == {}
 
 
 def test_repeats_are_counted_one_by_one() -> None:
     counts = clean_counts().copy()
     rows = np.arange(500, 11_500, 1000)
     counts[rows] = counts[rows - 1]
-    (finding,) = found_in(samples_of(counts)).values()
+    (finding,) = findings_in(samples_of(counts)).values()
     assert (finding.cause, finding.count) == ("repeated_samples", rows.size)
     assert finding.times_s == pytest.approx(rows / RATE_HZ, abs=1e-3)
 
@@ -95,8 +95,8 @@ def test_repeats_are_detected_by_six_words_if_three_are_coarse() -> None:
     accel = np.rint(20.0 * rng.normal(size=counts.shape)) * 0.01
     rows = np.arange(100, 12_000, 200)
     counts[rows], accel[rows] = counts[rows - 1], accel[rows - 1]
-    assert "repeated_samples" not in found_in(samples_of(clean_counts(5, 1.0), accel=accel))
-    finding = found_in(samples_of(counts, accel=accel))["repeated_samples"]
+    assert "repeated_samples" not in findings_in(samples_of(clean_counts(5, 1.0), accel=accel))
+    finding = findings_in(samples_of(counts, accel=accel))["repeated_samples"]
     assert abs(finding.count - rows.size) <= 1
 
 
@@ -105,7 +105,7 @@ def test_one_flipped_bit_is_enough(bit: int) -> None:
     counts = clean_counts().copy()
     word = int(counts[6100, 1]) & 0xFFFF
     counts[6100, 1] = ((word ^ (1 << bit)) ^ 0x8000) - 0x8000
-    (finding,) = found_in(samples_of(counts)).values()
+    (finding,) = findings_in(samples_of(counts)).values()
     assert (finding.cause, finding.where, finding.count) == ("corrupt_samples", ("y",), 1)
     assert finding.times_s == pytest.approx((61.0,), abs=1e-3)
 
@@ -119,7 +119,7 @@ def test_torn_words_are_detected() -> None:
     crossing = np.flatnonzero((torn[:, 2] != counts[:, 2]) & (counts[:, 2] < 400))
     rows = crossing[:: max(1, crossing.size // 40)]
     counts[rows, 2] = torn[rows, 2]
-    finding = found_in(samples_of(counts))["corrupt_samples"]
+    finding = findings_in(samples_of(counts))["corrupt_samples"]
     assert finding.where == ("z",)
     assert 3 <= finding.count <= rows.size
 
@@ -131,18 +131,18 @@ def test_a_tap_is_not_a_damaged_word() -> None:
     blow = np.zeros((N, 3))
     blow[1000:12_000:1500] = 9000.0
     counts = np.rint(counts + lfilter(*low, blow, axis=0)).astype(np.int16)
-    assert found_in(samples_of(counts)) == {}
+    assert findings_in(samples_of(counts)) == {}
 
 
 def test_a_stuck_axis_and_clipping_are_distinguished() -> None:
     stuck = clean_counts().copy()
     stuck[4000:9000, 0] = stuck[4000, 0]
-    findings = found_in(samples_of(stuck))
+    findings = findings_in(samples_of(stuck))
     assert findings["stuck_axis"].where == ("x",)
     assert findings["stuck_axis"].count == pytest.approx(5000, abs=5)
     assert "saturation" not in findings
     cut = np.clip(clean_counts(), -5000, 5000)
-    findings = found_in(samples_of(cut))
+    findings = findings_in(samples_of(cut))
     assert set(findings) == {"saturation"}
     assert findings["saturation"].size == pytest.approx(5000 * QUANTUM)
 
@@ -150,13 +150,13 @@ def test_a_stuck_axis_and_clipping_are_distinguished() -> None:
 def test_an_axis_without_any_change_is_stuck() -> None:
     counts = clean_counts().copy()
     counts[:, 1] = 17
-    (finding,) = found_in(samples_of(counts)).values()
+    (finding,) = findings_in(samples_of(counts)).values()
     assert (finding.cause, finding.where, finding.share) == ("stuck_axis", ("y",), 1.0)
 
 
 def test_missing_numbers_are_counted() -> None:
     keep = np.setdiff1d(np.arange(N), np.r_[3000:3004, 7000:7003])
-    findings = found_in(samples_of(clean_counts()[keep], keep))
+    findings = findings_in(samples_of(clean_counts()[keep], keep))
     assert findings["lost_samples"].count == 7
     assert "in 2 gaps" in findings["lost_samples"].seen_as
 
@@ -165,13 +165,13 @@ def test_the_saturation_status_of_the_board_is_counted() -> None:
     samples = samples_of(clean_counts())
     good = samples.usable.copy()
     good[200:220] = False
-    assert found_in(replace(samples, usable=good))["saturation"].count == 20
+    assert findings_in(replace(samples, usable=good))["saturation"].count == 20
 
 
 def test_physical_values_are_not_checked_for_damaged_words() -> None:
     counts = clean_counts().astype(np.int32) * 10_000
     counts[5000, 0] += 1 << 24
-    assert "corrupt_samples" not in found_in(samples_of(counts))
+    assert "corrupt_samples" not in findings_in(samples_of(counts))
 
 
 @pytest.mark.parametrize(("count", "expected"), [(0, 3.0), (1, 0.02), (5, 0.5), (200, 150.0)])

@@ -131,7 +131,7 @@ def test_position_is_continuous_and_speed_within_the_law(commands: CommandList) 
 
 
 def test_derivatives_of_several_commands_equal_differences() -> None:
-    motion = read(told_at([(0.0, "PS1000"), (1.0, "PP3000"), (2.2, "PS600"), (3.0, "PP-700")]))
+    motion = read(exchanges_at([(0.0, "PS1000"), (1.0, "PP3000"), (2.2, "PS600"), (3.0, "PP-700")]))
     (move,) = motion.moves
     assert [o.kind for o in move.commands] == ["to", "keep", "to"]
     still = np.zeros(motion.speed_class_count)
@@ -161,7 +161,7 @@ def exchanges_of(*commands: str) -> list[UnitExchange]:
     return [UnitExchange(10.0 * k, 10.0 * k + 0.01, True, c) for k, c in enumerate(commands)]
 
 
-def told_at(commands: list[tuple[float, str]]) -> list[UnitExchange]:
+def exchanges_at(commands: list[tuple[float, str]]) -> list[UnitExchange]:
     return [UnitExchange(at, at + 0.01, True, command) for at, command in commands]
 
 
@@ -209,7 +209,9 @@ def test_slaved_moves_start_together() -> None:
 
 def test_commands_in_motion_belong_to_the_move() -> None:
     motion = read(
-        told_at([(0.0, "PS100"), (1.0, "PP1000"), (2.0, "PP-1000"), (3.0, "TS100"), (4.0, "TP50")])
+        exchanges_at(
+            [(0.0, "PS100"), (1.0, "PP1000"), (2.0, "PP-1000"), (3.0, "TS100"), (4.0, "TP50")]
+        )
     )
     assert [(m.axis, len(m.commands), m.to_steps) for m in motion.moves] == [
         (0, 2, -1000),
@@ -219,25 +221,28 @@ def test_commands_in_motion_belong_to_the_move() -> None:
 
 
 def test_a_halt_ends_at_the_polled_count() -> None:
-    motion = read(told_at([(0.0, "PS500"), (1.0, "PP3000"), (3.0, "H"), (9.0, "PO100")]), {0: 1021})
+    motion = read(
+        exchanges_at([(0.0, "PS500"), (1.0, "PP3000"), (3.0, "H"), (9.0, "PO100")]), {0: 1021}
+    )
     assert [(m.from_steps, m.to_steps) for m in motion.moves] == [(0, 1021), (1021, 1121)]
     assert [len(m.commands) for m in motion.moves] == [1, 1]
     assert motion.unknown_spans == ()
-    unseen = read(told_at([(0.0, "PS500"), (1.0, "PP3000"), (3.0, "H"), (9.0, "PP100")]))
+    unseen = read(exchanges_at([(0.0, "PS500"), (1.0, "PP3000"), (3.0, "H"), (9.0, "PP100")]))
     assert [why for _, _, why in unseen.unknown_spans] == [
         "no position was polled after a halt or an offset command during a move"
     ]
 
 
 def test_an_offset_in_motion_ends_at_the_polled_count() -> None:
-    motion = read(told_at([(0.0, "PS500"), (1.0, "PP3000"), (3.0, "PO-400")]), {0: 617})
+    motion = read(exchanges_at([(0.0, "PS500"), (1.0, "PP3000"), (3.0, "PO-400")]), {0: 617})
     (move,) = motion.moves
     assert (move.to_steps, len(move.commands), move.commands[1].kind) == (617, 2, "to")
 
 
 def test_velocity_mode_goes_to_the_limit_until_it_is_halted() -> None:
     motion = read(
-        told_at([(0.0, "CV"), (1.0, "PS500"), (3.0, "PS-800"), (5.0, "PS0"), (9.0, "CI")]), {0: -77}
+        exchanges_at([(0.0, "CV"), (1.0, "PS500"), (3.0, "PS-800"), (5.0, "PS0"), (9.0, "CI")]),
+        {0: -77},
     )
     (move,) = motion.moves
     assert [(o.kind, o.steps, o.speed_steps_s) for o in move.commands] == [
@@ -247,7 +252,7 @@ def test_velocity_mode_goes_to_the_limit_until_it_is_halted() -> None:
 
 
 def test_homing_resets_the_count() -> None:
-    motion = read(told_at([(0.0, "PS500"), (1.0, "PP300"), (9.0, "RP"), (20.0, "PP100")]))
+    motion = read(exchanges_at([(0.0, "PS500"), (1.0, "PP300"), (9.0, "RP"), (20.0, "PP100")]))
     assert [(m.from_steps, m.to_steps) for m in motion.moves] == [(0, 300), (0, 100)]
     assert motion.count_resets == ((9.01, 0, 0),)
     assert len(motion.unknown_spans) == 1
@@ -255,13 +260,13 @@ def test_homing_resets_the_count() -> None:
 
 def test_a_move_begins_at_the_polled_count() -> None:
     """Another program moved the axis: the command that did it is not recorded."""
-    motion = read(told_at([(0.0, "PS500"), (1.0, "PP300"), (9.0, "PP100")]), {0: -55})
+    motion = read(exchanges_at([(0.0, "PS500"), (1.0, "PP300"), (9.0, "PP100")]), {0: -55})
     assert [(m.from_steps, m.to_steps) for m in motion.moves] == [(0, 300), (-55, 100)]
 
 
 def test_unknown_motion_has_a_reason() -> None:
     assert read(exchanges_of("PP100")).unknown_spans
-    assert read(told_at([(0.0, "PS100"), (1.0, "PP1000"), (2.0, "PD50")])).unknown_spans
+    assert read(exchanges_at([(0.0, "PS100"), (1.0, "PP1000"), (2.0, "PD50")])).unknown_spans
     assert read(exchanges_of("WPE")).unknown_spans
 
 

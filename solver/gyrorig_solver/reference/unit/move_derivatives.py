@@ -59,7 +59,7 @@ class AxisDerivatives:
             edges_s: of the window, shape (n + 1,).
             jacobian: derivative of the stage rate by the axis position.
         """
-        self._axis, self._table, self._found = axis, table, parameters
+        self._axis, self._table, self._parameters = axis, table, parameters
         self._edges_s, self._turn = edges_s, jacobian
         track = samples.trajectory
         # The moves that overlap with the window.
@@ -95,9 +95,9 @@ class AxisDerivatives:
                 command_range = table.commands_of(k)
                 derivatives = differentiate_move(
                     table.moves[k],
-                    self._found.start_times_s[command_range],
-                    self._found.log_speed,
-                    float(self._found.log_acceleration[self._axis]),
+                    self._parameters.start_times_s[command_range],
+                    self._parameters.log_speed,
+                    float(self._parameters.log_acceleration[self._axis]),
                     self._edges_s[intervals.start : intervals.stop + 1],
                 )
                 starts, speeds, acceleration = (
