@@ -24,6 +24,8 @@ _SCHEMA_KINDS = {
     "program": "a motion program",
     "rig": "a rig configuration",
     "sensor": "a sensor profile",
+    "uncertainty": "uncertainty settings",
+    "unit": "a posterior of a unit",
 }
 _SCHEMA = re.compile(r"gyrorig/([a-z-]{1,20})/\d{1,3}")
 _SCHEMA_LINE = re.compile(r"""^\s*["']?schema["']?\s*:\s*["']?([^"'\s,#]+)""", re.MULTILINE)

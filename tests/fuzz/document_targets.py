@@ -14,6 +14,14 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.profile import parse_profile
 from gyrorig_protocol.program import parse_program
 from gyrorig_solver.calibration.calibration_document import parse_calibration
+from gyrorig_solver.calibration.unit_document import (
+    UnitIdentity,
+    parse_unit,
+    unit_as_yaml,
+    unit_document,
+)
+from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
+from gyrorig_solver.uncertainty.unit_values import UnitPosterior
 
 ROOT = Path(__file__).resolve().parents[2]
 STATE = Path("/var/lib/gyrorig")
@@ -78,12 +86,23 @@ def _calibration(data: bytes) -> None:
     expect_rejection(lambda text: parse_calibration(text, "x"), InputError, data)
 
 
+def _unit_posterior(data: bytes) -> None:
+    expect_rejection(lambda text: parse_unit(text, "x"), InputError, data)
+
+
+def _unit_posterior_seeds() -> list[bytes]:
+    identity = UnitIdentity("E46-0001", "serial")
+    prior = UnitPosterior.from_table(default_settings())
+    return [unit_as_yaml(unit_document(identity, prior, None, [], 0)).encode()]
+
+
 TARGETS = (
     Target("documents", documents, partial(_files, "config/*.yaml"), 4096),
     Target("rig", _rig, partial(_files, "config/rig*.yaml"), 4096),
     Target("program", _program, partial(_files, "config/programs/*.yaml"), 4096),
     Target("profile", _profile, partial(_files, "config/boards/*.yaml"), 4096),
     Target("calibration", _calibration, partial(_files, "tests/unit/output/golden/*.yaml"), 16384),
+    Target("unit_posterior", _unit_posterior, _unit_posterior_seeds, 16384),
     Target("halt_config", halt_config, partial(_files, "config/rig*.yaml"), 4096),
     Target("board_id", board_id, lambda: [b"GY80-1", b"../../etc/x", b"con"], 64),
 )

@@ -231,6 +231,16 @@ class UncertaintyRecord(_DocumentPart, frozen=True):
     settings_sha256: str  # of the prior sizes and the limits
 
 
+class UnitPriorRecord(_DocumentPart, frozen=True, omit_defaults=True):
+    """The stored posterior of the pan-tilt unit that corrected the values."""
+
+    id: str
+    version: int
+    recordings: int  # that the version counts
+    days: float  # between the version and the recording
+    sha256: str | None = None  # `sha256:` digest of the version; None for a file named by a user
+
+
 class CalibrationDocument(_DocumentPart, frozen=True, omit_defaults=True):
     """One calibration of one board: immutable once written."""
 
@@ -253,12 +263,13 @@ class CalibrationDocument(_DocumentPart, frozen=True, omit_defaults=True):
     previous: str | None = None
     findings: FindingsReference | None = None
     uncertainty: UncertaintyRecord | None = None  # of a fit to a pan-tilt unit
+    unit_prior: UnitPriorRecord | None = None  # None: the prior sizes of the table
 
 
 _KEY_ORDER = (
     *("schema", "board", "version", "previous", "created", "inputs", "solver", "units", "model"),
     *("parameters", "matrices", "covariance", "observability", "noise", "quality", "trust"),
-    *("validity", "uncertainty", "findings"),
+    *("validity", "uncertainty", "unit_prior", "findings"),
 )
 
 

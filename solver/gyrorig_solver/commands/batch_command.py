@@ -12,6 +12,7 @@ import click
 
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.commands.terminal import PARTIAL, Terminal, json_option, version_text
+from gyrorig_solver.commands.unit_prior_option import read_unit_knowledge, unit_prior_option
 from gyrorig_solver.fleet.jobs.batch_run import BatchSummary, Shard, run_batch
 from gyrorig_solver.fleet.jobs.session_job import SolveSettings
 from gyrorig_solver.fleet.jobs.workers import WorkerPool, local_pools
@@ -102,6 +103,7 @@ _RETRY_STATUSES = ("rejected", "failed", "quarantined")
     metavar="MB",
     help="Memory limit for one worker, in MB.",
 )
+@unit_prior_option
 @json_option
 @click.pass_obj
 def batch_command(
@@ -119,6 +121,7 @@ def batch_command(
     sign: Path | None,
     deadline: float,
     memory: int,
+    unit_prior: str,
 ) -> int:
     r"""Solve every new recording in a spool folder and add the calibrations to a store.
 
@@ -133,11 +136,14 @@ def batch_command(
       gyrorig batch --spool recordings --store calibrations
       gyrorig batch --spool recordings --store calibrations --shard 3/16 --workers 1
     """
+    knowledge = read_unit_knowledge(unit_prior, store)
     settings = SolveSettings(
         solver_version=version_text(),
         extend=() if extend == "none" else (extend,),
         deadline_s=deadline,
         memory_bytes=memory << 20,
+        uses_unit_store=knowledge.store is not None,
+        unit_document=knowledge.document,
     )
     if scheduler is None and (tls_ca or tls_cert or tls_key):
         raise UsageError(

@@ -21,8 +21,12 @@ from gyrorig_solver.commands.terminal import (
     board_option,
     json_option,
 )
+from gyrorig_solver.commands.unit_prior_option import read_unit_knowledge, unit_prior_option
+from gyrorig_solver.model.parameter_units import plural
 from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
 from gyrorig_solver.pipeline.solve_board import StoredResult, solve_and_store
+from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
+from gyrorig_solver.storage.folder import Folder
 from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings, read_settings
 
 
@@ -58,6 +62,7 @@ from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings,
     help="Prior sizes of the causes, and limits of the verdict, that differ from the shipped ones "
     "(YAML); docs/units.md describes them.  [default: the shipped ones]",
 )
+@unit_prior_option
 @json_option
 @click.pass_obj
 def solve_command(
@@ -68,6 +73,7 @@ def solve_command(
     extend: str,
     out: Path,
     uncertainty: Path | None,
+    unit_prior: str,
 ) -> int:
     r"""Calibrate every board in the recordings; write a calibration and a report each.
 
@@ -84,6 +90,7 @@ def solve_command(
     """
     causes = _requested_causes(extend, method)
     settings = None if uncertainty is None else read_settings(uncertainty)
+    knowledge = read_unit_knowledge(unit_prior, Folder(out))
     solved: list[StoredResult] = []
     failed: list[dict[str, str]] = []
     faults: list[GyrorigError] = []
@@ -107,7 +114,14 @@ def solve_command(
             try:
                 solved.append(
                     _solve_board(
-                        out, group_recordings, name, method, causes, ready.get(name), settings
+                        out,
+                        group_recordings,
+                        name,
+                        method,
+                        causes,
+                        ready.get(name),
+                        settings,
+                        knowledge,
                     )
                 )
                 terminal.print_result(
@@ -194,13 +208,21 @@ def _solve_board(
     method: str,
     causes: Sequence[str],
     ready: CriticisedFit | GyrorigError | None,
-    uncertainty: UncertaintySettings | None = None,
+    uncertainty: UncertaintySettings | None,
+    knowledge: UnitKnowledge,
 ) -> StoredResult:
     """Solve one board, or write its part of a joint solution."""
     if isinstance(ready, GyrorigError):
         raise ready
     return solve_and_store(
-        CalibrationStore(out), recordings, board, method, causes, ready, uncertainty=uncertainty
+        CalibrationStore(out),
+        recordings,
+        board,
+        method,
+        causes,
+        ready,
+        uncertainty=uncertainty,
+        unit_knowledge=knowledge,
     )
 
 
@@ -210,6 +232,12 @@ def _result_text(solved: StoredResult) -> str:
         causes = f": {', '.join(findings.causes)}" if findings.causes else ""
         lines.append(f"  findings              {findings.verdict}{causes}")
         lines.append(f"                        {solved.path.with_name(findings.file)}")
+    prior = solved.calibration.unit_prior
+    if prior is not None:
+        count = plural(prior.recordings, "recording")
+        lines.append(f"  unit                  {prior.id} version {prior.version}, of {count}")
+    if solved.unit_version is not None:
+        lines.append(f"  unit, new version     {solved.unit_version}")
     lines.append(f"  calibration           {solved.path}")
     lines.append(f"  report                {solved.report}")
     return "\n".join(lines)
@@ -223,5 +251,6 @@ def _result_json(solved: StoredResult) -> dict[str, Any]:
         "verdict": calibration.trust.verdict,
         "file": str(solved.path),
         "report": str(solved.report),
+        **({} if solved.unit_version is None else {"unit_version": solved.unit_version}),
         "calibration": calibration_as_mapping(calibration),
     }

@@ -115,7 +115,7 @@ def build_gyro_fit(outcome: FitOutcome, samples: Sequence[GyroSamples]) -> GyroF
             *(
                 parameter
                 for fitted_term in outcome.fitted_terms
-                for parameter in _fitted_parameters(fitted_term, derived)
+                for parameter in fitted_parameters(fitted_term, derived)
             ),
             *_reference_temperatures(outcome.fitted_terms, samples),
         ),
@@ -123,10 +123,14 @@ def build_gyro_fit(outcome: FitOutcome, samples: Sequence[GyroSamples]) -> GyroF
     )
 
 
-def _fitted_parameters(
+def fitted_parameters(
     fitted_term: FittedTerm, derived: DerivedParameters
 ) -> Iterator[FittedParameter]:
     """Yield the parameters of one fitted cause.
+
+    Args:
+        fitted_term: of the fit.
+        derived: values and standard deviations of the fit's parameters.
 
     A fixed value has no standard deviation. A fixed value at its start is left out.
     """

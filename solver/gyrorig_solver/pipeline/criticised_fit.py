@@ -122,6 +122,13 @@ class CriticisedFit:
     explanation: BoardExplanation | None = None  # where causes were searched for
     criticism: FitCriticism | None = None  # where the model was requested
 
+    @property
+    def is_adequate(self) -> bool:
+        """Whether no test finds an effect that the fit leaves."""
+        if self.explanation is not None:
+            return self.explanation.findings.unexplained is None
+        return self.criticism is None or self.criticism.is_adequate
+
 
 def fit_criticised(data: BoardData, extend: Sequence[str]) -> CriticisedFit:
     """Fit one board and criticise the fit.

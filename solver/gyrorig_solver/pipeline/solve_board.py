@@ -33,6 +33,7 @@ from gyrorig_solver.calibration.total_uncertainty import with_total_uncertainty
 from gyrorig_solver.estimate.gyro_fit import GyroFit
 from gyrorig_solver.findings.findings_document import to_yaml as findings_yaml
 from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.pipeline.assessed_fit import AssessedFit, add_to_unit, assess_fit
 from gyrorig_solver.pipeline.board_data import BoardData, load_board
 from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_criticised
 from gyrorig_solver.pipeline.criticism_verdict import add_criticism, add_findings
@@ -41,10 +42,10 @@ from gyrorig_solver.pipeline.explain_board import (
     build_document,
     findings_page,
 )
+from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
 from gyrorig_solver.report.calibration_page import render_calibration
 from gyrorig_solver.report.report_data import ReportData
-from gyrorig_solver.uncertainty.uncertainty_budget import assess_uncertainty
-from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
+from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings, default_settings
 
 FINDINGS_SUFFIX = ".findings.yaml"
 
@@ -58,6 +59,7 @@ class StoredResult:
     report: Path
     stored: StoredVersion
     explanation: BoardExplanation | None = None  # where causes were searched for
+    unit_version: int | None = None  # of the unit's posterior, if the solve added one
 
 
 # (version, digest of the version before, created) to the document
@@ -73,6 +75,7 @@ def solve_and_store(
     precomputed: CriticisedFit | None = None,
     before_writing: Callable[[], None] = lambda: None,
     uncertainty: UncertaintySettings | None = None,
+    unit_knowledge: UnitKnowledge | None = None,
 ) -> StoredResult:
     """Solve one board, and write its next version and its report.
 
@@ -88,21 +91,29 @@ def solve_and_store(
             the writing.
         uncertainty: prior sizes of the causes and limits of the verdict; by default the shipped
             ones.
+        unit_knowledge: what is known of the unit, and where the solve adds to it; by default
+            nothing.
 
     Raises:
-        InputError: the recordings lack something that the method needs.
+        InputError: the recordings lack something that the method needs, or the stored posterior
+            of the unit is damaged.
         UsageError: the recordings cannot be solved together.
         MachineError: the store cannot be written.
     """
     store.prepare_folder(board)
     explanation: BoardExplanation | None = None
+    unit_version: int | None = None
     data = load_board(recordings, board)
     if method == "paper":
         document, report_data_of = _solve_by_paper(data)
     else:
         criticised = precomputed or fit_criticised(data, extend)
         explanation = criticised.explanation
-        document, report_data_of = _solve_by_likelihood(data, extend, criticised, uncertainty)
+        settings = default_settings() if uncertainty is None else uncertainty
+        knowledge = UnitKnowledge() if unit_knowledge is None else unit_knowledge
+        assessed = assess_fit(data, criticised, settings, knowledge)
+        unit_version = add_to_unit(data, criticised, assessed, settings, knowledge)
+        document, report_data_of = _solve_by_likelihood(data, extend, criticised, assessed)
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     written: list[CalibrationDocument] = []
 
@@ -118,7 +129,7 @@ def solve_and_store(
         findings, page = findings_page(explanation)
         store.write_companion(stored, FINDINGS_SUFFIX, findings_yaml(findings).encode())
         store.write_companion(stored, ".findings.html", page.encode())
-    return StoredResult(written[-1], stored.path, report, stored, explanation)
+    return StoredResult(written[-1], stored.path, report, stored, explanation, unit_version)
 
 
 def document_builder(
@@ -154,16 +165,17 @@ def _solve_by_likelihood(
     data: BoardData,
     extend: Sequence[str],
     criticised: CriticisedFit,
-    uncertainty: UncertaintySettings | None = None,
+    assessed: AssessedFit,
 ) -> tuple[DocumentBuilder, Callable[[CalibrationDocument], ReportData]]:
-    fit, explanation, criticism = criticised.fit, criticised.explanation, criticised.criticism
+    fit, explanation, criticism = assessed.fit, criticised.explanation, criticised.criticism
     build = document_builder(fit, data, extend)
 
     def document(version: int, previous: str | None, created: str) -> CalibrationDocument:
-        built = build(version, previous, created)
-        if criticised.solution is not None:
-            budget = assess_uncertainty(criticised.solution, uncertainty)
-            built = with_total_uncertainty(built, budget)
+        built = msgspec.structs.replace(
+            build(version, previous, created), unit_prior=assessed.unit_prior
+        )
+        if assessed.budget is not None:
+            built = with_total_uncertainty(built, assessed.budget)
         if explanation is not None:
             return with_search_findings(built, explanation)
         if criticism is not None:
@@ -205,7 +217,9 @@ def rebuild_report_data(
         return ReportData(calibration, profile=find_profile(calibration.board.sensor))
     data = load_board(recordings, calibration.board.id)
     extend = _requested_causes(calibration)
-    _, report_data_of = _solve_by_likelihood(data, extend, fit_criticised(data, extend))
+    criticised = fit_criticised(data, extend)
+    assessed = AssessedFit(criticised.fit)
+    _, report_data_of = _solve_by_likelihood(data, extend, criticised, assessed)
     return report_data_of(calibration)
 
 

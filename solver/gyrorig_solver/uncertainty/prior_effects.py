@@ -6,6 +6,8 @@ Together they have the covariance of the cause's effect under its prior:
 - each size (axis, cosine, sine) is one signal;
 - a cause with a shape or a time that is not known, such as a time constant or the instant of a
   step, is represented by several of its templates with equal shares of the variance;
+- a persistent cause of the unit is represented by the start values of its shapes, because its
+  sizes must mean the same in every recording;
 - a nonlinear cause (dead band, backlash) is represented by its effect at the prior size.
 
 What to use when: `unidentified_causes` at a projector; `whitened_effects` for their signals.
@@ -25,7 +27,7 @@ from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signa
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.recording_scope import is_active_in, term_label
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Term, components_of, value_indices
+from gyrorig_solver.model.term import Term, components_of, start_values, value_indices
 from gyrorig_solver.uncertainty.uncertainty_settings import PriorSize, UncertaintySettings
 
 # Templates that represent one cause: of its times, and of its other shapes.
@@ -119,6 +121,9 @@ def _templates(term: Term, states: Sequence[SignalState], prior: PriorSize) -> F
     banks = [term.template_bank(state) for state in states if is_active_in(term, state)]
     templates = np.concatenate(banks)
     sizes = value_indices(term, role="size")
+    if term.is_persistent:
+        shapes = value_indices(term, role="shape")
+        templates[:, shapes] = start_values(term)[shapes]
     is_linear = bool((templates[:, sizes] == 0.0).all(axis=1).any())
     templates[:, sizes] = 0.0 if is_linear else prior.size
     _, first = np.unique(templates, axis=0, return_index=True)

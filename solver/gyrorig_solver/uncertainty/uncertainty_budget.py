@@ -15,9 +15,12 @@ from gyrorig_solver.discover.calibration_changes import (
     last_recording_part,
 )
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.corrected_fit import FitCorrection
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
 from gyrorig_solver.estimate.whitened_signals import join_signals
 from gyrorig_solver.model.term import Term
+from gyrorig_solver.uncertainty.fit_linearisation import linearise_fit
 from gyrorig_solver.uncertainty.marginal_covariance import MarginalCauses
 from gyrorig_solver.uncertainty.prior_effects import (
     UnidentifiedCause,
@@ -25,6 +28,12 @@ from gyrorig_solver.uncertainty.prior_effects import (
     whitened_effects,
 )
 from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings, default_settings
+from gyrorig_solver.uncertainty.unit_marginals import UnitMarginals, unit_information
+from gyrorig_solver.uncertainty.unit_values import (
+    UnitInformation,
+    UnitPosterior,
+    unit_value_names,
+)
 
 MAX_JOINT_VALUES = 40_000_000  # of effects that are held at a time, 320 MB
 
@@ -46,6 +55,8 @@ class UncertaintyBudget:
     expected_error: FloatArray  # (p,), of the stated values, as far as the data show causes
     entries: tuple[BudgetEntry, ...]
     settings: UncertaintySettings
+    corrections: tuple[FitCorrection, ...] = ()  # of each recording, by what the unit is known for
+    unit_information: UnitInformation | None = None  # what the recordings show of the unit
 
     @property
     def std(self) -> FloatArray:
@@ -60,6 +71,7 @@ def assess_uncertainty(
     solution: ConvergedFit,
     settings: UncertaintySettings | None = None,
     projector: NuisanceProjector | None = None,
+    unit_prior: UnitPosterior | None = None,
 ) -> UncertaintyBudget:
     """Return what the causes that a fit has not identified add to its uncertainty.
 
@@ -67,6 +79,8 @@ def assess_uncertainty(
         solution: the fit, with the causes that were identified.
         settings: prior sizes; by default the shipped ones.
         projector: at this fit, if there is one already.
+        unit_prior: what other recordings have shown of the unit. The budget is then that of the
+            corrected values; see `corrections`.
     """
     settings = default_settings() if settings is None else settings
     projector = NuisanceProjector.at_fit(solution) if projector is None else projector
@@ -76,6 +90,11 @@ def assess_uncertainty(
     if not causes:
         return UncertaintyBudget(np.zeros((size, size)), np.zeros(size), (), settings)
     statistics = _joint_statistics(projector, causes)
+    fits = linearise_fit(solution, settings, causes, statistics)
+    information = unit_information(fits[-1], len(unit_value_names()))
+    if unit_prior is not None:
+        marginals = [UnitMarginals.of(fit, unit_prior) for fit in fits]
+        return _corrected_budget(calibration, marginals, causes, settings, information)
     influence = np.stack(
         [
             calibration.propagate(last_recording_part(shift, len(solution.sessions)))
@@ -88,6 +107,31 @@ def assess_uncertainty(
         expected_error=marginal.expected_error,
         entries=tuple(_entries(causes, marginal)),
         settings=settings,
+        unit_information=information,
+    )
+
+
+def _corrected_budget(
+    calibration: CalibrationValues,
+    marginals: Sequence[UnitMarginals],
+    causes: Sequence[UnidentifiedCause],
+    settings: UncertaintySettings,
+    information: UnitInformation,
+) -> UncertaintyBudget:
+    """Return the budget of the values that the unit's posterior has corrected."""
+    last, base = marginals[-1], GAIN_PARAMETERS + SESSION_PARAMETERS
+    jacobian = calibration.jacobian
+    added = (last.total_covariance - last.noise_covariance)[:base, :base]
+    marginal = MarginalCauses(
+        last.size_covariance, last.size_mean, (jacobian @ last.derivative[:base]).T
+    )
+    return UncertaintyBudget(
+        covariance=jacobian @ added @ jacobian.T,
+        expected_error=jacobian @ last.expected_error[:base],
+        entries=tuple(_entries(causes, marginal)),
+        settings=settings,
+        corrections=tuple(FitCorrection(m.shift, m.noise_covariance) for m in marginals),
+        unit_information=information,
     )
 
 

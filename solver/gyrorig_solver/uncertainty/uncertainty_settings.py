@@ -8,7 +8,7 @@ What to use when: `default_settings`; `parse_settings` for a user's document.
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -50,6 +50,17 @@ class LimitEntry(_DocumentPart, frozen=True):
     reason: str
 
 
+class DriftEntry(_DocumentPart, frozen=True):
+    """How much each size of a persistent cause may change in a day, one standard deviation.
+
+    The change over n days is this times the square root of n.
+    """
+
+    std: NonNegative
+    unit: str
+    reason: str
+
+
 class SettingsDocument(_DocumentPart, frozen=True):
     """The document `gyrorig/uncertainty/1`."""
 
@@ -57,6 +68,7 @@ class SettingsDocument(_DocumentPart, frozen=True):
     unit: dict[str, PriorSizeEntry] = {}
     board: dict[str, PriorSizeEntry] = {}
     limits: dict[str, LimitEntry] = {}
+    drift_per_day: dict[str, DriftEntry] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +90,11 @@ class UncertaintySettings:
 
     prior_sizes: Mapping[str, PriorSize]
     limits: Mapping[str, float]
+    drifts: Mapping[str, float] = field(default_factory=dict)  # of persistent causes, in a day
 
     @property
     def sha256(self) -> str:
-        """Digest of all values."""
+        """Digest of the prior sizes and the limits."""
         values = {
             "prior_sizes": {c: [p.size, p.probability] for c, p in self.prior_sizes.items()},
             "limits": dict(self.limits),
@@ -153,7 +166,25 @@ def _with_document(
                 f"write the limit in {group.unit}",
             )
         limits[parameter] = limit.std / group.factor
-    return UncertaintySettings(MappingProxyType(sizes), MappingProxyType(limits))
+    return UncertaintySettings(
+        MappingProxyType(sizes),
+        MappingProxyType(limits),
+        MappingProxyType({**before.drifts, **_read_drifts(document, name)}),
+    )
+
+
+def _read_drifts(document: SettingsDocument, name: str) -> dict[str, float]:
+    drifts = {}
+    for cause, entry in document.drift_per_day.items():
+        term = find_term(cause)
+        if not term.is_persistent:
+            raise UsageError(
+                f"{name}: drift_per_day: {cause} is not kept from one recording to the next",
+                "leave it out",
+            )
+        factor = _factor(name, f"drift_per_day: {cause}", entry.unit, _size_unit(term))
+        drifts[cause] = entry.std * factor
+    return drifts
 
 
 def _size_unit(term: Term) -> str:

@@ -32,8 +32,8 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def calibration(session: Path, version: int = 1) -> str:
-    (board,) = (session / "calibrations").iterdir()
-    return str(board / f"v{version:04d}.yaml")
+    (path,) = (session / "calibrations").glob(f"*/v{version:04d}.yaml")
+    return str(path)
 
 
 def test_every_parameter_is_compared_with_its_true_value(session: Path, capsys: Captured) -> None:

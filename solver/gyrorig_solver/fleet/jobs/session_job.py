@@ -24,6 +24,8 @@ from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.calibration_builder import settings_sha256
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument, parse_calibration
 from gyrorig_solver.calibration.calibration_store import CalibrationStore, StoredVersion
+from gyrorig_solver.calibration.unit_document import UnitPosteriorDocument
+from gyrorig_solver.calibration.unit_store import UnitStore
 from gyrorig_solver.fleet.jobs.resource_limits import DeadlineExceededError, deadline, memory_limit
 from gyrorig_solver.fleet.store.bucket_store import open_calibration_store
 from gyrorig_solver.fleet.store.index_rows import (
@@ -35,6 +37,7 @@ from gyrorig_solver.fleet.store.index_rows import (
 )
 from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
 from gyrorig_solver.pipeline.solve_board import likelihood_settings, solve_and_store
+from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
 from gyrorig_solver.storage.storage_protocol import Storage
 
 VERSIONS_CHECKED = 3  # latest versions that are checked for this job's result
@@ -48,6 +51,8 @@ class SolveSettings:
     extend: tuple[str, ...] = (AUTO,)
     deadline_s: float = 300.0
     memory_bytes: int = 4 << 30
+    uses_unit_store: bool = True  # the posteriors of units in the store are read and extended
+    unit_document: UnitPosteriorDocument | None = None  # the prior of every unit instead
 
     @property
     def config_sha256(self) -> str:
@@ -67,6 +72,12 @@ class Job:
     digests: tuple[str, ...]
     settings: SolveSettings
     rejection: str = ""  # why it must not be solved
+
+    @property
+    def unit_knowledge(self) -> UnitKnowledge:
+        """Where its solves read what is known of the unit."""
+        store = UnitStore(self.store) if self.settings.uses_unit_store else None
+        return UnitKnowledge(store, self.settings.unit_document)
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +246,13 @@ def _solve_board(
             raise ready
         extend = job.settings.extend
         solved = solve_and_store(
-            store, holding, board, extend=extend, precomputed=ready, before_writing=check_newest
+            store,
+            holding,
+            board,
+            extend=extend,
+            precomputed=ready,
+            before_writing=check_newest,
+            unit_knowledge=job.unit_knowledge,
         )
         calibration, stored = solved.calibration, solved.stored
     except _AlreadyDoneError as signal:

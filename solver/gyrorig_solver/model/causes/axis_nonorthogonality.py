@@ -52,6 +52,7 @@ class AxisNonOrthogonality(NonlinearTerm):
     effect_if_ignored = (
         "row x of the gain and M absorb it, with errors of up to 46 sigma before it is detected"
     )
+    is_persistent = True
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the exact change of the rate, (blocks, 3)."""

@@ -64,6 +64,7 @@ class Backlash(AngleTerm):
     excitation = "reversals, and restarts in the same direction, at two or more speeds"
     derivative_step = 0.02  # the contact moves by whole intervals
     effect_if_ignored = "small for the rate; the angle between rests is wrong by the backlash"
+    is_persistent = True
 
     def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the angle that the gap holds back, (2, n + 1)."""

@@ -50,6 +50,7 @@ class BaseCompliance(LinearAngleTerm):
     picture = None
     excitation = "the fastest accelerations of pan and tilt; bolt the unit down"
     effect_if_ignored = "small: no angle error remains after a move"
+    is_persistent = True
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return minus the accelerations."""

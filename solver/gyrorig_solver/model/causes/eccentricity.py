@@ -66,6 +66,7 @@ class Eccentricity(LinearAngleTerm):
         "pan over its full range; within +-80 deg the two harmonics cannot be distinguished"
     )
     effect_if_ignored = "the scale factors are valid at the pan angles of the recording only"
+    is_persistent = True
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return cosine and sine of the pan angle, each with its second harmonic."""

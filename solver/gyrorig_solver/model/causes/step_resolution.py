@@ -46,6 +46,7 @@ class StepResolution(LinearAngleTerm):
     effect_if_ignored = (
         "the scale factors of y and z are wrong by pan's error, and no residual shows it"
     )
+    is_persistent = True
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return the angles themselves."""

@@ -44,6 +44,7 @@ class TiltSag(LinearAngleTerm):
     effect_if_ignored = (
         "M and the scale factors absorb it, with errors of tens of sigma before it is detected"
     )
+    is_persistent = True
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return cosine and sine of the tilt angle."""

@@ -65,6 +65,7 @@ class WormError(LinearAngleTerm):
     effect_if_ignored = (
         "small where sweeps span whole worm turns; otherwise the scale factors absorb part of it"
     )
+    is_persistent = True
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return cosine of pan and tilt, then sine."""

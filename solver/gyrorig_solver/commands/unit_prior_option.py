@@ -1,0 +1,39 @@
+"""The option `--unit-prior` of the commands that solve."""
+
+from pathlib import Path
+
+import click
+
+from gyrorig_solver.calibration.unit_store import UnitStore
+from gyrorig_solver.pipeline.unit_prior import UnitKnowledge, read_unit_file
+from gyrorig_solver.storage.storage_protocol import Storage
+
+FROM_STORE, NO_PRIOR = "stored", "none"
+
+unit_prior_option = click.option(
+    "--unit-prior",
+    default=FROM_STORE,
+    show_default=True,
+    metavar="stored|none|FILE",
+    help="What earlier recordings have shown of the unit: stored uses the newest version in the "
+    "results' folder, rigs/<unit>, and adds a version; none does neither; FILE uses that version "
+    "(YAML) and adds none.",
+)
+
+
+def read_unit_knowledge(text: str, storage: Storage) -> UnitKnowledge:
+    """Return what `--unit-prior` names.
+
+    Args:
+        text: of the option.
+        storage: of the results.
+
+    Raises:
+        UsageError: the file cannot be read.
+        InputError: the file is no posterior of a unit.
+    """
+    if text == NO_PRIOR:
+        return UnitKnowledge()
+    if text == FROM_STORE:
+        return UnitKnowledge(store=UnitStore(storage))
+    return UnitKnowledge(document=read_unit_file(Path(text)))

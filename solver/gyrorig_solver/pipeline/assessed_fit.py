@@ -1,0 +1,74 @@
+"""A fit with its uncertainty budget and with what is known of its unit.
+
+What to use when: `assess_fit` before a calibration document is built; `add_to_unit` to store what
+the fit adds to the posterior of the unit.
+"""
+
+from dataclasses import dataclass, replace
+
+from gyrorig_solver.calibration.calibration_document import UnitPriorRecord
+from gyrorig_solver.estimate.corrected_fit import correct_fit
+from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.pipeline.board_data import BoardData
+from gyrorig_solver.pipeline.criticised_fit import CriticisedFit
+from gyrorig_solver.pipeline.unit_prior import CONFLICT_REMARK, UnitKnowledge, contradicts
+from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
+from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AssessedFit:
+    """A fit with its uncertainty budget, its values corrected by what is known of the unit."""
+
+    fit: GyroFit
+    budget: UncertaintyBudget | None = None  # None where the reference is no unit's motion
+    unit_prior: UnitPriorRecord | None = None
+
+
+def assess_fit(
+    data: BoardData,
+    criticised: CriticisedFit,
+    settings: UncertaintySettings,
+    knowledge: UnitKnowledge,
+) -> AssessedFit:
+    """Return the fit with its budget, corrected where the unit is known.
+
+    Raises:
+        InputError: the stored posterior of the unit is damaged.
+    """
+    if criticised.solution is None:
+        return AssessedFit(criticised.fit)
+    prior = knowledge.prior_of(data.recordings, settings)
+    if prior is None:
+        return AssessedFit(criticised.fit, assess_uncertainty(criticised.solution, settings))
+    budget = assess_uncertainty(criticised.solution, settings, unit_prior=prior.posterior)
+    if budget.unit_information is None:
+        return AssessedFit(criticised.fit, budget)
+    if contradicts(prior.posterior, budget.unit_information):
+        warnings = (*criticised.fit.warnings, CONFLICT_REMARK)
+        fit = replace(criticised.fit, warnings=warnings)
+        return AssessedFit(fit, assess_uncertainty(criticised.solution, settings))
+    fit = correct_fit(criticised.fit, criticised.solution, budget.corrections)
+    return AssessedFit(fit, budget, prior.record)
+
+
+def add_to_unit(
+    data: BoardData,
+    criticised: CriticisedFit,
+    assessed: AssessedFit,
+    settings: UncertaintySettings,
+    knowledge: UnitKnowledge,
+) -> int | None:
+    """Write the next version of the unit's posterior; return its number, None if none is needed.
+
+    A fit that leaves a significant effect tells nothing reliable about the unit.
+
+    Raises:
+        InputError: the newest version is damaged.
+        MachineError: the store refuses.
+    """
+    information = None if assessed.budget is None else assessed.budget.unit_information
+    if information is None or not criticised.is_adequate:
+        return None
+    document = knowledge.add(data.recordings, data.board, information, settings)
+    return None if document is None else document.version
