@@ -15,6 +15,7 @@ import numpy as np
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.board_fit import DERIVATIVE_REFRESH_SIGMA, OUTLIER_RETEST_SIGMA
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.executed_motion import reference_cost
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.information import marginalise
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
@@ -76,8 +77,7 @@ class HeldOutRecording:
         cost = 0.5 * sum(
             float(np.sum(w**2)) for w in _whitened_residuals(session, solution.gain, noise)
         )
-        prior_offset = session.reference.prior_offset
-        cost += 0.5 * float(prior_offset @ session.reference.information.multiply(prior_offset))
+        cost += reference_cost(session.reference)
         return HeldOutFit(session, solution.gain, noise, -cost, left_out)
 
     def _applicable_terms(

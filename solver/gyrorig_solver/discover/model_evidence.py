@@ -16,7 +16,8 @@ import numpy as np
 from gyrorig_solver.data.arrays import BoolArray
 from gyrorig_solver.discover.checks.typical_noise import limit_to_typical
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fit_objective import reference_cost, residual_cost
+from gyrorig_solver.estimate.executed_motion import reference_cost
+from gyrorig_solver.estimate.fit_objective import residual_cost
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.model.term import value_indices, value_parameters
 

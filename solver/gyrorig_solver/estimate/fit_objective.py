@@ -4,8 +4,9 @@ Only differences are evaluated, at the noise of the normal equations, and over b
 fits use. Blocks can drop out because a cause makes their timing uncertain. Outliers are decided
 after a step is accepted, so that a step cannot gain by rejecting samples.
 
-What to use when: `residual_decrease` and `reference_cost` for one recording before and after a
-step. Boards on one unit share the reference, so its prior counts once.
+What to use when: `residual_decrease` for one recording before and after a step, and
+`executed_motion.reference_decrease` for its reference. Boards on one unit share the reference, so
+its prior counts once.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,6 @@ from gyrorig_solver.estimate.noise.relative_std import (
 )
 from gyrorig_solver.estimate.series import Series
 from gyrorig_solver.estimate.session_fit import SessionFit
-from gyrorig_solver.reference.reference_motion import ReferenceMotion
 
 
 def residual_decrease(
@@ -55,12 +55,6 @@ def residual_decrease(
         total += residual_cost(series, pair[0], noise, stds)
         total -= residual_cost(series, pair[1], noise, stds)
     return total
-
-
-def reference_cost(reference: ReferenceMotion) -> float:
-    """Return the negative logarithm of the prior of the reference's unknowns, nats."""
-    offset = reference.prior_offset
-    return 0.5 * float(offset @ reference.information.multiply(offset)) if offset.size else 0.0
 
 
 def residual_cost(

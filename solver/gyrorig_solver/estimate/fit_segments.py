@@ -12,6 +12,7 @@ import numpy as np
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.estimate.cascade import CLIPPING_STAGES, effect_of_removing, pass_through_of
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.executed_motion import reference_cost
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.noise.whitening import PartModel
@@ -65,8 +66,7 @@ def negative_log_likelihood(solution: ConvergedFit, noises: Sequence[NoiseModel]
         for channel in segment.whiten([residual[None] for residual in segment.residuals]):
             cost += 0.5 * float(np.sum(channel.rows**2))
     for session in solution.sessions:
-        offset = session.reference.prior_offset
-        cost += 0.5 * float(offset @ session.reference.information.multiply(offset))
+        cost += reference_cost(session.reference)
     return cost
 
 

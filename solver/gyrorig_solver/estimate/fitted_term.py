@@ -77,9 +77,10 @@ class FittedTerm:
 
 def free_term(term: Term) -> FittedTerm:
     """Return a cause with free sizes, and shapes at their start values."""
-    return FittedTerm(
-        term, _start_values(term), np.array(value_indices(term, role="size"), dtype=np.int64)
-    )
+    values, sizes = _start_values(term), np.array(value_indices(term, role="size"), dtype=np.int64)
+    if term.starts_at_typical_size:
+        values[sizes] = [value_parameters(term)[k].typical_size for k in sizes]
+    return FittedTerm(term, values, sizes)
 
 
 def fixed_term(term: Term) -> FittedTerm:

@@ -14,6 +14,11 @@ import numpy as np
 from scipy.sparse import diags_array
 
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.executed_motion import (
+    NO_LAW_COLUMNS,
+    LawColumns,
+    follow_replies,
+)
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations, NormalEquationsSum
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS, PartModel, WhitenedPart
@@ -45,7 +50,10 @@ class MarginalEquations:
 
 
 def marginalise(
-    equations: NormalEquations, reference: ReferenceMotion, board_parameters: int = BASE_PARAMETERS
+    equations: NormalEquations,
+    reference: ReferenceMotion,
+    board_parameters: int = BASE_PARAMETERS,
+    columns: LawColumns = NO_LAW_COLUMNS,
 ) -> MarginalEquations:
     """Add the prior of the reference's unknowns, and eliminate these (Schur complement).
 
@@ -53,8 +61,9 @@ def marginalise(
         equations: over (local | board, shared unknowns that act on the rate).
         reference: has the prior, local unknowns first.
         board_parameters: number of the board's parameters.
+        columns: those of them that belong to the motion law.
     """
-    return RecordingEquations.of(equations, reference, board_parameters).marginalise()
+    return RecordingEquations.of(equations, reference, board_parameters, columns).marginalise()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +76,16 @@ class RecordingEquations:
 
     @classmethod
     def of(
-        cls, equations: NormalEquations, reference: ReferenceMotion, board_parameters: int
+        cls,
+        equations: NormalEquations,
+        reference: ReferenceMotion,
+        board_parameters: int,
+        columns: LawColumns = NO_LAW_COLUMNS,
     ) -> "RecordingEquations":
         """Add the prior of the reference's unknowns; arguments as in `marginalise`."""
+        profile = columns.profile(reference)
+        if profile is not None:
+            equations = follow_replies(equations, board_parameters, columns.parameters, profile)
         prior = reference.information
         local, shared = prior.size
         acting_shared = equations.matrix.size[1] - board_parameters

@@ -22,10 +22,11 @@ from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.board_summary import summarize_board
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fit_objective import reference_cost
+from gyrorig_solver.estimate.executed_motion import law_columns, reference_decrease
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.information import MarginalEquations, RecordingEquations
 from gyrorig_solver.estimate.linear.normal_equations import stack_boards
+from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.observability import analyse_scaled_observability
 from gyrorig_solver.estimate.parameter_layout import (
     ParameterBlock,
@@ -137,7 +138,7 @@ class LikelihoodFit:
         # All boards have the same reference, so its prior counts once.
         first = self.boards[0]
         for session, trial in zip(first.sessions, first.trial_sessions, strict=True):
-            decrease += reference_cost(session.reference) - reference_cost(trial.reference)
+            decrease += reference_decrease(session.reference, trial.reference)
         return decrease
 
     def accept(self, new_derivatives: bool) -> None:
@@ -178,12 +179,14 @@ class LikelihoodFit:
     def _recording_equations(self) -> list[RecordingEquations]:
         """Return each recording's equations of all boards."""
         counts = [board.parameter_count for board in self.boards]
+        # The replies count once, with the first board.
+        columns = law_columns(self.boards[0].fitted_terms, BASE_PARAMETERS)
         equations_of_recordings = zip(
             *(board.normal_equations() for board in self.boards), strict=True
         )
         return [
             RecordingEquations.of(
-                stack_boards(equations_of_boards, counts), session.reference, sum(counts)
+                stack_boards(equations_of_boards, counts), session.reference, sum(counts), columns
             )
             for equations_of_boards, session in zip(
                 equations_of_recordings, self.boards[0].sessions, strict=True

@@ -24,6 +24,7 @@ from scipy.linalg import solve_triangular
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.board_fit import BoardFit
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.executed_motion import law_columns
 from gyrorig_solver.estimate.information import marginalise
 from gyrorig_solver.estimate.likelihood_fit import LikelihoodFit
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
@@ -105,10 +106,14 @@ def _term_value_count(solution: ConvergedFit) -> int:
 
 
 def _boards_with_other_motion(solutions: Mapping[str, ConvergedFit]) -> list[str]:
-    """Return the boards whose reference has other unknowns than most boards'."""
+    """Return the boards whose reference has other unknowns or another law than most boards'."""
     layout = {
         name: tuple(
-            (type(session.reference).__name__, session.reference.information.size)
+            (
+                type(session.reference).__name__,
+                session.reference.information.size,
+                tuple(law_columns(solution.fitted_terms, 0).law_values.tolist()),
+            )
             for session in solution.sessions
         )
         for name, solution in solutions.items()
@@ -178,8 +183,10 @@ def agreement_p_value(fit: LikelihoodFit, board_index: int) -> float:
     is_shared = fit.layout.is_shared(index)
     if not is_shared.any():
         return motion_p_value
+    columns = law_columns(board.fitted_terms, BASE_PARAMETERS)
     marginals = [
-        marginalise(normal, session.reference, board.parameter_count) for normal, session in pairs
+        marginalise(normal, session.reference, board.parameter_count, columns)
+        for normal, session in pairs
     ]
     cause_p_value = shared_term_p_value(marginals, fit.layout.prior_std[index], is_shared)
     return min(motion_p_value, cause_p_value)

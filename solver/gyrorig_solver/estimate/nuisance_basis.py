@@ -14,6 +14,7 @@ from scipy.sparse import block_diag, csc_array, csr_array
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.cascade import fitted_derivatives
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.executed_motion import law_columns
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.noise.whitening import PartModel
 from gyrorig_solver.estimate.parameter_layout import ParameterLayout
@@ -84,6 +85,16 @@ def nuisance_basis(
         ),
     )
     local = csr_array(triple, shape=shape)
+    columns_of_law = law_columns(fitted_terms, layout.first_term)
+    for k, session in enumerate(solution.sessions):
+        profile = columns_of_law.profile(session.reference)
+        if profile is not None:
+            local_count = informations[k].size[0]
+            local_rows = local[int(local_first[k]) : int(local_first[k + 1])]
+            shared_rows = basis[int(shared_first[k]) : int(shared_first[k + 1])]
+            basis[columns_of_law.parameters] += (
+                local_rows.T @ profile.shift[:local_count]
+            ).T + profile.shift[local_count:].T @ shared_rows
     return (
         basis,
         local,
@@ -129,6 +140,12 @@ def _prior_information(
             information.cross,
             information.shared,
         )
+        columns = law_columns(fitted_terms, layout.first_term)
+        profile = columns.profile(session.reference)
+        if profile is not None:
+            positions = columns.parameters
+            shared[np.ix_(positions, positions)] += profile.information
+            shared_score[positions] += profile.score
         local_score[local_slice] = pull[: information.size[0]]
         shared_score[shared_slice] = pull[information.size[0] :]
     nonempty_blocks = [fitted_term for fitted_term in local_blocks if fitted_term.shape[0]]

@@ -19,6 +19,7 @@ from gyrorig_solver.estimate.cascade import (
     timing_sensitive_mask,
     total_effect,
 )
+from gyrorig_solver.estimate.executed_motion import executed_motion, follow_law
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.initial_guess import LeastSquaresSums, correlation_lag, row_norms
 from gyrorig_solver.estimate.linear.normal_equations import (
@@ -60,10 +61,6 @@ from gyrorig_solver.model.signal_state import RecordingContext, SignalState
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 
 MAX_LOG_WEIGHT_CHANGE = 0.03  # smaller changes keep the old weights
-MOTION_LAW_STAGES = (
-    "profile",
-    "motor",
-)  # stages of the controller: the position replies follow them too
 MIN_REFERENCE_RATE_RAD_S = 0.003  # of the reference
 
 
@@ -418,14 +415,7 @@ class SessionFit:
             gain: G, shape (3, 3).
             keep_samples: keep what an outlier detection needs.
         """
-        by_own_law = getattr(self.reference, "with_polls_downweighted", None)
-        if by_own_law is not None:
-            fitted_stages = [
-                fitted_term.term.stage
-                for fitted_term in self.fitted_terms
-                if fitted_term.free_indices.size
-            ]
-            self.reference = by_own_law(any(stage in MOTION_LAW_STAGES for stage in fitted_stages))
+        self.reference = follow_law(self.reference, self.fitted_terms)
         self._used_before = [series_state.used.copy() for series_state in self._series_states]
         self._predicted_parts.clear()
         for series_index, series_state in enumerate(self._series_states):
@@ -762,7 +752,9 @@ class SessionFit:
             rate=series_state.rate[blocks].copy(),
             used=series_state.used[blocks].copy(),
             cause_derivatives=cause_derivatives,
-            columns=predict_derivatives(series_state.series, blocks, self.reference, self.lag_s),
+            columns=predict_derivatives(
+                series_state.series, blocks, executed_motion(self.reference), self.lag_s
+            ),
             pass_through=pass_through,
             relative_std=relative_std,
         )

@@ -5,6 +5,8 @@ What to use when: `apply_play` for a gap in a gear; `moving_average` for a smoot
 acceleration of an angle; `replan_with_limits` for a move that the unit executed with other limits.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
@@ -12,7 +14,6 @@ from gyrorig_solver.model.recursive_filters import filter_from_rest, step_invari
 from gyrorig_solver.reference.unit.motion_profile import (
     MotionLimits,
     MotionProfile,
-    ProfileCommand,
     plan_motion,
 )
 
@@ -106,20 +107,28 @@ def resonance_deflection(
 def replan_with_limits(
     profile: MotionProfile, acceleration_share: float, base_steps_s: float
 ) -> MotionProfile | None:
-    """Return a simple move with other acceleration and base speed; None for other moves.
+    """Return a motion with other acceleration and base speed; None for one without ramps.
 
     Args:
-        profile: from rest to rest, with one commanded target and no other command on the way.
+        profile: from rest to rest.
         acceleration_share: added to 1.
         base_steps_s: added to the base speed.
     """
-    commanded = profile.limits
-    if commanded is None or commanded.speed_steps_s <= commanded.base_speed_steps_s:
+    commands = profile.commands
+    if all(
+        command.limits.speed_steps_s <= command.limits.base_speed_steps_s for command in commands
+    ):
         return None
-    limits = MotionLimits(
-        speed_steps_s=commanded.speed_steps_s,
-        acceleration_steps_s2=commanded.acceleration_steps_s2 * (1.0 + acceleration_share),
-        base_speed_steps_s=max(0.0, commanded.base_speed_steps_s + base_steps_s),
-    )
-    begin, target = float(profile.start_s[0]), float(profile.start_steps[-1])
-    return plan_motion(float(profile.start_steps[0]), [ProfileCommand(begin, "to", target, limits)])
+    changed = [
+        replace(
+            command,
+            limits=MotionLimits(
+                speed_steps_s=command.limits.speed_steps_s,
+                acceleration_steps_s2=command.limits.acceleration_steps_s2
+                * (1.0 + acceleration_share),
+                base_speed_steps_s=max(0.0, command.limits.base_speed_steps_s + base_steps_s),
+            ),
+        )
+        for command in commands
+    ]
+    return plan_motion(float(profile.start_steps[0]), changed)

@@ -14,6 +14,7 @@ import numpy as np
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
 from gyrorig_solver.model.signal_arrays import zero_signals
 from gyrorig_solver.model.signal_state import SignalState
+from gyrorig_solver.reference.unit.motion_law import LawQuantity
 
 Part = Literal["clock", "link", "sensor", "ptu", "mount", "environment"]
 # effect: changes the measured rate. known: changes it by an amount that is known beforehand.
@@ -134,6 +135,8 @@ class Term(ABC):
     is_noise_process: bool = False  # the noise model contains it
     is_persistent: bool = False  # a property of the unit: its sizes are kept for later recordings
     depends_on_temperature: bool = False  # its temperature counts from the recordings' mean
+    starts_at_typical_size: bool = False  # because the derivative is zero at size zero
+    law_quantity: LawQuantity | None = None  # of the motion law; its values are pan and tilt
     reference_alternative: str = ""  # the same error in a reference of attitudes
 
     @abstractmethod

@@ -22,6 +22,7 @@ class HiddenRecording:
 
     recording: Recording
     truth: list[dict[str, Any]]
+    boards: dict[str, Any]  # true parameters by board
 
     @property
     def board(self) -> str:
@@ -47,10 +48,10 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., HiddenReco
                  str(ROOT / "config" / "programs" / f"{program}.yaml"), "--out", str(folder),
                  "--simulated-time", "--seed", str(seed), "--truth", str(truth), *orders]
             )  # fmt: skip
-            hidden_causes = json.loads(truth.read_text()).get("hidden") or {"causes": []}
-            made[key] = HiddenRecording(
-                read_recording(next(folder.glob("*.mcap"))), hidden_causes["causes"]
-            )
+            document = json.loads(truth.read_text())
+            hidden_causes = document.get("hidden") or {"causes": []}
+            recording = read_recording(next(folder.glob("*.mcap")))
+            made[key] = HiddenRecording(recording, hidden_causes["causes"], document["boards"])
         return made[key]
 
     return record

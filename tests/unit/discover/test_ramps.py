@@ -33,13 +33,3 @@ def test_ramps_as_told_have_none_and_a_limit(hidden: Callable[..., Any]) -> None
     assert ramps.named is None
     assert [detection_limit.where for detection_limit in ramps.detection_limits] == ["pan", "tilt"]
     assert all(1e-5 < detection_limit.size < 1e-2 for detection_limit in ramps.detection_limits)
-
-
-def test_answers_are_believed_less_beside_another_law(hidden: Callable[..., Any]) -> None:
-    session = hidden(seed=7)
-    reference: Any = fit_base_model([session.recording], session.board).sessions[0].reference
-    value, std = reference.log_acceleration
-    doubted, wide = reference.with_polls_downweighted(True).log_acceleration
-    assert doubted == pytest.approx(value)
-    assert (wide > 5.0 * std).all()
-    assert reference.with_polls_downweighted(False) is reference

@@ -356,12 +356,21 @@ def test_moves_with_other_limits(rig: Any, share: float, base_steps_s: float) ->
         close(ours[axis], theirs, 0.03)
 
 
-def test_moves_with_commands_on_the_way_are_not_replanned() -> None:
-    limits = MotionLimits(1000.0, 2000.0, 0.0)
-    back = plan_motion(
-        0.0, [ProfileCommand(0.0, "to", 1000.0, limits), ProfileCommand(0.7, "to", -500.0, limits)]
+def test_moves_with_commands_on_the_way_are_replanned() -> None:
+    limits, steeper = MotionLimits(1000.0, 2000.0, 0.0), MotionLimits(1000.0, 2200.0, 30.0)
+    back, expected = (
+        plan_motion(
+            0.0, [ProfileCommand(0.0, "to", 1000.0, own), ProfileCommand(0.7, "to", -500.0, own)]
+        )
+        for own in (limits, steeper)
     )
-    assert replan_with_limits(back, 0.1, 0.0) is None
+    replanned = replan_with_limits(back, 0.1, 30.0)
+    assert replanned is not None
+    time_s = np.linspace(-0.1, 4.0, 500)
+    assert replanned.position_steps(time_s) == pytest.approx(expected.position_steps(time_s))
+
+
+def test_moves_without_ramps_are_not_replanned() -> None:
     slow = plan_motion(0.0, [ProfileCommand(0.0, "to", 100.0, MotionLimits(50.0, 2000.0, 60.0))])
     assert replan_with_limits(slow, 0.1, 0.0) is None
 

@@ -18,7 +18,7 @@ from gyrorig_solver.model.causes.acceleration_error import AccelerationError
 from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
 from gyrorig_solver.model.value_format import PAN_TILT
 from gyrorig_solver.numerics.distributions import chi2_upper_tail, normal_quantile
-from gyrorig_solver.reference.unit.move_fit import compare_base_speeds
+from gyrorig_solver.reference.unit.law_fit import compare_base_speeds
 from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 
 ACCELERATION_ERROR = AccelerationError.cause
@@ -138,7 +138,7 @@ def _compare_base_speed_jump(named: NamedCause, solution: ConvergedFit) -> Named
             reference = session.reference
             if isinstance(reference, PanTiltReference):
                 steps_s = BASE_SPEED_GRID_RAD_S / abs(reference.rad_per_step[axis])
-                nats += compare_base_speeds(reference.motion, reference.move_fit, axis, steps_s)
+                nats += compare_base_speeds(reference.move_fit, axis, steps_s)
         jumps[axis], stds[axis], best = _parabolic_peak(nats)
         lead_nats += best
     posterior = float(1.0 / (1.0 + np.exp(np.clip(-lead_nats, -700.0, 700.0))))

@@ -2,8 +2,7 @@
 
 The unit uses acceleration (1 + e) from the same start to the same target. The timer of a stepper
 controller quantises the speeds of a ramp (0.1 %), and a unit does not always use the acceleration
-that it accepts. Only moves without another command on the way are replanned. A reference that fits
-the ramps already contains this effect.
+that it accepts. In a model with this cause the acceleration is not an unknown of the moves.
 """
 
 from dataclasses import replace
@@ -29,6 +28,7 @@ class AccelerationError(AngleTerm):
     cause = "acceleration_error"
     title = "The acceleration differs from the command"
     stage: Stage = "profile"
+    law_quantity = "acceleration"
     parameters = (
         TermParameter(
             name="share",

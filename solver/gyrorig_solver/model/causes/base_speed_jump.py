@@ -30,6 +30,7 @@ class BaseSpeedJump(AngleTerm):
     cause = "base_speed_jump"
     title = "The base speed differs from the command"
     stage: Stage = "profile"
+    law_quantity = "base_speed"
     parameters = (
         TermParameter(
             name="speed",

@@ -26,6 +26,8 @@ class SCurve(AngleTerm):
     cause = "s_curve"
     title = "The controller rounds its speed ramps"
     stage: Stage = "motor"
+    law_quantity = "corner"
+    starts_at_typical_size = True
     parameters = (
         TermParameter(
             name="length",

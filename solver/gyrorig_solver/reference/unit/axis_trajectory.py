@@ -1,6 +1,6 @@
 """Trajectory of an axis over a recording: all moves as one series of segments.
 
-In each segment the position, the covered share of the move and both derivatives are polynomials
+In each segment the position, the covered share of the move and the derivatives are polynomials
 of the time since the start of the segment. The cost of a window does not depend on the length of
 the recording.
 
@@ -32,6 +32,7 @@ class Trajectory:
     progress: FloatArray  # (3, n), covered share of the move
     by_speed: FloatArray  # (3, n), by log speed; zero for moves with several commands
     by_acceleration: FloatArray  # (3, n)
+    by_base_speed: FloatArray  # (3, n), s
     moves: IntArray  # (m,), of this axis, in the order of time
     begin_s: FloatArray  # (m,)
     end_s: FloatArray  # (m,)
@@ -105,6 +106,16 @@ class SampledTrajectory:
         """Derivative of the position by log acceleration."""
         return self._value(self.trajectory.by_acceleration)
 
+    @property
+    def by_base_speed(self) -> FloatArray:
+        """Derivative of the position by the base speed, s."""
+        return self._value(self.trajectory.by_base_speed)
+
+    @property
+    def by_corner(self) -> FloatArray:
+        """Derivative of the position by the duration of rounded corners, steps/s."""
+        return np.zeros(self.segment.size)
+
     def _value(self, polynomial: FloatArray) -> FloatArray:
         value: FloatArray = polynomial[2].take(self.segment)
         value *= self.since_s
@@ -147,7 +158,8 @@ class _TrajectoryBuilder:
         self.move = np.repeat(
             np.concatenate([[-1], axis_moves]), np.concatenate([[1], segment_counts])
         )
-        self.polynomials = np.zeros((4, 3, size))  # steps, share, by speed, by acceleration
+        # Steps, share, then the derivatives by speed, acceleration and base speed.
+        self.polynomials = np.zeros((5, 3, size))
         self.polynomials[0, 0, 0] = table.initial_steps[self._axis]
         is_single = table.has_single_command[axis_moves]
         self._add_single_command_moves(parameters, axis_moves[is_single], first[is_single])
@@ -161,7 +173,7 @@ class _TrajectoryBuilder:
         # A move ends at the latest when the next one begins.
         start_s = np.minimum.accumulate(self.start_s[::-1])[::-1]
         is_moving = (self.polynomials[0, 1] != 0.0) | (self.polynomials[0, 2] != 0.0)
-        steps, progress, by_speed, by_acceleration = self.polynomials
+        steps, progress, by_speed, by_acceleration, by_base_speed = self.polynomials
         return Trajectory(
             start_s,
             self.move,
@@ -170,6 +182,7 @@ class _TrajectoryBuilder:
             progress,
             by_speed,
             by_acceleration,
+            by_base_speed,
             axis_moves,
             begin_s,
             end_s,
@@ -199,6 +212,7 @@ class _TrajectoryBuilder:
         self.polynomials[1][:, segments] = steps / np.abs(distance)
         self.polynomials[2][:, segments] = sign * trapezoids.by_speed
         self.polynomials[3][:, segments] = sign * trapezoids.by_acceleration
+        self.polynomials[4][:, segments] = sign * trapezoids.by_base_speed
 
     def _add_profile(self, k: int, profile: MotionProfile, first: int) -> None:
         """Add a move with several commands."""
@@ -229,7 +243,7 @@ class _TrajectoryBuilder:
         position = int(np.searchsorted(self.move, current_move, side="right"))
         self.start_s = np.insert(self.start_s, position, counted_s)
         self.move = np.insert(self.move, position, current_move)
-        rest = np.zeros((4, 3))
+        rest = np.zeros((len(self.polynomials), 3))
         rest[0, 0], rest[1, 0] = steps, float(current_move >= 0)
         self.polynomials = np.insert(self.polynomials, position, rest, axis=2)
 

@@ -56,7 +56,7 @@ class MotionProfile:
     start_speed_steps_s: FloatArray  # (n,), signed
     acceleration_steps_s2: FloatArray  # (n,), signed
     distance_steps: FloatArray  # (n,), distance covered before each segment
-    limits: MotionLimits | None = None  # of its only command; None if there were several
+    commands: tuple[ProfileCommand, ...] = ()  # that it executes; empty if it began in motion
 
     @property
     def end_s(self) -> float:
@@ -126,8 +126,7 @@ def plan_motion(start_steps: float, commands: Sequence[ProfileCommand]) -> Motio
         if command.kind != "keep":
             target = command.steps if command.kind == "to" else round(builder.steps + command.steps)
         builder.move_to(target, command.limits)
-    only = commands[0].limits if len(commands) == 1 and commands[0].kind in ("to", "by") else None
-    return replace(builder.profile(), limits=only)
+    return replace(builder.profile(), commands=tuple(commands))
 
 
 def plan_from_state(

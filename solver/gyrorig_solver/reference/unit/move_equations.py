@@ -94,6 +94,17 @@ class BandedNormalEquations:
         self.shared[np.arange(g), np.arange(g)] += weight[n:]
         self.score[:] += weight * prior_offset
 
+    def without_last_shared(self, count: int) -> "BandedNormalEquations":
+        """Return the system in which the last `count` shared unknowns are fixed."""
+        kept = self.shared.shape[0] - count
+        return BandedNormalEquations(
+            self.band_position,
+            self.band,
+            np.ascontiguousarray(self.cross[:, :kept]),
+            np.ascontiguousarray(self.shared[:kept, :kept]),
+            self.score[: self.score.size - count],
+        )
+
     def solve(self) -> FloatArray:
         """Return the solution, shape (n + g,)."""
         factor, local_solution, reduced = self._eliminate_local(self.band)

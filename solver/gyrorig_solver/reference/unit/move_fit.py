@@ -29,6 +29,8 @@ import numpy as np
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
 from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
 from gyrorig_solver.reference.unit.axis_trajectory import Trajectory, build_trajectories
+from gyrorig_solver.reference.unit.law_information import LawInformation
+from gyrorig_solver.reference.unit.motion_law import LAW_VALUES, RECORDED_LAW, MotionLaw
 from gyrorig_solver.reference.unit.move_equations import BandedNormalEquations
 from gyrorig_solver.reference.unit.move_table import MotionParameters, MoveTable
 from gyrorig_solver.reference.unit.poll_likelihood import (
@@ -38,6 +40,7 @@ from gyrorig_solver.reference.unit.poll_likelihood import (
     CountParameters,
     PollLikelihood,
 )
+from gyrorig_solver.reference.unit.poll_objective import GaussianWeights, PollObjective
 from gyrorig_solver.reference.unit.rest_variance import add_detent_offsets, likeliest_rest_variance
 from gyrorig_solver.reference.unit.start_delays import initial_delays
 from gyrorig_solver.reference.unit.unit_moves import Move, UnitMotion, with_start_times
@@ -90,10 +93,36 @@ class MoveFit:
     information: ArrowheadMatrix
     common_shift_std_s: float  # of a common shift of all starts, which polls cannot determine
     instant_std_s: float  # scatter of the sampling time inside its window
-    delay_share: float  # phi
+    count_parameters: CountParameters
     rest_variance: float  # of a rest about its count, steps^2
     counts_follow_commands: bool  # whether the counts agree with the commanded moves
     polls: UnitPolls | None = None  # the fitted polls
+
+    @property
+    def delay_share(self) -> float:
+        """The share phi of the delay of a reply before the sample."""
+        return self.count_parameters.delay_share
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """All unknowns, in the order of `information`."""
+        rests = self.parameters.rest_offset_steps
+        first = self.table.command_count
+        return np.insert(self.count_values, first, rests)
+
+    @cached_property
+    def count_values(self) -> FloatArray:
+        """The unknowns on which the counts depend: all but the rests of the stage."""
+        fitted, count = self.parameters, self.count_parameters
+        return np.concatenate(
+            [
+                fitted.start_times_s,
+                fitted.rest_offset_steps,
+                fitted.log_speed,
+                fitted.log_acceleration,
+                [count.offset_steps, count.lag_steps, count.delay_share],
+            ]
+        )
 
     @cached_property
     def moves(self) -> tuple[Move, ...]:
@@ -138,72 +167,37 @@ def fit_moves(motion: UnitMotion, polls: UnitPolls) -> MoveFit:
     Gauss-Newton iteration. The weight of a poll contains the quantum of the count and the scatter
     of the sampling time at the current speed; the scatter is estimated from the residuals.
     """
-    fit = _iterate(_GaussNewtonFit(MoveTable.of(motion), polls))
+    fit = MoveFitIteration(MoveTable.of(motion), polls)
+    fit.iterate()
     return replace(fit.result(), polls=polls)
 
 
-def compare_base_speeds(
-    motion: UnitMotion, fitted: MoveFit, axis: int, added_steps_s: FloatArray
-) -> FloatArray:
-    """Return log-likelihood ratios of higher base speeds against fitted ramps, nats, (k,).
-
-    Args:
-        motion: the commanded motion.
-        fitted: found for it.
-        axis: the axis with fixed ramps and a higher base speed.
-        added_steps_s: increases of the base speed, (k,).
-    """
-    if fitted.polls is None:
-        return np.zeros(added_steps_s.size)
-    free_fit = _iterate(
-        _GaussNewtonFit(MoveTable.of(motion), fitted.polls, None, fitted.rest_variance)
-    )
-    gains = np.empty(added_steps_s.size)
-    for k, increase in enumerate(added_steps_s):
-        moves = tuple(
-            replace(move, base_speed_steps_s=move.base_speed_steps_s + float(increase))
-            if move.axis == axis
-            else move
-            for move in motion.moves
-        )
-        table = MoveTable.of(replace(motion, moves=moves))
-        fixed_fit = _iterate(_GaussNewtonFit(table, fitted.polls, axis, fitted.rest_variance))
-        gains[k] = fixed_fit.log_likelihood() - free_fit.log_likelihood()
-    return gains
-
-
-def _iterate(fit: "_GaussNewtonFit") -> "_GaussNewtonFit":
-    for iteration in range(MAX_ITERATIONS):
-        fit.step(iteration >= LAST_VARIANCE_ITERATION)
-        if fit.converged:
-            break
-    return fit
-
-
-class _GaussNewtonFit:
-    """The state of the Gauss-Newton iteration."""
+class MoveFitIteration:
+    """The Gauss-Newton iteration of a fit of moves to the polled counts, under one motion law."""
 
     def __init__(
         self,
         table: MoveTable,
         polls: UnitPolls,
-        fixed_axis: int | None = None,
+        law: MotionLaw | None = None,
         rest_variance: float | None = None,
     ) -> None:
         """Start at the initial delays.
 
         Args:
-            table: of the moves.
+            table: of the moves, with the recorded settings.
             polls: of both axes.
-            fixed_axis: the axis with ramps fixed at the commanded acceleration.
+            law: that the unit executes; None: the recorded settings.
             rest_variance: of rests about their counts; None: estimated.
         """
-        self._table, self._layout = table, _UnknownLayout.of(table)
+        self._law = law or RECORDED_LAW
+        self._table = table if self._law.is_recorded else table.with_law(self._law)
+        table, self._layout = self._table, _UnknownLayout.of(table)
         self._counts, least_s = _counts_per_axis(polls)
         self._delays = _StartDelays(table, initial_delays(table, self._counts))
         self._prior_weight = _prior_weights(self._layout, self._delays.is_polled)
-        if fixed_axis is not None:
-            self._prior_weight[self._layout.accelerations.start + fixed_axis] = FIXED_LOG_STD**-2
+        for axis in np.flatnonzero(self._law.has_known_acceleration):
+            self._prior_weight[self._layout.accelerations.start + axis] = FIXED_LOG_STD**-2
         self._prior_mean = np.zeros(self._layout.size)
         self._prior_mean[self._layout.starts] = self._delays.guess_s
         self._prior_mean[-1] = 0.5
@@ -217,6 +211,7 @@ class _GaussNewtonFit:
         self._instant_std_s = max(least_s / float(np.sqrt(12.0)), 1e-6)
         self._common_shift_std_s = (least_s + polls.constant_width_s) / float(np.sqrt(12.0))
         self._poll_spacing_s: FloatArray | None = None
+        self._law_information: LawInformation | None = None
         self._rest_variance, self._variance_estimates, self._start_change_s = (
             STEP_VARIANCE,
             0,
@@ -224,6 +219,13 @@ class _GaussNewtonFit:
         )
         if rest_variance is not None:
             self._rest_variance, self._variance_estimates = rest_variance, VARIANCE_ESTIMATES
+
+    def iterate(self) -> None:
+        """Take steps until they change nothing."""
+        for iteration in range(MAX_ITERATIONS):
+            self.step(iteration >= LAST_VARIANCE_ITERATION)
+            if self.converged:
+                break
 
     @property
     def converged(self) -> bool:
@@ -250,6 +252,8 @@ class _GaussNewtonFit:
         self._equations.add_prior(rest_weight, -values)
         step = self._equations.solve()
         self._values = values + step
+        if self._law_information is not None:
+            self._law_information = self._law_information.after_step(step)
         # The rms of all starts, because a poll at the outlier limit can oscillate.
         start_change = step[layout.starts]
         self._start_change_s = (
@@ -264,25 +268,43 @@ class _GaussNewtonFit:
             information=add_detent_offsets(self._equations, self._table.command_count),
             common_shift_std_s=self._common_shift_std_s,
             instant_std_s=self._instant_std_s,
-            delay_share=float(self._values[-1]),
+            count_parameters=CountParameters(*self._values[-COUNT_PARAMETERS:].tolist()),
             rest_variance=self._rest_variance,
             counts_follow_commands=self._counts_follow_commands,
         )
 
-    def log_likelihood(self) -> float:
-        """Return the log-likelihood of polls and rests after the last iteration."""
-        if self._poll_spacing_s is None:
-            return 0.0
-        polls = self._likelihood().log_likelihood(self._instant_std_s, self._poll_spacing_s)
-        rests = self._values[self._layout.rests]
-        return polls - 0.5 * float(np.sum(rests**2)) / self._rest_variance
+    @property
+    def law_information(self) -> LawInformation:
+        """The information of the counts about the values of the law.
+
+        Raises:
+            ValueError: the law is that of the settings, or no step was taken.
+        """
+        if self._law_information is None:
+            raise ValueError("the fit has no information about the motion law")
+        return self._law_information.with_stage_rests(
+            self._table.command_count, self._table.rest_count
+        )
+
+    def objective(self) -> PollObjective:
+        """Return the cost of other values of the unknowns, at the present weights of the counts."""
+        prior_weight = self._prior_weight.copy()
+        prior_weight[self._layout.rests] = 1.0 / self._rest_variance
+        spacing_s = self._poll_spacing_s
+        likelihood = self._likelihood()
+        return PollObjective.of(
+            likelihood,
+            self._instant_std_s,
+            likelihood.poll_spacing_s() if spacing_s is None else spacing_s,
+            GaussianWeights(prior_weight, self._prior_mean),
+        )
 
     def _likelihood(self) -> PollLikelihood:
         parameters, count_parameters = (
             self._layout.parameters(self._values),
             CountParameters(*self._values[-COUNT_PARAMETERS:]),
         )
-        return PollLikelihood.of(self._table, self._counts, parameters, count_parameters)
+        return PollLikelihood.of(self._table, self._counts, parameters, count_parameters, self._law)
 
     def _normal_equations(self) -> BandedNormalEquations:
         """Return the normal equations of the polls at the current values."""
@@ -291,7 +313,11 @@ class _GaussNewtonFit:
             self._poll_spacing_s = likelihood.poll_spacing_s()
         self._instant_std_s = likelihood.scatter_s(self._instant_std_s)
         self._counts_follow_commands = likelihood.counts_follow_commands(self._instant_std_s)
-        return likelihood.normal_equations(self._instant_std_s, self._poll_spacing_s)
+        equations = likelihood.normal_equations(self._instant_std_s, self._poll_spacing_s)
+        if self._law.is_recorded:
+            return equations
+        self._law_information = LawInformation.of(equations)
+        return equations.without_last_shared(LAW_VALUES)
 
 
 def _counts_per_axis(polls: UnitPolls) -> tuple[tuple[AxisCounts, AxisCounts], float]:

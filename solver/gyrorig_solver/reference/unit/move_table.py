@@ -1,11 +1,12 @@
 """The moves of a motion as arrays, for vectorised computation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.reference.unit.motion_law import MotionLaw
 from gyrorig_solver.reference.unit.unit_moves import Move, UnitMotion
 
 
@@ -108,6 +109,18 @@ class MoveTable:
             np.zeros(self.rest_count),
             np.zeros(self.speed_class_count),
             np.zeros(2),
+        )
+
+    def with_law(self, law: MotionLaw) -> "MoveTable":
+        """Return the moves with the limits of a motion law; rounded corners are not a limit."""
+        factor = 1.0 + np.array(law.acceleration_share)[self.axis]
+        base_steps_s = self.base_speed_steps_s + np.array(law.base_speed_steps_s)[self.axis]
+        moves = tuple(move.with_law(law) for move in self.moves)
+        return replace(
+            self,
+            moves=moves,
+            acceleration_steps_s2=self.acceleration_steps_s2 * factor,
+            base_speed_steps_s=np.maximum(0.0, base_steps_s),
         )
 
     def first_rest(self, axis: int) -> int:

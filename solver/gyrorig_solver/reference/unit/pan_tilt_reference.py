@@ -8,6 +8,11 @@ The unknowns have a prior from the polls and are fitted with the parameters of t
 - the speed of each class of commands with the same speed, and the acceleration of each axis
   (the polls determine them to 1e-4);
 - the relation of counts and motion, their offset, lag and share of a delay, from polls only.
+
+The unit can follow another motion law than that of the recorded settings. Then the unknowns are
+relative to the fit of the replies under that law, and the replies have information about its
+values. The planned motion stays that of the settings, because the causes in the model change it;
+`executed` is the motion under the law.
 """
 
 from dataclasses import dataclass, replace
@@ -15,21 +20,23 @@ from functools import cached_property
 from typing import Self, cast
 
 import numpy as np
-from scipy.sparse import csc_array, diags_array
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
 from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix, eliminate_local
 from gyrorig_solver.reference.reference_motion import EvaluatedMotion, LocalDerivative
-from gyrorig_solver.reference.unit.axis_trajectory import Trajectory, build_trajectories
+from gyrorig_solver.reference.unit.axis_trajectory import Trajectory
+from gyrorig_solver.reference.unit.law_fit import LawFit, LawFits
+from gyrorig_solver.reference.unit.law_information import LawProfile
+from gyrorig_solver.reference.unit.motion_law import RECORDED_LAW, MotionLaw, law_scale
 from gyrorig_solver.reference.unit.motion_profile import MotionProfile
 from gyrorig_solver.reference.unit.move_derivatives import AxisDerivatives
 from gyrorig_solver.reference.unit.move_fit import LOG_ACCELERATION_PRIOR_STD, MoveFit
-from gyrorig_solver.reference.unit.move_table import MotionParameters
+from gyrorig_solver.reference.unit.move_table import MotionParameters, MoveTable
+from gyrorig_solver.reference.unit.rounded_trajectory import build_executed_trajectories
 from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian
 from gyrorig_solver.reference.unit.unit_moves import UnitMotion
 
 MAX_KNOWN_STD_RATIO = 0.5  # of a prior standard deviation; below it the replies determine a value
-POLL_DOWNWEIGHT = 0.005  # of the information of the polls: 50 us become 10 ms
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +44,13 @@ class PanTiltReference:
     """Pan and tilt over time. Unknowns in order: see `MoveFit.information`."""
 
     motion: UnitMotion
-    move_fit: MoveFit
+    move_fit: MoveFit  # with the recorded settings
     rad_per_step: tuple[float, float]  # of pan and tilt, with the sign of the unit
-    deviation: FloatArray  # unknowns minus their values from the polls
+    deviation: FloatArray  # unknowns minus their values from the polls under the law
     span_s: tuple[float, float]  # time span of the polls
-    polls_downweighted: bool = False  # the axes follow another motion law than that of the poll fit
+    law_fits: LawFits
+    law: MotionLaw = RECORDED_LAW
+    follows_law: bool = False  # whether angles and rates are those under the law
 
     @classmethod
     def of(
@@ -52,28 +61,50 @@ class PanTiltReference:
         span_s: tuple[float, float],
     ) -> Self:
         """Return the reference at the values from the polls."""
-        return cls(motion, move_fit, rad_per_step, np.zeros(sum(move_fit.information.size)), span_s)
+        deviation = np.zeros(sum(move_fit.information.size))
+        return cls(motion, move_fit, rad_per_step, deviation, span_s, LawFits(move_fit))
 
-    @cached_property
+    @property
     def information(self) -> ArrowheadMatrix:
-        """Information of the polls about the unknowns.
+        """Information of the polls about the unknowns, under the law."""
+        return self._polled_fit.information
 
-        If the axes follow another motion law than that of the poll fit, the fitted start times,
-        speeds and accelerations have a small error with a very small uncertainty. Then they get
-        less weight, and the samples determine them.
+    def law_profile(self, law_values: IntArray) -> LawProfile:
+        """Return what the polls say about some values of the law.
+
+        The units are those of `MotionLaw.of_values`. `law_values`: their positions, shape (k,).
+
+        Raises:
+            ValueError: the law is that of the settings.
         """
-        poll_information = self.move_fit.information
-        if not self.polls_downweighted:
-            return poll_information
-        table = self.move_fit.table
-        local, shared = np.ones(poll_information.size[0]), np.ones(poll_information.size[1])
-        local[: table.command_count] = shared[: table.speed_class_count + 2] = POLL_DOWNWEIGHT
-        scale = diags_array(local)
-        return ArrowheadMatrix(
-            csc_array(scale @ poll_information.local @ scale),
-            local[:, None] * poll_information.cross * shared,
-            shared[:, None] * poll_information.shared * shared,
+        scale = law_scale(self.rad_per_step)
+        information = self._law_fit.information.scaled(scale).subset(law_values)
+        return LawProfile.of(information, self.information)
+
+    @property
+    def cost(self) -> float:
+        """The negative log-likelihood of the polls, nats; zero at the fit with the settings."""
+        deviation = self.deviation
+        cost = 0.5 * float(deviation @ self.information.multiply(deviation))
+        if self.law.is_recorded:
+            return cost
+        return cost + self._law_fit.cost - self.law_fits.recorded_cost
+
+    def cost_decrease(self, after: "PanTiltReference") -> float:
+        """Return the decrease of the cost by a step, at the present weights of the polls, nats."""
+        if self.law.is_recorded:
+            return self.cost - after.cost
+        objective, table = self._law_fit.objective, self.move_fit.table
+        before_cost, after_cost = (
+            objective.cost(
+                table,
+                reference._polled_fit.values + reference.deviation,
+                reference.law,
+                reference._law_fit.objective.prior,
+            )
+            for reference in (self, after)
         )
+        return before_cost - after_cost
 
     @property
     def description(self) -> str:
@@ -111,13 +142,14 @@ class PanTiltReference:
         """Return the reference with its unknowns changed by `step`."""
         return replace(self, deviation=self.deviation + step)
 
-    def with_polls_downweighted(self, downweighted: bool) -> Self:
-        """Return the reference with or without downweighted polls; see `information`."""
-        return (
-            self
-            if downweighted == self.polls_downweighted
-            else replace(self, polls_downweighted=downweighted)
-        )
+    def with_law(self, law: MotionLaw) -> Self:
+        """Return the reference under a motion law; the moves follow the polls under it."""
+        return self if law == self.law else replace(self, law=law)
+
+    @cached_property
+    def executed(self) -> Self:
+        """The reference whose angles and rates are those under the law."""
+        return self if self.law.is_recorded else replace(self, follows_law=True)
 
     def angles_rad(self, time_s: FloatArray) -> FloatArray:
         """Return pan and tilt at sorted times, shape (2, n)."""
@@ -136,7 +168,7 @@ class PanTiltReference:
         rate[~self._known_intervals(edges_s)] = np.nan
         if not derivatives:
             return EvaluatedMotion(rate, (), np.zeros((0, len(rate), 3)))
-        table = self.move_fit.table
+        table = self._table
         shared = np.zeros((table.speed_class_count + 2, len(rate), 3))
         local: list[LocalDerivative] = []
         for axis in (0, 1):
@@ -161,11 +193,9 @@ class PanTiltReference:
         ).information
         accelerations = slice(table.speed_class_count, table.speed_class_count + 2)
         std = np.sqrt(np.diag(np.linalg.inv(shared_information))[accelerations])
-        prior_std = LOG_ACCELERATION_PRIOR_STD / (
-            POLL_DOWNWEIGHT if self.polls_downweighted else 1.0
-        )
-        estimate = self.move_fit.parameters.log_acceleration
-        return estimate, np.where(std < MAX_KNOWN_STD_RATIO * prior_std, std, np.inf)
+        estimate = self._polled_fit.parameters.log_acceleration
+        is_known = std < MAX_KNOWN_STD_RATIO * LOG_ACCELERATION_PRIOR_STD
+        return estimate, np.where(is_known, std, np.inf)
 
     @cached_property
     def profiles(self) -> tuple[tuple[int, MotionProfile], ...]:
@@ -188,12 +218,28 @@ class PanTiltReference:
 
     @cached_property
     def _trajectories(self) -> tuple[Trajectory, Trajectory]:
-        return build_trajectories(self.move_fit.table, self._parameters)
+        law = self.law if self.follows_law else RECORDED_LAW
+        return build_executed_trajectories(self._table, self._parameters, law)
+
+    @cached_property
+    def _table(self) -> MoveTable:
+        """The moves; with the limits of the law if the reference follows it."""
+        table = self.move_fit.table
+        return table.with_law(self.law) if self.follows_law else table
+
+    @property
+    def _polled_fit(self) -> MoveFit:
+        """The fit of the polls under the law."""
+        return self.move_fit if self.law.is_recorded else self._law_fit.fit
+
+    @property
+    def _law_fit(self) -> LawFit:
+        return self.law_fits.at(self.law)
 
     @cached_property
     def _parameters(self) -> MotionParameters:
         """The current parameters, with the rests of the stage."""
-        table, fitted, deviation = self.move_fit.table, self.move_fit.parameters, self.deviation
+        table, fitted, deviation = self.move_fit.table, self._polled_fit.parameters, self.deviation
         rest, counted = table.command_count, table.command_count + table.rest_count
         speed = counted + table.rest_count
         acceleration = speed + table.speed_class_count

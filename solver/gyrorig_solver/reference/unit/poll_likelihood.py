@@ -13,10 +13,12 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
-from gyrorig_solver.reference.unit.axis_trajectory import Trajectory, build_trajectories
+from gyrorig_solver.reference.unit.axis_trajectory import Trajectory
+from gyrorig_solver.reference.unit.motion_law import LAW_QUANTITIES, LAW_VALUES, MotionLaw
 from gyrorig_solver.reference.unit.move_equations import BandedNormalEquations
 from gyrorig_solver.reference.unit.move_table import MotionParameters, MoveTable
 from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move
+from gyrorig_solver.reference.unit.rounded_trajectory import build_executed_trajectories
 
 STEP_VARIANCE = 1.0 / 12.0
 MIN_REST_DISTANCE_STEPS = 1.5  # closer counts are rounded in one direction and are not used
@@ -33,7 +35,7 @@ class AxisCounts:
     extra_s: FloatArray  # (n,), width of the exchange minus the smallest width
     steps: FloatArray  # (n,)
 
-    def subset(self, selection: slice | BoolArray) -> "AxisCounts":
+    def subset(self, selection: slice | BoolArray | IntArray) -> "AxisCounts":
         """Return the selected counts."""
         return AxisCounts(self.base_s[selection], self.extra_s[selection], self.steps[selection])
 
@@ -55,8 +57,9 @@ class _PollPiece:
     at_s: FloatArray  # (n,)
     speed: FloatArray  # (n,), steps/s, not signed
     # Derivatives by start, rest before, rest after, log speed, log acceleration, offset, lag
-    # and phi, then the residual.
-    derivatives: FloatArray  # (n, 9)
+    # and phi, by the values of the law if it differs from the settings, then the residual.
+    derivatives: FloatArray  # (n, 9) or (n, 12)
+    counts: AxisCounts  # (n,)
 
     def weight(self, scatter_s: float, spacing_s: FloatArray) -> FloatArray:
         """Return the weight of each poll, shape (n,)."""
@@ -80,8 +83,9 @@ class _PollPiece:
 class PollLikelihood:
     """The n polls in motion, evaluated at one set of parameters."""
 
-    table: MoveTable
+    table: MoveTable  # with the limits of the law
     parameters: MotionParameters
+    law: MotionLaw
     pieces: tuple[_PollPiece, ...]
     residual: FloatArray  # (n,), counts minus model
     speed: FloatArray  # (n,), steps/s, not signed
@@ -93,8 +97,18 @@ class PollLikelihood:
         counts: tuple[AxisCounts, AxisCounts],
         parameters: MotionParameters,
         count_parameters: CountParameters,
+        law: MotionLaw,
     ) -> Self:
-        """Evaluate all polls."""
+        """Evaluate all polls.
+
+        Args:
+            table: the moves with the limits of the law.
+            counts: of pan and tilt.
+            parameters: of the moves.
+            count_parameters: of the counts.
+            law: that the unit executes.
+        """
+        trajectories = build_executed_trajectories(table, parameters, law)
         pieces = tuple(
             _evaluate_polls(
                 table,
@@ -102,13 +116,15 @@ class PollLikelihood:
                 axis.subset(slice(begin, begin + POLLS_PER_PIECE)),
                 parameters,
                 count_parameters,
+                law,
             )
-            for track, axis in zip(build_trajectories(table, parameters), counts, strict=True)
+            for track, axis in zip(trajectories, counts, strict=True)
             for begin in range(0, axis.steps.size, POLLS_PER_PIECE)
         )
         return cls(
             table,
             parameters,
+            law,
             pieces,
             np.concatenate([np.zeros(0), *(piece.derivatives[:, -1] for piece in pieces)]),
             np.concatenate([np.zeros(0), *(piece.speed for piece in pieces)]),
@@ -157,14 +173,17 @@ class PollLikelihood:
     def normal_equations(self, scatter_s: float, spacing_s: FloatArray) -> BandedNormalEquations:
         """Return the normal equations of all unknowns, without a prior.
 
+        If the law differs from the settings, its values are the last shared unknowns.
+
         Args:
             scatter_s: standard deviation of the sampling times.
             spacing_s: time between the polls of each move.
         """
         table = self.table
-        equations = BandedNormalEquations.empty(
-            table, table.speed_class_count + 2 + COUNT_PARAMETERS
-        )
+        shared_count = table.speed_class_count + 2 + COUNT_PARAMETERS
+        if not self.law.is_recorded:
+            shared_count += LAW_VALUES
+        equations = BandedNormalEquations.empty(table, shared_count)
         single_moves, grams = [], []
         for piece in self.pieces:
             weight = piece.weight(scatter_s, spacing_s)
@@ -196,7 +215,16 @@ class PollLikelihood:
         count = table.speed_class_count + 2 + np.arange(COUNT_PARAMETERS)
         shared = [table.speed_class[moves], table.speed_class_count + table.axis[moves]]
         shared += [np.full(moves.size, k) for k in count]
+        shared += [k + table.axis[moves] for k in self._first_law_unknowns]
         return np.stack(local, axis=1), np.stack(shared, axis=1)
+
+    @property
+    def _first_law_unknowns(self) -> list[int]:
+        """The shared unknown of pan for each quantity of the law; that of tilt follows."""
+        if self.law.is_recorded:
+            return []
+        first = self.table.speed_class_count + 2 + COUNT_PARAMETERS
+        return [first + 2 * k for k in range(len(LAW_QUANTITIES))]
 
     def _multi_command_derivatives(
         self, k: int, piece: _PollPiece, selection: slice
@@ -219,6 +247,11 @@ class PollLikelihood:
             profile.acceleration[:, None],
             piece.derivatives[selection, 5:],
         ]
+        if not self.law.is_recorded:
+            share = self.law.acceleration_share[move.axis]
+            blocks[-1] = piece.derivatives[selection, 5:].copy()
+            blocks[-1][:, COUNT_PARAMETERS] = profile.acceleration / (1.0 + share)
+            blocks[-1][:, COUNT_PARAMETERS + 1] = profile.base_speed
         rest = table.command_count
         local = [
             *range(command_range.start, command_range.stop),
@@ -226,7 +259,8 @@ class PollLikelihood:
             rest + table.arrival[k],
         ]
         count = table.speed_class_count + 2 + np.arange(COUNT_PARAMETERS)
-        shared = [*move.speed_classes, table.speed_class_count + move.axis, *count]
+        law = [k + move.axis for k in self._first_law_unknowns]
+        shared = [*move.speed_classes, table.speed_class_count + move.axis, *count, *law]
         return np.array([local]), np.array([shared]), np.concatenate(blocks, axis=1)
 
 
@@ -251,6 +285,7 @@ def _evaluate_polls(
     counts: AxisCounts,
     parameters: MotionParameters,
     count_parameters: CountParameters,
+    law: MotionLaw,
 ) -> _PollPiece:
     """Return residuals and derivatives of the counts taken in motion."""
     at_s = counts.base_s + count_parameters.delay_share * counts.extra_s
@@ -278,18 +313,18 @@ def _evaluate_polls(
     moving, samples = moving[used], samples.subset(used)
     move, speed, progress, steps = move[used], speed[used], progress[used], steps[used]
     sign = np.sign(speed)
-    derivatives = np.empty((used.size, 9))
-    derivatives[:, 0], derivatives[:, 1], derivatives[:, 2] = -speed, 1.0 - progress, progress
-    derivatives[:, 3], derivatives[:, 4] = samples.by_speed, samples.by_acceleration
-    derivatives[:, 5], derivatives[:, 6], derivatives[:, 7] = (
-        1.0,
-        -sign,
-        speed * counts.extra_s[moving],
-    )
-    derivatives[:, 8] = (
+    derivatives = [-speed, 1.0 - progress, progress, samples.by_speed, samples.by_acceleration]
+    derivatives += [np.ones(used.size), -sign, speed * counts.extra_s[moving]]
+    if not law.is_recorded:
+        # A speed at or below the base speed has no ramps; `by_base_speed` is zero there.
+        share = np.array(law.acceleration_share)[table.axis[move]]
+        derivatives += [samples.by_acceleration / (1.0 + share)]
+        derivatives += [samples.by_base_speed, samples.by_corner]
+    residual = (
         counts.steps[moving]
         - steps
         - count_parameters.offset_steps
         + sign * count_parameters.lag_steps
     )
-    return _PollPiece(move, at_s[moving], np.abs(speed), derivatives)
+    columns = np.column_stack([*derivatives, residual])
+    return _PollPiece(move, at_s[moving], np.abs(speed), columns, counts.subset(moving))

@@ -1,7 +1,7 @@
-"""Derivatives of a motion profile by its start times, speeds and acceleration.
+"""Derivatives of a motion profile by its start times, speeds, acceleration and base speed.
 
 Between two commands a move is one profile that starts at the state at the first command. The
-derivatives of that profile by the state, a log speed and a log acceleration are central
+derivatives of that profile by the state, a log speed, a log acceleration and the base speed are
 differences, exact to about 1e-6 of the speeds. The chain rule propagates them from command to
 command; therefore the cost is proportional to the number of commands.
 """
@@ -31,6 +31,7 @@ class ProfileDerivatives:
     starts: FloatArray  # (orders, n), steps/s
     speeds: FloatArray  # (classes of the move, n), steps per log speed
     acceleration: FloatArray  # (n,), steps per log acceleration
+    base_speed: FloatArray  # (n,), s
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +53,13 @@ class _CommandPiece:
         speed_steps_s: float = 0.0,
         log_speed: float = 0.0,
         log_acceleration: float = 0.0,
+        base_speed_steps_s: float = 0.0,
     ) -> MotionProfile:
         """Return the profile with changed parameters."""
         limits = MotionLimits(
             self.limits.speed_steps_s * float(np.exp(log_speed)),
             self.limits.acceleration_steps_s2 * float(np.exp(log_acceleration)),
-            self.limits.base_speed_steps_s,
+            self.limits.base_speed_steps_s + base_speed_steps_s,
         )
         state = (self.begin_s, self.state[0] + steps, self.state[1] + speed_steps_s)
         return plan_from_state(state, self.kind, self.target, limits)
@@ -65,12 +67,15 @@ class _CommandPiece:
     def change(self, time_s: FloatArray, **step: float) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives of the positions and of the final state by one parameter."""
         ((name, size),) = step.items()
-        ahead, behind = self.profile(**{name: size}), self.profile(**{name: -size})
+        backward = size
+        if name == "base_speed_steps_s":  # which cannot be negative
+            backward = min(size, self.limits.base_speed_steps_s)
+        ahead, behind = self.profile(**{name: size}), self.profile(**{name: -backward})
         position = ahead.position_steps(time_s) - behind.position_steps(time_s)
         if not np.isfinite(self.end_s):
-            return position / (2.0 * size), np.zeros(2)
+            return position / (size + backward), np.zeros(2)
         end = np.subtract(ahead.state_at(self.end_s)[:2], behind.state_at(self.end_s)[:2])
-        return position / (2.0 * size), end / (2.0 * size)
+        return position / (size + backward), end / (size + backward)
 
 
 def differentiate_move(
@@ -82,7 +87,7 @@ def differentiate_move(
 ) -> ProfileDerivatives:
     """Return the derivatives of `move.profile(...)` at times."""
     command_count, classes = len(move.commands), move.speed_classes
-    derivatives = np.zeros((command_count + len(classes) + 1, time_s.size))
+    derivatives = np.zeros((command_count + len(classes) + 2, time_s.size))
     # Derivatives of steps and speed at the start of a command, by every unknown.
     state_derivatives = np.zeros((2, derivatives.shape[0]))
     pieces = _command_pieces(move, start_times_s, log_speed, log_acceleration)
@@ -96,12 +101,14 @@ def differentiate_move(
         by_log_acceleration_position, by_log_acceleration = piece.change(
             inside, log_acceleration=_LOG_STEP
         )
+        by_base_position, by_base = piece.change(inside, base_speed_steps_s=_SPEED_STEP)
         derivatives[:, rows] = np.outer(state_derivatives[0], steps) + np.outer(
             state_derivatives[1], speed
         )
         derivatives[piece.start_index, rows] -= profile.speed_steps_s(inside)
         derivatives[row, rows] += by_log_speed_position
-        derivatives[-1, rows] += by_log_acceleration_position
+        derivatives[-2, rows] += by_log_acceleration_position
+        derivatives[-1, rows] += by_base_position
         if following is None:
             break
         state_derivatives = np.outer(by_steps, state_derivatives[0]) + np.outer(
@@ -110,11 +117,15 @@ def differentiate_move(
         moving = np.array(profile.state_at(piece.end_s)[1:])
         state_derivatives[:, piece.start_index] -= moving
         state_derivatives[:, row] += by_log_speed
-        state_derivatives[:, -1] += by_log_acceleration
+        state_derivatives[:, -2] += by_log_acceleration
+        state_derivatives[:, -1] += by_base
         # A later start of the next command changes its initial state.
         state_derivatives[:, following.start_index] += moving
     return ProfileDerivatives(
-        derivatives[:command_count], derivatives[command_count:-1], derivatives[-1]
+        derivatives[:command_count],
+        derivatives[command_count:-2],
+        derivatives[-2],
+        derivatives[-1],
     )
 
 

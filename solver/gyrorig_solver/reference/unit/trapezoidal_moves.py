@@ -113,6 +113,29 @@ class TrapezoidalMoves:
             ]
         )
 
+    @property
+    def by_base_speed(self) -> FloatArray:
+        """The derivative of `position` by the base speed, as `position`; see `by_speed`.
+
+        The end of a trapezoid changes by -2 (v - b) / (a v), that of a triangle by
+        2 (b / p - 1) / a.
+        A move without ramps does not depend on the base speed.
+        """
+        b, a, peak = self.base_speed, self.acceleration, self.peak_speed
+        zeros = np.zeros_like(b)
+        later = np.where(
+            peak >= self.speed, -2.0 * (peak - b) / (a * peak), 2.0 * (b / peak - 1.0) / a
+        )
+        has_ramps = self.ramp_s > 0.0
+        linear = np.where(has_ramps, 1.0 + a * later, 0.0)
+        return np.stack(
+            [
+                [zeros, self.ramp_s, np.where(has_ramps, -self.ramp_s - peak * later, 0.0), zeros],
+                [has_ramps.astype(np.float64), zeros, linear, zeros],
+                [zeros, zeros, zeros, zeros],
+            ]
+        )
+
     def time_at(self, travelled: FloatArray, move: IntArray) -> FloatArray:
         """Return the time since the start at which each move has covered a distance.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.reference.unit.motion_law import MotionLaw
 from gyrorig_solver.reference.unit.motion_profile import (
     CommandKind,
     MotionLimits,
@@ -87,6 +88,16 @@ class Move:
     def speed_classes(self) -> tuple[int, ...]:
         """The speed classes of the commands, each once."""
         return tuple(dict.fromkeys(command.speed_class for command in self.commands))
+
+    def with_law(self, law: MotionLaw) -> "Move":
+        """Return the move with the limits of a motion law."""
+        base_steps_s = self.base_speed_steps_s + law.base_speed_steps_s[self.axis]
+        return replace(
+            self,
+            acceleration_steps_s2=self.acceleration_steps_s2
+            * (1.0 + law.acceleration_share[self.axis]),
+            base_speed_steps_s=max(0.0, base_steps_s),
+        )
 
     def profile(
         self, start_times_s: FloatArray, log_speed: FloatArray, log_acceleration: float
