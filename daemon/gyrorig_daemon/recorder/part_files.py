@@ -1,9 +1,9 @@
 """Part files: metadata and attachments are repeated, so that each part is self-contained.
 
-What to use when: under `part_writer`. `PartOpener` creates parts in the disk thread;
-`PartCloser` has them closed there; `SpaceCheck` asks there for the free space; `part_path` names
-them; `SessionMetadata` is their metadata and attachments. The session state at the start of a part
-comes from `state_replay`.
+What to use when: under `part_writer`. `PartOpener` creates parts; `NextPart` has the next one
+created in the disk thread; `PartCloser` has them closed there; `SpaceCheck` asks there for the free
+space; `part_path` names them; `SessionMetadata` is their metadata and attachments. The session
+state at the start of a part comes from `state_replay`.
 """
 
 import threading
@@ -39,6 +39,7 @@ class SessionMetadata:
         self._attachments = list(attachments)
         self._lock = threading.Lock()  # parts are opened in another thread
         self._additions: list[tuple[MetadataRecords, tuple[Attachment, ...]]] = []
+        self._written_version = 0  # of the open part
 
     @property
     def version(self) -> int:
@@ -53,7 +54,17 @@ class SessionMetadata:
         with self._lock:
             self._additions.append((added, tuple(attachments)))
 
-    def added_since(self, version: int) -> tuple[MetadataRecords, list[Attachment]]:
+    def set_written(self, version: int) -> None:
+        """Note that the open part has the first `version` additions."""
+        self._written_version = version
+
+    def take_new(self) -> tuple[MetadataRecords, list[Attachment]]:
+        """Return the additions that the open part does not have; it has them from now on."""
+        metadata, attachments = self._added_since(self._written_version)
+        self._written_version = self.version
+        return metadata, attachments
+
+    def _added_since(self, version: int) -> tuple[MetadataRecords, list[Attachment]]:
         """Return what was added after the first `version` additions."""
         metadata: MetadataRecords = {}
         attachments: list[Attachment] = []
@@ -67,7 +78,7 @@ class SessionMetadata:
         with self._lock:
             version = self.version
             metadata = dict(self._metadata)
-            added, files = self.added_since(0)
+            added, files = self._added_since(0)
         metadata = {name: dict(record) for name, record in (metadata | added).items()}
         if number:
             metadata["gyrorig"] |= {"part": str(number), "previous": previous}
@@ -146,6 +157,43 @@ class PartOpener:
                 f"{folder} cannot be read ({fault.strerror})",
                 f"check `ls -ld {folder}` and its disk",
             ) from fault
+
+
+class NextPart:
+    """The part that follows the open one, opened in the disk thread."""
+
+    def __init__(self, worker: DiskWorker, opener: PartOpener) -> None:
+        self._worker, self._opener = worker, opener
+        self._job: DiskJob[OpenedPart] | None = None
+
+    @property
+    def is_opening(self) -> bool:
+        """Whether a part is being opened or can be taken."""
+        return self._job is not None
+
+    def open(self, number: int, previous: str, room_bytes: int) -> None:
+        """Start to open a part; see `PartOpener.open`."""
+        self._job = self._worker.submit(lambda: self._opener.open(number, previous, room_bytes))
+
+    def wait(self) -> None:
+        """Wait until it is open or has failed."""
+        if self._job is not None:
+            self._job.wait()
+
+    def take(self) -> OpenedPart | Exception | None:
+        """Return the part or the error, once; None while it is being opened."""
+        job = self._job
+        if job is None or not job.is_done:
+            return None
+        self._job = None
+        return job.result() if job.error is None else job.error
+
+    def discard(self) -> None:
+        """Discard a part that is being opened: it would be empty."""
+        self.wait()
+        part = self.take()
+        if isinstance(part, OpenedPart):
+            self._worker.submit(part.writer.discard)
 
 
 class SpaceCheck:

@@ -26,8 +26,9 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from gyrorig_daemon.recorder.disk_worker import DiskJob, DiskWorker
+from gyrorig_daemon.recorder.disk_worker import DiskWorker
 from gyrorig_daemon.recorder.part_files import (
+    NextPart,
     OpenedPart,
     PartCloser,
     PartOpener,
@@ -74,12 +75,11 @@ class PartWriter:
         self._replay = StateReplay()
         self._writer: RecordingWriter | None = None
         self._sync_tracker: SyncTracker  # of the open file, or of the last one
-        self._written_metadata_version = 0
         self._ram_buffer = RamBuffer(settings.ram_bytes, settings.ram_s)
         self._sequence_numbers = SequenceNumbers()
         self._schedule = PartSchedule(settings)
         self._needs_replay = False
-        self._open_job: DiskJob[OpenedPart] | None = None
+        self._next_part = NextPart(worker, self._opener)
         self._space_check = SpaceCheck(worker, self._opener)
         self._closer = PartCloser(worker, counts)
         self._closed_bytes = 0
@@ -170,7 +170,8 @@ class PartWriter:
         Raises:
             MachineError: the disk failed; what was written is kept and readable.
         """
-        self._discard_next_part()
+        if self._writer is not None:
+            self._next_part.discard()
         for _ in range(CLOSE_ATTEMPTS):
             writer = self._write_remaining()
             if writer is not None and self._hand_over_to_closer(writer):
@@ -185,21 +186,11 @@ class PartWriter:
         self._update_counts()
         return self._closer.finish() or self.paths[-1]
 
-    def _discard_next_part(self) -> None:
-        """Discard a part that is being opened to follow this one: it would be empty."""
-        open_job = self._open_job
-        if open_job is not None and self._writer is not None:
-            open_job.wait()
-            self._open_job = None
-            if open_job.error is None:
-                self._worker.submit(open_job.result().writer.discard)
-
     def _write_remaining(self) -> RecordingWriter | None:
         """Wait for a file, and empty the memory into it; None without a file."""
         if self._writer is None:
             self._retry_opening(at_once=True)
-        if self._open_job is not None:
-            self._open_job.wait()
+        self._next_part.wait()
         self._collect_jobs()
         while self._writer is not None and len(self._ram_buffer):
             self._drain_memory(MAX_RECORDS_PER_TURN)
@@ -292,12 +283,9 @@ class PartWriter:
         writer = self._writer
         if writer is None:
             return
-        metadata, attachments = self._opener.session_metadata.added_since(
-            self._written_metadata_version
-        )
+        metadata, attachments = self._opener.session_metadata.take_new()
         if metadata or attachments:
             self._run_step(writer, lambda: writer.add_metadata(metadata, attachments))
-        self._written_metadata_version = self._opener.session_metadata.version
 
     def _drain_memory(self, limit: int) -> None:
         for _ in range(limit):
@@ -309,13 +297,11 @@ class PartWriter:
             self._write(self._writer, record)
 
     def _collect_jobs(self) -> None:
-        open_job = self._open_job
-        if open_job is not None and open_job.is_done:
-            self._open_job = None
-            if open_job.error is None:
-                self._switch_to_part(open_job.result())
-            else:
-                self._handle_open_failure(open_job.error)
+        part = self._next_part.take()
+        if isinstance(part, OpenedPart):
+            self._switch_to_part(part)
+        elif part is not None:
+            self._handle_open_failure(part)
         writer = self._writer
         if writer is not None and (error := self._sync_tracker.poll_sync()):
             self._run_step(writer, lambda: writer.fail_with(error))
@@ -345,11 +331,8 @@ class PartWriter:
             self._hand_over_to_closer(old)
             self._counts.rotations += 1
         is_resumed = old is None and bool(self.paths)
-        self._writer, self._part_number, self._written_metadata_version = (
-            part.writer,
-            part.number,
-            part.metadata_version,
-        )
+        self._writer, self._part_number = part.writer, part.number
+        self._opener.session_metadata.set_written(part.metadata_version)
         self.paths.append(part_path(self._plan.path, part.number))
         self._schedule.start_part()
         self._sync_tracker = SyncTracker(part.writer, self._worker, self._counts)
@@ -393,23 +376,20 @@ class PartWriter:
             self._sync_tracker.sync()
         if not self._space_check.is_running and schedule.take_space_check():
             self._space_check.start(reserve_bytes)
-        can_open = self._open_job is None and schedule.may_open and not self._closer.is_full
+        can_open = not self._next_part.is_opening and schedule.may_open and not self._closer.is_full
         if can_open and schedule.is_part_due(writer.bytes_written):
             self._begin_part(reserve_bytes)
         if not self._worker.threaded:
             self._collect_jobs()
 
     def _retry_opening(self, at_once: bool = False) -> None:
-        if self._open_job is None and (at_once or self._schedule.may_open):
+        if not self._next_part.is_opening and (at_once or self._schedule.may_open):
             self._begin_part(self._settings.resume_bytes)
             if not self._worker.threaded:
                 self._collect_jobs()
 
     def _begin_part(self, room_bytes: int) -> None:
-        number, previous = self._part_number + 1, self.paths[-1].name
-        self._open_job = self._worker.submit(
-            lambda: self._opener.open(number, previous, room_bytes)
-        )
+        self._next_part.open(self._part_number + 1, self.paths[-1].name, room_bytes)
 
     def _update_counts(self) -> None:
         counts, ram_buffer = self._counts, self._ram_buffer
