@@ -180,11 +180,9 @@ def test_two_recordings_have_one_law(hidden: Callable[..., Any]) -> None:
     solution = with_cause(base, "acceleration_error")
     assert solution.converged
     alone = [with_cause(base_fit(session), "acceleration_error") for session in sessions]
-    both, *each = (
-        np.diag(found.observability.covariance)[-2:] ** -1.0 for found in (solution, *alone)
-    )
+    both, *each = (np.diag(fit.observability.covariance)[-2:] ** -1.0 for fit in (solution, *alone))
     assert both == pytest.approx(each[0] + each[1], rel=0.05)  # of the information
     mean = sum(
-        information * found.estimate[-2:] for information, found in zip(each, alone, strict=True)
+        information * fit.estimate[-2:] for information, fit in zip(each, alone, strict=True)
     ) / sum(each)
     assert np.all(np.abs(solution.estimate[-2:] - mean) < 0.5 * both**-0.5)

@@ -146,7 +146,7 @@ def test_the_score_of_the_law_is_the_difference(fitted: MoveFit, known: tuple[bo
     values = now.fit.values
     for k in range(LAW_VALUES):
         step, change = STEPS[k], STEPS[k] * np.eye(LAW_VALUES)[k]
-        tolerance = 0.02 * np.sqrt(now.information.own[k, k])  # 0.02 of a standard deviation
+        tolerance = 0.02 * np.sqrt(now.information.law_block[k, k])  # 0.02 of a standard deviation
         after, before = (cost(values, changed(law, sign * change)) for sign in (1, -1))
         numeric = (before - after) / (2.0 * step)
         assert now.information.score[k] == pytest.approx(numeric, abs=tolerance)

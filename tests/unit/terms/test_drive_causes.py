@@ -360,9 +360,13 @@ def test_moves_with_commands_on_the_way_are_replanned() -> None:
     limits, steeper = MotionLimits(1000.0, 2000.0, 0.0), MotionLimits(1000.0, 2200.0, 30.0)
     back, expected = (
         plan_motion(
-            0.0, [ProfileCommand(0.0, "to", 1000.0, own), ProfileCommand(0.7, "to", -500.0, own)]
+            0.0,
+            [
+                ProfileCommand(0.0, "to", 1000.0, move_limits),
+                ProfileCommand(0.7, "to", -500.0, move_limits),
+            ],
         )
-        for own in (limits, steeper)
+        for move_limits in (limits, steeper)
     )
     replanned = replan_with_limits(back, 0.1, 30.0)
     assert replanned is not None

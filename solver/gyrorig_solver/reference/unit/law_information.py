@@ -20,17 +20,17 @@ class LawInformation:
     """Information of the counts about the values of a motion law, and the score of these values."""
 
     cross: FloatArray  # (n + g, k), with the unknowns of the moves
-    own: FloatArray  # (k, k)
+    law_block: FloatArray  # (k, k)
     score: FloatArray  # (k,)
 
     @classmethod
     def of(cls, equations: BandedNormalEquations) -> Self:
         """Return the part of the last six shared unknowns of a system."""
-        kept = equations.shared.shape[0] - LAW_VALUES
-        local = equations.cross[equations.band_position, kept:]
+        first = equations.shared.shape[0] - LAW_VALUES
+        local = equations.cross[equations.band_position, first:]
         return cls(
-            np.vstack([local, equations.shared[:kept, kept:]]),
-            equations.shared[kept:, kept:].copy(),
+            np.vstack([local, equations.shared[:first, first:]]),
+            equations.shared[first:, first:].copy(),
             equations.score[-LAW_VALUES:].copy(),
         )
 
@@ -47,15 +47,17 @@ class LawInformation:
 
     def subset(self, values: IntArray) -> Self:
         """Return it for some values of the law; `values`: their positions, shape (k,)."""
-        own = self.own[np.ix_(values, values)]
-        return replace(self, cross=self.cross[:, values], own=own, score=self.score[values])
+        law_block = self.law_block[np.ix_(values, values)]
+        return replace(
+            self, cross=self.cross[:, values], law_block=law_block, score=self.score[values]
+        )
 
     def scaled(self, scale: FloatArray) -> Self:
         """Return it for values in other units; `scale`: their derivatives, shape (6,)."""
         return replace(
             self,
             cross=self.cross * scale,
-            own=self.own * np.outer(scale, scale),
+            law_block=self.law_block * np.outer(scale, scale),
             score=self.score * scale,
         )
 
@@ -82,5 +84,5 @@ class LawProfile:
         """
         columns = [solve_arrowhead(moves, column) for column in law.cross.T]
         shift = -np.stack(columns, axis=1)
-        information = law.own + law.cross.T @ shift
+        information = law.law_block + law.cross.T @ shift
         return cls(shift, (information + information.T) / 2.0, law.score)

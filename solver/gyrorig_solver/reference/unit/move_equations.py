@@ -96,12 +96,12 @@ class BandedNormalEquations:
 
     def without_last_shared(self, count: int) -> "BandedNormalEquations":
         """Return the system in which the last `count` shared unknowns are fixed."""
-        kept = self.shared.shape[0] - count
+        remaining = self.shared.shape[0] - count
         return BandedNormalEquations(
             self.band_position,
             self.band,
-            np.ascontiguousarray(self.cross[:, :kept]),
-            np.ascontiguousarray(self.shared[:kept, :kept]),
+            np.ascontiguousarray(self.cross[:, :remaining]),
+            np.ascontiguousarray(self.shared[:remaining, :remaining]),
             self.score[: self.score.size - count],
         )
 
