@@ -121,12 +121,22 @@ def inverse_gain(calibration: CalibrationDocument) -> FloatArray:
 
 
 def _scale_errors(calibration: CalibrationDocument) -> tuple[float, float] | None:
-    """Return the worst axis' scale factor error in %: nominal, and half of the 95 % interval."""
+    """Return the worst axis' scale factor error in %: nominal, and half of the 95 % interval.
+
+    The interval is that of the total uncertainty where it is stated.
+    """
     pairs = [(v, s) for v, s in value_std_pairs(calibration.parameters["scale"]) if v is not None]
     if not pairs or any(s is None for _, s in pairs):
         return None
     worst = max(abs(v - 1.0) for v, _ in pairs)
-    return 100.0 * worst, 100.0 * max(1.96 * (s or 0.0) for _, s in pairs)
+    half_widths = [1.96 * (s or 0.0) for _, s in pairs]
+    if calibration.uncertainty is not None:
+        half_widths += [
+            calibration.uncertainty.coverage_factor * entry.total
+            for name, entry in calibration.uncertainty.parameters.items()
+            if name.startswith("scale.")
+        ]
+    return 100.0 * worst, 100.0 * max(half_widths)
 
 
 def _rotation_error_deg(data: FitDiagnostics, gain: FloatArray) -> tuple[float, float]:

@@ -16,7 +16,9 @@ from gyrorig_solver.calibration.calibration_document import (
     FindingsReference,
     LevelRecord,
     Parameter,
+    ParameterUncertainty,
     RecordingParameters,
+    UncertaintyRecord,
 )
 from gyrorig_solver.data.clocks.clock_trace import ClockTrace
 from gyrorig_solver.estimate.gyro_fit import GyroFit
@@ -130,6 +132,13 @@ def test_first_line_summarises_the_result(
         "Scale factor error 3.12 % before, 0.0479 % after (95 %)."
     ) in words
     assert "rates from -57 to 72 deg/s" in words
+    total = ParameterUncertainty(1e-4, 1e-3, 1e-3, [0.99, 1.01], 2e-3, "1")
+    document = msgspec.structs.replace(
+        made(good_fit, provenance),
+        uncertainty=UncertaintyRecord(2.0, {"scale.y": total}, [], "0" * 64),
+    )
+    page = page_of(render_calibration(ReportData(document, good_fit.diagnostics, None, None, "")))
+    assert "% before, 0.200 % after (95 %)." in " ".join(page.words)
     at_rest = replace(limited_fit, rate_range_rad_s=(0.0, 0.0))
     resting = " ".join(page_of(report(at_rest, provenance)).words)
     assert "The board did not turn, therefore only values at rest are calibrated." in resting
