@@ -10,14 +10,15 @@ Run: python tests/bench/bench_rigs.py --rigs 60 --seed 1 --out rows.jsonl [--job
 
 import argparse
 import json
+import multiprocessing
 import os
 import resource
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,12 +77,10 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
 
 def new_rows(seeds: list[int], asked: TrialOptions, jobs: int) -> Iterator[dict[str, Any]]:
     """Yield the rows of the seeds as they are ready."""
-    with ProcessPoolExecutor(
-        jobs, initializer=limit_memory, max_tasks_per_child=RIGS_PER_PROCESS
-    ) as pool:
-        waiting = [pool.submit(run_seed, seed, asked) for seed in seeds]
-        for future in as_completed(waiting):
-            yield future.result()
+    # A ProcessPoolExecutor with a limit of tasks per process waits forever in Python 3.11.
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(jobs, limit_memory, maxtasksperchild=RIGS_PER_PROCESS) as pool:
+        yield from pool.imap_unordered(partial(run_seed, asked=asked), seeds)
 
 
 def main() -> int:
