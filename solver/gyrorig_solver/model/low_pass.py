@@ -11,7 +11,6 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.model.recursive_filters import (
-    DecimatingFilter,
     filter_from_rest,
     filter_from_steady,
     ramp_invariant,
@@ -70,9 +69,7 @@ class LowPass:
         """
         if step == 1 or means.size == 0:
             return self.apply_to_means(means)
-        return DecimatingFilter.of(
-            *self._sharpened_coefficients(), step, step // 2 + 1
-        ).filter_from_steady(means)
+        return filter_from_steady(*self._sharpened_coefficients(), means, step, step // 2 + 1)
 
     def _sharpened_coefficients(self) -> tuple[FloatArray, FloatArray]:
         """Return the filter of means, delayed by one value."""

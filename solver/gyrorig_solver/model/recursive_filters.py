@@ -1,20 +1,24 @@
 """Recursive linear filters of low order, applied along arrays.
 
 What to use when: `filter_from_steady` for a sensor's low-pass, as if the first value had lasted
-forever; `filter_from_rest` for a filter that starts at rest; `DecimatingFilter` if only every n-th
-output is needed. A recursion is a triangular banded system, which LAPACK solves in place;
-`scipy.signal` would take 0.3 s to import.
+forever, and if only every n-th output is needed; `filter_from_rest` for a filter that starts at
+rest. Both compute the outputs of a block of inputs by one matrix product; only the state between
+blocks is a recursion. `scipy.signal` would take 0.3 s to import.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Self
 
 import numpy as np
 from scipy.linalg import expm
 from scipy.linalg.lapack import dtbtrs
 
 from gyrorig_solver.data.arrays import FloatArray
+
+BLOCK_OUTPUTS, BLOCK_DECIMATED_OUTPUTS = 40, 16  # the fastest sizes of those that were measured
+VALUES_TOGETHER = 65_536  # of rows that a cache holds
+NEGLIGIBLE_MEMORY = 1e-17  # of the outputs before a block in those at its end: below rounding
+ORDER = 2  # of the recursion
 
 
 def filter_from_rest(
@@ -24,87 +28,139 @@ def filter_from_rest(
 
     Args:
         numerator: b, shape (p,).
-        denominator: a, shape (q,), its first value 1.
+        denominator: a, shape (q,), q at most 3, its first value 1.
         signal: filtered along its last axis.
     """
-    n = signal.shape[-1]
-    moving_average = numerator[0] * signal
-    scaled = np.empty_like(moving_average)
-    for k in range(1, min(numerator.size, n)):
-        np.multiply(signal[..., :-k], numerator[k], out=scaled[..., k:])
-        moving_average[..., k:] += scaled[..., k:]
-    return _solve_recursion(denominator, moving_average)
+    return _cached_filter(numerator, denominator, 1, 0).apply(signal, from_steady=False)
 
 
 def filter_from_steady(
-    numerator: FloatArray, denominator: FloatArray, signal: FloatArray
+    numerator: FloatArray,
+    denominator: FloatArray,
+    signal: FloatArray,
+    step: int = 1,
+    phase: int = 0,
 ) -> FloatArray:
-    """Return a signal (..., n) filtered by b(z)/a(z), from the steady state of its first value."""
-    first = signal[..., :1]
-    dc_gain = float(np.sum(numerator) / np.sum(denominator))
-    filtered = filter_from_rest(numerator, denominator, signal - first)
-    filtered += dc_gain * first
-    return filtered
+    """Return a signal (..., n) filtered by b(z)/a(z), from the steady state of its first value.
+
+    Args:
+        numerator: b, shape (p,).
+        denominator: a, shape (q,), q at most 3, its first value 1, with a gain at zero frequency.
+        signal: filtered along its last axis, n a multiple of the step.
+        step: only one of so many outputs is computed.
+        phase: which of them.
+
+    Returns:
+        The computed outputs, shape (..., n / step).
+    """
+    return _cached_filter(numerator, denominator, step, phase).apply(signal, from_steady=True)
+
+
+def _cached_filter(
+    numerator: FloatArray, denominator: FloatArray, step: int, phase: int
+) -> "_BlockFilter":
+    return _block_filter(tuple(numerator.tolist()), tuple(denominator.tolist()), step, phase)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DecimatingFilter:
-    """A filter of which only one of every `step` outputs is computed, exactly.
+class _BlockFilter:
+    """A filter as matrices from a block of m inputs, and from what came before, to its outputs.
 
-    b(z)/a(z) is multiplied by the factor that makes a(z) a polynomial of z^step: short sums over
-    the inputs, and a recursion over the computed outputs only.
+    The values before a block are its last p - 1 inputs, the older ones first, and its last two
+    outputs, the newer one first.
     """
 
-    taps: FloatArray  # (step, m), of the inputs of a block and of the previous blocks
-    denominator: FloatArray  # of the recursion over blocks
-    dc_gain: float  # gain at zero frequency
+    step: int
+    dc_gain: float
+    wanted: FloatArray  # (m, m / step), from the inputs to the wanted outputs
+    last: FloatArray  # (m, 2), from the inputs to the block's last two outputs, the newer first
+    wanted_before: FloatArray  # (p + 1, m / step), from the values before to the wanted outputs
+    last_before: FloatArray  # (p + 1, 2), from the values before to the last two outputs
+    feedback: tuple[float, float] | None  # trace and determinant of A; None: A is negligible
+    feedforward: FloatArray  # (2, 2), transposed A minus its trace; A: see `_solve_state`
 
-    @classmethod
-    def of(
-        cls, numerator: FloatArray, denominator: FloatArray, step: int, output_phase: int
-    ) -> Self:
-        """Return the filter for `step` inputs per output.
+    def apply(self, signal: FloatArray, from_steady: bool) -> FloatArray:
+        """Return the outputs of a signal (..., n), shape (..., n / step)."""
+        n, size = signal.shape[-1], len(self.wanted)
+        rows = signal.reshape(-1, n)
+        outputs = np.empty((len(rows), -(-n // size), size // self.step))
+        together = max(1, VALUES_TOGETHER // max(n, 1))
+        blocks = np.zeros((min(together, len(rows)), outputs.shape[1], size))
+        padded = blocks.reshape(len(blocks), -1)
+        for first in range(0, len(rows) if n else 0, together):
+            batch = rows[first : first + together]
+            padded[: len(batch), :n] = batch
+            self._apply_to_blocks(
+                blocks[: len(batch)], from_steady, outputs[first : first + together]
+            )
+        wanted = outputs.reshape(len(rows), -1)[:, : n // self.step]
+        return wanted.reshape(*signal.shape[:-1], n // self.step)
 
-        Args:
-            numerator: b, shape (p,).
-            denominator: a, shape (q,), its first value 1, without a double pole.
-            step: inputs per output.
-            output_phase: which output of each block of inputs is computed.
+    def _apply_to_blocks(self, blocks: FloatArray, from_steady: bool, outputs: FloatArray) -> None:
+        """Compute the outputs of the blocks of some rows, (rows, blocks, m)."""
+        np.matmul(blocks, self.wanted, out=outputs)
+        inputs = len(self.wanted_before) - ORDER
+        before = np.zeros((*blocks.shape[:2], inputs + ORDER))
+        if from_steady:
+            first = blocks[:, 0, :1]
+            before[:, 0, :inputs], before[:, 0, inputs:] = first, self.dc_gain * first
+        before[:, 1:, :inputs] = blocks[:, :-1, len(self.wanted) - inputs :]
+        last = outputs[..., : -ORDER - 1 : -1] if self.step == 1 else blocks @ self.last
+        driven = last + before @ self.last_before
+        before[:, 1:, inputs:] = self._solve_state(driven[:, :-1])
+        outputs += before @ self.wanted_before
+
+    def _solve_state(self, driven: FloatArray) -> FloatArray:
+        """Return e of e_k = A e_{k-1} + u_k from rest, (rows, blocks, 2), for u of that shape.
+
+        By the theorem of Cayley and Hamilton each of its values obeys a scalar recursion:
+        e_k - tr(A) e_{k-1} + det(A) e_{k-2} = u_k + (A - tr(A)) u_{k-1}.
         """
-        poles = np.roots(denominator)
-        long_numerator, block_denominator = (
-            np.asarray(numerator, dtype=np.complex128),
-            np.ones(1, dtype=np.complex128),
-        )
-        for pole in poles:
-            long_numerator = np.convolve(long_numerator, pole ** np.arange(step))
-            block_denominator = np.convolve(block_denominator, [1.0, -(pole**step)])
-        block_count = 1 + -(-max(0, long_numerator.size - 1 - output_phase) // step)
-        taps_by_age = np.zeros(block_count * step)  # taps by their age at the end of a block
-        taps_by_age[step - 1 - output_phase : step - 1 - output_phase + long_numerator.size] = (
-            long_numerator.real
-        )
-        taps = taps_by_age.reshape(block_count, step)[:, ::-1].T
-        dc_gain = float(np.sum(numerator) / np.sum(denominator))
-        return cls(np.ascontiguousarray(taps), block_denominator.real, dc_gain)
+        if self.feedback is None or not driven.size:
+            return driven
+        right_side = driven.copy()
+        right_side[:, 1:] += driven[:, :-1] @ self.feedforward
+        count = driven.shape[1]
+        columns = np.ascontiguousarray(np.swapaxes(right_side, 1, 2)).reshape(-1, count)
+        bands = np.empty((count, ORDER + 1))
+        bands[:] = 1.0, -self.feedback[0], self.feedback[1]
+        solution, _ = dtbtrs(bands.T, columns.T, uplo="L", diag="U", overwrite_b=True)
+        return np.swapaxes(solution.T.reshape(-1, ORDER, count), 1, 2)
 
-    def filter_from_steady(self, signal: FloatArray) -> FloatArray:
-        """Return the outputs, (..., n / step), from the steady state of the first input.
 
-        Args:
-            signal: shape (..., n), n a multiple of the step.
-        """
-        step, block_count = self.taps.shape
-        rows = signal.reshape(-1, signal.shape[-1])
-        moving_average = np.empty((len(rows), rows.shape[1] // step))
-        for row, average in zip(rows, moving_average, strict=True):
-            parts = (row - row[0]).reshape(-1, step) @ self.taps
-            average[:] = parts[:, 0]
-            for k in range(1, min(block_count, average.size)):
-                average[k:] += parts[:-k, k]
-        filtered = _solve_recursion(self.denominator, moving_average)
-        filtered += self.dc_gain * rows[:, :1]
-        return filtered.reshape(*signal.shape[:-1], moving_average.shape[1])
+@lru_cache(maxsize=64)
+def _block_filter(
+    numerator: tuple[float, ...], denominator: tuple[float, ...], step: int, phase: int
+) -> _BlockFilter:
+    """Return the matrices of a filter; see `_BlockFilter`."""
+    size = BLOCK_OUTPUTS if step == 1 else BLOCK_DECIMATED_OUTPUTS * step
+    inputs = len(numerator) - 1
+    feedback = np.zeros(ORDER + 1)
+    feedback[: len(denominator)] = denominator
+    # Each output as a sum over: earlier inputs, earlier outputs, inputs. Two outputs come before.
+    sums = np.zeros((ORDER + size, inputs + ORDER + size))
+    sums[1, inputs] = sums[0, inputs + 1] = 1.0
+    for k in range(size):
+        sums[k + ORDER] = -feedback[1] * sums[k + 1] - feedback[2] * sums[k]
+        for age, tap in enumerate(numerator):
+            place = k - age if k < age else k - age + ORDER
+            sums[k + ORDER, inputs + place] += tap
+    outputs, last = sums[ORDER + phase :: step].T, sums[: -ORDER - 1 : -1].T
+    first = inputs + ORDER
+    transition = last[inputs:first]
+    trace = float(np.trace(transition))
+    has_memory = float(np.abs(transition).max()) > NEGLIGIBLE_MEMORY
+    dc_sum = float(np.sum(denominator))
+    return _BlockFilter(
+        step,
+        float(np.sum(numerator)) / dc_sum if dc_sum else 0.0,
+        np.ascontiguousarray(outputs[first:]),
+        np.ascontiguousarray(last[first:]),
+        np.ascontiguousarray(outputs[:first]),
+        np.ascontiguousarray(last[:first]),
+        (trace, float(np.linalg.det(transition))) if has_memory else None,
+        transition - trace * np.eye(ORDER),
+    )
 
 
 @lru_cache(maxsize=64)
@@ -154,22 +210,3 @@ def step_invariant(
         [0.0, 1.0 - decay * (cosine + sine), decay * (decay + sine - cosine)], dtype=np.float64
     )
     return numerator / w**2, np.array([1.0, -2.0 * decay * cosine, decay * decay])
-
-
-def _solve_recursion(denominator: FloatArray, right_side: FloatArray) -> FloatArray:
-    """Return y of a(z) y = right_side, (..., n), from rest; `right_side` is overwritten."""
-    n = right_side.shape[-1]
-    if denominator.size == 1 or right_side.size == 0:
-        return right_side
-    bands = _bands(tuple(denominator.tolist()), n)
-    rows = np.ascontiguousarray(right_side.reshape(-1, n))
-    solution, _ = dtbtrs(bands.T, rows.T, uplo="L", diag="U", overwrite_b=True)
-    return np.asarray(solution.T.reshape(right_side.shape), dtype=np.float64)
-
-
-@lru_cache(maxsize=4)
-def _bands(denominator: tuple[float, ...], n: int) -> FloatArray:
-    """Return the bands of the triangular matrix of a recursion, (n, q); not to be written to."""
-    bands = np.empty((n, len(denominator)))
-    bands[:] = denominator
-    return bands
