@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from gyrorig_solver.model.catalogue import find_term
 from gyrorig_solver.model.causes.lost_steps import LostSteps, pulse_templates
 from gyrorig_solver.model.drive_effects import apply_play, moving_average, replan_with_limits
+from gyrorig_solver.model.replanned_moves import compound_moves, simple_moves
 from gyrorig_solver.model.signal_state import RecordingContext, SignalState
 from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
 
@@ -377,6 +378,27 @@ def test_moves_with_commands_on_the_way_are_replanned() -> None:
 def test_moves_without_ramps_are_not_replanned() -> None:
     slow = plan_motion(0.0, [ProfileCommand(0.0, "to", 100.0, MotionLimits(50.0, 2000.0, 60.0))])
     assert replan_with_limits(slow, 0.1, 0.0) is None
+    moves = simple_moves(((0, slow),), 0)
+    assert not moves.position_change(np.arange(9.0), (0.1, 0.0), (0.0, 0.0)).any()
+    assert not compound_moves(((0, slow),), 0)
+
+
+@pytest.mark.parametrize("previous", [(0.0, 0.0), (0.05, 20.0)])
+@pytest.mark.parametrize("change", [(0.3, 0.0), (-0.4, 0.0), (0.0, -100.0), (0.0, 900.0)])
+@pytest.mark.parametrize("distance", [-2000.0, -30.0, 0.0, 1.0, 150.0, 4000.0])
+def test_replanned_moves_match_the_planner(
+    distance: float, change: tuple[float, float], previous: tuple[float, float]
+) -> None:
+    limits = MotionLimits(800.0, 1500.0, 60.0)
+    profile = plan_motion(7.0, [ProfileCommand(1.3, "to", 7.0 + distance, limits)])
+    edges = np.arange(0.0, 12.0, 0.01)
+    positions = []
+    for share, base in (previous, (change[0] + previous[0], change[1] + previous[1])):
+        changed = MotionLimits(800.0, 1500.0 * (1.0 + share), max(0.0, 60.0 + base))
+        command = ProfileCommand(1.3, "to", 7.0 + distance, changed)
+        positions.append(plan_motion(7.0, [command]).position_steps(edges))
+    position_change = simple_moves(((1, profile),), 1).position_change(edges, change, previous)
+    assert position_change == pytest.approx(positions[1] - positions[0], abs=1e-9)
 
 
 def test_motion_profiles_are_required(rig: Any) -> None:

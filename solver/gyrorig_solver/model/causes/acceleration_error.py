@@ -10,7 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.model.drive_effects import replan_with_limits
+from gyrorig_solver.model.replanned_moves import (
+    compound_change,
+    compound_moves,
+    simple_moves,
+)
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     EDGE_COVARIATES,
@@ -81,27 +85,18 @@ def limit_change_error(
     resolution = state.context.rad_per_step
     if resolution is None:
         return error
-    previous_changes = state.context.limit_changes
-    for axis, commanded in state.context.motion_profiles:
+    profiles = state.context.motion_profiles
+    for axis, (share, base) in enumerate(zip(acceleration_share, base_rad_s, strict=True)):
+        if (share, base) == (0.0, 0.0):
+            continue
         size = resolution[axis]
-        change = acceleration_share[axis], base_rad_s[axis] / abs(size)
-        if change == (0.0, 0.0) or commanded.start_s[0] > state.edges_s[-1]:
-            continue
-        share, base = previous_changes[axis][0], previous_changes[axis][1] / abs(size)
-        replanned = replan_with_limits(commanded, change[0] + share, change[1] + base)
-        previous = (
-            commanded
-            if previous_changes[axis] == (0.0, 0.0)
-            else replan_with_limits(commanded, share, base)
-        )
-        if replanned is None or previous is None:
-            continue
-        end_s = max(previous.end_s, replanned.end_s)
-        first, last = np.searchsorted(state.edges_s, [commanded.start_s[0], end_s])
-        edges_s = state.edges_s[first:last]
-        error[axis, first:last] += size * (
-            replanned.position_steps(edges_s) - previous.position_steps(edges_s)
-        )
+        previous_share, previous_base = state.context.limit_changes[axis]
+        change, previous = (share, base / abs(size)), (previous_share, previous_base / abs(size))
+        moves = simple_moves(profiles, axis)
+        error[axis] = size * moves.position_change(state.edges_s, change, previous)
+        for profile in compound_moves(profiles, axis):
+            edges, change_steps = compound_change(profile, state.edges_s, change, previous)
+            error[axis, edges] += size * change_steps
     return error
 
 
