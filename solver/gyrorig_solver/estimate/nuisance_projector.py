@@ -25,7 +25,7 @@ from gyrorig_solver.estimate.cascade import (
     TermCascade,
     effect_of_removing,
 )
-from gyrorig_solver.estimate.channel_derivatives import ChannelDerivatives
+from gyrorig_solver.estimate.channel_derivatives import ChannelDerivatives, SignalProducts
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fit_segments import build_segments, remaining_terms
 from gyrorig_solver.estimate.fitted_term import FittedTerm
@@ -355,7 +355,21 @@ class NuisanceProjector:
 
     def score_statistics(self, signals: WhitenedSignals) -> ScoreStatistics:
         """Return information and score of whitened signals."""
-        products = self._derivatives.multiply(signals)
+        return self._statistics(self._derivatives.multiply(signals))
+
+    def sparse_statistics(self, signals: csr_array) -> ScoreStatistics:
+        """Return information and score of whitened signals with few values, (k, all)."""
+        return self._statistics(
+            SignalProducts(
+                gram=(signals @ signals.T).toarray(),
+                shared=(signals @ self._basis.T).T,
+                local=(self._local @ signals.T).toarray(),
+                residual=signals @ self.residual,
+            )
+        )
+
+    def _statistics(self, products: SignalProducts) -> ScoreStatistics:
+        """Return information and score of signals with these inner products."""
         shared_step = self._inverse @ (products.shared - self._back_substitution.T @ products.local)
         local_step = self._solve_local(products.local) - self._back_substitution @ shared_step
         return ScoreStatistics(

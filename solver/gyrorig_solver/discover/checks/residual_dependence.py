@@ -24,6 +24,7 @@ from gyrorig_solver.numerics.distributions import chi2_upper_tail
 
 DETAIL_LIMITS = (3.0, 8.0, np.inf)  # half waves that are looked at together, coarse to fine
 VARIANCE_TESTS = 4  # tests of the scatter
+EXACT_BELOW_P = 1.0  # tests counted: what is stated as less is of the exact signals
 REFINE_BELOW_P = 0.05  # with noise levels limited to typical ones
 NO_SCORE_TEST = ScoreTest(0.0, 0, np.zeros(0))
 VARIANCE_GRID = np.exp(np.linspace(-4.0, 16.0, 61))  # of a free function, squared, in deviations
@@ -68,8 +69,11 @@ def _dependence_test(
     family: BasisFamily,
     tests: int,
 ) -> DependenceTest | None:
-    statistics = family.statistics(projection)
+    statistics = family.screen(projection) or family.statistics(projection)
     detail_test = choose_detail(statistics, family.detail)
+    if detail_test is not None and detail_test.p_value * tests < EXACT_BELOW_P:
+        statistics = family.statistics(projection)
+        detail_test = choose_detail(statistics, family.detail)
     if detail_test is None:
         return None
     score_test, p_value = detail_test.score_test, detail_test.p_value

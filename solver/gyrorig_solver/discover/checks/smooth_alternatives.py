@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.checks.windowed_signals import WindowFunction, windowed_statistics
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
@@ -26,6 +27,7 @@ Covariate = Callable[[SignalState], FloatArray]  # to (n,)
 
 # Half waves: a turn of pan has 16 of what comes eight times a turn; a bias' jumps are sharp.
 PAN_WAVES, TILT_WAVES, SPEED_WAVES, TIME_WAVES, BIAS_WAVES, POSE_WAVES = 24, 8, 6, 10, 24, 8
+MOVE_AFTERMATH_S = 0.1  # after its end, in which a move still acts behind the low-pass
 MOVES_PER_BATCH = 8  # whose signals are in memory at a time
 CROSS_WAVES = 2  # half waves over the other angle
 MAX_RATE_POWER = 7  # of a rate; the first is the gain's own
@@ -48,6 +50,8 @@ class BasisFamily:
     description: str  # "on pan (change of the gain)"
     signals: tuple[Callable[[SignalState], FloatArray], ...]  # each to (some of k, blocks, 3)
     detail: FloatArray  # (k,), half waves of each signal: 1 is the smoothest
+    windows_s: FloatArray | None = None  # (k, 2), outside of which each signal is zero
+    windows_sum: WindowFunction | None = None  # the sum of the signals of some windows
 
     def statistics(self, projection: NuisanceProjector) -> ScoreStatistics:
         """Return the score statistics of the family's signals; computed once per projector."""
@@ -57,6 +61,12 @@ class BasisFamily:
                 self.whitened(projection)
             )
         return projection.statistics_by_family[key]
+
+    def screen(self, projection: NuisanceProjector) -> ScoreStatistics | None:
+        """Return statistics of nearly the same signals at little cost, or None."""
+        if self.windows_s is None or self.windows_sum is None:
+            return None
+        return windowed_statistics(projection, self.windows_sum, self.windows_s)
 
     def whitened(self, projection: NuisanceProjector, term: Term | None = None) -> WhitenedSignals:
         """Return the family's signals in units of the noise.
@@ -291,7 +301,12 @@ def _move_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
             for at in range(0, len(spans), MOVES_PER_BATCH)
         )
         yield BasisFamily(
-            f"move_{name}", f"on the move (change of the {name})", each, np.ones(len(spans))
+            f"move_{name}",
+            f"on the move (change of the {name})",
+            each,
+            np.ones(len(spans)),
+            spans + np.array([0.0, MOVE_AFTERMATH_S]),
+            partial(_moves_signal, delay),
         )
     yield BasisFamily(
         "move_gain",
@@ -347,9 +362,20 @@ def _edge_transients(
 
 
 def _per_move_signals(spans: FloatArray, delay: bool, scene: SignalState) -> FloatArray:
+    """Return one signal per move, (moves, blocks, 3)."""
     signal = scene.filtered_slope_rad_s2 if delay else scene.filtered_rad_s
     signals = zero_signals(len(spans), scene.interval_count)
     for k, (begin, end) in enumerate(spans):
-        near = slice(*np.searchsorted(scene.time_s, (begin, end + 0.1)))
+        near = slice(*np.searchsorted(scene.time_s, (begin, end + MOVE_AFTERMATH_S)))
         signals[k, near] = signal[near]
+    return scene.sample_output(signals)
+
+
+def _moves_signal(delay: bool, windows_s: FloatArray, scene: SignalState) -> FloatArray:
+    """Return the sum of the signals of moves whose windows do not overlap, (1, blocks, 3)."""
+    signal = scene.filtered_slope_rad_s2 if delay else scene.filtered_rad_s
+    signals = zero_signals(1, scene.interval_count)
+    for window_s in windows_s:
+        near = slice(*np.searchsorted(scene.time_s, window_s))
+        signals[0, near] = signal[near]
     return scene.sample_output(signals)

@@ -1,0 +1,85 @@
+"""Whitened signals that act in short windows, many of them in one transform.
+
+Signals whose windows are far apart share one row. Whitening spreads a signal beyond its window; a
+margin on both sides keeps nearly all of it. A test of such signals is chi-squared in noise, too. On
+300 s of moves the information of a delay differs by 1e-4 from that of the exact signals, that of a
+gain by 0.6 % in the median and 12 % at most.
+
+What to use when: `windowed_statistics` for a first look at hundreds of signals; the exact signals
+for those that are significant.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.model.signal_state import SignalState
+
+MARGIN_S = 4.0  # before and after a window
+
+# From the windows of a row, (w, 2) in s, and a state to the sum of their signals, (1, blocks, 3).
+WindowFunction = Callable[[FloatArray, SignalState], FloatArray]
+
+
+def windowed_statistics(
+    projection: NuisanceProjector, function: WindowFunction, windows_s: FloatArray
+) -> ScoreStatistics:
+    """Return the score statistics of one signal per window.
+
+    Args:
+        projection: the nuisance projector at a fit.
+        function: returns the sum of the signals of some windows.
+        windows_s: begin and end of each window, shape (k, 2).
+    """
+    row_of_window = _assign_rows(windows_s)
+    rows = [np.flatnonzero(row_of_window == row) for row in range(int(row_of_window.max()) + 1)]
+    whitened = projection.evaluate_together(
+        [partial(function, windows_s[members]) for members in rows], len(rows)
+    )
+    values, columns, counts = [], [], np.zeros(len(windows_s), dtype=np.int64)
+    entries: list[list[tuple[FloatArray, IntArray]]] = [[] for _ in windows_s]
+    for (state, first), channel in zip(_channel_states(projection), whitened.channels, strict=True):
+        times_s = state.sample_times_s[:: state.instants_per_block]
+        begin = np.searchsorted(times_s, windows_s[:, 0] - MARGIN_S)
+        end = np.searchsorted(times_s, windows_s[:, 1] + MARGIN_S)
+        for signal, row in zip(channel.signal_index, channel.rows, strict=True):
+            for k in rows[signal]:
+                part = slice(int(begin[k]), int(end[k]))
+                entries[k].append((row[part], first + np.arange(part.start, part.stop)))
+    for k, parts in enumerate(entries):
+        counts[k] = sum(part.size for part, _ in parts)
+        values += [part for part, _ in parts]
+        columns += [index for _, index in parts]
+    pointer = np.concatenate([[0], np.cumsum(counts)])
+    shape = (len(windows_s), projection.residual.size)
+    data = (
+        np.concatenate(values or [np.zeros(0)]),
+        np.concatenate(columns or [np.zeros(0, np.int64)]),
+    )
+    return projection.sparse_statistics(csr_array((*data, pointer), shape=shape))
+
+
+def _assign_rows(windows_s: FloatArray) -> IntArray:
+    """Return a row for each window, so that the margins of a row do not overlap."""
+    row_of_window = np.zeros(len(windows_s), dtype=np.int64)
+    row_ends_s: list[float] = []
+    for k in np.argsort(windows_s[:, 0], kind="stable"):
+        begin_s, end_s = windows_s[k]
+        free = [row for row, end in enumerate(row_ends_s) if end + 2.0 * MARGIN_S <= begin_s]
+        row = free[0] if free else len(row_ends_s)
+        row_ends_s[row:] = [float(end_s), *row_ends_s[row + 1 :]]
+        row_of_window[k] = row
+    return row_of_window
+
+
+def _channel_states(projection: NuisanceProjector) -> Iterator[tuple[SignalState, int]]:
+    """Yield the state of each channel, and the index of its first value among all."""
+    first = 0
+    for state in projection.states:
+        for _ in range(3):
+            yield state, first
+            first += state.block_count
