@@ -52,10 +52,14 @@ def find_speed_jumps(state: SignalState, axis: int) -> tuple[FloatArray, FloatAr
 
 def angle_of_jumps(edges_s: FloatArray, time_s: FloatArray, size_rad_s: FloatArray) -> FloatArray:
     """Return the part of an angle that the speed jumps make, at the edges, (n + 1,)."""
-    angle = np.zeros_like(edges_s)
-    for jump_s, size in zip(time_s, size_rad_s, strict=True):
-        angle += size * np.maximum(edges_s - jump_s, 0.0)
-    return angle
+    if not time_s.size:
+        return np.zeros_like(edges_s)
+    order = np.argsort(time_s, kind="stable")
+    jump_s, speed = time_s[order], np.cumsum(size_rad_s[order])
+    at_jump = np.concatenate([[0.0], np.cumsum(speed[:-1] * np.diff(jump_s))])
+    last = np.searchsorted(jump_s, edges_s, side="right") - 1
+    angle = at_jump[last] + speed[last] * (edges_s - jump_s[last])
+    return np.where(last >= 0, angle, 0.0)
 
 
 def jump_responses(

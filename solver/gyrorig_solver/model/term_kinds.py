@@ -34,7 +34,9 @@ class LinearTerm(Term):
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the sum, shape (blocks, 3)."""
-        return np.tensordot(values[self.size_indices], self.basis_signals(state, values), axes=1)
+        # With the values of one axis contiguous, the product needs no copy.
+        rows = np.swapaxes(self.basis_signals(state, values), -1, -2)
+        return np.swapaxes(np.tensordot(values[self.size_indices], rows, axes=1), -1, -2)
 
     def jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the basis signals, and finite differences by shapes and events, (k, blocks, 3)."""

@@ -9,7 +9,7 @@ N gives N^2 / (2 tau), a bias instability B gives (0.664 B)^2, a random walk K g
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
+from gyrorig_solver.data.arrays import BoolArray, FloatArray
 
 SPAN_COUNT = 36  # integration times
 _MIN_WINDOWS = 5  # complete windows of the longest span
@@ -100,20 +100,18 @@ class _RunningSums:
             behind: blocks between the starts of the two windows; 0: no difference.
         """
         last = self._count.size - 1 - m - behind
-        starts = (
-            np.arange(0, last + 1, max(1, last // _MAX_WINDOWS_PER_SPAN))
-            if last >= 0
-            else np.zeros(0, int)
-        )
-        first, first_whole = self._means(starts, m)
+        stride = max(1, last // _MAX_WINDOWS_PER_SPAN)
+        first, first_whole = self._means(slice(0, max(0, last + 1), stride), m)
         if not behind:
             return first, first_whole
-        second, second_whole = self._means(starts + behind, m)
+        later = slice(behind, behind + max(0, last + 1), stride)
+        second, second_whole = self._means(later, m)
         return second - first, first_whole & second_whole
 
-    def _means(self, start: IntArray, m: int) -> tuple[FloatArray, BoolArray]:
-        block_count = self._count[start + m] - self._count[start]
-        means = (self._total[start + m] - self._total[start]) / np.maximum(block_count, 1)[:, None]
+    def _means(self, start: slice, m: int) -> tuple[FloatArray, BoolArray]:
+        stop = slice(start.start + m, start.stop + m, start.step)
+        block_count = self._count[stop] - self._count[start]
+        means = (self._total[stop] - self._total[start]) / np.maximum(block_count, 1)[:, None]
         return np.asarray(means, dtype=np.float64), np.asarray(
             block_count >= _MIN_WINDOW_SHARE * m, dtype=np.bool_
         )

@@ -8,6 +8,7 @@ filter's response. A glitch does so only by chance.
 What to use when: `impulse_response_mask` for the rows that `find_outliers` would exclude.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ EARLIEST_SAMPLES = 4  # samples before the first outlier
 MAX_RESIDUAL_PER_VALUE = 2.5  # variances: a larger residual is not an impulse
 MAX_RESIDUAL_SHARE = 0.005  # of the energy, for start times between the tried ones
 MIN_IMPROVEMENT = 10.0  # variances: improvement over one corrupt word
+MIN_INDEPENDENT_SHARE = 1e-9  # of a response that another one does not contain
 _MIN_ANGLE_STEP_RAD = 1e-9  # per sample
 
 
@@ -109,15 +111,13 @@ def _is_impulse_response(
         np.interp(np.arange(first, group[-1] + 2), np.arange(time_s.size), time_s),
     )
     direction = axis.direction[window] / deviation
-    min_residual = energy
-    for start_s in start_times_s:
-        pulse, double = _butterworth_responses(time_s[window] - start_s, bandwidth_hz)
-        responses = [pulse, double] if has_double_pulse else [pulse]
-        design = np.stack(
-            [(response[:, None] * direction).ravel() for response in responses], axis=1
-        )
-        amplitudes = np.linalg.lstsq(design, white.ravel(), rcond=1e-9)[0]
-        min_residual = min(min_residual, float(np.sum((white.ravel() - design @ amplitudes) ** 2)))
+    responses = _butterworth_responses(time_s[window] - start_times_s[:, None], bandwidth_hz)
+    explained = _explained_energy(
+        responses if has_double_pulse else responses[:1],
+        np.linalg.norm(direction, axis=1),
+        np.sum(white * direction, axis=1),
+    )
+    min_residual = energy - float(np.max(explained))
     residual_without_largest = energy - float(np.max(white**2))
     limit = MAX_RESIDUAL_PER_VALUE * white.size + MAX_RESIDUAL_SHARE * energy
     return min_residual < limit and residual_without_largest - min_residual > MIN_IMPROVEMENT
@@ -130,3 +130,30 @@ def _butterworth_responses(
     x = np.maximum(elapsed_s, 0.0) * (np.sqrt(2.0) * np.pi * bandwidth_hz)
     decay = np.where(elapsed_s > 0.0, np.exp(-x), 0.0)
     return decay * np.sin(x), decay * (np.cos(x) - np.sin(x))
+
+
+def _explained_energy(
+    responses: Sequence[FloatArray], gain: FloatArray, along: FloatArray
+) -> FloatArray:
+    """Return the energy that a least-squares fit of responses explains, (starts,).
+
+    Args:
+        responses: linearly dependent ones count once, shape (starts, n) each.
+        gain: length of the direction of the motion in each row, shape (n,).
+        along: product of the data and the direction in each row, shape (n,).
+    """
+    explained = np.zeros(len(responses[0]))
+    data = np.divide(along, gain, where=gain > 0.0, out=np.zeros_like(gain))
+    basis: list[FloatArray] = []
+    for response in responses:
+        column = response * gain
+        size = np.linalg.norm(column, axis=1)
+        for unit in basis:
+            column = column - np.sum(column * unit, axis=1)[:, None] * unit
+        rest = np.linalg.norm(column, axis=1)
+        independent = rest > MIN_INDEPENDENT_SHARE * size
+        unit = np.where(independent, 1.0 / np.where(independent, rest, 1.0), 0.0)[:, None] * column
+        product = unit @ data
+        explained += product**2
+        basis.append(unit)
+    return explained
