@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gyrorig_solver.discover.checks import residual_dependence
 from gyrorig_solver.discover.checks.residual_dependence import (
     VARIANCE_GRID,
     choose_detail,
@@ -109,3 +110,31 @@ def test_noise_depends_on_nothing(plain: NuisanceProjector) -> None:
     tests = residual_dependence_tests(plain)
     assert min(test.p_value for test in tests) > 0.01
     assert max(test.log_evidence for test in tests) < 5.0
+
+
+def test_the_first_look_at_moves_resembles_the_exact_one(plain: NuisanceProjector) -> None:
+    looked_at = 0
+    for family in smooth_families(plain.states):
+        screened = family.screen(plain)
+        if screened is None:
+            continue
+        looked_at += 1
+        exact = family.statistics(plain)
+        energy, exact_energy = np.diag(screened.information), np.diag(exact.information)
+        tolerance = 0.01 if family.covariate == "move_delay" else 0.15
+        assert energy == pytest.approx(exact_energy, rel=tolerance)
+        deviation = (screened.score - exact.score) / np.sqrt(exact_energy)
+        assert np.abs(deviation).max() < 0.5
+    assert looked_at == 2
+
+
+def test_a_stated_p_value_of_moves_is_of_the_exact_signals(
+    plain: NuisanceProjector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    families = {family.description: family for family in smooth_families(plain.states)}
+    monkeypatch.setattr(residual_dependence, "EXACT_BELOW_P", np.inf)
+    stated = [test for test in residual_dependence_tests(plain) if test.covariate == "move_delay"]
+    family = families[stated[0].description]
+    exact = choose_detail(family.statistics(plain), family.detail)
+    assert exact is not None
+    assert stated[0].statistic == exact.score_test.statistic
