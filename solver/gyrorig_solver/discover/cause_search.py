@@ -26,6 +26,7 @@ from gyrorig_solver.discover.checks.typical_noise import (
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
 from gyrorig_solver.discover.gain_refit import refit_gain_exactly
 from gyrorig_solver.discover.model_evidence import best_model
+from gyrorig_solver.discover.reply_candidate import candidate_from_replies
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue, testable_places
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
@@ -191,7 +192,7 @@ class _Search:
     def run(self) -> SearchResult:
         """Add and remove causes until none is significant; rank them and return the result."""
         while True:
-            selection = self._select()
+            selection = self._select() or self._select_by_replies()
             if selection is not None and len(self._solution.fitted_terms) < MAX_CAUSES:
                 self._try_cause(selection)
             elif self._typical and self._doubted:
@@ -218,6 +219,16 @@ class _Search:
         left_out = self._excluded | self._doubted | self._memory.unconverged
         usable_scores = [score for score in self._scores if term_label(score.term) not in left_out]
         return _select_candidate(self._projection, usable_scores, fitted_labels, self._tests)
+
+    def _select_by_replies(self) -> _Selection | None:
+        """Return a motion law that the replies show and the samples do not, or None."""
+        candidate = candidate_from_replies(self._solution, self._tests, FALSE_ALARM_RATE)
+        if candidate is None:
+            return None
+        label = term_label(candidate.extension.term)
+        if label in self._excluded | self._doubted | self._memory.unconverged:
+            return None
+        return _Selection(candidate, 1.0, frozenset({label}))
 
     def _use_fitted_noise(self) -> None:
         """Repeat the search with fitted noise levels: the bias has a real random walk."""
