@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import IntArray
+from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
 from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
@@ -104,6 +104,34 @@ def reference_decrease(before: ReferenceMotion, after: ReferenceMotion) -> float
     if isinstance(before, PanTiltReference) and isinstance(after, PanTiltReference):
         return before.cost_decrease(after)
     return reference_cost(before) - reference_cost(after)
+
+
+def replace_law_derivatives(
+    cause_derivatives: FloatArray,
+    fitted_terms: Sequence[FittedTerm],
+    law: FloatArray,
+    gain: FloatArray,
+    pass_through: FloatArray | None,
+) -> None:
+    """Take the derivatives by the values of the law from the executed motion, in place.
+
+    They nearly cancel with the shift of the starts, so both must have the same grid.
+
+    Args:
+        cause_derivatives: by all fitted values, (k, n, 3), sensor frame.
+        fitted_terms: the causes of the fit.
+        law: derivatives of the stage rate, (6, 3, n); empty without a law.
+        gain: G, shape (3, 3).
+        pass_through: share of a change that clipping lets pass, (n, 3); None: all.
+    """
+    columns = law_columns(fitted_terms, 0)
+    if not law.size:
+        return
+    for parameter, value in zip(columns.parameters, columns.law_values, strict=True):
+        derivative = (gain @ law[value]).T
+        cause_derivatives[parameter] = (
+            derivative if pass_through is None else derivative * pass_through
+        )
 
 
 def follow_replies(

@@ -14,7 +14,7 @@ from scipy.sparse import block_diag, csc_array, csr_array
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.cascade import fitted_derivatives
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.executed_motion import law_columns
+from gyrorig_solver.estimate.executed_motion import law_columns, replace_law_derivatives
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.noise.whitening import PartModel
 from gyrorig_solver.estimate.parameter_layout import ParameterLayout
@@ -171,6 +171,8 @@ def _part_derivatives(
 ) -> FloatArray:
     """Return a part's derivatives by all but local unknowns, sensor frame, (q, n, 3)."""
     cause_derivatives = fitted_derivatives(fitted_terms, state)
+    share = None if model.pass_through is None else model.pass_through.at_stage("profile")
+    replace_law_derivatives(cause_derivatives, fitted_terms, model.columns.law, gain, share)
     return np.concatenate(
         [model.base_derivatives(gain), cause_derivatives, model.shared_derivatives(gain)]
     )

@@ -40,6 +40,7 @@ class PartDerivatives:
 
     time_derivative: FloatArray  # (3, n), minus the derivative by the lag
     shared: FloatArray  # (g', 3, n)
+    law: FloatArray  # (q, 3, n), by the values of the motion law
     packed: PackedColumns
 
 
@@ -110,7 +111,10 @@ def predict_derivatives(
         int(np.ceil(2.0 * (NOISE_MEMORY_S + FILTER_MEMORY_S) * rate_hz)),
     )
     time_derivative = _time_derivative(reference, edges).T[None]
-    global_signals = np.concatenate([time_derivative, evaluated.shared.transpose(0, 2, 1)])
+    global_parts = [time_derivative, evaluated.shared.transpose(0, 2, 1)]
+    if evaluated.law.size:
+        global_parts.append(evaluated.law.transpose(0, 2, 1))
+    global_signals = np.concatenate(global_parts)
     coarse_low_pass = None if low_pass is None else LowPass(low_pass.bandwidth_hz, rate_hz)
     global_signals, local_signals = (
         _to_blocks(signals, coarse_low_pass, intervals_per_block, series.samples_per_block)
@@ -119,7 +123,8 @@ def predict_derivatives(
     reach_blocks = int(np.ceil(NOISE_MEMORY_S * block_hz))
     return PartDerivatives(
         time_derivative=global_signals[0],
-        shared=global_signals[1:],
+        shared=global_signals[1 : 1 + len(evaluated.shared)],
+        law=global_signals[1 + len(evaluated.shared) :],
         packed=packed.resample(local_signals, intervals_per_block, reach_blocks),
     )
 

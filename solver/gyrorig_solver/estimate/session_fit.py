@@ -19,7 +19,11 @@ from gyrorig_solver.estimate.cascade import (
     timing_sensitive_mask,
     total_effect,
 )
-from gyrorig_solver.estimate.executed_motion import executed_motion, follow_law
+from gyrorig_solver.estimate.executed_motion import (
+    executed_motion,
+    follow_law,
+    replace_law_derivatives,
+)
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.initial_guess import LeastSquaresSums, correlation_lag, row_norms
 from gyrorig_solver.estimate.linear.normal_equations import (
@@ -748,13 +752,16 @@ class SessionFit:
             state = self.signal_state(series_state.series, blocks, gain, exact=True)
             cause_derivatives = fitted_derivatives(self.fitted_terms, state)
             pass_through = pass_through_of(self.fitted_terms, state)
+        columns = predict_derivatives(
+            series_state.series, blocks, executed_motion(self.reference), self.lag_s
+        )
+        share = None if pass_through is None else pass_through.at_stage("profile")
+        replace_law_derivatives(cause_derivatives, self.fitted_terms, columns.law, gain, share)
         model = PartModel(
             rate=series_state.rate[blocks].copy(),
             used=series_state.used[blocks].copy(),
             cause_derivatives=cause_derivatives,
-            columns=predict_derivatives(
-                series_state.series, blocks, executed_motion(self.reference), self.lag_s
-            ),
+            columns=columns,
             pass_through=pass_through,
             relative_std=relative_std,
         )

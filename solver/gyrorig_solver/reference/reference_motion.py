@@ -5,8 +5,10 @@ example the start time of a move, or a speed). The estimator fits these unknowns
 parameters of the board; each has a prior from the reference.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, Self
+
+import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
@@ -28,6 +30,8 @@ class EvaluatedMotion:
     rate_rad_s: FloatArray  # (n, 3), mean stage rate; nan if not known
     local: tuple[LocalDerivative, ...]  # by the local unknowns that act between these edges
     shared: FloatArray  # (g, n, 3), by the shared unknowns that act on the rate
+    # (q, n, 3), by the values of the motion law that it follows; see `unit.motion_law`.
+    law: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 3)))
 
 
 class ReferenceMotion(Protocol):

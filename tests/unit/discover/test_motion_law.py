@@ -99,6 +99,19 @@ def test_a_law_cause_that_is_not_there_gains_nothing(hidden: Callable[..., Any],
         assert np.abs(change).max() < 1.0, cause
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_two_differences_at_once(hidden: Callable[..., Any], seed: int) -> None:
+    session = hidden("s_curve:0.03", "base_speed_jump:0.05", seed=seed)
+    base = base_fit(session)
+    causes = [free_term(find_term(cause)) for cause in ("base_speed_jump", "s_curve")]
+    solution = refit_with_terms(base, [*base.fitted_terms, *causes])
+    assert solution.converged
+    std = np.sqrt(np.diag(solution.observability.covariance)[-4:])
+    truth = np.array([0.05, 0.05, 0.03, 0.03])
+    assert np.abs((solution.estimate[-4:] - truth) / std).max() < FAR
+    assert np.abs(base_sigmas(solution, session.boards[session.board])).max() < FAR
+
+
 def test_the_score_of_every_parameter_is_the_difference(
     hidden: Callable[..., Any], without_base_speed: str
 ) -> None:
@@ -127,8 +140,8 @@ def test_the_score_of_every_parameter_is_the_difference(
             for sign in (1.0, -1.0)
         )
         numeric = (after - before) / 0.1  # per standard deviation
-        # The derivatives by the starts use a coarser grid than the samples.
-        assert score[k] * std[k] == pytest.approx(numeric, rel=0.2, abs=0.1), fit.parameter_names[k]
+        # The derivatives use a coarser grid than the samples.
+        assert score[k] * std[k] == pytest.approx(numeric, rel=0.1, abs=0.1), fit.parameter_names[k]
 
 
 def test_boards_on_one_unit_have_one_law(hidden: Callable[..., Any], tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ sign separates it from a compliant base.
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.causes.acceleration_error import reason_without_profiles
 from gyrorig_solver.model.drive_effects import moving_average
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
@@ -57,6 +58,10 @@ class SCurve(AngleTerm):
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan several lengths; there is no derivative at zero."""
         return scan_grid(self, length=np.array([0.01, 0.02, 0.04, 0.08, 0.16]))
+
+    def reason_not_testable(self, state: SignalState) -> str | None:
+        """Return why the motion profiles are unknown, or None; counts contain the rounding."""
+        return reason_without_profiles(state)
 
     def describe(self, values: FloatArray) -> str:
         """Describe the lengths."""

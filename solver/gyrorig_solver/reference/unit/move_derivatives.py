@@ -12,8 +12,12 @@ import numpy as np
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.reference.reference_motion import LocalDerivative
 from gyrorig_solver.reference.unit.axis_trajectory import SampledTrajectory
+from gyrorig_solver.reference.unit.motion_law import MotionLaw
 from gyrorig_solver.reference.unit.move_table import MotionParameters, MoveTable
-from gyrorig_solver.reference.unit.profile_derivatives import differentiate_move
+from gyrorig_solver.reference.unit.profile_derivatives import (
+    ProfileDerivatives,
+    differentiate_move,
+)
 from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian
 
 
@@ -92,14 +96,7 @@ class AxisDerivatives:
                 speeds = [move.pad_to_edges(samples.by_speed)]
                 acceleration = move.pad_to_edges(samples.by_acceleration)
             else:
-                command_range = table.commands_of(k)
-                derivatives = differentiate_move(
-                    table.moves[k],
-                    self._parameters.start_times_s[command_range],
-                    self._parameters.log_speed,
-                    float(self._parameters.log_acceleration[self._axis]),
-                    self._edges_s[intervals.start : intervals.stop + 1],
-                )
+                derivatives = self._profile_derivatives(k, intervals)
                 starts, speeds, acceleration = (
                     list(derivatives.starts),
                     list(derivatives.speeds),
@@ -112,6 +109,27 @@ class AxisDerivatives:
             )
             for n, slope in enumerate(starts, start=int(table.first_command[k])):
                 yield LocalDerivative(n, intervals.start, self._stage_rate(slope, intervals))
+
+    def add_by_law(self, law_rates: FloatArray, law: MotionLaw) -> None:
+        """Add the derivatives by the values of a motion law, in steps and seconds.
+
+        Args:
+            law_rates: (6, n, 3), in the order of `LAW_QUANTITIES`.
+            law: that the motion follows.
+        """
+        share = law.acceleration_share[self._axis]
+        for move in self.moves:
+            k, intervals, samples = move.move, move.intervals, move.samples
+            if self._table.has_single_command[k]:
+                acceleration = move.pad_to_edges(samples.by_acceleration)
+                base_speed = move.pad_to_edges(samples.by_base_speed)
+            else:
+                derivatives = self._profile_derivatives(k, intervals)
+                acceleration, base_speed = derivatives.acceleration, derivatives.base_speed
+            slopes = acceleration / (1.0 + share), base_speed, move.pad_to_edges(samples.by_corner)
+            for quantity, slope in enumerate(slopes):
+                row = 2 * quantity + self._axis
+                law_rates[row, intervals] += self._stage_rate(slope, intervals)
 
     def by_rests(self) -> Iterator[LocalDerivative]:
         """Yield the derivatives by the position at each rest.
@@ -154,6 +172,16 @@ class AxisDerivatives:
             if leaving:
                 values[leaving[0].start - begin : leaving[0].stop - begin] -= leaving[1]
             yield LocalDerivative(unknown + self._first + n, begin, values)
+
+    def _profile_derivatives(self, k: int, intervals: slice) -> ProfileDerivatives:
+        """Return the derivatives of a move with several commands."""
+        return differentiate_move(
+            self._table.moves[k],
+            self._parameters.start_times_s[self._table.commands_of(k)],
+            self._parameters.log_speed,
+            float(self._parameters.log_acceleration[self._axis]),
+            self._edges_s[intervals.start : intervals.stop + 1],
+        )
 
     def _stage_rate(self, change_steps: FloatArray, intervals: slice) -> FloatArray:
         return self._turn.rate(self._axis, change_steps, intervals)

@@ -27,7 +27,12 @@ from gyrorig_solver.reference.reference_motion import EvaluatedMotion, LocalDeri
 from gyrorig_solver.reference.unit.axis_trajectory import Trajectory
 from gyrorig_solver.reference.unit.law_fit import LawFit, LawFits
 from gyrorig_solver.reference.unit.law_information import LawProfile
-from gyrorig_solver.reference.unit.motion_law import RECORDED_LAW, MotionLaw, law_scale
+from gyrorig_solver.reference.unit.motion_law import (
+    LAW_VALUES,
+    RECORDED_LAW,
+    MotionLaw,
+    law_scale,
+)
 from gyrorig_solver.reference.unit.motion_profile import MotionProfile
 from gyrorig_solver.reference.unit.move_derivatives import AxisDerivatives
 from gyrorig_solver.reference.unit.move_fit import LOG_ACCELERATION_PRIOR_STD, MoveFit
@@ -170,14 +175,19 @@ class PanTiltReference:
             return EvaluatedMotion(rate, (), np.zeros((0, len(rate), 3)))
         table = self._table
         shared = np.zeros((table.speed_class_count + 2, len(rate), 3))
+        law = np.zeros((LAW_VALUES if self.follows_law else 0, len(rate), 3))
         local: list[LocalDerivative] = []
         for axis in (0, 1):
             derivatives_of_axis = AxisDerivatives(
                 axis, table, self._parameters, samples[axis], edges_s, jacobian
             )
             local += [*derivatives_of_axis.by_starts(shared), *derivatives_of_axis.by_rests()]
+            if self.follows_law:
+                derivatives_of_axis.add_by_law(law, self.law)
+        if self.follows_law:
+            law *= law_scale(self.rad_per_step)[:, None, None]
         return EvaluatedMotion(
-            rate, tuple(sorted(local, key=lambda column: column.unknown)), shared
+            rate, tuple(sorted(local, key=lambda column: column.unknown)), shared, law
         )
 
     @cached_property
