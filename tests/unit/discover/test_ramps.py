@@ -7,6 +7,7 @@ import pytest
 
 from gyrorig_solver.discover.cause_search import FALSE_ALARM_RATE
 from gyrorig_solver.discover.checks.ramp_acceleration import detect_ramp_error
+from gyrorig_solver.discover.reply_candidate import candidate_from_replies
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 TESTS = 45
@@ -33,3 +34,25 @@ def test_ramps_as_told_have_none_and_a_limit(hidden: Callable[..., Any]) -> None
     assert ramps.named is None
     assert [detection_limit.where for detection_limit in ramps.detection_limits] == ["pan", "tilt"]
     assert all(1e-5 < detection_limit.size < 1e-2 for detection_limit in ramps.detection_limits)
+
+
+def test_the_replies_name_a_base_speed_for_the_search(hidden: Callable[..., Any]) -> None:
+    session = hidden("base_speed_jump:0.15", seed=7)
+    candidate = candidate_from_replies(
+        fit_base_model([session.recording], session.board), TESTS, FALSE_ALARM_RATE
+    )
+    assert candidate is not None
+    assert candidate.extension.term.cause == "base_speed_jump"
+    # Good start values for a fit, from a coarse grid of base speeds.
+    assert candidate.extension.free_indices.size
+    for k in candidate.extension.free_indices:
+        assert candidate.extension.values[k] == pytest.approx(0.15, rel=0.1)
+
+
+@pytest.mark.parametrize("cause", [(), ("acceleration_error@tilt:-0.01",)])
+def test_ramps_of_the_base_model_are_no_candidate(
+    hidden: Callable[..., Any], cause: tuple[str, ...]
+) -> None:
+    session = hidden(*cause, seed=7)
+    base = fit_base_model([session.recording], session.board)
+    assert candidate_from_replies(base, TESTS, FALSE_ALARM_RATE) is None

@@ -98,11 +98,6 @@ class MoveFit:
     counts_follow_commands: bool  # whether the counts agree with the commanded moves
     polls: UnitPolls | None = None  # the fitted polls
 
-    @property
-    def delay_share(self) -> float:
-        """The share phi of the delay of a reply before the sample."""
-        return self.count_parameters.delay_share
-
     @cached_property
     def values(self) -> FloatArray:
         """All unknowns, in the order of `information`."""
