@@ -1,6 +1,8 @@
 """`gyrorig plan`: predict the uncertainties of a motion program, or search for the best one."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import click
@@ -11,8 +13,10 @@ from gyrorig_protocol.profile import SensorProfile, parse_profile
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.calibration.sensor_profiles import find_profile
+from gyrorig_solver.calibration.unit_document import posterior_of
 from gyrorig_solver.commands.project_files import project_names
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option
+from gyrorig_solver.pipeline.unit_prior import read_unit_file
 from gyrorig_solver.plan.criterion import CRITERIA, Criterion, cost
 from gyrorig_solver.plan.detectability import DetectabilityReport, predict_detectability
 from gyrorig_solver.plan.detectability_table import (
@@ -22,10 +26,12 @@ from gyrorig_solver.plan.detectability_table import (
     causes_to_builtins,
 )
 from gyrorig_solver.plan.prediction import Prediction, predict_program
-from gyrorig_solver.plan.prediction_table import predictions_table
+from gyrorig_solver.plan.prediction_table import contributions_text, predictions_table
 from gyrorig_solver.plan.program_file import program_text, require_new_path, write_new_file
 from gyrorig_solver.plan.program_search import AIMS, PlanResult, find_program
 from gyrorig_solver.plan.rig_model import RigModel, load_rig
+from gyrorig_solver.plan.total_prediction import PlanPrior, TotalPrediction, predict_total
+from gyrorig_solver.uncertainty.uncertainty_settings import default_settings, read_settings
 
 SHORTEST_S, LONGEST_S = 5.0, 900.0  # repeat a program for longer recordings
 PROFILE_HINT = "a profile with --sensor, such as config/boards/L3G4200D.yaml"
@@ -57,7 +63,8 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
     type=click.Choice(CRITERIA),
     default="worst",
     show_default=True,
-    help="The standard uncertainty to minimise: of the gain's nine entries, or of its factors.",
+    help="The total standard uncertainty to minimise: of the gain's nine entries, or of its "
+    "factors.",
 )
 @click.option(
     "--for",
@@ -66,6 +73,27 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
     default="calibration",
     show_default=True,
     help="Search for the smallest uncertainties, or for the best separation of causes.",
+)
+@click.option(
+    "--minimise",
+    type=click.Choice(["total", "noise"]),
+    default="total",
+    show_default=True,
+    help="total: noise, and causes that the program leaves open; noise: as if no cause existed.",
+)
+@click.option(
+    "--uncertainty",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Prior sizes of the causes that differ from the shipped ones (YAML); docs/units.md "
+    "describes them.  [default: the shipped ones]",
+)
+@click.option(
+    "--unit-prior",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="What earlier recordings have shown of the unit: a version in rigs/<unit> of the results "
+    "(YAML).  [default: the prior sizes]",
 )
 @click.option(
     "--sensor",
@@ -99,10 +127,10 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
 def plan_command(terminal: Terminal, /, **options: Any) -> int:
     r"""Search for the motion program with the least uncertainties in a given time.
 
-    Prints the standard uncertainties that a calibration with the program will have. With
-    --program it predicts that program; with --seconds too, both side by side. Then it prints
-    the causes of errors that the program cannot detect. Exits with status 4 when the program
-    leaves a parameter unobservable.
+    Prints the total standard uncertainties that a calibration with the program will have, and
+    their part from noise (type A) in parentheses. With --program it predicts that program; with
+    --seconds too, both side by side. Then it prints the causes of errors that the program cannot
+    detect. Exits with status 4 when the program leaves a parameter unobservable.
 
     \b
     Example:
@@ -113,6 +141,7 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     rig = load_rig(options["rig_path"])
     sensor = rig.sensor(_sensor_profile(options["sensor"] or rig.sensor_name))
     seconds: float | None = options["seconds"]
+    prior = _plan_prior(options["uncertainty"], options["unit_prior"])
     given_prediction: Prediction | None = None
     if options["program_path"] is not None:
         terminal.print_progress("predicting the given program")
@@ -135,6 +164,7 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
             terminal.print_progress,
             options["aim"],
             rig.site,
+            _without_causes(prior) if options["minimise"] == "noise" else prior,
         )
     elif options["out"] is not None:
         raise UsageError(
@@ -146,10 +176,14 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
         for p in (given_prediction, plan_result.prediction if plan_result else None)
         if p is not None
     ]
+    totals = {id(p): predict_total(p, sensor, rig.site, prior) for p in predictions}
     terminal.print_result(
-        f"{rig.name}, {sensor.name}: predicted standard uncertainties\n"
-        f"{predictions_table(predictions, options['details'])}"
+        f"{rig.name}, {sensor.name}: predicted total standard uncertainties (from noise)\n"
+        f"{predictions_table(predictions, list(totals.values()), options['details'])}"
     )
+    for prediction in predictions:
+        text = contributions_text(totals[id(prediction)])
+        terminal.print_result(f"  {prediction.program.name}: largest contributions {text}")
     for reason in predictions[0].observability.reasons:
         terminal.print_result(f"  {predictions[0].program.name} cannot determine {reason}")
     outlooks: dict[int, DetectabilityReport] = {}
@@ -172,10 +206,12 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
         {
             "rig": rig.name,
             "sensor": sensor.name,
-            "given": _prediction_json(given_prediction, options["criterion"], outlooks)
+            "given": _prediction_json(given_prediction, options["criterion"], outlooks, totals)
             if given_prediction
             else None,
-            "planned": _prediction_json(plan_result.prediction, options["criterion"], outlooks)
+            "planned": _prediction_json(
+                plan_result.prediction, options["criterion"], outlooks, totals
+            )
             if plan_result
             else None,
             "judged": plan_result.design_count if plan_result else 0,
@@ -184,6 +220,23 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
         }
     )
     return code
+
+
+def _plan_prior(uncertainty: Path | None, unit_prior: Path | None) -> PlanPrior:
+    """Return what is known of the rig from files, or the shipped prior sizes.
+
+    Raises:
+        UsageError: a file cannot be read, or is not such a document.
+        InputError: the posterior of the unit is damaged.
+    """
+    settings = default_settings() if uncertainty is None else read_settings(uncertainty)
+    if unit_prior is None:
+        return PlanPrior(settings)
+    return PlanPrior(settings, posterior_of(read_unit_file(unit_prior), settings))
+
+
+def _without_causes(prior: PlanPrior) -> PlanPrior:
+    return PlanPrior(replace(prior.settings, prior_sizes=MappingProxyType({})))
 
 
 def _sensor_profile(name: str) -> SensorProfile:
@@ -216,7 +269,8 @@ def _write_program(
 ) -> None:
     criterion, out = options["criterion"], options["out"]
     terminal.print_result(
-        f"  chosen from {plan_result.design_count} programs: {criterion} standard uncertainty "
+        f"  chosen from {plan_result.design_count} programs: {criterion} "
+        f"{'total ' if options['minimise'] == 'total' else ''}standard uncertainty "
         f"{plan_result.cost:.3g}"
     )
     if out is None:
@@ -233,6 +287,8 @@ def _write_program(
     )
     arguments = [f"--{name} {options[name]}" for name in ("seconds", "criterion", "sensor", "seed")]
     arguments = [part for part in arguments if not part.endswith(" None")]
+    if options["minimise"] == "noise":
+        arguments.append("--minimise noise")
     header = (
         f"# Made by: gyrorig plan --rig {options['rig_path'].name} --for {options['aim']} "
         f"{' '.join(arguments)}\n"
@@ -264,7 +320,10 @@ def _print_detectability(
 
 
 def _prediction_json(
-    prediction: Prediction, criterion: Criterion, outlooks: dict[int, DetectabilityReport]
+    prediction: Prediction,
+    criterion: Criterion,
+    outlooks: dict[int, DetectabilityReport],
+    totals: dict[int, TotalPrediction],
 ) -> dict[str, Any]:
     observability, outlook = prediction.observability, outlooks.get(id(prediction))
     return {
@@ -272,9 +331,11 @@ def _prediction_json(
         "duration_s": prediction.duration_s,
         "moves": prediction.move_count,
         "std": dict(prediction.std),
+        "total": dict(totals[id(prediction)].std),
         "gain_std": np.asarray(prediction.gain_std).tolist(),
         "time_offset_by_motion_std_s": prediction.motion_offset_std_s,
         "cost": cost(prediction.decision, criterion),
+        "total_cost": cost(totals[id(prediction)].decision, criterion),
         "observability": {
             "rank": observability.rank,
             "of": observability.of,

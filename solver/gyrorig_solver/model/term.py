@@ -133,6 +133,7 @@ class Term(ABC):
     confounded_with_gain: bool = False  # the gain absorbs it, so its size can stay unobservable
     is_whole_steps: bool = False  # its size is at least one step
     is_noise_process: bool = False  # the noise model contains it
+    unseen_places: tuple[str, ...] = ()  # where no motion shows it, because the gain absorbs it
     is_persistent: bool = False  # a property of the unit: its sizes are kept for later recordings
     depends_on_temperature: bool = False  # its temperature counts from the recordings' mean
     starts_at_typical_size: bool = False  # because the derivative is zero at size zero

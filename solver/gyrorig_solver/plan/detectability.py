@@ -13,21 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.estimate.information import PARAMETER_NAMES, marginalise
-from gyrorig_solver.estimate.linear.normal_equations import NormalEquationsSum
-from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS, PartModel, WhitenedPart
-from gyrorig_solver.estimate.observability import prior_std
-from gyrorig_solver.estimate.reference_prediction import (
-    PartDerivatives,
-    predict_derivatives,
-    predict_rate,
-)
-from gyrorig_solver.estimate.typical_board import TYPICAL_MOUNT
+from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.signal_state import SignalState, Site
 from gyrorig_solver.model.term import Term, components_of, value_indices, value_parameters
 from gyrorig_solver.numerics.distributions import detection_noncentrality
+from gyrorig_solver.plan.effect_information import EffectInformation, ReducedEffects
 from gyrorig_solver.plan.prediction import STATED_PARAMETERS, Prediction
 from gyrorig_solver.plan.scan_templates import (
     ScanTemplate,
@@ -145,7 +136,7 @@ def predict_detectability(
         if term.kind in ("effect", "known")
     ]
     test_count = sum(max(1, len(components_of(term))) for term in testable)
-    cause_information = _CauseInformation(prediction, sensor, states)
+    cause_information = _TemplateInformation(prediction, sensor, states)
     by_place: dict[tuple[str, str | None], list[_TemplateDetectability]] = {}
     for batch in template_batches(
         [template for term in testable for template in scan_templates(term, states[0])],
@@ -187,49 +178,33 @@ class _TemplateDetectability:
     bias_sigma: FloatArray  # (p,), of each parameter
 
 
-class _CauseInformation:
-    """Normal equations of a motion, of the base model and any causes."""
+class _TemplateInformation:
+    """Information on templates of causes, of a motion."""
 
     def __init__(
         self, prediction: Prediction, sensor: SensorModel, scenes: Sequence[SignalState]
     ) -> None:
-        series, reference = prediction.session.series, prediction.session.reference
-        self._reference, self._noise, self._scenes = reference, sensor.noise, scenes
-        self._prediction = prediction
+        self._effects = EffectInformation(prediction, sensor)
+        self._scenes, self._prediction = scenes, prediction
         self.max_batch_sizes = max(
-            16, MAX_BATCH_VALUES // max(p.stop - p.start for p in series.part_slices())
+            16, MAX_BATCH_VALUES // max(scene.block_count for scene in scenes)
         )
-        self._parts: list[tuple[FloatArray, BoolArray, PartDerivatives]] = []
-        for blocks in series.part_slices():
-            sampled = predict_rate(series, blocks, reference, 0.0)
-            use = series.good[series.samples_of_blocks(blocks)] & sampled.known
-            columns = predict_derivatives(series, blocks, reference, 0.0)
-            self._parts.append(
-                (series.block_means(sampled.rate, use), series.used_blocks(use), columns)
-            )
 
     def reduce(self, templates: Sequence[ScanTemplate]) -> "_ReducedInformation":
         """Return the information on the causes' sizes with the base model eliminated."""
-        local, _ = self._reference.information.size
-        sums: list[NormalEquationsSum] = []
-        for (rate, used, columns), scene in zip(self._parts, self._scenes, strict=True):
-            terms = np.concatenate(
-                [
-                    template.term.tangent_signals(scene, template.values)
-                    * template.typical_sizes[:, None, None]
-                    for template in templates
-                ]
-            )
-            part = WhitenedPart.of(
-                PartModel(rate, used, terms, columns), TYPICAL_MOUNT, self._noise
-            )
-            sums = sums or [NormalEquationsSum(self._noise, local, part.size)]
-            sums[0].add(part, np.zeros_like(rate), is_whole_series=len(self._parts) == 1)
-        normal = sums[0].total()
-        size = BASE_PARAMETERS + sum(template.typical_sizes.size for template in templates)
-        reduced = marginalise(normal, self._reference, size).information
-        energy = np.diag(normal.matrix.shared)[BASE_PARAMETERS:size]
-        return _ReducedInformation(templates, reduced, energy, self._prediction)
+        reduced = self._effects.reduce(
+            [
+                np.concatenate(
+                    [
+                        template.term.tangent_signals(scene, template.values)
+                        * template.typical_sizes[:, None, None]
+                        for template in templates
+                    ]
+                )
+                for scene in self._scenes
+            ]
+        )
+        return _ReducedInformation(templates, reduced, self._prediction)
 
 
 class _ReducedInformation:
@@ -238,25 +213,17 @@ class _ReducedInformation:
     def __init__(
         self,
         templates: Sequence[ScanTemplate],
-        information: FloatArray,
-        energy: FloatArray,
+        reduced: ReducedEffects,
         prediction: Prediction,
     ) -> None:
-        base, cross = (
-            information[:BASE_PARAMETERS, :BASE_PARAMETERS],
-            information[:BASE_PARAMETERS, BASE_PARAMETERS:],
-        )
-        self._raw = energy
-        # What no motion fixes has its prior, or a cause in that direction would look seen.
-        nuisance_step = np.linalg.solve(base + np.diag(prior_std(PARAMETER_NAMES) ** -2.0), cross)
-        self.information = information[BASE_PARAMETERS:, BASE_PARAMETERS:] - cross.T @ nuisance_step
+        self._raw, self.information = reduced.energy, reduced.information
         first = np.cumsum([0, *(template.typical_sizes.size for template in templates)])
         self._first = {
             id(template): int(position)
             for template, position in zip(templates, first[:-1], strict=True)
         }
         self._std = prediction.stated_std
-        self._moved = prediction.stated_jacobian @ nuisance_step
+        self._moved = prediction.stated_jacobian @ reduced.absorbed
 
     def index(self, template: ScanTemplate, place: str | None) -> list[int]:
         """Return the rows and columns of `information` of a template at a place."""
@@ -361,7 +328,7 @@ def _just_detectable_template(
 
 
 def _compare_causes(
-    causes: Sequence[CauseDetectability], cause_information: _CauseInformation
+    causes: Sequence[CauseDetectability], cause_information: _TemplateInformation
 ) -> tuple[tuple[CauseDetectability, ...], tuple[ConfusablePair, ...]]:
     """Return the causes with their largest overlap, and the confusable pairs."""
     detectable = [cause for cause in causes if cause.is_detectable]

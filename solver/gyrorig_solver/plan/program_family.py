@@ -31,10 +31,10 @@ STATIC_S = 2.0  # minimum at each end, for the noise at rest and the first polls
 LIMIT_MARGIN_DEG = 1.0  # from the unit's limits, which homing moves by about a step
 
 # The choices of each field. With two poses the calibration absorbs a non-orthogonality of the axes
-# completely. Accelerations are at most those of the programs made by hand; a dwell of 0.3 s lets
-# the mechanics ring down (10 to 60 Hz, Q 5 to 20).
+# completely; the total uncertainty shows what that costs. Accelerations are at most those of the
+# programs made by hand; a dwell of 0.3 s lets the mechanics ring down (10 to 60 Hz, Q 5 to 20).
 CHOICES: dict[str, tuple[float, ...]] = {
-    "poses": (3, 4, 5),
+    "poses": (2, 3, 4, 5),
     "passes": (0, 1, 2, 3, 4),
     "swings": (0, 1, 2, 3, 4),
     "along": (False, True),

@@ -1,8 +1,9 @@
 """Search for the program with the least cost in a given time.
 
 Many random designs are screened with white noise (`white_noise_screen`). The best of both families
-are improved by coordinate descent. The full prediction decides between the best of a few kinds and
-their neighbours. The same seed gives the same program.
+are improved by coordinate descent. The full prediction decides between the best of a few kinds for
+each number of tilts, and their neighbours. It counts the total uncertainty: noise, and the causes
+that the program leaves open. The same seed gives the same program.
 
 For causes, a stay gets as many tilts and speeds as the time allows, and the mean identifiable size
 decides the rest. An unknown function of tilt or speed shows only if there are more levels than the
@@ -31,15 +32,14 @@ from gyrorig_solver.plan.program_family import (
     draw_design,
 )
 from gyrorig_solver.plan.sensor_model import SensorModel
+from gyrorig_solver.plan.total_prediction import PlanPrior, TotalPrediction, predict_total
 from gyrorig_solver.plan.unit_model import UnitModel
 from gyrorig_solver.plan.white_noise_screen import WhiteNoiseScreen
+from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
 
-DRAWN_DESIGNS, IMPROVED_DESIGNS, PREDICTED_KINDS = (
-    150,
-    3,
-    8,
-)  # of each kind of the family; kinds of design, of both
-REFINED_FIELDS = ("pan_span", "tilt_span")
+# Of each kind of the family; kinds of design for each number of tilts, of both.
+DRAWN_DESIGNS, IMPROVED_DESIGNS, PREDICTED_KINDS = 150, 3, 4
+REFINED_FIELDS = ("poses", "passes", "swings", "pan_span", "tilt_span")
 # Zero rate and scale of a part of its family leave so much of the range for the motion.
 USABLE_RANGE_SHARE = 0.75
 
@@ -59,6 +59,7 @@ class PlanResult:
     design: ProgramDesign
     prediction: Prediction
     cost: float  # by the criterion
+    total: TotalPrediction
     design_count: int  # designs looked at
     detectability: DetectabilityReport | None = None  # where it was looked for by causes
 
@@ -77,6 +78,7 @@ def find_program(
     progress: Progress = lambda text: None,
     aim: Aim = "calibration",
     site: Site | None = None,
+    prior: PlanPrior | None = None,
 ) -> PlanResult:
     """Search for the best program of the family within a time.
 
@@ -87,16 +89,20 @@ def find_program(
         criterion: see `criterion.cost`.
         seed: of the designs drawn.
         progress: receives the current step.
-        aim: least standard deviations, or causes known by name.
+        aim: least uncertainties, or causes known by name.
         site: where the rig stands; for causes.
+        prior: what is known of the rig; by default the shipped prior sizes. Without prior sizes
+            the search minimises the uncertainty from noise.
 
     Raises:
         UsageError: no program of the family fits into so little time.
     """
     space = MotionSpace.of(unit, float(np.degrees(sensor.full_scale_rad_s)) * USABLE_RANGE_SHARE)
     screen = WhiteNoiseScreen(unit, sensor, space, duration_s, criterion)
+    site = site or Site()
+    prior = prior or PlanPrior(default_settings())
     if aim == "causes":
-        return _find_for_causes(screen, (unit, sensor, site), criterion, progress)
+        return _find_for_causes(screen, (unit, sensor, site), prior, criterion, progress)
     rng = np.random.default_rng(seed)
     for once, name in ((False, "rounds"), (True, "stays")):
         designs = sorted({draw_design(rng, once) for _ in range(DRAWN_DESIGNS)}, key=repr)
@@ -118,12 +124,13 @@ def find_program(
                     prediction = predict_program(
                         build_program(design, space, unit, duration_s), unit, sensor
                     )
-                    cost_value = cost(prediction.decision, criterion)
+                    total = predict_total(prediction, sensor, site, prior)
+                    cost_value = cost(total.decision, criterion)
                     weighted_costs[design] = cost_value * bias_penalty(
                         prediction.decision, prediction.bias_floor_rad_s
                     )
                     results[design] = PlanResult(
-                        design, prediction, cost_value, screen.design_count
+                        design, prediction, cost_value, total, screen.design_count
                     )
         if not results:
             raise _too_short(screen, duration_s)
@@ -138,7 +145,8 @@ def find_program(
 
 def _find_for_causes(
     screen: WhiteNoiseScreen,
-    rig: tuple[UnitModel, SensorModel, Site | None],
+    rig: tuple[UnitModel, SensorModel, Site],
+    prior: PlanPrior,
     criterion: Criterion,
     progress: Progress,
 ) -> PlanResult:
@@ -156,9 +164,11 @@ def _find_for_causes(
                 progress(f"looking for causes with {poses} tilts, {speeds} speeds, {swings} swings")
                 prediction = predict_program(program, unit, sensor)
                 detectability = predict_detectability(prediction, sensor, site)
-                cost_value = cost(prediction.decision, criterion)
+                total = predict_total(prediction, sensor, site, prior)
+                cost_value = cost(total.decision, criterion)
+                count = len(results) + 1
                 results.append(
-                    PlanResult(design, prediction, cost_value, len(results) + 1, detectability)
+                    PlanResult(design, prediction, cost_value, total, count, detectability)
                 )
         if results:
             best = min(

@@ -58,12 +58,18 @@ class WhiteNoiseScreen:
         return self._known[design]
 
     def best_kinds(self, count: int) -> list[ProgramDesign]:
-        """Return the best design of each of the best kinds evaluated."""
+        """Return the best design of each of the best kinds evaluated, for each number of tilts.
+
+        White noise prefers few tilts; hidden causes need more.
+        """
         possible = [d for d, value in self._known.items() if np.isfinite(value)]
         best: dict[tuple[object, ...], ProgramDesign] = {}
         for design in sorted(possible, key=lambda d: (self._known[d], repr(d))):
             best.setdefault(tuple(getattr(design, name) for name in KIND_FIELDS), design)
-        return list(best.values())[:count]
+        by_poses: dict[int, list[ProgramDesign]] = {}
+        for design in best.values():
+            by_poses.setdefault(design.poses, []).append(design)
+        return [design for designs in by_poses.values() for design in designs[:count]]
 
     def _screen(self, design: ProgramDesign) -> float:
         if not design.is_valid or len(design.round_waypoints(self.space)) > MAX_ROUND_MOVES:

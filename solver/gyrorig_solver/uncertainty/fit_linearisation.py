@@ -86,7 +86,7 @@ def linearise_fit(
     """
     widened, chi2_factor = widen_uncertainty(solution)
     table_std = np.sqrt(np.diag(table_covariance(settings)))
-    positions, scales = _sizes_of_signals(causes)
+    positions, scales = sizes_of_signals(causes)
     fitted = [
         entry for entry in fitted_unit_values(solution.fitted_terms) if table_std[entry[1]] > 0.0
     ]
@@ -121,8 +121,12 @@ def linearise_fit(
     return fits
 
 
-def _sizes_of_signals(causes: Sequence[UnidentifiedCause]) -> tuple[list[int], list[float]]:
-    """Return of each signal its position among the unit's sizes, -1 for none, and its scale."""
+def sizes_of_signals(causes: Sequence[UnidentifiedCause]) -> tuple[list[int], list[float]]:
+    """Return of each signal its position among the unit's sizes, -1 for none, and its scale.
+
+    Args:
+        causes: those that a fit left out.
+    """
     positions, scales = [], []
     for cause in causes:
         sizes = value_indices(cause.term, role="size")

@@ -81,7 +81,7 @@ def unidentified_causes(
             fitted = fitted_sizes.get(term_label(term), set())
             sizes = value_indices(term, role="size")
             positions = tuple(k for k, index in enumerate(sizes) if index not in fitted)
-            templates = _templates(term, projector.states, prior)
+            templates = prior_templates(term, projector.states, prior)
             if positions and len(templates):  # a motor at rest loses no steps
                 causes.append(UnidentifiedCause(term, prior, positions, templates))
     return causes
@@ -94,7 +94,7 @@ def whitened_effects(
     return join_signals(
         [
             projector.evaluate_together(
-                [partial(_scaled_tangents, cause, row) for row in cause.templates],
+                [partial(scaled_tangents, cause, row) for row in cause.templates],
                 cause.signal_count,
                 cause.term,
             )
@@ -110,14 +110,21 @@ def _instances(term: Term, projector: NuisanceProjector) -> list[Term]:
     return testable_instances(term, projector)
 
 
-def _scaled_tangents(cause: UnidentifiedCause, row: FloatArray, state: SignalState) -> FloatArray:
+def scaled_tangents(cause: UnidentifiedCause, row: FloatArray, state: SignalState) -> FloatArray:
+    """Return the effects of one template in units of its prior, (sizes, blocks, 3)."""
     scale = cause.prior.std / len(cause.templates) ** 0.5
     tangents = cause.term.tangent_signals(state, row)[list(cause.positions)]
     return np.asarray(scale * tangents, dtype=np.float64)
 
 
-def _templates(term: Term, states: Sequence[SignalState], prior: PriorSize) -> FloatArray:
-    """Return templates (b, k) that represent the shapes of a cause, at its prior size."""
+def prior_templates(term: Term, states: Sequence[SignalState], prior: PriorSize) -> FloatArray:
+    """Return templates (b, k) that represent the shapes of a cause, at its prior size.
+
+    Args:
+        term: the cause.
+        states: of all parts of the recordings.
+        prior: of its sizes.
+    """
     banks = [term.template_bank(state) for state in states if is_active_in(term, state)]
     templates = np.concatenate(banks)
     sizes = value_indices(term, role="size")

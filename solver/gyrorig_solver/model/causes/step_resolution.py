@@ -40,6 +40,7 @@ class StepResolution(LinearAngleTerm):
     covariates = ANGLE_COVARIATES
     picture = BinnedDependence("gain", "tilt", 10)
     confounded_with_gain = True
+    unseen_places = ("pan",)
     excitation = (
         "pan sweeps at three or more tilts that are far apart; the step of pan needs a known turn"
     )
