@@ -65,13 +65,13 @@ class SimpleMoves:
         return position_change
 
     def _started_before(self, time_s: float) -> "SimpleMoves":
-        kept = self.start_s <= time_s
+        has_started = self.start_s <= time_s
         return SimpleMoves(
-            self.start_s[kept],
-            self.distance_steps[kept],
-            self.speed_steps_s[kept],
-            self.acceleration_steps_s2[kept],
-            self.base_speed_steps_s[kept],
+            self.start_s[has_started],
+            self.distance_steps[has_started],
+            self.speed_steps_s[has_started],
+            self.acceleration_steps_s2[has_started],
+            self.base_speed_steps_s[has_started],
         )
 
 

@@ -152,7 +152,7 @@ def test_the_terminal_shows_totals_and_the_largest_contribution() -> None:
     (row,) = [line for line in lines if line.startswith("  misalignment.y")]
     assert row.endswith("total ± 0.018")
     (largest,) = [line for line in lines if "largest contributions" in line]
-    assert "misalignment.y: axis nonorthogonality ± 0.017 deg; pan sweeps" in largest
+    assert "misalignment.y: axis nonorthogonality ± 0.017 deg; to reduce it: pan sweeps" in largest
 
 
 def test_the_page_has_the_budget() -> None:

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
+from gyrorig_solver.data.arrays import BoolArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.data.stream.count_stream import (
     AXES,
@@ -75,7 +75,14 @@ def without_clipping(samples: GyroSamples) -> GyroSamples:
     if not clipped.any():
         return samples
     margin = math.ceil(CLIPPING_MARGIN_S / samples.period_s)
-    return replace_usable(samples, samples.usable & ~binary_dilation(clipped, iterations=margin))
+    return replace_usable(samples, samples.usable & ~_widen(clipped, margin))
+
+
+def _widen(mask: BoolArray, margin: int) -> BoolArray:
+    """Return which samples are at most `margin` samples from one of a mask."""
+    count = np.cumsum(np.pad(mask, margin, mode="constant"), dtype=np.int32)
+    before = np.concatenate([[0], count])[: mask.size]
+    return np.asarray(count[2 * margin :] - before > 0, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
