@@ -34,7 +34,11 @@ from gyrorig_solver.discover.cause_search import (
 )
 from gyrorig_solver.discover.checks.jitter_cause import detect_jitter
 from gyrorig_solver.discover.checks.nonparametric_dominance import dominated_by_nonparametric
-from gyrorig_solver.discover.checks.ramp_acceleration import ACCELERATION_ERROR, detect_ramp_error
+from gyrorig_solver.discover.checks.ramp_acceleration import (
+    ACCELERATION_ERROR,
+    detect_ramp_error,
+    without_grid_uncertainty,
+)
 from gyrorig_solver.discover.checks.random_walk import detect_random_walk
 from gyrorig_solver.discover.checks.residual_dependence import residual_dependence_tests
 from gyrorig_solver.discover.checks.specification_tests import (
@@ -148,7 +152,8 @@ def assemble_findings(
     owners = attributions or {}
     causes = [replace(cause, attribution=owners.get(term_label(cause.term))) for cause in causes]
     ramps = detect_ramp_error(result.solution, tests, FALSE_ALARM_RATE)
-    causes += [cause for cause in (jitter.named, ramps.named, walk) if cause is not None]
+    ramp_error = without_grid_uncertainty(ramps.named)
+    causes += [cause for cause in (jitter.named, ramp_error, walk) if cause is not None]
     causes.sort(key=lambda cause: (-cause.parameter_bias_sigma, cause.p_value))
     detection_limits, untestable = find_detection_limits(
         result.projector, result.scores, calibration, len(base.sessions)

@@ -6,7 +6,10 @@ from typing import Any
 import pytest
 
 from gyrorig_solver.discover.cause_search import FALSE_ALARM_RATE
-from gyrorig_solver.discover.checks.ramp_acceleration import detect_ramp_error
+from gyrorig_solver.discover.checks.ramp_acceleration import (
+    detect_ramp_error,
+    without_grid_uncertainty,
+)
 from gyrorig_solver.discover.reply_candidate import candidate_from_replies
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
@@ -56,3 +59,14 @@ def test_ramps_of_the_base_model_are_no_candidate(
     session = hidden(*cause, seed=7)
     base = fit_base_model([session.recording], session.board)
     assert candidate_from_replies(base, TESTS, FALSE_ALARM_RATE) is None
+
+
+def test_a_base_speed_of_the_grid_is_stated_without_uncertainty(
+    hidden: Callable[..., Any],
+) -> None:
+    session = hidden("base_speed_jump:0.15", seed=7)
+    base = fit_base_model([session.recording], session.board)
+    stated = without_grid_uncertainty(detect_ramp_error(base, TESTS, FALSE_ALARM_RATE).named)
+    assert stated is not None
+    assert stated.term.cause == "base_speed_jump"
+    assert all(value.std == float("inf") for value in stated.values)

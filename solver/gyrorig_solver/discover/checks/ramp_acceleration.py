@@ -120,6 +120,16 @@ def detect_ramp_error(solution: ConvergedFit, tests: int, alpha: float) -> RampR
     return RampResult(_compare_base_speed_jump(named, solution), ())
 
 
+def without_grid_uncertainty(named: NamedCause | None) -> NamedCause | None:
+    """Return a cause as it is stated: a base speed from the grid is a start value for a fit.
+
+    The grid is coarse, so that its standard uncertainty does not hold.
+    """
+    if named is None or named.term.cause == ACCELERATION_ERROR:
+        return named
+    return replace(named, values=tuple(replace(value, std=np.inf) for value in named.values))
+
+
 def _compare_base_speed_jump(named: NamedCause, solution: ConvergedFit) -> NamedCause:
     """Return the cause, or an unknown base speed instead, whichever the polls favour.
 
