@@ -119,10 +119,12 @@ def validate_buses(rig: "RigConfig", name: str) -> None:
 
 def _validate_board(board: "BoardPort", name: str) -> None:
     if board.port:
-        raise UsageError(f"{name}: board {board.id} has a port and a bus", "remove one of them")
+        raise UsageError(
+            f"{name}: board {board.id} has both a port and a bus", "remove one of them"
+        )
     if board.format == "text":
         raise UsageError(
-            f"{name}: board {board.id} has format: text, which a CAN bus does not support",
+            f"{name}: board {board.id} has `format: text`, which a CAN bus does not support",
             "give `format: signals` with its `signals`, or `format: gcb1` with its `node`",
         )
     if board.format == "gcb1":
@@ -132,7 +134,8 @@ def _validate_board(board: "BoardPort", name: str) -> None:
             )
         if board.signals is not None:
             raise UsageError(
-                f"{name}: board {board.id} has signals, and its format is gcb1",
+                f"{name}: board {board.id} has `signals`, but a board with `format: gcb1` must not "
+                "have any",
                 "give `format: signals`, or remove `signals`",
             )
         return
@@ -166,7 +169,7 @@ def _validate_emulated_buses(rig: "RigConfig", name: str) -> None:
         load = len(boards) * 2 * rig.emulator.odr_hz * _FRAME_BITS / bus.bitrate
         if load > _MAX_BUS_LOAD:
             raise UsageError(
-                f"{name}: the boards use {load:.0%} of the capacity of bus {bus.id}, and above "
-                f"{_MAX_BUS_LOAD:.0%} frames arrive late",
+                f"{name}: the boards use {load:.0%} of the capacity of bus {bus.id}. If the load "
+                f"is above {_MAX_BUS_LOAD:.0%}, frames arrive late",
                 "give a higher `bitrate`, fewer boards or a lower `odr_hz` under `emulator`",
             )

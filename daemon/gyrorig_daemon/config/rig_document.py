@@ -274,13 +274,13 @@ def _sibling_names(path: Path) -> list[str]:
 def _validate_board(board: BoardPort, name: str) -> None:
     if not board.port or board.format == "signals":
         raise UsageError(
-            f"{name}: board {board.id} has no port", "give a port, or a bus and a node"
+            f"{name}: board {board.id} has no port", "give it a port, or a bus with a node"
         )
     if board.format == "gcb1":
         if board.columns is not None:
             raise UsageError(
                 f"{name}: board {board.id} has columns, but its format is gcb1",
-                "give format: text, or remove columns",
+                "set `format: text`, or remove `columns`",
             )
         return
     if board.port == EMULATED:
@@ -296,7 +296,7 @@ def _validate_board(board: BoardPort, name: str) -> None:
     scale = board.facts.gyro_scale_rad_s or board.columns.gyro_scale_rad_s
     if not (board.facts.uid and board.facts.sensor and scale):
         raise UsageError(
-            f"{name}: board {board.id} sends text and has no identity",
+            f"{name}: board {board.id} sends text, which does not identify the board",
             "give `uid`, `sensor` and, for counts, `gyro_scale_rad_s` under `facts`",
         )
 

@@ -186,7 +186,7 @@ def _check_format(
         remedy = "check its power, the cable and its firmware; press its reset button"
         return [fault(subject, "silent", f"{port} receives no data", remedy)]
     if other_baud is not None:
-        message = f"it sends at {other_baud} baud, and the configuration has {config.baud}"
+        message = f"it sends at {other_baud} baud, but the configuration has {config.baud}"
         return [fault(subject, "wrong_baud", message, f"set its baud to {other_baud}")]
     if not traffic.samples:
         return [_unknown_data(subject, config, bytes(traffic.raw))]
@@ -205,16 +205,18 @@ def _check_identity(subject: str, config: BoardPort, traffic: BoardTraffic) -> l
     message = f"{hello.board}, uid {hello.uid}, firmware {hello.fw}, sensors {sensor_names}"
     findings = [ok(subject, "identity", f"{message}, start {hello.boot}, at {config.baud} baud")]
     if hello.protocol != PROTOCOL_VERSION:
-        message = f"it uses protocol version {hello.protocol}, and this program {PROTOCOL_VERSION}"
+        message = (
+            f"it uses protocol version {hello.protocol}, but this program uses {PROTOCOL_VERSION}"
+        )
         findings.append(fault(subject, "protocol", message, "load a matching firmware"))
     if config.facts.uid and hello.uid and hello.uid != config.facts.uid:
-        message = f"its uid is {hello.uid}, and the rig's board has {config.facts.uid}"
-        remedy = "check which board is on this port, or change its facts"
+        message = f"its uid is {hello.uid}, but the configuration has {config.facts.uid}"
+        remedy = "check which board is on this port, or correct `uid` under its `facts`"
         findings.append(fault(subject, "wrong_board", message, remedy))
     if not hello.uid and not config.facts.uid:
         message = "it has no unique id, so any board on this port would get its calibration"
         findings.append(
-            fault(subject, "no_uid", message, "set boards: facts: uid, and label the board")
+            fault(subject, "no_uid", message, "set `uid` under its `facts`, and label the board")
         )
     if traffic.time_requests > 1 and not traffic.time_replies:
         message = f"it has not answered {traffic.time_requests} time requests"
@@ -232,9 +234,11 @@ def _unknown_data(subject: str, config: BoardPort, raw: bytes) -> Finding:
     if printable > 0.95 * len(raw):
         message = f"it sends the text {raw[:40]!r}, which contains no samples"
         if config.format == "gcb1":
-            return fault(subject, "text", message, "set format: text, and give its columns")
+            return fault(subject, "text", message, "set `format: text`, and give its `columns`")
         return fault(subject, "columns", message, "check its columns in the configuration")
-    message = f"it sends {raw[:16]!r}, which has no {config.format} frame at any usual rate"
+    message = (
+        f"it sends {raw[:16]!r}, which contains no {config.format} frame at any usual baud rate"
+    )
     return fault(
         subject, "garbage", message, "check the port, the baud rate, the firmware and the wires"
     )

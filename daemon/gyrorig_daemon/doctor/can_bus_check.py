@@ -54,10 +54,12 @@ def check_bus(
     if not _is_can(system, name):
         interfaces = [i for i in system.list_names("/sys/class/net") if _is_can(system, i)]
         message = f"there is no CAN interface {name}"
-        remedy = f"check the adapter and its overlay; found: {', '.join(interfaces) or 'none'}"
+        remedy = (
+            f"check the adapter and its overlay; CAN interfaces: {', '.join(interfaces) or 'none'}"
+        )
         return [fault(subject, "missing", message, remedy)]
     if (system.read_text(f"/sys/class/net/{name}/operstate") or "") == "down":
-        remedy = f"ip link set {name} up, or {NETWORK_FILE}"
+        remedy = f"run `ip link set {name} up`, or install {NETWORK_FILE}"
         return [fault(subject, "down", f"{name} is down", remedy)]
     return [
         *_check_controller(subject, bus, name, query(name)),
@@ -80,18 +82,23 @@ def _check_controller(
     bitrate = data.get("bittiming", {}).get("bitrate")
     findings = []
     if isinstance(bitrate, int) and bitrate != bus.bitrate:
-        message = f"{name} runs at {bitrate} bit/s, and the configuration has {bus.bitrate} bit/s"
-        remedy = f"change one of them; see {NETWORK_FILE}"
+        message = f"{name} runs at {bitrate} bit/s, but the configuration has {bus.bitrate} bit/s"
+        remedy = f"change one of the two rates; the interface's rate is in {NETWORK_FILE}"
         findings.append(fault(subject, "wrong_bitrate", message, remedy))
     if state in ("BUS-OFF", "STOPPED"):
         message = f"{name} is {state.lower()}, so nothing is sent or received"
         findings.append(fault(subject, "bus_off", message, "check terminations and bit rate"))
     elif state in ("ERROR-PASSIVE", "ERROR-WARNING"):
         message = f"{name} is {state.lower()}: frames are damaged or not acknowledged"
-        findings.append(warning(subject, "errors", message, "check terminations, wires, bit rate"))
+        findings.append(
+            warning(subject, "errors", message, "check terminations, wires and bit rate")
+        )
     if not data.get("restart_ms"):
         message = f"{name} does not restart after bus-off"
-        remedy = f"ip link set {name} type can restart-ms 100, while it is down, or {NETWORK_FILE}"
+        remedy = (
+            f"run `ip link set {name} type can restart-ms 100` while it is down, or install "
+            f"{NETWORK_FILE}"
+        )
         findings.append(warning(subject, "no_restart", message, remedy))
     return findings or [ok(subject, "controller", f"{name}: {state.lower()}, {bitrate} bit/s")]
 
@@ -104,7 +111,9 @@ def _check_losses(subject: str, name: str, system: SystemFiles) -> Iterator[Find
     losses = ", ".join(f"{counter} {count}" for counter, count in counts.items() if count)
     if losses:
         message = f"{name} has lost frames since it was started: {losses}"
-        remedy = "use fewer boards per bus, or an mcp251xfd (an mcp2515 buffers two frames)"
+        remedy = (
+            "use fewer boards per bus, or a controller mcp251xfd (an mcp2515 buffers two frames)"
+        )
         yield warning(subject, "frames_lost", message, remedy)
 
 

@@ -32,7 +32,9 @@ def _check_utc(system: SystemFiles, clocks: HostClocks) -> Iterator[Finding]:
     time_text = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(clocks.realtime_ns // 10**9))
     if clocks.realtime_ns < EARLIEST_VALID_NS:
         message = f"the clock shows {time_text}, which means that it was never set"
-        remedy = "connect a network with a time server, or set it: timedatectl set-time ..."
+        remedy = (
+            "connect a network with a time server, or set the clock with `timedatectl set-time ...`"
+        )
         yield warning(SUBJECT, "wrong_date", message, remedy)
         return
     is_unsynchronised = bool(clocks.ntp_status & STA_UNSYNC)
@@ -48,7 +50,7 @@ def _check_utc(system: SystemFiles, clocks: HostClocks) -> Iterator[Finding]:
             "not_synchronised",
             f"UTC is not synchronised ({time_text}), {reason}. Recordings of other rigs or days "
             "cannot be ordered by it; within a recording nothing is lost",
-            "check chronyc tracking, or timedatectl timesync-status"
+            "run `chronyc tracking` or `timedatectl timesync-status` to see why"
             if services
             else "install chrony",
         )

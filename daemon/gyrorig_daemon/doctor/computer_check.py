@@ -95,7 +95,7 @@ def _check_load(system: SystemFiles) -> Iterator[Finding]:
         load = float(fields[1])  # over five minutes
         if load > 1.5 * cores:
             message = f"the load is {load:.1f} on {cores} cores, so timestamps are late"
-            remedy = "find the program with top, and end it or give it nice 19"
+            remedy = "find the program with `top`; end it, or lower its priority with `renice 19`"
             yield warning(SUBJECT, "load", message, remedy)
 
 
@@ -110,7 +110,9 @@ def _check_service(system: SystemFiles) -> Iterator[Finding]:
         return
     is_installed = system.path(f"/etc/systemd/system/{SERVICE_UNIT}").exists()
     remedy = (
-        f"systemctl enable --now {SERVICE_UNIT}" if is_installed else "sudo make install-service"
+        f"run `systemctl enable --now {SERVICE_UNIT}`"
+        if is_installed
+        else "run `sudo make install-service`"
     )
     yield note(SUBJECT, "service", "the daemon does not start with the computer", remedy)
 

@@ -44,7 +44,9 @@ def check_disk(folder: Path, system: SystemFiles) -> tuple[list[Finding], DiskMe
         return [fault(SUBJECT, "read_only", message, remedy)], None
     if not os.access(existing, os.W_OK):
         message = f"this user cannot write to {existing}"
-        remedy = f"sudo chown $USER {existing}, or give another folder than {folder} with --out"
+        remedy = (
+            f"run `sudo chown $USER {existing}`, or give a folder other than {folder} with --out"
+        )
         return [fault(SUBJECT, "not_writable", message, remedy)], None
     statistics = os.statvfs(existing)
     try:

@@ -76,13 +76,16 @@ def _check_name(subject: str, path: str, system: SystemFiles) -> Iterator[Findin
     ]
     name = stable_names[0] if stable_names else "a name in /dev/serial/by-id"
     message = f"{path} can be another device when the cables are connected in another order"
-    remedy = f"use {name}, and set ptu.serial or facts: uid, so that another device is detected"
+    remedy = (
+        f"use {name}, and set ptu.serial, or `uid` under the board's `facts`, so that Gyrorig "
+        "notices if a different device is connected"
+    )
     yield warning(subject, "unstable_name", message, remedy)
 
 
 def _check_permissions(subject: str, path: str, status: os.stat_result) -> Iterator[Finding]:
     group = _group_name(status.st_gid)
-    remedy = f"sudo usermod -aG {group} USER, and log in again"
+    remedy = f"run `sudo usermod -aG {group} USER`, and log in again"
     if not os.access(path, os.R_OK | os.W_OK):
         user = _user_name(os.geteuid())
         message = f"{user} has no permission to open {path}"
@@ -140,7 +143,7 @@ def _check_kernel_use(subject: str, path: str, system: SystemFiles) -> Iterator[
         yield fault(subject, "console", message, remedy)
     elif name == "ttyS0" and "raspberry" in model:
         message = f"{path} is the Pi's mini UART, whose rate depends on the processor's clock"
-        remedy = "use ttyAMA0: dtoverlay=disable-bt in /boot/firmware/config.txt"
+        remedy = "use ttyAMA0, and add dtoverlay=disable-bt to /boot/firmware/config.txt"
         yield warning(subject, "mini_uart", message, remedy)
 
 

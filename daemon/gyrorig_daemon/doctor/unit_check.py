@@ -139,19 +139,20 @@ def _compare_with_config(
     findings = []
     if config.serial is not None and serial != config.serial:
         message = (
-            f"its serial number is {serial or 'not reported'}, and the rig's is {config.serial}"
+            f"its serial number is {serial or 'not reported'}, but the configuration has "
+            f"{config.serial}"
         )
         remedy = "check which unit is on this port, or change ptu.serial"
         findings.append(fault(SUBJECT, "wrong_unit", message, remedy))
     if baud != config.baud:
-        message = f"it answers at {baud} baud, and the configuration has {config.baud}"
+        message = f"it answers at {baud} baud, but the configuration has {config.baud}"
         findings.append(fault(SUBJECT, "wrong_baud", message, f"set ptu.baud to {baud}"))
     if config.dialect == "auto":
         if dialect is None:
             message = "its dialect cannot be determined from its replies"
             findings.append(fault(SUBJECT, "no_dialect", message, "set ptu.dialect to d46 or e46"))
     elif dialect is not None and config.dialect != dialect.value:
-        message = f"its dialect is {dialect.value}, and the configuration has {config.dialect}"
+        message = f"its dialect is {dialect.value}, but the configuration has {config.dialect}"
         findings.append(fault(SUBJECT, "wrong_dialect", message, "set ptu.dialect to auto"))
     return findings
 

@@ -143,7 +143,7 @@ def _no_unit_error(line: DirectPtuLine, bauds: Sequence[int]) -> DeviceError:
             "look at the unit. One that is homing echoes until it stops. Otherwise check the port",
         )
     return DeviceError(
-        f"the halt command was sent, but the device on {line.port} is not a pan-tilt unit, "
+        f"the halt command was sent, but the device on {line.port} is not a pan-tilt unit: "
         f"it answers {received[:24]!r}",
         "check that the unit has stopped. Check the ports in the rig's configuration",
     )

@@ -95,7 +95,8 @@ class FoxgloveView:
             import foxglove  # noqa: PLC0415 - an extra
         except ImportError as fault:
             raise UsageError(
-                "--live needs foxglove-sdk, which is not installed", "pip install 'gyrorig[live]'"
+                "--live needs foxglove-sdk, which is not installed",
+                "run `pip install 'gyrorig[live]'`",
             ) from fault
         self._sdk = foxglove
         self._log = log

@@ -84,7 +84,7 @@ class PositionPoller:
             raise self._client.unidentified_error()
         if checked and self._client.lost_synchrony is not None:
             raise DeviceError(
-                f"the unit has lost its position, {self._client.lost_synchrony}",
+                f"the unit has lost its position: {self._client.lost_synchrony}",
                 "remove everything from its range of motion, then start again with --home",
             )
         if self._is_silent(exchange.reply_ns):

@@ -181,7 +181,8 @@ def _check_serial(client: PtuClient, expected_serial: str, dialect: Dialect) -> 
     serial = read_text(client, QUERY_SERIAL)
     if serial != expected_serial:
         raise DeviceError(
-            f"the pan-tilt unit on {client.location} is {serial!r} instead of {expected_serial!r}",
+            f"the pan-tilt unit on {client.location} has the serial number {serial!r} instead of "
+            f"{expected_serial!r}",
             "check the ports, or correct ptu.serial. The unit was not moved",
         )
 

@@ -43,7 +43,10 @@ class RetentionRules:
         for name in ("max_days", "max_bytes", "room_bytes"):
             value = getattr(self, name)
             if value is not None and not value > 0:
-                raise UsageError(f"the retention rule {name} is {value}", "give a number above 0")
+                raise UsageError(
+                    f"the retention rule {name} has the invalid value {value}",
+                    "give a number above 0",
+                )
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,7 +149,7 @@ class DiagnosticsTimer:
         if lost_synchrony is not None:
             level, text = (
                 DiagnosticLevel.ERROR,
-                f"it has lost its position, {lost_synchrony}",
+                f"it has lost its position: {lost_synchrony}",
             )
         texts = _as_text(values) | {
             "reply_wait_max_ms": f"{counts.reply_wait_max_ns * 1e-6:.3f}",

@@ -101,7 +101,7 @@ def check_hidden_causes(config: RigConfig, emulation: EmulationOptions) -> None:
         hidden_cause.cause == RANDOM for hidden_cause in settings.injections
     ):
         raise UsageError(
-            "--hide random writes its parameters only to the truth file, and no file is given",
+            "--hide random needs a truth file, because its parameters are written only there",
             "give a file with --truth",
         )
     sample_injected_causes(settings)
@@ -192,7 +192,7 @@ class EmulatorProcess:
         if "ports" not in announced:
             self.close()
             raise MachineError(
-                f"the emulated rig did not start, {announced.get('error', 'it reports no error')}",
+                f"the emulated rig did not start: {announced.get('error', 'it reports no error')}",
                 f"run `gyrorigd emulate --config {config_path}` to see why",
             )
         self.paths: Mapping[str, str] = announced["ports"]

@@ -106,7 +106,7 @@ def record_in_real_time(task: RecordTask) -> Path:
             return record_session(hub, task.request, environment)
         except DeviceError as fault:
             if ending_text := ending():
-                raise MachineError(f"{ending_text}, {fault.problem}", "record again") from fault
+                raise MachineError(f"{ending_text}: {fault.problem}", "record again") from fault
             raise
 
 

@@ -165,7 +165,8 @@ def _parse_signal(line: str, location: str) -> DbcSignal | None:
     bit_length = int(match[4])
     if not 1 <= bit_length <= 64 or factor == 0.0:
         raise UsageError(
-            f"{location} has a signal of {bit_length} bits with the factor {factor:g}",
+            f"{location}: the signal has an invalid length ({bit_length} bits) or an invalid "
+            f"factor ({factor:g})",
             "give it 1 to 64 bits and a factor that is not 0",
         )
     return DbcSignal(
@@ -192,8 +193,9 @@ def _mark_float(line: str, location: str, by_id: dict[int, DbcMessage]) -> None:
         return
     if signal.bit_length != (32 if match[3] == "1" else 64):
         raise UsageError(
-            f"{location} makes {signal.name} a floating-point number of {signal.bit_length} bits",
-            "give it 32 bits with the type 1, or 64 with the type 2",
+            f"{location} declares {signal.name}, which has {signal.bit_length} bits, as a "
+            "floating-point number of another length",
+            "write type 1 for a signal of 32 bits, or type 2 for a signal of 64 bits",
         )
     message.signals[signal.name] = replace(signal, is_float=True)
 

@@ -149,8 +149,8 @@ def _check_format(path: Path, metadata: Metadata) -> None:
         )
     if main_record.get("format") != FORMAT_VERSION:
         raise InputError(
-            f"{path} has format {main_record.get('format')!r}, and this version reads "
-            f"{FORMAT_VERSION!r}",
+            f"{path} has the recording format {main_record.get('format')!r}, but this version of "
+            f"Gyrorig reads only format {FORMAT_VERSION!r}",
             "use the version that wrote the file, or a newer one",
         )
 

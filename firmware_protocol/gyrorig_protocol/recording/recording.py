@@ -230,7 +230,8 @@ class Recording:
             entry = self.reread_topic(topic, ())
         if entry.array is None:
             raise InputError(
-                f"{self.path} has messages of type {entry.type} on {topic}, and they vary in size",
+                f"{self.path}: the messages of type {entry.type} on {topic} differ in size, so "
+                "they do not fit into one array",
                 "read its messages one by one with timed_messages()",
             )
         return entry.array
@@ -247,8 +248,8 @@ class Recording:
         message_type = MESSAGE_TYPES.get(entry.type)
         if message_type is None:
             raise InputError(
-                f"{self.path} has messages of type {entry.type} on {topic}, and recording "
-                "format 1 does not have this type",
+                f"{self.path} has messages of type {entry.type} on {topic}, which recording format "
+                "1 does not define",
                 "read the topic with the program that wrote it",
             )
         if entry.array is None and entry.columns is None:

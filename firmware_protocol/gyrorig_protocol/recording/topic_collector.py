@@ -286,7 +286,8 @@ class TopicCollector:
         types = {channel_store.type for _, channel_store in channel_stores}
         if len(types) > 1:
             raise InputError(
-                f"{self.path} has several types on {name!r}, {', '.join(sorted(types))}",
+                f"{self.path}: the messages on topic {name!r} have several types: "
+                f"{', '.join(sorted(types))}",
                 _FOREIGN_FILE_REMEDY,
             )
         type_name = types.pop()
@@ -303,7 +304,8 @@ class TopicCollector:
         if arrays:
             if len({array.dtype for array in arrays}) > 1:
                 raise InputError(
-                    f"{self.path} has several layouts of {type_name} on {name!r}",
+                    f"{self.path}: the messages of type {type_name} on topic {name!r} have several "
+                    "layouts",
                     _FOREIGN_FILE_REMEDY,
                 )
             if len(arrays) == 1:

@@ -69,12 +69,14 @@ def apply_to_recording(
     samples = load_samples(recording, name)
     if calibration.correction.needs_temperature and samples.temperature is None:
         raise UsageError(
-            f"{source.name} has no temperature of the board, and the calibration depends on it",
+            f"the calibration depends on the temperature of the board, but {source.name} does not "
+            "contain it",
             "record the board's thermometer, or solve without thermal_bias and thermal_scale",
         )
     if calibration.correction.needs_force and stored_column(samples, "accel_m_s2") is None:
         raise UsageError(
-            f"{source.name} has no accelerometer data, and the calibration depends on it",
+            f"the calibration depends on accelerometer data, but {source.name} does not "
+            "contain them",
             "record the board's accelerometer, or solve without g_sensitivity",
         )
     builder = _MessageBuilder(calibration, samples)
@@ -126,8 +128,8 @@ def _check_settings(calibration: Calibration, recording: Recording, board: Board
             same = False
         if not same:
             raise InputError(
-                f"{board} has {key} {recorded[:40]} in {recording.path.name}, and the "
-                f"calibration is for {calibrated}",
+                f"the calibration is for {key} {calibrated}, but {board} has {recorded[:40]} in "
+                f"{recording.path.name}",
                 "calibrate the board with this setting",
             )
 
@@ -228,8 +230,8 @@ def _die_temperature(samples: GyroSamples, correction: Correction) -> BoardTempe
     temperature = BoardTemperature.of(samples.time_s, readings, correction.reference_degc)
     if temperature is None:
         raise InputError(
-            f"the recording has too few temperatures of {samples.board}, and the calibration "
-            "depends on them",
+            f"the calibration depends on the temperature of {samples.board}, but the recording "
+            "contains too few temperatures",
             "record the board's thermometer, or solve without thermal_bias and thermal_scale",
         )
     return temperature

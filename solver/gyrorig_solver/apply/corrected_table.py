@@ -150,7 +150,7 @@ class _TableWriter:
             )
             rows += len(block)
         if not rows:
-            raise InputError(f"{self._name} has a header and no rows", "give a table with readings")
+            raise InputError(f"{self._name} has a header but no rows", "give a table with readings")
         return TableSummary(rows, outside, without)
 
     def _column_indices(self, names: Sequence[str]) -> list[int]:
@@ -190,7 +190,7 @@ class _TableWriter:
         cells = next(csv.reader([line], delimiter=delimiter), [])
         if max(column_indices) >= len(cells):
             raise InputError(
-                f"{self._name}: row {number + 1} has {len(cells)} columns",
+                f"{self._name}: row {number + 1} has only {len(cells)} columns",
                 "correct or remove the row; it may be cut off",
             )
         return [

@@ -234,6 +234,6 @@ def check_store_marker(text: bytes, name: str) -> None:
     schema = marker.get("schema") if isinstance(marker, dict) else None
     if schema != STORE_SCHEMA:
         raise InputError(
-            f"{name} has the schema {str(schema)[:40]!r}, {STORE_SCHEMA!r} is expected",
+            f"{name} has the schema {str(schema)[:40]!r} instead of {STORE_SCHEMA!r}",
             "use the program that wrote it, or a newer version",
         )

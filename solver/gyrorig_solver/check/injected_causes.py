@@ -76,7 +76,7 @@ def score_causes(document: FindingsDocument, truth: Mapping[str, Any]) -> list[S
 def score_text(document: FindingsDocument, scored: list[ScoredCause]) -> str:
     """Return the scores of one board as lines for a terminal."""
     if not scored:
-        return f"   {document.board.id}: no cause was injected and none was named"
+        return f"   {document.board.id}: right: the rig had no cause, and the answer names none"
     return "\n".join(f"   {document.board.id}: {scored_cause.text}" for scored_cause in scored)
 
 
@@ -84,31 +84,37 @@ def _score_injected(injected: Mapping[str, Any], document: FindingsDocument) -> 
     cause, size = str(injected["cause"]), injected["size"]
     value, unit = float(size["value"]), str(size["unit"])
     where = place_text(str(injected["where"]))
-    injected_text = f"{cause}{where}, size {amount_text(abs(value), unit)}, was injected"
+    injected_text = f"the rig had {cause}{where}, size {amount_text(abs(value), unit)}"
     for finding in document.causes:
         if finding.cause == cause and not finding.one_of:
             return ScoredCause(
                 cause,
                 "right",
-                f"{injected_text} and named: right{_estimated_size_text(finding, unit)}",
+                f"right: {injected_text}, and the answer names it"
+                f"{_estimated_size_text(finding, unit)}",
             )
         if cause in (finding.cause, *finding.one_of):
             names = " or ".join((finding.cause, *finding.one_of))
-            return ScoredCause(cause, "among", f"{injected_text}; named as one of: {names}")
+            return ScoredCause(
+                cause, "among", f"in part: {injected_text}, and the answer names one of {names}"
+            )
     for limit in document.minimal_detectable:
         if limit.cause == cause and limit.unit == unit and abs(value) < (limit.size or 0.0):
             shows = amount_text(limit.size, unit)
             return ScoredCause(
                 cause,
                 "unseen",
-                f"{injected_text} and not named: right, it is below the detectable size {shows}",
+                f"right: {injected_text}. The answer does not name it, because it is below the "
+                f"detectable size {shows}",
             )
     for reason in document.not_testable:
         if reason.cause == cause:
             return ScoredCause(
-                cause, "unseen", f"{injected_text} and reported as not testable here: right"
+                cause,
+                "unseen",
+                f"right: {injected_text}, and the answer states that this recording cannot show it",
             )
-    return ScoredCause(cause, "missed", f"{injected_text} and not named: missed")
+    return ScoredCause(cause, "missed", f"missed: {injected_text}, and the answer does not name it")
 
 
 def _estimated_size_text(finding: CauseEntry, unit: str) -> str:
@@ -116,7 +122,7 @@ def _estimated_size_text(finding: CauseEntry, unit: str) -> str:
     sizes = [
         abs(size.value) for size in finding.parameters.values() if size.unit == unit and size.value
     ]
-    return f", estimated {amount_text(max(sizes), unit)}" if sizes else ""
+    return f", with an estimated size of {amount_text(max(sizes), unit)}" if sizes else ""
 
 
 def _false_positives(
@@ -126,4 +132,6 @@ def _false_positives(
     for entry in document.causes:
         if not injected_ids & {entry.cause, *entry.one_of}:
             names = " or ".join((entry.cause, *entry.one_of))
-            yield ScoredCause(entry.cause, "wrong", f"{names} was named but not injected: wrong")
+            yield ScoredCause(
+                entry.cause, "wrong", f"wrong: the answer names {names}, which the rig did not have"
+            )

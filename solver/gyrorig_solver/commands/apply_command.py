@@ -140,7 +140,7 @@ def _table_columns(
     names = [name.strip() for name in (columns or "").split(",") if name.strip()]
     if len(names) != len(RATE_COLUMNS):
         raise UsageError(
-            f"{source.name} is a table, and --columns has {len(names)} names",
+            f"--columns names {len(names)} columns of the table {source.name} instead of three",
             "give the three gyro columns with --columns X,Y,Z",
         )
     return TableColumns((names[0], names[1], names[2]), unit, temperature, time, time_unit)

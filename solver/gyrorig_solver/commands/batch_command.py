@@ -248,7 +248,7 @@ def _parse_shard(text: str | None) -> Shard:
         )
     if not 1 <= int(number) <= int(count) <= 1_000_000:
         raise UsageError(
-            f"--shard {text[:40]} is out of range, there is no part {number[:20]} of {count[:20]}",
+            f"--shard {text[:40]} is out of range: there is no part {number[:20]} of {count[:20]}",
             "write it as K/N, K from 1 to N, such as 3/16",
         )
     return Shard(int(number), int(count))

@@ -168,7 +168,7 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
         )
     elif options["out"] is not None:
         raise UsageError(
-            "--out writes the program that a search found, and --seconds is missing for the search",
+            "--out writes the program that a search finds, and only --seconds starts a search",
             "give --seconds",
         )
     predictions = [

@@ -59,8 +59,8 @@ from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings,
     "--uncertainty",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Prior sizes of the causes, and limits of the verdict, that differ from the shipped ones "
-    "(YAML); docs/units.md describes them.  [default: the shipped ones]",
+    help="YAML file with prior sizes of the causes and thresholds of the verdict, to replace the "
+    "shipped ones (format: docs/units.md).  [default: the shipped ones]",
 )
 @unit_prior_option
 @json_option

@@ -82,7 +82,7 @@ def fit_turns(
         )
     if not rests:
         raise InputError(
-            "the board never rests in these recordings, and its bias is estimated at rest",
+            "the bias is estimated at rest, but the board never rests in these recordings",
             "add a recording of this board at rest",
         )
     solver = _TurnSolver(integrated_turns, np.array(rests), axis_std_rad)

@@ -82,8 +82,8 @@ def c_header(source: ExportSource, name: str | None = None) -> str:
     scale = source.document.board.config.gyro_scale_rad_s
     if scale is None:
         raise UsageError(
-            "the calibration does not specify the nominal scale of a count, and the C code reads "
-            "counts",
+            "the C code reads counts, but the calibration does not specify the nominal scale of a "
+            "count",
             "add gyro_scale_rad_s to the board's description (or to the import map), then record "
             "and solve again",
         )

@@ -42,7 +42,7 @@ def export_text(source: ExportSource, kind: str, options: ExportOptions | None =
     if chosen.slot is not None and not 0 <= chosen.slot < _GYRO_SLOTS.get(kind, 0):
         slot_count = _GYRO_SLOTS.get(kind)
         remedy = "leave out --slot" if slot_count is None else f"give --slot 0 to {slot_count - 1}"
-        raise UsageError(f"the format {kind} has no slot for a gyro {chosen.slot}", remedy)
+        raise UsageError(f"the format {kind} has no gyro slot {chosen.slot}", remedy)
     if chosen.device_id is not None and kind != "px4":
         raise UsageError(f"the format {kind} does not use --device-id", "leave out --device-id")
     if source.frame == "sensor" and kind in _GYRO_SLOTS:

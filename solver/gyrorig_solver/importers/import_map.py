@@ -187,7 +187,7 @@ def check_import_map(import_map: ImportMap, name: str) -> ImportMap:
     ):
         if columns is not None and len(columns.keys) not in (1, width):
             raise UsageError(
-                f"{name}: {where} has {len(columns.keys)} keys",
+                f"{name}: {where} has {len(columns.keys)} keys instead of 1 or {width}",
                 f"give one array of {width} columns, or {width} keys",
             )
     turns = [

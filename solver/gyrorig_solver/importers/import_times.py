@@ -32,7 +32,7 @@ def read_times(columns: MeasurementColumns, base: TimeBase, rows: int, stream: s
     if invalid.any():
         at = int(np.argmax(invalid))
         raise InputError(
-            f"{stream} has the time {time_s[at]:g} s in row {at + 1}",
+            f"{stream} has the invalid time {time_s[at]:g} s in row {at + 1}",
             "correct `unit` under `time` in the import map, or set `origin_s` there so that no "
             "time is below 0",
         )
@@ -54,7 +54,7 @@ def _sample_rate(columns: MeasurementColumns, base: TimeBase) -> float:
         rate = float(columns.matrix([base.rate_key], 1)[0, 0])
     if rate is None or not np.isfinite(rate) or rate <= 0.0:
         raise InputError(
-            f"the sample rate is {rate}, and it must be above 0",
+            f"the sample rate is {rate}, but it must be above 0",
             "give `rate_hz` under `time` in the import map, or a column of times",
         )
     return rate

@@ -60,7 +60,7 @@ def open_columns(path: Path, wanted: Sequence[str]) -> MeasurementColumns:
         return _TableColumns(path, wanted)
     except (OSError, zipfile.BadZipFile, zlib.error, EOFError, MemoryError) as error:
         raise InputError(
-            f"cannot read {path.name}, {_one_line(error)}", "copy the file again from its source"
+            f"cannot read {path.name} ({_one_line(error)})", "copy the file again from its source"
         ) from error
 
 
@@ -90,7 +90,10 @@ class _ArchiveColumns:
                         f"{path.name}: {key} contains objects instead of numbers", _ARRAY_REMEDY
                     ) from error
                 if values.dtype.kind not in "biuf":
-                    raise InputError(f"{path.name}: {key} contains {values.dtype}", _ARRAY_REMEDY)
+                    raise InputError(
+                        f"{path.name}: {key} contains {values.dtype} values, not real numbers",
+                        _ARRAY_REMEDY,
+                    )
                 self._arrays[key] = values.astype(np.float64)
         self._name = path.name
 
@@ -100,8 +103,8 @@ class _ArchiveColumns:
         if len({part.shape[0] for part in columns}) != 1 or any(p.ndim != 2 for p in columns):
             sizes = " and ".join(str(part.shape[0]) for part in columns)
             raise InputError(
-                f"{self._name}: {_list_names(keys)} differ in length ({sizes}), or are not columns",
-                "give columns of the same length in the map",
+                f"{self._name}: {_list_names(keys)} are not columns of one length ({sizes} rows)",
+                "name columns of the same length in the import map",
             )
         return _check_matrix(np.concatenate(columns, axis=1), keys, width, self._name)
 
@@ -141,7 +144,7 @@ class _TableColumns:
                     )
         if not sum(len(block) for block in blocks):
             raise InputError(
-                f"{path.name} has a header and no rows", "give a file with measurements"
+                f"{path.name} has a header but no rows", "give a file with measurements"
             )
         data = np.concatenate(blocks)
         self._columns = {key: data[:, i] for i, key in enumerate(unique)}
@@ -193,7 +196,7 @@ def _bad_cell_error(
             )
         if row and max(cells) >= len(row):
             return InputError(
-                f"{name}: row {number} has {len(row)} columns",
+                f"{name}: row {number} has only {len(row)} columns",
                 "correct or remove the row; it may be cut off",
             )
         for at, column in cells.items():
@@ -213,7 +216,7 @@ def _bad_cell_error(
 def _check_matrix(data: FloatArray, keys: Sequence[str], width: int, name: str) -> FloatArray:
     if data.shape[1] != width:
         raise InputError(
-            f"{name}: {_list_names(keys)} has {data.shape[1]} columns, and {width} are needed",
+            f"{name}: {_list_names(keys)} has {data.shape[1]} columns, but {width} are needed",
             f"name one array of {width} columns, or {width} single columns, in the import map",
         )
     if data.shape[0] > MAX_ROWS:

@@ -94,8 +94,8 @@ def estimate_level(
     if tilts < MIN_TILTS or ordered[-1] - ordered[0] < MIN_TILT_RANGE_RAD:
         raise InputError(
             f"the unit rested at only {tilts} tilt angles, within "
-            f"{np.degrees(np.ptp(ordered)) if tilts else 0.0:.0f} deg, and this cannot separate "
-            "the accelerometer's bias from an error of the tilt zero",
+            f"{np.degrees(np.ptp(ordered)) if tilts else 0.0:.0f} deg. This is not enough to "
+            "separate the accelerometer's bias from an error of the tilt zero",
             f"rest at {MIN_TILTS} or more tilt angles that span at least "
             f"{np.degrees(MIN_TILT_RANGE_RAD):.0f} deg",
         )

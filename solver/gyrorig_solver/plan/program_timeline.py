@@ -244,13 +244,13 @@ def _check_limits(
     half_step_deg = model.resolution_arcsec / ARCSEC_PER_DEG / 2.0
     if not model.low_deg - half_step_deg <= angle_deg <= model.high_deg + half_step_deg:
         raise UsageError(
-            f"{where} turns {axis_name} to {angle_deg:g} deg, the limits are "
+            f"{where} turns {axis_name} to {angle_deg:g} deg, but the limits are "
             f"{model.low_deg:.2f} to {model.high_deg:.2f} deg",
             "change the program",
         )
     if not model.slowest_deg_s - half_step_deg <= speed <= fastest_deg_s + half_step_deg:
         raise UsageError(
-            f"{where} turns {axis_name} at {speed:g} deg/s, the limits are "
+            f"{where} turns {axis_name} at {speed:g} deg/s, but the limits are "
             f"{model.slowest_deg_s:.2f} to {fastest_deg_s:.2f} deg/s",
             "change the program",
         )

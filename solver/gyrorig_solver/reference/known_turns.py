@@ -91,7 +91,7 @@ def _parse_turn(interval: TimeInterval, text: str) -> KnownTurn:
         angle, std = float(turn_document["angle_rad"]), float(turn_document["std_rad"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
-            f"a turn at {interval.begin_s:.1f} s has the text {text[:60]!r}",
+            f"a turn at {interval.begin_s:.1f} s has the invalid description {text[:60]!r}",
             'write it as {"axis": [x, y, z], "angle_rad": a, "std_rad": s}',
         ) from error
     is_unit_axis = axis.shape == (3,) and abs(float(np.linalg.norm(axis)) - 1.0) < 1e-3

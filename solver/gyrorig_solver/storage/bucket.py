@@ -131,7 +131,7 @@ class Bucket:
     def _machine_error(self, operation: str, fault: BaseException) -> MachineError:
         reason = " ".join(str(fault).split())[:160] or type(fault).__name__
         return MachineError(
-            f"cannot {operation}, {reason}",
+            f"cannot {operation} ({reason})",
             "check the bucket's name, the network, and the credentials (AWS_ENDPOINT_URL, "
             "AWS_PROFILE)",
         )
@@ -156,7 +156,7 @@ def open_bucket(location: str) -> Bucket:
         _file_system(protocol)
     except ImportError as fault:
         raise UsageError(
-            f"{location} needs s3fs, which is not installed", "pip install 'gyrorig[fleet]'"
+            f"{location} needs s3fs, which is not installed", "run `pip install 'gyrorig[fleet]'`"
         ) from fault
     return Bucket(protocol, prefix)
 

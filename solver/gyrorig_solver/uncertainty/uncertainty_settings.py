@@ -134,7 +134,7 @@ def read_settings(path: Path) -> UncertaintySettings:
         return parse_settings(path.read_bytes(), str(path))
     except OSError as fault:
         reason = fault.strerror or "it is not readable"
-        raise UsageError(f"{path} cannot be read: {reason}", "check the path") from fault
+        raise UsageError(f"{path} cannot be read ({reason})", "check the path") from fault
 
 
 def _with_document(
@@ -200,6 +200,6 @@ def _factor(name: str, place: str, unit: str, si_unit: str) -> float:
     if unit == shown_unit:
         return 1.0 / shown_factor
     raise UsageError(
-        f"{name}: {place}: the unit is {unit[:20]!r}",
+        f"{name}: {place}: the unit {unit[:20]!r} does not fit this cause",
         f"write the size in {si_unit} or {shown_unit}",
     )

@@ -76,8 +76,8 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
     ("text", "message"),
     [
         ("gx,gy\n1,2\n", "no column 'gz'"),
-        ("gx,gy,gz\n", "a header and no rows"),
-        ("gx,gy,gz\n1,2\n", "row 1 has 2 columns"),
+        ("gx,gy,gz\n", "a header but no rows"),
+        ("gx,gy,gz\n1,2\n", "row 1 has only 2 columns"),
         ("gx,gy,gz\n1,2,3\n1,x,3\n", "row 2 has 'x' in column gy, which is not a number"),
         ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "already has a column rate_x_rad_s"),
         ("", "no column 'gx'"),

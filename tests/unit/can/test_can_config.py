@@ -87,7 +87,7 @@ def test_configuration_errors_are_named(change: tuple[str, str], words: str) -> 
 def test_an_emulated_bus_must_carry_its_boards() -> None:
     text = GOOD.replace('"socketcan:can0"', "emulated").replace("500000", "125000")
     assert parse_rig(text, "rig.yaml").buses[0].port == "emulated"
-    with pytest.raises(UsageError, match=r"of bus .*beyond 70%"):
+    with pytest.raises(UsageError, match=r"of bus .*above 70%"):
         parse_rig(text + "emulator: {odr_hz: 400}\n", "rig.yaml")
     signals = text.replace('"udp_multicast:239.74.163.2:43113"', "emulated")
     with pytest.raises(UsageError, match=r"board M-1 is emulated, .* use only the format gcb1"):

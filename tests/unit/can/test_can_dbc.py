@@ -142,12 +142,12 @@ def test_presets_are_read_as_cantools_reads_them(name: str) -> None:
             'BO_ 1 M: 8 A\n SG_ S : 60|16@1+ (1,0) [0|0] "" A\n',
             "ends in byte 10 of message M",
         ),
-        ('BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (0,0) [0|0] "" A\n', "factor 0"),
+        ('BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (0,0) [0|0] "" A\n', "invalid factor .0."),
         ("BO_ 1 M: 8 A\n SG_ S : what\n", "not a valid signal"),
         ("BO_ 1 M: 8 A\nBO_ 1 M: 8 A\n", "repeats the message M"),
         (
             'BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (1,0) [0|0] "" A\nSIG_VALTYPE_ 1 S : 1;\n',
-            "floating-point number of 16 bits",
+            "which has 16 bits, as a floating-point number",
         ),
     ],
 )

@@ -125,7 +125,7 @@ def test_a_board_that_is_replugged(batch: int) -> None:
     # what comes before it has said who it is is not taken: some ten milliseconds
     assert sequences[gap + 1] - sequences[gap] < 1.1 * 300 + 2 * batch
     assert link.counts.unidentified < 3 * batch + 1
-    assert desk.notices[0] == "board A on /dev/A is gone, it was unplugged"
+    assert desk.notices[0] == "board A on /dev/A is gone: it was unplugged"
     assert desk.notices[1].startswith("board A on /dev/A sends samples again, after 3.")
     desk.assert_other_is_whole()
     taken = np.array(desk.taken_s())
@@ -178,7 +178,7 @@ def test_another_board_on_the_port_is_not_recorded() -> None:
     assert [link.state for link in desk.links] == [LinkState.FOREIGN] * 2
     assert (len(desk.samples["A"]), len(desk.samples["B"])) == known
     assert desk.link.counts.foreign == 1
-    assert sum("is another board, " in text for text in desk.notices) == 2
+    assert sum("is another board: " in text for text in desk.notices) == 2
     for port in (A, B):
         desk.hub.unplug(port, at_ns(6.5), at_ns(7.0))
     desk.run(6.7)
@@ -207,7 +207,7 @@ def test_a_board_can_be_replaced_between_recordings() -> None:
 
 def test_a_board_with_another_uid_than_configured() -> None:
     desk = Desk(facts=BoardFacts(uid="0badc0de"))
-    with pytest.raises(DeviceError, match=r"another board, .* instead of '0badc0de'"):
+    with pytest.raises(DeviceError, match=r"another board: .* instead of '0badc0de'"):
         desk.link.identify()
     desk.run(3.0)
     assert desk.link.state is LinkState.FOREIGN

@@ -365,7 +365,7 @@ def failing(tmp_path: Path, at_s: float, data: bytes, port: str = "ptu") -> tupl
 
 def test_a_limit_flag_in_motion_ends_it_halted(tmp_path: Path) -> None:
     bench, message = failing(tmp_path, 3.3, b"!P")
-    assert "the unit has lost its position, its pan axis met its limit" in message
+    assert "the unit has lost its position: its pan axis met its limit" in message
     assert "unit is halted" in message
     assert str(bench.only_file()) in message
     assert bench.is_still()

@@ -137,8 +137,8 @@ def test_a_name_falls_by_a_rest_of_its_own_kind_alone(base: Base) -> None:
     fit = base("eccentricity@pan:0.002")
     named = _named(fit, "eccentricity")
     large = 2.0 * named.ranked_causes[0].candidate.delta_log_likelihood
-    of_pan = DependenceTest("pan_angle", "on pan (change of the gain)", large, 24, 0.0)
-    of_time = DependenceTest("bias_time", "on the time (change of the bias)", large, 24, 0.0)
+    of_pan = DependenceTest("pan_angle", "on pan (the gain changes)", large, 24, 0.0)
+    of_time = DependenceTest("bias_time", "on the time (the bias changes)", large, 24, 0.0)
     assert find_partial_explanations(named, [of_pan], 0.8) == [True]
     assert find_partial_explanations(named, [of_time], 0.8) == [False]
     assert refit_without(fit, named, [True]).solution is fit

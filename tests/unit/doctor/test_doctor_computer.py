@@ -130,10 +130,10 @@ def test_nothing_starts_the_daemon(system: SystemFiles) -> None:
     wanted = system.path("/etc/systemd/system/multi-user.target.wants/gyrorigd.service")
     wanted.unlink()
     (finding,) = [f for f in check_computer(system) if f.level > Level.OK]
-    assert (finding.code, finding.remedy) == ("service", "sudo make install-service")
+    assert (finding.code, finding.remedy) == ("service", "run `sudo make install-service`")
     put(system, "/etc/systemd/system/gyrorigd.service", "")
     (finding,) = [f for f in check_computer(system) if f.level > Level.OK]
-    assert finding.remedy.startswith("systemctl enable")
+    assert finding.remedy.startswith("run `systemctl enable")
 
 
 def test_clocks(system: SystemFiles) -> None:

@@ -230,10 +230,10 @@ def test_what_cannot_be_is_refused_with_the_way_out(text: str, words: str) -> No
 @pytest.mark.parametrize(
     ("hide", "words"),
     [
-        (("backlash@z",), "Valid places are pan, tilt"),
-        (("warm_up@tilt",), "Valid places are x, y, z, GY80-1"),
+        (("backlash@z",), "Choose one of these places: pan, tilt"),
+        (("warm_up@tilt",), "Choose one of these places: x, y, z, GY80-1"),
         (("warm_up@C.x",), "cannot be injected at"),
-        (("clock_offset@x",), "Valid places are GY80-1"),
+        (("clock_offset@x",), "Choose one of these places: GY80-1"),
         (("earth_rotation@x",), "without a place"),
         (("backlash@pan", "backlash@pan:1e-3"), "injected twice"),
         (("sample_jitter:5e-3",), "at most 0.00274"),

@@ -204,7 +204,7 @@ def test_the_causes_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (("--hide", "wobble"), "is not a cause that can be hidden"),
         (("--hide", "backlash:wide"), "a number in rad"),
-        (("--hide", "backlash@z"), "Valid places are pan, tilt"),
+        (("--hide", "backlash@z"), "Choose one of these places: pan, tilt"),
         (("--hide", "random"), "Give a file with --truth"),
     ],
 )

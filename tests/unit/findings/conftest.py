@@ -55,7 +55,7 @@ def findings() -> CauseFindings:
         changes=CHANGES,
         gain=GAIN,
     )
-    rest = DependenceTest("pan_angle", "on pan (change of the gain)", 60.0, 24, 1e-4)
+    rest = DependenceTest("pan_angle", "on pan (the gain changes)", 60.0, 24, 1e-4)
     return CauseFindings(
         verdict="unexplained",
         causes=(named,),

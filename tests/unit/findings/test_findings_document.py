@@ -137,7 +137,7 @@ def test_a_person_reads_verdict_cause_size_and_remedy(
     assert "backlash, on tilt: the gears have backlash" in lines[1]
     assert "gap.tilt +57.3 ± 5.7 mdeg" in lines[2]
     assert "have the worm adjusted" in lines[3]
-    assert "depends on pan (change of the gain)" in summary
+    assert "depends on pan (the gain changes)" in summary
     assert "tilt_sag below 80.2 mdeg; if present, it would bias scale.z by up to 36.0 " in summary
 
 
@@ -164,7 +164,7 @@ def test_a_harmful_rest_limits_the_trust(findings: CauseFindings, origin: Findin
     good = Trust(verdict="good", reasons=[])
     limited = judge_findings(good, build_findings_document(findings, [], origin), [])
     assert limited.verdict == "limited"
-    assert "depends on pan (change of the gain)" in limited.reasons[0]
+    assert "depends on pan (the gain changes)" in limited.reasons[0]
     assert "up to about 6 times its uncertainty" in limited.reasons[0]
     clean = build_findings_document(replace(findings, unexplained=None), [], origin)
     assert judge_findings(good, clean, []) == good

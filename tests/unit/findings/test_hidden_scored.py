@@ -39,8 +39,9 @@ def scores(document: FindingsDocument, hidden: dict[str, Any]) -> list[tuple[str
 def test_a_named_cause_is_right(document: FindingsDocument) -> None:
     scored = score_causes(document, truth(("backlash", 0.00105, "rad")))
     assert [(score.cause, score.score) for score in scored] == [("backlash", "right")]
-    assert "size 60.2 mdeg, was injected and named: right, estimated 57.3 mdeg" in score_text(
-        document, scored
+    assert (
+        "size 60.2 mdeg, and the answer names it, with an estimated size of 57.3 mdeg"
+        in score_text(document, scored)
     )
 
 
@@ -77,7 +78,7 @@ def test_another_boards_cause_is_not_this_ones(document: FindingsDocument) -> No
 
 def test_nothing_hidden_and_nothing_named_is_said(document: FindingsDocument) -> None:
     clean = msgspec.structs.replace(document, causes=[])
-    assert "no cause was injected and none was named" in score_text(clean, score_causes(clean, {}))
+    assert "right: the rig had no cause" in score_text(clean, score_causes(clean, {}))
 
 
 def test_the_seal_of_the_emulator_opens_and_another_does_not() -> None:

@@ -87,8 +87,10 @@ def test_a_truncation_among_different_biases_is_reported_as_hidden(tmp_path: Pat
     answer_of = answers(result)
     assert [answer_of["L3G4200D", f"bias_{axis}"] for axis in "xyz"] == ["different"] * 3
     assert constants(result) == []
-    (line,) = [item for item in describe_offsets(result.offset_comparisons) if "truncated" in item]
-    assert line.startswith("truncated counts, 0.0044 deg/s on every axis, cannot be detected on")
+    (line,) = [item for item in describe_offsets(result.offset_comparisons) if "truncation" in item]
+    assert line.startswith(
+        "truncation of the counts (a bias of 0.0044 deg/s on every axis) cannot be detected on"
+    )
 
 
 def test_boards_with_unknown_count_size_hide_no_truncation(tmp_path: Path) -> None:

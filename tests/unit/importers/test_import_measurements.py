@@ -180,7 +180,7 @@ def test_turns_and_rests_become_phases(tmp_path: Path) -> None:
     ("change", "says"),
     [
         (lambda d: d["t"].__setitem__(7, d["t"][6]), "do not increase at row 8. Sort"),
-        (lambda d: d["t"].__setitem__(7, np.nan), "has the time nan s in row 8"),
+        (lambda d: d["t"].__setitem__(7, np.nan), "has the invalid time nan s in row 8"),
         (
             lambda d: d["t"].__setitem__(slice(None), d["t"] * 1e12),
             "Correct `unit` under `time` in the import map",
@@ -191,12 +191,15 @@ def test_turns_and_rests_become_phases(tmp_path: Path) -> None:
         ),
         (lambda d: d["g"].__setitem__((3, 1), np.inf), None),
         (lambda d: d["g"].fill(np.nan), "contain no numbers"),
-        (lambda d: d.__setitem__("g", d["g"][:, :2]), "has 2 columns, and 3 are needed"),
+        (lambda d: d.__setitem__("g", d["g"][:, :2]), "has 2 columns, but 3 are needed"),
         (lambda d: d.__setitem__("t", d["t"][:-1]), "199 times for 200 rows"),
         (lambda d: d.pop("g"), "has no array 'g'"),
         (lambda d: d.__setitem__("g", np.array([object()] * 9)), "g contains objects"),
-        (lambda d: d.__setitem__("g", d["g"] * 1j), "g contains complex128. Save it"),
-        (lambda d: d.__setitem__("g", d["g"][None]), "differ in length"),
+        (
+            lambda d: d.__setitem__("g", d["g"] * 1j),
+            "g contains complex128 values, not real numbers. Save it",
+        ),
+        (lambda d: d.__setitem__("g", d["g"][None]), "are not columns of one length"),
         (lambda d: d.__setitem__("t", np.array(["x"] * 200)), "t contains <U1"),
     ],
 )
@@ -219,13 +222,13 @@ def test_hostile_archives_are_rejected_in_one_line(
     ("content", "says"),
     [
         (b"", "is empty"),
-        (b"t,gx,gy,gz\n", "header and no rows"),
+        (b"t,gx,gy,gz\n", "header but no rows"),
         (b"t,gx,gy\n1,2,3\n", "no column 'gz'"),
         (
             b"t,gx,gy,gz\n0,2,3,4\n\n1,2,3,x\n",
             r"row 3 has 'x' in column gz, which is not a number. Correct",
         ),
-        (b"t,gx,gy,gz\n1,2,3\n", "row 1 has 3 columns. Correct or remove"),
+        (b"t,gx,gy,gz\n1,2,3\n", "row 1 has only 3 columns. Correct or remove"),
         (b"\xff\xfe\x00\x01" * 30, "is a binary file, not a text table"),
     ],
 )

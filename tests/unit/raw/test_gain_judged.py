@@ -44,7 +44,7 @@ def test_a_rotated_mount_is_reported_without_a_cause() -> None:
     """A quarter turn is a mount too: nothing in a recording tells it from exchanged axes."""
     gain = mounted() @ Rotation.from_euler("z", 90, degrees=True).as_matrix()
     assert causes(gain) == []
-    assert "mounted rotated" in check_gain(gain)[0].summary
+    assert "mounted in a rotated position" in check_gain(gain)[0].summary
 
 
 def test_a_mirrored_and_rotated_mount_is_one_finding() -> None:

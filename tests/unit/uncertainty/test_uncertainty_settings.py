@@ -64,7 +64,10 @@ def test_a_limit_is_in_the_unit_that_is_shown() -> None:
     [
         ('unit: {sag: {size: 1.0, unit: deg, source: "s"}}', "'sag' is not a cause"),
         ('unit: {bias_step: {size: 1.0, unit: deg/s, source: "s"}}', "wrong section"),
-        ('unit: {tilt_sag: {size: 1.0, unit: mm, source: "s"}}', "the unit is 'mm'"),
+        (
+            'unit: {tilt_sag: {size: 1.0, unit: mm, source: "s"}}',
+            "the unit 'mm' does not fit this cause",
+        ),
         ('unit: {tilt_sag: {size: -1.0, unit: deg, source: "s"}}', "size"),
         ("unit: {tilt_sag: {size: 1.0, unit: deg}}", "source"),
         ('unit: {tilt_sag: {size: 1.0, unit: deg, source: "s", std: 1.0}}', "std"),

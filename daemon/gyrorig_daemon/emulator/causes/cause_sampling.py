@@ -119,7 +119,7 @@ def _sample_component(
         places = [*cause.components, *(boards if is_on_board else ())]
         hint = sentence(did_you_mean(text, places))
         if places:
-            remedy = f"{hint} Valid places are {', '.join(places[:12])}".lstrip()
+            remedy = f"{hint} Choose one of these places: {', '.join(places[:12])}".lstrip()
         else:
             remedy = f"write {cause.name} without a place"
         raise UsageError(f"{cause.name} cannot be injected at {text!r:.40}", remedy)

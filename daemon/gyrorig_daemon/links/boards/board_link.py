@@ -347,7 +347,7 @@ class BoardLink:
             return
         self._presence.mark_absent()
         self.counts.hung_up += 1
-        self._sinks.fault(f"{self._location()} is gone, {reason}")
+        self._sinks.fault(f"{self._location()} is gone: {reason}")
 
     def _reset_connection(self, now_ns: int) -> None:
         """Forget what was known about the board, because its port was opened again."""
@@ -368,7 +368,7 @@ class BoardLink:
 
     def _foreign_description(self) -> str:
         return (
-            f"{self._location()} is another board, {self._foreign_uid!r} "
+            f"{self._location()} is another board: its uid is {self._foreign_uid!r} "
             f"instead of {self._pinned_uid!r}"
         )
 

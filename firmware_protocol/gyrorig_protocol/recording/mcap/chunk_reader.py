@@ -62,7 +62,10 @@ class ChunkDecompressor:
         compressed = data[chunk.data_start : chunk.data_end]
         size = chunk.unpacked_size
         if size > MAX_UNPACKED_BYTES or size > MAX_RATIO * len(compressed):
-            reason = f"{len(compressed)} bytes declare an unpacked size of {size}"
+            reason = (
+                f"the compressed data ({len(compressed)} bytes) claim an unpacked size of "
+                f"{size} bytes, which is more than the limit"
+            )
             raise ChunkError(LossCause.REFUSED, reason)
         try:
             content = self._decompress_bytes(chunk.compression, compressed, size)
@@ -70,7 +73,8 @@ class ChunkDecompressor:
             raise ChunkError(LossCause.DAMAGED, f"it cannot be unpacked ({error})") from error
         if len(content) != size:
             raise ChunkError(
-                LossCause.DAMAGED, f"{len(content)} bytes instead of the declared {size}"
+                LossCause.DAMAGED,
+                f"it unpacks to {len(content)} bytes instead of the declared {size}",
             )
         if chunk.crc and zlib.crc32(content) != chunk.crc:
             raise ChunkError(LossCause.DAMAGED, "its checksum is wrong")

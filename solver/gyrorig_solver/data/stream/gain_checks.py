@@ -24,8 +24,8 @@ FULL_SCALE_REMEDY = (
     "all rates are wrong by this factor until then"
 )
 TURNED_TEXT = (
-    "the axes are those of a board that is mounted rotated: {how}. Exchanged axes would give "
-    "the same data; check the mounting of the board"
+    "the board is mounted in a rotated position: {how}. Exchanged axes would give the same data; "
+    "check the mounting of the board"
 )
 
 
@@ -98,8 +98,8 @@ def _check_axes(gain: FloatArray) -> CheckResult:
             summary, (_axis_finding("sign_flip", "flipped", reversed_axes, summary),)
         )
     summary = (
-        f"the axes are mirrored: {mapping_text}. One sign is wrong or two axes are exchanged, and "
-        "the board is also mounted rotated"
+        f"the axes are mirrored: {mapping_text}. Either one sign is wrong or two axes are "
+        "exchanged. In both cases the board is also mounted in a rotated position"
     )
     return _mirror_result(summary, (_axis_finding("sign_flip", "flipped", reversed_axes, summary),))
 

@@ -52,17 +52,17 @@ def covariate_tests(scenes: Sequence[SignalState]) -> list[CovariateTest]:
     return [
         CovariateTest("own_rate", "on each axis' own rate", partial(_own_rate_signals, largest)),
         CovariateTest(
-            "speed", "on the speed (change of the gain)", partial(_gain_signals, _speed, speeds)
+            "speed", "on the speed (the gain changes)", partial(_gain_signals, _speed, speeds)
         ),
         CovariateTest(
-            "time", "on the time (change of the gain)", partial(_gain_signals, _time, times)
+            "time", "on the time (the gain changes)", partial(_gain_signals, _time, times)
         ),
         CovariateTest(
             "bias_time",
-            "on the time (change of the bias)",
+            "on the time (the bias changes)",
             partial(_bias_signals, _time, bias_knots),
         ),
-        CovariateTest("moving_bias", "on whether the board moves (change of the bias)", moving),
+        CovariateTest("moving_bias", "on whether the board moves (the bias changes)", moving),
         CovariateTest(
             "frequency", "on how quickly the rates change (effect of a filter)", _rate_derivatives
         ),

@@ -73,7 +73,7 @@ from gyrorig_solver.model.term import (
 )
 from gyrorig_solver.reference.attitude_reference import AttitudeReference
 
-DESCRIPTIONS = {"moving_bias": "on whether the board moves (change of the bias)"}
+DESCRIPTIONS = {"moving_bias": "on whether the board moves (the bias changes)"}
 ACTING_SIGMA = 3.0
 
 

@@ -28,9 +28,9 @@ KNOTS = 7
 MIN_BLOCKS = 256
 DESCRIPTIONS = {
     "own_rate": "on each axis' own rate",
-    "speed": "on the speed (change of the gain)",
-    "time": "on the time (change of the gain)",
-    "bias_time": "on the time (change of the bias)",
+    "speed": "on the speed (the gain changes)",
+    "time": "on the time (the gain changes)",
+    "bias_time": "on the time (the bias changes)",
 }
 
 

@@ -27,9 +27,9 @@ MIN_RELATIVE_STRENGTH = (
     1e-7  # of the strongest: modulations that are sums of others add no information
 )
 DESCRIPTIONS = {
-    "pan_transient": "on which axis starts and stops (change of the scatter)",
-    "speed": "on the speed (change of the scatter)",
-    "time": "on the time (change of the scatter)",
+    "pan_transient": "on which axis starts and stops (the scatter changes)",
+    "speed": "on the speed (the scatter changes)",
+    "time": "on the time (the scatter changes)",
 }
 
 

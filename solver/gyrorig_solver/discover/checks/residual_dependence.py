@@ -189,8 +189,8 @@ def variance_tests(projection: NuisanceProjector, tests: int) -> list[Dependence
     used = power > 0.0
     excess = residual**2 - 1.0
     for name, words, shapes in (
-        ("moving", "on whether and how fast the stage moves (change of the scatter)", moving),
-        ("acceleration_scatter", "on the acceleration (change of the scatter)", jitter),
+        ("moving", "on whether and how fast the stage moves (the scatter changes)", moving),
+        ("acceleration_scatter", "on the acceleration (the scatter changes)", jitter),
     ):
         trend = fit_variance_trend(shapes[:, used], excess[used])
         if trend.degrees_of_freedom:

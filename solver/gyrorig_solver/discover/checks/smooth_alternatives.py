@@ -47,7 +47,7 @@ class BasisFamily:
     """Smooth basis functions of one covariate; a covariate can have several families."""
 
     covariate: str
-    description: str  # "on pan (change of the gain)"
+    description: str  # "on pan (the gain changes)"
     signals: tuple[Callable[[SignalState], FloatArray], ...]  # each to (some of k, blocks, 3)
     detail: FloatArray  # (k,), half waves of each signal: 1 is the smoothest
     windows_s: FloatArray | None = None  # (k, 2), outside of which each signal is zero
@@ -85,8 +85,8 @@ def smooth_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
         scenes: all parts of all recordings that are fitted together.
     """
     time = _covariate_span(scenes, _time)
-    yield _gain_family("time", "on the time (change of the gain)", _time, time, TIME_WAVES)
-    yield _bias_family("bias_time", "on the time (change of the bias)", [(_time, time, BIAS_WAVES)])
+    yield _gain_family("time", "on the time (the gain changes)", _time, time, TIME_WAVES)
+    yield _bias_family("bias_time", "on the time (the bias changes)", [(_time, time, BIAS_WAVES)])
     speed = _covariate_span(scenes, _speed)
     if speed is not None:  # a board at rest has no speeds
         yield _speed_family(speed)
@@ -99,12 +99,12 @@ def smooth_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
         if span is None:
             continue
         yield _gain_family(
-            f"{name}_angle", f"on {name} (change of the gain)", _ANGLES[axis], span, count
+            f"{name}_angle", f"on {name} (the gain changes)", _ANGLES[axis], span, count
         )
         poses = [(_ANGLES[axis], span, POSE_WAVES)]
         if other_span is not None:
             poses.append((_ANGLES[1 - axis], other_span, CROSS_WAVES))
-        yield _bias_family(f"bias_{name}", f"on {name} (change of the bias)", poses)
+        yield _bias_family(f"bias_{name}", f"on {name} (the bias changes)", poses)
     yield from _move_families(scenes)
 
 
@@ -248,7 +248,7 @@ def _speed_family(span: tuple[float, float]) -> BasisFamily:
         return scene.sample_output(np.concatenate([gain, waves * scene.filtered_slope_rad_s2]))
 
     detail = np.tile(_wave_numbers(SPEED_WAVES), 2)
-    return BasisFamily("speed", "on the speed (change of the gain or delay)", (signal,), detail)
+    return BasisFamily("speed", "on the speed (the gain or the delay changes)", (signal,), detail)
 
 
 def _rate_family(scenes: Sequence[SignalState]) -> BasisFamily:
@@ -302,7 +302,7 @@ def _move_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
         )
         yield BasisFamily(
             f"move_{name}",
-            f"on the move (change of the {name})",
+            f"on the move (the {name} changes)",
             each,
             np.ones(len(spans)),
             spans + np.array([0.0, MOVE_AFTERMATH_S]),
@@ -310,7 +310,7 @@ def _move_families(scenes: Sequence[SignalState]) -> Iterator[BasisFamily]:
         )
     yield BasisFamily(
         "move_gain",
-        "on the time since a move began (change of the gain)",
+        "on the time since a move began (the gain changes)",
         (partial(_gain_since_move_start, np.sort(spans[:, 0])),),
         _wave_numbers(EDGE_WAVES),
     )

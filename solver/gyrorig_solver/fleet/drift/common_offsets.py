@@ -151,8 +151,9 @@ def describe_offsets(comparisons: Sequence[OffsetComparison]) -> list[str]:
             half_count = 0.5 * factor * (hiding[0].count_size_rad_s or 0.0)
             spread = factor * min(comparison.result.spread for comparison in hiding)
             lines.append(
-                f"truncated counts, {half_count:.2g} {unit} on every axis, cannot be detected "
-                f"on {sensor}: biases differ by {spread:.2g} {unit}"
+                f"truncation of the counts (a bias of {half_count:.2g} {unit} on every axis) "
+                f"cannot be detected on {sensor}, because the biases of the boards differ by "
+                f"{spread:.2g} {unit}"
             )
     for answer, (head, _) in _ANSWER_WORDS.items():
         rigs = [

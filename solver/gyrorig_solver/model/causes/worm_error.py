@@ -63,7 +63,8 @@ class WormError(LinearAngleTerm):
     picture = BinnedDependence("gain", "worm")
     excitation = "sweeps over several worm turns, over the same range at two speeds"
     effect_if_ignored = (
-        "small where sweeps span whole worm turns; otherwise the scale factors absorb part of it"
+        "small if every sweep covers whole turns of the worm; otherwise the scale factors contain "
+        "part of this error"
     )
     is_persistent = True
 

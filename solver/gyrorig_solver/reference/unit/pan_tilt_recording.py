@@ -180,7 +180,7 @@ def _read_polls(
     usable = np.flatnonzero(raw["status"] & UNUSABLE_STATUS == 0)
     if usable.size < 2:
         raise InputError(
-            f"{recording.path.name} has {usable.size} positions of the unit, and two are needed",
+            f"{recording.path.name} has {usable.size} positions of the unit, but two are needed",
             "remove `rate_hz` under `ptu: poll` from the rig file, because the default is "
             "higher, and record again",
         )
@@ -241,7 +241,7 @@ def _byte_s(metadata: Mapping[str, str]) -> float:
     baud = _finite_number(metadata, "baud") or FACTORY_BAUD
     if baud < 0.0:
         raise InputError(
-            f"the recording states {baud:g} as the unit's baud rate, and it must be above 0",
+            f"the recording gives the unit's baud rate as {baud:g}, but it must be above 0",
             "copy it again from the rig, or record again",
         )
     return BITS_PER_BYTE / baud
@@ -272,7 +272,8 @@ def _rad_per_step(recording: Recording, metadata: Mapping[str, str], axis: str) 
     arcsec = _finite_number(metadata, f"{axis}_resolution_arcsec")
     if not arcsec:
         raise InputError(
-            f"the recording lacks the unit's {axis}_resolution_arcsec, and {axis} never left 0",
+            f"the size of a {axis} step is not known: the recording lacks "
+            f"{axis}_resolution_arcsec, and {axis} never left 0",
             "record again with gyrorigd, which reads it from the unit",
         )
     return float(np.radians(arcsec / 3600.0))
