@@ -72,7 +72,7 @@ def test_ferraris_session_beside_imucal(load: Loader, measured_data: Path) -> No
     np.testing.assert_allclose(np.degrees(fit.bias_rad_s), theirs.b_g, atol=1e-3)
     assert fit.observability.rank == 12
     assert np.abs((fit.gain - gain) / fit.gain_std).max() < 0.05
-    assert "the data cannot test them" in fit.warnings[0]
+    assert "the data cannot test these uncertainties" in fit.warnings[0]
 
 
 def test_serial_log_gives_the_first_column_of_the_gain_and_no_factor(load: Loader) -> None:
