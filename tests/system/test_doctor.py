@@ -224,7 +224,7 @@ def test_boards_that_speak_otherwise(tmp_path: Path, capsys: pytest.CaptureFixtu
     lines = iter(range(10**9))
     with device(lambda *_: b"%d,1,2,3\r\n" % next(lines)) as port:
         _, findings = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
-        assert findings["board B-1 text"]["remedy"].startswith("set format: text")
+        assert findings["board B-1 text"]["remedy"].startswith("set `format: text`")
         path = tmp_path / "text.yaml"
         path.write_text(
             f"rig: r\nptu: {{port: emulated}}\nboards:\n- {{id: T-1, port: {port}, format: text, "

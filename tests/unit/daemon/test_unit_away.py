@@ -166,7 +166,7 @@ def test_the_configured_serial_number_is_accepted() -> None:
 
 
 def test_a_unit_with_another_serial_number_is_not_moved() -> None:
-    with pytest.raises(DeviceError, match=r"is 'E46-0001' instead of 'E46-0002'.*not moved"):
+    with pytest.raises(DeviceError, match=r"number 'E46-0001' instead of 'E46-0002'.*not moved"):
         Bench(named("E46-0002")).open()
 
 
