@@ -152,7 +152,7 @@ def make_spool_of_one(out: Path, recording: Path) -> None:
 
 
 def make_phone(out: Path, recording: Path) -> None:
-    """Write the log of a phone that was on the stage, with a clock of its own."""
+    """Write the log of a phone that was on the stage and has a separate clock."""
     ticks, counts = [], []
     with _only_recording(recording).open("rb") as stream:
         reader = make_reader(stream)

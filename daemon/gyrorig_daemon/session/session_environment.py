@@ -1,4 +1,4 @@
-"""Surroundings of a session: clocks, signals, and who is told about its progress.
+"""The environment of a session: clocks, signals and reports of its progress.
 
 What to use when: `SessionEnvironment` for `record_session` and `Session`.
 """

@@ -1,7 +1,7 @@
 """Six recordings of the emulated rig, each with one cause that a calibration may not show.
 
 Each lasts about 300 s with a board at 100 Hz and the unit polled at 115200 baud. The unit of the
-last case is told a base speed of 0 and has 3.5 deg/s.
+last case is configured with base speed 0 and has 3.5 deg/s.
 """
 
 import json
