@@ -57,13 +57,14 @@ def misses() -> str:
     missed = [row for row in rows if row.verdict != "yes"]
     beyond = sum(row.verdict == "NO" for row in missed)
     text = (
-        f"{len(rows) - len(missed)} of {len(rows)} coverages are within the goal; "
-        f"{len(missed) - beyond} miss it within chance, {beyond} beyond chance."
+        f"Of {len(rows)} coverages, {len(rows) - len(missed)} are within the goal. Another "
+        f"{len(missed) - beyond} are outside the goal, but their 95 % limits reach it. The 95 % "
+        f"limits of {beyond} coverages are outside the goal."
     )
     beyond_rows = [(row.item, row.goal, row.figure) for row in missed if row.verdict == "NO"]
     if not beyond_rows:
         return text
-    return f"{text}\n\n" + table(("beyond chance", "goal", "measured"), beyond_rows)
+    return f"{text}\n\n" + table(("coverage outside the goal", "goal", "measured"), beyond_rows)
 
 
 BLOCKS: dict[str, Block] = {"coverage-parameters": coverage, "coverage-misses": misses}

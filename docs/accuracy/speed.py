@@ -30,8 +30,8 @@ def boards() -> str:
     measurement = _read("speed.json")
     lines = [
         f"The recording has {measurement['samples']} samples. The solver processes "
-        f"{measurement['boards_s']:.1f} boards "
-        f"per second and core (goal: 10, aim: 20), with a peak of {measurement['peak_mb']:.0f} MB."
+        f"{measurement['boards_s']:.1f} boards per second and core. The goal is 10 boards per "
+        f"second and core, and the aim is 20. The peak memory is {measurement['peak_mb']:.0f} MB."
     ]
     for name, text in (
         ("eq. 7", "Eq. 7 of the paper (one pseudo-inverse over the same samples)"),
@@ -39,9 +39,10 @@ def boards() -> str:
     ):
         if name in measurement["peers_ms"]:
             lines.append(
-                f"{text} takes {measurement['peers_ms'][name]:.2f} ms. All our steps "
-                f"after reading take {measurement['after_reading_to'][name]:.0f} times as long, "
-                f"and our fit alone takes {measurement['solve_to'][name]:.0f} times as long."
+                f"{text} takes {measurement['peers_ms'][name]:.2f} ms. "
+                f"All steps of our solver after reading take "
+                f"{measurement['after_reading_to'][name]:.0f} times as long, and our fit alone "
+                f"takes {measurement['solve_to'][name]:.0f} times as long."
             )
     return "\n".join(lines)
 

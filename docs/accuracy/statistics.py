@@ -119,7 +119,7 @@ def goals() -> str:
 
 
 def offsets() -> str:
-    """The time offset, whole and with without the constant that no reply can show."""
+    """The time offset, with and without the constant that the replies do not show."""
     rows = []
     for case, result in _cases():
         parts = [("whole offset", result["parameters"]["time_offset"])]
@@ -169,7 +169,7 @@ def misses() -> str:
     """Every goal that was not met, and how many were."""
     rows = list(judged(results()))
     missed = [row for row in rows if row.verdict != "yes"]
-    summary = f"{len(rows) - len(missed)} of {len(rows)} goals are met."
+    summary = f"The solver meets {len(rows) - len(missed)} of {len(rows)} goals."
     if not missed:
         return summary
     return f"{summary}\n\n" + table(
