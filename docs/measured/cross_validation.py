@@ -131,7 +131,9 @@ def summary(measured: MeasuredSets) -> str:
     whole = [pair.factor(RAW, ALL) for pair in all_pairs]
     lines = [_counted("Compared with the raw gyro,", whole, all_pairs)]
     with_offset = [pair.factor(OFFSET, ALL) for pair in all_pairs]
-    lines.append(_counted("Compared with the time offset alone,", with_offset, all_pairs))
+    lines.append(
+        _counted("Compared with a correction of the time offset alone,", with_offset, all_pairs)
+    )
     return "\n".join(lines)
 
 
@@ -147,17 +149,19 @@ def _counted(
     line = f"- {comparison} the calibration reduces the error in {count}"
     if helped:
         line += f", by a factor of {number(min(helped), 2)} to {number(max(helped), 2)}"
-    for verdict, words in (
-        ("no difference", "makes no significant difference in"),
-        ("harms", "increases the error in"),
+    for verdict, statement in (
+        ("no difference", "The change of the error is not significant in the pairs"),
+        ("harms", "The calibration increases the error in the pairs"),
     ):
         titles = [
             f"{pair.title} ({number(ratio[0], 2)})"
             for pair, ratio, its in zip(all_pairs, factor, verdicts, strict=True)
             if its == verdict
         ]
-        if titles or verdict == "harms":
-            line += f". It {words} {', '.join(titles) or 'no pair'}"
+        if titles:
+            line += f". {statement} {', '.join(titles)}"
+        elif verdict == "harms":
+            line += ". The calibration increases the error in no pair"
     return f"{line}."
 
 

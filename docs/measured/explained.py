@@ -129,14 +129,14 @@ def moving_bias(measured: MeasuredSets, name: str) -> tuple[FloatArray, FloatArr
 
 def untold(measured: MeasuredSets) -> str:
     """The recordings in which only the raw samples can be checked, with the reason."""
-    lines = []
+    rows = []
     for name in names(measured):
         findings = findings_of(measured, name)
         if findings.minimal_detectable:
             continue
         reasons = {entry.reason for entry in findings.not_testable}
-        lines += [f"- {name}: {reason}" for reason in sorted(reasons)]
-    return "\n".join(lines)
+        rows += [[name, reason] for reason in sorted(reasons)]
+    return table(["recordings", "reason"], rows)
 
 
 def _named(cause: CauseEntry) -> str:

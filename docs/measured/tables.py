@@ -79,12 +79,12 @@ def _cell(value: float | None, std: float | None, factor: float) -> str:
 
 
 def reasons(calibrations: Mapping[str, CalibrationDocument]) -> str:
-    """The reasons and warnings of each result, with their remedies."""
-    lines = []
+    """The reasons for each verdict and the remarks, with their remedies."""
+    rows = []
     for title, calibration in calibrations.items():
-        lines += [f"- {title}: {reason}" for reason in calibration.trust.reasons]
-        lines += [f"- {title}, remark: {text}" for text in calibration.quality.warnings]
-    return "\n".join(lines)
+        rows += [[title, "reason", text] for text in calibration.trust.reasons]
+        rows += [[title, "remark", text] for text in calibration.quality.warnings]
+    return table(["recording", "kind", "message"], rows)
 
 
 def untold(calibration: CalibrationDocument) -> str:

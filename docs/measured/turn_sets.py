@@ -106,4 +106,6 @@ def serial_refused(measured: MeasuredSets) -> str:
 def serial_untold(measured: MeasuredSets) -> str:
     """What two turns about one axis leave open."""
     calibration = measured.calibration("MPU6050-SERIAL")
-    return f"No value: {untold(calibration)}.\n\n" + reasons({"together": calibration})
+    return f"The solver states no value for these parameters: {untold(calibration)}.\n\n" + reasons(
+        {"all three": calibration}
+    )
