@@ -62,11 +62,11 @@ def reached(outcomes: Outcomes) -> str:
     alone = sum(outcome.kind == "null" for outcome in outcomes)
     other = len(outcomes) - alone
     lines = [
-        f"- {what}: {count} of {asked} were run"
-        + ("." if count >= asked else ". Therefore the confidence limits are wider.")
-        for what, count, asked in (
-            ("Sessions without a hidden cause", alone, NULLS),
-            ("Sessions with a hidden effect", other, HIDDEN),
+        f"- The test ran {count} of {planned} planned sessions {kind}"
+        + ("." if count >= planned else ", so the confidence limits are wider than planned.")
+        for kind, count, planned in (
+            ("without a hidden cause", alone, NULLS),
+            ("with a hidden effect", other, HIDDEN),
         )
     ]
     return "\n".join(lines)
