@@ -25,6 +25,7 @@ from tests.bench.peers import factor_graph, figures, measured, turns
 from tests.bench.peers.recording import CROSS, SWEEPS
 
 ALL, NO_ROLL = (0, 1, 2), (0, 2)
+PAN_SWEEPS = "The motion consists of pan sweeps at positive and at negative tilts."
 PAPER_CYCLE = "The motion is the cycle of the paper: pan moves at tilt 0, and tilt moves at pan 0."
 
 
@@ -38,20 +39,22 @@ def simulated(seeds: int) -> None:
     """Print the tables of the simulated recordings."""
     say(f"\nThe standard uncertainty of each rms error is {figures.spread_percent(seeds):.0f} %.")
     for title, program, columns in (
-        ("Pan sweeps at positive and at negative tilts.", SWEEPS, ALL),
+        (PAN_SWEEPS, SWEEPS, ALL),
         (PAPER_CYCLE, CROSS, NO_ROLL),
     ):
         for known in (True, False):
             given = "the true angles" if known else "only the position replies"
             say(f"\n{title}")
-            say(f"Every method gets {given} of the unit. The table is from {seeds} runs.\n")
+            say(f"Every method gets {given} of the pan-tilt unit.")
+            say(f"The rms errors are from {seeds} runs.\n")
             errors, bounds = figures.runs(program, seeds, known, columns)
             say(figures.accuracy(errors, bounds, known))
             if columns != ALL and known:
-                say("\nThis motion does not determine the roll column of the gain.\n")
+                say("\nThe cycle of the paper does not determine the roll column of the gain.")
+                say("The next table gives the result of each method for the roll column:\n")
                 say(figures.hidden_column(errors))
     say("\nThe session has six rests and three full turns, as imucal expects.")
-    say(f"The table is from {seeds} runs.\n")
+    say(f"The rms errors are from {seeds} runs.\n")
     say(figures.turned(seeds))
 
 
@@ -64,15 +67,18 @@ def others() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         rows = measured.imported(data, Path(folder))
-        say("\nMotion capture (BROAD): each method is fitted to one trial and tested on another")
-        say("trial of the same sensor unit. The head gives fitted → tested trial, the cells the")
-        say("rms rotation error of windows of 1 s.\n")
+        say("\nOn the motion-capture data (BROAD), each method is fitted to one trial and tested")
+        say("on another trial of the same sensor unit. Each column heading names the fitted trial")
+        say("and the tested trial (fitted → tested). Each cell gives the rms rotation error over")
+        say("windows of 1 s.\n")
         say(measured.motion_capture(rows))
-        say("\nGravity (imu_tk_xsens): a fit to one half of the moves is tested on the other half,")
-        say('except in rows with "all moves".\n')
+        say("\nOn the data with gravity as the reference (imu_tk_xsens), each method is fitted to")
+        say("one half of the moves and tested on the other half. The gains in the rows with")
+        say('"all moves" come from a fit to all moves.\n')
         say(measured.gravity(rows))
         if turns.imucal_installed():
-            say("\nTurns by hand (imucal_ferraris): our solver compared with imucal.\n")
+            say("\nOn the data with turns by hand (imucal_ferraris), our solver is compared with")
+            say("imucal.\n")
             say(measured.hand_turns(rows))
 
 

@@ -72,8 +72,9 @@ def hand_turns(measured: MeasuredSets) -> str:
     apart = float(np.abs(ours.gain - theirs).max())
     std = float(ours.gain_std.max())
     return (
-        f"The largest difference between the nine entries of the gain is {apart:.1e}. The largest "
-        f"standard deviation that our solver states for these entries is {std:.1e}."
+        f"The largest difference between the gain entries of our solver and of imucal is "
+        f"{apart:.1e}. The largest standard deviation that our solver states for a gain entry is "
+        f"{std:.1e}."
     )
 
 
