@@ -175,7 +175,7 @@ def _report_error(terminal: Terminal, fault: Exception, arguments: Sequence[str]
         extra = _EXTRAS.get((fault.name or "").split(".")[0])
         if extra is not None:
             fault = UsageError(
-                f"this command needs {fault.name}, which is not installed",
+                f"this command needs the Python package {fault.name}, which is not installed",
                 f"run `pip install 'gyrorig[{extra}]'`",
             )
     if isinstance(fault, GyrorigError):

@@ -168,5 +168,5 @@ def test_a_fitted_recording_cannot_be_held_out(tmp_path: Path) -> None:
     out = tmp_path / "findings"
     process = gyrorig("explain", str(path), "--held-out", str(path), "--out", str(out))
     assert process.returncode == 2
-    assert f"{path.name} is named twice. List each recording once" in process.stderr
+    assert f"the recording {path.name} is given twice. Give each recording once" in process.stderr
     assert not out.exists()

@@ -77,7 +77,7 @@ def fit_gravity(
     if samples.accel_m_s2 is None:
         raise InputError(
             f"board {samples.board} has no accelerometer in this recording",
-            "use another reference, because gravity between rests needs one",
+            "record its accelerometer too, or use a reference other than gravity",
         )
     poses = find_poses(samples.time_s, samples.accel_m_s2, gravity_m_s2, rest_interval)
     rest_bias = _rest_bias(samples, poses)
@@ -147,8 +147,8 @@ def _moves(samples: GyroSamples, poses: StaticPoses, rest_bias: FloatArray) -> l
         moves.append(_Move(step_s, rate, poses.direction[k], poses.direction[k + 1]))
     if len(moves) < 5:
         raise InputError(
-            f"only {len(moves)} moves between rests can be integrated ({unusable} have gaps or are "
-            "saturated), and 5 are needed",
+            f"a calibration by gravity needs 5 moves between rests, but only {len(moves)} are "
+            f"usable ({unusable} have gaps or saturated samples)",
             "turn the board more slowly, and in more moves",
         )
     return moves

@@ -152,9 +152,9 @@ def too_short_error(sampling: Sampling) -> InputError:
     """Return the error for a recording without any series, with the minimum duration."""
     min_duration_s = MIN_SERIES_BLOCKS / sampling.rate_hz
     return InputError(
-        f"no segment of samples without a gap lasts {min_duration_s:.2g} s",
-        f"record for longer. A gap above {MAX_GAP_S:g} s or a reset ends a segment, and "
-        "`gyrorig check` counts them",
+        f"the recording has no segment of at least {min_duration_s:.2g} s without a gap",
+        "record for longer. A segment ends at a reset of the board or at a gap above "
+        f"{MAX_GAP_S:g} s; `gyrorig check` counts these gaps",
     )
 
 

@@ -371,8 +371,8 @@ class SessionFit:
         self._predict_coarsely(self.lag_s)
         if not any(series_state.used.any() for series_state in self._series_states):
             raise InputError(
-                "the reference motion is unknown at all samples",
-                "check that unit and board were recorded together",
+                "the recording has no reference motion at the times of its samples",
+                "check that the pan-tilt unit and the board were recorded at the same time",
             )
 
     def inlier_masks(self, gain: FloatArray) -> list[BoolArray]:

@@ -77,12 +77,13 @@ def fit_turns(
     ]
     if not integrated_turns:
         raise InputError(
-            "no recording declares a turn by a known angle",
-            "add the axis and angle of a turn under `turns` in the import map, and import again",
+            "the recordings contain no turn with a known angle",
+            "write the axis and angle of each turn under `turns` in the import map, and import the "
+            "data again",
         )
     if not rests:
         raise InputError(
-            "the bias is estimated at rest, but the board never rests in these recordings",
+            "the solver estimates the bias at rest, but the board never rests in these recordings",
             "add a recording of this board at rest",
         )
     solver = _TurnSolver(integrated_turns, np.array(rests), axis_std_rad)
@@ -139,13 +140,14 @@ def _integrate(samples: GyroSamples, turn: KnownTurn) -> _IntegratedTurn:
     index = _samples_in(samples, turn.interval).astype(np.int64)
     if index.size < 8:
         raise InputError(
-            f"the turn at {turn.interval.begin_s:.1f} s has only {index.size} usable samples",
-            "correct the start and the end of its phase, or remove the phase",
+            f"the turn at {turn.interval.begin_s:.1f} s has only {index.size} usable samples, and "
+            "8 are needed",
+            "correct the start and the end of the turn's phase, or remove the phase",
         )
     if np.any(np.diff(samples.segment[index]) != 0):
         raise InputError(
             f"the board was reset during the turn at {turn.interval.begin_s:.1f} s",
-            "check its supply and its cable, and record the turn again",
+            "check the board's supply and cable, and record the turn again",
         )
     time_s, rate = samples.time_s[index], samples.rate_rad_s[index]
     # Half a period more at both ends: n samples represent n periods.
@@ -158,9 +160,9 @@ def _rest_mean(samples: GyroSamples, interval: TimeInterval) -> FloatArray:
     rate = samples.rate_rad_s[_samples_in(samples, interval).astype(np.int64)]
     if len(rate) < 8:
         raise InputError(
-            f"the static interval at {interval.begin_s:.1f} s has only {len(rate)} good samples, "
-            "and 8 are needed",
-            "make it longer, or remove it from the program or the import map",
+            f"the rest at {interval.begin_s:.1f} s has only {len(rate)} usable samples, and 8 are "
+            "needed",
+            "make the rest longer, or remove it from the motion program or the import map",
         )
     median = np.median(rate, axis=0)
     # Not the median absolute deviation, which is 0 if most samples have the same count.

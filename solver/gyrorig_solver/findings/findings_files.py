@@ -48,7 +48,7 @@ def write_findings(
             (folder / FIGURES_FOLDER).mkdir(exist_ok=True)
     except OSError as fault:
         raise MachineError(
-            f"cannot write in the folder {folder} ({fault.strerror})",
+            f"the folder {folder} cannot be written ({fault.strerror})",
             "choose another folder with --out",
         ) from fault
     for key, text in figures.items():

@@ -35,6 +35,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.model.parameter_units import plural
 
 LEVEL_STD_RAD = 0.035  # a rig on a table is level within about 2 deg
 # Of A's x column, which only the lean shows: the scale factor of an accelerometer (ADXL345:
@@ -93,10 +94,10 @@ def estimate_level(
     tilts = 1 + int(np.sum(np.diff(ordered) > MIN_TILT_STEP_RAD)) if ordered.size else 0
     if tilts < MIN_TILTS or ordered[-1] - ordered[0] < MIN_TILT_RANGE_RAD:
         raise InputError(
-            f"the unit rested at only {tilts} tilt angles, within "
-            f"{np.degrees(np.ptp(ordered)) if tilts else 0.0:.0f} deg. This is not enough to "
-            "separate the accelerometer's bias from an error of the tilt zero",
-            f"rest at {MIN_TILTS} or more tilt angles that span at least "
+            "the tilt zero cannot be measured, because the unit rested at only "
+            f"{plural(tilts, 'tilt angle')} within "
+            f"{np.degrees(np.ptp(ordered)) if tilts else 0.0:.0f} deg",
+            f"record rests at {MIN_TILTS} or more tilt angles that span at least "
             f"{np.degrees(MIN_TILT_RANGE_RAD):.0f} deg",
         )
     reading = reading_m_s2 if nominal is None else reading_m_s2 @ nominal
@@ -212,8 +213,8 @@ def rest_means(time_s: FloatArray, accel_m_s2: FloatArray, angle_rad: FloatArray
         scatter.append(accel_m_s2[inside].var(axis=0, ddof=1).mean() / inside.size)
     if not readings:
         raise InputError(
-            "the recording has no rest of the unit with accelerometer samples",
-            f"rest for {SETTLING_TIME_S + MIN_REST_S:.1f} s or longer at several tilts",
+            "the recording has no accelerometer samples from a rest of the unit",
+            f"rest for {SETTLING_TIME_S + MIN_REST_S:.1f} s or longer at several tilt angles",
         )
     return RestMeans(
         np.array(pans), np.array(tilts), np.stack(readings), float(np.sqrt(np.median(scatter)))

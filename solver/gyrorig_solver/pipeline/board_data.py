@@ -108,8 +108,8 @@ def reference_motion(recording: Recording, samples: GyroSamples) -> ReferenceMot
     turns = read_turns(recording.events(), samples.origin_ns)
     if not _is_at_rest(turns, samples):
         raise UsageError(
-            f"{recording.path.name} has no pan-tilt unit, and its board is not at rest throughout",
-            "solve it separately from the recordings of a unit",
+            f"the board moves in {recording.path.name}, but that recording has no pan-tilt unit",
+            "solve that recording separately from the recordings with a unit",
         )
     return RestReference(turns.rests)
 
@@ -132,10 +132,11 @@ def check_given_once(recordings: Sequence[Recording]) -> None:
         if twin is not recording:
             name, other_name = twin.path.name, recording.path.name
             raise UsageError(
-                f"{name} is named twice"
+                f"the recording {name} is given twice"
                 if name == other_name
-                else f"{name} and {other_name} are one recording",
-                "list each recording once: counting data twice makes the uncertainties too small",
+                else f"the files {name} and {other_name} contain the same recording",
+                "give each recording once, because data that count twice make the uncertainties "
+                "too small",
             )
 
 
@@ -146,7 +147,7 @@ def _check_same_settings(recordings: Sequence[Recording], samples: Sequence[Gyro
             value, other_value = first[1].metadata.get(key), other.metadata.get(key)
             if value != other_value:
                 raise UsageError(
-                    f"{first[0].path.name} has {key} {value}, "
-                    f"and {recording.path.name} has {other_value}",
-                    "solve recordings with different settings separately",
+                    f"the recordings {first[0].path.name} and {recording.path.name} have different "
+                    f"settings of the board ({key} {value} and {other_value})",
+                    "solve each of these recordings separately",
                 )

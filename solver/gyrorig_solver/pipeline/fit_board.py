@@ -90,8 +90,8 @@ def _fit_best_reference(
         return prepared.summarize(prepared.solve())
     if extend:
         raise UsageError(
-            "causes beyond the base model need a recording of a pan-tilt unit",
-            "leave out --extend, or record the board on a unit",
+            "the option --extend needs a recording with a pan-tilt unit",
+            "leave out --extend, or record the board on a pan-tilt unit",
         )
     if data.has_attitudes:
         return fit_attitude(
@@ -110,15 +110,16 @@ def _fit_gravity_or_rest(data: BoardData) -> GyroFit:
     if len(data.recordings) > 1:
         raise UsageError(
             f"{len(data.recordings)} recordings without a reference cannot be solved together",
-            "solve each one separately, which writes one version per recording",
+            "solve each recording separately, which writes one version per recording",
         )
     (recording,), (samples,), (known_turns,) = data.recordings, data.samples, data.known_turns
     if mostly_at_rest(known_turns.rests, float(samples.time_s[-1] - samples.time_s[0])):
         return fit_motion(samples, RestReference(known_turns.rests), REST_REMEDIES)
     if samples.accel_m_s2 is None:
         raise InputError(
-            f"{recording.path.name} has no reference",
-            "add positions of a pan-tilt unit, attitudes, known turns or an accelerometer",
+            f"the recording {recording.path.name} has no reference to compare the rates with",
+            "record a pan-tilt unit, reference attitudes, known turns or the board's accelerometer "
+            "too",
         )
     site = recording.metadata.get("gyrorig.site", {})
     gravity = positive_number(site, "gravity_m_s2") or STANDARD_GRAVITY_M_S2

@@ -142,8 +142,8 @@ def prepare_held_out(
 def _require_unit(recordings: Sequence[Recording]) -> None:
     if not has_unit(recordings):
         raise UsageError(
-            f"{', '.join(r.path.name for r in recordings)[:120]} has no motion of a pan-tilt "
-            "unit, which the search for causes needs",
+            "the search for causes needs the motion of a pan-tilt unit, which these recordings do "
+            f"not contain: {', '.join(r.path.name for r in recordings)[:120]}",
             "record the board on a pan-tilt unit",
         )
 

@@ -61,8 +61,9 @@ def _site_angle(site: Mapping[str, str], key: str, limit: float) -> float | None
         value = np.nan
     if not abs(value) <= limit:
         raise InputError(
-            f"the recording gives the invalid {key} {text[:40]!r} for its site",
-            f"give it from -{limit:g} to {limit:g} under site in the rig file, and record again",
+            f"the recording has an invalid {key} of its site, {text[:40]!r}",
+            f"write a number from -{limit:g} to {limit:g} as {key} under `site` in the rig file, "
+            "and record again",
         )
     return value
 

@@ -207,11 +207,12 @@ def rebuild_report_data(
         raise InputError(
             f"the calibration of {calibration.board.id} was solved from {needed[missing]}, "
             "which is not among the given recordings",
-            "give all recordings of the calibration, or none",
+            "give all recordings that the calibration was solved from, or give none",
         )
     for other in given.keys() - needed.keys():
         raise InputError(
-            f"{calibration.board.id} was not solved from {given[other]}", "leave it out"
+            f"the calibration of {calibration.board.id} was not solved from {given[other]}",
+            "leave out this recording",
         )
     if calibration.solver.method == "paper":
         return ReportData(calibration, profile=find_profile(calibration.board.sensor))
@@ -230,8 +231,8 @@ def _requested_causes(calibration: CalibrationDocument) -> tuple[str, ...]:
         if settings_sha256(likelihood_settings(extend)) == calibration.solver.config_sha256:
             return extend
     raise InputError(
-        f"the settings that {calibration.board.id} was solved with are not known",
-        "leave the recordings out for a report without figures, or solve again",
+        f"the calibration of {calibration.board.id} does not contain the settings of its solve",
+        "leave out the recordings to get a report without figures, or solve them again",
     )
 
 
@@ -258,8 +259,9 @@ def _solve_by_paper(
 ) -> tuple[DocumentBuilder, Callable[[CalibrationDocument], ReportData]]:
     if len(data.recordings) > 1:
         raise UsageError(
-            f"the paper's method takes one recording, not {len(data.recordings)}",
-            "name one recording",
+            "the paper's method calibrates from one recording, but "
+            f"{len(data.recordings)} recordings are given",
+            "give one recording",
         )
     (recording,), (samples,), board = data.recordings, data.samples, BoardId(data.board)
     result = solve_with_paper_method(recording, board, samples)

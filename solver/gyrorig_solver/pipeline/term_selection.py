@@ -103,21 +103,22 @@ def _check_fittable(cause: str) -> None:
     requested_term = find_term(cause)
     if requested_term.kind == "gauge":
         raise UsageError(
-            f"{cause} is absorbed completely by the base parameters, so no motion shows it",
-            f"leave it out. To separate it, a recording needs {requested_term.excitation}",
+            f"the solver cannot fit the cause {cause}, because the parameters of the base model "
+            "absorb its effect completely",
+            f"leave out this cause. A measurement that shows it: {requested_term.excitation}",
         )
     if requested_term.kind not in ("effect", "known"):
         raise UsageError(
-            f"{cause} cannot be fitted to the rates",
-            "leave it out and run `gyrorig explain`, which searches for it. Needed in the "
-            f"recording: {requested_term.excitation}",
+            f"the solver cannot fit the cause {cause} to the rates",
+            "leave out this cause and run `gyrorig explain`, which searches for it. The search "
+            f"needs this in the recording: {requested_term.excitation}",
         )
     if (
         any(p.role != "size" for p in requested_term.parameters)
         and not requested_term.depends_on_temperature
     ):
         raise UsageError(
-            f"{cause} has shape parameters, and only a search can find them",
+            f"the cause {cause} has shape parameters, which only a search for causes can find",
             "use `--extend auto` or `gyrorig explain`",
         )
 

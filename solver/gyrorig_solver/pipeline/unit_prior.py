@@ -69,7 +69,7 @@ def read_unit_file(path: Path) -> UnitPosteriorDocument:
         return parse_unit(path.read_bytes(), str(path))
     except OSError as fault:
         reason = fault.strerror or "it is not readable"
-        raise UsageError(f"{path} cannot be read ({reason})", "check the path") from fault
+        raise UsageError(f"the file {path} cannot be read ({reason})", "check the path") from fault
 
 
 @dataclass(frozen=True, slots=True)

@@ -143,8 +143,9 @@ def _simulated_series(duration_s: float, sensor: SensorModel, name: str) -> Seri
     if count < MIN_SERIES_BLOCKS * block:
         least_s = MIN_SERIES_BLOCKS * block / sensor.odr_hz
         raise UsageError(
-            f"{name} lasts {duration_s:.1f} s, and a calibration needs {least_s:.1f} s",
-            "give it more rests and moves",
+            f"the motion program {name} lasts {duration_s:.1f} s, but a calibration needs at least "
+            f"{least_s:.1f} s",
+            "add rests and moves to the program",
         )
     return Series(
         time_s=np.asarray((np.arange(count) + 0.5) / sensor.odr_hz, dtype=np.float64),

@@ -276,8 +276,8 @@ def build_program(
     cycles = int((duration_s - fixed_s) / cycle_s)
     if cycles < 1:
         raise UsageError(
-            f"{duration_s:g} s is too short for any program of this kind",
-            f"give at least {fixed_s + cycle_s:.0f} s",
+            f"a duration of {duration_s:g} s is too short for a motion program of this kind",
+            f"give a duration of at least {fixed_s + cycle_s:.0f} s",
         )
     extra = len(design.stay_waypoints(space) if design.once else design.round_waypoints(space)) - 1
     while extra > 0 and lasts_s(made(cycles, extra, STATIC_S)) > duration_s:

@@ -181,7 +181,7 @@ def _find_for_causes(
     shortest = _survey_design(*SURVEY_LEVELS[-1], SURVEY_SWINGS[0])
     screen.cost(shortest)
     raise UsageError(
-        f"{screen.duration_s:g} s is too short for a program that separates causes",
+        f"a motion program of {screen.duration_s:g} s is too short to separate causes",
         f"give --seconds {np.ceil(screen.min_duration_s[shortest]):.0f} or more",
     )
 
@@ -233,6 +233,6 @@ def _differs_in(design: ProgramDesign, other: ProgramDesign, names: tuple[str, .
 def _too_short(screen: WhiteNoiseScreen, duration_s: float) -> UsageError:
     """Return the error for a time in which no program fits, with the shortest length."""
     return UsageError(
-        f"{duration_s:g} s is too short for a program that shows all parameters",
+        f"a motion program of {duration_s:g} s is too short to determine all parameters",
         f"give --seconds {np.ceil(min(screen.min_duration_s.values())):.0f} or more",
     )

@@ -193,8 +193,9 @@ class _ProgramRun:
     def _poll(self, count: int) -> None:
         if self.now_s + count * self.unit.poll_interval_s > MAX_DURATION_S:
             raise UsageError(
-                f"{self.program.name} lasts longer than {MAX_DURATION_S:g} s",
-                "predict a part of it",
+                f"the motion program {self.program.name} lasts longer than {MAX_DURATION_S:g} s, "
+                "which is the limit for a prediction",
+                "shorten the program",
             )
         if count > 0:
             self.blocks.append((self.now_s, count))
@@ -244,13 +245,13 @@ def _check_limits(
     half_step_deg = model.resolution_arcsec / ARCSEC_PER_DEG / 2.0
     if not model.low_deg - half_step_deg <= angle_deg <= model.high_deg + half_step_deg:
         raise UsageError(
-            f"{where} turns {axis_name} to {angle_deg:g} deg, but the limits are "
+            f"{where} turns {axis_name} to {angle_deg:g} deg, but the unit allows only "
             f"{model.low_deg:.2f} to {model.high_deg:.2f} deg",
-            "change the program",
+            f"choose a {axis_name} angle within these limits in the motion program",
         )
     if not model.slowest_deg_s - half_step_deg <= speed <= fastest_deg_s + half_step_deg:
         raise UsageError(
-            f"{where} turns {axis_name} at {speed:g} deg/s, but the limits are "
+            f"{where} turns {axis_name} at {speed:g} deg/s, but the unit allows only "
             f"{model.slowest_deg_s:.2f} to {fastest_deg_s:.2f} deg/s",
-            "change the program",
+            f"choose a {axis_name} speed within these limits in the motion program",
         )

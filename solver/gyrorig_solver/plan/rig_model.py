@@ -116,8 +116,8 @@ def load_rig(path: Path) -> RigModel:
         text = path.read_bytes()
     except OSError as fault:
         raise UsageError(
-            f"{path} cannot be read ({fault.strerror})",
-            "give a rig's file, such as config/rig.yaml, with --rig",
+            f"the rig file {path} cannot be read ({fault.strerror})",
+            "give a rig file, such as config/rig.yaml, with --rig",
         ) from fault
     document = convert_document(parse_yaml(text, path.name), _Rig, path.name)
     unit, board, emulator = document.ptu, document.boards[0], document.emulator
@@ -164,8 +164,8 @@ def _apply_limits(unit: UnitModel, limits: _Limits, name: str) -> UnitModel:
         fastest = min(model.fastest_deg_s, limits.speed_deg_s or model.fastest_deg_s)
         if not low < high or fastest <= model.slowest_deg_s:
             raise UsageError(
-                f"{name}: the limits of {axis_name} allow no motion, {low:g} to {high:g} deg at up "
-                f"to {fastest:g} deg/s",
+                f"the limits of {axis_name} in {name} allow no motion ({low:g} to {high:g} deg, up "
+                f"to {fastest:g} deg/s)",
                 f"widen {axis_name}_min_deg, {axis_name}_max_deg or speed_deg_s under "
                 "`ptu: limits`",
             )

@@ -63,9 +63,9 @@ def build_sensor_model(
     """
     if profile.noise_density_dps_rthz is None:
         raise UsageError(
-            f"the profile of {profile.sensor} has no noise_density_dps_rthz, without which nothing "
-            "can be predicted",
-            "add it from the data sheet, in deg/s/sqrt(Hz)",
+            "the prediction needs the noise density, but the profile of the sensor "
+            f"{profile.sensor} has no noise_density_dps_rthz",
+            "add the value of the data sheet to the profile, in deg/s/sqrt(Hz)",
         )
     if odr_hz is None:
         odr_hz = min((entry.odr_hz for entry in profile.low_pass), default=100.0)
@@ -93,7 +93,7 @@ def _select_range(profile: SensorProfile, full_scale_dps: float | None) -> FullS
     if chosen is None:
         available = ", ".join(f"{r.full_scale_dps:g}" for r in profile.ranges)
         raise UsageError(
-            f"the profile of {profile.sensor} has no range of {wanted:g} deg/s",
-            f"set the rig's full scale to one that it has: {available}",
+            f"the profile of the sensor {profile.sensor} has no full scale of {wanted:g} deg/s",
+            f"set the board's full scale in the rig file to one of {available}",
         )
     return chosen

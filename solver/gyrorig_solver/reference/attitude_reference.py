@@ -96,14 +96,14 @@ def read_attitude(
     if time_s.size and not np.all(np.diff(time_s) > 0.0):
         raise InputError(
             "the times of the reference attitude do not increase",
-            "sort the source by time and remove duplicates, then import it again",
+            "sort the source data by time, remove duplicates, and import the data again",
         )
     length = np.linalg.norm(orientation_xyzw, axis=1)
     is_unit_length = np.abs(length - 1.0) < LENGTH_TOLERANCE
     if not is_unit_length.any():
         raise InputError(
-            "the recording has no reference attitude of length 1",
-            "check the columns in its import map",
+            "the recording has no reference attitude whose quaternion has length 1",
+            "check the quaternion's columns in the import map, and import the data again",
         )
     orientation = np.where(is_unit_length[:, None], orientation_xyzw, np.nan)
     is_given = np.isfinite(standard_deviation_rad) & (standard_deviation_rad > 0.0)

@@ -86,7 +86,8 @@ def find_poses(
             candidates.append(_calibrate_poses(time_s, accel_m_s2, rests, gravity_m_s2, multiplier))
     if not candidates:
         raise InputError(
-            f"{max_rests} rests are too few to calibrate an accelerometer by gravity",
+            "the recording has too few rests to calibrate the accelerometer by gravity "
+            f"({max_rests} rests)",
             f"hold the board still in at least {MIN_POSES} different poses",
         )
     # With a low threshold most rests are lost, and the residual is small by chance.
@@ -98,7 +99,8 @@ def find_poses(
     ]
     if chosen.accel.condition > MAX_CONDITION:
         raise InputError(
-            f"{chosen.accel.pose_count} poses are too similar to calibrate the accelerometer",
+            f"the {chosen.accel.pose_count} poses in the recording are too similar to calibrate "
+            "the accelerometer",
             "hold the board with each axis up and down, and also in tilted poses",
         )
     return chosen
@@ -190,7 +192,7 @@ def _moving_variance(time_s: FloatArray, accel: FloatArray) -> FloatArray:
     step_s = float(np.median(np.diff(time_s)))
     half = max(2, round(0.5 * VARIANCE_WINDOW_S / step_s))
     if len(accel) < 4 * half:
-        raise InputError("the recording is too short to detect rests", "record for longer")
+        raise InputError("the recording is too short to detect rests", "make a longer recording")
     centred = accel - accel.mean(axis=0)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(centred, axis=0)])
     square_sums = np.concatenate([np.zeros((1, 3)), np.cumsum(centred**2, axis=0)])

@@ -91,13 +91,13 @@ def _parse_turn(interval: TimeInterval, text: str) -> KnownTurn:
         angle, std = float(turn_document["angle_rad"]), float(turn_document["std_rad"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
-            f"a turn at {interval.begin_s:.1f} s has the invalid description {text[:60]!r}",
-            'write it as {"axis": [x, y, z], "angle_rad": a, "std_rad": s}',
+            f"the turn at {interval.begin_s:.1f} s has the invalid description {text[:60]!r}",
+            'write the turn as {"axis": [x, y, z], "angle_rad": a, "std_rad": s}',
         ) from error
     is_unit_axis = axis.shape == (3,) and abs(float(np.linalg.norm(axis)) - 1.0) < 1e-3
     if not is_unit_axis or not math.isfinite(angle) or not (0.0 < std < math.inf) or angle == 0.0:
         raise InputError(
-            f"a turn at {interval.begin_s:.1f} s has invalid values, {text[:60]!r}",
-            "give an axis of length 1, an angle, and a standard deviation above 0",
+            f"the turn at {interval.begin_s:.1f} s has invalid values, {text[:60]!r}",
+            "give an axis of length 1, an angle other than 0, and a standard deviation above 0",
         )
     return KnownTurn(interval, axis / np.linalg.norm(axis), angle, std)

@@ -134,7 +134,7 @@ def read_settings(path: Path) -> UncertaintySettings:
         return parse_settings(path.read_bytes(), str(path))
     except OSError as fault:
         reason = fault.strerror or "it is not readable"
-        raise UsageError(f"{path} cannot be read ({reason})", "check the path") from fault
+        raise UsageError(f"the file {path} cannot be read ({reason})", "check the path") from fault
 
 
 def _with_document(
@@ -148,7 +148,9 @@ def _with_document(
             if (term.scope == "unit" or term.part == "ptu") != (profile == "unit"):
                 other = "board" if profile == "unit" else "unit"
                 raise UsageError(
-                    f"{name}: {cause} is in the wrong section", f"write it below {other}"
+                    f"the file {name} lists the cause {cause} under `{profile}`, but it is a cause "
+                    f"of the {other}",
+                    f"move the cause {cause} to the section `{other}`",
                 )
             factor = _factor(name, f"{profile}: {cause}", entry.unit, _size_unit(term))
             sizes[cause] = PriorSize(entry.size * factor, entry.probability)
@@ -156,13 +158,14 @@ def _with_document(
     for parameter, limit in document.limits.items():
         if parameter not in units:
             raise UsageError(
-                f"{name}: limits: {parameter[:40]!r} is not a kind of parameter",
+                f"the file {name} has an unknown parameter {parameter[:40]!r} under `limits`",
                 f"use one of {', '.join(units)}",
             )
         group = units[parameter]
         if limit.unit != group.unit:
             raise UsageError(
-                f"{name}: limits: {parameter}: the unit is {limit.unit[:20]!r}",
+                f"the limit of {parameter} in {name} has the wrong unit of measure, "
+                f"{limit.unit[:20]!r}",
                 f"write the limit in {group.unit}",
             )
         limits[parameter] = limit.std / group.factor
@@ -179,8 +182,8 @@ def _read_drifts(document: SettingsDocument, name: str) -> dict[str, float]:
         term = find_term(cause)
         if not term.is_persistent:
             raise UsageError(
-                f"{name}: drift_per_day: {cause} is not kept from one recording to the next",
-                "leave it out",
+                f"the cause {cause} under `drift_per_day` in {name} is not a persistent cause",
+                f"remove {cause} from this section",
             )
         factor = _factor(name, f"drift_per_day: {cause}", entry.unit, _size_unit(term))
         drifts[cause] = entry.std * factor
@@ -200,6 +203,6 @@ def _factor(name: str, place: str, unit: str, si_unit: str) -> float:
     if unit == shown_unit:
         return 1.0 / shown_factor
     raise UsageError(
-        f"{name}: {place}: the unit {unit[:20]!r} does not fit this cause",
+        f"the entry {place} in {name} has the wrong unit of measure, {unit[:20]!r}",
         f"write the size in {si_unit} or {shown_unit}",
     )

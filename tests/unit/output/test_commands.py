@@ -285,7 +285,7 @@ def test_a_page_is_made_again_with_its_recordings_or_without(
     other = tmp_path / "other.mcap"
     other.write_bytes(path.read_bytes()[:-9000])
     assert cli.run(["report", document, str(other)]) == 3
-    assert "Give all recordings of the calibration" in capsys.readouterr().err
+    assert "Give all recordings that the calibration was solved from" in capsys.readouterr().err
     assert cli.run(["report", str(path)]) == 3
 
 

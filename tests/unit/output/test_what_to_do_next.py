@@ -42,13 +42,11 @@ def test_a_file_that_is_gone_meanwhile(tmp_path: Path) -> None:
 
 def test_too_short_says_how_long() -> None:
     message = str(too_short_error(Sampling(100.0, 8, None, 0.0, differentiated=False)))
-    assert "without a gap lasts 0.64 s. Record for longer. A gap above 2 s" in message
+    assert "segment of at least 0.64 s without a gap. Record for longer. A segment ends" in message
 
 
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(
-        UsageError, match=r"No such file or directory\)\. Give a rig's file, such as"
-    ):
+    with pytest.raises(UsageError, match=r"No such file or directory\)\. Give a rig file, such as"):
         load_rig(tmp_path / "none.yaml")
 
 

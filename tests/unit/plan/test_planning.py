@@ -165,8 +165,8 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
         (["--seconds", "1"], "is not between 5 and 900"),
         (["--seconds", "nan"], "is not between 5 and 900"),
         (["--seconds", "1e9"], "is not between 5 and 900"),
-        (["--seconds", "8"], "too short for a program that shows all parameters"),
-        (["--seconds", "25", "--for", "causes"], "that separates causes. Give --seconds 39"),
+        (["--seconds", "8"], "too short to determine all parameters"),
+        (["--seconds", "25", "--for", "causes"], "too short to separate causes. Give --seconds 39"),
         (["--out", "x.yaml", "--program", PAPER], "Give --seconds"),
         (["--sensor", "../../etc"], "has no profile of"),
         (

@@ -73,7 +73,7 @@ def program(text: str) -> MotionProgram:
         ("{move: {tilt_deg: -50.0}}", "step 1 of t turns tilt to -50 deg"),
         ("{rest: {seconds: 1.0}}, {move: {pan_deg: 9.0, speed_deg_s: 160.0}}", "at 160 deg/s"),
         ("{move: {pan_deg: 9.0, speed_deg_s: 1.0}}", "pan at 1 deg/s"),
-        ("{rest: {seconds: 0.1}}", r"lasts 0.\d s, and a calibration needs \d"),
+        ("{rest: {seconds: 0.1}}", r"lasts 0.\d s, but a calibration needs at least \d"),
         ("{repeat: {times: 9999, steps: [{rest: {seconds: 80000.0}}]}}", "lasts longer than"),
     ],
 )

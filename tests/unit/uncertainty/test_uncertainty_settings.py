@@ -62,18 +62,18 @@ def test_a_limit_is_in_the_unit_that_is_shown() -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ('unit: {sag: {size: 1.0, unit: deg, source: "s"}}', "'sag' is not a cause"),
-        ('unit: {bias_step: {size: 1.0, unit: deg/s, source: "s"}}', "wrong section"),
+        ('unit: {sag: {size: 1.0, unit: deg, source: "s"}}', "no cause 'sag'"),
+        ('unit: {bias_step: {size: 1.0, unit: deg/s, source: "s"}}', "is a cause of the board"),
         (
             'unit: {tilt_sag: {size: 1.0, unit: mm, source: "s"}}',
-            "the unit 'mm' does not fit this cause",
+            "wrong unit of measure, 'mm'",
         ),
         ('unit: {tilt_sag: {size: -1.0, unit: deg, source: "s"}}', "size"),
         ("unit: {tilt_sag: {size: 1.0, unit: deg}}", "source"),
         ('unit: {tilt_sag: {size: 1.0, unit: deg, source: "s", std: 1.0}}', "std"),
         ('board: {bias_step: {size: 1.0, unit: deg/s, probability: 2.0, source: "s"}}', "probab"),
-        ('limits: {gain: {std: 1.0, unit: deg, reason: "r"}}', "'gain' is not a kind"),
-        ('limits: {bias: {std: 1.0, unit: rad/s, reason: "r"}}', "the unit is 'rad/s'"),
+        ('limits: {gain: {std: 1.0, unit: deg, reason: "r"}}', "unknown parameter 'gain'"),
+        ('limits: {bias: {std: 1.0, unit: rad/s, reason: "r"}}', "wrong unit of measure, 'rad/s'"),
         ("limits: {bias: {std: 0.0, unit: deg/s, reason: r}}", "std"),
     ],
 )

@@ -81,8 +81,8 @@ def solve_attitude(
     ]
     if not matches:
         raise InputError(
-            "gyro and reference attitude have no common segment",
-            "record both at the same time for at least a few seconds",
+            "the gyroscope's samples and the reference attitudes do not overlap in time",
+            "record the board and the attitudes together for at least a few seconds",
         )
     segments = [match_of_track for _, match_of_track in matches]
     solver = AttitudeSolver(segments, band_hz)

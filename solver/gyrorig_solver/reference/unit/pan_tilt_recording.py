@@ -180,8 +180,9 @@ def _read_polls(
     usable = np.flatnonzero(raw["status"] & UNUSABLE_STATUS == 0)
     if usable.size < 2:
         raise InputError(
-            f"{recording.path.name} has {usable.size} positions of the unit, but two are needed",
-            "remove `rate_hz` under `ptu: poll` from the rig file, because the default is "
+            f"the recording {recording.path.name} needs two or more positions of the unit, but has "
+            f"{usable.size}",
+            "remove `rate_hz` under `ptu: poll` from the rig file, because the default rate is "
             "higher, and record again",
         )
     request_ns = times_ns(raw["request_time"])[usable]
@@ -208,8 +209,8 @@ def _read_polls(
         answered = np.flatnonzero(polls.valid[:, axis])
         if answered.size == 0:
             raise InputError(
-                f"the unit never replied with its {name} position",
-                "check with `gyrorigd doctor` that it replies, and record again",
+                f"the pan-tilt unit never replied with its {name} position",
+                "check with `gyrorigd doctor` that the unit replies, and record again",
             )
         at_rest.append(int(polls.steps[answered[0], axis]))
     return polls, (at_rest[0], at_rest[1])
@@ -230,8 +231,9 @@ def _finite_number(metadata: Mapping[str, str], key: str) -> float | None:
         value = np.nan
     if not np.isfinite(value):
         raise InputError(
-            f"the recording has {key} {text[:40]!r} of the unit, which is not a finite number",
-            "copy it again from the rig, or record again",
+            f"the value {text[:40]!r} of the unit's setting {key} in the recording is not a finite "
+            "number",
+            "copy the recording again from the rig, or record again",
         )
     return value
 
@@ -241,8 +243,8 @@ def _byte_s(metadata: Mapping[str, str]) -> float:
     baud = _finite_number(metadata, "baud") or FACTORY_BAUD
     if baud < 0.0:
         raise InputError(
-            f"the recording gives the unit's baud rate as {baud:g}, but it must be above 0",
-            "copy it again from the rig, or record again",
+            f"the unit's baud rate in the recording is {baud:g}, but it must be above 0",
+            "copy the recording again from the rig, or record again",
         )
     return BITS_PER_BYTE / baud
 
@@ -272,9 +274,9 @@ def _rad_per_step(recording: Recording, metadata: Mapping[str, str], axis: str) 
     arcsec = _finite_number(metadata, f"{axis}_resolution_arcsec")
     if not arcsec:
         raise InputError(
-            f"the size of a {axis} step is not known: the recording lacks "
-            f"{axis}_resolution_arcsec, and {axis} never left 0",
-            "record again with gyrorigd, which reads it from the unit",
+            f"the step size of {axis} is unknown, because the recording lacks "
+            f"{axis}_resolution_arcsec and {axis} never left 0",
+            "record again with gyrorigd, which reads the step size from the unit",
         )
     return float(np.radians(arcsec / 3600.0))
 
