@@ -11,12 +11,8 @@ from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.attitude.attitude_terms import MovingBias, ReferenceSmoothing
 from gyrorig_solver.discover.attitude.explain_attitudes import fit_base_space
 from gyrorig_solver.estimate.fitted_term import free_term
-from gyrorig_solver.findings.findings_document import (
-    CauseEntry,
-    FindingsDocument,
-    GainEntry,
-    parse_findings,
-)
+from gyrorig_solver.findings import FindingsDocument
+from gyrorig_solver.findings.findings_document import CauseEntry, GainEntry, parse_findings
 from gyrorig_solver.findings.findings_wording import size_text, verdict_words
 from gyrorig_solver.model.term import start_values
 from gyrorig_solver.pipeline.board_data import load_board

@@ -41,9 +41,9 @@ from gyrorig_solver.data.samples import GyroSamples, load_samples
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import GyroFit
 from gyrorig_solver.model.gain_matrix import FACTOR_NAMES, factorise
+from gyrorig_solver.pipeline import solve_recordings
 from gyrorig_solver.pipeline.criticised_fit import JointFit, solve_jointly
 from gyrorig_solver.pipeline.explain_board import BoardExplanation, explain_unit_boards
-from gyrorig_solver.pipeline.fit_board import solve_recordings
 from gyrorig_solver.pipeline.joint_data import load_jointly
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -21,10 +21,10 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.calibration.sensor_profiles import find_profile
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
-from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS, predict_program
-from gyrorig_solver.plan.rig_model import load_rig
-from gyrorig_solver.plan.total_prediction import PlanPrior, predict_total
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
+from gyrorig_solver.plan import load_rig, predict_program, predict_total
+from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS
+from gyrorig_solver.plan.total_prediction import PlanPrior
+from gyrorig_solver.uncertainty import default_settings
 
 
 def predicted_totals(name: str) -> np.ndarray:

@@ -30,8 +30,7 @@ from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 from gyrorig_solver.pipeline.prepare_board import fit_base
-from gyrorig_solver.uncertainty.uncertainty_budget import assess_uncertainty
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
+from gyrorig_solver.uncertainty import assess_uncertainty, default_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 # Cause to the places at which the emulator can hide it, in the unit of the solver's cause.

@@ -28,7 +28,7 @@ from tests.bench.bench_uncertainty import PLACES, record, show
 from gyrorig_solver import cli
 from gyrorig_solver.check.true_values import _true_values
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
+from gyrorig_solver.uncertainty import default_settings
 
 AXES = ("x", "y", "z")
 LEAN = "axis_nonorthogonality"

@@ -28,7 +28,7 @@ from tests.bench.s3_server import BUCKET, served
 
 from gyrorig_solver.fleet.store.store_backend import open_index
 from gyrorig_solver.fleet.store.store_verification import verify
-from gyrorig_solver.storage.location import storage_at
+from gyrorig_solver.storage import storage_at
 
 FOREIGN = 8  # files in the spool that are no recordings
 Popen = subprocess.Popen[str]

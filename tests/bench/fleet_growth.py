@@ -29,7 +29,7 @@ from gyrorig_solver.fleet.store.manifest import write_manifests
 from gyrorig_solver.fleet.store.store_index import StoreIndex
 from gyrorig_solver.fleet.store.store_queries import VersionFilter, newest_versions
 from gyrorig_solver.fleet.store.store_verification import verify
-from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.storage import Folder
 
 
 def fill(folder: Path, boards: int, document: str, report: bytes) -> tuple[Path, Path]:

@@ -20,8 +20,7 @@ from gyrorig_solver.calibration.unit_document import (
     unit_as_yaml,
     unit_document,
 )
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
-from gyrorig_solver.uncertainty.unit_values import UnitPosterior
+from gyrorig_solver.uncertainty import UnitPosterior, default_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 STATE = Path("/var/lib/gyrorig")

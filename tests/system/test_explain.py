@@ -14,7 +14,7 @@ import pytest
 
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_solver.calibration.calibration_document import parse_calibration
-from gyrorig_solver.check.injected_causes import score_causes
+from gyrorig_solver.check import score_causes
 from gyrorig_solver.findings.findings_document import parse_findings
 
 ROOT = Path(__file__).parents[2]

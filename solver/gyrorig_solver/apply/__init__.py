@@ -5,3 +5,14 @@ What to use when: `board_calibration.Calibration` in Python, with arrays;
 recording. `correction` has the inverse sensor model, `affine` the fast arithmetic, and
 `calibration_file` reads and checks the document.
 """
+
+from gyrorig_solver.apply.board_calibration import Calibration
+from gyrorig_solver.apply.calibration_file import read_calibration
+from gyrorig_solver.apply.correction import Correction, Frame
+
+__all__ = [
+    "Calibration",
+    "Correction",
+    "Frame",
+    "read_calibration",
+]

@@ -23,7 +23,7 @@ from pathlib import Path
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_protocol.errors import BusyError, InputError, MachineError, UsageError
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.storage.file_writing import write_file
+from gyrorig_solver.storage import write_file
 
 STORE_FILE = "gyrorig-store.yaml"
 STORE_SCHEMA = "gyrorig/store/1"

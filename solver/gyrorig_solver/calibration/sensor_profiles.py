@@ -3,7 +3,7 @@
 import re
 
 from gyrorig_protocol.profile import SensorProfile, parse_profile
-from gyrorig_solver.storage.shipped_files import config_folders
+from gyrorig_solver.storage import config_folders
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,40}")
 

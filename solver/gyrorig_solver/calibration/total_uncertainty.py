@@ -30,7 +30,8 @@ from gyrorig_solver.model.parameter_units import (
     group_of,
     parameter_label,
 )
-from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry, UncertaintyBudget
+from gyrorig_solver.uncertainty import UncertaintyBudget
+from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry
 
 COVERAGE_FACTOR = 2.0
 MIN_SHARE = 0.01  # of the total variance; smaller contributions are not listed

@@ -15,9 +15,8 @@ import numpy as np
 from gyrorig_protocol.documents import dump_yaml, parse_result_document
 from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
+from gyrorig_solver.uncertainty import UncertaintySettings, UnitPosterior
 from gyrorig_solver.uncertainty.unit_values import (
-    UnitPosterior,
     table_covariance,
     unit_value_limits,
     unit_value_names,

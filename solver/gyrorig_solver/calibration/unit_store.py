@@ -25,7 +25,7 @@ from gyrorig_solver.calibration.unit_document import (
     parse_unit,
     unit_as_yaml,
 )
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Storage
 
 UNITS_FOLDER = "rigs"
 

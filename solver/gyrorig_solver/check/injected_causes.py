@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.findings.findings_document import CauseEntry, FindingsDocument
+from gyrorig_solver.findings import FindingsDocument
+from gyrorig_solver.findings.findings_document import CauseEntry
 from gyrorig_solver.findings.findings_wording import amount_text, place_text
 
 # right: named. among: in a set of named alternatives. unseen: reported as too small or not

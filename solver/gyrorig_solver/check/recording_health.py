@@ -24,7 +24,7 @@ from gyrorig_solver.estimate.information import PARAMETER_NAMES, white_noise_inf
 from gyrorig_solver.estimate.observability import analyse_observability
 from gyrorig_solver.estimate.observability_remedies import UNIT_REMEDIES
 from gyrorig_solver.estimate.typical_board import expected_estimate
-from gyrorig_solver.pipeline.fit_board import solve_recordings
+from gyrorig_solver.pipeline import solve_recordings
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 from gyrorig_solver.reference.unit.pan_tilt_recording import (
     UNUSABLE_STATUS,

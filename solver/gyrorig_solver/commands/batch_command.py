@@ -19,9 +19,7 @@ from gyrorig_solver.fleet.jobs.workers import WorkerPool, local_pools
 from gyrorig_solver.fleet.store.manifest import read_signer
 from gyrorig_solver.model.parameter_units import plural
 from gyrorig_solver.pipeline.criticised_fit import AUTO
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.storage.location import StorageOption
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Folder, Storage, StorageOption
 
 _REASONS_SHOWN = 10
 _EXISTING_FILE = click.Path(path_type=Path, dir_okay=False, exists=True)

@@ -8,13 +8,8 @@ import click
 
 from gyrorig_protocol.errors import GyrorigError, InputError
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.check.health_messages import health_problems, health_verdict
-from gyrorig_solver.check.recording_health import (
-    BoardHealth,
-    RecordingHealth,
-    UnitHealth,
-    examine_recording,
-)
+from gyrorig_solver.check import RecordingHealth, examine_recording, health_problems, health_verdict
+from gyrorig_solver.check.recording_health import BoardHealth, UnitHealth
 from gyrorig_solver.commands.board_selection import select_boards
 from gyrorig_solver.commands.terminal import (
     NOT_IDENTIFIABLE,

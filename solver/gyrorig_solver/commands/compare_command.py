@@ -9,16 +9,14 @@ import click
 from gyrorig_protocol.documents import parse_yaml
 from gyrorig_protocol.errors import InputError
 from gyrorig_protocol.file_kinds import describe_schema
-from gyrorig_solver.apply.calibration_file import read_calibration, read_document
+from gyrorig_solver.apply import read_calibration
+from gyrorig_solver.apply.calibration_file import read_document
 from gyrorig_solver.calibration.calibration_document import (
     SCHEMA,
     CalibrationDocument,
 )
-from gyrorig_solver.check.true_values import (
-    ParameterComparison,
-    compare_calibrations,
-    compare_with_truth,
-)
+from gyrorig_solver.check import compare_calibrations, compare_with_truth
+from gyrorig_solver.check.true_values import ParameterComparison
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, format_table, json_option
 from gyrorig_solver.model.parameter_units import format_quantity
 

@@ -21,14 +21,9 @@ from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.calibration.calibration_store import CalibrationStore
-from gyrorig_solver.check.injected_causes import (
-    ScoredCause,
-    score_causes,
-    score_text,
-    verify_commitment,
-)
-from gyrorig_solver.check.recording_health import examine_recording
-from gyrorig_solver.check.true_values import ParameterComparison, compare_with_truth
+from gyrorig_solver.check import compare_with_truth, examine_recording, score_causes
+from gyrorig_solver.check.injected_causes import ScoredCause, score_text, verify_commitment
+from gyrorig_solver.check.true_values import ParameterComparison
 from gyrorig_solver.commands.check_command import health_text
 from gyrorig_solver.commands.compare_command import (
     WRONG_BEYOND_SIGMA,
@@ -39,9 +34,14 @@ from gyrorig_solver.commands.compare_command import (
 from gyrorig_solver.commands.daemon_commands import daemon_command
 from gyrorig_solver.commands.project_files import project_file
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option
-from gyrorig_solver.findings.findings_wording import findings_summary
-from gyrorig_solver.pipeline.explain_board import WrittenFindings, explain_board, write_explanation
-from gyrorig_solver.pipeline.solve_board import StoredResult, solve_and_store
+from gyrorig_solver.findings import findings_summary
+from gyrorig_solver.pipeline import (
+    StoredResult,
+    WrittenFindings,
+    solve_and_store,
+    write_explanation,
+)
+from gyrorig_solver.pipeline.explain_board import explain_board
 
 HALT_TIMEOUT_S = 20.0  # a unit comes to rest from full speed, and the file is closed
 

@@ -12,9 +12,9 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.commands.board_selection import select_boards
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, PARTIAL, Terminal, json_option
-from gyrorig_solver.findings.findings_document import FindingsDocument, to_plain
-from gyrorig_solver.findings.findings_wording import findings_summary
-from gyrorig_solver.pipeline.explain_board import WrittenFindings, explain_boards, write_explanation
+from gyrorig_solver.findings import FindingsDocument, findings_summary
+from gyrorig_solver.findings.findings_document import to_plain
+from gyrorig_solver.pipeline import WrittenFindings, explain_boards, write_explanation
 
 
 @click.command("explain")

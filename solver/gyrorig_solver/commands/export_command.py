@@ -5,12 +5,11 @@ from pathlib import Path
 import click
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.apply.calibration_file import read_calibration
-from gyrorig_solver.apply.correction import FRAMES, Frame
+from gyrorig_solver.apply import Frame, read_calibration
+from gyrorig_solver.apply.correction import FRAMES
 from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
-from gyrorig_solver.export.export_formats import FORMATS, ExportOptions, export_text
-from gyrorig_solver.export.export_source import ExportSource
-from gyrorig_solver.storage.file_writing import write_file
+from gyrorig_solver.export import FORMATS, ExportOptions, ExportSource, export_text
+from gyrorig_solver.storage import write_file
 
 
 @click.command("export")

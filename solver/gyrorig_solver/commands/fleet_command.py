@@ -19,8 +19,7 @@ from gyrorig_solver.fleet.page.alerts import Alert, fleet_alerts
 from gyrorig_solver.fleet.page.fleet_page import write_fleet_page
 from gyrorig_solver.fleet.store.store_queries import open_existing_store
 from gyrorig_solver.model.parameter_units import plural
-from gyrorig_solver.storage.location import StorageOption
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Storage, StorageOption
 
 _ALERTS_SHOWN = 15
 

@@ -17,21 +17,30 @@ from gyrorig_solver.calibration.unit_document import posterior_of
 from gyrorig_solver.commands.project_files import project_names
 from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option
 from gyrorig_solver.pipeline.unit_prior import read_unit_file
+from gyrorig_solver.plan import (
+    DetectabilityReport,
+    PlanResult,
+    Prediction,
+    RigModel,
+    TotalPrediction,
+    find_program,
+    load_rig,
+    predict_detectability,
+    predict_program,
+    predict_total,
+)
 from gyrorig_solver.plan.criterion import CRITERIA, Criterion, cost
-from gyrorig_solver.plan.detectability import DetectabilityReport, predict_detectability
 from gyrorig_solver.plan.detectability_table import (
     causes_notes,
     causes_summary,
     causes_table,
     causes_to_builtins,
 )
-from gyrorig_solver.plan.prediction import Prediction, predict_program
 from gyrorig_solver.plan.prediction_table import contributions_text, predictions_table
 from gyrorig_solver.plan.program_file import program_text, require_new_path, write_new_file
-from gyrorig_solver.plan.program_search import AIMS, PlanResult, find_program
-from gyrorig_solver.plan.rig_model import RigModel, load_rig
-from gyrorig_solver.plan.total_prediction import PlanPrior, TotalPrediction, predict_total
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings, read_settings
+from gyrorig_solver.plan.program_search import AIMS
+from gyrorig_solver.plan.total_prediction import PlanPrior
+from gyrorig_solver.uncertainty import default_settings, read_settings
 
 SHORTEST_S, LONGEST_S = 5.0, 900.0  # repeat a program for longer recordings
 PROFILE_HINT = "a profile with --sensor, such as config/boards/L3G4200D.yaml"

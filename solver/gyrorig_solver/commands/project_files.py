@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from gyrorig_protocol.errors import UsageError
-from gyrorig_solver.storage.shipped_files import config_folders
+from gyrorig_solver.storage import config_folders
 
 
 def project_file(*parts: str) -> Path:

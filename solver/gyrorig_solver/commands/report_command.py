@@ -5,13 +5,12 @@ from pathlib import Path
 import click
 
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.apply.calibration_file import read_calibration
+from gyrorig_solver.apply import read_calibration
 from gyrorig_solver.calibration.sensor_profiles import find_profile
 from gyrorig_solver.commands.terminal import Terminal, json_option, output_option
 from gyrorig_solver.pipeline.solve_board import rebuild_report_data
-from gyrorig_solver.report.calibration_page import render_calibration
-from gyrorig_solver.report.report_data import ReportData
-from gyrorig_solver.storage.file_writing import write_file
+from gyrorig_solver.report import ReportData, render_calibration
+from gyrorig_solver.storage import write_file
 
 
 @click.command("report")

@@ -23,11 +23,10 @@ from gyrorig_solver.commands.terminal import (
 )
 from gyrorig_solver.commands.unit_prior_option import read_unit_knowledge, unit_prior_option
 from gyrorig_solver.model.parameter_units import plural
-from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
-from gyrorig_solver.pipeline.solve_board import StoredResult, solve_and_store
-from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings, read_settings
+from gyrorig_solver.pipeline import CriticisedFit, StoredResult, UnitKnowledge, solve_and_store
+from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_together
+from gyrorig_solver.storage import Folder
+from gyrorig_solver.uncertainty import UncertaintySettings, read_settings
 
 
 @click.command("solve")

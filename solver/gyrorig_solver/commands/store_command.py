@@ -35,8 +35,7 @@ from gyrorig_solver.fleet.store.store_queries import (
 )
 from gyrorig_solver.fleet.store.store_verification import REMEDIES, verify
 from gyrorig_solver.model.parameter_units import format_quantity, plural
-from gyrorig_solver.storage.location import StorageOption
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Storage, StorageOption
 
 _DAMAGED_STATUS = 3
 _FAULTS_SHOWN = 50

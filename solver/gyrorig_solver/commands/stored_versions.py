@@ -18,7 +18,7 @@ from gyrorig_solver.fleet.store.store_queries import (
     open_existing_store,
     versions_by_measurement_time,
 )
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Storage
 
 
 def find_version(folder: Storage, board: BoardId, number: int) -> tuple[Path, CalibrationDocument]:

@@ -36,7 +36,7 @@ from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.recording_scope import limit_to_recording, recording_index_of, term_label
 from gyrorig_solver.model.term import Term, value_indices, value_parameters
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 # Share of recordings without any cause that may get a name. The tests overlap: 157 such
 # recordings had three quarters of the false names that their sum allows. A little is left to

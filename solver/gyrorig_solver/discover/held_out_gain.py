@@ -20,7 +20,7 @@ from gyrorig_solver.discover.held_out_recording import HeldOutFit, HeldOutRecord
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.series import Series
-from gyrorig_solver.numerics.distributions import normal_quantile
+from gyrorig_solver.numerics import normal_quantile
 
 WINDOW_S = 10.0
 FOLDS = 8  # windows are dealt out to so many folds: each fit lacks one fold

@@ -17,7 +17,7 @@ import numpy as np
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
-from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
+from gyrorig_solver.numerics import ArrowheadMatrix
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 from gyrorig_solver.reference.unit.law_information import LawProfile
 from gyrorig_solver.reference.unit.motion_law import (

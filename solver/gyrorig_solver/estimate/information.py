@@ -26,7 +26,7 @@ from gyrorig_solver.estimate.observability import BIAS_NAMES
 from gyrorig_solver.estimate.reference_prediction import predict_derivatives, predict_rate
 from gyrorig_solver.estimate.series import Series
 from gyrorig_solver.model.gain_matrix import GAIN_NAMES
-from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix, eliminate_local
+from gyrorig_solver.numerics import ArrowheadMatrix, eliminate_local
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 
 PARAMETER_NAMES = (*GAIN_NAMES, *BIAS_NAMES, "time_offset")

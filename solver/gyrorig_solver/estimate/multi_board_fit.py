@@ -31,7 +31,7 @@ from gyrorig_solver.estimate.linear.normal_equations import NormalEquations
 from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.shared_parameters import average_shared_values, shared_term_p_value
 from gyrorig_solver.estimate.trust_region import Convergence, minimise
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 
 MAX_EVALUATIONS_PLAIN = 20

@@ -21,7 +21,7 @@ from gyrorig_solver.estimate.observability import (
     analyse_observability,
 )
 from gyrorig_solver.model.gain_matrix import GAIN_NAMES
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 from gyrorig_solver.reference.rotations import prefix_products, turn_vectors
 
 GAIN_AND_BIAS_NAMES = (*GAIN_NAMES, *BIAS_NAMES)

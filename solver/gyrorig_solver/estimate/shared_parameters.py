@@ -22,7 +22,7 @@ from gyrorig_solver.estimate.parameter_layout import (
     is_shared_term,
 )
 from gyrorig_solver.model.term import Term
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 MIN_RELATIVE_INFORMATION = 1e-9  # of the strongest direction: less information is ignored
 

@@ -17,7 +17,7 @@ from gyrorig_solver.data.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
 from gyrorig_solver.estimate.session_fit import SessionFit
-from gyrorig_solver.numerics.distributions import normal_quantile
+from gyrorig_solver.numerics import normal_quantile
 
 FALSE_ALARM = 1e-4  # probability of widening without an excess
 MIN_EXCESS = 0.05  # a smaller excess changes a standard uncertainty by 2 %

@@ -4,3 +4,13 @@ What to use when: `export_formats.export_text` for the text in one format; `FORM
 formats. Each module writes one or two of them. Every exported file states the frame, direction,
 order and unit of its numbers, and lists what the format has no place for.
 """
+
+from gyrorig_solver.export.export_formats import FORMATS, ExportOptions, export_text
+from gyrorig_solver.export.export_source import ExportSource
+
+__all__ = [
+    "FORMATS",
+    "ExportOptions",
+    "ExportSource",
+    "export_text",
+]

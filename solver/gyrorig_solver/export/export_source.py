@@ -10,8 +10,8 @@ from typing import Self
 import numpy as np
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.apply.board_calibration import Calibration
-from gyrorig_solver.apply.correction import Correction, Frame, unobservable_text
+from gyrorig_solver.apply import Calibration, Correction, Frame
+from gyrorig_solver.apply.correction import unobservable_text
 from gyrorig_solver.calibration import calibration_document
 from gyrorig_solver.data.arrays import FloatArray
 

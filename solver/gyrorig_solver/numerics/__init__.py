@@ -3,3 +3,19 @@
 What to use when: `distributions` for p-values and limits, `arrowhead` for information matrices
 with many local and a few shared unknowns.
 """
+
+from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix, eliminate_local, solve_arrowhead
+from gyrorig_solver.numerics.distributions import (
+    chi2_upper_tail,
+    normal_quantile,
+    normal_upper_tail,
+)
+
+__all__ = [
+    "ArrowheadMatrix",
+    "chi2_upper_tail",
+    "eliminate_local",
+    "normal_quantile",
+    "normal_upper_tail",
+    "solve_arrowhead",
+]

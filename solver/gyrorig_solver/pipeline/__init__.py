@@ -6,3 +6,20 @@ once; every later step takes its `BoardData`.
 What to use when: `solve_board.solve_and_store` for a calibration in a store,
 `explain_board.explain_boards` for findings, `fit_board.solve_recordings` for a fit alone.
 """
+
+from gyrorig_solver.pipeline.criticised_fit import CriticisedFit
+from gyrorig_solver.pipeline.explain_board import WrittenFindings, explain_boards, write_explanation
+from gyrorig_solver.pipeline.fit_board import solve_recordings
+from gyrorig_solver.pipeline.solve_board import StoredResult, solve_and_store
+from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
+
+__all__ = [
+    "CriticisedFit",
+    "StoredResult",
+    "UnitKnowledge",
+    "WrittenFindings",
+    "explain_boards",
+    "solve_and_store",
+    "solve_recordings",
+    "write_explanation",
+]

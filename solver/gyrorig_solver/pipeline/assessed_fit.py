@@ -12,8 +12,7 @@ from gyrorig_solver.estimate.gyro_fit import GyroFit
 from gyrorig_solver.pipeline.board_data import BoardData
 from gyrorig_solver.pipeline.criticised_fit import CriticisedFit
 from gyrorig_solver.pipeline.unit_prior import CONFLICT_REMARK, UnitKnowledge, contradicts
-from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
-from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
+from gyrorig_solver.uncertainty import UncertaintyBudget, UncertaintySettings, assess_uncertainty
 
 
 @dataclass(frozen=True, slots=True, eq=False)

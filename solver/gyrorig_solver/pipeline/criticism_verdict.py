@@ -14,7 +14,7 @@ import msgspec
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument, Trust
 from gyrorig_solver.calibration.verdict import Verdict
 from gyrorig_solver.discover.fit_criticism import FitCriticism
-from gyrorig_solver.findings.findings_document import FindingsDocument
+from gyrorig_solver.findings import FindingsDocument
 from gyrorig_solver.model.term import Term
 
 

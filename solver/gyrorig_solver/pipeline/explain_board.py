@@ -32,18 +32,10 @@ from gyrorig_solver.discover.fit_explanation import explain_fit
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.findings.findings_builder import (
-    FindingsOrigin,
-    RawChecks,
-    build_findings_document,
-)
-from gyrorig_solver.findings.findings_document import (
-    BoardEntry,
-    FindingsDocument,
-    InputEntry,
-    to_yaml,
-)
-from gyrorig_solver.findings.findings_files import PAGE_NAME, figure_path, write_findings
+from gyrorig_solver.findings import FindingsDocument, build_findings_document, write_findings
+from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
+from gyrorig_solver.findings.findings_document import BoardEntry, InputEntry, to_yaml
+from gyrorig_solver.findings.findings_files import PAGE_NAME, figure_path
 from gyrorig_solver.pipeline.board_data import (
     ATTITUDE_TOPIC,
     BoardData,
@@ -55,10 +47,9 @@ from gyrorig_solver.pipeline.fit_board import attitude_reference, fit_board, mis
 from gyrorig_solver.pipeline.joint_data import JointData, load_jointly
 from gyrorig_solver.pipeline.prepare_board import fit_base, prepare_held_out, stage_level
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
+from gyrorig_solver.report import ReportSeries, draw_findings_figures, render_findings
 from gyrorig_solver.report.figure_layout import standalone_svg
-from gyrorig_solver.report.findings_page import draw_findings_figures, render_findings
 from gyrorig_solver.report.report_series import (
-    ReportSeries,
     series_of_attitudes,
     series_of_explanation,
     series_of_fit,

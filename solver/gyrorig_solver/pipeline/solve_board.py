@@ -43,9 +43,8 @@ from gyrorig_solver.pipeline.explain_board import (
     findings_page,
 )
 from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
-from gyrorig_solver.report.calibration_page import render_calibration
-from gyrorig_solver.report.report_data import ReportData
-from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings, default_settings
+from gyrorig_solver.report import ReportData, render_calibration
+from gyrorig_solver.uncertainty import UncertaintySettings, default_settings
 
 FINDINGS_SUFFIX = ".findings.yaml"
 

@@ -24,10 +24,10 @@ from gyrorig_solver.calibration.unit_document import (
     unit_document,
 )
 from gyrorig_solver.calibration.unit_store import StoredPosterior, UnitStore
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 from gyrorig_solver.pipeline.board_data import UNIT_TOPIC
-from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
-from gyrorig_solver.uncertainty.unit_values import UnitInformation, UnitPosterior
+from gyrorig_solver.uncertainty import UncertaintySettings, UnitPosterior
+from gyrorig_solver.uncertainty.unit_values import UnitInformation
 
 MIN_ENTROPY_GAIN = 0.05  # nats; a recording that adds less is not counted
 CONFLICT_P_VALUE = 1e-6  # below, the unit is not what it was

@@ -5,3 +5,22 @@ uncertainties of a program; `program_search.find_program` for the best program i
 `detectability.predict_detectability` for the causes that a program detects. `program_family` has
 the programs that are searched, `program_timeline` simulates their execution.
 """
+
+from gyrorig_solver.plan.detectability import DetectabilityReport, predict_detectability
+from gyrorig_solver.plan.prediction import Prediction, predict_program
+from gyrorig_solver.plan.program_search import PlanResult, find_program
+from gyrorig_solver.plan.rig_model import RigModel, load_rig
+from gyrorig_solver.plan.total_prediction import TotalPrediction, predict_total
+
+__all__ = [
+    "DetectabilityReport",
+    "PlanResult",
+    "Prediction",
+    "RigModel",
+    "TotalPrediction",
+    "find_program",
+    "load_rig",
+    "predict_detectability",
+    "predict_program",
+    "predict_total",
+]

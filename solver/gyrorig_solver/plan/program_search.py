@@ -35,7 +35,7 @@ from gyrorig_solver.plan.sensor_model import SensorModel
 from gyrorig_solver.plan.total_prediction import PlanPrior, TotalPrediction, predict_total
 from gyrorig_solver.plan.unit_model import UnitModel
 from gyrorig_solver.plan.white_noise_screen import WhiteNoiseScreen
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
+from gyrorig_solver.uncertainty import default_settings
 
 # Of each kind of the family; kinds of design for each number of tilts, of both.
 DRAWN_DESIGNS, IMPROVED_DESIGNS, PREDICTED_KINDS = 150, 3, 4

@@ -21,14 +21,13 @@ from gyrorig_solver.plan.effect_information import EffectInformation
 from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS, Prediction
 from gyrorig_solver.plan.scan_templates import signal_states
 from gyrorig_solver.plan.sensor_model import SensorModel
+from gyrorig_solver.uncertainty import UncertaintySettings, UnitPosterior
 from gyrorig_solver.uncertainty.fit_linearisation import sizes_of_signals
 from gyrorig_solver.uncertainty.prior_effects import (
     UnidentifiedCause,
     prior_templates,
     scaled_tangents,
 )
-from gyrorig_solver.uncertainty.uncertainty_settings import UncertaintySettings
-from gyrorig_solver.uncertainty.unit_values import UnitPosterior
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
+from gyrorig_solver.numerics import ArrowheadMatrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,13 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gyrorig_solver.findings import FindingsDocument
 from gyrorig_solver.findings.findings_builder import UNEXPLAINED_FIGURE, figure_key
-from gyrorig_solver.findings.findings_document import (
-    CauseEntry,
-    ChangeEntry,
-    FindingsDocument,
-    GainEntry,
-)
+from gyrorig_solver.findings.findings_document import CauseEntry, ChangeEntry, GainEntry
 from gyrorig_solver.findings.findings_wording import (
     amount_text,
     cause_headline,

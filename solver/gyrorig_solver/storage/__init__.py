@@ -4,3 +4,19 @@ What to use when: `location.storage_at` for a folder or URL that a person names;
 `storage_protocol.Storage` for the operations that both have; `folder.Folder` and `bucket.Bucket`
 implement it. `shipped_files.config_folders` finds the files that ship with the project.
 """
+
+from gyrorig_solver.storage.file_writing import write_file
+from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.storage.location import StorageOption, storage_at
+from gyrorig_solver.storage.shipped_files import config_folders
+from gyrorig_solver.storage.storage_protocol import Storage, StorageEntry
+
+__all__ = [
+    "Folder",
+    "Storage",
+    "StorageEntry",
+    "StorageOption",
+    "config_folders",
+    "storage_at",
+    "write_file",
+]

@@ -3,3 +3,20 @@
 What to use when: `uncertainty_budget.assess_uncertainty` at a fit; `uncertainty_settings` for the
 prior sizes of the causes and the limits of the verdict; `marginal_covariance` for the algebra.
 """
+
+from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
+from gyrorig_solver.uncertainty.uncertainty_settings import (
+    UncertaintySettings,
+    default_settings,
+    read_settings,
+)
+from gyrorig_solver.uncertainty.unit_values import UnitPosterior
+
+__all__ = [
+    "UncertaintyBudget",
+    "UncertaintySettings",
+    "UnitPosterior",
+    "assess_uncertainty",
+    "default_settings",
+    "read_settings",
+]

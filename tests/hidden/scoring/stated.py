@@ -23,18 +23,9 @@ from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS, 
 from gyrorig_solver.discover.cause_findings import CauseFindings, FitExplanation, NamedCause
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
-from gyrorig_solver.findings.findings_builder import (
-    FindingsOrigin,
-    RawChecks,
-    build_findings_document,
-)
-from gyrorig_solver.findings.findings_document import (
-    BoardEntry,
-    CauseEntry,
-    FindingsDocument,
-    InputEntry,
-)
-from gyrorig_solver.findings.findings_wording import findings_summary
+from gyrorig_solver.findings import FindingsDocument, build_findings_document, findings_summary
+from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
+from gyrorig_solver.findings.findings_document import BoardEntry, CauseEntry, InputEntry
 from gyrorig_solver.model.term import value_indices, value_names
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 

@@ -16,9 +16,8 @@ from pymavlink.mavparm import MAVParmDict  # type: ignore[import-untyped]
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver import cli
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument
+from gyrorig_solver.export import FORMATS, ExportOptions, ExportSource, export_text
 from gyrorig_solver.export.c_header import FixedPoint, c_header, largest_count
-from gyrorig_solver.export.export_formats import FORMATS, ExportOptions, export_text
-from gyrorig_solver.export.export_source import ExportSource
 from gyrorig_solver.export.flight_controllers import shift_polynomial
 
 Captured = pytest.CaptureFixture[str]

@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from gyrorig_protocol.errors import InputError
-from gyrorig_solver.apply.correction import FRAMES, Frame
+from gyrorig_solver.apply import Frame
+from gyrorig_solver.apply.correction import FRAMES
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument
 from gyrorig_solver.estimate.noise.noise_model import (
     Periodogram,
@@ -18,8 +19,7 @@ from gyrorig_solver.estimate.noise.noise_model import (
     fit_noise_levels,
     unit_densities,
 )
-from gyrorig_solver.export.export_formats import ExportOptions, export_text
-from gyrorig_solver.export.export_source import ExportSource
+from gyrorig_solver.export import ExportOptions, ExportSource, export_text
 
 DocumentFactory = Callable[..., CalibrationDocument]
 

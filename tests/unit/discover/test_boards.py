@@ -28,7 +28,8 @@ from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.pipeline.explain_board import BoardExplanation, explain_boards
+from gyrorig_solver.pipeline import explain_boards
+from gyrorig_solver.pipeline.explain_board import BoardExplanation
 from gyrorig_solver.pipeline.prepare_board import fit_base_model, prepare_held_out
 
 pytestmark = pytest.mark.long

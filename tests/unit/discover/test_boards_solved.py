@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from gyrorig_protocol.identity import BoardId
-from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
+from gyrorig_solver.pipeline import CriticisedFit
+from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_together
 
 pytestmark = pytest.mark.long
 

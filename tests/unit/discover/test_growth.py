@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, speed_shapes
-from gyrorig_solver.numerics.distributions import normal_upper_tail
+from gyrorig_solver.numerics import normal_upper_tail
 
 N, DRAWS = 3000, 1500
 SPEED = np.abs(np.sin(np.linspace(0.0, 40.0, N))) * (np.arange(N) % 300 > 90)

@@ -11,20 +11,16 @@ from scipy.stats import linregress
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.cause_findings import CauseFindings
-from gyrorig_solver.findings.findings_builder import (
-    FindingsOrigin,
-    RawChecks,
-    build_findings_document,
-)
+from gyrorig_solver.findings import build_findings_document
+from gyrorig_solver.findings.findings_builder import FindingsOrigin, RawChecks
 from gyrorig_solver.model.term import BinnedDependence
+from gyrorig_solver.report import ReportSeries, draw_findings_figures, render_findings
 from gyrorig_solver.report.binned_dependence import (
     DEPENDENCE_OF_SIGNATURE,
     regress_in_bins,
 )
 from gyrorig_solver.report.cause_figures import cause_figure, unexplained_figure
 from gyrorig_solver.report.figure_layout import standalone_svg
-from gyrorig_solver.report.findings_page import draw_findings_figures, render_findings
-from gyrorig_solver.report.report_series import ReportSeries
 
 EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> {{7*7}}"
 RNG = np.random.default_rng(11)

@@ -32,7 +32,7 @@ from gyrorig_solver.fleet.jobs.workers import DeferredJob, WorkerPool, local_poo
 from gyrorig_solver.fleet.store.folder_claims import FolderClaims
 from gyrorig_solver.fleet.store.store_index import StoreIndex
 from gyrorig_solver.fleet.store.store_verification import verify
-from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.storage import Folder
 
 BOARD = BoardId("GY80-1")
 SETTINGS = SolveSettings(solver_version="0.1.0", extend=())

@@ -26,10 +26,8 @@ from gyrorig_solver.fleet.store.store_queries import (
     rebuild_index,
 )
 from gyrorig_solver.fleet.store.store_verification import verify
+from gyrorig_solver.storage import Folder, Storage, storage_at
 from gyrorig_solver.storage.bucket import Bucket
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.storage.location import storage_at
-from gyrorig_solver.storage.storage_protocol import Storage
 
 BOARD = BoardId("GY80-1")
 SETTINGS = SolveSettings(solver_version="0.1.0", extend=())

@@ -24,7 +24,7 @@ from gyrorig_solver.fleet.jobs.workers import WorkerPool
 from gyrorig_solver.fleet.store.manifest import read_public_key, read_signer, write_manifests
 from gyrorig_solver.fleet.store.store_queries import rebuild_index
 from gyrorig_solver.fleet.store.store_verification import verify
-from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.storage import Folder
 
 
 @pytest.fixture(scope="module")

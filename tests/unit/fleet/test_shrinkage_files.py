@@ -15,7 +15,7 @@ from gyrorig_solver.fleet.drift.shrinkage_files import (
     read_shrinkage_estimates,
     write_shrinkage_estimates,
 )
-from gyrorig_solver.storage.location import storage_at
+from gyrorig_solver.storage import storage_at
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from gyrorig_solver.fleet.jobs.spool_scanner import (
     read_recordings,
     scan_spool,
 )
-from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.storage import Folder
 
 
 def write(path: Path, session: str = "s", part: int = 0, events: int = 1, anchor: int = 1) -> Path:

@@ -8,11 +8,9 @@ import fsspec  # type: ignore[import-untyped] # it has no types
 import pytest
 
 from gyrorig_protocol.errors import InputError, MachineError, UsageError
+from gyrorig_solver.storage import Folder, Storage, storage_at
 from gyrorig_solver.storage import bucket as buckets
 from gyrorig_solver.storage.bucket import Bucket
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.storage.location import storage_at
-from gyrorig_solver.storage.storage_protocol import Storage
 
 
 @pytest.fixture(params=["folder", "bucket"])

@@ -9,8 +9,8 @@ from gyrorig_protocol.recording.mcap.losses import Loss, LossCause
 from gyrorig_protocol.recording.messages import SESSION_EVENT_TOPIC, EventKind, SessionEvent
 from gyrorig_protocol.recording.writer import RecordingWriter
 from gyrorig_solver import cli
-from gyrorig_solver.check.health_messages import health_problems, health_verdict
-from gyrorig_solver.check.recording_health import BoardHealth, RecordingHealth, UnitHealth
+from gyrorig_solver.check import RecordingHealth, health_problems, health_verdict
+from gyrorig_solver.check.recording_health import BoardHealth, UnitHealth
 from gyrorig_solver.estimate.gyro_fit import ObservabilityReport
 
 Captured = pytest.CaptureFixture[str]

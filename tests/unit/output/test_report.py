@@ -22,9 +22,7 @@ from gyrorig_solver.calibration.calibration_document import (
 )
 from gyrorig_solver.data.clocks.clock_trace import ClockTrace
 from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.report import calibration_page
-from gyrorig_solver.report.calibration_page import render_calibration
-from gyrorig_solver.report.report_data import ReportData
+from gyrorig_solver.report import ReportData, calibration_page, render_calibration
 
 BOARDS = Path(__file__).parents[3] / "config" / "boards"
 EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> {{7*7}} $x^2$"

@@ -13,8 +13,8 @@ from gyrorig_solver.apply.correction import build_correction
 from gyrorig_solver.calibration.calibration_document import parse_calibration
 from gyrorig_solver.estimate.noise.noise_model import Sampling
 from gyrorig_solver.estimate.series import too_short_error
-from gyrorig_solver.plan.rig_model import load_rig
-from gyrorig_solver.storage.folder import Folder
+from gyrorig_solver.plan import load_rig
+from gyrorig_solver.storage import Folder
 
 GOLDEN = Path(__file__).parent / "golden" / "good.yaml"
 Captured = pytest.CaptureFixture[str]

@@ -12,7 +12,7 @@ import yaml
 
 from gyrorig_protocol.program import MotionProgram, parse_program
 from gyrorig_solver.calibration.sensor_profiles import find_profile
-from gyrorig_solver.plan.rig_model import RigModel, load_rig
+from gyrorig_solver.plan import RigModel, load_rig
 from gyrorig_solver.plan.sensor_model import SensorModel
 
 ROOT = Path(__file__).parents[3]

@@ -14,14 +14,15 @@ from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import prior_std
 from gyrorig_solver.model.signal_state import Site
 from gyrorig_solver.numerics.distributions import detection_noncentrality
-from gyrorig_solver.pipeline.fit_board import solve_recordings
-from gyrorig_solver.plan.detectability import (
-    CauseDetectability,
+from gyrorig_solver.pipeline import solve_recordings
+from gyrorig_solver.plan import (
     DetectabilityReport,
+    Prediction,
+    RigModel,
     predict_detectability,
+    predict_program,
 )
-from gyrorig_solver.plan.prediction import Prediction, predict_program
-from gyrorig_solver.plan.rig_model import RigModel
+from gyrorig_solver.plan.detectability import CauseDetectability
 from gyrorig_solver.plan.scan_templates import signal_states
 from gyrorig_solver.plan.sensor_model import SensorModel
 

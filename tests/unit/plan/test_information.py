@@ -9,7 +9,7 @@ import pytest
 from gyrorig_solver.estimate.information import motion_information, white_noise_information
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
 from gyrorig_solver.estimate.series import Series
-from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
+from gyrorig_solver.numerics import ArrowheadMatrix
 from gyrorig_solver.reference.reference_motion import EvaluatedMotion
 
 N = np.radians(0.03)  # rad/s/sqrt(Hz)

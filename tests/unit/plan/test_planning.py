@@ -14,13 +14,11 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
 from gyrorig_solver.model.gain_matrix import FACTOR_NAMES
 from gyrorig_solver.pipeline.fit_board import solve_recording
+from gyrorig_solver.plan import RigModel, find_program, predict_program
 from gyrorig_solver.plan.criterion import bias_excess, cost
-from gyrorig_solver.plan.prediction import predict_program
 from gyrorig_solver.plan.program_family import MotionSpace, build_program, draw_design
 from gyrorig_solver.plan.program_file import program_text
-from gyrorig_solver.plan.program_search import find_program
 from gyrorig_solver.plan.program_timeline import simulate_program
-from gyrorig_solver.plan.rig_model import RigModel
 from gyrorig_solver.plan.sensor_model import SensorModel
 
 ROOT = Path(__file__).parents[3]

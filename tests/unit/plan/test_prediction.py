@@ -14,9 +14,8 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.estimate.gyro_fit import NoiseLevels
 from gyrorig_solver.pipeline.fit_board import solve_recording
-from gyrorig_solver.plan.prediction import predict_program
+from gyrorig_solver.plan import RigModel, load_rig, predict_program
 from gyrorig_solver.plan.program_timeline import simulate_program
-from gyrorig_solver.plan.rig_model import RigModel, load_rig
 from gyrorig_solver.plan.sensor_model import SensorModel
 
 PROGRAMS = Path(__file__).parents[3] / "config" / "programs"

@@ -8,10 +8,8 @@ import pytest
 
 from gyrorig_protocol.program import MotionProgram, Move, unroll_steps
 from gyrorig_solver import cli
+from gyrorig_solver.plan import RigModel, predict_detectability, predict_program
 from gyrorig_solver.plan.criterion import bias_excess
-from gyrorig_solver.plan.detectability import predict_detectability
-from gyrorig_solver.plan.prediction import predict_program
-from gyrorig_solver.plan.rig_model import RigModel
 from gyrorig_solver.plan.sensor_model import SensorModel
 
 ROOT = Path(__file__).parents[3]

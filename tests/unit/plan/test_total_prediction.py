@@ -14,22 +14,18 @@ from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.discover.calibration_changes import CalibrationValues
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
-from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS, predict_program
-from gyrorig_solver.plan.program_search import find_program
-from gyrorig_solver.plan.rig_model import RigModel
+from gyrorig_solver.plan import RigModel, find_program, predict_program, predict_total
+from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS
 from gyrorig_solver.plan.sensor_model import SensorModel
-from gyrorig_solver.plan.total_prediction import PlanPrior, predict_total
-from gyrorig_solver.uncertainty.uncertainty_budget import assess_uncertainty
-from gyrorig_solver.uncertainty.uncertainty_settings import (
-    PriorSize,
+from gyrorig_solver.plan.total_prediction import PlanPrior
+from gyrorig_solver.uncertainty import (
     UncertaintySettings,
+    UnitPosterior,
+    assess_uncertainty,
     default_settings,
 )
-from gyrorig_solver.uncertainty.unit_values import (
-    UnitInformation,
-    UnitPosterior,
-    unit_value_names,
-)
+from gyrorig_solver.uncertainty.uncertainty_settings import PriorSize
+from gyrorig_solver.uncertainty.unit_values import UnitInformation, unit_value_names
 
 ROOT = Path(__file__).parents[3]
 Record = Callable[..., tuple[Path, dict[str, Any]]]

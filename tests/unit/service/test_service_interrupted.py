@@ -11,7 +11,7 @@ import pytest
 
 from gyrorig_protocol.recording.messages import EventKind, SessionEvent
 from gyrorig_protocol.recording.reader import read_recording
-from gyrorig_solver.check.recording_health import examine_recording
+from gyrorig_solver.check import examine_recording
 from gyrorig_solver.data.samples import load_samples
 from gyrorig_solver.reference.unit.pan_tilt_recording import read_pan_tilt_reference
 

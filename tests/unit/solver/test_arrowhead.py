@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix, eliminate_local, solve_arrowhead
+from gyrorig_solver.numerics import ArrowheadMatrix, eliminate_local, solve_arrowhead
 
 
 def _made(local: int, shared: int) -> tuple[np.ndarray, ArrowheadMatrix, np.ndarray]:

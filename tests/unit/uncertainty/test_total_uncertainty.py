@@ -27,10 +27,9 @@ from gyrorig_solver.calibration.calibration_summary import calibration_summary
 from gyrorig_solver.calibration.total_uncertainty import with_total_uncertainty
 from gyrorig_solver.discover.calibration_changes import CALIBRATION_PARAMETERS
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.report.calibration_page import render_calibration
-from gyrorig_solver.report.report_data import ReportData
-from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry, UncertaintyBudget
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
+from gyrorig_solver.report import ReportData, render_calibration
+from gyrorig_solver.uncertainty import UncertaintyBudget, default_settings
+from gyrorig_solver.uncertainty.uncertainty_budget import BudgetEntry
 
 UNKNOWN: list[list[float | None]] = [[None] * 3] * 3
 SIZE = len(CALIBRATION_PARAMETERS)

@@ -18,14 +18,15 @@ from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.gain_matrix import factorise
 from gyrorig_solver.pipeline.board_data import load_board
 from gyrorig_solver.pipeline.prepare_board import fit_base
-from gyrorig_solver.uncertainty import uncertainty_budget
-from gyrorig_solver.uncertainty.prior_effects import unidentified_causes, whitened_effects
-from gyrorig_solver.uncertainty.uncertainty_budget import UncertaintyBudget, assess_uncertainty
-from gyrorig_solver.uncertainty.uncertainty_settings import (
-    PriorSize,
+from gyrorig_solver.uncertainty import (
+    UncertaintyBudget,
     UncertaintySettings,
+    assess_uncertainty,
     default_settings,
+    uncertainty_budget,
 )
+from gyrorig_solver.uncertainty.prior_effects import unidentified_causes, whitened_effects
+from gyrorig_solver.uncertainty.uncertainty_settings import PriorSize
 
 ROOT = Path(__file__).resolve().parents[3]
 Y = CALIBRATION_PARAMETERS.index("misalignment.y")

@@ -7,7 +7,8 @@ import pytest
 from gyrorig_protocol.errors import UsageError
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings, parse_settings
+from gyrorig_solver.uncertainty import default_settings
+from gyrorig_solver.uncertainty.uncertainty_settings import parse_settings
 
 HEAD = "schema: gyrorig/uncertainty/1\n"
 # What a calibration's parameters contain by their definition, and what the raw stream shows.

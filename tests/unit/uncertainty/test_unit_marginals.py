@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.uncertainty import UnitPosterior, default_settings
 from gyrorig_solver.uncertainty.fit_linearisation import FitLinearisation
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
 from gyrorig_solver.uncertainty.unit_marginals import UnitMarginals, unit_information
-from gyrorig_solver.uncertainty.unit_values import UnitPosterior, table_covariance
+from gyrorig_solver.uncertainty.unit_values import table_covariance
 
 SIZES = len(table_covariance(default_settings()))
 FREE, FITTED, OTHER, KNOWN = 4, 2, 3, 2  # parameters; fitted sizes; causes; the unit's, left out

@@ -13,8 +13,9 @@ from gyrorig_daemon import cli as daemon
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver import cli
 from gyrorig_solver.check.true_values import _true_values
-from gyrorig_solver.pipeline.unit_prior import UnitKnowledge, unit_identity
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
+from gyrorig_solver.pipeline import UnitKnowledge
+from gyrorig_solver.pipeline.unit_prior import unit_identity
+from gyrorig_solver.uncertainty import default_settings
 
 ROOT = Path(__file__).resolve().parents[3]
 BOARDS = 3

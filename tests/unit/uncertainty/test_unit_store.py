@@ -20,13 +20,9 @@ from gyrorig_solver.calibration.unit_document import (
 )
 from gyrorig_solver.calibration.unit_store import StoredPosterior, UnitStore
 from gyrorig_solver.pipeline.unit_prior import contradicts
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.uncertainty.uncertainty_settings import default_settings
-from gyrorig_solver.uncertainty.unit_values import (
-    UnitInformation,
-    UnitPosterior,
-    unit_value_names,
-)
+from gyrorig_solver.storage import Folder
+from gyrorig_solver.uncertainty import UnitPosterior, default_settings
+from gyrorig_solver.uncertainty.unit_values import UnitInformation, unit_value_names
 
 SETTINGS = default_settings()
 UNIT = UnitIdentity("E46-0001", "serial")

@@ -15,7 +15,7 @@ from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
 from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
 from gyrorig_solver.model.recording_scope import term_label
 from gyrorig_solver.model.term import Term
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 MAX_CANDIDATES = 5  # fitted exactly at a time
 MAX_CAUSES = 6

@@ -26,7 +26,7 @@ from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import start_values
 from gyrorig_solver.model.term_kinds import LinearTerm
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 KNOTS, FEW_KNOTS = 7, 6
 

@@ -11,7 +11,7 @@ from gyrorig_solver.discover.attitude.attitude_terms import UNNAMED_TERMS
 from gyrorig_solver.discover.cause_findings import ConfidenceInterval, HeldOutGain
 from gyrorig_solver.estimate.attitude.attitude_projector import AttitudeProjector
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.numerics.distributions import normal_quantile
+from gyrorig_solver.numerics import normal_quantile
 
 WINDOW_S, FOLDS, MIN_WINDOWS = 10.0, 8, 4
 

@@ -27,7 +27,7 @@ from gyrorig_solver.estimate.nuisance_projector import (
 )
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_channels
 from gyrorig_solver.model.term import Term
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 MIN_RELATIVE_INFORMATION = 1e-7  # of the values' own: a direction with less information is ignored
 

@@ -19,7 +19,7 @@ from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.model.recording_scope import term_label
 from gyrorig_solver.model.term import value_indices
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 # If the fit without a cause is clearly worse after this many evaluations, the cause is kept.
 # Without a large cause the fit would need many more to converge.

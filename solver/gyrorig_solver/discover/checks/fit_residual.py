@@ -20,7 +20,7 @@ from gyrorig_solver.discover.cause_findings import (
 )
 from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 BAND_HZ = 5.0  # above it a reference's own smoothing is seen, see `estimate.attitude.attitude_fit`
 FALSE_ALARM_RATE = 0.005

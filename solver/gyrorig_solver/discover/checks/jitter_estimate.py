@@ -40,7 +40,7 @@ from gyrorig_solver.discover.checks.variance_trend import (
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
-from gyrorig_solver.numerics.distributions import chi2_upper_tail, normal_quantile
+from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
 
 BLOCK_LENGTH = 16  # samples; an acceleration lasts some tens
 STILL_SHARE = 1e-3  # of the largest slope squared: slower changes count as none

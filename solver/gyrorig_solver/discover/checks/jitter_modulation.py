@@ -20,7 +20,7 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 MODULATION_WAVES = 3  # half waves of the speed and of the time
 MIN_RELATIVE_STRENGTH = (

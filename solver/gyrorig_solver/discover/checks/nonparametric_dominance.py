@@ -21,7 +21,7 @@ from gyrorig_solver.discover.score_tests import ScoreTest
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 
 def dominated_by_nonparametric(

@@ -17,7 +17,7 @@ from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.model.causes.acceleration_error import AccelerationError
 from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
 from gyrorig_solver.model.value_format import PAN_TILT
-from gyrorig_solver.numerics.distributions import chi2_upper_tail, normal_quantile
+from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
 from gyrorig_solver.reference.unit.law_fit import compare_base_speeds
 from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 

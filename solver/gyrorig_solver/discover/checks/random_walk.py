@@ -33,7 +33,7 @@ from gyrorig_solver.estimate.noise.noise_model import (
 )
 from gyrorig_solver.model.causes.bias_random_walk import BiasRandomWalk
 from gyrorig_solver.model.value_format import XYZ
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 FLICKER, WALK = 1, 2  # which of a noise model's levels
 ACTING_NATS = 4.5  # of one axis, three deviations: there it acts

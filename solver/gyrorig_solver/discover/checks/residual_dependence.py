@@ -20,7 +20,7 @@ from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, sp
 from gyrorig_solver.discover.score_tests import NEGLIGIBLE_ENERGY, ScoreTest
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 DETAIL_LIMITS = (3.0, 8.0, np.inf)  # half waves that are looked at together, coarse to fine
 VARIANCE_TESTS = 4  # tests of the scatter

@@ -30,7 +30,7 @@ from gyrorig_solver.estimate.noise.noise_model import (
 )
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 EXCESS_RATIO = 5.0  # times the random walk of a typical part; more is reported as unusual
 TYPICAL_POWER_FACTOR = 4.0  # times the power of a typical part's random walk

@@ -24,7 +24,7 @@ from gyrorig_solver.estimate.noise.relative_std import (
     orthonormal_dct,
 )
 from gyrorig_solver.estimate.noise.whitening import WhitenedPart
-from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
+from gyrorig_solver.numerics import ArrowheadMatrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)

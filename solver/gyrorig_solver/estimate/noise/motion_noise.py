@@ -29,7 +29,7 @@ from gyrorig_solver.estimate.noise.noise_model import (
     Sampling,
     dct_frequencies_hz,
 )
-from gyrorig_solver.numerics.distributions import normal_quantile
+from gyrorig_solver.numerics import normal_quantile
 
 FALSE_ALARM = 1e-4  # probability of an excess in a recording whose noise has none
 MIN_EXCESS = 0.05  # relative variance: a smaller excess changes a standard deviation by 2 %

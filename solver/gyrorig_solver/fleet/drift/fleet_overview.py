@@ -48,8 +48,7 @@ from gyrorig_solver.fleet.drift.population import (
 from gyrorig_solver.fleet.store.index_rows import NEWEST_FIRST_SQL
 from gyrorig_solver.fleet.store.store_backend import open_index
 from gyrorig_solver.fleet.store.store_index import StoreIndex
-from gyrorig_solver.storage.location import storage_at
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Storage, storage_at
 
 __all__ = [
     "GROUP_KINDS",

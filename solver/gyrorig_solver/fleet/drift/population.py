@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.numerics.distributions import chi2_upper_tail
+from gyrorig_solver.numerics import chi2_upper_tail
 
 IntArray = npt.NDArray[np.intp]
 

@@ -19,8 +19,7 @@ import numpy as np
 
 from gyrorig_protocol.errors import InputError, MachineError
 from gyrorig_solver.fleet.drift.fleet_overview import PARAMETER_COLUMNS, FleetOverview
-from gyrorig_solver.storage.location import storage_at
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Storage, storage_at
 
 SHRINKAGE_FOLDER = "shrunk"
 _DIGEST_CHARS = 12  # of a digest, in a file's name

@@ -33,9 +33,7 @@ from gyrorig_solver.fleet.store.index_rows import IndexRow
 from gyrorig_solver.fleet.store.manifest import Signer, write_manifests
 from gyrorig_solver.fleet.store.store_backend import RowJournal, WorkClaims, open_index_and_claims
 from gyrorig_solver.fleet.store.store_index import StoreIndex
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.storage.location import storage_at
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Folder, Storage, storage_at
 
 RECORDING_CACHE_FILE = "spool-heads.sqlite"
 GIVE_UP_AFTER_DEFERRALS = 20  # consecutive ones: the store is full, or gone

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from gyrorig_solver.fleet.jobs.spool_scanner import SpooledRecording, SpoolListing
-from gyrorig_solver.storage.storage_protocol import StorageEntry
+from gyrorig_solver.storage import StorageEntry
 
 _CREATE_TABLE_SQL = """CREATE TABLE IF NOT EXISTS spooled (
     path TEXT PRIMARY KEY, size INTEGER, stamp TEXT, sha256 TEXT, session TEXT, part TEXT

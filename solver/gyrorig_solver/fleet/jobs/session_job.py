@@ -35,10 +35,10 @@ from gyrorig_solver.fleet.store.index_rows import (
     calibration_row,
     index_time_text,
 )
-from gyrorig_solver.pipeline.criticised_fit import AUTO, CriticisedFit, fit_together
-from gyrorig_solver.pipeline.solve_board import likelihood_settings, solve_and_store
-from gyrorig_solver.pipeline.unit_prior import UnitKnowledge
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.pipeline import CriticisedFit, UnitKnowledge, solve_and_store
+from gyrorig_solver.pipeline.criticised_fit import AUTO, fit_together
+from gyrorig_solver.pipeline.solve_board import likelihood_settings
+from gyrorig_solver.storage import Storage
 
 VERSIONS_CHECKED = 3  # latest versions that are checked for this job's result
 

@@ -19,9 +19,7 @@ from pathlib import Path, PurePosixPath
 
 from gyrorig_protocol.errors import GyrorigError, MachineError, UsageError
 from gyrorig_protocol.recording.reader import read_recording_metadata
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.storage.location import storage_at
-from gyrorig_solver.storage.storage_protocol import Storage, StorageEntry
+from gyrorig_solver.storage import Folder, Storage, StorageEntry, storage_at
 
 UNREAD_PREFIX = "unread:"  # in place of a digest
 SET_ASIDE_FOLDER = "unclean"  # the daemon's originals of recovered recordings

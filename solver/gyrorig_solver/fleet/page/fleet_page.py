@@ -33,9 +33,7 @@ from gyrorig_solver.fleet.page.history_scripts import (
     shared_chart_data,
 )
 from gyrorig_solver.fleet.store.store_backend import open_index
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.storage.location import storage_at
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Folder, Storage, storage_at
 
 PAGE_FOLDER = "fleet"
 _WEB_FILES = ("index.html", "drifts.js", "groups.js", "app.js", "style.css")

@@ -34,7 +34,7 @@ from gyrorig_protocol.errors import GyrorigError, MachineError
 from gyrorig_solver.fleet.store.folder_journal import JOURNAL_SUFFIX, ROWS_PER_PART
 from gyrorig_solver.fleet.store.index_rows import IndexRow, row_columns
 from gyrorig_solver.fleet.store.store_index import StoreIndex
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Storage
 
 HEARTBEAT_FOLDER, CLAIMS_FOLDER, JOURNAL_FOLDER = "alive", "claims", "journal"
 HEARTBEAT_PERIOD_S = 20.0

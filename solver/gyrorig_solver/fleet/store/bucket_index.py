@@ -20,7 +20,7 @@ from gyrorig_solver.fleet.store.bucket_coordination import JOURNAL_FOLDER, other
 from gyrorig_solver.fleet.store.folder_journal import JOURNAL_SUFFIX, report_disk_errors
 from gyrorig_solver.fleet.store.index_rows import IndexRow
 from gyrorig_solver.fleet.store.store_index import INDEX_FOLDER, StoreIndex
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Storage
 
 _MIRROR_PREFIX = "mirror-"
 _STALE_MIRROR_S = 7 * 86_400.0  # no command runs for so long

@@ -21,8 +21,7 @@ from gyrorig_solver.calibration.calibration_store import (
     create_sharded_store,
     sharded_folder_name,
 )
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Folder, Storage
 
 
 class BucketStore(CalibrationStore):

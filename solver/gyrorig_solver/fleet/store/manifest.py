@@ -25,7 +25,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key, l
 
 from gyrorig_protocol.errors import InputError, UsageError
 from gyrorig_solver.fleet.store.store_index import INDEX_FOLDER as INDEX
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Storage
 
 MANIFEST_FOLDER = "manifest"
 _SUFFIX = ".sha256"

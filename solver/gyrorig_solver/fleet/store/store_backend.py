@@ -18,8 +18,7 @@ from gyrorig_solver.fleet.store.bucket_index import BucketIndex
 from gyrorig_solver.fleet.store.folder_claims import FolderClaims, batches_excluded
 from gyrorig_solver.fleet.store.index_rows import IndexRow
 from gyrorig_solver.fleet.store.store_index import StoreIndex
-from gyrorig_solver.storage.folder import Folder
-from gyrorig_solver.storage.storage_protocol import Storage
+from gyrorig_solver.storage import Folder, Storage
 
 
 class RowJournal(Protocol):

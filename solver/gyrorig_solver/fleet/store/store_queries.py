@@ -28,8 +28,7 @@ from gyrorig_solver.fleet.store.bucket_store import open_calibration_store
 from gyrorig_solver.fleet.store.index_rows import NEWEST_FIRST_SQL, IndexRow, calibration_row
 from gyrorig_solver.fleet.store.manifest import Signer, remove_manifests, write_manifests
 from gyrorig_solver.fleet.store.store_backend import exclusive_access, open_index
-from gyrorig_solver.storage.location import storage_at
-from gyrorig_solver.storage.storage_protocol import Storage, StorageEntry
+from gyrorig_solver.storage import Storage, StorageEntry, storage_at
 
 LISTED_COLUMNS = ("board", "version", "trust", "created", "start", "sensor", "rig", "uid", "file")
 _RECORDING_NAME = re.compile(r"\d{8}T\d{6}Z_(?P<rig>[A-Za-z0-9-]+)_(?P<session>.+?)(_p\d+)?\.mcap")

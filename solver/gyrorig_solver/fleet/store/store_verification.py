@@ -21,8 +21,7 @@ from gyrorig_solver.fleet.store.store_queries import (
     list_documents,
     open_existing_store,
 )
-from gyrorig_solver.storage.location import storage_at
-from gyrorig_solver.storage.storage_protocol import Storage, StorageEntry
+from gyrorig_solver.storage import Storage, StorageEntry, storage_at
 
 
 @dataclass(frozen=True, slots=True)

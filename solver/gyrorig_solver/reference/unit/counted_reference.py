@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix, solve_arrowhead
+from gyrorig_solver.numerics import ArrowheadMatrix, solve_arrowhead
 from gyrorig_solver.reference.reference_motion import EvaluatedMotion, LocalDerivative
 from gyrorig_solver.reference.unit.move_fit import UnitPolls
 from gyrorig_solver.reference.unit.poll_likelihood import STEP_VARIANCE

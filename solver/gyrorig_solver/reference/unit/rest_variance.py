@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.numerics.arrowhead import ArrowheadMatrix
+from gyrorig_solver.numerics import ArrowheadMatrix
 from gyrorig_solver.reference.unit.move_equations import BandedNormalEquations
 
 # From exactly on the count to uniform over one step (1/12 steps^2).
