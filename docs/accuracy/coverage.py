@@ -1,4 +1,4 @@
-"""The table of coverage per program and parameter, from what bench_coverage.py wrote."""
+"""The table of coverage per program and parameter, from the results of bench_coverage.py."""
 
 import json
 import sys
@@ -16,7 +16,7 @@ RESULTS = Path(__file__).resolve().parent / "coverage.json"
 
 @cache
 def results() -> dict[str, Any]:
-    """Return what the bench wrote last, by program; the shortest program first."""
+    """Return the latest results of the benchmark by program; the shortest program first."""
     programs: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
     return dict(sorted(programs.items(), key=lambda item: float(item[1]["duration_s"])))
 
@@ -52,7 +52,7 @@ def _cell(figures: dict[str, Any], runs: int) -> str:
 
 
 def misses() -> str:
-    """How many coverages meet the goal, and those that do not."""
+    """Number of coverages that meet the goal, and table of the others."""
     rows = list(coverage_rows(results()))
     missed = [row for row in rows if row.verdict != "yes"]
     beyond = sum(row.verdict == "NO" for row in missed)

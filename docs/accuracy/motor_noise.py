@@ -1,4 +1,4 @@
-"""The table of coverage with noise in motion, from what bench_motor_noise.py wrote."""
+"""The table of coverage with noise in motion, from the results of bench_motor_noise.py."""
 
 import json
 import sys
@@ -13,7 +13,7 @@ RESULTS = Path(__file__).resolve().parent / "motor_noise.json"
 
 
 def coverage() -> str:
-    """The coverage of 95 % intervals, pooled and of the worst parameters."""
+    """Coverage of 95 % intervals, for all parameters and for the lowest and highest."""
     results: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
     rows = []
     for case in results["cases"]:

@@ -1,4 +1,4 @@
-"""The tables of speed and growth, from what bench_solve.py and bench_growth.py wrote."""
+"""The tables of speed and growth, from the results of bench_solve.py and bench_growth.py."""
 
 import json
 import sys
@@ -18,7 +18,7 @@ def _read(name: str) -> dict[str, Any]:
 
 
 def steps() -> str:
-    """What each step of a board of 75 s at 800 Hz takes."""
+    """Processor time of each step for a board of 75 s at 800 Hz."""
     measurement = _read("speed.json")
     rows = [(step, f"{value:.1f}") for step, value in measurement["ms"].items()]
     rows.append(("all steps", f"{measurement['total_ms']:.1f}"))

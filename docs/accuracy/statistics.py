@@ -1,4 +1,4 @@
-"""The tables of simulated runs against the bound, from what bench_accuracy.py wrote."""
+"""The tables of simulated runs and the bound, from the results of bench_accuracy.py."""
 
 import json
 import sys
@@ -28,7 +28,7 @@ RESULTS = Path(__file__).resolve().parent / "results.json"
 
 @cache
 def results() -> dict[str, Any]:
-    """Return what the bench wrote last."""
+    """Return the latest results of the benchmark."""
     document: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
     return document
 
@@ -48,7 +48,7 @@ def _span(figure: dict[str, float], digits: int = 2) -> str:
 
 
 def cases() -> str:
-    """What was run."""
+    """Table of the simulated cases."""
     rows = [
         (
             case.name,

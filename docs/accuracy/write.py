@@ -1,12 +1,12 @@
-"""Put the figures of the benches into docs/accuracy.md, or check that they are there.
+"""Write the tables of docs/accuracy.md, or check them.
 
     python docs/accuracy/write.py            write every block
     python docs/accuracy/write.py --check    change nothing; 1 if a block differs
 
-Nothing is measured here: `python tests/bench/bench_accuracy.py --out docs/accuracy/results.json`
-does that (half an hour on two free cores), and `python tests/bench/bench_coverage.py --out
-docs/accuracy/coverage.json` (ten minutes on one); `bench_motor_noise.py` measures noise in motion.
-This page states what they found.
+This program measures nothing. `python tests/bench/bench_accuracy.py --out
+docs/accuracy/results.json` measures efficiency (half an hour on two free cores), and `python
+tests/bench/bench_coverage.py --out docs/accuracy/coverage.json` measures coverage (ten minutes on
+one core). `bench_motor_noise.py` measures noise in motion.
 """
 
 import argparse

@@ -1,11 +1,11 @@
-"""One simulated GY80, the paper's method and a rate-domain least squares side by side.
+"""Compare the paper's method with least squares on the rates, on one simulated GY80.
 
     python docs/paper/check_estimators.py
 
 The board has the scales of Table 3, a T_zy of -0.005, a mount turned by 8.8 degrees about the
 tilt axis, the static bias of Table 2 taken as degrees per second and the noise of an L3G4200D.
-The least squares here is the plainest there is, y = G omega + b with the pan-tilt rates; what
-the project's own solver gives is in end_to_end.py.
+The least-squares fit is y = G omega + b with the pan-tilt rates; end_to_end.py gives the results of
+the project's solver.
 """
 
 import sys
@@ -45,7 +45,7 @@ def true_gain() -> FloatArray:
 
 
 def samples_rad_s(motion: Motion, late_s: float = 0.0) -> FloatArray:
-    """What the board gives on `motion`, `late_s` behind it."""
+    """Return the readings of the board on `motion`, delayed by `late_s`."""
     ideal = motion.body_rate_rad_s()
     if late_s:
         at = motion.time_s - late_s
@@ -69,7 +69,7 @@ def unseen_directions(design: FloatArray) -> FloatArray:
 
 
 def rate_rank(design: FloatArray) -> int:
-    """Columns of the design that its motion tells apart."""
+    """Return the columns of the design that the motion determines."""
     return int(design.shape[1]) - len(unseen_directions(design))
 
 
@@ -83,7 +83,7 @@ def rate_gain(motion: Motion, rate_rad_s: FloatArray) -> FloatArray:
 
 
 def _error(gain: FloatArray, rank: int) -> str:
-    """Largest error of an estimate; of its seen columns where the rank is short."""
+    """Return the largest error of an estimate, without the columns that are not observable."""
     apart = np.abs(gain - true_gain())
     if rank == 3:
         return number(float(apart.max()))
@@ -127,7 +127,7 @@ def comparison() -> str:
 
 
 def sight() -> str:
-    """What each path can tell at best: rank of the 12 parameters, and bounds by noise."""
+    """Return the rank of the 12 parameters and the bounds from noise for each path."""
     density = np.radians(NOISE_DPS_ROOT_HZ)
     rows = []
     for name, corners in paths().items():

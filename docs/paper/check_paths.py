@@ -1,8 +1,9 @@
-"""Eq. 6 to 12 on pan-tilt paths with a perfect gyro: what the method itself gets wrong.
+"""Errors of eq. 6 to 12 on pan-tilt paths with a perfect gyro.
 
     python docs/paper/check_paths.py
 
-The gyro has no bias, no noise, unit gain and no mount: a right method gives STM = I and b = 0.
+The gyro has no bias, no noise, unit gain and no mounting angle. A correct method therefore gives
+STM = I and b = 0.
 """
 
 import sys
@@ -32,7 +33,7 @@ def rank_above_step(columns: FloatArray) -> int:
 
 
 def composition_example() -> str:
-    """A tilt of 30 degrees made at a pan of 60 degrees, by each reading of eq. 12."""
+    """Angles after a tilt of 30 degrees at a pan of 60 degrees, by each reading of eq. 12."""
     corners: Corners = [(0.0, 0.0), (60.0, 0.0), (60.0, 30.0)]
     motion = along(corners)
     words: dict[Composition, str] = {
@@ -73,7 +74,7 @@ def ranks() -> str:
 
 
 def offsets_deg(motion: Motion) -> tuple[FloatArray, FloatArray]:
-    """Perfect gyro's integral minus the unit's angle: at the end, and the most; (3,) each."""
+    """Integral of a perfect gyro minus the unit's angle: at the end and largest, (3,) each."""
     pan, tilt = motion.pan_rad, motion.tilt_rad
     apart = np.degrees(ideal_integral_rad(pan, tilt) - mechanism_angles_rad(pan, tilt))
     return np.asarray(apart[-1]), np.asarray(np.abs(apart).max(axis=0))
@@ -86,7 +87,7 @@ def false_bias_dps(motion: Motion) -> FloatArray:
 
 
 def geometric_phase() -> str:
-    """What a perfect gyro integrates to, and the bias that a line through it reports."""
+    """Integrated rates of a perfect gyro, and the slope of a line through them."""
     rows = []
     for name, corners in paths().items():
         motion = along(corners)
@@ -104,7 +105,7 @@ def geometric_phase() -> str:
 
 
 def gains() -> str:
-    """STM of eq. 7 for a perfect gyro, with its true bias of zero taken off."""
+    """STM of eq. 7 for a perfect gyro, with its true bias of zero."""
     rows = []
     for name, corners in paths().items():
         motion = along(corners)
@@ -118,7 +119,7 @@ def gains() -> str:
 
 
 def both_biases() -> str:
-    """The plain path A, where the angles agree: static against quasi-static bias."""
+    """Static and quasi-static bias on path A, on which integrals and angles agree."""
     name, corners = next(iter(paths().items()))
     motion = along(corners)
     rows = []
@@ -142,7 +143,7 @@ def both_biases() -> str:
 
 
 def rounding() -> str:
-    """Eq. 7 with Matlab's tolerance where the roll is nothing but sampling at the corners."""
+    """Eq. 7 with Matlab's tolerance on paths whose roll is only a sampling error."""
     rows = []
     for name in ("A pan out and back, tilt out and back", "E pan out and back at the tilt end"):
         motion = along(paths()[name])
@@ -156,7 +157,7 @@ def rounding() -> str:
 
 
 def failures() -> str:
-    """The names under which `PaperResult` reports what went wrong."""
+    """The failures that `PaperResult` can report, with their meaning."""
     return table(["name", "meaning"], [[f"`{name}`", FAILURES[name]] for name in FAILURES])
 
 

@@ -1,9 +1,10 @@
-"""Could the kinematics of eq. 12 alone have made Table 3's T_zy and M_yz? A search.
+"""Search for paths on which eq. 12 alone gives the T_zy and M_yz of Table 3.
 
     python docs/paper/check_search.py
 
-A perfect gyro on ten paths, six pan and eleven tilt amplitudes (the tilts within a PTU-E46's
-range of -47 to +31 degrees), three readings of eq. 12 and both biases. Takes some 15 s.
+The search simulates a perfect gyro on ten paths, with six pan and eleven tilt amplitudes (the tilts
+within a PTU-E46's range of -47 to +31 degrees), three readings of eq. 12 and both biases. It takes
+about 15 s.
 """
 
 import sys
@@ -55,7 +56,7 @@ def full_rank(paper_results: list[PaperResult]) -> tuple[FloatArray, FloatArray,
 
 
 def search() -> str:
-    """What the search found, beside Table 3's GY80."""
+    """Results of the search, compared with the GY80 of Table 3."""
     paper_results = results()
     scale, t_zy, m_yz = full_rank(paper_results)
     plausible = np.all((scale > 0.85) & (scale < 1.05), axis=1)

@@ -1,9 +1,9 @@
-"""Tables 1 to 3 and the two percentages of section V: what the printed numbers imply.
+"""Consequences of the numbers in Tables 1 to 3 and in section V.
 
     python docs/paper/check_tables.py
 
-Nothing is simulated here: every number follows from the printed ones, from a data sheet
-named beside it, or from eq. 1 to 10.
+This script simulates nothing. Every number follows from the printed numbers, from a data sheet
+named next to it, or from eq. 1 to 10.
 """
 
 import sys
@@ -36,7 +36,7 @@ DATA_SHEET_DPS = {
 
 
 def sensitivities() -> str:
-    """Table 1 beside the data sheets."""
+    """Table 1 compared with the data sheets."""
     rows = []
     for board in BOARDS:
         for full_scale, expected in DATA_SHEET_DPS[board.name].items():
@@ -60,7 +60,7 @@ def sensitivities() -> str:
 
 
 def biases() -> str:
-    """Table 2: how far the two biases lie apart."""
+    """Differences between the two biases of Table 2."""
     rows = [
         [
             board.name,
@@ -76,7 +76,7 @@ def biases() -> str:
 
 
 def products() -> str:
-    """Table 3 multiplied out."""
+    """Products S T M of Table 3."""
     rows = [[board.name, f"`{matrix(board.STM)}`"] for board in BOARDS]
     return table(["board", "STM = S T M"], rows)
 
@@ -93,7 +93,7 @@ def corrected(board: PrintedBoard) -> FloatArray:
 
 
 def rotations() -> str:
-    """Is M of Table 3 a rotation, as eq. 8 to 10 make it?"""
+    """Check whether M of Table 3 is a rotation, as eq. 8 to 10 require."""
     rows = []
     for board in BOARDS:
         M = board.M
@@ -120,7 +120,7 @@ def rotations() -> str:
 
 
 def misprint() -> str:
-    """What the misprinted row does to STM."""
+    """Effect of the misprinted row on STM."""
     corrected_stm = MPU.S @ MPU.T @ corrected(MPU)
     rows = [
         ["as printed", f"`{matrix(MPU.STM)}`"],
@@ -187,7 +187,7 @@ def factor_readings() -> str:
 
 
 def mount_angle_rad(board: PrintedBoard) -> float:
-    """Mount about the tilt axis that M_yz = -sin d of Table 3 says, to 0.1 degree."""
+    """Mounting angle d about the tilt axis from M_yz = -sin d of Table 3, to 0.1 degree."""
     return float(np.radians(np.round(-np.degrees(np.arcsin(board.M[1, 2])), 1)))
 
 
@@ -207,7 +207,7 @@ def lost_entry(board: PrintedBoard, angle_rad: float) -> tuple[FloatArray, Float
 
 
 def one_angle() -> str:
-    """One mount angle a board explains four entries of Table 3."""
+    """One mounting angle per board explains four entries of Table 3."""
     rows = []
     for board in BOARDS:
         angle = mount_angle_rad(board)
@@ -222,7 +222,7 @@ def one_angle() -> str:
 
 
 def one_entry() -> str:
-    """How much of Table 3 rests on STM_zy, the answer of z to a roll that the unit has not."""
+    """Dependence of Table 3 on STM_zy, the response of z to roll, which the unit cannot make."""
     rows = []
     for entry in (float(GY80.STM[2, 1]), 0.05, 0.10, 0.15):
         gain = GY80.STM.copy()
@@ -237,7 +237,7 @@ def one_entry() -> str:
 
 
 def improvements() -> str:
-    """Candidates for what "5.93 %" and "0.96 %" may be, in percent."""
+    """Quantities that "5.93 %" and "0.96 %" could mean, in percent."""
     names: dict[str, Callable[[PrintedBoard], float]] = {
         "printed in section V": lambda b: b.improvement_percent / 100.0,
         "1 - mean of S": lambda b: 1.0 - float(np.mean(np.diag(b.S))),

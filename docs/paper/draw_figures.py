@@ -1,9 +1,10 @@
-"""Figures 4 to 10 of the paper again, from simulation, into docs/paper/figures/.
+"""Draw Figures 4 to 10 of the paper from a simulation, in docs/paper/figures/.
 
     python docs/paper/draw_figures.py
 
-The paper's own data are not published. Drawn is what its method makes of two simulated boards
-on path A, the one its words describe; `figures` is the table of the numbers behind them.
+The data of the paper are not published. The figures show the results of its method for two
+simulated boards on path A, which the text of the paper describes. `figures` is the table of their
+numbers.
 """
 
 import sys
@@ -126,7 +127,7 @@ def _panels(title: str, left: str, right: str) -> tuple[Figure, Axes, Axes]:
 
 
 def reference_figure() -> Figure:
-    """Figure 4: eq. 12 on path A, and on a path whose tilt moves away from pan zero."""
+    """Figure 4: eq. 12 on path A, and on a path whose tilt moves while pan is not zero."""
     figure, first, second = _panels(
         "Fig. 4, simulated: solid eq. 12 as printed, dotted the unit's true angles",
         "path A: tilt moves at pan 0",
@@ -164,7 +165,7 @@ def static_figure(case: SimulatedBoard, number_in_paper: int) -> Figure:
 
 
 def quasi_static_figure(case: SimulatedBoard, number_in_paper: int) -> Figure:
-    """Figures 6 and 9: the integrated cycles with the line taken for the bias, and without."""
+    """Figures 6 and 9: the integrated cycles with the fitted line, and without it."""
     figure, first, second = _panels(
         f"Fig. {number_in_paper}, simulated {case.board.name}: quasi-static test",
         "integrated, and the lines fitted to it",
@@ -182,7 +183,7 @@ def quasi_static_figure(case: SimulatedBoard, number_in_paper: int) -> Figure:
 
 
 def corrected_figure(case: SimulatedBoard, number_in_paper: int) -> Figure:
-    """Figures 7 and 10: measured angles beside the reference, before and after calibration."""
+    """Figures 7 and 10: measured and reference angles, before and after calibration."""
     figure, first, second = _panels(
         f"Fig. {number_in_paper}, simulated {case.board.name}: solid measured, dotted reference",
         "uncalibrated",

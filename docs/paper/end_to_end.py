@@ -1,9 +1,9 @@
-"""The whole way on the emulated rig: the paper's method and the project's on one recording.
+"""Compare the paper's method with the project's on recordings of the emulated rig.
 
     python docs/paper/end_to_end.py
 
 Records the programs `static`, `paper` and `full` with `gyrorigd record --simulated-time`, solves
-them with `gyrorig solve` by both methods, and sets the results beside what the emulator hides.
+them with `gyrorig solve` by both methods, and compares the results with the true values.
 The paper's method also runs here in the reading of its Table 3, with the 100 s of `static` as its
 static test, and on the reference that the project's solver makes: best time and best angles.
 Takes about half a minute.
@@ -43,7 +43,7 @@ MRAD = 1000.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrays:
-    """One recording as the paper's method wants it."""
+    """One recording in the form that the paper's method needs."""
 
     time_s: FloatArray  # (n,)
     rate_rad_s: FloatArray  # (n, 3)
@@ -136,13 +136,13 @@ def _gain(rows: list[list[float | None]]) -> FloatArray:
 
 
 def _column_errors(gain: FloatArray, truth: FloatArray, seen: BoolArray) -> list[str]:
-    """Largest error of each column times 1000; a dash for a column that is not said."""
+    """Largest error of each column times 1000; a dash for a null column."""
     apart = MRAD * np.abs(gain - truth).max(axis=0)
     return [number(float(a), 2) if ok else "-" for a, ok in zip(apart, seen, strict=True)]
 
 
 def recordings() -> str:
-    """What was recorded."""
+    """Table of the recordings."""
     rows = []
     for session in sessions().values():
         time_s = session.arrays.time_s
@@ -156,7 +156,7 @@ def recordings() -> str:
 
 
 def as_printed() -> str:
-    """What `gyrorig solve --method paper` names as failed."""
+    """Failures that `gyrorig solve --method paper` reports."""
     rows = []
     for program in ("paper", "full"):
         reasons = sessions()[program].paper["trust"]["reasons"]
@@ -207,7 +207,7 @@ def _truths(session: Session) -> dict[str, FloatArray]:
 
 
 def parameters() -> str:
-    """Program `full`: truth, what `gyrorig solve` says, and how many deviations lie between."""
+    """Program `full`: true values, estimates, and differences in standard deviations."""
     session = sessions()["full"]
     tabled = as_tabled("full", "static")
     names = {"bias": "xyz", "scale": "xyz", "nonorthogonality": ("xy", "zx", "zy")}
@@ -235,7 +235,7 @@ def parameters() -> str:
 
 
 def verdicts() -> str:
-    """What `gyrorig solve` says it saw."""
+    """Observable parameters and verdicts of `gyrorig solve`."""
     rows = []
     for program in ("paper", "full"):
         seen = sessions()[program].likelihood["observability"]

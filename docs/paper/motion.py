@@ -1,9 +1,9 @@
-"""A small pan-tilt motion generator for questions of algebra; no noise but what is asked for.
+"""Generator of pan-tilt motions, without noise by default.
 
-It shares no code with the emulator, which makes the recordings of the end-to-end part. The
+It shares no code with the emulator, which makes the recordings of end_to_end.py. The
 paper gives its path only as a drawing (Fig. 4b) and as "a rotation around the pan angle, then
-... the tilt direction ... repeated in four periods, totaling 75s". So several paths that fit
-these words are kept here, as corners in degrees.
+... the tilt direction ... repeated in four periods, totaling 75s". Therefore this
+module contains several paths that fit this description, as corners in degrees.
 """
 
 from dataclasses import dataclass, replace
@@ -88,9 +88,9 @@ def along(
     rate_hz: float = RATE_HZ,
     static_s: float = STATIC_S,
 ) -> Motion:
-    """Rest for the static test, then go through `corners` with legs of equal duration.
+    """Rest for the static test, then go through `corners` with moves of equal duration.
 
-    The law of a leg is (1 - cos) / 2, so that rates are continuous.
+    A move follows (1 - cos) / 2, so that rates are continuous.
     """
     points = np.radians(np.array(corners, dtype=np.float64))
     legs = len(corners) - 1
@@ -133,6 +133,6 @@ def calibrated(
 
 
 def rotation_about_tilt_axis(angle_rad: float) -> FloatArray:
-    """A mount turned about the tilt axis x, in the sense of M in eq. 1, shape (3, 3)."""
+    """Rotation of a board about the tilt axis x, with the sign of M in eq. 1, shape (3, 3)."""
     c, s = float(np.cos(angle_rad)), float(np.sin(angle_rad))
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

@@ -1,7 +1,7 @@
-"""What the paper prints in Tables 1 to 3, digit by digit, and nothing else.
+"""Numbers of Tables 1 to 3, exactly as the paper prints them.
 
 Source: Delgado, Silva, Quiroz, Kurka, "Automatic Calibration of Low Cost Inertial Gyroscopes
-with a PTU". Table 2 has no unit in print.
+with a PTU". The paper prints Table 2 without a unit.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class PrintedBoard:
 
     @property
     def STM(self) -> FloatArray:
-        """The gain matrix that the three printed factors multiply to."""
+        """The gain matrix, as the product of the three printed factors."""
         return np.asarray(self.S @ self.T @ self.M)
 
 

@@ -1,12 +1,11 @@
-"""Put the numbers of the scripts into docs/paper.md, or check that they are there.
+"""Write the tables of docs/paper.md, or check them.
 
     python docs/paper/write.py            write every block that its script can make now
     python docs/paper/write.py --check    change nothing; 1 if a block differs
     python docs/paper/write.py --all      also the end-to-end blocks (a minute; the emulator)
 
-A block of the document stands between `<!-- begin: name -->` and `<!-- end -->`. The name is
-that of a function in the BLOCKS of one script here. The document has nothing in a block that
-its script did not print.
+A block of the document is between `<!-- begin: name -->` and `<!-- end -->`. The name is
+a key of BLOCKS in one of the scripts. A block contains only the output of its script.
 """
 
 import argparse
