@@ -58,8 +58,8 @@ def misses() -> str:
     beyond = sum(row.verdict == "NO" for row in missed)
     text = (
         f"Of {len(rows)} coverages, {len(rows) - len(missed)} are within the goal. Another "
-        f"{len(missed) - beyond} are outside the goal, but their 95 % limits reach it. The 95 % "
-        f"limits of {beyond} coverages are outside the goal."
+        f"{len(missed) - beyond} coverages are outside the goal, but their 95 % limits reach it. "
+        f"The 95 % limits of {beyond} coverages are outside the goal."
     )
     beyond_rows = [(row.item, row.goal, row.figure) for row in missed if row.verdict == "NO"]
     if not beyond_rows:
