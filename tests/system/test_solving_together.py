@@ -51,7 +51,7 @@ def test_one_recording_twice_is_refused(tmp_path: Path) -> None:
     command = [str(BIN / "gyrorig"), "solve", str(recording), str(twin), "--out", str(tmp_path)]
     process = subprocess.run(command, check=False, capture_output=True, text=True)
     assert process.returncode == 2
-    assert "are one recording" in process.stderr
+    assert "contain the same recording" in process.stderr
     assert not list(tmp_path.rglob("v0001.yaml"))
 
 

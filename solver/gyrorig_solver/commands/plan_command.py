@@ -1,5 +1,6 @@
 """`gyrorig plan`: predict the uncertainties of a motion program, or search for the best one."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -36,12 +37,18 @@ from gyrorig_solver.plan.detectability_table import (
     causes_table,
     causes_to_builtins,
 )
-from gyrorig_solver.plan.prediction_table import contributions_text, predictions_table
+from gyrorig_solver.plan.prediction_table import (
+    contributions_text,
+    predictions_table,
+    undetermined_parameters,
+)
 from gyrorig_solver.plan.program_file import program_text, require_new_path, write_new_file
 from gyrorig_solver.plan.program_search import AIMS
 from gyrorig_solver.plan.total_prediction import PlanPrior
 from gyrorig_solver.uncertainty import default_settings, read_settings
 
+MAX_LINES = 20  # of the output without --details
+MAX_CAUSES = 3  # named of each program without --details
 SHORTEST_S, LONGEST_S = 5.0, 900.0  # repeat a program for longer recordings
 PROFILE_HINT = "a profile with --sensor, such as config/boards/L3G4200D.yaml"
 PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
@@ -186,15 +193,13 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
         if p is not None
     ]
     totals = {id(p): predict_total(p, sensor, rig.site, prior) for p in predictions}
-    terminal.print_result(
-        f"{rig.name}, {sensor.name}: predicted total standard uncertainties (from noise)\n"
-        f"{predictions_table(predictions, list(totals.values()), options['details'])}"
-    )
-    for prediction in predictions:
-        text = contributions_text(totals[id(prediction)])
-        terminal.print_result(f"  {prediction.program.name}: largest contributions {text}")
-    for reason in predictions[0].observability.reasons:
-        terminal.print_result(f"  {predictions[0].program.name} cannot determine {reason}")
+    lines = [
+        f"{rig.name}, {sensor.name}: predicted total standard uncertainties (from noise)",
+        *_prediction_lines(predictions, list(totals.values()), options["details"]),
+    ]
+    terminal.print_result("\n".join(lines))
+    free_lines = MAX_LINES - len(lines) - len(predictions) - (plan_result is not None)
+    shown_causes = max(0, min(MAX_CAUSES, free_lines // len(predictions)))
     outlooks: dict[int, DetectabilityReport] = {}
     if options["causes"]:
         for prediction in predictions:
@@ -207,7 +212,12 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
             outlooks[id(prediction)] = known_outlook or predict_detectability(
                 prediction, sensor, rig.site
             )
-            _print_detectability(terminal, prediction, outlooks[id(prediction)], options["details"])
+            name, outlook = prediction.program.name, outlooks[id(prediction)]
+            if options["details"]:
+                _print_all_causes(terminal, name, outlook)
+            else:
+                summary = causes_summary(outlook, name, shown_causes)
+                terminal.print_result("\n".join(summary))
     if plan_result is not None:
         _write_program(terminal, plan_result, rig, options)
     code = NOT_IDENTIFIABLE if predictions[-1].observability.unobservable else 0
@@ -277,13 +287,14 @@ def _write_program(
     terminal: Terminal, plan_result: PlanResult, rig: RigModel, options: dict[str, Any]
 ) -> None:
     criterion, out = options["criterion"], options["out"]
-    terminal.print_result(
-        f"  chosen from {plan_result.design_count} programs: {criterion} "
-        f"{'total ' if options['minimise'] == 'total' else ''}standard uncertainty "
-        f"{plan_result.cost:.3g}"
-    )
+    if options["details"]:
+        terminal.print_result(
+            f"  the search selected this program from {plan_result.design_count} programs; its "
+            f"{criterion} {'total ' if options['minimise'] == 'total' else ''}standard uncertainty "
+            f"is {plan_result.cost:.3g}"
+        )
     if out is None:
-        terminal.print_result("  write the program with --out FILE")
+        terminal.print_result("  the option --out FILE writes the planned program")
         return
     program = plan_result.program
     text = program_text(
@@ -317,14 +328,31 @@ def _program_description(plan_result: PlanResult, options: dict[str, Any]) -> st
     )
 
 
-def _print_detectability(
-    terminal: Terminal, prediction: Prediction, outlook: DetectabilityReport, details: bool
-) -> None:
-    name = prediction.program.name
-    terminal.print_result(f"{name}: causes of errors (80 % detected, 1 % false alarms)")
-    if details:
-        terminal.print_result(causes_table(outlook))
-    for line in causes_notes(outlook) if details else causes_summary(outlook):
+def _prediction_lines(
+    predictions: Sequence[Prediction], totals: Sequence[TotalPrediction], details: bool
+) -> list[str]:
+    """Return the table, and what programs cannot determine: in full for one or with details."""
+    lines = predictions_table(predictions, totals, details).splitlines()
+    if details and len(predictions) > 1:
+        lines += [
+            f"  largest contributions with {prediction.program.name}: {contributions_text(total)}"
+            for prediction, total in zip(predictions, totals, strict=True)
+        ]
+    given = predictions[0]
+    undetermined = undetermined_parameters(given)
+    if undetermined:
+        lines.append(f"  {given.program.name} cannot determine {', '.join(undetermined)}")
+    if details or len(predictions) == 1:
+        lines += [f"    {reason}" for reason in given.observability.reasons]
+    return lines
+
+
+def _print_all_causes(terminal: Terminal, name: str, outlook: DetectabilityReport) -> None:
+    terminal.print_result(
+        f"{name}: detectable sizes of causes (power 80 %, false alarms 1 %)\n"
+        f"{causes_table(outlook)}"
+    )
+    for line in causes_notes(outlook):
         terminal.print_result(f"  {line}")
 
 

@@ -1,6 +1,7 @@
 """Tables and notes about the causes that a program can detect.
 
-What to use when: `causes_table` and `causes_notes` to print; `causes_to_builtins` for JSON.
+What to use when: `causes_summary` to print in short, `causes_table` and `causes_notes` to print
+all; `causes_to_builtins` for JSON.
 """
 
 import math
@@ -16,7 +17,6 @@ from gyrorig_solver.plan.detectability import (
 )
 
 PERCENT_ABOVE_PPM = 1e4  # larger typical sizes are shown in per cent
-SUMMARY_CAUSES = 3
 HEADER: tuple[str, ...] = (
     "cause",
     "detectable",
@@ -42,30 +42,39 @@ def causes_table(report: DetectabilityReport) -> str:
     )
 
 
-def causes_summary(report: DetectabilityReport) -> list[str]:
-    """Return the causes with the largest bias below their detectable size, and counts."""
-    lines = []
+def causes_summary(report: DetectabilityReport, program: str, causes: int) -> list[str]:
+    """Return counts, and the causes with the largest bias below their detectable size.
+
+    Args:
+        report: the prediction for the program.
+        program: its name.
+        causes: how many causes to name.
+    """
     groups = _group_by_cause(report)
-    for cause, group in groups[:SUMMARY_CAUSES]:
+    detectable = sum(any(place.is_detectable for place in group) for _, group in groups)
+    lines = [
+        f"{program} can detect {detectable} of {plural(len(groups), 'cause')} (power 80 %, false "
+        f"alarms 1 %); {plural(len(report.confusable_pairs), 'pair')} of causes can be confused. "
+        "All: --details"
+    ]
+    for cause, group in groups[:causes]:
         _, size, typical, unit, _, bias, parameter = _row(group)
-        largest = size.rpartition(" ")[2]
-        limit = f"{typical} {unit} (typical)" if size == "never" else f"below {largest} {unit}"
+        if size == "never":
+            limit = f"{cause} at any size; its typical size of {typical} {unit}"
+        else:
+            limit = f"{cause} below {size.rpartition(' ')[2]} {unit}; a smaller size"
         lines.append(
-            f"not detectable: {cause} {limit}; would bias {parameter} by up to {bias} sigma"
+            f"  not detectable: {limit} would bias {parameter} by up to {bias} standard "
+            "uncertainties"
         )
-    never = sum(all(not place.is_detectable for place in group) for _, group in groups)
-    lines.append(
-        f"{plural(len(groups), 'cause')}, {never} not detectable at any size; "
-        f"{plural(len(report.confusable_pairs), 'confusable pair')}; all: --details"
-    )
     return lines
 
 
 def causes_notes(report: DetectabilityReport) -> list[str]:
     """Return one note for each confusable pair and each cause that cannot be tested."""
     notes = [
-        f"This program cannot distinguish {_pair_text(pair)}. "
-        f"To separate them: {_separation_text(report, pair)}."
+        f"The program cannot distinguish {_pair_text(pair)}. "
+        f"To separate them, record: {_separation_text(report, pair)}."
         for pair in report.confusable_pairs
     ]
     for cause, group in _group_by_cause(report):
@@ -74,19 +83,20 @@ def causes_notes(report: DetectabilityReport) -> list[str]:
             places = ", ".join(place.place for place in undetectable if place.place)
             named = f"{cause} ({places})" if places and len(undetectable) < len(group) else cause
             notes.append(
-                f"{named} cannot be detected with this program at any possible size. "
-                f"It needs {undetectable[0].term.excitation}."
+                f"The program cannot detect {named} at any possible size. "
+                f"To detect this cause, record: {undetectable[0].term.excitation}."
             )
     for term in report.fully_absorbed:
         notes.append(
-            f"{term.cause} is absorbed completely by the calibration ({term.effect_if_ignored}); "
-            f"motion alone cannot separate it. It needs {term.excitation}."
+            f"The calibration absorbs {term.cause} completely, so motion alone cannot show it. "
+            f"Effect on the calibration: {term.effect_if_ignored}. "
+            f"To show it, use: {term.excitation}."
         )
     for term, reason in report.not_applicable:
-        notes.append(f"{term.cause} cannot be tested: {reason}.")
+        notes.append(f"The program cannot test {term.cause}: {reason}.")
     if report.other_methods:
         names = ", ".join(term.cause for term in report.other_methods)
-        notes.append(f"{names}: tested in the noise or in the raw stream, with any program.")
+        notes.append(f"With any program, the noise or the raw samples show these causes: {names}.")
     return notes
 
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, parameter_label
-from gyrorig_solver.plan.prediction import Prediction
+from gyrorig_solver.model.parameter_units import PARAMETER_GROUPS, parameter_label, plural
+from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS, Prediction
 from gyrorig_solver.plan.total_prediction import TotalPrediction
 
 
@@ -15,25 +15,35 @@ def predictions_table(
 ) -> str:
     """Return the standard uncertainties of programs side by side.
 
+    One program has a column with the largest contribution to each parameter. Without `details`,
+    a parameter that no program determines has no row.
+
     Args:
         predictions: from noise.
         totals: of the same programs.
-        details: with the gain's columns, from noise.
+        details: with the gain's columns, from noise, and the number of observable parameters.
     """
-    rows = [
-        ["", *(p.program.name for p in predictions)],
-        ["duration, s", *(f"{p.duration_s:.1f}" for p in predictions)],
-        ["moves", *(str(p.move_count) for p in predictions)],
-    ]
+    names = (
+        f"{p.program.name}, {p.duration_s:.1f} s, {plural(p.move_count, 'move')}"
+        for p in predictions
+    )
+    rows = [["", *names]]
+    has_contributions = len(totals) == 1 and bool(totals[0].contributions)
+    if has_contributions:
+        rows[0].append("largest contribution")
     for group in PARAMETER_GROUPS:
         for label in group.labels:
             name = parameter_label(group.name, label)
+            if not details and all(math.isnan(p.std[name]) for p in predictions):
+                continue
             unit = "ratio" if group.unit == "1" else group.unit
             cells = (
                 _total_and_noise(t.std[name] * group.factor, p.std[name] * group.factor)
                 for p, t in zip(predictions, totals, strict=True)
             )
             rows.append([f"{name}, {unit}", *cells])
+            if has_contributions:
+                rows[-1].append(_contribution_name(predictions[0], totals[0], name))
     if details:
         for column, axis in enumerate(("tilt", "roll", "pan")):
             stds = (float(np.max(p.gain_std[:, column])) for p in predictions)
@@ -41,14 +51,20 @@ def predictions_table(
             rows.append([label, *(_number(std) for std in stds)])
         stds_ms = (p.motion_offset_std_s * 1e3 for p in predictions)
         rows.append(["time_offset from the motion alone, ms", *(_number(s) for s in stds_ms)])
-    ranks = (f"{p.observability.rank} of {p.observability.of}" for p in predictions)
-    rows.append(["observable parameters", *ranks])
+        ranks = (f"{p.observability.rank} of {p.observability.of}" for p in predictions)
+        rows.append(["observable parameters", *ranks])
     first = max(len(row[0]) for row in rows)
-    rest = [max(len(row[k]) for row in rows) for k in range(1, len(rows[0]))]
+    width = [max(len(row[k]) for row in rows if k < len(row)) for k in range(1, len(rows[0]))]
+    right_aligned = len(predictions)
     return "\n".join(
-        "  "
-        + row[0].ljust(first)
-        + "".join(f"  {cell:>{width}}" for cell, width in zip(row[1:], rest, strict=True))
+        (
+            "  "
+            + row[0].ljust(first)
+            + "".join(
+                "  " + (cell.rjust(width[k]) if k < right_aligned else cell)
+                for k, cell in enumerate(row[1:])
+            )
+        ).rstrip()
         for row in rows
     )
 
@@ -63,6 +79,26 @@ def contributions_text(total: TotalPrediction) -> str:
             worst = max(known, key=total.std.__getitem__)
             names.append(f"{worst} {total.main_contribution(worst).cause}")
     return ", ".join(names)
+
+
+def undetermined_parameters(prediction: Prediction) -> list[str]:
+    """Return the parameters without a prediction; a group's name where none of it has one."""
+    names = []
+    for group in PARAMETER_GROUPS:
+        labels = [parameter_label(group.name, label) for label in group.labels]
+        missing = [label for label in labels if math.isnan(prediction.std[label])]
+        names += [group.name] if missing == labels else missing
+    return names
+
+
+def _contribution_name(prediction: Prediction, total: TotalPrediction, parameter: str) -> str:
+    """Return the cause, or the noise, that adds most to a parameter; "" if it has no value."""
+    noise = prediction.std[parameter]
+    if math.isnan(noise):
+        return ""
+    largest = total.main_contribution(parameter)
+    index = CALIBRATION_PARAMETERS.index(parameter)
+    return largest.cause if largest.std[index] > noise else "noise"
 
 
 def _total_and_noise(total: float, noise: float) -> str:

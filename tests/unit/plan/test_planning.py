@@ -136,14 +136,13 @@ def test_no_program_of_the_family_turns_in_the_mean(
 def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
     assert cli.run(["plan", "--rig", RIG, "--program", PAPER, "--details"]) == 4
     output = capsys.readouterr().out
-    assert (
-        "axis_nonorthogonality cannot be detected with this program at any possible size" in output
-    )
-    assert "It needs pan sweeps at three or more tilts" in output
-    assert "wrong_full_scale is absorbed completely by the calibration" in output
+    assert "The program cannot detect axis_nonorthogonality at any possible size" in output
+    assert "To detect this cause, record: pan sweeps at three or more tilts" in output
+    assert "The calibration absorbs wrong_full_scale completely" in output
     assert "scale_asymmetry" in output.partition("cannot distinguish")[0]
     assert "9 of 12" in output
-    assert "paper cannot determine column y of the gain" in output
+    assert "paper cannot determine scale, nonorthogonality, misalignment" in output
+    assert "column y of the gain: " in output
     assert cli.run(["plan", "--rig", RIG, "--program", PAPER, "--json"]) == 4
     document = json.loads(capsys.readouterr().out)
     assert document["exit_code"] == 4

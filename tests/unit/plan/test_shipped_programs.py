@@ -71,3 +71,13 @@ def test_surveys_know_more_by_name_than_programs_by_hand(
     seen, known = (predict_detectability(program, sensor, rig.site) for program in (ours, theirs))
     assert seen.mean_identifiable_size < 0.8 * known.mean_identifiable_size
     assert seen.max_parameter_bias_sigma < known.max_parameter_bias_sigma
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in PROGRAMS.glob("*.yaml")))
+def test_a_prediction_fits_on_a_terminal(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, program = ROOT / "config" / "rig.yaml", PROGRAMS / f"{name}.yaml"
+    assert cli.run(["plan", "--rig", str(rig), "--program", str(program)]) in (0, 4)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 20
+    assert any(f"{name} can detect " in line for line in lines)
+    assert any("not detectable: " in line for line in lines)
