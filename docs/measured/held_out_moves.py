@@ -149,12 +149,9 @@ def _fit(
             good[(move.part.start + move.part.stop) // 2] = False
     fit = fit_gravity(replace(samples, usable=good), GRAVITY_M_S2, quiet)
     wanted = sum(half is None or move.half == half for move in moves)
-    if int(fit.extra_numbers["moves"]) != wanted or int(fit.extra_numbers["poses"]) != len(
-        poses.rests
-    ):
-        raise ValueError(
-            f"the fit used {fit.extra_numbers['moves']:.0f} moves, meant were {wanted}"
-        )
+    used = fit.gravity_moves
+    if used is None or used.moves != wanted or used.poses != len(poses.rests):
+        raise ValueError(f"the fit did not use {wanted} moves between {len(poses.rests)} rests")
     return fit.gain
 
 

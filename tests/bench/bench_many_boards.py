@@ -96,7 +96,7 @@ def session(
         for way, fit in enumerate((alone[board], _fit(together[board]))):
             std[way, n] = [fit.std[name] for name in FACTOR_NAMES]
             error[way, n] = [fit.value(name) for name in FACTOR_NAMES] - true
-        taken += int("boards_together" in _fit(together[board]).extra_numbers)
+        taken += int(_fit(together[board]).sharing.fitted_together is not None)
     on_bus = [board for board in boards if board.startswith("C")]
     apart_s = (
         _apart_s(recording, rig, end_ns, {b: load_samples(recording, b) for b in on_bus}),

@@ -206,14 +206,10 @@ def _noise(fit: GyroFit) -> dict[str, NoiseFigure]:
 
 
 def _rest_to_rest_check(fit: GyroFit) -> RestToRestCheck | None:
-    extra = fit.extra_numbers
-    if "rest_to_rest_p_value" not in extra:
+    check = fit.rest_to_rest
+    if check is None:
         return None
-    return RestToRestCheck(
-        moves=int(extra["rest_to_rest_moves"]),
-        p_value=extra["rest_to_rest_p_value"],
-        largest_sigma=extra["rest_to_rest_largest_sigma"],
-    )
+    return RestToRestCheck(check.moves, check.p_value, check.largest_sigma)
 
 
 def _level(fit: GyroFit) -> LevelRecord | None:
@@ -268,13 +264,9 @@ def _quality(fit: GyroFit, profile: SensorProfile | None, origin: Provenance) ->
         recordings=_recording_parameters(fit, [recording.name for recording in origin.inputs])
         if fit.recordings
         else None,
-        mean_temperature_degc=fit.extra_numbers.get("mean_temperature_degc"),
-        boards_together=int(together_count)
-        if (together_count := fit.extra_numbers.get("boards_together"))
-        else None,
-        boards_on_one_clock=int(bus_count)
-        if (bus_count := fit.extra_numbers.get("boards_on_one_clock"))
-        else None,
-        clock_moved_s=fit.extra_numbers.get("clock_moved_s"),
+        mean_temperature_degc=fit.mean_temperature_degc,
+        boards_together=fit.sharing.fitted_together,
+        boards_on_one_clock=fit.sharing.on_one_clock,
+        clock_moved_s=fit.sharing.clock_change_s,
         clock_skew_ppm=_clock_skew_ppm(fit),
     )

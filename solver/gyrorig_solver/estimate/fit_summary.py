@@ -16,15 +16,19 @@ from gyrorig_solver.data.samples import GyroSamples, mean_temperature_degc
 from gyrorig_solver.estimate.derived_parameters import DerivedParameters, derive_parameters
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import (
+    NO_SHARING,
+    BoardSharing,
     ClockQuality,
     FitDiagnostics,
     FittedParameter,
+    GravityMoves,
     GyroFit,
     NoiseLevels,
     RecordingFit,
 )
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
+from gyrorig_solver.estimate.rest_to_rest import CrossCheck
 from gyrorig_solver.model.recording_scope import term_label
 
 BASE_TERMS = ("bias", "scale", "nonorthogonality", "misalignment")
@@ -50,7 +54,10 @@ class FitOutcome:
     warnings: tuple[str, ...] = ()
     limited_reasons: tuple[str, ...] = ()
     diagnostics: FitDiagnostics | None = None
-    extra_numbers: Mapping[str, float] | None = None
+    rest_to_rest: CrossCheck | None = None
+    mean_temperature_degc: float | None = None
+    sharing: BoardSharing = NO_SHARING
+    gravity_moves: GravityMoves | None = None
     chi2_limit: float = MAX_REDUCED_CHI2_LIMITED  # above it the noise model is rejected
     noise: NoiseLevels | None = None
     rate_range_rad_s: tuple[float, float] | None = None  # None: of all samples
@@ -110,7 +117,10 @@ def build_gyro_fit(outcome: FitOutcome, samples: Sequence[GyroSamples]) -> GyroF
         warnings=(*outcome.warnings, *_sample_warnings(samples)),
         limited_reasons=tuple(reasons),
         diagnostics=outcome.diagnostics,
-        extra_numbers=dict(outcome.extra_numbers or {}),
+        rest_to_rest=outcome.rest_to_rest,
+        mean_temperature_degc=outcome.mean_temperature_degc,
+        sharing=outcome.sharing,
+        gravity_moves=outcome.gravity_moves,
         causes=(
             *(
                 parameter

@@ -21,7 +21,7 @@ from gyrorig_protocol.errors import InputError
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.fit_summary import FitOutcome, build_gyro_fit
-from gyrorig_solver.estimate.gyro_fit import GyroFit
+from gyrorig_solver.estimate.gyro_fit import GravityMoves, GyroFit
 from gyrorig_solver.estimate.information import PARAMETER_NAMES
 from gyrorig_solver.estimate.observability import analyse_observability
 from gyrorig_solver.model.gain_matrix import cross_matrix
@@ -104,12 +104,7 @@ def fit_gravity(
             "the result are scaled to it",
         ),
         limited_reasons=() if converged else (_NOT_CONVERGED,),
-        extra_numbers={
-            "moves": float(len(moves)),
-            "poses": float(len(poses.rests)),
-            "move_sigma_rad": sigma_rad,
-            "accel_residual_m_s2": poses.accel.residual_m_s2,
-        },
+        gravity_moves=GravityMoves(len(moves), len(poses.rests), sigma_rad),
     )
     return build_gyro_fit(outcome, [samples])
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
 from gyrorig_solver.data.clocks.clock_trace import ClockTrace
+from gyrorig_solver.estimate.rest_to_rest import CrossCheck
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +99,27 @@ class RecordingFit:
     time_offset_std_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class BoardSharing:
+    """What a board's fit has in common with other boards of the recordings; None without any."""
+
+    fitted_together: int | None = None  # boards of one joint fit
+    on_one_clock: int | None = None  # boards with one time base, in the last recording
+    clock_change_s: float | None = None  # rms, that the common time base made to this board's times
+
+
+NO_SHARING = BoardSharing()
+
+
+@dataclass(frozen=True, slots=True)
+class GravityMoves:
+    """The moves between rests that a fit to gravity compared."""
+
+    moves: int
+    poses: int
+    sigma_rad: float  # standard deviation of a move's residual in each direction
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroFit:
     """One board's calibration with its covariance and its limitations.
@@ -133,7 +155,10 @@ class GyroFit:
     warnings: tuple[str, ...] = ()
     limited_reasons: tuple[str, ...] = ()  # cause and remedy; the verdict becomes `limited`
     diagnostics: FitDiagnostics | None = None
-    extra_numbers: dict[str, float] = field(default_factory=dict)
+    rest_to_rest: CrossCheck | None = None  # on a pan-tilt unit
+    mean_temperature_degc: float | None = None  # of the last recording; absolute or not
+    sharing: BoardSharing = NO_SHARING
+    gravity_moves: GravityMoves | None = None  # if the reference is gravity
     causes: tuple[FittedParameter, ...] = ()
     level: StageLevel | None = None  # if the recording has an accelerometer and tilts
     recordings: tuple[RecordingFit, ...] = ()  # in the order of time, if there are several

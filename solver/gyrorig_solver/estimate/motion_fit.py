@@ -13,7 +13,14 @@ from gyrorig_solver.data.samples import GyroSamples
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fit_summary import BASE_TERMS, FitOutcome, build_gyro_fit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit, NoiseLevels, RecordingFit
+from gyrorig_solver.estimate.gyro_fit import (
+    NO_SHARING,
+    BoardSharing,
+    FitDiagnostics,
+    GyroFit,
+    NoiseLevels,
+    RecordingFit,
+)
 from gyrorig_solver.estimate.initial_guess import solve_shared_gain
 from gyrorig_solver.estimate.likelihood_fit import fit_likelihood
 from gyrorig_solver.estimate.rest_to_rest import BoardPath, CrossCheck, cross_check
@@ -81,7 +88,7 @@ def summarize_motion_fit(
     samples: Sequence[GyroSamples],
     reason_texts: Mapping[str, str],
     warnings: tuple[str, ...] = (),
-    extra_numbers: Mapping[str, float] | None = None,
+    sharing: BoardSharing = NO_SHARING,
 ) -> GyroFit:
     """Build the `GyroFit` (estimates, covariance, warnings) of a converged fit.
 
@@ -90,7 +97,7 @@ def summarize_motion_fit(
         samples: in the order of time.
         reason_texts: as for `fit_recordings`.
         warnings: known anomalies.
-        extra_numbers: to be added to the result.
+        sharing: what the fit has in common with other boards.
 
     Raises:
         NotConvergedError: the fit did not converge, so its values are no result.
@@ -137,11 +144,9 @@ def summarize_motion_fit(
         noise=_noise_levels(solution),
         rate_range_rad_s=_rate_range(solution),
         clock_truth="the host's capture clock",
-        extra_numbers={
-            **_cross_check_numbers(check),
-            **_mean_temperature(samples[-1]),
-            **(extra_numbers or {}),
-        },
+        rest_to_rest=check,
+        mean_temperature_degc=_mean_temperature_degc(samples[-1]),
+        sharing=sharing,
         names=solution.names,
         prior_std=solution.prior_std,
         fitted_terms=solution.fitted_terms,
@@ -282,22 +287,12 @@ def _group_means(values: FloatArray, group_size: int) -> FloatArray:
     return np.asarray(values[: groups * group_size].reshape(groups, group_size, -1).mean(axis=1))
 
 
-def _mean_temperature(samples: GyroSamples) -> dict[str, float]:
-    """Return the mean temperature reading, absolute or not."""
+def _mean_temperature_degc(samples: GyroSamples) -> float | None:
+    """Return the mean temperature reading, absolute or not; None without readings."""
     degc = samples.temperature_degc
     if degc is None or not np.isfinite(degc).any():
-        return {}
-    return {"mean_temperature_degc": float(np.nanmean(degc))}
-
-
-def _cross_check_numbers(check: CrossCheck | None) -> dict[str, float]:
-    if check is None:
-        return {}
-    return {
-        "rest_to_rest_moves": float(check.moves),
-        "rest_to_rest_p_value": check.p_value,
-        "rest_to_rest_largest_sigma": check.largest_sigma,
-    }
+        return None
+    return float(np.nanmean(degc))
 
 
 def _noise_levels(solution: ConvergedFit) -> NoiseLevels:

@@ -79,14 +79,14 @@ def solve_jointly(
     joint = fit_boards_jointly(separate, _unit_cause_labels(separate.values()))
     for board, separate_solution in separate.items():
         solution = joint.solutions.get(board, separate_solution)
-        extra = joint_data.clock_numbers(board)
+        sharing = joint_data.shared_clock(board)
         if solution is not separate_solution:
-            extra["boards_together"] = float(len(joint.solutions))
+            sharing = replace(sharing, fitted_together=len(joint.solutions))
         warnings: tuple[str, ...] = ()
         if board in joint.left_out:
             warnings = (f"solved without the other boards: {joint.left_out[board]}",)
         try:
-            fit = prepared[board].summarize(solution, warnings, extra)
+            fit = prepared[board].summarize(solution, warnings, sharing)
             fit = replace(fit, warnings=(*missing_data(joint_data.recordings), *fit.warnings))
             fits[board] = JointFit(fit, solution)
         except GyrorigError as fault:

@@ -12,6 +12,7 @@ from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.clocks.shared_time_base import TimeCorrection, fit_shared_time
 from gyrorig_solver.data.samples import GyroSamples, load_samples
+from gyrorig_solver.estimate.gyro_fit import NO_SHARING, BoardSharing
 from gyrorig_solver.pipeline.board_data import BoardData
 
 
@@ -32,12 +33,12 @@ class JointData:
             errors={board: fault for board, fault in self.errors.items() if board not in names},
         )
 
-    def clock_numbers(self, board: str) -> dict[str, float]:
+    def shared_clock(self, board: str) -> BoardSharing:
         """Return how many boards share the time base in the last recording, and the correction."""
         shift = self.clock_shifts.get(board)
         if shift is None:
-            return {}
-        return {"boards_on_one_clock": float(shift.board_count), "clock_moved_s": shift.rms_s}
+            return NO_SHARING
+        return BoardSharing(on_one_clock=shift.board_count, clock_change_s=shift.rms_s)
 
 
 def load_jointly(recordings: Sequence[Recording], boards: Sequence[str]) -> JointData:

@@ -16,7 +16,7 @@ from gyrorig_solver.data.stream.stuck_axes import without_clipping
 from gyrorig_solver.discover.held_out_recording import HeldOutRecording
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.gyro_fit import GyroFit, StageLevel
+from gyrorig_solver.estimate.gyro_fit import NO_SHARING, BoardSharing, GyroFit, StageLevel
 from gyrorig_solver.estimate.motion_fit import create_session, solve_motion, summarize_motion_fit
 from gyrorig_solver.estimate.observability_remedies import REST_REMEDIES, UNIT_REMEDIES
 from gyrorig_solver.model.leveling import level_from_rests
@@ -56,13 +56,13 @@ class PreparedBoard:
         self,
         solution: ConvergedFit,
         warnings: Sequence[str] = (),
-        extra: Mapping[str, float] | None = None,
+        sharing: BoardSharing = NO_SHARING,
     ) -> GyroFit:
         """Build the `GyroFit` of a converged fit: estimates, covariance and warnings."""
         samples = [samples for _, samples, _ in self.sessions]
         remedies = {**self.remedies, **self.selection.remedies}
         all_warnings = (*self.warnings, *self.selection.remarks, *warnings)
-        fit = summarize_motion_fit(solution, samples, remedies, all_warnings, extra)
+        fit = summarize_motion_fit(solution, samples, remedies, all_warnings, sharing)
         return replace(fit, level=stage_level(*self.sessions[-1][1:]))
 
 

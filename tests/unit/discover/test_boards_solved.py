@@ -46,7 +46,7 @@ def test_the_units_cause_has_one_size(recording: Any, asked: str) -> None:
         (cause,) = (each for each in board_fit.fit.causes if each.name.startswith(name))
         values, stds = cause.value, cause.std
         sizes.append((values, stds))
-        together.append(board_fit.fit.extra_numbers.get("boards_together"))
+        together.append(board_fit.fit.sharing.fitted_together)
         assert (board_fit.explanation is not None) == (asked == AUTO)
         if asked == AUTO:
             assert np.all(np.abs(values - LENGTH_S) < FAR * stds)

@@ -111,14 +111,15 @@ def imu_tk_gain(scale_rad_s: float) -> FloatArray:
 def test_multi_position_session_beside_imu_tk(load: Loader) -> None:
     samples, turns, _ = load("imu-tk-xsens", "imu_tk_xsens/xsens_raw.npz")
     fit = fit_gravity(samples, 9.81744, turns.rests[0])
-    assert fit.extra_numbers["moves"] == 37
+    assert fit.gravity_moves is not None
+    assert fit.gravity_moves.moves == 37
     theirs = imu_tk_gain(samples.quantum_rad_s)
     off = (fit.gain - theirs) / fit.gain_std
     # They hold the bias at the first rest; with the bias freed their own values move by
     # up to 0.45 of these deviations, ours take the bias of each move's two rests.
     assert np.abs(off).max() < 2.5
     assert np.sqrt(np.mean(off**2)) < 1.2
-    assert np.degrees(fit.extra_numbers["move_sigma_rad"]) < 0.36
+    assert np.degrees(fit.gravity_moves.sigma_rad) < 0.36
     assert fit.observability.rank == 12
     assert fit.observability.unobservable == ("time_offset",)
     assert "accelerometer's frame" in fit.reference

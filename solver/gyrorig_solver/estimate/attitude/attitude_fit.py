@@ -147,10 +147,6 @@ def summarize_attitude_fit(
             *bands.limited_reasons,
         ),
         diagnostics=_diagnostics(solver),
-        extra_numbers={
-            "band_hz": band_hz,
-            "reference_angle_noise_rad": _reference_noise_rad(solver),
-        },
     )
     return build_gyro_fit(outcome, [samples for samples, _ in recordings])
 
@@ -193,20 +189,6 @@ def _compare_bands(
             "smoothed or depends on the gyro; use another reference for gains",
         ),
     )
-
-
-def _reference_noise_rad(solver: AttitudeSolver) -> float:
-    """Return an upper bound of the white angle noise per axis, from the reference's steps.
-
-    White angle noise of variance v gives the third difference of the angle, which is the second
-    difference of the step rotations, a variance of 20 v. Motion hardly contributes.
-    """
-    stds = []
-    for k, segment in enumerate(solver.segments):
-        turn = solver.clean_segment(k).residual * segment.track.step_s
-        third_difference = turn[2:] - 2.0 * turn[1:-1] + turn[:-2]
-        stds.append(float(np.median(np.abs(third_difference))) / 0.6745 / np.sqrt(20.0))
-    return float(np.median(stds))
 
 
 def _held_out_rms(solver: AttitudeSolver) -> tuple[float, float]:
