@@ -102,8 +102,10 @@ def causes() -> str:
         out.append(f"| [{name}](#{name}) | {term.part} | {term.scope} | {term.kind} | {hide} |")
     for name, term in known.items():
         out += ["", f"## {name}", "", f"Part: {term.part}. Scope: {term.scope}.", ""]
-        out += [f"Needs: {_text(term.excitation)}.", ""]
-        out.append(f"Unknown to a calibration: {_text(term.effect_if_ignored)}.")
+        out += [f"Motion or data that show this cause: {_text(term.excitation)}.", ""]
+        out.append(
+            f"Effect on a calibration that ignores this cause: {_text(term.effect_if_ignored)}."
+        )
         if term.confused_with:
             out += ["", f"Looks like, under some programs: {', '.join(term.confused_with)}."]
         if term.parameters:

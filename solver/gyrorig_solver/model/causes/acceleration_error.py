@@ -45,11 +45,11 @@ class AccelerationError(AngleTerm):
         ),
     )
     confused_with = ("s_curve", "base_speed_jump", "clock_offset")
-    remedy = "ask the unit for its acceleration (PA, TA) and note it in the recording"
+    remedy = "query the acceleration of the unit (commands PA and TA) during the recording"
     covariates = (*EDGE_COVARIATES, "speed")
     picture = None
     excitation = "moves at several speeds, with ramps of different lengths"
-    effect_if_ignored = "small: the time offset absorbs part of it"
+    effect_if_ignored = "small, because the time offset absorbs part of the error"
 
     def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the executed minus the commanded angles, (2, n + 1)."""
@@ -122,7 +122,7 @@ def reason_without_profiles(state: SignalState) -> str | None:
     if not state.has_angles:
         return NO_ANGLES
     if state.context.rad_per_step is None or not state.context.motion_profiles:
-        return "the commands to the unit are not known; record them"
+        return "the recording has no commands to the unit; record the commands too"
     return None
 
 

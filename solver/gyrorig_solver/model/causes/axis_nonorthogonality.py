@@ -45,12 +45,13 @@ class AxisNonOrthogonality(NonlinearTerm):
         ),
     )
     confused_with = ("board_slip", "tilt_sag")
-    remedy = "have the tilt axis shimmed, or keep it in the model with `gyrorig solve`"
+    remedy = "have the tilt axis shimmed, or let `gyrorig solve` fit this cause"
     covariates = ("tilt_angle",)
     picture = BinnedDependence("gain", "tilt", 10)
     excitation = "pan sweeps at three or more tilts that are far apart"
     effect_if_ignored = (
-        "row x of the gain and M absorb it, with errors of up to 46 sigma before it is detected"
+        "row x of the gain and M absorb this cause; their errors reach 46 standard uncertainties "
+        "before a search detects it"
     )
     is_persistent = True
 

@@ -34,12 +34,13 @@ class AxisSwap(LinearTerm):
         ),
     )
     confused_with = ("sign_flip",)
-    remedy = "correct the order of the words in the driver or the order of the board's columns"
+    remedy = "correct the order of the axes in the driver or in the board's columns"
     covariates = None
     picture = None
-    excitation = "any motion; compare the mount with the gain's nearest signed permutation"
+    excitation = "any motion, and a comparison of the gain's axes with the mount of the board"
     effect_if_ignored = (
-        "none: the calibration is valid for the axes in this order; only the mount angles differ"
+        "none, because the calibration is valid for the axes in this order; only the mount angles "
+        "differ"
     )
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:

@@ -56,14 +56,16 @@ class Backlash(AngleTerm):
     )
     confused_with = ("base_compliance", "lost_steps", "clock_offset", "dead_zone")
     remedy = (
-        "have the worm adjusted and approach every rest from the same side, or keep it in the "
-        "model with `gyrorig solve`"
+        "have the worm adjusted and approach every rest from the same side, or let `gyrorig "
+        "solve` fit this cause"
     )
     covariates = EDGE_COVARIATES
     picture = None
-    excitation = "reversals, and restarts in the same direction, at two or more speeds"
+    excitation = (
+        "moves that reverse and moves that continue in the same direction, at two or more speeds"
+    )
     derivative_step = 0.02  # the contact moves by whole intervals
-    effect_if_ignored = "small for the rate; the angle between rests is wrong by the backlash"
+    effect_if_ignored = "small for the rates; the angles between rests are wrong by the backlash"
     is_persistent = True
 
     def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:

@@ -48,8 +48,10 @@ class BaseCompliance(LinearAngleTerm):
     remedy = "bolt the base of the unit to something heavy and stiff"
     covariates = EDGE_COVARIATES
     picture = None
-    excitation = "the fastest accelerations of pan and tilt; bolt the unit down"
-    effect_if_ignored = "small: no angle error remains after a move"
+    excitation = (
+        "the fastest accelerations of pan and tilt, and a recording with the unit bolted down"
+    )
+    effect_if_ignored = "small, because no angle error remains after a move"
     is_persistent = True
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:

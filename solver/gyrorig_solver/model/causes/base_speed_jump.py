@@ -43,11 +43,11 @@ class BaseSpeedJump(AngleTerm):
         ),
     )
     confused_with = ("s_curve", "acceleration_error", "low_pass_lag", "clock_offset")
-    remedy = "ask the unit for its base speed (PB, TB) and note it in the recording"
+    remedy = "query the base speed of the unit (commands PB and TB) during the recording"
     covariates = (*EDGE_COVARIATES, "speed")
     picture = None
-    excitation = "moves at several speeds, with base speeds that are set explicitly and logged"
-    effect_if_ignored = "the time offset absorbs it; little else changes"
+    excitation = "moves at several speeds, with base speeds that are set and recorded"
+    effect_if_ignored = "the time offset absorbs the error; other parameters hardly change"
 
     def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the executed minus the commanded angles, (2, n + 1)."""
@@ -67,7 +67,7 @@ class BaseSpeedJump(AngleTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe the speeds."""
-        return f"the motors start immediately with {format_list(values / DEG, PAN_TILT, 'deg/s')}"
+        return f"the moves start without a ramp at {format_list(values / DEG, PAN_TILT, 'deg/s')}"
 
 
 TERM = BaseSpeedJump()

@@ -44,8 +44,8 @@ class BiasRamp(LinearTerm):
     remedy = "let the board warm up before recording, or record for longer"
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "time")
-    excitation = "a longer recording and a thermometer"
-    effect_if_ignored = "the bias is the value at the middle of the recording"
+    excitation = "a longer recording, with the temperature of the board"
+    effect_if_ignored = "the stated bias is the value at the middle of the recording"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the time from the middle of the recording on each axis, (3, blocks, 3)."""

@@ -37,12 +37,12 @@ class BiasRandomWalk(ZeroMeanTerm):
         ),
     )
     confused_with = ("bias_ramp", "warm_up", "thermal_bias", "bias_step")
-    remedy = "do nothing at the rig, because the standard deviations include it"
+    remedy = "change nothing at the rig, because the standard uncertainties include the random walk"
     covariates = None
     picture = BinnedDependence("mean", "time")
     is_noise_process = True
     excitation = "a static recording of at least ten minutes"
-    effect_if_ignored = "the bias is valid for minutes only"
+    effect_if_ignored = "the stated bias is valid for minutes only"
 
     def density(self, frequency_hz: FloatArray, values: FloatArray) -> FloatArray:
         """Return the added one-sided density of the rate, (k, 3)."""

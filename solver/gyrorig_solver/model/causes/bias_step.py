@@ -51,11 +51,11 @@ class BiasStep(LinearTerm):
         ),
     )
     confused_with = ("bias_ramp", "thermal_bias", "warm_up", "bias_random_walk")
-    remedy = "check the supply, the load and the light at that moment, and record again"
+    remedy = "check the board's supply, load and light at that moment, and record again"
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "time")
-    excitation = "rests before and after it, and a second recording without it"
-    effect_if_ignored = "the bias is a mean of two values"
+    excitation = "rests before and after the step, and a second recording without a step"
+    effect_if_ignored = "the stated bias is a mean of two values"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the step on each axis, (3, blocks, 3)."""
@@ -69,7 +69,7 @@ class BiasStep(LinearTerm):
     def describe(self, values: FloatArray) -> str:
         """Describe the step and its time."""
         text = format_list(values[:3] / DEG * 1e3, XYZ, "mdeg/s")
-        return f"the bias steps at {values[3]:.1f} s: {text}"
+        return f"the bias changes suddenly at {values[3]:.1f} s: {text}"
 
 
 TERM = BiasStep()

@@ -58,9 +58,9 @@ class BoardSlip(NonlinearTerm):
     )
     covariates = ("time",)
     picture = BinnedDependence("gain", "time", 12)
-    reference_alternative = "the markers can have slipped on the board instead"
-    excitation = "the first poses and sweeps again at the end"
-    effect_if_ignored = "M is a mean of two mount angles"
+    reference_alternative = "the markers on the board can have moved instead"
+    excitation = "the first poses and sweeps, repeated at the end of the recording"
+    effect_if_ignored = "the misalignment M is a mean of two mount angles"
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the change of the measured rate, (blocks, 3)."""
@@ -85,7 +85,8 @@ class BoardSlip(NonlinearTerm):
     def describe(self, values: FloatArray) -> str:
         """Describe the rotation and its time."""
         return (
-            f"the board slips at {values[3]:.1f} s by {format_list(values[:3] / DEG, XYZ, 'deg')}"
+            f"the board turns on its mount at {values[3]:.1f} s by "
+            f"{format_list(values[:3] / DEG, XYZ, 'deg')}"
         )
 
 

@@ -35,8 +35,11 @@ class ClockOffset(LinearTerm):
     remedy = "do nothing, because the calibration estimates the time offset"
     covariates = None
     picture = BinnedDependence("lag", "time")
-    excitation = "any fast start or stop; its components need pings and known filters"
-    effect_if_ignored = "none: the time offset is a parameter of every calibration"
+    excitation = (
+        "fast starts and stops, and pings and known filters to separate the components of the "
+        "offset"
+    )
+    effect_if_ignored = "none, because the time offset is a parameter of every calibration"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return minus the time derivative, (1, blocks, 3)."""

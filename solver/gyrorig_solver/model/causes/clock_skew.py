@@ -30,13 +30,13 @@ class ClockSkew(TimeTerm):
     )
     confused_with = ("clock_step", "lost_samples", "thermal_scale")
     remedy = (
-        "timestamp the samples with the board's own clock instead of counting at the nominal "
+        "timestamp the samples with the board's clock instead of counting them at the nominal "
         "output rate"
     )
     covariates = ("move_delay",)
     picture = BinnedDependence("lag", "time")
     reference_alternative = "the error can be in the reference's clock instead"
-    excitation = "starts and stops over the whole recording, and the host's receive times"
+    excitation = "starts and stops during the whole recording, and the host's receive times"
     effect_if_ignored = "the scale factors of all axes are wrong by the frequency offset"
 
     def sampling_delay(self, state: SignalState, values: FloatArray) -> FloatArray:

@@ -40,15 +40,16 @@ class ClockStep(TimeTerm):
     )
     confused_with = ("lost_samples", "clock_skew", "lost_steps")
     remedy = (
-        "do not suspend the host or set its clock during a recording, and check its log for "
-        "USB reconnections"
+        "do not suspend the host or set its clock during a recording, and check the host's log "
+        "for USB reconnections"
     )
     covariates = ("move_delay",)
     picture = BinnedDependence("lag", "time")
     reference_alternative = "the step can be in the reference's clock instead"
-    excitation = "starts and stops before and after it, sequence numbers and arrival times"
+    excitation = "starts and stops before and after the step, sequence numbers and arrival times"
     effect_if_ignored = (
-        "the time offset is valid for part of the recording; scale factors and M hardly change"
+        "the time offset is valid for only a part of the recording; scale factors and M hardly "
+        "change"
     )
 
     def sampling_delay(self, state: SignalState, values: FloatArray) -> FloatArray:

@@ -27,13 +27,14 @@ class CorruptSamples(ZeroMeanTerm):
     covariates = None
     picture = None
     excitation = (
-        "none: the raw counts show it; use a frame format with a check, and block data update (BDU)"
+        "no motion, because the raw counts show corrupted words; use frames with a checksum, and "
+        "block data update (BDU)"
     )
-    effect_if_ignored = "large ones are rejected as outliers; small ones add noise"
+    effect_if_ignored = "the fit rejects large errors as outliers; small errors add noise"
 
     def describe(self, values: FloatArray) -> str:
         """Describe the share."""
-        return f"{values[0] * 100.0:.3g} % of the samples have corrupt words"
+        return f"{values[0] * 100.0:.3g} % of the samples have corrupted words"
 
 
 TERM = CorruptSamples()

@@ -53,8 +53,8 @@ class DeadZone(NonlinearTerm):
     )
     confused_with = ("scale_cubic", "motor_coupling")
     remedy = (
-        "check the board's firmware for a filter or a threshold, or keep it in the model with "
-        "`gyrorig solve`"
+        "check the board's firmware for a filter or a threshold, or let `gyrorig solve` fit this "
+        "cause"
     )
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "own_rate", 41)

@@ -51,10 +51,10 @@ class EarthRotation(LinearTerm):
         ),
     )
     confused_with = ("g_sensitivity", "thermal_bias")
-    remedy = "give latitude_deg and heading_deg of the site"
+    remedy = "write latitude_deg and heading_deg of the site into the rig file"
     covariates = None
     picture = BinnedDependence("mean", "pan")
-    excitation = "rests of minutes at pan angles all around, for at least 20 minutes"
+    excitation = "rests of some minutes at pan angles over the whole range, for at least 20 minutes"
     effect_if_ignored = "the bias is wrong by up to 0.004 deg/s, differently at every heading"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:

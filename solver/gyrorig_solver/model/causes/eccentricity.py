@@ -57,13 +57,14 @@ class Eccentricity(LinearAngleTerm):
     )
     confused_with = ("worm_error", "step_resolution")
     remedy = (
-        "have the gear's seat checked and turn over the full range, or keep it in the model "
-        "with `gyrorig solve`"
+        "have the seat of the gear checked and record moves over the full range, or let `gyrorig "
+        "solve` fit this cause"
     )
     covariates = ("pan_angle",)
     picture = BinnedDependence("gain", "pan")
     excitation = (
-        "pan over its full range; within +-80 deg the two harmonics cannot be distinguished"
+        "pan moves over the full range, because a range of +-80 deg does not separate the two "
+        "harmonics"
     )
     effect_if_ignored = "the scale factors are valid at the pan angles of the recording only"
     is_persistent = True

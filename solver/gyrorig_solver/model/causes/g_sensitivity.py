@@ -43,11 +43,11 @@ class GSensitivity(LinearTerm):
         ),
     )
     confused_with = ("earth_rotation", "vibration_rectification", "thermal_bias")
-    remedy = "keep it in the model with `gyrorig solve`, because it is a property of the sensor"
+    remedy = "let `gyrorig solve` fit this cause, because it is a property of the sensor"
     covariates = ("bias_tilt",)
     picture = BinnedDependence("mean", "tilt")
     excitation = "rests at four or more tilts that are far apart"
-    effect_if_ignored = "the bias is valid at the tilts of the recording only"
+    effect_if_ignored = "the stated bias is valid at the tilts of the recording only"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return each component of the force on each axis, (9, blocks, 3)."""

@@ -51,13 +51,13 @@ class LostSamples(TimeTerm):
     covariates = ("move_delay",)
     picture = BinnedDependence("lag", "time")
     first_order_equivalent = "clock_step"
-    excitation = "sequence numbers; without them, starts and stops before and after it"
-    effect_if_ignored = "the time offset is valid for part of the recording"
+    excitation = "sequence numbers, or else starts and stops before and after the loss"
+    effect_if_ignored = "the time offset is valid for only a part of the recording"
 
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why the sample period is unknown, or None."""
         if state.context.sample_period_s is None:
-            return "the sample period is not known; record the board's odr_hz"
+            return "the recording has no sample period; record the board's odr_hz"
         return None
 
     def sampling_delay(self, state: SignalState, values: FloatArray) -> FloatArray:

@@ -124,8 +124,11 @@ class LostSteps(LinearAngleTerm):
     picture = None
     template_search = "pulses"
     is_whole_steps = True
-    excitation = "a return to the first poses at the end, and homing again"
-    effect_if_ignored = "on pan: small; on tilt: M is a mean of two mount angles"
+    excitation = "a return to the first poses at the end, and a second homing"
+    effect_if_ignored = (
+        "small if pan lost steps; if tilt lost steps, the misalignment M is a mean of two mount "
+        "angles"
+    )
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return minus the step at the event."""

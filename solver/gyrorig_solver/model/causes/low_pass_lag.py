@@ -37,14 +37,15 @@ class LowPassLag(NonlinearTerm):
     )
     confused_with = ("base_compliance", "s_curve", "base_speed_jump", "clock_offset")
     remedy = (
-        "read the bandwidth register back and set bandwidth_hz to that value in the rig's "
-        "configuration"
+        "read the bandwidth register of the sensor and set bandwidth_hz to that value in the rig "
+        "file"
     )
     covariates = (*EDGE_COVARIATES, "speed")
     picture = None
     excitation = "the fastest possible accelerations on both axes"
     effect_if_ignored = (
-        "the time offset is valid for this filter only; scale factor up to 40 ppm at 12.5 Hz"
+        "the time offset is valid for this filter only; at a bandwidth of 12.5 Hz the scale "
+        "factor is wrong by up to 40 ppm"
     )
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
@@ -81,12 +82,18 @@ class LowPassLag(NonlinearTerm):
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why no cut-off is known, or None."""
         if state.low_pass is None:
-            return "the low-pass is not known; record the board's bandwidth_hz"
+            return (
+                "the recording has no bandwidth of the low-pass filter; record the board's "
+                "bandwidth_hz"
+            )
         return None
 
     def describe(self, values: FloatArray) -> str:
         """Describe the cut-off."""
-        return f"the cut-off is {np.exp(values[0]):.2f} times the configured bandwidth"
+        return (
+            f"the cut-off frequency of the low-pass filter is {np.exp(values[0]):.2f} times the "
+            "configured bandwidth"
+        )
 
 
 TERM = LowPassLag()

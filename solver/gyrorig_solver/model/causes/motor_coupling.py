@@ -51,7 +51,7 @@ class MotorCoupling(LinearTerm):
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "speed")
     excitation = "moves at several speeds with rests of the same length between them"
-    effect_if_ignored = "the bias differs between motion and rest"
+    effect_if_ignored = "the bias in motion differs from the bias at rest"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return when each motor runs, on each axis, (6, blocks, 3)."""

@@ -22,11 +22,14 @@ class RepeatedSamples(ZeroMeanTerm):
         TermParameter("share", "1", typical_size=0.1, lower=0.0, upper=1.0, prior_std=1.0),
     )
     confused_with = ("corrupt_samples", "sample_jitter")
-    remedy = "read the sensor on its data-ready signal or at its own output rate"
+    remedy = "read the sensor at its data-ready signal or at its output rate"
     covariates = None
     picture = None
-    excitation = "none: the raw counts show it; read at data-ready or at the sensor's output rate"
-    effect_if_ignored = "the noise looks smaller than it is, and so do all uncertainties"
+    excitation = (
+        "no motion, because the raw counts show repeated samples; read the sensor at its output "
+        "rate"
+    )
+    effect_if_ignored = "the noise and all uncertainties appear smaller than they are"
 
     def describe(self, values: FloatArray) -> str:
         """Describe the share."""

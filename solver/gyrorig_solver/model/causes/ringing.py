@@ -63,7 +63,7 @@ class Ringing(LinearAngleTerm):
     picture = None
     template_search = "full_grid"
     excitation = "hard stops, each followed by a rest of at least half a second"
-    effect_if_ignored = "small: the time offset absorbs part of it"
+    effect_if_ignored = "small, because the time offset absorbs part of the error"
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return the deflections of pan and tilt."""

@@ -41,11 +41,11 @@ class SCurve(AngleTerm):
         ),
     )
     confused_with = ("base_compliance", "base_speed_jump", "low_pass_lag", "acceleration_error")
-    remedy = "keep it in the model with `gyrorig solve`"
+    remedy = "let `gyrorig solve` fit this cause"
     covariates = (*EDGE_COVARIATES, "speed")
     picture = None
-    excitation = "the fastest accelerations; several boards with different low-passes"
-    effect_if_ignored = "the time offset absorbs it; little else changes"
+    excitation = "the fastest accelerations, and several boards with different low-pass filters"
+    effect_if_ignored = "the time offset absorbs the error; other parameters hardly change"
 
     def angle_error(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the rounded minus the commanded angles, (2, n + 1)."""

@@ -30,7 +30,7 @@ class SampleJitter(ZeroMeanTerm):
     picture = None
     excitation = "long accelerations next to rests, with timestamps from the board"
     effect_if_ignored = (
-        "the fit gives accelerations too much weight; the uncertainties are too small"
+        "the uncertainties are too small, because the fit gives accelerations too much weight"
     )
 
     def added_variance(self, state: SignalState, values: FloatArray) -> FloatArray:

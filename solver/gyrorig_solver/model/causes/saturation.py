@@ -62,7 +62,7 @@ class Saturation(NonlinearTerm):
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why the range is unknown, or None."""
         if state.context.full_scale_rad_s is None:
-            return "the range is not known; record the board's gyro_full_scale_dps"
+            return "the recording has no full scale; record the board's gyro_full_scale_dps"
         return None
 
     def describe(self, values: FloatArray) -> str:

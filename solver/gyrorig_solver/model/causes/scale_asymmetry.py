@@ -31,7 +31,7 @@ class ScaleAsymmetry(LinearTerm):
         ),
     )
     confused_with = ("scale_quadratic", "vibration_rectification", "motor_coupling")
-    remedy = "keep it in the model with `gyrorig solve`, because it is a property of the sensor"
+    remedy = "let `gyrorig solve` fit this cause, because it is a property of the sensor"
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "own_rate")
     excitation = "both directions at four or more speeds, including slow ones"
@@ -44,7 +44,7 @@ class ScaleAsymmetry(LinearTerm):
     def describe(self, values: FloatArray) -> str:
         """Describe the shares."""
         text = format_list(values * 100.0, XYZ, "%")
-        return f"the scale factor differs between forward and backward: +-{text}"
+        return f"the scale factors of positive and negative rates differ: +-{text}"
 
 
 TERM = ScaleAsymmetry()

@@ -24,7 +24,7 @@ class ScaleCubic(LinearTerm):
     """The coefficient c for x, y, z."""
 
     cause = "scale_cubic"
-    title = "The scale factor changes with the rate, oppositely in the two directions"
+    title = "The rate error grows with the cube of the rate"
     part: Part = "sensor"
     parameters = (
         TermParameter(
@@ -38,7 +38,7 @@ class ScaleCubic(LinearTerm):
         ),
     )
     confused_with = ("scale_quadratic", "saturation", "scale_asymmetry")
-    remedy = "use a larger full scale, or keep it in the model with `gyrorig solve`"
+    remedy = "use a larger full scale, or let `gyrorig solve` fit this cause"
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "own_rate")
     excitation = "four or more speeds, the fastest above 200 deg/s"

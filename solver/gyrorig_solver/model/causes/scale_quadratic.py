@@ -24,7 +24,7 @@ class ScaleQuadratic(LinearTerm):
     """The coefficient q for x, y, z."""
 
     cause = "scale_quadratic"
-    title = "The scale factor changes with the rate, equally in both directions"
+    title = "The rate error grows with the square of the rate"
     part: Part = "sensor"
     parameters = (
         TermParameter(
@@ -43,9 +43,7 @@ class ScaleQuadratic(LinearTerm):
         "motor_coupling",
         "scale_cubic",
     )
-    remedy = (
-        "compare with a second board of this type, or keep it in the model with `gyrorig solve`"
-    )
+    remedy = "compare with a second board of this type, or let `gyrorig solve` fit this cause"
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "own_rate")
     excitation = "both directions at four or more speeds, the fastest near full scale"

@@ -26,13 +26,13 @@ class SignFlip(LinearTerm):
         ),
     )
     confused_with = ("axis_swap",)
-    remedy = "correct the sign in the driver or in the board's columns"
+    remedy = "correct the sign of the axis in the driver or in the board's columns"
     covariates = None
     picture = None
-    excitation = "any motion; compare the mount with the gain's nearest signed permutation"
+    excitation = "any motion, and a comparison of the gain's axes with the mount of the board"
     effect_if_ignored = (
-        "none: the calibration is valid for the axes in these directions; only the mount angles "
-        "differ"
+        "none, because the calibration is valid for the axes in these directions; only the mount "
+        "angles differ"
     )
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:

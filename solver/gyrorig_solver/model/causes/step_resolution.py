@@ -36,16 +36,18 @@ class StepResolution(LinearAngleTerm):
         ),
     )
     confused_with = ("tilt_sag", "clock_skew", "eccentricity")
-    remedy = "ask the unit for its resolution (PR, TR) and configure that value"
+    remedy = "query the resolution of the unit (commands PR and TR) and configure that value"
     covariates = ANGLE_COVARIATES
     picture = BinnedDependence("gain", "tilt", 10)
     confounded_with_gain = True
     unseen_places = ("pan",)
     excitation = (
-        "pan sweeps at three or more tilts that are far apart; the step of pan needs a known turn"
+        "pan sweeps at three or more tilts that are far apart, and a known turn for the step size "
+        "of pan"
     )
     effect_if_ignored = (
-        "the scale factors of y and z are wrong by pan's error, and no residual shows it"
+        "the scale factors of y and z are wrong by the error of pan's step size, and no residual "
+        "shows this error"
     )
     is_persistent = True
 

@@ -36,7 +36,7 @@ class SupplyHum(LinearTerm):
     """Cosine, then sine, for x, y, z each; then the frequency."""
 
     cause = "supply_hum"
-    title = "The mains frequency is in the rates"
+    title = "The rates contain the mains frequency"
     part: Part = "sensor"
     stage: Stage = "readout"
     scope: Scope = "recording"
@@ -78,8 +78,11 @@ class SupplyHum(LinearTerm):
     covariates = ("bias_time",)
     picture = None
     template_search = "spectral_lines"
-    excitation = "rests of at least ten seconds; it is present at rest too"
-    effect_if_ignored = "small: its frequency differs from the motion's; the noise looks larger"
+    excitation = "rests of at least ten seconds, because the hum is present at rest too"
+    effect_if_ignored = (
+        "small, because the frequency of the hum differs from that of the motion; the noise "
+        "appears larger"
+    )
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return cosine and sine on each axis, (6, blocks, 3)."""
@@ -104,7 +107,10 @@ class SupplyHum(LinearTerm):
     def describe(self, values: FloatArray) -> str:
         """Describe amplitude and frequency."""
         size = np.hypot(values[:3], values[3:6]) / DEG * 1e3
-        return f"spectral line at {values[6]:.2f} Hz: {format_list(size, XYZ, 'mdeg/s')}"
+        return (
+            f"the rates have a spectral line at {values[6]:.2f} Hz: "
+            f"{format_list(size, XYZ, 'mdeg/s')}"
+        )
 
 
 TERM = SupplyHum()

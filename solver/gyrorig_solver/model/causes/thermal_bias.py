@@ -39,14 +39,14 @@ class ThermalBias(LinearTerm):
     stage: Stage = "bias"
     confused_with = ("warm_up", "bias_ramp", "bias_step", "bias_random_walk")
     remedy = (
-        "let the board warm up before recording and keep draughts away, or keep it in the "
-        "model with `gyrorig solve` (this needs the board's thermometer)"
+        "let the board warm up before recording and keep draughts away, or let `gyrorig solve` "
+        "fit this cause, which needs the temperature of the board"
     )
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "temperature")
     depends_on_temperature = True
     excitation = "heating, cooling and heating again, with rests between moves"
-    effect_if_ignored = "the bias is valid at the temperature of the recording only"
+    effect_if_ignored = "the stated bias is valid at the temperature of the recording only"
 
     def __init__(self, order: int = 1) -> None:
         """Create a polynomial of order 1 to 3."""
@@ -114,7 +114,7 @@ def die_temperature_rise(state: SignalState, lag_s: float) -> FloatArray:
 def reason_without_temperature(state: SignalState) -> str | None:
     """Return why thermal causes cannot be tested, or None if they can."""
     if state.context.temperature is None:
-        return "the recording has no temperature; record the board's thermometer"
+        return "the recording has no temperature; record the temperature of the board"
     span = state.context.temperature.span_k
     if span < MIN_TEMPERATURE_SPAN_K:
         return f"the temperature changed by only {span:.1f} K; warm the board by at least 10 K"

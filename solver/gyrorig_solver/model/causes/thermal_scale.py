@@ -38,7 +38,7 @@ class ThermalScale(LinearTerm):
         ),
     )
     confused_with = ("board_slip", "thermal_bias", "clock_skew")
-    remedy = "record at the temperature of use, or keep it in the model with `gyrorig solve`"
+    remedy = "record at the temperature of use, or let `gyrorig solve` fit this cause"
     covariates = ("time",)
     picture = BinnedDependence("gain", "temperature", 10)
     depends_on_temperature = True

@@ -42,7 +42,8 @@ class TiltSag(LinearAngleTerm):
     equivalent_causes = ("eccentricity",)
     excitation = "pan sweeps at five tilts over the whole range"
     effect_if_ignored = (
-        "M and the scale factors absorb it, with errors of tens of sigma before it is detected"
+        "M and the scale factors absorb this cause; their errors reach tens of standard "
+        "uncertainties before a search detects it"
     )
     is_persistent = True
 

@@ -41,12 +41,15 @@ class TiltZero(NonlinearTerm):
             prior_std=1.0 * DEG,
         ),
     )
-    remedy = "level the unit and set tilt_zero in the rig's configuration"
+    remedy = "level the unit and set tilt_zero in the rig file"
     covariates = None
     picture = BinnedDependence("gain", "tilt", 10)
-    excitation = "the board's accelerometer at rest at several tilts; no motion shows it"
+    excitation = (
+        "readings of the board's accelerometer at rest at several tilts, because no motion shows "
+        "a tilt zero"
+    )
     effect_if_ignored = (
-        "the misalignment about x is wrong by the whole angle, and no residual shows it"
+        "the misalignment about x is wrong by the whole angle, and no residual shows this error"
     )
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
@@ -64,7 +67,7 @@ class TiltZero(NonlinearTerm):
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Return why the gyroscope cannot show it."""
         return (
-            "a tilt zero is a rotation of the misalignment about x; "
+            "the rates cannot separate an error of the tilt zero from the misalignment about x; "
             "rest at several tilts and record the accelerometer"
         )
 

@@ -45,7 +45,7 @@ class VibrationRectification(LinearTerm):
     covariates = RATE_COVARIATES
     picture = BinnedDependence("mean", "speed")
     excitation = "four or more speeds, each at several tilts"
-    effect_if_ignored = "the bias differs between motion and rest"
+    effect_if_ignored = "the bias in motion differs from the bias at rest"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the squared speeds of the motors on each axis, (3, blocks, 3)."""

@@ -55,7 +55,7 @@ class WarmUp(LinearTerm):
     covariates = ("bias_time",)
     picture = BinnedDependence("mean", "time")
     excitation = "one recording that starts at power-on, and one an hour later"
-    effect_if_ignored = "the bias is that of a board that is still warming up"
+    effect_if_ignored = "the stated bias is that of a board that is still warming up"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the decay on each axis, (3, blocks, 3)."""

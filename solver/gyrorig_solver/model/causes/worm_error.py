@@ -56,8 +56,8 @@ class WormError(LinearAngleTerm):
     )
     confused_with = ("eccentricity", "supply_hum", "step_resolution")
     remedy = (
-        "turn over whole turns of the worm (20.57 deg), or keep it in the model with `gyrorig "
-        "solve`"
+        "let every sweep cover whole turns of the worm (20.57 deg), or let `gyrorig solve` fit "
+        "this cause"
     )
     covariates = ANGLE_COVARIATES
     picture = BinnedDependence("gain", "worm")
@@ -82,7 +82,9 @@ class WormError(LinearAngleTerm):
         """Describe amplitudes and period."""
         size = np.hypot(values[:2], values[2:4]) / DEG
         text = format_list(size, PAN_TILT, "deg")
-        return f"the angle has a periodic error every {values[4] / DEG:.2f} deg: +-{text}"
+        return (
+            f"the angle has a periodic error with a period of {values[4] / DEG:.2f} deg: +-{text}"
+        )
 
 
 TERM = WormError()

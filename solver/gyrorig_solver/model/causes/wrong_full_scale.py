@@ -17,7 +17,7 @@ class WrongFullScale(NonlinearTerm):
     """The exponent of two."""
 
     cause = "wrong_full_scale"
-    title = "The range differs from the configuration"
+    title = "The full scale differs from the configuration"
     part: Part = "link"
     stage: Stage = "readout"
     kind: Kind = "gauge"
@@ -25,12 +25,12 @@ class WrongFullScale(NonlinearTerm):
         TermParameter("doublings", "1", typical_size=1.0, lower=-4.0, upper=4.0, prior_std=2.0),
     )
     confused_with = ("clock_skew",)
-    remedy = "read the range register back and set the board's full scale to that value"
+    remedy = "read the range register of the sensor and set the board's full scale to that value"
     covariates = None
     picture = None
-    excitation = "any motion; compare the scale factor with the data sheet's tolerance"
+    excitation = "any motion, and a comparison of the scale factor with the data sheet's tolerance"
     effect_if_ignored = (
-        "none: the calibration is valid; the configured range is wrong by the factor"
+        "none, because the calibration is valid; only the configured full scale is wrong"
     )
 
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
@@ -44,7 +44,10 @@ class WrongFullScale(NonlinearTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe the factor."""
-        return f"the counts are {2.0 ** values[0]:.3g} times what the configured range implies"
+        return (
+            f"the counts are {2.0 ** values[0]:.3g} times those that the configured full scale "
+            "implies"
+        )
 
 
 TERM = WrongFullScale()
