@@ -1,7 +1,5 @@
 """A calibration as a few lines for a terminal."""
 
-import math
-
 from gyrorig_solver.calibration.calibration_document import CalibrationDocument
 from gyrorig_solver.calibration.calibration_wording import (
     cause_groups,
@@ -14,6 +12,7 @@ from gyrorig_solver.calibration.calibration_wording import (
 )
 from gyrorig_solver.calibration.uncertainty_wording import contribution_name, main_contribution
 from gyrorig_solver.model.parameter_units import (
+    DEG_PER_RAD,
     PARAMETER_GROUPS,
     ParameterGroup,
     format_quantity,
@@ -24,7 +23,6 @@ from gyrorig_solver.model.parameter_units import (
     plural,
 )
 
-_DEG = 180.0 / math.pi
 CONTRIBUTIONS = 3  # causes that are named
 
 
@@ -124,7 +122,7 @@ def _recordings(calibration: CalibrationDocument) -> list[str]:
     lines = []
     for recording in calibration.quality.recordings or []:
         bias = ", ".join(
-            "unknown" if bias_rad_s is None else f"{bias_rad_s * _DEG:+.4f}"
+            "unknown" if bias_rad_s is None else f"{bias_rad_s * DEG_PER_RAD:+.4f}"
             for bias_rad_s in recording.bias
         )
         offset = (

@@ -6,12 +6,11 @@ from typing import Literal
 from gyrorig_protocol.profile import SensorProfile
 from gyrorig_solver.calibration.calibration_document import Trust
 from gyrorig_solver.estimate.gyro_fit import GyroFit
-from gyrorig_solver.model.parameter_units import plural
+from gyrorig_solver.model.parameter_units import DEG_PER_RAD, plural
 
 _REFUSED_CHI2 = 25.0  # above it, the standard uncertainties are meaningless
 _LOST_SHARE = 0.02  # of the samples; fewer gaps only reduce the precision
 _OUTLIER_SHARE = 0.01
-_DEG = 180.0 / math.pi
 
 Verdict = Literal["good", "limited", "refused"]
 
@@ -70,10 +69,10 @@ def profile_warnings(
                 )
     zero_rate_dps = profile.zero_rate_limit_dps(full_scale_dps)
     if zero_rate_dps is not None:
-        for axis, bias in zip("xyz", fit.bias_rad_s, strict=True):
-            if math.isfinite(bias) and abs(bias) * _DEG > zero_rate_dps:
+        for axis, bias_dps in zip("xyz", fit.bias_rad_s * DEG_PER_RAD, strict=True):
+            if math.isfinite(bias_dps) and abs(bias_dps) > zero_rate_dps:
                 warnings.append(
-                    f"bias.{axis} is {bias * _DEG:.1f} deg/s, outside the {profile.sensor}'s "
+                    f"bias.{axis} is {bias_dps:.1f} deg/s, outside the {profile.sensor}'s "
                     f"data-sheet range ±{zero_rate_dps:g} deg/s. Check that the rig was at rest"
                 )
     return warnings

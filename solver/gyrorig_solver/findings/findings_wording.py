@@ -4,7 +4,6 @@ What to use when: `findings_summary` for a terminal; the other functions for one
 Files keep SI units; these texts use degrees, milliseconds and percent.
 """
 
-import math
 from types import MappingProxyType
 
 from gyrorig_solver.discover.attitude.attitude_terms import ReferenceSmoothing
@@ -15,7 +14,7 @@ from gyrorig_solver.findings.findings_document import (
     SizeEntry,
 )
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.parameter_units import format_quantity, format_short
+from gyrorig_solver.model.parameter_units import DEG_PER_RAD, format_quantity, format_short
 
 # Verdict of the document: title and sentence.
 VERDICTS = MappingProxyType(
@@ -39,8 +38,7 @@ _OTHER_TITLES = {
 }
 MAX_NAMES_PER_LINE = 8
 MIN_P_VALUE = 1e-12  # smaller ones are not told apart
-_DEG = 180.0 / math.pi
-_MDEG = 1e3 * _DEG
+_MDEG = 1e3 * DEG_PER_RAD
 
 _LIMITED_REFERENCE = (
     "No error found, few tests possible",
@@ -74,8 +72,8 @@ def display_unit(value: float, unit: str) -> tuple[float, str]:
     """Return the factor from an SI unit to a unit that suits the value, and that unit."""
     if unit.startswith("rad"):
         suffix = unit.removeprefix("rad").replace("^2", "²")
-        factor = _DEG if abs(value) * _DEG >= 0.1 else _MDEG
-        return factor, ("deg" if factor == _DEG else "mdeg") + suffix
+        factor = DEG_PER_RAD if abs(value) * DEG_PER_RAD >= 0.1 else _MDEG
+        return factor, ("deg" if factor == DEG_PER_RAD else "mdeg") + suffix
     if unit == "s":
         return (1.0, "s") if abs(value) >= 1.0 else (1e3, "ms")
     if unit == "1" and 0.0 < abs(value) < 0.5:
@@ -214,4 +212,4 @@ def _change_sigma(change: ChangeEntry) -> float:
 
 
 def _deg_per_s_text(value: float | None) -> str:
-    return "?" if value is None else format_short(value * _DEG)
+    return "?" if value is None else format_short(value * DEG_PER_RAD)

@@ -9,17 +9,17 @@ What to use when: `PARAMETER_GROUPS` for the base parameters in the order of the
 import math
 from dataclasses import dataclass
 
-_DEG = 180.0 / math.pi
+DEG_PER_RAD = 180.0 / math.pi
 
 # SI unit: factor and unit for people. Sizes of causes and of parameters use the same table.
 DISPLAY_UNITS = {
-    "rad": (_DEG, "deg"),
-    "rad/s": (_DEG, "deg/s"),
-    "rad/s^2": (_DEG, "deg/s^2"),
-    "rad/s/K": (_DEG, "deg/s/K"),
-    "rad/s/(m/s^2)": (_DEG * 9.80665, "deg/s/g"),
-    "s/rad": (1e6 / _DEG, "ppm s/deg"),
-    "s^2/rad^2": (1e6 / _DEG**2, "ppm s^2/deg^2"),
+    "rad": (DEG_PER_RAD, "deg"),
+    "rad/s": (DEG_PER_RAD, "deg/s"),
+    "rad/s^2": (DEG_PER_RAD, "deg/s^2"),
+    "rad/s/K": (DEG_PER_RAD, "deg/s/K"),
+    "rad/s/(m/s^2)": (DEG_PER_RAD * 9.80665, "deg/s/g"),
+    "s/rad": (1e6 / DEG_PER_RAD, "ppm s/deg"),
+    "s^2/rad^2": (1e6 / DEG_PER_RAD**2, "ppm s^2/deg^2"),
     "s": (1e3, "ms"),
     "s^2": (1e6, "ppm s^2"),
     "1": (1e6, "ppm"),
@@ -39,7 +39,7 @@ class ParameterGroup:
 
 
 PARAMETER_GROUPS = (
-    ParameterGroup("bias", ("x", "y", "z"), "zero-rate output", _DEG, "deg/s"),
+    ParameterGroup("bias", ("x", "y", "z"), "zero-rate output", DEG_PER_RAD, "deg/s"),
     ParameterGroup(
         "scale", ("x", "y", "z"), "scale factor, as a ratio to the nominal one", 1.0, "1"
     ),
@@ -47,7 +47,7 @@ PARAMETER_GROUPS = (
         "nonorthogonality", ("xy", "zx", "zy"), "angles between the sensor's axes", 1e3, "mrad"
     ),
     ParameterGroup(
-        "misalignment", ("x", "y", "z"), "rotation from the stage to the sensor", _DEG, "deg"
+        "misalignment", ("x", "y", "z"), "rotation from the stage to the sensor", DEG_PER_RAD, "deg"
     ),
     ParameterGroup("time_offset", ("",), "delay of the samples behind the motion", 1e3, "ms"),
 )

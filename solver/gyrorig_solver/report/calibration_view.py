@@ -20,6 +20,7 @@ from gyrorig_solver.calibration.calibration_wording import (
 from gyrorig_solver.calibration.uncertainty_wording import contribution_name
 from gyrorig_solver.estimate.gyro_fit import ClockQuality
 from gyrorig_solver.model.parameter_units import (
+    DEG_PER_RAD,
     PARAMETER_GROUPS,
     ParameterGroup,
     format_quantity,
@@ -37,18 +38,22 @@ from gyrorig_solver.report.report_data import ReportData
 from gyrorig_solver.report.summary_tiles import inverse_gain
 
 _NO_SECOND_CLOCK_S = 1e-9  # a smaller latency means that there is only one clock
-_DEG = 180.0 / math.pi
 _NOISE_ROWS = (  # name in the document, name shown, factor, unit
-    ("angle_random_walk_in_motion", "noise density in motion", _DEG, "deg/s/√Hz, one-sided"),
-    ("angle_random_walk_pan_motion", "noise density while pan moves", _DEG, "deg/s/√Hz, one-sided"),
+    ("angle_random_walk_in_motion", "noise density in motion", DEG_PER_RAD, "deg/s/√Hz, one-sided"),
+    (
+        "angle_random_walk_pan_motion",
+        "noise density while pan moves",
+        DEG_PER_RAD,
+        "deg/s/√Hz, one-sided",
+    ),
     (
         "angle_random_walk_tilt_motion",
         "noise density while tilt moves",
-        _DEG,
+        DEG_PER_RAD,
         "deg/s/√Hz, one-sided",
     ),
-    ("bias_instability", "bias instability", 3600.0 * _DEG, "deg/h"),
-    ("rate_random_walk", "rate random walk", _DEG, "deg/s²/√Hz"),
+    ("bias_instability", "bias instability", 3600.0 * DEG_PER_RAD, "deg/h"),
+    ("rate_random_walk", "rate random walk", DEG_PER_RAD, "deg/s²/√Hz"),
 )
 _AXIS_COLOURS = ("var(--x)", "var(--y)", "var(--z)")
 DataSheetLimits = tuple[float, float]  # the data sheet's range, in the unit that is shown

@@ -1,6 +1,5 @@
 """View of the explain report: its texts, table rows and figures."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,9 +19,14 @@ from gyrorig_solver.findings.findings_wording import (
     verdict_words,
 )
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.parameter_units import format_quantity, format_short, group_of, plural
+from gyrorig_solver.model.parameter_units import (
+    DEG_PER_RAD,
+    format_quantity,
+    format_short,
+    group_of,
+    plural,
+)
 
-_DEG = 180.0 / math.pi
 MIN_SHIFT_SIGMA, MIN_ROWS = 0.3, 2  # smaller changes of parameters are shown in two rows only
 TONES = {"adequate": "good", "explained": "limited", "unexplained": "refused"}
 SURE_POSTERIOR = 0.999
@@ -169,8 +173,8 @@ def _tiles(document: FindingsDocument) -> list[dict[str, str]]:
             tiles.append(
                 _tile(
                     "angle error on held-out data",
-                    f"{format_short(1e3 * _DEG * gain.turn_error_before)} →",
-                    format_short(1e3 * _DEG * gain.turn_error_after),
+                    f"{format_short(1e3 * DEG_PER_RAD * gain.turn_error_before)} →",
+                    format_short(1e3 * DEG_PER_RAD * gain.turn_error_after),
                     "mdeg, rms over moves",
                 )
             )
@@ -346,4 +350,4 @@ def _base_model_text(document: FindingsDocument) -> str:
 
 
 def _deg_s_text(value: float) -> str:
-    return format_short(value * _DEG)
+    return format_short(value * DEG_PER_RAD)
