@@ -87,7 +87,7 @@ def _report_error(error: Exception, as_json: bool) -> int:
     elif isinstance(error, click.ClickException):
         context = getattr(error, "ctx", None)
         command_path = "gyrorigd" if context is None else context.command_path
-        text, status = f"{sentence(error.format_message())} See {command_path} --help.", 2
+        text, status = f"{sentence(error.format_message())} See `{command_path} --help`.", 2
     elif isinstance(error, OSError):
         text = f"{error.filename or 'this computer'}: {error.strerror or error}"
     else:

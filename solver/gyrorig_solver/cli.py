@@ -15,7 +15,7 @@ from typing import NoReturn
 
 import click
 
-from gyrorig_protocol.errors import GyrorigError, UsageError
+from gyrorig_protocol.errors import GyrorigError, UsageError, sentence
 from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.commands.terminal import Terminal, printable, version_text
 
@@ -187,7 +187,7 @@ def _report_error(terminal: Terminal, fault: Exception, arguments: Sequence[str]
         context = getattr(fault, "ctx", None)
         command_path = context.command_path if context is not None else "gyrorig"
         return _print_failure(
-            terminal, f"{fault.format_message().rstrip('.')}. See `{command_path} --help`.", 2
+            terminal, f"{sentence(fault.format_message())} See `{command_path} --help`.", 2
         )
     if isinstance(fault, OSError):
         return _print_failure(terminal, _system_error_text(fault), 1)
