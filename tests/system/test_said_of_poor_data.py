@@ -50,8 +50,8 @@ def test_pan_at_tilt_zero_only(tmp_path: Path) -> None:
     assert document["matrices"]["STM"][0][:2] == [None, None]
     assert document["matrices"]["STM"][2][2] is not None  # what pan turns is known
     reasons = " ".join(document["trust"]["reasons"])
-    assert "tilt was not moved; move tilt at a few speeds" in reasons
-    assert "sweep it at a positive and at a negative tilt" in reasons
+    assert "tilt did not move; move tilt at a few speeds" in reasons
+    assert "sweep pan at a positive and at a negative tilt" in reasons
 
 
 @pytest.mark.parametrize(("soak_k", "fitted"), [("4", False), ("25", True)])

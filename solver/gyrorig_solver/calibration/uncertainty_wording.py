@@ -11,6 +11,6 @@ def main_contribution(name: str, record: UncertaintyRecord) -> BudgetRow | None:
 
 
 def contribution_name(row: BudgetRow) -> str:
-    """Return a contribution's cause with its place, for people: `backlash, pan`."""
+    """Return a contribution's cause with its place, for people: `backlash (pan)`."""
     name = row.cause.replace("_", " ")
-    return name if row.place is None else f"{name}, {row.place}"
+    return name if row.place is None else f"{name} ({row.place})"

@@ -76,18 +76,22 @@ class Attribution:
         """The attribution as text."""
         if self.owner == "unit":
             text = (
-                f"a cause of the unit, detected on {self.detected_by} of {self.board_count} boards"
+                f"this is a cause of the unit, and {self.detected_by} of {self.board_count} boards "
+                "show it"
             )
             agree = self.disagreement_p is None or self.disagreement_p > MIN_AGREEMENT_P
-            return text if agree else f"{text}, which do not agree on its size"
+            return text if agree else f"{text}, with different sizes"
         if self.detected_by == 1:
             others = (
                 "the other board does not show it"
                 if self.board_count == 2
                 else f"none of the other {self.board_count - 1} boards shows it"
             )
-            return f"a cause of this board only; {others}"
-        return f"a cause of the board; {self.detected_by} of {self.board_count} boards have it"
+            return f"this is a cause of this board only, because {others}"
+        return (
+            f"this is a cause of the board, and {self.detected_by} of {self.board_count} boards "
+            "have it"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -307,7 +307,7 @@ class _SearchMemory:
         """Return one remark for each candidate that is not in the final model."""
         fitted = {term_label(fitted_term.term) for fitted_term in final.fitted_terms}
         return tuple(
-            f"{label} was left out: {reason}"
+            f"the cause {label} was left out: {reason}"
             for label, reason in self._reasons.items()
             if label not in fitted
         )

@@ -65,7 +65,7 @@ class GainChange(LinearTerm):
     covariates = None
     picture = None
     excitation = "fast moves about every axis"
-    effect_if_ignored = "none: it is the calibration"
+    effect_if_ignored = "none, because the gain is part of the calibration"
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return each rate of the stage on each axis of the sensor, (9, blocks, 3)."""

@@ -54,7 +54,7 @@ def cross_validate_causes(
         dropped += [[k] for k in causes]
     models = [projector.drop_terms(dropped_causes) for dropped_causes in dropped]
     full, *reduced = projector.held_out_residuals(windows % min(FOLDS, count), models)
-    how = f"windows of {WINDOW_S:.0f} s left out in turn, {count} of them"
+    how = f"{count} windows of {WINDOW_S:.0f} s, each left out of one fit"
     gains = [
         _compare_residuals(projector, windows, how, reduced_residual, full)
         for reduced_residual in reduced
@@ -91,10 +91,10 @@ def gain_on_recording(
         ).dense()[0]
         for fit in (base_fit, extended_fit)
     ]
-    how = f"the recording {held_out.name}, only bias and time offset were fitted to it"
+    how = f"the recording {held_out.name}, in which only bias and time offset were fitted"
     left_out = ", ".join(fit.term.cause for fit in extended_fit.left_out)
     if left_out:
-        how += f"; left out, because they are in the other recording only: {left_out}"
+        how += f"; without the causes that only the other recording has: {left_out}"
     gain = _compare_residuals(projector, _window_numbers(projector), how, *whitened)
     # The change of the motion from its prior counts too.
     gain_nats, window_gain = (

@@ -31,7 +31,10 @@ def describe_rivals(
 
 def _rejection_reason(delta_log_likelihood: float, delta_log_evidence: float) -> str:
     if delta_log_evidence > 0.0:
-        return "it fits as well; the data cannot distinguish them"
+        return "the alternative fits as well; the data cannot distinguish the two causes"
     if delta_log_likelihood > -1.0:
-        return "it fits as well, but with more parameters or an improbable size"
-    return f"its best fit leaves {-delta_log_likelihood:.1f} nats of log-likelihood unexplained"
+        return "the alternative fits as well, but with more parameters or an improbable size"
+    return (
+        f"the best fit of the alternative leaves {-delta_log_likelihood:.1f} nats of "
+        "log-likelihood unexplained"
+    )

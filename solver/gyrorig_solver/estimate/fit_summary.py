@@ -86,7 +86,8 @@ def build_gyro_fit(outcome: FitOutcome, samples: Sequence[GyroSamples]) -> GyroF
     if outcome.reduced_chi2 > outcome.chi2_limit:
         reasons.append(
             f"the residual variance is {outcome.reduced_chi2:.2f} times that of the noise model, "
-            "and the standard deviations are scaled up; check the residual over time"
+            "so the solver increased the standard uncertainties; check the residual over time in "
+            "the report"
         )
     reasons += [f"not identified: {text}" for text in derived.observability.reasons]
     return GyroFit(
@@ -234,14 +235,14 @@ def _skew_text(skew_ppm: float) -> str:
     """Describe which clock is used, and the effect of the other one on the scale factors."""
     direction = "larger" if skew_ppm > 0.0 else "smaller"
     return (
-        f"the board's clock differs from the host's by {skew_ppm:+.0f} ppm. The host's clock "
-        "is used; with the board's clock every scale factor would be "
-        f"{abs(skew_ppm) * 1e-4:.2f} % {direction}"
+        "the frequency of the board's clock differs from that of the host's clock by "
+        f"{skew_ppm:+.0f} ppm. The solver uses the host's clock; with the board's clock, every "
+        f"scale factor would be {abs(skew_ppm) * 1e-4:.2f} % {direction}"
     )
 
 
 _STRUCTURED_LATENCY = (
-    "sampling times can be wrong by as much. Pings of the board would show the error"
+    "the sampling times can have the same error. Pings of the board would show this error"
 )
 
 
@@ -250,12 +251,13 @@ def _sample_warnings(samples: Sequence[GyroSamples]) -> list[str]:
     counts = (
         (
             sum(recording_samples.lost for recording_samples in samples),
-            "samples are missing according to the board's counter",
+            "samples are missing, as the board's counter shows",
         ),
-        (repeated, "samples repeat the previous one and were not used"),
+        (repeated, "samples repeat the previous sample, and the solver did not use them"),
         (
             sum(int(np.sum(~recording_samples.usable)) for recording_samples in samples) - repeated,
-            "samples are saturated and were not used; use a larger full scale or lower rates",
+            "samples are saturated, and the solver did not use them; set a larger full scale or "
+            "turn more slowly",
         ),
         (
             sum(recording_samples.late for recording_samples in samples),
@@ -263,11 +265,11 @@ def _sample_warnings(samples: Sequence[GyroSamples]) -> list[str]:
         ),
         (
             sum(recording_samples.clock.restarts for recording_samples in samples),
-            "resets of the board's clock",
+            "resets of the board's clock occurred",
         ),
         (
             sum(recording_samples.clock.steps for recording_samples in samples),
-            "steps of the board's clock or the host's clock",
+            "steps of the board's clock or the host's clock occurred",
         ),
     )
     skews = [

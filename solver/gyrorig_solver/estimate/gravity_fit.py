@@ -37,14 +37,15 @@ HUBER_SIGMA = 2.5
 # A smaller rotation has no information and can be a knock at rest.
 MIN_TURN_RAD = 0.05
 _NOT_CONVERGED = (
-    "the fit did not converge; turn more slowly, rest for some seconds in each pose, record again"
+    "the fit did not converge; turn the board more slowly, hold it still for some seconds in each "
+    "pose, and record again"
 )
 REASON_TEXTS = {
-    "x": "too few moves turned about the board's x axis; turn it about all axes",
-    "y": "too few moves turned about the board's y axis; turn it about all axes",
-    "z": "too few moves turned about the board's z axis; turn it about all axes",
-    "bias": "there is no rest that is long enough; hold the board still for some seconds",
-    "time_offset": "gravity at rest does not depend on time; use a moving reference",
+    "x": "too few moves turned the board about its x axis; turn the board about all axes",
+    "y": "too few moves turned the board about its y axis; turn the board about all axes",
+    "z": "too few moves turned the board about its z axis; turn the board about all axes",
+    "bias": "no rest in the recording is long enough; hold the board still for some seconds",
+    "time_offset": "gravity at rest does not show the time offset; use a reference that moves",
 }
 
 
@@ -99,9 +100,9 @@ def fit_gravity(
         ),
         reason_texts=REASON_TEXTS,
         warnings=(
-            "the residual of a move has a standard deviation of "
-            f"{np.degrees(sigma_rad):.2f} deg in each direction, and the standard deviations of "
-            "the result are scaled to it",
+            "the residuals of the moves have a standard deviation of "
+            f"{np.degrees(sigma_rad):.2f} deg in each direction, and the standard uncertainties of "
+            "the result are scaled to this value",
         ),
         limited_reasons=() if converged else (_NOT_CONVERGED,),
         gravity_moves=GravityMoves(len(moves), len(poses.rests), sigma_rad),

@@ -112,13 +112,17 @@ def summarize_motion_fit(
     if check is not None and check.p_value < MIN_CROSS_CHECK_P:
         warnings = (
             *warnings,
-            f"the rotations between rests disagree with the rates by {check.largest_sigma:.1f} "
-            "standard deviations, probably because of timing; check clocks and commands",
+            "the rotations between rests differ from the integrated rates by "
+            f"{check.largest_sigma:.1f} standard deviations, probably because of a timing error; "
+            "check the clocks and the commands",
         )
     if solution.outliers > MAX_OUTLIER_SHARE * sum(
         recording_samples.usable.size for recording_samples in samples
     ):
-        warnings = (*warnings, f"{solution.outliers} samples were rejected as outliers")
+        warnings = (
+            *warnings,
+            f"{solution.outliers} samples are outliers, and the fit rejected them",
+        )
     outcome = FitOutcome(
         estimate=solution.estimate,
         observability=solution.observability,
@@ -315,15 +319,16 @@ def _noise_remarks(solution: ConvergedFit, chi2_factor: float) -> list[str]:
     ratio = solution.sessions[-1].noise_ratios().get("in_motion")
     if ratio is not None:
         remarks.append(
-            "in motion the noise is "
+            "the noise in motion is "
             + ", ".join(f"{value:.2f}" for value in ratio)
-            + " times that at rest (x, y, z); the fit accounts for it. The usual cause is vibration"
-            " of the motors"
+            + " times the noise at rest (x, y, z). The fit accounts for this. The usual cause is "
+            "vibration of the motors"
         )
     if chi2_factor > 1.0:
         remarks.append(
-            f"the standard uncertainties were multiplied by {np.sqrt(chi2_factor):.2f}, because "
-            f"the residual variance in motion is {chi2_factor:.2f} times that of the noise model"
+            f"the solver multiplied the standard uncertainties by {np.sqrt(chi2_factor):.2f}, "
+            f"because the residual variance in motion is {chi2_factor:.2f} times that of the noise "
+            "model"
         )
     return remarks
 
@@ -332,8 +337,8 @@ def _limited_reasons(chi2: float) -> tuple[str, ...]:
     if chi2 <= MAX_REDUCED_CHI2:
         return ()
     return (
-        f"in motion the residual variance is {chi2:.2f} times that at rest, so the model of "
-        "the rig is incomplete; run `gyrorig explain`",
+        f"the residual variance in motion is {chi2:.2f} times that at rest, so the model of the "
+        "rig is incomplete; run `gyrorig explain`",
     )
 
 
@@ -345,10 +350,10 @@ def _remedy_without_convergence(solution: ConvergedFit) -> str:
     )
     if causes:
         return (
-            f"leave out a cause ({', '.join(causes)}), or run `gyrorig explain` to find out which "
-            "causes the recording shows"
+            f"leave out one of the causes ({', '.join(causes)}), or run `gyrorig explain` to find "
+            "the causes that the recording shows"
         )
-    return "run `gyrorig explain` to find out which cause the model of the rig lacks"
+    return "run `gyrorig explain` to find the cause that the model of the rig lacks"
 
 
 def _diagnostics(solution: ConvergedFit) -> FitDiagnostics:

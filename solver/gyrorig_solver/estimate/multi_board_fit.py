@@ -68,7 +68,7 @@ def fit_boards_jointly(
     }
     included = {name: solution for name, solution in single_fits.items() if name not in left_out}
     for name in _boards_with_other_motion(included):
-        left_out[name] = "its reference motion differs from that of the other boards"
+        left_out[name] = "the reference motion of this board differs from that of the other boards"
         del included[name]
     while len(included) > 1:
         fit, convergence = _iterate_jointly(list(included.values()), shared_labels)
@@ -89,8 +89,8 @@ def fit_boards_jointly(
         others = "the other board" if only_two else f"{len(included) - 1} other boards"
         for name in removed:
             left_out[name] = (
-                f"it disagrees with {others} about the motion of the unit "
-                f"(p {max(p_values[worst], 1e-99):.0e}); check screws and clocks"
+                f"the unit's motion according to this board differs from that of {others} (p = "
+                f"{max(p_values[worst], 1e-99):.0e}); check screws and clocks"
             )
             del included[name]
     return JointFitResult({}, left_out)
@@ -98,7 +98,7 @@ def fit_boards_jointly(
 
 def _reason_to_leave_out(solution: ConvergedFit) -> str:
     """Return why a board must not take part in the joint fit, or ""."""
-    return "" if solution.converged else "its own fit did not converge"
+    return "" if solution.converged else "the separate fit of this board did not converge"
 
 
 def _term_value_count(solution: ConvergedFit) -> int:

@@ -35,11 +35,14 @@ AXIS_STD_RAD = float(np.radians(1.0))
 MIN_BIAS_STD_RAD_S = float(np.radians(0.003))
 MAX_ITERATIONS = 4
 REASON_TEXTS = {
-    "x": "there is no turn about the stage's x axis; add one",
-    "y": "there is no turn about the stage's y axis; add one",
-    "z": "there is no turn about the stage's z axis; add one",
-    "bias": "there is no rest before, between or after the turns; add a recording at rest",
-    "time_offset": "the total angle of a turn does not depend on it; use a moving reference",
+    "x": "the recordings have no turn about the stage's x axis; add one",
+    "y": "the recordings have no turn about the stage's y axis; add one",
+    "z": "the recordings have no turn about the stage's z axis; add one",
+    "bias": "the board never rests before, between or after the turns; add a recording at rest",
+    "time_offset": (
+        "the total angle of a turn does not show the time offset; use a reference that gives the "
+        "motion over time"
+    ),
 }
 
 
@@ -116,15 +119,16 @@ def _warnings(
         f"the uncertainties of the stated angles ({np.degrees(std_rad):.2g} deg) and of the stated "
         f"axes ({np.degrees(axis_std_rad):.2g} deg) limit the accuracy of the result"
     )
-    text += "" if is_checked else "; the data cannot test these uncertainties"
+    text += "" if is_checked else "; the recordings cannot check these uncertainties"
     unseen_axes = "".join(
         axis for axis, is_turned in zip("xyz", solver.axis_turned, strict=True) if not is_turned
     )
     if not unseen_axes:
         return (text,)
     return text, (
-        "the board did not turn about all axes. For the gain columns without a turn "
-        f"({', '.join(unseen_axes)}), the nominal values are assumed, with an uncertainty of 0.1"
+        "the board did not turn about all axes. For the columns of the gain without a turn "
+        f"({', '.join(unseen_axes)}), the solver assumes the nominal values with an uncertainty of "
+        "0.1"
     )
 
 

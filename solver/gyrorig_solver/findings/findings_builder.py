@@ -291,10 +291,10 @@ def _unexplained_entry(
         best_covariate=residual.leading.description,
         figure=figures.get(UNEXPLAINED_FIGURE),
         harm=(
-            f"If the parameters absorbed as much of it as remains, one of them would be wrong by "
-            f"up to {harm_sigma:.1f} standard uncertainties."
+            "If the parameters absorbed an effect as large as this residual, one parameter would "
+            f"be wrong by up to {harm_sigma:.1f} standard uncertainties."
             if harm_sigma
-            else "It biases no parameter of the calibration; it only adds to the noise."
+            else "This residual biases no parameter of the calibration and only adds to the noise."
         ),
         harm_sigma=harm_sigma,
         others=[

@@ -10,6 +10,7 @@ from gyrorig_solver.discover.attitude.attitude_terms import ReferenceSmoothing
 from gyrorig_solver.findings.findings_document import (
     CauseEntry,
     ChangeEntry,
+    DetectableEntry,
     FindingsDocument,
     SizeEntry,
 )
@@ -19,14 +20,17 @@ from gyrorig_solver.model.parameter_units import DEG_PER_RAD, format_quantity, f
 # Verdict of the document: title and sentence.
 VERDICTS = MappingProxyType(
     {
-        "adequate": ("No error found", "The base model explains the data; the residual is noise."),
+        "adequate": (
+            "No error found",
+            "The base model explains the data, and the residual is noise.",
+        ),
         "explained": (
             "Problem found",
             "The base model does not fit the data. The causes below explain the whole residual.",
         ),
         "unexplained": (
             "Not fully explained",
-            "Part of the residual is not explained by any known cause. It is shown below.",
+            "No known cause explains a part of the residual. That part is shown below.",
         ),
     }
 )
@@ -42,8 +46,8 @@ _MDEG = 1e3 * DEG_PER_RAD
 
 _LIMITED_REFERENCE = (
     "No error found, few tests possible",
-    "The reference gives neither a unit's motion nor attitudes. Only the samples were checked, "
-    "and whether the residual depends on rates and time.",
+    "The reference has no motion of a unit and no attitudes. The program only checked the "
+    "samples, and whether the residual depends on rates and time.",
 )
 
 
@@ -112,7 +116,14 @@ def cause_headline(cause: CauseEntry) -> str:
 
 def main_size_text(cause: CauseEntry) -> str:
     """Return the most significant size of a cause, such as "0.101 ± 0.001 deg"; "" for none."""
-    sizes = [size for size in cause.parameters.values() if size.value is not None and size.std]
+    term = catalogue().get(cause.cause)
+    # A time or a shape can be more significant than the size, but it is no size.
+    others = {p.name for p in term.parameters if p.role != "size"} if term is not None else set()
+    sizes = [
+        size
+        for name, size in cause.parameters.items()
+        if size.value is not None and size.std and name.split(".")[0] not in others
+    ]
     if not sizes:
         return ""
     largest = max(sizes, key=lambda size: abs(size.value or 0.0) / (size.std or 1.0))
@@ -144,7 +155,7 @@ def findings_summary(document: FindingsDocument) -> str:
     if unexplained is not None:
         p_value = "" if unexplained.p_value is None else f" ({p_value_text(unexplained.p_value)})"
         lines.append(
-            "  ? part of the residual is unexplained; it depends "
+            "  ? no cause explains a part of the residual, which depends "
             f"{unexplained.best_covariate}{p_value}"
         )
         if unexplained.harm:
@@ -162,9 +173,8 @@ def findings_summary(document: FindingsDocument) -> str:
     detectable = [limit for limit in document.minimal_detectable if limit.by_sigma is not None]
     for limit in detectable[:3]:
         lines.append(
-            f"  not detectable here   {limit.cause}{place_text(limit.where)} below "
-            f"{amount_text(limit.size, limit.unit)}; if present, it would bias "
-            f"{limit.would_move} by up to {limit.by_sigma:.1f} standard uncertainties"
+            f"  not detectable here   {limit.cause}{_limit_text(limit)} "
+            f"would bias {limit.would_move} by up to {limit.by_sigma:.1f} standard uncertainties"
         )
     if document.not_testable:
         names = list(dict.fromkeys(entry.cause for entry in document.not_testable))
@@ -173,6 +183,13 @@ def findings_summary(document: FindingsDocument) -> str:
         lines.append(f"  not testable here     {', '.join(names)}")
     lines += [f"  note: {text}" for text in document.remarks]
     return "\n".join(lines)
+
+
+def _limit_text(limit: DetectableEntry) -> str:
+    place = "" if limit.where in (None, "all") else f" ({limit.where})"
+    if limit.size is None:
+        return f"{place} at any size; it"
+    return f"{place} below {amount_text(limit.size, limit.unit)}; a smaller size"
 
 
 def _heading(document: FindingsDocument) -> str:
@@ -196,7 +213,7 @@ def _cause_lines(document: FindingsDocument, cause: CauseEntry) -> list[str]:
     bias_sigma = parameter_bias_sigma(document, cause)
     if bias_sigma is not None:
         sizes += (
-            "; if ignored, it biases a parameter by up to "
+            "; without this cause in the fit, a parameter is wrong by up to "
             f"{format_short(bias_sigma)} standard uncertainties"
         )
     lines.append(f"    {sizes}")

@@ -84,7 +84,7 @@ def solve_jointly(
             sharing = replace(sharing, fitted_together=len(joint.solutions))
         warnings: tuple[str, ...] = ()
         if board in joint.left_out:
-            warnings = (f"solved without the other boards: {joint.left_out[board]}",)
+            warnings = (f"this board was solved without the other boards: {joint.left_out[board]}",)
         try:
             fit = prepared[board].summarize(solution, warnings, sharing)
             fit = replace(fit, warnings=(*missing_data(joint_data.recordings), *fit.warnings))

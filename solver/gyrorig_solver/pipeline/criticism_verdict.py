@@ -57,8 +57,9 @@ def judge_findings(trust: Trust, findings: FindingsDocument, unfitted: Sequence[
     reasons = []
     if unfitted:
         reasons.append(
-            f"{', '.join(unfitted)} was found and is not part of this fit, so the parameters "
-            "contain its effect. Read the findings report, fix the cause and record again"
+            f"this fit does not include {', '.join(unfitted)}, which the search found, so the "
+            "parameters contain the effect. Read the findings report, fix the cause and record "
+            "again"
         )
     return _limit(trust, [*reasons, *_unexplained_reasons(findings)])
 
@@ -70,7 +71,7 @@ def judge_criticism(trust: Trust, criticism: FitCriticism) -> Trust:
     clauses = []
     if criticism.scores:
         candidates = ", ".join(criticism.leading_causes)
-        clauses.append(f"causes that this model lacks are significant ({candidates})")
+        clauses.append(f"this fit lacks causes that are significant ({candidates})")
     if criticism.dependences:
         leading = criticism.dependences[0]
         clauses.append(f"the residual depends {leading.description} (p = {leading.p_value:.1g})")
@@ -91,9 +92,9 @@ def _unexplained_reasons(findings: FindingsDocument) -> list[str]:
         else f" by up to about {max(unexplained.harm_sigma, 1.0):.0f} times its uncertainty"
     )
     return [
-        "part of the residual is not explained by any known cause; it depends "
-        f"{unexplained.best_covariate}. It can bias a parameter{size_text}. "
-        "Read the findings report, fix the rig and record again"
+        "no known cause explains a part of the residual, which depends "
+        f"{unexplained.best_covariate}. This effect can bias a parameter{size_text}. Read the "
+        "findings report, fix the rig and record again"
     ]
 
 

@@ -56,10 +56,10 @@ from gyrorig_solver.report.report_series import (
 )
 
 NO_RATES_REMARK = (
-    "the residual over time was not tested, because the reference gives angles but not the "
-    "motion between them"
+    "the program did not test the residual over time, because the reference gives angles but not "
+    "the motion between them"
 )
-NO_CAUSE_REMARK = "no cause was named, so nothing was tested on {}"
+NO_CAUSE_REMARK = "the search named no cause, so the program tested no cause on {}"
 ALL_RECORDINGS = "all recordings"  # whose common gain a check is of
 
 
@@ -235,7 +235,9 @@ def _convergence_remarks(fit_explanation: FitExplanation) -> list[str]:
     base, extended = fit_explanation.solution_base, fit_explanation.solution_extended
     if not base.converged:
         without = "" if extended is base else " without the causes"
-        remarks.append(f"{without} {base.convergence.reason}; its values are not a result".strip())
+        remarks.append(
+            f"{without} {base.convergence.reason}, so its values are not a result".strip()
+        )
     return remarks
 
 
@@ -315,7 +317,7 @@ def _explain_with_attitudes(data: BoardData, held_out: Recording | None) -> Boar
     if held_out is not None and explanation.findings.other_recording_gain is None:
         remarks.append(NO_CAUSE_REMARK.format(held_out.path.name))
     left_out = [
-        f"{recording.path.name} was left out: it has no reference attitude"
+        f"the recording {recording.path.name} was left out, because it has no reference attitudes"
         for recording in data.recordings
         if recording not in usable
     ]

@@ -72,7 +72,8 @@ def select_terms(
         extensions.append(fixed_term(find_term("earth_rotation")))
     elif has_latitude:
         remarks.append(
-            "the Earth's rotation is not removed: the site has no heading; give heading_deg"
+            "the solver did not remove the Earth's rotation, because the site has no heading; "
+            "give heading_deg in the rig file"
         )
     remedies: dict[str, str] = {}
     for fitted_term in named_terms:
@@ -81,7 +82,7 @@ def select_terms(
     for cause in requested:
         extension, reason = _fittable_term(cause, loaded, settings)
         if extension is None:
-            remarks.append(f"{cause} was not fitted: {reason}")
+            remarks.append(f"the cause {cause} was not fitted: {reason}")
             continue
         remarks += [f"{cause}: {reason}"] if reason else []
         for fitted_term in _per_recording(extension, len(loaded)):
@@ -130,12 +131,12 @@ def _fittable_term(
     if find_term(cause).depends_on_temperature:
         readings = [s.temperature.degc for s in settings if s.temperature is not None]
         if len(readings) < len(settings):
-            return None, "a recording has no temperature; record the board's thermometer"
+            return None, "a recording has no temperature; record the temperature of the board"
         span_k = float(np.ptp(np.concatenate(readings)))
         if span_k < MIN_SPAN_K:
             return None, (
-                f"the temperature changed by {span_k:.1f} K only, and below {MIN_SPAN_K:.0f} K "
-                "a polynomial follows the noise; warm the board and record again"
+                f"the temperature changed by only {span_k:.1f} K, and a polynomial in temperature "
+                f"needs {MIN_SPAN_K:.0f} K; warm the board and record again"
             )
         if cause == "thermal_bias":
             return _thermal_bias(loaded, settings)
@@ -166,8 +167,8 @@ def _thermal_bias(
     lag_s = THERMAL_LAGS_S[choice.temperature_index]
     if choice.order == 0:
         return None, (
-            f"over {choice.span_k:.1f} K it does not improve the prediction of windows that were "
-            "left out of the fit"
+            f"over {choice.span_k:.1f} K, this cause does not improve the prediction of windows "
+            "that were left out of the fit"
         )
     extension = free_term(ThermalBias(choice.order))
     extension.values[-1] = lag_s

@@ -33,8 +33,8 @@ MIN_ENTROPY_GAIN = 0.05  # nats; a recording that adds less is not counted
 CONFLICT_P_VALUE = 1e-6  # below, the unit is not what it was
 MIN_RELATIVE_INFORMATION = 1e-6  # of the prior's: directions that a recording does not show
 CONFLICT_REMARK = (
-    "the recording contradicts the stored posterior of the unit: the unit has changed, or another "
-    "unit has its name; nothing of the stored posterior was used"
+    "the recording contradicts the stored posterior of the unit, so the solver did not use that "
+    "posterior. The unit has changed, or another unit has the same name"
 )
 
 

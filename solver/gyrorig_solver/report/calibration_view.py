@@ -193,11 +193,13 @@ def findings_text(calibration: CalibrationDocument) -> str:
     elif findings.causes:
         named = ", ".join(cause.replace("_", " ") for cause in findings.causes)
         remainder = (
-            "" if findings.verdict == "explained" else ". Part of the residual is not explained"
+            ""
+            if findings.verdict == "explained"
+            else ". No cause explains the rest of the residual"
         )
-        words = f"Identified, and included in the fit: {named}{remainder}"
+        words = f"The fit includes the identified causes: {named}{remainder}"
     else:
-        words = "Part of the residual is not explained by any known cause"
+        words = "No known cause explains a part of the residual"
     return f"{words}. The figures are in {page_name}, in the same folder as this file."
 
 
@@ -205,7 +207,10 @@ def clock_rows(clock: ClockQuality) -> list[tuple[str, str]]:
     """Return the statistics of the board's clock, as names and texts."""
     if clock.latency_max_s < _NO_SECOND_CLOCK_S:
         return [
-            ("timestamps", "one column of times; there is no second clock to compare with"),
+            (
+                "timestamps",
+                "the data have one column of times, and no second clock to compare with",
+            ),
             ("time base of the scale factor", clock.truth),
         ]
     direction = "faster" if clock.skew_ppm > 0.0 else "slower"

@@ -28,7 +28,7 @@ from gyrorig_solver.report.figure_layout import (
 )
 from gyrorig_solver.report.report_series import ReportSeries
 
-WITHOUT_CAUSE, WITH_CAUSE = "without it", "with it"
+WITHOUT_CAUSE, WITH_CAUSE = "without the cause", "with the cause"
 EFFECT_GROUPS = 14  # groups of equal size in `residual_by_effect`
 CLOSE_UP_S, EVENT_S = 1.4, 0.3  # of a close-up, and of the event in its middle
 
@@ -100,7 +100,7 @@ def residual_by_effect(series: ReportSeries, effect: FloatArray, key: str, axis:
     panel.level(0.0, colour=SOFT, linewidth=1.1, linestyle="--", label=WITHOUT_CAUSE)
     panel.plot(centre, centre, colour=AXIS_COLOURS[axis], linewidth=1.8, label=WITH_CAUSE)
     panel.xlabel = f"predicted effect {'xyz'[axis]}, deg/s"
-    panel.ylabel = f"residual {'xyz'[axis]} without it, deg/s"
+    panel.ylabel = f"residual {'xyz'[axis]} without the cause, deg/s"
     panel.has_key = True
     return figure.svg()
 

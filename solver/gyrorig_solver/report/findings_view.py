@@ -103,7 +103,9 @@ def _summaries(document: FindingsDocument) -> list[dict[str, str]]:
         summaries.append(
             {
                 "name": "Unexplained part of the residual",
-                "effect": f"It depends {unexplained.best_covariate}. {unexplained.harm}".strip(),
+                "effect": (
+                    f"This part depends {unexplained.best_covariate}. {unexplained.harm}"
+                ).strip(),
                 "remedy": "",
                 "confidence": "" if p_value is None else p_value_text(p_value),
             }
@@ -142,8 +144,8 @@ def _effect_text(document: FindingsDocument, cause: CauseEntry) -> str:
     )
     name = f" ({max(changes, key=_shift_sigma).parameter})" if changes else ""
     return (
-        f"If ignored, it biases the calibration by up to {format_short(bias_sigma)} standard "
-        f"uncertainties{name}."
+        "Without this cause in the fit, the calibration is wrong by up to "
+        f"{format_short(bias_sigma)} standard uncertainties{name}."
     )
 
 

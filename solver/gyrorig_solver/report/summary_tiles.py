@@ -46,7 +46,7 @@ def summary_line(calibration: CalibrationDocument) -> str:
     if is_rate_range(calibration):
         sentences.append(f"Fit for use from {low:.0f} to {high:.0f} deg/s.")
     else:
-        sentences.append("The board did not turn, therefore only values at rest are calibrated.")
+        sentences.append("The board did not turn, so the calibration contains only values at rest.")
     errors = _scale_errors(calibration)
     if errors is not None:
         sentences.append(

@@ -82,7 +82,7 @@ def test_what_all_boards_show_is_the_units(rounded: dict[str, FitExplanation]) -
         assert named.attribution is not None
         assert named.attribution.owner == "unit"
         assert (named.attribution.detected_by, named.attribution.board_count) == (2, 2)
-        assert "a cause of the unit, detected on 2 of 2 boards" in named.sentence
+        assert "this is a cause of the unit, and 2 of 2 boards show it" in named.sentence
         assert named.attribution.disagreement_p is not None
         assert named.attribution.disagreement_p > 1e-4
         for value in named.values:

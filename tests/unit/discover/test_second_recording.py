@@ -37,7 +37,7 @@ def test_a_lasting_cause_is_worth_something_there(pair: tuple[Any, Any]) -> None
     assert gain.turn_change is not None
     assert gain.turn_change.high < 0.0
     assert second.recording.path.name in gain.how
-    assert "in the other recording only: bias_step" in gain.how
+    assert "without the causes that only the other recording has: bias_step" in gain.how
 
 
 def test_a_right_model_leaves_noise(pair: tuple[Any, Any]) -> None:

@@ -180,7 +180,7 @@ def test_every_kind_of_figure_is_drawn(cause: str) -> None:
     shown = replace(course(effect), effects={"own": effect})
     text = cause_figure(shown, cause, "own", ("pan",))
     assert text.startswith("<svg")
-    assert "with it" in text
+    assert "with the cause" in text
 
 
 def test_without_angles_a_cause_is_drawn_by_its_effect() -> None:
@@ -188,7 +188,7 @@ def test_without_angles_a_cause_is_drawn_by_its_effect() -> None:
     bare = replace(course(effect), effects={"own": effect}, angle_rad=np.full((2, N), np.nan))
     text = cause_figure(bare, "reference_smoothing", "own", ())
     assert "predicted effect" in text
-    assert "without it, deg/s" in text
+    assert "without the cause, deg/s" in text
 
 
 def test_other_causes_are_in_both_models_of_a_figure() -> None:

@@ -134,7 +134,7 @@ def test_a_person_reads_verdict_cause_size_and_remedy(
     assert "gap.tilt +57.3 ± 5.7 mdeg" in lines[2]
     assert "have the worm adjusted" in lines[3]
     assert "depends on pan (the gain changes)" in summary
-    assert "tilt_sag below 80.2 mdeg; if present, it would bias scale.z by up to 36.0 " in summary
+    assert "tilt_sag below 80.2 mdeg; a smaller size would bias scale.z by up to 36.0 " in summary
 
 
 def test_every_cause_has_a_title_and_a_remedy() -> None:
@@ -166,7 +166,7 @@ def test_a_harmful_rest_limits_the_trust(findings: CauseFindings, origin: Findin
     assert judge_findings(good, clean, []) == good
     unfitted = judge_findings(good, clean, ["scale_cubic"])
     assert unfitted.verdict == "limited"
-    assert "is not part of this fit" in unfitted.reasons[0]
+    assert "this fit does not include" in unfitted.reasons[0]
     refused = Trust(verdict="refused", reasons=["no"])
     assert (
         judge_findings(refused, build_findings_document(findings, [], origin), []).verdict

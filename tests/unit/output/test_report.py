@@ -139,7 +139,7 @@ def test_first_line_summarises_the_result(
     assert "% before, 0.200 % after (95 %)." in " ".join(page.words)
     at_rest = replace(limited_fit, rate_range_rad_s=(0.0, 0.0))
     resting = " ".join(page_of(report(at_rest, provenance)).words)
-    assert "The board did not turn, therefore only values at rest are calibrated." in resting
+    assert "The board did not turn, so the calibration contains only values at rest." in resting
     assert "angle error after 1 s" not in resting
     refused = " ".join(page_of(report(replace(good_fit, reduced_chi2=400.0), provenance)).words)
     assert "Calibrated on 2026-01-31. Not fit for use." in refused
@@ -200,7 +200,7 @@ def test_full_report_has_every_section(good_fit: GyroFit, provenance: Provenance
     for part in (
         *("integration time, s", "Allan deviation", "pan, deg", "tilt, deg", "latency, ms"),
         *("the data sheet allows -25.0 to 25.0 deg/s", "angle random walk", "deg/√h", "one-sided"),
-        *("included in the fit: backlash", "v0001.findings.html", "not estimated"),
+        *("includes the identified causes: backlash", "v0001.findings.html", "not estimated"),
     ):
         assert part in words, part
     assert page.tags.count("figure") == 8

@@ -58,7 +58,7 @@ def test_paper_program_cannot_show_the_roll_column(
     prediction = predict_program(shipped("paper"), rig.unit, sensor)
     assert prediction.observability.rank == 9
     assert np.isnan(prediction.gain_std[:, 1]).all()
-    assert "sweep it at a positive and at a negative tilt" in prediction.observability.reasons[0]
+    assert "sweep pan at a positive and at a negative tilt" in prediction.observability.reasons[0]
 
 
 def program(text: str) -> MotionProgram:

@@ -72,7 +72,7 @@ def test_ferraris_session_beside_imucal(load: Loader, measured_data: Path) -> No
     np.testing.assert_allclose(np.degrees(fit.bias_rad_s), theirs.b_g, atol=1e-3)
     assert fit.observability.rank == 12
     assert np.abs((fit.gain - gain) / fit.gain_std).max() < 0.05
-    assert "the data cannot test these uncertainties" in fit.warnings[0]
+    assert "the recordings cannot check these uncertainties" in fit.warnings[0]
 
 
 def test_serial_log_gives_the_first_column_of_the_gain_and_no_factor(load: Loader) -> None:
@@ -131,7 +131,7 @@ def test_few_poses_determine_little_and_give_reasons(load: Loader) -> None:
     fit = fit_gravity(samples, 9.80665, turns.rests[0])
     assert fit.observability.rank < 12
     assert {"scale.x", "scale.y"} <= set(fit.observability.unobservable)
-    assert any("turn it about all axes" in reason for reason in fit.observability.reasons)
+    assert any("turn the board about all axes" in reason for reason in fit.observability.reasons)
 
 
 @pytest.mark.parametrize(

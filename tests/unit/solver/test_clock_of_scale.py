@@ -27,7 +27,7 @@ def test_clock_drift_changes_no_scale_and_is_reported(simulate: Callable[..., An
         assert abs(fast.value(name) - right.value(name)) < 0.05 * right.std[name]
     assert not any("clock differs" in text for text in right.warnings)
     (warning,) = [text for text in fast.warnings if "clock differs" in text]
-    assert "The host's clock is used" in warning
+    assert "The solver uses the host's clock" in warning
     assert "every scale factor would be 0.30 % larger" in warning
     assert fast.clock.skew_ppm == pytest.approx(3000.0, abs=20.0)
     assert fast.clock.truth == "the host's capture clock"

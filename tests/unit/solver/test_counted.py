@@ -63,7 +63,9 @@ def make(seed: int) -> SimulatedMotion:
 
 
 def reference_of(made: SimulatedMotion) -> CountedReference:
-    return counted_reference(made.polls, (STEP_RAD, STEP_RAD), "no move was commanded")
+    return counted_reference(
+        made.polls, (STEP_RAD, STEP_RAD), "the recording has no command of a move"
+    )
 
 
 def test_counts_alone_follow_the_motion() -> None:
@@ -141,7 +143,7 @@ def test_commands_are_used_if_they_explain_the_counts() -> None:
     assert np.isfinite(rate[2]).all()
     none = chosen([])
     assert isinstance(none, CountedReference)
-    assert any("no move was commanded" in words for words in none.warnings)
+    assert any("the recording has no command of a move" in words for words in none.warnings)
 
 
 def test_a_recording_that_ends_during_a_move_has_a_warning() -> None:
@@ -151,7 +153,9 @@ def test_a_recording_that_ends_during_a_move_has_a_warning() -> None:
     cut = UnitPolls(
         polls.earliest_s[early], polls.latest_s[early], polls.steps[early], polls.valid[early]
     )
-    reference = counted_reference(cut, (STEP_RAD, STEP_RAD), "no move was commanded")
+    reference = counted_reference(
+        cut, (STEP_RAD, STEP_RAD), "the recording has no command of a move"
+    )
     assert any("ends during a move" in words for words in reference.warnings)
     rate = reference.evaluate(np.array([5.0, 5.01, 14.5, 14.51])).rate_rad_s
     assert np.isfinite(rate[0]).all()

@@ -229,7 +229,7 @@ def test_a_halt_ends_at_the_polled_count() -> None:
     assert motion.unknown_spans == ()
     unseen = read(exchanges_at([(0.0, "PS500"), (1.0, "PP3000"), (3.0, "H"), (9.0, "PP100")]))
     assert [why for _, _, why in unseen.unknown_spans] == [
-        "no position was polled after a halt or an offset command during a move"
+        "the recording has no position after a halt or an offset command during a move"
     ]
 
 

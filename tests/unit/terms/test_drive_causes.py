@@ -403,4 +403,4 @@ def test_replanned_moves_match_the_planner(
 
 def test_motion_profiles_are_required(rig: Any) -> None:
     for cause in ("acceleration_error", "base_speed_jump"):
-        assert "record them" in str(find_term(cause).reason_not_testable(rig.scene))
+        assert "record the commands too" in str(find_term(cause).reason_not_testable(rig.scene))

@@ -50,13 +50,16 @@ class ReferenceSmoothing(LinearTerm):
     )
     confused_with = ("low_pass_lag", "clock_offset")
     remedy = (
-        "export the attitudes unfiltered and at the camera's own rate with short exposures, "
-        "or compare slow turns only"
+        "export the attitudes without filtering, at the camera's rate with short exposures, or "
+        "record slow turns only"
     )
     covariates = None
     picture = None
     excitation = "fast changes of the rate and of the axis of rotation"
-    effect_if_ignored = "the gains are too large; their error grows with the speed of the turns"
+    effect_if_ignored = (
+        "the entries of the gain are too large, with an error that grows with the speed of the "
+        "turns"
+    )
 
     def basis_signals(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return -1/2 G (w'' + w x w'), (1, blocks, 3)."""
@@ -71,12 +74,14 @@ class ReferenceSmoothing(LinearTerm):
 
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Explain that a unit's motion is not a mean."""
-        return None if isinstance(state, AttitudeState) else "the reference has no attitudes"
+        return (
+            None if isinstance(state, AttitudeState) else "the recording has no reference attitudes"
+        )
 
     def describe(self, values: FloatArray) -> str:
         """Describe the duration."""
         width_s = float(np.sqrt(max(float(values[0]), 0.0)))
-        return f"the reference's attitudes are means over {width_s * 1e3:.3g} ms (rms)"
+        return f"each reference attitude is a mean over {width_s * 1e3:.3g} ms (rms)"
 
 
 class MovingBias(LinearTerm):
@@ -139,7 +144,7 @@ class ForceSensitivity(GSensitivity):
         if not isinstance(state, AttitudeState) or state.measured_force_m_s2 is None:
             return "the recording has no accelerometer data; record the accelerometer too"
         if float(np.ptp(state.measured_force_m_s2, axis=0).min()) < MIN_FORCE_SPAN_M_S2:
-            return "the board was never turned over; hold it in poses of all orientations"
+            return "the board was never turned over; hold the board in poses of all orientations"
         return None
 
 
@@ -149,7 +154,7 @@ class OutOfBandHum(SupplyHum):
     def reason_not_testable(self, state: SignalState) -> str | None:
         """Say so."""
         del state
-        return "only slow rates are compared with the reference; record the board at rest"
+        return "the fit compares only slow rates with the reference; record the board at rest"
 
 
 def select_attitude_terms(space: AttitudeProjector) -> tuple[list[Term], list[tuple[str, str]]]:

@@ -233,7 +233,7 @@ def gain_on_other_recording(
         )
     windows = other_space.window_numbers(WINDOW_S)
     names = ", ".join(space.fitted_terms[k].term.cause for k in recording_terms)
-    description = f"the recording {recording.name}, only bias and time offset were fitted to it"
+    description = f"the recording {recording.name}, in which only bias and time offset were fitted"
     if names:
         description += f"; left out, because they are in the other recording only: {names}"
     return gain_between(other_space, windows, description, *residuals)

@@ -32,7 +32,7 @@ def cross_validate_space(
         space.drop_terms(dropped) for dropped in ((), named, *([k] for k in range(term_count)))
     ]
     full, *reduced = space.held_out_residuals(windows % min(FOLDS, count), models)
-    how = f"windows of {WINDOW_S:.0f} s left out in turn, {count} of them"
+    how = f"{count} windows of {WINDOW_S:.0f} s, each left out of one fit"
     gains = [gain_between(space, windows, how, before, full) for before in reduced]
     return gains[0] if named else None, gains[1:]
 

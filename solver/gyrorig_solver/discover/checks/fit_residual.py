@@ -59,10 +59,10 @@ def findings_from_fit(fit: GyroFit) -> CauseFindings:
 
 
 def _untestable_causes(fit: GyroFit) -> list[UntestableCause]:
-    compared = fit.reference.partition(";")[0] or "its own quantity"
+    compared = fit.reference.partition(";")[0] or "a quantity of the board"
     why = (
-        f"the reference ({compared}) does not give the rate at each moment; record the board "
-        "on a pan-tilt unit, or with reference attitudes"
+        f"the reference ({compared}) does not give the rate at every time; record the board on a "
+        "pan-tilt unit, or with reference attitudes"
     )
     return [
         UntestableCause(term.cause, None, why)

@@ -156,6 +156,6 @@ def describe_random_walk(projection: NuisanceProjector) -> str:
     typical = np.sqrt([nominal_levels(float(white))[2] for white in levels[:, 0]])
     ratio = format_list(axis_levels / typical, XYZ, "times that of an ordinary part")
     return (
-        "the noise model and all uncertainties include it: "
+        "the noise model and all uncertainties include the random walk: "
         f"{format_list(axis_levels / DEG * 1e3, XYZ, 'mdeg/s after one second')}, {ratio}"
     )

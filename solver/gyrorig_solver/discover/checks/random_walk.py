@@ -219,7 +219,9 @@ def _rival_causes(
             alternative.candidate.extension.term.cause,
             alternative.likelihood_gain_nats,
             share * posterior,
-            "with it the bias still needs a random walk" if share < 1.0 else "it fits as well",
+            "a model with this cause still needs a random walk of the bias"
+            if share < 1.0
+            else "the alternative fits as well",
         )
         for alternative, share in rivals
     )

@@ -35,15 +35,15 @@ MAX_BAND_DIFFERENCE_SIGMA = 4.0
 PLOT_MOTION_RATE_RAD_S = 0.05  # for plots
 HELD_OUT_WINDOW_S = 10.0
 _NOT_CONVERGED = (
-    "the fit did not converge; check that gyro and attitudes were recorded at the same time with "
+    "the fit did not converge; check that the board and the attitudes were recorded together with "
     "one clock, and record again"
 )
 REASON_TEXTS = {
-    "x": "the board hardly turned about its x axis; turn it about all three",
-    "y": "the board hardly turned about its y axis; turn it about all three",
-    "z": "the board hardly turned about its z axis; turn it about all three",
-    "bias": "there are too few samples; record a minute at rest",
-    "time_offset": "the rate never changed; start and stop several times",
+    "x": "the board hardly turned about its x axis; turn the board about all three axes",
+    "y": "the board hardly turned about its y axis; turn the board about all three axes",
+    "z": "the board hardly turned about its z axis; turn the board about all three axes",
+    "bias": "the recording has too few samples; record a minute at rest",
+    "time_offset": "the rate never changed; start and stop the board several times",
 }
 
 
@@ -156,8 +156,8 @@ def _warnings(references: Sequence[AttitudeReference]) -> tuple[str, ...]:
     if largest < MAX_MEAN_RATE_TURN_RAD:
         return ()
     return (
-        f"up to {np.degrees(largest):.0f} deg between two attitudes; a faster reference would "
-        "show the path between them",
+        f"the board turned by up to {np.degrees(largest):.0f} deg between two reference "
+        "attitudes; use a reference with a higher rate to measure the motion between them",
     )
 
 

@@ -59,12 +59,15 @@ class CountedReference:
     def warnings(self) -> tuple[str, ...]:
         """Warnings on this reference."""
         messages = [
-            f"the motion is unknown for some time, because {reason}"
+            f"the unit's motion is unknown for some time, because {reason}"
             for _, _, reason in self.unknown_spans
         ]
         return tuple(
             dict.fromkeys(
-                [f"{self.reason}, therefore the motion is taken from the counts", *messages]
+                [
+                    f"{self.reason}, so the solver takes the motion from the position counts",
+                    *messages,
+                ]
             )
         )
 

@@ -85,11 +85,13 @@ def choose_reference(
     if share > MAX_UNEXPLAINED_SHARE:
         reason = "the commands do not explain how the unit moved"
         return counted_reference(
-            polls, rad_per_step, reason if motion.moves else "no move was commanded"
+            polls,
+            rad_per_step,
+            reason if motion.moves else "the recording has no command of a move",
         )
     if not left_out:
         return reference
-    reason = "the counts do not follow the commands"
+    reason = "the position counts do not follow the commands"
     unexplained_with_reason = tuple((begin, end, reason) for begin, end in left_out)
     return replace(
         reference,
@@ -313,6 +315,6 @@ def _mark_contradictions(motion: UnitMotion, polls: UnitPolls) -> UnitMotion:
         for k in np.flatnonzero(grouped_median(count_error, move, axis_moves.size) > 1.0):
             last_s = until_s[k] if np.isfinite(until_s[k]) else polls.latest_s[-1]
             unknown_spans.append(
-                (float(command_s[k]), float(last_s), "the unit is not at its target")
+                (float(command_s[k]), float(last_s), "the unit did not reach its target")
             )
     return replace(motion, unknown_spans=tuple(unknown_spans))

@@ -121,11 +121,13 @@ class PanTiltReference:
     def warnings(self) -> tuple[str, ...]:
         """Warnings on this reference."""
         messages = [
-            f"the motion is unknown for some time, because {reason}"
+            f"the unit's motion is unknown for some time, because {reason}"
             for _, _, reason in self.motion.unknown_spans
         ]
         if not self.move_fit.counts_follow_commands:
-            messages.append("the polled positions do not follow the commands; check for lost steps")
+            messages.append(
+                "the positions of the unit do not follow the commands; check for lost steps"
+            )
         return tuple(dict.fromkeys(messages))
 
     @property

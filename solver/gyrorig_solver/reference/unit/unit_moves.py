@@ -337,7 +337,7 @@ class MotionReader:
             self._set_speed(exchange, axis, number)
             return
         axis.speed = None
-        self._mark_unknown(exchange.request_s, np.inf, "a speed was changed by an offset")
+        self._mark_unknown(exchange.request_s, np.inf, "an offset command changed a speed")
 
     def _set_target(
         self, exchange: UnitExchange, axis: _AxisState, kind: CommandKind, number: int
@@ -420,7 +420,9 @@ class MotionReader:
                     axis.commands.pop()
                 axis.commands[-1] = replace(last_command, kind="to", steps=float(rest_count))
             else:
-                reason = "no position was polled after a halt or an offset command during a move"
+                reason = (
+                    "the recording has no position after a halt or an offset command during a move"
+                )
                 self._mark_unknown(axis.commands[0].command_time_s, until_s, reason)
         move = axis.move()
         if move.to_steps != move.from_steps or len(move.commands) > 1:
