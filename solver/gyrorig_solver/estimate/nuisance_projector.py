@@ -34,13 +34,14 @@ from gyrorig_solver.estimate.nuisance_basis import NuisancePrior, nuisance_basis
 from gyrorig_solver.estimate.series_segment import SeriesSegment, SignalWhitener
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 from gyrorig_solver.model.recording_scope import term_label
+from gyrorig_solver.model.signal_arrays import Signals, dense_signals
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Term
 from gyrorig_solver.numerics.arrowhead import factorise_sparse
 
 HELD_OUT_PRIOR_SHARE = 0.01  # of a cause's information: the weight of its prior on held-out data
 
-SignalFunction = Callable[[SignalState], FloatArray]  # to (k, blocks, 3)
+SignalFunction = Callable[[SignalState], Signals]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,8 +273,8 @@ class NuisanceProjector:
                 start += 3 * n
         return signals
 
-    def whiten(self, signals: Sequence[Sequence[FloatArray]]) -> WhitenedSignals:
-        """Return signals (k, n, 3) of each part of each series, whitened."""
+    def whiten(self, signals: Sequence[Sequence[Signals]]) -> WhitenedSignals:
+        """Return signals of each part of each series, whitened."""
         channels = [
             channel
             for segment, parts in zip(self.segments, signals, strict=True)
@@ -287,7 +288,7 @@ class NuisanceProjector:
         """Evaluate a function of each state, (k, blocks, 3), and whiten it.
 
         Args:
-            function: the function.
+            function: of a state; its signals, (k, blocks, 3).
             exact: use the states on the samples' own grid.
             term: use the states at this term's input, with the earlier causes of the fit applied;
                 None: use the states without causes.
@@ -309,7 +310,7 @@ class NuisanceProjector:
 
     def _signals_of(
         self, function: SignalFunction, exact: bool, term: Term | None
-    ) -> list[list[FloatArray]]:
+    ) -> list[list[Signals]]:
         """Return the signals of each part of each series."""
         if term is None:
             return [
@@ -318,7 +319,9 @@ class NuisanceProjector:
             ]
         return [
             [
-                cascade.apply_pass_through(term, function(cascade.state_before(term)))
+                cascade.apply_pass_through(
+                    term, dense_signals(function(cascade.state_before(term)))
+                )
                 for cascade in part
             ]
             for part in self._cascades_of(term, exact)

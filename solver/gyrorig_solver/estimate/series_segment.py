@@ -15,6 +15,7 @@ from gyrorig_solver.estimate.noise.noise_model import NoiseModel, dct_frequencie
 from gyrorig_solver.estimate.noise.relative_std import mean_white_power
 from gyrorig_solver.estimate.noise.whitening import PartModel
 from gyrorig_solver.estimate.whitened_signals import ChannelRows
+from gyrorig_solver.model.signal_arrays import AxisBiases, Signals
 from gyrorig_solver.model.signal_state import SignalState
 
 ROWS_PER_BATCH = 8  # that a cache holds
@@ -33,18 +34,18 @@ class SeriesSegment:
     residuals: tuple[FloatArray, ...]  # (n, 3) each
     noise: NoiseModel
 
-    def whiten(self, parts: Sequence[FloatArray]) -> tuple[ChannelRows, ...]:
+    def whiten(self, parts: Sequence[Signals]) -> tuple[ChannelRows, ...]:
         """Return signals (k, n, 3) of each part in units of the noise, by part and axis."""
         whitener = SignalWhitener(self, len(parts[0]))
         whitener.add(parts)
         return whitener.finish()
 
-    def whiten_rows(self, axis: int, parts: Sequence[FloatArray]) -> None:
-        """Replace signals of one axis, (r, n) of each part, by those in units of the noise."""
-        constants = []
-        for rows, weight in zip(parts, self._weights, strict=True):
-            spectrum = dct(rows, axis=-1, norm="ortho", overwrite_x=True)
-            constants.append(spectrum[:, 0].copy())
+    def whiten_spectra(
+        self, axis: int, spectra: Sequence[FloatArray], parts: Sequence[FloatArray]
+    ) -> None:
+        """Write signals of one axis, from their DCT, (r, n) of each part, in units of the noise."""
+        constants = [spectrum[:, 0].copy() for spectrum in spectra]
+        for spectrum, weight, rows in zip(spectra, self._weights, parts, strict=True):
             np.multiply(spectrum, weight[axis], out=rows)
         if len(parts) > 1:
             # The parts of a long series share its lowest frequencies; see `normal_equations`.
@@ -88,8 +89,16 @@ class SignalWhitener:
         self._index: list[list[int]] = [[], [], []]
         self._finished = [0, 0, 0]  # rows that are whitened
 
-    def add(self, parts: Sequence[FloatArray]) -> None:
-        """Add signals (k, n, 3) of each part."""
+    def add(self, parts: Sequence[Signals]) -> None:
+        """Add signals of each part."""
+        biases = [part.rows for part in parts if isinstance(part, AxisBiases)]
+        if biases:
+            self._add_biases(biases)
+        else:
+            self._add_signals([part for part in parts if not isinstance(part, AxisBiases)])
+        self._count += len(parts[0])
+
+    def _add_signals(self, parts: Sequence[FloatArray]) -> None:
         acts = np.any(
             [
                 _acting_axes(part, used)
@@ -107,7 +116,24 @@ class SignalWhitener:
                 rows[row, unused] = 0.0
             if row + 1 - self._finished[axis] == ROWS_PER_BATCH:
                 self._whiten_rows(axis)
-        self._count += len(parts[0])
+
+    def _add_biases(self, parts: Sequence[FloatArray]) -> None:
+        """Add rows (k, n) of each part, each on every axis alone, with one DCT for all axes."""
+        for first in range(0, len(parts[0]), ROWS_PER_BATCH):
+            spectra = []
+            for part, unused in zip(parts, self._segment.unused, strict=True):
+                rows = part[first : first + ROWS_PER_BATCH].copy()
+                rows[:, unused] = 0.0
+                spectra.append(dct(rows, axis=-1, norm="ortho", overwrite_x=True))
+            for axis in range(3):
+                self._whiten_rows(axis)
+                begin = len(self._index[axis])
+                signals = 3 * np.arange(first, first + len(spectra[0])) + axis
+                self._index[axis] += (self._count + signals).tolist()
+                self._finished[axis] = len(self._index[axis])
+                self._segment.whiten_spectra(
+                    axis, spectra, [rows[begin : self._finished[axis]] for rows in self._rows[axis]]
+                )
 
     def finish(self) -> tuple[ChannelRows, ...]:
         """Return all signals, by part and axis."""
@@ -122,7 +148,9 @@ class SignalWhitener:
     def _whiten_rows(self, axis: int) -> None:
         batch = slice(self._finished[axis], len(self._index[axis]))
         if batch.start < batch.stop:
-            self._segment.whiten_rows(axis, [rows[batch] for rows in self._rows[axis]])
+            parts = [rows[batch] for rows in self._rows[axis]]
+            spectra = [dct(rows, axis=-1, norm="ortho", overwrite_x=True) for rows in parts]
+            self._segment.whiten_spectra(axis, spectra, parts)
             self._finished[axis] = batch.stop
 
 
@@ -132,5 +160,6 @@ def _acting_axes(signals: FloatArray, used: BoolArray) -> BoolArray:
         signals[:, :: max(1, used.size // SAMPLES_LOOKED_AT)].any(axis=1), dtype=np.bool_
     )
     for k, axis in np.argwhere(~acts):
-        acts[k, axis] = bool((signals[k, :, axis] != 0.0)[used].any())
+        signal = signals[k, :, axis]
+        acts[k, axis] = bool(signal.any()) and bool(signal[used].any())
     return acts

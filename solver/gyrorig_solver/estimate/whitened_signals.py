@@ -53,24 +53,6 @@ class WhitenedSignals:
             first = stop
         return signals
 
-    def weighted_sum(self, sizes: FloatArray) -> FloatArray:
-        """Return the sum of the signals times sizes (k,), shape (all,)."""
-        return np.concatenate(
-            [sizes[channel.signal_index] @ channel.rows for channel in self.channels]
-        )
-
-    def subset(self, indices: IntArray) -> "WhitenedSignals":
-        """Return some of the signals; `indices` ascend."""
-        position = np.full(self.count, -1)
-        position[indices] = np.arange(indices.size)
-        channels = []
-        for channel in self.channels:
-            is_chosen = position[channel.signal_index] >= 0
-            channels.append(
-                ChannelRows(position[channel.signal_index[is_chosen]], channel.rows[is_chosen])
-            )
-        return WhitenedSignals(indices.size, tuple(channels))
-
 
 def join_signals(groups: Sequence[WhitenedSignals]) -> WhitenedSignals:
     """Return several groups of signals of the same channels, one after the other."""

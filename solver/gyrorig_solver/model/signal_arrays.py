@@ -3,14 +3,42 @@
 Filters and transforms run along the time. In this order in memory they need no copies.
 
 What to use when: `zero_signals` to fill in values, `stack_signals` for several signals,
-`on_all_axes` for a signal that is the same on each axis, `split_axes` for the axes one by one.
+`on_all_axes` for a signal that is the same on each axis, `split_axes` for the axes one by one;
+`AxisBiases` for a bias of each axis without the zeros, `weighted_sum` of either.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisBiases:
+    """Signals that act on one axis each: signal 3 k + a is row k on axis a."""
+
+    rows: FloatArray  # (k, n)
+
+    def __len__(self) -> int:
+        """Return the number of signals."""
+        return 3 * len(self.rows)
+
+
+Signals = FloatArray | AxisBiases  # (k, n, 3), or each row on each axis
+
+
+def dense_signals(signals: Signals) -> FloatArray:
+    """Return signals with their zeros, (k, n, 3)."""
+    return split_axes(on_all_axes(signals.rows)) if isinstance(signals, AxisBiases) else signals
+
+
+def weighted_sum(signals: Signals, sizes: FloatArray) -> FloatArray:
+    """Return the sum of k signals times sizes (k,), shape (n, 3)."""
+    if isinstance(signals, AxisBiases):
+        return (sizes.reshape(-1, 3).T @ signals.rows).T
+    return np.swapaxes(np.tensordot(sizes, np.swapaxes(signals, -1, -2), axes=1), -1, -2)
 
 
 def zero_signals(*shape: int) -> FloatArray:

@@ -187,6 +187,25 @@ class SignalState:
         """Pan at the middles, shape (n,)."""
         return np.asarray((self.angle_rad[0, :-1] + self.angle_rad[0, 1:]) / 2.0, np.float64)
 
+    def angle_waves(self, axis: int, period_rad: float) -> tuple[FloatArray, FloatArray]:
+        """Return cosine and sine of an axis' angle at the edges, (n + 1,) each; the last is kept.
+
+        Args:
+            axis: 0 pan, 1 tilt.
+            period_rad: angle of one period.
+        """
+        period, waves = self._last_waves.get(axis, (0.0, None))
+        if waves is None or period != period_rad:
+            phase = self.angle_rad[axis] * (2.0 * np.pi / period_rad)
+            waves = np.cos(phase), np.sin(phase)
+            self._last_waves[axis] = period_rad, waves
+        return waves
+
+    @cached_property
+    def _last_waves(self) -> dict[int, tuple[float, tuple[FloatArray, FloatArray]]]:
+        """The latest period of each axis and its waves."""
+        return {}
+
     @property
     def pan_rate_rad_s(self) -> FloatArray:
         """Pan rate, shape (n,)."""
@@ -235,7 +254,7 @@ class SignalState:
         """The specific force at rest in the stage frame of a level rig, shape (n, 3)."""
         g = self.context.site.gravity_m_s2
         zero = np.zeros(self.interval_count)
-        return np.column_stack([zero, g * np.sin(self.tilt_rad), g * np.cos(self.tilt_rad)])
+        return np.column_stack([zero, g * self.axis_turn.sine, g * self.axis_turn.cosine])
 
     @cached_property
     def filtered_rad_s(self) -> FloatArray:
@@ -276,7 +295,11 @@ class SignalState:
         rows = np.swapaxes(at_instants, -1, -2)
         shaped = rows.reshape(*rows.shape[:-1], self.block_count, self.instants_per_block)
         if self._all_used:
-            return np.swapaxes(shaped.mean(axis=-1), -1, -2)
+            total = shaped[..., 0] + shaped[..., 1]  # faster than a sum over a short last axis
+            for k in range(2, self.instants_per_block):
+                total += shaped[..., k]
+            total /= self.instants_per_block
+            return np.swapaxes(total, -1, -2)
         weight = self.used_instants.reshape(self.block_count, self.instants_per_block)
         count = np.maximum(weight.sum(axis=1), 1)
         return np.swapaxes(np.where(weight, shaped, 0.0).sum(axis=-1) / count, -1, -2)

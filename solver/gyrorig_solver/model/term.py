@@ -223,8 +223,14 @@ class Term(ABC):
         step = np.zeros(values.size)
         step[k] = self.derivative_step * parameter.typical_size
         backward_step = step if values[k] - step[k] >= parameter.lower else 0.0 * step
-        upper, lower = self.effect(state, values + step), self.effect(state, values - backward_step)
-        return np.asarray((upper - lower) / (step[k] + backward_step[k]), dtype=np.float64)
+        difference = self._effect_difference(state, values + step, values - backward_step)
+        return np.asarray(difference / (step[k] + backward_step[k]), dtype=np.float64)
+
+    def _effect_difference(
+        self, state: SignalState, upper: FloatArray, lower: FloatArray
+    ) -> FloatArray:
+        """Return the effect at one set of values minus that at another, (blocks, 3)."""
+        return self.effect(state, upper) - self.effect(state, lower)
 
 
 def value_names(term: Term) -> tuple[str, ...]:

@@ -87,6 +87,15 @@ class AngleTerm(NonlinearTerm):
         """Return the change of the measured rate by the angle error, (blocks, 3)."""
         return state.measure_stage_rate(state.stage_rate_change(self.angle_error(state, values)))
 
+    def _effect_difference(
+        self, state: SignalState, upper: FloatArray, lower: FloatArray
+    ) -> FloatArray:
+        """Return the difference of two effects, (blocks, 3), filtered once."""
+        rates = [
+            state.stage_rate_change(self.angle_error(state, values)) for values in (upper, lower)
+        ]
+        return state.measure_stage_rate(rates[0] - rates[1])
+
     def propagate(self, state: SignalState, values: FloatArray) -> SignalState:
         """Return the signal with the angle error applied."""
         return state.with_angles(self.angle_error(state, values))

@@ -10,6 +10,12 @@ import pytest
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
+from gyrorig_solver.model.signal_arrays import (
+    AxisBiases,
+    Signals,
+    dense_signals,
+    weighted_sum,
+)
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
@@ -76,7 +82,7 @@ def test_whitening_is_one_signal_and_one_axis_at_a_time(projection: NuisanceProj
     assert not together[2].any()
 
 
-def _as_given(signals: FloatArray, _: SignalState) -> FloatArray:
+def _as_given(signals: Signals, _: SignalState) -> Signals:
     return signals
 
 
@@ -110,6 +116,15 @@ def test_signals_keep_their_order(projection: NuisanceProjector) -> None:
     dense = np.concatenate([group.dense() for group in groups])
     assert np.array_equal(joined.dense(), dense)
     assert joined.size == 2 * blocks + 3 * blocks + 3 * blocks + blocks + 3 * blocks
-    assert np.array_equal(joined.subset(np.array([0, 3])).dense(), dense[[0, 3]])
-    sizes = np.array([1.0, -2.0, 0.5, 3.0, 0.1])
-    assert joined.weighted_sum(sizes) == pytest.approx(sizes @ dense, rel=1e-12, abs=1e-12)
+
+
+def test_biases_of_each_axis_are_whitened_as_dense_signals(projection: NuisanceProjector) -> None:
+    blocks = projection.states[0].block_count
+    biases = AxisBiases(np.random.default_rng(8).standard_normal((10, blocks)))
+    dense = dense_signals(biases)
+    signals = [projection.evaluate_signals(partial(_as_given, s)) for s in (biases, dense)]
+    assert signals[0].dense() == pytest.approx(signals[1].dense(), rel=1e-9, abs=1e-12)
+    sizes = np.random.default_rng(9).standard_normal(len(biases))
+    expected = np.tensordot(sizes, dense, axes=1)
+    for given in (biases, dense):
+        assert weighted_sum(given, sizes) == pytest.approx(expected, rel=1e-9, abs=1e-12)

@@ -78,14 +78,10 @@ def _dependence_test(
         return None
     score_test, p_value = detail_test.score_test, detail_test.p_value
     if fitted_noise_projection is not None and p_value * tests < REFINE_BELOW_P:
-        likelihood_ratio = 2.0 * max(
-            likelihood_gain(
-                projection,
-                family.whitened(projection).subset(detail_test.signal_indices),
-                score_test.one_step_sizes,
-            ),
-            0.0,
-        )
+        sizes = np.zeros(family.detail.size)
+        sizes[detail_test.signal_indices] = score_test.one_step_sizes
+        fitted = family.whitened_sum(projection, sizes)
+        likelihood_ratio = 2.0 * max(likelihood_gain(projection, fitted), 0.0)
         score_test = replace(score_test, statistic=min(likelihood_ratio, score_test.statistic))
         p_value = len(DETAIL_LIMITS) * chi2_upper_tail(
             score_test.statistic, score_test.degrees_of_freedom

@@ -17,9 +17,19 @@ import numpy as np
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.checks.windowed_signals import WindowFunction, windowed_statistics
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.nuisance_projector import (
+    NuisanceProjector,
+    ScoreStatistics,
+    SignalFunction,
+)
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
-from gyrorig_solver.model.signal_arrays import on_all_axes, split_axes, zero_signals
+from gyrorig_solver.model.signal_arrays import (
+    AxisBiases,
+    Signals,
+    on_all_axes,
+    weighted_sum,
+    zero_signals,
+)
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Term
 
@@ -48,7 +58,7 @@ class BasisFamily:
 
     covariate: str
     description: str  # "on pan (the gain changes)"
-    signals: tuple[Callable[[SignalState], FloatArray], ...]  # each to (some of k, blocks, 3)
+    signals: tuple[SignalFunction, ...]  # each to some of the k signals
     detail: FloatArray  # (k,), half waves of each signal: 1 is the smoothest
     windows_s: FloatArray | None = None  # (k, 2), outside of which each signal is zero
     windows_sum: WindowFunction | None = None  # the sum of the signals of some windows
@@ -67,6 +77,20 @@ class BasisFamily:
         if self.windows_s is None or self.windows_sum is None:
             return None
         return windowed_statistics(projection, self.windows_sum, self.windows_s)
+
+    def whitened_sum(self, projection: NuisanceProjector, sizes: FloatArray) -> FloatArray:
+        """Return the sum of the family's signals times sizes (k,), whitened, (all,)."""
+
+        def total(scene: SignalState) -> FloatArray:
+            signal, first = np.zeros((scene.block_count, 3)), 0
+            for function in self.signals:
+                signals = function(scene)
+                signal += weighted_sum(signals, sizes[first : first + len(signals)])
+                first += len(signals)
+            return signal[None]
+
+        white: FloatArray = projection.evaluate_signals(total).dense()[0]
+        return white
 
     def whitened(self, projection: NuisanceProjector, term: Term | None = None) -> WhitenedSignals:
         """Return the family's signals in units of the noise.
@@ -220,11 +244,11 @@ def _bias_family(
     for wave_numbers in details[1:]:
         detail = (detail[:, None] + wave_numbers).ravel()
 
-    def signal(scene: SignalState) -> FloatArray:
+    def signal(scene: SignalState) -> Signals:
         product = np.ones((1, scene.interval_count))
         for k, (covariate, span, count) in enumerate(covariates):
             if span is None:
-                return zero_signals(3 * detail.size, scene.block_count)
+                return AxisBiases(np.zeros((detail.size, scene.block_count)))
             waves = _cosine_basis(covariate(scene), span, count)
             if k:
                 waves = np.concatenate([np.ones((1, scene.interval_count)), waves])
@@ -234,9 +258,9 @@ def _bias_family(
     return BasisFamily(name, description, (signal,), np.repeat(detail, 3))
 
 
-def _on_each_axis(scene: SignalState, waves: FloatArray) -> FloatArray:
-    """Return signals (k, n) as biases of each axis, (3 k, blocks, 3)."""
-    return split_axes(scene.sample_output(on_all_axes(waves)))
+def _on_each_axis(scene: SignalState, waves: FloatArray) -> AxisBiases:
+    """Return signals (k, n) as biases of each axis."""
+    return AxisBiases(scene.sample_output(waves[:, :, None])[:, :, 0])
 
 
 def _speed_family(span: tuple[float, float]) -> BasisFamily:

@@ -7,7 +7,7 @@ noise levels. A cause is accepted if the likelihood rises as much with fitted le
 really is a random walk, the likelihood does not rise as much.
 
 What to use when: `build_projector` for the search, `whittle_log_likelihood` of a fit,
-`likelihood_gain` for signals that no fit has, `measure_bias_walk` for the excess walk.
+`likelihood_gain` for a signal that no fit has, `measure_bias_walk` for the excess walk.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,7 +29,6 @@ from gyrorig_solver.estimate.noise.noise_model import (
     unit_densities,
 )
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
-from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 from gyrorig_solver.numerics import chi2_upper_tail
 
 EXCESS_RATIO = 5.0  # times the random walk of a typical part; more is reported as unusual
@@ -137,18 +136,15 @@ def excess_walk(noise: NoiseModel) -> FloatArray:
     return np.asarray(np.sqrt(np.max(noise.levels[:, 1:3] / typical[:, 1:3], axis=1)), np.float64)
 
 
-def likelihood_gain(
-    projection: NuisanceProjector, whitened: WhitenedSignals, sizes: FloatArray
-) -> float:
-    """Return the log-likelihood gain in nats when signals are subtracted from a residual.
+def likelihood_gain(projection: NuisanceProjector, fitted: FloatArray) -> float:
+    """Return the log-likelihood gain in nats when a whitened signal is subtracted from a residual.
 
     Args:
         projection: the nuisance projector at the fit.
-        whitened: k signals.
-        sizes: how much of each, (k,).
+        fitted: the signal, (all,).
     """
     before = projection.orthogonal_component(projection.residual)
-    after = before - projection.orthogonal_component(whitened.weighted_sum(sizes))
+    after = before - projection.orthogonal_component(fitted)
     return _residual_log_likelihood(projection, after) - _residual_log_likelihood(
         projection, before
     )

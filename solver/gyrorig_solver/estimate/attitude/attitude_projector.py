@@ -37,6 +37,7 @@ from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, Signal
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, ParameterLayout
 from gyrorig_solver.estimate.series_segment import SeriesSegment
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
+from gyrorig_solver.model.signal_arrays import Signals, dense_signals
 from gyrorig_solver.model.signal_state import RecordingContext, SignalState
 from gyrorig_solver.model.term import Term
 
@@ -197,10 +198,10 @@ class AttitudeProjector(NuisanceProjector):
             self.block_segments, widened_whiteners, self._noise, self.fitted_terms
         )
 
-    def whiten(self, signals: Sequence[Sequence[FloatArray]]) -> WhitenedSignals:
+    def whiten(self, signals: Sequence[Sequence[Signals]]) -> WhitenedSignals:
         """Return signals (k, blocks, 3) of each segment, whitened."""
         whitened_segments = [
-            whitener.whiten(parts[0])
+            whitener.whiten(dense_signals(parts[0]))
             for whitener, parts in zip(self.whiteners, signals, strict=True)
         ]
         lengths = [whitener.scatter.size for whitener in self.whiteners for _ in range(3)]

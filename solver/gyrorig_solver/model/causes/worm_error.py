@@ -70,9 +70,8 @@ class WormError(LinearAngleTerm):
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return cosine of pan and tilt, then sine."""
-        phase = state.angle_rad * (2.0 * np.pi / float(values[4]))
-        waves = (np.cos(phase), np.sin(phase))
-        return [(axis, wave[axis]) for wave in waves for axis in (0, 1)]
+        waves = [state.angle_waves(axis, float(values[4])) for axis in (0, 1)]
+        return [(axis, waves[axis][k]) for k in (0, 1) for axis in (0, 1)]
 
     def template_bank(self, state: SignalState) -> FloatArray:
         """Scan one motor turn, its half, its third and its quarter."""
