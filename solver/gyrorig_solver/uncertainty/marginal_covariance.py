@@ -57,12 +57,18 @@ class MarginalCauses:
         """The error of a fit without the causes that the data let expect, (q,)."""
         return np.asarray(self.mean @ self.influence, dtype=np.float64)
 
-    def variance_without(self, group: IntArray) -> FloatArray:
-        """Return the variance of the parameters that would vanish with a group of causes, (q,).
+    def mean_square_without(self, group: IntArray) -> FloatArray:
+        """Return the part of the mean squared error that vanishes with a group of causes, (q,).
 
         The group's sizes count as known to be zero; the others keep their information. Groups that
-        resemble each other can have variance in common, so the sum may exceed the whole.
+        resemble each other can have a part in common, so the sum may exceed the whole. A group
+        alone never exceeds it. The part is zero if the group only cancels the error of others.
         """
-        block = self.covariance[np.ix_(group, group)]
         moved = self.covariance[group] @ self.influence
-        return np.asarray(np.sum(moved * np.linalg.solve(block, moved), axis=0), dtype=np.float64)
+        weight = np.linalg.solve(
+            self.covariance[np.ix_(group, group)], np.column_stack([moved, self.mean[group]])
+        )
+        variance = np.sum(moved * weight[:, :-1], axis=0)
+        error_without = self.expected_error - weight[:, -1] @ moved
+        saved = variance + self.expected_error**2 - error_without**2
+        return np.asarray(np.clip(saved, 0.0, None), dtype=np.float64)

@@ -187,7 +187,5 @@ def _entries(causes: Sequence[UnidentifiedCause], marginal: MarginalCauses) -> l
     entries = []
     for key in order:
         group = np.array([k for k, other in enumerate(keys) if other == key], dtype=np.int64)
-        variance = np.clip(marginal.variance_without(group), 0.0, None)
-        error = marginal.mean[group] @ marginal.influence[group]
-        entries.append(BudgetEntry(*key, np.sqrt(variance + error**2)))
+        entries.append(BudgetEntry(*key, np.sqrt(marginal.mean_square_without(group))))
     return entries

@@ -81,11 +81,17 @@ def test_causes_that_only_together_are_seen_are_not_added_up() -> None:
     assert opposite.parameter_covariance == pytest.approx(2.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_variance_without_a_group_is_what_a_fit_without_it_saves(seed: int) -> None:
+def mean_square(marginal: MarginalCauses) -> np.ndarray:
+    return np.asarray(np.diag(marginal.parameter_covariance) + marginal.expected_error**2)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_part_of_a_group_is_what_a_fit_without_it_saves(seed: int) -> None:
     toy = Toy(seed)
     whole = toy.marginal()
     group = np.array([1, 4])
     toy.causes = np.delete(toy.causes, group, axis=1)
-    saved = np.diag(whole.parameter_covariance - toy.marginal().parameter_covariance)
-    assert whole.variance_without(group) == pytest.approx(saved, rel=1e-6, abs=1e-12)
+    saved = mean_square(whole) - mean_square(toy.marginal())
+    part = whole.mean_square_without(group)
+    assert part == pytest.approx(np.clip(saved, 0.0, None), rel=1e-6, abs=1e-12)
+    assert np.all(part <= mean_square(whole) * (1.0 + 1e-9))
