@@ -76,7 +76,7 @@ def parse_yaml(text: str | bytes, name: str, error: type[GyrorigError] = UsageEr
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as fault:
         raise error(
             f"{name} is not a YAML document{_error_position(fault)} ({_parser_message(fault)})",
-            "correct the document, or give the right file",
+            "correct the document, or give another file",
         ) from fault
     rejection = rejection or _find_unsupported_value(value)
     if rejection:
@@ -96,8 +96,8 @@ def convert_document(
     """
     if value is None or isinstance(value, str | int | float | list):
         raise error(
-            f"{name} has no lines of the form `key: value`",
-            "give the right file; there are examples in config/ and in the documentation",
+            f"{name} is not a valid document, because it has no lines of the form `key: value`",
+            "give a YAML document, such as the examples in the folder config/",
         )
     try:
         return msgspec.convert(value, type=kind, strict=True)
@@ -112,7 +112,7 @@ def convert_document(
         schema_error = schema_errors.find_schema_error(value, kind)
         if schema_error is None:
             raise error(
-                f"{name} cannot be used ({_single_line(fault)})", "correct the document"
+                f"the document {name} is not valid ({_single_line(fault)})", "correct the document"
             ) from fault
         location = f"{name}: {schema_error.location}" if schema_error.location else name
         raise error(f"{location} {schema_error.problem}", schema_error.remedy) from fault
@@ -187,22 +187,27 @@ def _find_unsupported_syntax(text: str | bytes) -> tuple[str, str] | None:
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.AliasEvent):
-            return "uses a YAML alias", "write the value out"
+            return "uses a YAML alias, which is not supported", (
+                "write the value itself in place of the alias"
+            )
         tag = getattr(event, "tag", None)
         if tag is not None:
-            return f"uses the YAML tag {tag[:40]}", "write the value without it"
+            return f"uses the YAML tag {tag[:40]}, which is not supported", (
+                "write the value without the tag"
+            )
         if isinstance(event, yaml.ScalarEvent) and event.implicit[0]:
             if _VERSION_DEPENDENT_SCALAR.fullmatch(event.value):
                 return (
-                    f"holds {event.value[:40]}, which YAML 1.1 and 1.2 read differently",
-                    "write it in full as a plain decimal number, or put it in quotes",
+                    f"contains the value {event.value[:40]}, which YAML 1.1 and YAML 1.2 "
+                    "read differently",
+                    "write the value as a plain decimal number, or put it in quotes",
                 )
         elif isinstance(event, yaml.CollectionStartEvent):
             depth += 1
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         if depth > MAX_DEPTH:
-            return f"is nested deeper than {MAX_DEPTH} levels", "remove levels"
+            return f"has more than {MAX_DEPTH} levels of nested keys", "reduce the number of levels"
     return None
 
 
@@ -238,11 +243,14 @@ def _find_unsupported_value(value: object) -> tuple[str, str] | None:
     if isinstance(value, list):
         return next(filter(None, map(_find_unsupported_value, value)), None)
     if isinstance(value, float) and not math.isfinite(value):
-        return f"holds {value}", "write a finite number"
+        return f"contains the value {value}, which is not a finite number", "write a finite number"
     if isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
-        return f"holds an integer of {value.bit_length()} bits", "write a smaller number"
+        return (
+            f"contains an integer of {value.bit_length()} bits, which is too large",
+            "write a smaller number",
+        )
     if isinstance(value, datetime.date):
-        return f"holds the date {value}", "put it in quotes"
+        return f"contains the date {value}, but dates are not supported", ("put the date in quotes")
     return None
 
 

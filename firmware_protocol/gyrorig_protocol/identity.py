@@ -23,6 +23,7 @@ class BoardId(str):
         if not _BOARD_ID.fullmatch(text):
             raise InputError(
                 f"{text[:40]!r} is not a valid board name",
-                "use at most 32 letters, digits and dashes, and begin with a letter or digit",
+                "choose a name of at most 32 letters, digits and dashes that begins with a "
+                "letter or a digit",
             )
         return super().__new__(cls, text)

@@ -89,7 +89,7 @@ def _check_structure(
             return SchemaError(
                 _location_text(location),
                 f"lacks the key {name}",
-                f"give it {_expected_text(field.type)}",
+                f"add the key with {_expected_text(field.type)}",
             )
     return None
 

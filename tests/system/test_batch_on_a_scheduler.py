@@ -121,7 +121,7 @@ def test_a_batch_on_a_scheduler_and_on_a_dying_one(
     assert child.returncode == 5, err
     document = json.loads(out)
     assert document["put_off"] > 0  # what the scheduler held when it died
-    assert document["put_off_why"].startswith("the workers are gone")
+    assert document["put_off_why"].startswith("the worker processes of the batch have ended")
     here = subprocess.run(command, capture_output=True, text=True, check=False)
     assert here.returncode in (0, 5), here.stderr
     after = json.loads(here.stdout)
@@ -170,9 +170,9 @@ def test_only_the_job_that_kills_two_workers_is_quarantined(
     [
         ("tcp://192.0.2.1:8786", "is not protected"),
         ("tcp://0.0.0.0:8786", "is not protected"),
-        ("tls://192.0.2.1:8786", "needs certificates"),
-        ("127.0.0.1:8786", "is not the address of a scheduler"),
-        ("tcp://127.0.0.1:99999999", "is not the address of a scheduler"),
+        ("tls://192.0.2.1:8786", "needs TLS certificates"),
+        ("127.0.0.1:8786", "is not an address of a scheduler"),
+        ("tcp://127.0.0.1:99999999", "is not an address of a scheduler"),
     ],
 )
 def test_an_address_open_to_others_is_refused(address: str, words: str) -> None:
@@ -187,4 +187,4 @@ def test_contradicting_options_are_refused(
 ) -> None:
     base = ["batch", "--spool", str(tmp_path), "--store", str(tmp_path / "s")]
     assert run([*base, "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"]) == 2
-    assert "--workers and --scheduler exclude each other" in capsys.readouterr().err
+    assert "--workers and --scheduler cannot be used together" in capsys.readouterr().err

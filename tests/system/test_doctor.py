@@ -143,7 +143,7 @@ def test_a_unit_that_is_not_as_configured(
         config = rig_yaml(tmp_path, PATHS["ptu"], "emulated", more=", dialect: e46")
         code, findings = doctor(config, capsys)
     assert code == 1
-    assert findings["unit wrong_dialect"]["remedy"] == "set ptu.dialect to auto"
+    assert findings["unit wrong_dialect"]["remedy"] == "set ptu.dialect in the rig file to auto"
     assert findings["unit not_homed"]["level"] == "warning"
     assert findings["board B-1 emulated"]["level"] == "note"
 
@@ -171,7 +171,7 @@ def test_a_unit_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[st
     with device(answer) as port:
         code, findings = doctor(rig_yaml(tmp_path, port, "emulated"), capsys)
     assert code == 1
-    assert findings["unit wrong_baud"]["remedy"] == "set ptu.baud to 9600"
+    assert findings["unit wrong_baud"]["remedy"] == "set ptu.baud in the rig file to 9600"
     assert "the dialect d46" in findings["unit identity"]["what"]
     assert "tilt" in findings["unit no_bounds"]["what"]
 
@@ -194,7 +194,7 @@ def test_nothing_on_either_port(
     assert findings["unit silent"]["level"] == findings["board B-1 silent"]["level"] == "fault"
     with device(lambda sent, _: sent) as unit:
         _, findings = doctor(rig_yaml(tmp_path, unit, "emulated"), capsys)
-    assert "homes after power-up" in findings["unit echo_only"]["remedy"]
+    assert "has homed after power-up" in findings["unit echo_only"]["remedy"]
 
 
 def test_a_board_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -208,7 +208,7 @@ def test_a_board_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
     with device(answer) as port:
         _, findings = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
-    assert findings["board B-1 wrong_baud"]["remedy"] == "set its baud to 115200"
+    assert findings["board B-1 wrong_baud"]["remedy"] == "set `baud` of the board to 115200"
 
 
 def test_a_board_that_loses_and_does_not_answer(
@@ -217,7 +217,7 @@ def test_a_board_that_loses_and_does_not_answer(
     faults = BoardFaults(drop_frame_every=5, flip_bit_every=7)
     with served(E46, replace(BOARD, faults=faults)):
         _, findings = doctor(rig_yaml(tmp_path, "emulated", PATHS["board:B-1"]), capsys)
-    assert "samples missing" in findings["board B-1 damaged"]["what"]
+    assert "samples were missing" in findings["board B-1 damaged"]["what"]
 
 
 def test_boards_that_speak_otherwise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -249,7 +249,7 @@ def test_a_recording_refused_for_a_missing_board_halts_the_unit_too(
         assert run([*arguments, "--out", str(tmp_path / "out")]) == 1
         assert unit.rests.wait(MOVES_S)
         assert unit.steps()[0] < PAN_STEPS  # where it would have come to rest by itself
-    assert "/dev/none (board:B-1) is not there" in capsys.readouterr().err
+    assert "the port /dev/none (board:B-1) does not exist" in capsys.readouterr().err
 
 
 def test_another_baud_rate_than_configured(
@@ -286,7 +286,7 @@ def test_other_devices_are_distinguished(monkeypatch: pytest.MonkeyPatch) -> Non
     noise = bytes(range(256)) * 2
     with scripted(lambda _: noise) as port, pytest.raises(DeviceError, match="is not a pan-tilt"):
         halt_unit(port, (9600,))
-    with scripted(lambda sent: sent) as port, pytest.raises(DeviceError, match="only echoes"):
+    with scripted(lambda sent: sent) as port, pytest.raises(DeviceError, match="only returns"):
         halt_unit(port, (9600,))
 
 
@@ -298,7 +298,7 @@ def test_a_unit_that_does_not_stop() -> None:
         words = (answers.get(word) or b"* %d" % next(steps) for word in sent.split())
         return b"".join(word + b"\r\n" for word in words)
 
-    with scripted(answer) as port, pytest.raises(DeviceError, match="was not seen to stop"):
+    with scripted(answer) as port, pytest.raises(DeviceError, match="do not show that it stopped"):
         halt_unit(port, (9600,), timeout_s=4.0)
 
 
@@ -332,13 +332,13 @@ def test_a_port_that_is_unplugged() -> None:
 @pytest.mark.parametrize(
     ("text", "more", "code", "words"),
     [
-        ("ptu: {port: /dev/none}\n", (), 1, "not halted, because /dev/none (ptu) is not there"),
-        ("ptu: {port: /dev/none, baud: 9600}\nboards: 3\n", (), 1, "/dev/none (ptu) is not there"),
+        ("ptu: {port: /dev/none}\n", (), 1, "not halted, because the port /dev/none (ptu)"),
+        ("ptu: {port: /dev/none, baud: 9600}\nboards: 3\n", (), 1, "/dev/none (ptu) does not"),
         ("ptu:\n  port: /dev/none # cable\n  baud: 9600\nboards: [}\n", (), 1, "/dev/none (ptu)"),
         ("ptu:\n  # port: /dev/old\n  port: '/dev/none'\nboards: [}\n", (), 1, "/dev/none (ptu)"),
-        ("boards: [{port: /dev/x}]\n", (), 2, "does not contain the port of the unit"),
-        ("ptu:\nboards: [{port: /dev/x]\n", (), 2, "does not contain the port of the unit"),
-        ("ptu: {port: [1]}\n", ("--port", "/dev/none2"), 1, "/dev/none2 (ptu) is not there"),
+        ("boards: [{port: /dev/x}]\n", (), 2, "does not contain the port of the pan-tilt"),
+        ("ptu:\nboards: [{port: /dev/x]\n", (), 2, "does not contain the port of the pan-tilt"),
+        ("ptu: {port: [1]}\n", ("--port", "/dev/none2"), 1, "/dev/none2 (ptu) does not exist"),
         ("\x00*b\n", ("--port", "/dev/null"), 2, "it is not a serial port"),
         ("", ("--baud", "1"), 2, "--help"),
     ],
@@ -360,7 +360,7 @@ def test_configurations_that_are_broken(
 
 def test_no_configuration_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["halt"]) == 2
-    assert "Give --config" in capsys.readouterr().err
+    assert "Give the rig file with --config" in capsys.readouterr().err
     assert run(["halt", "--config", str(tmp_path / "none.yaml")]) == 2
     assert "cannot be read" in capsys.readouterr().err
     with EmulatedRigThread(replace(E46, baud=9600), BOTH_TURN) as unit:
@@ -370,7 +370,7 @@ def test_no_configuration_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 def test_an_emulated_unit_needs_no_halt(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["halt", "--config", rig_yaml(tmp_path, "emulated")]) == 0
-    assert "There is nothing to halt" in capsys.readouterr().out
+    assert "so there is nothing to halt" in capsys.readouterr().out
 
 
 def test_a_port_that_another_program_holds(

@@ -323,7 +323,7 @@ def test_a_second_daemon_ends_at_once(service: Service, devices: Devices) -> Non
     twin: list[str | Path] = [*GYRORIGD, "run", "--config", service.config]
     cases: list[tuple[list[str | Path], str]] = [
         (["--state", service.state, "--socket", service.folder / "s2"], "another daemon uses"),
-        (["--state", service.folder / "x", "--socket", service.socket], "another daemon serves"),
+        (["--state", service.folder / "x", "--socket", service.socket], "daemon already uses"),
         (["--state", service.folder / "x", "--socket", service.folder / "s2"], "is busy"),
     ]
     for arguments, words in cases:

@@ -24,7 +24,7 @@ from gyrorig_protocol.errors import UsageError
 
 
 @click.command("emulate", short_help="Run an emulated rig on pseudo-terminals.")
-@click.option("--config", "config_path", type=YAML_FILE, required=True, help="The rig (YAML).")
+@click.option("--config", "config_path", type=YAML_FILE, required=True, help="The rig file (YAML).")
 @emulation_flags
 @click.option(
     "--from",
@@ -65,7 +65,9 @@ def emulate_command(**options: Any) -> None:
     begin_s, end_s = options["begin_s"], options["end_s"]
     if end_s <= begin_s:
         raise UsageError(
-            f"--until {end_s:g} s is not after --from {begin_s:g} s", "give --until a later time"
+            f"the end time --until {end_s:g} s is not later than the start time --from "
+            f"{begin_s:g} s",
+            "give a later time with --until, or an earlier time with --from",
         )
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

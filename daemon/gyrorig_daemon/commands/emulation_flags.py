@@ -10,8 +10,9 @@ from gyrorig_daemon.session.emulation_options import EmulationOptions
 
 YAML_FILE = click.Path(path_type=Path, dir_okay=False)
 _HIDE = (
-    "Add this imperfection to the emulated rig. PLACE is an axis or a board, SIZE is in the unit "
-    "that `gyrorigd causes` lists. `random` chooses causes and keeps them secret. Can be repeated."
+    "Add this cause to the emulated rig. PLACE is an axis or a board, and SIZE is in the "
+    "unit that `gyrorigd causes` lists. `random` chooses causes and keeps them secret. Can "
+    "be repeated."
 )
 
 CommandFunction = Callable[..., None]
@@ -24,8 +25,10 @@ def emulation_flags(command: CommandFunction) -> CommandFunction:
             click.option(
                 "--seed",
                 type=click.IntRange(min=0),
-                help="With an emulated rig: random seed of the rig's errors and of the noise.  "
-                "[default: emulator: seed in the configuration]",
+                help=(
+                    "With an emulated rig: random seed of the rig's errors and of the noise.  "
+                    "[default: `seed` under `emulator` in the rig file]"
+                ),
             ),
             click.option(
                 "--truth",
@@ -66,4 +69,6 @@ def emulation_options(options: dict[str, Any], session_s: tuple[float, float]) -
 
 def print_commitment(sha256: str) -> None:
     """Print the hash of the hidden parameters, which are published at the end."""
-    click.echo(f"Hidden parameters are secret until the end. SHA-256 {sha256}", err=True)
+    click.echo(
+        f"The hidden parameters are secret until the end. Their SHA-256 is {sha256}", err=True
+    )

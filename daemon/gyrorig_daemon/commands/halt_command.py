@@ -30,10 +30,11 @@ _ENTRY = r"(?:^|[\s{,])%s[ \t]*:[ \t]*[\"']?([^\s\"',{}#]+)"
     "--config",
     "config_path",
     type=click.Path(path_type=Path),
-    help="The rig (YAML).  [default: none; --port is then needed]",
+    help="The rig file (YAML).  [default: none; --port is then needed]",
 )
 @click.option(
-    "--port", help="The unit's port, such as /dev/ttyUSB0.  [default: from the configuration]"
+    "--port",
+    help=("The port of the unit, such as /dev/ttyUSB0.  [default: the port in the rig file]"),
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def halt_command(config_path: Path | None, port: str | None, as_json: bool) -> None:
@@ -53,12 +54,13 @@ def halt_command(config_path: Path | None, port: str | None, as_json: bool) -> N
     unit_port = port or configured_port
     if unit_port is None:
         raise UsageError(
-            "the port of the unit is not known",
-            "give --config with the rig's file, or --port, such as --port /dev/ttyUSB0",
+            "the command does not know the port of the pan-tilt unit",
+            "give the rig file with --config, or the port with --port, for example --port "
+            "/dev/ttyUSB0",
         )
     if unit_port == EMULATED:
         _print_result(
-            "The unit of this rig is emulated. There is nothing to halt.",
+            "The pan-tilt unit of this rig is emulated, so there is nothing to halt.",
             {"halted": False},
             as_json,
         )
@@ -97,12 +99,14 @@ def _read_port_and_baud(path: Path, port_is_given: bool) -> tuple[str | None, in
         if port_is_given:
             return None, None
         raise UsageError(
-            f"{path} cannot be read ({fault.strerror})", "give the unit's port with --port"
+            f"the rig file {path} cannot be read ({fault.strerror})",
+            "give the port of the unit with --port",
         ) from fault
     port, baud = _port_and_baud(text, path.name)
     if port is None and not port_is_given:
         raise UsageError(
-            f"{path} does not contain the port of the unit", "give the unit's port with --port"
+            f"the rig file {path} does not contain the port of the pan-tilt unit",
+            "give the port of the unit with --port",
         )
     return port, baud
 

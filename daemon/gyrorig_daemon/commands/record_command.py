@@ -33,7 +33,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @click.command("record", short_help="Record one session.")
-@click.option("--config", "config_path", type=YAML_FILE, required=True, help="The rig (YAML).")
+@click.option("--config", "config_path", type=YAML_FILE, required=True, help="The rig file (YAML).")
 @click.option(
     "--program", "program_path", type=YAML_FILE, required=True, help="The motion program (YAML)."
 )
@@ -123,7 +123,7 @@ def _session_name(name: str | None) -> str:
     try:
         return secrets.token_hex(4) if name is None else BoardId(name)
     except InputError as error:
-        raise UsageError(f"{name!r:.50} is not a valid session name", error.remedy) from error
+        raise UsageError(f"the session name {name!r:.50} is not valid", error.remedy) from error
 
 
 @contextmanager

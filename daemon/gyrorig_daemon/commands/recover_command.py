@@ -52,6 +52,7 @@ def recover_command(folder: Path, reserve_bytes: int, as_json: bool) -> None:
     failed = [recovery for recovery in recoveries if recovery.outcome is RecoveryOutcome.FAILED]
     if failed:
         raise MachineError(
-            f"{len(failed)} of {len(recoveries)} files could not be recovered",
-            "follow the advice in the lines above and run this again. These files were not changed",
+            f"the command could not recover {len(failed)} of {len(recoveries)} files",
+            "follow the advice in the lines above, and run the command again. The files "
+            "that failed were not changed",
         )

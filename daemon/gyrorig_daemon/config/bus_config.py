@@ -83,36 +83,39 @@ def validate_buses(rig: "RigConfig", name: str) -> None:
     except InputError as error:
         raise UsageError(f"{name}: {error.problem}", error.remedy) from error
     if (duplicate := first_duplicate(names)) is not None:
-        raise UsageError(f"{name} contains bus {duplicate} twice", "give each bus its own id")
+        raise UsageError(f"{name} defines bus {duplicate} twice", "give each bus a different `id`")
     for bus in rig.buses:
         if not _PORT_PATTERN.fullmatch(bus.port):
             raise UsageError(
                 f"{name}: bus {bus.id} has the invalid port {bus.port!r}",
-                "write socketcan:NAME, udp_multicast:GROUP:PORT, python-can:INTERFACE:CHANNEL "
-                "or emulated",
+                "write the port as socketcan:NAME, udp_multicast:GROUP:PORT, "
+                "python-can:INTERFACE:CHANNEL or emulated",
             )
     board_by_node: dict[tuple[str, int], str] = {}
     for board in rig.boards:
         if not board.bus:
             if board.node is not None or board.signals is not None:
                 raise UsageError(
-                    f"{name}: board {board.id} has a node or signals but no bus",
-                    "give its bus as well",
+                    f"{name}: board {board.id} has the key `node` or `signals`, but not the "
+                    "key `bus`",
+                    "add the key `bus` with the id of the board's bus",
                 )
             continue
         if board.bus not in names:
             raise UsageError(
-                f"{name}: board {board.id} names the bus {board.bus!r}, which is undefined",
-                "define it under `buses`",
+                f"{name}: board {board.id} uses the bus {board.bus!r}, but `buses` does not "
+                "define it",
+                "define the bus under `buses`",
             )
         _validate_board(board, name)
         if board.node is not None:
             other = board_by_node.setdefault((board.bus, board.node), board.id)
             if other != board.id:
                 raise UsageError(
-                    f"{name}: boards {other} and {board.id} on bus {board.bus} have the same node, "
-                    f"{board.node}",
-                    "give each its own node, as set on the board",
+                    f"{name}: boards {other} and {board.id} on bus {board.bus} both have the "
+                    f"node number {board.node}",
+                    "give each board a different `node`, equal to the number that is set on "
+                    "the board",
                 )
     _validate_emulated_buses(rig, name)
 
@@ -120,34 +123,36 @@ def validate_buses(rig: "RigConfig", name: str) -> None:
 def _validate_board(board: "BoardPort", name: str) -> None:
     if board.port:
         raise UsageError(
-            f"{name}: board {board.id} has both a port and a bus", "remove one of them"
+            f"{name}: board {board.id} has both the key `port` and the key `bus`",
+            "remove one of the two keys",
         )
     if board.format == "text":
         raise UsageError(
             f"{name}: board {board.id} has `format: text`, which a CAN bus does not support",
-            "give `format: signals` with its `signals`, or `format: gcb1` with its `node`",
+            "use `format: signals` with the key `signals`, or `format: gcb1` with the key `node`",
         )
     if board.format == "gcb1":
         if board.node is None:
             raise UsageError(
-                f"{name}: board {board.id} has no node", f"give `node`, from 1 to {MAX_NODE}"
+                f"{name}: board {board.id} on a CAN bus has no node number",
+                f"add the key `node` with a number from 1 to {MAX_NODE}",
             )
         if board.signals is not None:
             raise UsageError(
-                f"{name}: board {board.id} has `signals`, but a board with `format: gcb1` must not "
-                "have any",
-                "give `format: signals`, or remove `signals`",
+                f"{name}: board {board.id} has the key `signals`, which `format: gcb1` does "
+                "not use",
+                "set `format: signals`, or remove the key `signals`",
             )
         return
     if board.signals is None:
         raise UsageError(
-            f"{name}: board {board.id} has `format: signals` but no section `signals`",
-            "give `preset`, or `dbc` and `gyro`, under `signals`",
+            f"{name}: board {board.id} has `format: signals`, but not the key `signals`",
+            "add the key `signals` with `preset`, or with `dbc` and `gyro`",
         )
     if not board.facts.uid or not (board.facts.sensor or board.signals.preset):
         raise UsageError(
-            f"{name}: board {board.id} has no identity",
-            "give `uid` (any unique name) and `sensor` under `facts`",
+            f"{name}: board {board.id} has no identity, because its `facts` lack `uid` or `sensor`",
+            "add `uid` (any unique name) and `sensor` under `facts`",
         )
     if board.signals.dbc_file is None:
         resolve_signals(board.signals, board.id)
@@ -162,14 +167,14 @@ def _validate_emulated_buses(rig: "RigConfig", name: str) -> None:
         for board in boards:
             if board.format != "gcb1":
                 raise UsageError(
-                    f"{name}: board {board.id} is emulated, and emulated boards use only "
-                    "the format gcb1",
+                    f"{name}: board {board.id} is emulated, but an emulated board supports "
+                    "only the format gcb1",
                     "remove the line `format: signals` of this board",
                 )
         load = len(boards) * 2 * rig.emulator.odr_hz * _FRAME_BITS / bus.bitrate
         if load > _MAX_BUS_LOAD:
             raise UsageError(
-                f"{name}: the boards use {load:.0%} of the capacity of bus {bus.id}. If the load "
-                f"is above {_MAX_BUS_LOAD:.0%}, frames arrive late",
-                "give a higher `bitrate`, fewer boards or a lower `odr_hz` under `emulator`",
+                f"{name}: the boards use {load:.0%} of the capacity of bus {bus.id}, and "
+                f"frames arrive late above {_MAX_BUS_LOAD:.0%}",
+                "use a higher `bitrate`, fewer boards, or a lower `odr_hz` under `emulator`",
             )

@@ -204,10 +204,15 @@ def parse_rig(text: str | bytes, name: str, folder: Path | None = None) -> RigCo
     except InputError as error:
         raise UsageError(f"{name}: {error.problem}", error.remedy) from error
     if (duplicate := first_duplicate(names)) is not None:
-        raise UsageError(f"{name} contains board {duplicate} twice", "give each board its own id")
+        raise UsageError(
+            f"{name} defines board {duplicate} twice", "give each board a different `id`"
+        )
     paths = [path for path in rig.ports().values() if path != EMULATED]
     if (duplicate := first_duplicate(paths)) is not None:
-        raise UsageError(f"{name} contains port {duplicate} twice", "give each device its own port")
+        raise UsageError(
+            f"{name} uses the port {duplicate} for two devices",
+            "give each device a different `port`",
+        )
     validate_buses(rig, name)
     for board in rig.serial_boards:
         _validate_board(board, name)
@@ -235,8 +240,9 @@ def _with_dbc_text(board: BoardPort, folder: Path) -> BoardPort:
         content = read_document(folder / board.signals.dbc_file)
     except UsageError as error:
         raise UsageError(
-            f"board {board.id}: its DBC file {error.problem}",
-            "copy it to the folder of the rig's file, under the name in `signals: dbc`",
+            f"the DBC file of board {board.id} cannot be used: {error.problem}",
+            "copy the DBC file to the folder of the rig file, under the name that `signals: "
+            "dbc` gives",
         ) from error
     try:
         text = content.decode("utf-8")
@@ -258,10 +264,13 @@ def read_document(path: Path) -> bytes:
         hint = did_you_mean(path.name, _sibling_names(path))
         raise UsageError(
             f"{path} cannot be read ({error.strerror})",
-            hint or "give a file, such as those in config/",
+            hint or "give the path of an existing file; there are examples in the folder config/",
         ) from error
     if not text.strip():
-        raise UsageError(f"{path} is empty", "see config/ for examples")
+        raise UsageError(
+            f"the file {path} is empty",
+            "write the document as in the examples in the folder config/",
+        )
     return text
 
 
@@ -272,32 +281,41 @@ def _sibling_names(path: Path) -> list[str]:
 
 
 def _validate_board(board: BoardPort, name: str) -> None:
-    if not board.port or board.format == "signals":
+    if board.port and board.format == "signals":
         raise UsageError(
-            f"{name}: board {board.id} has no port", "give it a port, or a bus with a node"
+            f"{name}: board {board.id} has `format: signals`, which needs a CAN bus",
+            "replace the key `port` by the key `bus`, or set `format: gcb1` or `format: text`",
+        )
+    if not board.port:
+        raise UsageError(
+            f"{name}: board {board.id} has neither a port nor a CAN bus",
+            "add the key `port`, or the keys `bus` and `node`",
         )
     if board.format == "gcb1":
         if board.columns is not None:
             raise UsageError(
-                f"{name}: board {board.id} has columns, but its format is gcb1",
-                "set `format: text`, or remove `columns`",
+                f"{name}: board {board.id} has the key `columns`, which `format: gcb1` does "
+                "not use",
+                "set `format: text`, or remove the key `columns`",
             )
         return
     if board.port == EMULATED:
         raise UsageError(
-            f"{name}: board {board.id} is emulated, and emulated boards use only the format gcb1",
+            f"{name}: board {board.id} is emulated, but an emulated board supports only the "
+            "format gcb1",
             "remove the line `format: text` of this board",
         )
     if board.columns is None:
         raise UsageError(
-            f"{name}: board {board.id} sends text but has no columns",
-            "give columns, as in config/rig-raspberrypi.yaml",
+            f"{name}: board {board.id} has `format: text`, but not the key `columns`",
+            "add the key `columns`, as in config/rig-raspberrypi.yaml",
         )
     scale = board.facts.gyro_scale_rad_s or board.columns.gyro_scale_rad_s
     if not (board.facts.uid and board.facts.sensor and scale):
         raise UsageError(
-            f"{name}: board {board.id} sends text, which does not identify the board",
-            "give `uid`, `sensor` and, for counts, `gyro_scale_rad_s` under `facts`",
+            f"{name}: the `facts` of board {board.id} are incomplete, and a board with "
+            "`format: text` does not identify itself",
+            "add `uid`, `sensor` and, if the board sends counts, `gyro_scale_rad_s` under `facts`",
         )
 
 
@@ -308,8 +326,9 @@ def _validate_emulated_line(board: BoardPort, odr_hz: int, name: str) -> None:
     if board.baud < needed_baud:
         sufficient_baud = min(baud for baud in get_args(Baud) if baud >= needed_baud)
         raise UsageError(
-            f"{name}: board {board.id} cannot send {odr_hz} samples/s at {board.baud} baud",
-            f"give a baud of {sufficient_baud} or more",
+            f"{name}: board {board.id} cannot send {odr_hz} samples per second at "
+            f"{board.baud} baud",
+            f"set `baud` to {sufficient_baud} or more",
         )
 
 
@@ -320,7 +339,7 @@ def _validate_limits(limits: CommandLimits, name: str) -> None:
     ):
         if low is not None and high is not None and low >= high:
             raise UsageError(
-                f"{name}: {axis}_min_deg ({low:g}) is not less than {axis}_max_deg ({high:g}) "
-                "in limits",
-                "swap the two values",
+                f"{name}: under `limits`, {axis}_min_deg ({low:g}) is not less than "
+                f"{axis}_max_deg ({high:g})",
+                "correct one of the two limits",
             )

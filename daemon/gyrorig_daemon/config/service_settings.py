@@ -66,17 +66,19 @@ def validate_schedule(entries: tuple[ScheduleEntry, ...], name: str) -> None:
             raise UsageError(f"{name}: schedule: {error.problem}", error.remedy) from error
         if (entry.every_h is None) == (entry.at_utc is None):
             raise UsageError(
-                f"{name}: schedule: {entry.name} has "
+                f"{name}: in the schedule, the entry {entry.name} has "
                 + ("no time" if entry.every_h is None else "two times"),
-                "give either every_h or at_utc",
+                "give the entry either `every_h` or `at_utc`",
             )
         if entry.at_utc is not None and entry.minute_of_day is None:
             raise UsageError(
-                f"{name}: {entry.at_utc!r:.20} of {entry.name} is not a time of day",
-                'write it as "02:30", in quotes',
+                f"{name}: in the schedule, the entry {entry.name} has {entry.at_utc!r:.20} "
+                "as `at_utc`, which is not a time of day",
+                'write the time as "02:30", in quotes',
             )
     duplicate = first_duplicate(entry.name for entry in entries)
     if duplicate is not None:
         raise UsageError(
-            f"{name}: the schedule contains {duplicate} twice", "give each entry its own name"
+            f"{name}: the schedule contains two entries with the name {duplicate}",
+            "give each entry a different `name`",
         )

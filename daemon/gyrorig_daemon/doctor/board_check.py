@@ -79,8 +79,10 @@ def check_board(config: BoardPort) -> tuple[list[Finding], float]:
                 None if traffic.samples or not traffic.total_bytes else _find_other_baud(fd, config)
             )
     except PortRefusedError as error:
-        message = f"{config.port} cannot be opened ({error})"
-        return [fault(subject, error.reason, message, "see the findings on its port")], 0.0
+        message = f"the port {config.port} of the board cannot be opened ({error})"
+        return [
+            fault(subject, error.reason, message, "see the other findings about this port")
+        ], 0.0
     findings = _check_format(subject, config, traffic, other_baud)
     if traffic.samples:
         findings += [*_check_rate(subject, config, traffic), *_check_losses(subject, traffic)]
@@ -180,18 +182,34 @@ def _check_format(
     """Return whether the board sends the configured format, and its identity."""
     port = config.port
     if traffic.has_hung_up:
-        remedy = "check the cable and the board's power"
-        return [fault(subject, "hung_up", f"{port} hung up", remedy)]
+        remedy = "check the cable and the power of the board"
+        return [
+            fault(
+                subject,
+                "hung_up",
+                f"the device on the port {port} disconnected during the check",
+                remedy,
+            )
+        ]
     if not traffic.total_bytes:
-        remedy = "check its power, the cable and its firmware; press its reset button"
-        return [fault(subject, "silent", f"{port} receives no data", remedy)]
+        remedy = (
+            "check the power, the cable and the firmware of the board, and press its reset button"
+        )
+        return [fault(subject, "silent", f"the board sends no data to the port {port}", remedy)]
     if other_baud is not None:
-        message = f"it sends at {other_baud} baud, but the configuration has {config.baud}"
-        return [fault(subject, "wrong_baud", message, f"set its baud to {other_baud}")]
+        message = f"the board sends at {other_baud} baud, but the rig file has {config.baud} baud"
+        return [
+            fault(
+                subject,
+                "wrong_baud",
+                message,
+                f"set `baud` of the board to {other_baud} in the rig file",
+            )
+        ]
     if not traffic.samples:
         return [_unknown_data(subject, config, bytes(traffic.raw))]
     if config.format == "text":
-        return [ok(subject, "identity", f"it sends lines of numbers at {config.baud} baud")]
+        return [ok(subject, "identity", f"the board sends lines of numbers at {config.baud} baud")]
     return _check_identity(subject, config, traffic)
 
 
@@ -199,28 +217,60 @@ def _check_identity(subject: str, config: BoardPort, traffic: BoardTraffic) -> l
     """Return the identity of a GCB1 board, and whether it is sufficient."""
     hello = traffic.hello
     if hello is None:
-        remedy = "load the firmware of this project, or another one that answers HELLO requests"
-        return [fault(subject, "no_hello", "it sends samples but does not identify itself", remedy)]
+        remedy = (
+            "load the firmware of this project, or another firmware that answers HELLO requests"
+        )
+        return [
+            fault(
+                subject,
+                "no_hello",
+                "the board sends samples, but it does not identify itself",
+                remedy,
+            )
+        ]
     sensor_names = ", ".join(_sensor_name(sensor.who) for sensor in hello.sensors)
     message = f"{hello.board}, uid {hello.uid}, firmware {hello.fw}, sensors {sensor_names}"
     findings = [ok(subject, "identity", f"{message}, start {hello.boot}, at {config.baud} baud")]
     if hello.protocol != PROTOCOL_VERSION:
         message = (
-            f"it uses protocol version {hello.protocol}, but this program uses {PROTOCOL_VERSION}"
+            f"the board uses version {hello.protocol} of the protocol, but this program uses "
+            f"version {PROTOCOL_VERSION}"
         )
-        findings.append(fault(subject, "protocol", message, "load a matching firmware"))
+        findings.append(
+            fault(
+                subject,
+                "protocol",
+                message,
+                "load a firmware with the same protocol version as this program",
+            )
+        )
     if config.facts.uid and hello.uid and hello.uid != config.facts.uid:
-        message = f"its uid is {hello.uid}, but the configuration has {config.facts.uid}"
-        remedy = "check which board is on this port, or correct `uid` under its `facts`"
+        message = f"the board has the uid {hello.uid}, but the rig file has {config.facts.uid}"
+        remedy = (
+            "check which board is connected to this port, or correct `uid` under `facts` of the "
+            "board"
+        )
         findings.append(fault(subject, "wrong_board", message, remedy))
     if not hello.uid and not config.facts.uid:
-        message = "it has no unique id, so any board on this port would get its calibration"
+        message = "the board has no unique id, so any board on this port would get its calibration"
         findings.append(
-            fault(subject, "no_uid", message, "set `uid` under its `facts`, and label the board")
+            fault(
+                subject,
+                "no_uid",
+                message,
+                "set `uid` under `facts` of the board in the rig file, and label the board",
+            )
         )
     if traffic.time_requests > 1 and not traffic.time_replies:
-        message = f"it has not answered {traffic.time_requests} time requests"
-        findings.append(warning(subject, "deaf", message, "check the line to the board (its RX)"))
+        message = f"the board has not answered {traffic.time_requests} time requests"
+        findings.append(
+            warning(
+                subject,
+                "deaf",
+                message,
+                "check the wire from the computer to the RX pin of the board",
+            )
+        )
     return findings
 
 
@@ -232,15 +282,24 @@ def _unknown_data(subject: str, config: BoardPort, raw: bytes) -> Finding:
     """Return the finding about data without samples."""
     printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in raw)
     if printable > 0.95 * len(raw):
-        message = f"it sends the text {raw[:40]!r}, which contains no samples"
+        message = f"the board sends the text {raw[:40]!r}, which contains no samples"
         if config.format == "gcb1":
-            return fault(subject, "text", message, "set `format: text`, and give its `columns`")
-        return fault(subject, "columns", message, "check its columns in the configuration")
+            return fault(
+                subject,
+                "text",
+                message,
+                "if the board sends its samples as text, set `format: text` and give its `columns`",
+            )
+        return fault(subject, "columns", message, "check `columns` of the board in the rig file")
     message = (
-        f"it sends {raw[:16]!r}, which contains no {config.format} frame at any usual baud rate"
+        f"the board sends {raw[:16]!r}, which contains no {config.format} frame at any usual "
+        "baud rate"
     )
     return fault(
-        subject, "garbage", message, "check the port, the baud rate, the firmware and the wires"
+        subject,
+        "garbage",
+        message,
+        "check the port, the baud rate, the firmware and the wires of the board",
     )
 
 
@@ -256,18 +315,27 @@ def _check_rate(subject: str, config: BoardPort, traffic: BoardTraffic) -> list[
         / config.baud
         / max(traffic.last_sample_s - traffic.first_sample_s, 0.1)
     )
-    summary = f"{rate_hz:.0f} samples per second, {line_load:.0%} of the line capacity"
+    summary = (
+        f"{rate_hz:.0f} samples per second, which use {line_load:.0%} of the capacity of the line"
+    )
     if nominal_hz and rate_hz and abs(rate_hz / nominal_hz - 1.0) > RATE_TOLERANCE:
-        message = f"{summary}; the nominal rate is {nominal_hz:g}"
+        message = (
+            f"the board sends {summary}, but its nominal rate is {nominal_hz:g} samples per second"
+        )
         remedy = (
-            "increase the baud rate and the rate of the sensor bus (100 kHz is slow), batch "
-            "samples, or reduce the sample rate"
+            "increase the baud rate and the clock of the sensor bus, send several samples "
+            "per frame, or reduce the sample rate"
         )
         return [warning(subject, "rate", message, remedy)]
     if line_load > MAX_LINE_LOAD:
-        remedy = "increase the baud rate, or send several samples per frame (batch)"
+        remedy = "increase the baud rate, or send several samples per frame"
         return [
-            warning(subject, "line_full", f"{summary}. It cannot catch up after a stall", remedy)
+            warning(
+                subject,
+                "line_full",
+                f"the board sends {summary}, so it cannot catch up after a delay",
+                remedy,
+            )
         ]
     return [ok(subject, "rate", summary)]
 
@@ -278,19 +346,24 @@ def _check_losses(subject: str, traffic: BoardTraffic) -> list[Finding]:
     # the frame that was being sent when the port was opened is always damaged
     if traffic.damaged_frames > 1 or traffic.missing:
         message = (
-            f"{traffic.missing} samples missing and {traffic.damaged_frames} damaged frames "
-            f"of {traffic.samples}"
+            f"during the check, {traffic.missing} samples were missing and "
+            f"{traffic.damaged_frames} frames were damaged, of {traffic.samples} samples"
         )
-        remedy = "check the cable and the ground; use a shorter cable or a lower baud rate"
+        remedy = (
+            "check the cable and the ground connection, and use a shorter cable or a lower baud "
+            "rate"
+        )
         findings.append(warning(subject, "damaged", message, remedy))
     slow = traffic.slow
     if slow is not None and (slow.sensor_overruns or slow.frames_dropped or slow.bus_errors):
         message = (
-            f"since its start the board has lost {slow.sensor_overruns} samples in its sensor's "
-            f"queue and {slow.frames_dropped} frames on its line, with {slow.bus_errors} bus errors"
+            f"since its start the board has lost {slow.sensor_overruns} samples in the queue "
+            f"of its sensor and {slow.frames_dropped} frames on its line, and has counted "
+            f"{slow.bus_errors} errors of its sensor bus"
         )
         remedy = (
-            "for bus errors check its wires and pull-ups, for dropped frames increase the baud rate"
+            "for bus errors, check the wires and the pull-up resistors. For lost frames, "
+            "increase the baud rate"
         )
         findings.append(warning(subject, "board_losses", message, remedy))
     return findings

@@ -46,21 +46,24 @@ def check_bus(
     subject = f"bus {bus.id}"
     kind, _, name = bus.port.partition(":")
     if kind == EMULATED:
-        return [note(subject, "emulated", "it is emulated and has no interface")]
+        return [
+            note(subject, "emulated", "the CAN bus is emulated, so it has no interface to check")
+        ]
     buffer_findings = list(_check_buffer(subject, system))
     if kind != "socketcan":
-        message = f"{bus.port} is not a CAN interface"
+        message = f"the port {bus.port} is not a CAN interface, so there is no interface to check"
         return [note(subject, "no_interface", message), *buffer_findings]
     if not _is_can(system, name):
         interfaces = [i for i in system.list_names("/sys/class/net") if _is_can(system, i)]
-        message = f"there is no CAN interface {name}"
+        message = f"this computer has no CAN interface {name}"
         remedy = (
-            f"check the adapter and its overlay; CAN interfaces: {', '.join(interfaces) or 'none'}"
+            "check the CAN adapter and its device-tree overlay. The CAN interfaces of this "
+            f"computer: {', '.join(interfaces) or 'none'}"
         )
         return [fault(subject, "missing", message, remedy)]
     if (system.read_text(f"/sys/class/net/{name}/operstate") or "") == "down":
         remedy = f"run `ip link set {name} up`, or install {NETWORK_FILE}"
-        return [fault(subject, "down", f"{name} is down", remedy)]
+        return [fault(subject, "down", f"the CAN interface {name} is down", remedy)]
     return [
         *_check_controller(subject, bus, name, query(name)),
         *_check_losses(subject, name, system),
@@ -82,22 +85,38 @@ def _check_controller(
     bitrate = data.get("bittiming", {}).get("bitrate")
     findings = []
     if isinstance(bitrate, int) and bitrate != bus.bitrate:
-        message = f"{name} runs at {bitrate} bit/s, but the configuration has {bus.bitrate} bit/s"
-        remedy = f"change one of the two rates; the interface's rate is in {NETWORK_FILE}"
+        message = (
+            f"the CAN interface {name} runs at {bitrate} bit/s, but the rig file has "
+            f"{bus.bitrate} bit/s"
+        )
+        remedy = f"change one of the two rates. {NETWORK_FILE} sets the rate of the interface"
         findings.append(fault(subject, "wrong_bitrate", message, remedy))
     if state in ("BUS-OFF", "STOPPED"):
-        message = f"{name} is {state.lower()}, so nothing is sent or received"
-        findings.append(fault(subject, "bus_off", message, "check terminations and bit rate"))
-    elif state in ("ERROR-PASSIVE", "ERROR-WARNING"):
-        message = f"{name} is {state.lower()}: frames are damaged or not acknowledged"
+        message = (
+            f"the CAN interface {name} is in the state {state.lower()}, so it neither sends nor "
+            "receives"
+        )
         findings.append(
-            warning(subject, "errors", message, "check terminations, wires and bit rate")
+            fault(subject, "bus_off", message, "check the terminations and the bit rate of the bus")
+        )
+    elif state in ("ERROR-PASSIVE", "ERROR-WARNING"):
+        message = (
+            f"the CAN interface {name} is in the state {state.lower()}, because frames are "
+            "damaged or not acknowledged"
+        )
+        findings.append(
+            warning(
+                subject,
+                "errors",
+                message,
+                "check the terminations, the wires and the bit rate of the bus",
+            )
         )
     if not data.get("restart_ms"):
-        message = f"{name} does not restart after bus-off"
+        message = f"the CAN interface {name} does not restart after the state bus-off"
         remedy = (
-            f"run `ip link set {name} type can restart-ms 100` while it is down, or install "
-            f"{NETWORK_FILE}"
+            f"run `ip link set {name} type can restart-ms 100` while the interface is down, "
+            f"or install {NETWORK_FILE}"
         )
         findings.append(warning(subject, "no_restart", message, remedy))
     return findings or [ok(subject, "controller", f"{name}: {state.lower()}, {bitrate} bit/s")]
@@ -110,9 +129,10 @@ def _check_losses(subject: str, name: str, system: SystemFiles) -> Iterator[Find
     }
     losses = ", ".join(f"{counter} {count}" for counter, count in counts.items() if count)
     if losses:
-        message = f"{name} has lost frames since it was started: {losses}"
+        message = f"the CAN interface {name} has lost frames since its start: {losses}"
         remedy = (
-            "use fewer boards per bus, or a controller mcp251xfd (an mcp2515 buffers two frames)"
+            "connect fewer boards to the bus, or use an mcp251xfd controller, because an "
+            "mcp2515 buffers only two frames"
         )
         yield warning(subject, "frames_lost", message, remedy)
 
@@ -121,8 +141,8 @@ def _check_buffer(subject: str, system: SystemFiles) -> Iterator[Finding]:
     allowed = system.read_number("/proc/sys/net/core/rmem_max")
     if allowed is not None and allowed < BUFFER_BYTES:
         message = (
-            f"net.core.rmem_max is {allowed}: frames are lost when the daemon is stalled for "
-            f"{allowed / BYTES_PER_S:.2f} s on a fully loaded bus"
+            f"the kernel setting net.core.rmem_max is {allowed}, so a fully loaded bus loses "
+            f"frames if the daemon pauses for {allowed / BYTES_PER_S:.2f} s"
         )
         remedy = "install systemd/sysctl.d/80-gyrorig.conf (sudo make install-service ARGS=--can)"
         yield warning(subject, "small_buffer", message, remedy)

@@ -41,8 +41,16 @@ def check_capacity(
         return
     free = _format_size(disk.free_bytes)
     if load.samples_hz <= 0.0:
-        message = f"{free} are free. No board is responding, so disk use cannot be estimated"
-        yield note(SUBJECT, "no_rate", message, "fix the boards first, then run doctor again")
+        message = (
+            f"{free} of disk space are free, but no board is responding, so the doctor cannot "
+            "estimate the disk use"
+        )
+        yield note(
+            SUBJECT,
+            "no_rate",
+            message,
+            "correct the faults of the boards first, then run `gyrorigd doctor` again",
+        )
         return
     rate_bytes_s = (load.samples_hz + load.polls_hz) * BYTES_PER_MESSAGE
     reserved_bytes = service.reserve_mb * 1_000_000 + load.boards * RESULT_BYTES_PER_BOARD
@@ -51,28 +59,37 @@ def check_capacity(
         f"continuous recording needs {_format_size(rate_bytes_s * 3600.0)} per hour; "
         f"{free} are free in {disk.folder}, of which {service.reserve_mb} MB are reserved"
     )
-    remedy = f"move recordings away from {disk.folder}, or set service: delete_when_full: true"
+    remedy = (
+        f"move recordings away from {disk.folder}, or set `delete_when_full: true` under "
+        "`service` in the rig file"
+    )
     hours = max(duration_s, 0.0) / 3600.0
     if duration_s >= NIGHT_S:
-        yield ok(SUBJECT, "fits", f"{summary}. Enough for {_format_duration(duration_s)}")
+        yield ok(SUBJECT, "fits", f"{summary}. This is enough for {_format_duration(duration_s)}")
     elif service.delete_when_full:
         message = (
-            f"{summary}. The disk is full in {hours:.1f} h; then the oldest recordings are deleted"
+            f"{summary}. The disk will be full in {hours:.1f} h, and the daemon then deletes "
+            "the oldest recordings"
         )
         yield note(SUBJECT, "deletes", message)
     elif duration_s <= 0.0:
-        yield fault(SUBJECT, "full", f"{summary}. Nothing can be recorded", remedy)
+        yield fault(SUBJECT, "full", f"{summary}. Therefore no recording can start", remedy)
     else:
         message = (
-            f"{summary}. The disk is full in {hours:.1f} h; then recording waits for free space"
+            f"{summary}. The disk will be full in {hours:.1f} h, and the recording then "
+            "waits for free space"
         )
         yield warning(SUBJECT, "fills_up", message, remedy)
     if rate_bytes_s > 0.5 * disk.write_bytes_s:
         message = (
-            f"{_format_size(rate_bytes_s)} per second must be written, and the disk can write "
-            f"{_format_size(disk.write_bytes_s)} per second"
+            f"the disk can write {_format_size(disk.write_bytes_s)} per second, but the "
+            f"recording needs {_format_size(rate_bytes_s)} per second and a reserve of the "
+            "same size"
         )
-        remedy = "record to a faster disk (--out of `gyrorigd record`, --state of `gyrorigd run`)"
+        remedy = (
+            "record to a faster disk, with the option --out of `gyrorigd record` or --state of "
+            "`gyrorigd run`"
+        )
         yield fault(SUBJECT, "disk_too_slow", message, remedy)
 
 
@@ -92,15 +109,26 @@ def check_schedule_can_run(
     """
     names = ", ".join(entry.name for entry in entries)
     if not entries:
-        return note(SUBJECT, "no_schedule", "nothing is scheduled; sessions come from the queue")
+        return note(
+            SUBJECT,
+            "no_schedule",
+            "the rig file schedules no session, so sessions come only from the queue",
+        )
     if motion_is_locked:
-        message = f"{names} will not start, because motion is locked"
-        return fault(SUBJECT, "held", message, "check the rig, then run: gyrorigd clear")
+        message = f"the scheduled sessions {names} will not start, because motion is locked"
+        return fault(
+            SUBJECT, "held", message, "check the rig, then run `gyrorigd clear` to release the lock"
+        )
     blocked_entries = [entry.name for entry in entries if not entry.home]
     if needs_homing and blocked_entries and not can_home_unattended:
         blocked = ", ".join(blocked_entries)
-        message = f"{blocked} will be rejected, because the unit must be homed first"
-        remedy = "home it once by hand (a session with --home), or set home: true in the schedule"
+        message = (
+            f"the daemon will reject the scheduled sessions {blocked}, because the pan-tilt unit "
+            "must be homed first"
+        )
+        remedy = (
+            "run one session with --home, or set `home: true` for these sessions in the schedule"
+        )
         return fault(SUBJECT, "will_be_refused", message, remedy)
     return ok(SUBJECT, "schedule", f"scheduled: {names}")
 

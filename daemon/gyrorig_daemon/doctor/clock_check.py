@@ -31,9 +31,10 @@ def _check_utc(system: SystemFiles, clocks: HostClocks) -> Iterator[Finding]:
     services = sorted(set(TIME_SERVICES) & system.running_programs())
     time_text = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(clocks.realtime_ns // 10**9))
     if clocks.realtime_ns < EARLIEST_VALID_NS:
-        message = f"the clock shows {time_text}, which means that it was never set"
+        message = f"the system clock shows {time_text}, so it was never set"
         remedy = (
-            "connect a network with a time server, or set the clock with `timedatectl set-time ...`"
+            "connect the computer to a network with a time server, or set the clock with "
+            "`timedatectl set-time ...`"
         )
         yield warning(SUBJECT, "wrong_date", message, remedy)
         return
@@ -41,22 +42,21 @@ def _check_utc(system: SystemFiles, clocks: HostClocks) -> Iterator[Finding]:
     is_unsynchronised &= not math.isnan(clocks.frequency_ppm)
     if is_unsynchronised or clocks.estimated_error_s > LARGE_ERROR_S:
         reason = (
-            f"{services[0]} runs but has not succeeded yet"
-            if services
-            else "no program synchronises it"
+            f"although {services[0]} runs" if services else "because no program synchronises it"
         )
         yield warning(
             SUBJECT,
             "not_synchronised",
-            f"UTC is not synchronised ({time_text}), {reason}. Recordings of other rigs or days "
-            "cannot be ordered by it; within a recording nothing is lost",
-            "run `chronyc tracking` or `timedatectl timesync-status` to see why"
+            f"the system clock ({time_text}) is not synchronised with UTC, {reason}. Each "
+            "recording is correct in itself, but recordings of several rigs or days cannot "
+            "be ordered by time",
+            "run `chronyc tracking` or `timedatectl timesync-status` to see the reason"
             if services
-            else "install chrony",
+            else "install the program chrony",
         )
         return
     source = f" by {services[0]}" if services else ""
-    yield ok(SUBJECT, "synchronised", f"UTC is synchronised{source}")
+    yield ok(SUBJECT, "synchronised", f"the system clock is synchronised with UTC{source}")
 
 
 def _check_rtc(system: SystemFiles) -> Iterator[Finding]:
@@ -64,15 +64,16 @@ def _check_rtc(system: SystemFiles) -> Iterator[Finding]:
         yield note(
             SUBJECT,
             "no_rtc",
-            "there is no real-time clock. After a power cut the time is wrong until the network "
-            "answers, and recordings that begin earlier have a wrong date in their names",
-            "add a real-time clock (a Pi 5 has one and needs only a battery)",
+            "this computer has no real-time clock. After a power cut its time is wrong "
+            "until a time server answers, and recordings that begin before have wrong dates "
+            "in their names",
+            "add a real-time clock. A Raspberry Pi 5 has one, but it needs a battery",
         )
 
 
 def _check_clock_source(system: SystemFiles) -> Iterator[Finding]:
     source = system.read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource")
     if source in SLOW_CLOCK_SOURCES:
-        message = f"the clock source of the kernel is {source}, which is slow and coarse"
-        remedy = "see dmesg for the reason why the processor's own counter is not used"
+        message = f"the kernel uses the clock source {source}, which is slow and coarse"
+        remedy = "run `dmesg` to see why the kernel does not use the processor's own counter"
         yield warning(SUBJECT, "slow_clock", message, remedy)

@@ -34,7 +34,14 @@ def check_computer(system: SystemFiles) -> list[Finding]:
     )
     findings = [finding for check in checks for finding in check(system)]
     if not any(finding.level for finding in findings):
-        findings.insert(0, ok(SUBJECT, "computer", "power, temperature, memory and load are fine"))
+        findings.insert(
+            0,
+            ok(
+                SUBJECT,
+                "computer",
+                "the power supply, the temperature, the memory and the load are in order",
+            ),
+        )
     return findings
 
 
@@ -46,10 +53,10 @@ def _check_processor(system: SystemFiles) -> Iterator[Finding]:
         yield fault(
             SUBJECT,
             "processor",
-            f"the processor lacks {', '.join(missing)}. NumPy's wheels need x86-64-v2, and neither "
-            "the daemon nor the solver starts without NumPy",
-            "use a computer with an x86-64-v2 processor (most since 2009), and give a virtual "
-            "machine the processor of its host (qemu: -cpu host)",
+            f"the processor lacks the instructions {', '.join(missing)}, so NumPy, which "
+            "needs x86-64-v2, does not run here, and neither do the daemon and the solver",
+            "use a computer with an x86-64-v2 processor. In a virtual machine, use the "
+            "processor of the host (qemu: -cpu host)",
         )
 
 
@@ -63,8 +70,10 @@ def _check_power(system: SystemFiles) -> Iterator[Finding]:
             yield warning(
                 SUBJECT,
                 "undervoltage",
-                "the supply voltage was too low since the start. USB adapters fail first",
-                "use the manufacturer's supply, and a powered hub for the adapters",
+                "the supply voltage of the computer was too low at least once since its "
+                "start, which can make USB adapters fail",
+                "use the power supply of the manufacturer, and connect the adapters to a "
+                "powered USB hub",
             )
             return
 
@@ -76,15 +85,20 @@ def _check_temperature(system: SystemFiles) -> Iterator[Finding]:
     ]
     hottest_c = max(temperatures_c, default=0.0)
     if hottest_c >= HIGH_TEMPERATURE_C:
-        message = f"the temperature is {hottest_c:.0f} degC, and the processor reduces its speed"
-        yield warning(SUBJECT, "hot", message, "improve the ventilation, or add a heat sink")
+        message = (
+            f"the temperature of the computer is {hottest_c:.0f} degC, so the processor reduces "
+            "its speed"
+        )
+        yield warning(
+            SUBJECT, "hot", message, "improve the ventilation of the computer, or add a heat sink"
+        )
 
 
 def _check_memory(system: SystemFiles) -> Iterator[Finding]:
     match = re.search(r"^MemAvailable:\s+(\d+) kB", system.read_text("/proc/meminfo") or "", re.M)
     if match is not None and int(match[1]) < LOW_MEMORY_MB * 1024:
-        message = f"only {int(match[1]) // 1024} MB of memory are free"
-        remedy = "stop other programs; the kernel ends programs when no memory is left"
+        message = f"the computer has only {int(match[1]) // 1024} MB of free memory"
+        remedy = "stop other programs, because the kernel ends programs when no memory is free"
         yield warning(SUBJECT, "memory", message, remedy)
 
 
@@ -94,8 +108,14 @@ def _check_load(system: SystemFiles) -> Iterator[Finding]:
     with contextlib.suppress(ValueError, IndexError):
         load = float(fields[1])  # over five minutes
         if load > 1.5 * cores:
-            message = f"the load is {load:.1f} on {cores} cores, so timestamps are late"
-            remedy = "find the program with `top`; end it, or lower its priority with `renice 19`"
+            message = (
+                f"the computer is overloaded (load {load:.1f} on {cores} cores), so timestamps "
+                "are late"
+            )
+            remedy = (
+                "find the program that causes the load with `top`, and end it, or lower its "
+                "priority with `renice 19`"
+            )
             yield warning(SUBJECT, "load", message, remedy)
 
 
@@ -106,7 +126,7 @@ def _check_service(system: SystemFiles) -> Iterator[Finding]:
         for target in ("multi-user.target", "default.target")
     ]
     if any(system.path(name).is_symlink() or system.path(name).exists() for name in enabled_links):
-        yield ok(SUBJECT, "service", f"{SERVICE_UNIT} starts with the computer")
+        yield ok(SUBJECT, "service", f"the daemon ({SERVICE_UNIT}) starts with the computer")
         return
     is_installed = system.path(f"/etc/systemd/system/{SERVICE_UNIT}").exists()
     remedy = (
@@ -128,6 +148,8 @@ def _check_reboots(system: SystemFiles) -> Iterator[Finding]:
         yield warning(
             SUBJECT,
             "reboots",
-            "unattended upgrades can restart the computer at night, also during a session",
-            'set Unattended-Upgrade::Automatic-Reboot "false", or a time without sessions',
+            "unattended upgrades of the system can restart the computer at night, even "
+            "during a session",
+            'set Unattended-Upgrade::Automatic-Reboot "false", or choose a restart time '
+            "without sessions",
         )

@@ -52,58 +52,98 @@ def check_daemon(socket_path: Path) -> tuple[list[Finding], DaemonReport | None]
 def _check_state(status: dict[str, Any]) -> Finding:
     state, reason = status["state"], status["reason"].partition(". Check")[0]
     if state == "fault":
-        remedy = "check the rig, then run: gyrorigd clear"
-        return fault(SUBJECT, "held", f"motion is locked ({reason})", remedy)
+        remedy = "check the rig, then run `gyrorigd clear` to release the lock"
+        return fault(
+            SUBJECT, "held", f"the daemon has locked all motion of the rig ({reason})", remedy
+        )
     if state == "waiting":
-        remedy = "fix the named cause; sessions then start without further action"
-        return warning(SUBJECT, "waiting", f"no session can start ({reason})", remedy)
+        remedy = "remove the cause in parentheses. Sessions then start without further action"
+        return warning(SUBJECT, "waiting", f"the daemon cannot start a session ({reason})", remedy)
     hours = status["uptime_s"] / 3600.0
-    message = f"the daemon is {state}, for {hours:.1f} h, process {status['pid']}"
+    message = (
+        f"the daemon (process {status['pid']}) has run for {hours:.1f} h, and its state is {state}"
+    )
     return ok(SUBJECT, "running", message)
 
 
 def _check_unit(status: dict[str, Any]) -> Iterator[Finding]:
     unit = status["unit"]
     if unit["state"] == "absent":
-        yield fault("unit", "absent", unit["text"], "check its cable; the daemon waits for it")
+        yield fault(
+            "unit",
+            "absent",
+            unit["text"],
+            "check the cable of the pan-tilt unit. The daemon waits for the unit",
+        )
     elif unit["state"] == "silent":
-        remedy = "check its power, the cable and the baud rate; the daemon continues to try"
+        remedy = (
+            "check the power, the cable and the baud rate of the pan-tilt unit. The daemon "
+            "continues to try"
+        )
         yield fault("unit", "silent", unit["text"], remedy)
     else:
         yield ok("unit", "seen", f"{unit['text']} ({unit['port']})")
         if not unit["steps_are_sure"]:
-            message = "it may have lost steps, and sessions without --home are rejected"
-            remedy = "clear the rig, then run: gyrorigd enqueue --home --program PROGRAM.yaml"
+            message = (
+                "the pan-tilt unit may have lost steps, so the daemon rejects sessions without "
+                "--home"
+            )
+            remedy = (
+                "remove all objects from the unit's range of motion, then run `gyrorigd enqueue "
+                "--home --program PROGRAM.yaml`"
+            )
             yield warning("unit", "lost_steps", message, remedy)
 
 
 def _check_board(board: dict[str, Any]) -> Iterator[Finding]:
     subject, counts = f"board {board['id']}", board["counts"]
     if board["state"] not in HEALTHY_STATES:
-        message = f"the daemon reports it as {board['state']}"
-        yield fault(subject, "not_heard", message, "check its power, the cable and its firmware")
+        message = f"the daemon reports the state {board['state']} of the board"
+        yield fault(
+            subject,
+            "not_heard",
+            message,
+            "check the power, the cable and the firmware of the board",
+        )
         return
     rate_hz = board.get("rate_hz") or 0.0
-    message = f"{rate_hz:.0f} samples per second, {counts.get('samples', 0)} so far"
+    message = (
+        f"the board sends {rate_hz:.0f} samples per second, and has sent "
+        f"{counts.get('samples', 0)} samples so far"
+    )
     yield ok(subject, "seen", message)
     losses = {name: counts.get(name, 0) for name in LOSS_COUNTERS} | board.get("faults", {})
     text = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in losses.items() if count)
     if text:
-        remedy = "if it increases, check the cable and the ground, or use a lower baud rate"
-        yield note(subject, "losses", f"since the start of the daemon: {text}", remedy)
+        remedy = (
+            "if a number increases, check the cable and the ground connection, or use a lower "
+            "baud rate"
+        )
+        yield note(
+            subject, "losses", f"losses of the board since the start of the daemon: {text}", remedy
+        )
 
 
 def _check_recorder(status: dict[str, Any]) -> Iterator[Finding]:
     degraded = status["recorder"].get("degraded")
     if degraded:
-        message = f"the recording continues in memory, which will soon be full ({degraded})"
-        remedy = "free space on the disk; if there is free space, check dmesg"
+        message = (
+            f"the daemon cannot write to the disk ({degraded}), so it records in memory, which "
+            "will soon be full"
+        )
+        remedy = "free space on the disk. If the disk has free space, run `dmesg` to find its fault"
         yield fault("disk", "degraded", message, remedy)
 
 
 def _check_last_session(status: dict[str, Any]) -> Iterator[Finding]:
     last = status["last_session"]
     if last is not None and last["result"] != "done":
-        message = f"the last session, {last['session']}, {last['result']} ({last['reason']})"
-        remedy = "see queue/failed in the daemon's state folder for the results of others"
+        message = (
+            f"the last session, {last['session']}, ended with the result {last['result']} "
+            f"({last['reason']})"
+        )
+        remedy = (
+            "see the folder queue/failed in the daemon's state folder for the results of other "
+            "sessions"
+        )
         yield note(SUBJECT, "last_session", message, remedy)

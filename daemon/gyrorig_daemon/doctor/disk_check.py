@@ -39,28 +39,39 @@ def check_disk(folder: Path, system: SystemFiles) -> tuple[list[Finding], DiskMe
     existing = _nearest_existing(folder)
     file_system, options = _mount_of(existing, system)
     if "ro" in options.split(","):
-        message = f"{existing} is mounted read-only; the kernel does this if the card fails"
-        remedy = "check dmesg, copy the data, and replace the card"
+        message = (
+            f"the disk of {existing} is mounted read-only, as the kernel does when a memory card "
+            "fails"
+        )
+        remedy = "run `dmesg` to find the reason, copy the data, and replace the card"
         return [fault(SUBJECT, "read_only", message, remedy)], None
     if not os.access(existing, os.W_OK):
-        message = f"this user cannot write to {existing}"
+        message = f"the present user cannot write to the folder {existing}"
         remedy = (
-            f"run `sudo chown $USER {existing}`, or give a folder other than {folder} with --out"
+            f"run `sudo chown $USER {existing}`, or choose another folder than {folder} with --out"
         )
         return [fault(SUBJECT, "not_writable", message, remedy)], None
     statistics = os.statvfs(existing)
     try:
         write_times_s = [_timed_write(existing) for _ in range(TEST_WRITES)]
     except OSError as error:
-        message = f"a test write of {TEST_BYTES // 1024} kB to {existing} failed: {error.strerror}"
-        remedy = "move recordings away to free space; if there is free space, check dmesg"
+        message = (
+            f"a test write of {TEST_BYTES // 1024} kB to the folder {existing} failed "
+            f"({error.strerror})"
+        )
+        remedy = (
+            "move recordings to another disk. If the disk has free space, run `dmesg` to find "
+            "its fault"
+        )
         return [fault(SUBJECT, "trial_failed", message, remedy)], None
     write_bytes_s = TEST_BYTES * TEST_WRITES / max(sum(write_times_s), 1e-9)
     disk = DiskMeasurement(existing, statistics.f_bavail * statistics.f_frsize, write_bytes_s)
     findings = [*_check_file_system(existing, file_system), *_check_speed(disk, write_times_s)]
     if statistics.f_files > 0 and statistics.f_favail < MIN_FREE_INODES:
-        message = f"{existing} has space for only {statistics.f_favail} more files (inodes)"
-        remedy = f"move old files away; at least {MIN_FREE_INODES} inodes should be free"
+        message = (
+            f"the file system of {existing} can hold only {statistics.f_favail} more files (inodes)"
+        )
+        remedy = f"move old files to another disk until at least {MIN_FREE_INODES} inodes are free"
         findings.append(fault(SUBJECT, "inodes", message, remedy))
     return findings, disk
 
@@ -100,23 +111,34 @@ def _timed_write(folder: Path) -> float:
 
 def _check_file_system(path: Path, file_system: str) -> Iterator[Finding]:
     if file_system in VOLATILE_FILE_SYSTEMS:
-        message = f"{path} is on {file_system}: recordings there can be lost at a restart"
-        yield note(SUBJECT, "not_kept", message, "record to a real disk")
+        message = (
+            f"the folder {path} is on the file system {file_system}, so recordings can be lost "
+            "at a restart"
+        )
+        yield note(SUBJECT, "not_kept", message, "record to a folder on a disk")
     elif file_system in UNJOURNALED_FILE_SYSTEMS:
-        message = f"{path} is on {file_system}: a power cut can damage files that were complete"
-        yield warning(SUBJECT, "no_journal", message, "use ext4 for recordings")
+        message = (
+            f"the folder {path} is on the file system {file_system}, so a power cut can damage "
+            "even complete files"
+        )
+        yield warning(SUBJECT, "no_journal", message, "record to a folder on an ext4 file system")
 
 
 def _check_speed(disk: DiskMeasurement, write_times_s: list[float]) -> Iterator[Finding]:
     slowest_s, median_s = max(write_times_s), sorted(write_times_s)[len(write_times_s) // 2]
     summary = (
-        f"{disk.write_bytes_s * 1e-6:.1f} MB/s with a sync every 256 kB, "
-        f"{median_s * 1e3:.0f} ms each, {slowest_s * 1e3:.0f} ms at most"
+        f"the disk writes {disk.write_bytes_s * 1e-6:.1f} MB/s with a sync every 256 kB; one "
+        f"sync takes {median_s * 1e3:.0f} ms, and {slowest_s * 1e3:.0f} ms at most"
     )
     if median_s > FAILING_SYNC_S:
-        yield fault(SUBJECT, "too_slow", summary, "use another disk, because this one loses data")
+        yield fault(
+            SUBJECT,
+            "too_slow",
+            summary,
+            "use another disk, because this disk is too slow and loses data",
+        )
     elif slowest_s > SLOW_SYNC_S:
-        remedy = "use an SSD; with this disk a power cut loses more data"
+        remedy = "use an SSD, because with this slow disk a power cut loses more data"
         yield warning(SUBJECT, "slow", summary, remedy)
     else:
         yield ok(SUBJECT, "speed", summary)

@@ -118,7 +118,7 @@ def _check_device(
 ) -> float:
     """Check a port and, if it is free, its device; return its samples per second."""
     if path == EMULATED:
-        add([note(subject, "emulated", "it is emulated and has no port")])
+        add([note(subject, "emulated", "the device is emulated, so it has no port to check")])
         return _nominal_port_hz(request.config, name)
     findings, state = check_port(subject, path, request.system)
     add(findings)
@@ -156,14 +156,16 @@ def _nominal_board_hz(config: RigConfig, board: BoardPort) -> float:
     "config_path",
     type=click.Path(path_type=Path, dir_okay=False),
     required=True,
-    help="The rig (YAML).",
+    help="The rig file (YAML).",
 )
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     help=f"Folder for recordings.  [default: {DEFAULT_RECORDINGS} if it exists, else ./recordings]",
 )
-@click.option("--no-open", is_flag=True, help="Open no port; run only the checks that need none.")
+@click.option(
+    "--no-open", is_flag=True, help=("Open no port, and run only the checks that need no device.")
+)
 @click.option(
     "--socket",
     "socket_path",
@@ -222,4 +224,6 @@ def _summary(findings: list[Finding]) -> str:
         for count, word in ((faults, "fault"), (warnings, "warning"))
         if count
     ]
-    return f"{' and '.join(counts)}. Fix the faults first. The action is shown after each arrow."
+    return (
+        f"{' and '.join(counts)}. Correct the faults first. The remedy is shown after each arrow."
+    )

@@ -39,8 +39,16 @@ def check_port(subject: str, path: str, system: SystemFiles) -> tuple[list[Findi
     except OSError:
         return [_report_missing(subject, path, system)], closed
     if not stat.S_ISCHR(status.st_mode):
-        message = f"{path} is not a device"
-        return [fault(subject, "no_device", message, "give a port; see /dev/serial/by-id")], closed
+        message = f"the port {path} is not a serial device"
+        return [
+            fault(
+                subject,
+                "no_device",
+                message,
+                "give a serial port in the rig file. The folder /dev/serial/by-id lists the "
+                "connected ones",
+            )
+        ], closed
     findings = [
         *_check_name(subject, path, system),
         *_check_permissions(subject, path, status),
@@ -58,10 +66,10 @@ def check_port(subject: str, path: str, system: SystemFiles) -> tuple[list[Findi
 def _report_missing(subject: str, path: str, system: SystemFiles) -> Finding:
     ports = ", ".join(list_serial_ports()) or "none"
     if system.list_names("/sys/bus/usb/devices", "[0-9]*-*") or ports != "none":
-        remedy = f"check the cable and the name; available ports: {ports}"
+        remedy = f"check the cable and the name of the port. The ports of this computer: {ports}"
     else:
-        remedy = "check the cable; this computer has no serial port and no USB device"
-    return fault(subject, "missing", f"{path} does not exist", remedy)
+        remedy = "check the cable, because this computer has no serial port and no USB device"
+    return fault(subject, "missing", f"the port {path} does not exist", remedy)
 
 
 def _check_name(subject: str, path: str, system: SystemFiles) -> Iterator[Finding]:
@@ -75,10 +83,13 @@ def _check_name(subject: str, path: str, system: SystemFiles) -> Iterator[Findin
         if os.path.realpath(system.path(f"{folder}/{name}")) == real
     ]
     name = stable_names[0] if stable_names else "a name in /dev/serial/by-id"
-    message = f"{path} can be another device when the cables are connected in another order"
+    message = (
+        f"the name {path} can refer to another device when the cables are connected in another "
+        "order"
+    )
     remedy = (
-        f"use {name}, and set ptu.serial, or `uid` under the board's `facts`, so that Gyrorig "
-        "notices if a different device is connected"
+        f"use {name} as the port. Also set ptu.serial, or `uid` under `facts` of the board, "
+        "so that Gyrorig notices a different device"
     )
     yield warning(subject, "unstable_name", message, remedy)
 
@@ -88,7 +99,7 @@ def _check_permissions(subject: str, path: str, status: os.stat_result) -> Itera
     remedy = f"run `sudo usermod -aG {group} USER`, and log in again"
     if not os.access(path, os.R_OK | os.W_OK):
         user = _user_name(os.geteuid())
-        message = f"{user} has no permission to open {path}"
+        message = f"the user {user} has no permission to open the port {path}"
         yield fault(subject, "denied", message, remedy.replace("USER", user))
         return
     try:
@@ -96,7 +107,10 @@ def _check_permissions(subject: str, path: str, status: os.stat_result) -> Itera
     except KeyError:
         return
     if not _may_open(status, service):
-        message = f"the service's user {SERVICE_USER} has no permission to open {path} ({group})"
+        message = (
+            f"the user {SERVICE_USER} of the service has no permission to open the port {path} "
+            f"(group {group})"
+        )
         yield warning(subject, "denied_to_service", message, remedy.replace("USER", SERVICE_USER))
 
 
@@ -114,10 +128,12 @@ def _check_latency_timer(subject: str, path: str, system: SystemFiles) -> Iterat
     if latency_ms is None:
         return  # only FTDI adapters have this timer
     if latency_ms <= 1:
-        yield ok(subject, "latency_timer", "the latency timer of its adapter is 1 ms")
+        yield ok(subject, "latency_timer", "the latency timer of the USB adapter is 1 ms")
         return
-    message = f"its adapter buffers bytes for {latency_ms} ms, so that timestamps are late"
-    remedy = f"{INSTALL_RULES}, and connect it again"
+    message = (
+        f"the USB adapter of the port buffers bytes for {latency_ms} ms, so timestamps are late"
+    )
+    remedy = f"{INSTALL_RULES}, and connect the adapter again"
     yield warning(subject, "latency_timer", message, remedy)
 
 
@@ -128,7 +144,10 @@ def _check_modem_manager(subject: str, path: str, system: SystemFiles) -> Iterat
         return  # it uses no other ports
     folders = ("/etc/udev/rules.d", "/lib/udev/rules.d", "/usr/lib/udev/rules.d")
     if not any(UDEV_RULES in system.list_names(folder) for folder in folders):
-        message = "ModemManager sends modem commands to new serial ports, which can move a unit"
+        message = (
+            "the program ModemManager sends modem commands to new serial ports, which can move "
+            "a pan-tilt unit"
+        )
         yield warning(subject, "modem_manager", message, f"{INSTALL_RULES}, or remove ModemManager")
 
 
@@ -138,20 +157,36 @@ def _check_kernel_use(subject: str, path: str, system: SystemFiles) -> Iterator[
     aliases = {Path(os.path.realpath(system.path(f"/dev/{console}"))).name for console in consoles}
     model = (system.read_text("/proc/device-tree/model") or "").lower()
     if name in {*consoles, *aliases}:
-        message = f"{path} is the console of the kernel, which writes to it"
-        remedy = "remove console=... from /boot/firmware/cmdline.txt (raspi-config, Serial Port)"
+        message = (
+            f"the port {path} is the console of the kernel, so the kernel writes its messages to it"
+        )
+        remedy = (
+            "remove console=... from /boot/firmware/cmdline.txt, or use raspi-config (Serial Port)"
+        )
         yield fault(subject, "console", message, remedy)
     elif name == "ttyS0" and "raspberry" in model:
-        message = f"{path} is the Pi's mini UART, whose rate depends on the processor's clock"
-        remedy = "use ttyAMA0, and add dtoverlay=disable-bt to /boot/firmware/config.txt"
+        message = (
+            f"the port {path} is the mini UART of the Raspberry Pi, whose baud rate changes with "
+            "the processor's clock"
+        )
+        remedy = (
+            "use the port /dev/ttyAMA0, and add dtoverlay=disable-bt to /boot/firmware/config.txt"
+        )
         yield warning(subject, "mini_uart", message, remedy)
 
 
 def _report_holder(subject: str, path: str, holder: PortHolder) -> Finding:
     if holder.is_ours:
-        message = f"{path} is in use by {holder}"
-        return note(subject, "in_use", message, "run `gyrorigd status` for its state")
-    return fault(subject, "held", f"{path} is in use by {holder}", "end that program")
+        message = f"the port {path} is in use by {holder}"
+        return note(
+            subject, "in_use", message, "run `gyrorigd status` to see the state of the daemon"
+        )
+    return fault(
+        subject,
+        "held",
+        f"the port {path} is in use by {holder}",
+        "end the program that uses the port",
+    )
 
 
 def _group_name(gid: int) -> str:

@@ -47,8 +47,8 @@ def check_unit(config: PtuPort) -> list[Finding]:
             line = DirectPtuLine(fd, config.port, time.monotonic() + CHECK_TIMEOUT_S)
             return _check_answers(line, config, bauds)
     except PortRefusedError as error:
-        message = f"{config.port} cannot be opened ({error})"
-        return [fault(SUBJECT, error.reason, message, "see the findings on its port")]
+        message = f"the port {config.port} of the pan-tilt unit cannot be opened ({error})"
+        return [fault(SUBJECT, error.reason, message, "see the other findings about this port")]
     except DeviceError as device_error:
         return [from_error(SUBJECT, "hung_up", device_error)]
 
@@ -91,21 +91,22 @@ def _report_no_unit(line: DirectPtuLine, config: PtuPort, bauds: Sequence[int]) 
         return fault(
             SUBJECT,
             "silent",
-            f"nothing answers on {config.port} at {tried_bauds} baud",
-            "check its power, the cable (RS-232, crossed or straight) and the port",
+            f"no pan-tilt unit answers on {config.port} at {tried_bauds} baud",
+            "check the power of the unit, its cable (RS-232, crossed or straight) and its port",
         )
     if set(received) <= set(b" V"):
         return fault(
             SUBJECT,
             "echo_only",
-            f"the device on {config.port} only echoes what it receives",
-            "wait while the unit homes after power-up; if nothing moves, look for a loop-back plug",
+            f"the device on {config.port} only returns the bytes that it receives",
+            "wait until the pan-tilt unit has homed after power-up. If nothing moves, "
+            "remove a loop-back plug from the line",
         )
     return fault(
         SUBJECT,
         "wrong_device",
-        f"the device on {config.port} is not a pan-tilt unit; it sent {received[:24]!r}",
-        "check the cables, and ptu.port in the rig's configuration",
+        f"the device on {config.port} is not a pan-tilt unit, because it sent {received[:24]!r}",
+        "check the cables, and ptu.port in the rig file",
     )
 
 
@@ -139,21 +140,34 @@ def _compare_with_config(
     findings = []
     if config.serial is not None and serial != config.serial:
         message = (
-            f"its serial number is {serial or 'not reported'}, but the configuration has "
-            f"{config.serial}"
+            f"the serial number of the pan-tilt unit is {serial or 'not reported'}, but the "
+            f"rig file has {config.serial}"
         )
-        remedy = "check which unit is on this port, or change ptu.serial"
+        remedy = "check which unit is connected to this port, or correct ptu.serial in the rig file"
         findings.append(fault(SUBJECT, "wrong_unit", message, remedy))
     if baud != config.baud:
-        message = f"it answers at {baud} baud, but the configuration has {config.baud}"
-        findings.append(fault(SUBJECT, "wrong_baud", message, f"set ptu.baud to {baud}"))
+        message = (
+            f"the pan-tilt unit answers at {baud} baud, but the rig file has {config.baud} baud"
+        )
+        findings.append(
+            fault(SUBJECT, "wrong_baud", message, f"set ptu.baud in the rig file to {baud}")
+        )
     if config.dialect == "auto":
         if dialect is None:
-            message = "its dialect cannot be determined from its replies"
-            findings.append(fault(SUBJECT, "no_dialect", message, "set ptu.dialect to d46 or e46"))
+            message = "the dialect of the pan-tilt unit cannot be determined from its replies"
+            findings.append(
+                fault(
+                    SUBJECT, "no_dialect", message, "set ptu.dialect in the rig file to d46 or e46"
+                )
+            )
     elif dialect is not None and config.dialect != dialect.value:
-        message = f"its dialect is {dialect.value}, but the configuration has {config.dialect}"
-        findings.append(fault(SUBJECT, "wrong_dialect", message, "set ptu.dialect to auto"))
+        message = (
+            f"the dialect of the pan-tilt unit is {dialect.value}, but the rig file has "
+            f"{config.dialect}"
+        )
+        findings.append(
+            fault(SUBJECT, "wrong_dialect", message, "set ptu.dialect in the rig file to auto")
+        )
     return findings
 
 
@@ -163,18 +177,29 @@ def _check_bounds(line: DirectPtuLine) -> list[Finding]:
     for axis in (Axis.PAN, Axis.TILT):
         low, high = (_ask_twice(line, query_quantity(axis, bound)) for bound in _BOUNDS)
         if not (isinstance(low, int) and isinstance(high, int)):
-            message = f"it does not report the limits of its {axis.label} axis"
+            message = f"the pan-tilt unit does not report the limits of its {axis.label} axis"
             findings.append(
-                fault(SUBJECT, "no_bounds", message, "check the cable and the baud rate")
+                fault(
+                    SUBJECT, "no_bounds", message, "check the cable and the baud rate of the unit"
+                )
             )
         elif not (low or high):  # an axis that was never homed has both 0 (manual v3.00D)
-            message = f"its {axis.label} axis is not homed"
-            remedy = "clear the rig, then run record --home, or set ptu.home_without_asking: true"
+            message = f"the {axis.label} axis of the pan-tilt unit is not homed"
+            remedy = (
+                "remove all objects from the unit's range of motion. Then run `gyrorigd record` "
+                "with --home, or set ptu.home_without_asking: true"
+            )
             findings.append(warning(SUBJECT, "not_homed", message, remedy))
         else:
             ranges.append(f"{axis.label} {low} to {high}")
     if ranges:
-        findings.append(ok(SUBJECT, "bounds", f"homed; in steps: {', '.join(ranges)}"))
+        findings.append(
+            ok(
+                SUBJECT,
+                "bounds",
+                f"the pan-tilt unit is homed; its limits in steps are {', '.join(ranges)}",
+            )
+        )
     return findings
 
 
@@ -182,15 +207,29 @@ def _check_power(line: DirectPtuLine) -> list[Finding]:
     power = _ask_twice(line, QUERY_POWER)
     if not isinstance(power, PowerReading):
         return [
-            note(SUBJECT, "no_power", "it does not report its supply voltage and its temperatures")
+            note(
+                SUBJECT,
+                "no_power",
+                "the pan-tilt unit does not report its supply voltage and its temperatures",
+            )
         ]
     hottest_c = max(power.temperatures_c, default=0.0)
-    summary = f"supply {power.supply_v:.1f} V, {hottest_c:.0f} degC at the hottest"
+    summary = (
+        f"the pan-tilt unit has a supply voltage of {power.supply_v:.1f} V and a highest "
+        f"temperature of {hottest_c:.0f} degC"
+    )
     if power.supply_v < LOW_SUPPLY_V:
-        remedy = "use a supply and wires that give 12 to 30 V at its plug, also while it moves"
-        return [warning(SUBJECT, "low_supply", f"{summary}. The unit will lose steps", remedy)]
+        remedy = (
+            "use a power supply and wires that give 12 to 30 V at the plug of the unit, also "
+            "while it moves"
+        )
+        return [warning(SUBJECT, "low_supply", f"{summary}, so it will lose steps", remedy)]
     if hottest_c > HIGH_MOTOR_TEMPERATURE_C:
-        return [warning(SUBJECT, "hot", summary, "reduce the holding current, or let it cool down")]
+        return [
+            warning(
+                SUBJECT, "hot", summary, "reduce the holding current, or let the unit cool down"
+            )
+        ]
     return [ok(SUBJECT, "power", summary)]
 
 

@@ -182,7 +182,8 @@ def write_rates(
             np.savez_compressed(file, **arrays)
     except OSError as error:
         raise MachineError(
-            f"{path} cannot be written ({error.strerror})", "give another file with --rates"
+            f"the file of noise-free rates {path} cannot be written ({error.strerror})",
+            "choose another file with --rates",
         ) from error
 
 

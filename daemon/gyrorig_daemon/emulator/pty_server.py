@@ -158,8 +158,10 @@ class PtyServer:
         except OSError as error:
             self.close()
             raise MachineError(
-                f"no pty or multicast group can be opened for {port} ({error.strerror})",
-                "end other emulated rigs; the number of ptys is in /proc/sys/kernel/pty/max",
+                "the emulator cannot open a pseudo-terminal or multicast group for the port "
+                f"{port} ({error.strerror})",
+                "end other emulated rigs, or increase the limit of pseudo-terminals in "
+                "/proc/sys/kernel/pty/max",
             ) from error
         try:
             if links is not None:
@@ -167,7 +169,7 @@ class PtyServer:
         except OSError as error:
             self.close()
             raise MachineError(
-                f"links cannot be created in {links} ({error.strerror})",
+                f"the emulator cannot create links to its ports in {links} ({error.strerror})",
                 "give another folder with --links",
             ) from error
         self._by_fd = {pty.descriptor: port for port, pty in self._ptys.items()}

@@ -59,9 +59,15 @@ class VirtualHub:
         """
         device = self._devices.get(port)
         if device is None or self._closed:
-            raise DeviceError(f"no emulated device on port {port!r}", "check the rig's ports")
+            raise DeviceError(
+                f"the emulated rig has no device on the port {port!r}",
+                "check the ports in the rig file",
+            )
         if self._is_unplugged(port, self._now_ns):
-            raise DeviceError(f"the port {port!r} was unplugged", "plug the device in again")
+            raise DeviceError(
+                f"the emulated device on the port {port!r} was unplugged",
+                "plug the device in again",
+            )
         device.receive(data, self._latency.line_ns(self._now_ns))
         return WriteTimes(self._now_ns, self._now_ns)
 

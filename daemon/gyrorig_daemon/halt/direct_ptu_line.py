@@ -109,5 +109,6 @@ class DirectPtuLine:
 
     def _hung_up_error(self) -> DeviceError:
         return DeviceError(
-            f"{self.port} was unplugged", "check that the unit has stopped. Check the cable"
+            f"the port {self.port} of the pan-tilt unit was unplugged",
+            "check that the unit has stopped. Then check its cable",
         )

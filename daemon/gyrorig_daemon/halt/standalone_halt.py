@@ -98,8 +98,15 @@ def _port_refused_error(port: str, fault: PortRefusedError) -> GyrorigError:
         holder = lock_holder(port)
         holder_text = f" ({holder})" if holder else ""
         is_ours = holder is not None and holder.is_ours
-        next_step = "It halts the unit when it ends" if is_ours else "Then halt again"
-        remedy = f"end that program{holder_text}. {next_step}, or switch off the unit's power"
+        next_step = (
+            "The program halts the unit when it ends"
+            if is_ours
+            else ("Then run the halt command again")
+        )
+        remedy = (
+            f"end the program that uses the port{holder_text}. {next_step}, or switch off the "
+            "power of the unit"
+        )
         return BusyError(f"the unit was not halted, because {error.problem}", remedy)
     return type(error)(f"the unit was not halted, because {error.problem}", error.remedy)
 
@@ -134,18 +141,20 @@ def _no_unit_error(line: DirectPtuLine, bauds: Sequence[int]) -> DeviceError:
     if not received:
         return DeviceError(
             f"the halt command was sent, but nothing answers on {line.port} at {tried} baud",
-            "check that the unit has stopped. Check its power, the cable and the port",
+            "check that the unit has stopped. Then check its power, its cable and its port",
         )
     echo_bytes = set(f" {HALT_BOTH_AXES.text}{QUERY_VERSION.text}".encode("ascii"))
     if set(received) <= echo_bytes:
         return DeviceError(
-            f"the halt command was sent, but the device on {line.port} only echoes its input",
-            "look at the unit. One that is homing echoes until it stops. Otherwise check the port",
+            f"the halt command was sent, but the device on {line.port} only returns the "
+            "bytes that it receives",
+            "check whether the unit is homing, because it then echoes all input until it "
+            "stops. If it is not, check the port",
         )
     return DeviceError(
-        f"the halt command was sent, but the device on {line.port} is not a pan-tilt unit: "
-        f"it answers {received[:24]!r}",
-        "check that the unit has stopped. Check the ports in the rig's configuration",
+        f"the halt command was sent, but the device on {line.port} is not a pan-tilt unit, "
+        f"because it answers {received[:24]!r}",
+        "check that the unit has stopped. Then check the ports in the rig file",
     )
 
 
@@ -162,8 +171,9 @@ def _send_halt(line: DirectPtuLine) -> None:
             return
         answer_text = repr(answer.text[:40]) if isinstance(answer, Refusal) else answer_text
     raise DeviceError(
-        f"the unit on {line.port} does not acknowledge the halt command: it answers {answer_text}",
-        "check that it has stopped. Switch off its power if it has not",
+        f"the pan-tilt unit on {line.port} does not acknowledge the halt command, but "
+        f"answers {answer_text}",
+        "check that the unit has stopped. If it has not, switch off its power",
     )
 
 
@@ -193,8 +203,9 @@ def _confirm_standstill(line: DirectPtuLine) -> tuple[int, int]:
             return pan_steps, tilt_steps
         line.pause(POLL_INTERVAL_S)
     raise DeviceError(
-        f"the unit on {line.port} acknowledged the halt command, but it was not seen to stop",
-        "check the unit. Switch off its power if it still turns",
+        f"the pan-tilt unit on {line.port} acknowledged the halt command, but its positions "
+        "do not show that it stopped",
+        "check the unit. If it still turns, switch off its power",
     )
 
 

@@ -95,7 +95,7 @@ class FoxgloveView:
             import foxglove  # noqa: PLC0415 - an extra
         except ImportError as fault:
             raise UsageError(
-                "--live needs foxglove-sdk, which is not installed",
+                "the option --live needs the package foxglove-sdk, which is not installed",
                 "run `pip install 'gyrorig[live]'`",
             ) from fault
         self._sdk = foxglove
@@ -180,11 +180,15 @@ def open_live_view(address: str | None, log: Callable[[str], None]) -> LiveView:
     host = host.strip("[]")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise UsageError(
-            f"--live {address} is not a valid HOST:PORT",
-            f"give for example --live {DEFAULT_ADDRESS}",
+            f"the address in --live {address} does not have the form HOST:PORT",
+            f"give an address such as --live {DEFAULT_ADDRESS}",
         )
     view = FoxgloveView(host, int(port), log)
-    warning = "" if host in LOOPBACK else ". Everybody who can reach this address sees the rig"
+    warning = (
+        ""
+        if host in LOOPBACK
+        else (". Everybody who can reach this address can see the data of the rig")
+    )
     shown_host = f"[{host}]" if ":" in host else host
     log(f"Live view at ws://{shown_host}:{view.port}{warning}")
     return view

@@ -105,9 +105,10 @@ class Executor:
             stalled = position is not None and now_ns - changed_ns > STALL_S * 1e9
             if stalled or now_ns > deadline_ns:
                 raise DeviceError(
-                    f"the unit stopped at {last_steps} instead of "
+                    f"the pan-tilt unit stopped at the position {last_steps} instead of "
                     f"{', '.join(f'{axis.label} {at}' for axis, at in targets.items())} steps",
-                    "remove obstacles, check its power, then start again with --home",
+                    "remove obstacles and check the power of the unit, then start again "
+                    "with --home",
                 )
 
     def _poll_for(self, seconds: float) -> None:
@@ -165,10 +166,10 @@ class PathMonitor:
             self._client.counts.implausible += 1
             if self._implausible_count >= MAX_IMPLAUSIBLE:
                 raise DeviceError(
-                    f"the unit reports {axis.label} {steps} steps, "
-                    f"but its commands allow {low} to {high}",
-                    "stop the unit and check. Another program may be moving it, or the serial "
-                    "line is faulty",
+                    f"the pan-tilt unit reports the {axis.label} position {steps} steps, but "
+                    f"its commands allow only {low} to {high} steps",
+                    "stop the unit. Check whether another program moves it, and whether the "
+                    "serial line is faulty",
                 )
             return False
         self._implausible_count = 0
@@ -204,4 +205,7 @@ def halt_and_confirm(pump: Pump, unit: Unit, poller: PositionPoller) -> None:
         ):
             return
     client.send_command(HALT_BOTH_AXES)
-    raise DeviceError("the unit acknowledged the halt command but still moves", "switch it off")
+    raise DeviceError(
+        "the pan-tilt unit acknowledged the halt command, but it still moves",
+        "switch off the power of the unit",
+    )

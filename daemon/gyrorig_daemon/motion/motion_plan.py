@@ -145,9 +145,9 @@ def _target_steps(
     is_inside = axis_facts.min_steps <= target_steps <= axis_facts.max_steps
     if not is_inside or not low_deg - 1e-9 <= angle_deg <= high_deg + 1e-9:
         raise UsageError(
-            f"{step_name} turns {axis.label} to {angle_deg:g} deg, but the limits are "
-            f"{low_deg:.2f} to {high_deg:.2f} deg",
-            "change the program, or the limits in the rig's configuration",
+            f"{step_name} turns the {axis.label} axis to {angle_deg:g} deg, but its limits "
+            f"are {low_deg:.2f} and {high_deg:.2f} deg",
+            "change the motion program, or the limits in the rig file",
         )
     return target_steps
 
@@ -163,9 +163,9 @@ def _speed_steps_s(
     if not slowest <= speed <= fastest:
         per_deg = abs(axis_facts.steps_per_deg)
         raise UsageError(
-            f"{step_name} turns {axis.label} at {speed_deg_s:g} deg/s, but the limits are "
-            f"{slowest / per_deg:.2f} to {fastest / per_deg:.2f} deg/s",
-            "change the program, or the limits in the rig's configuration",
+            f"{step_name} turns the {axis.label} axis at {speed_deg_s:g} deg/s, but its "
+            f"limits are {slowest / per_deg:.2f} and {fastest / per_deg:.2f} deg/s",
+            "change the motion program, or the limits in the rig file",
         )
     return speed
 

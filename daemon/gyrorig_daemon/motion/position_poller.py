@@ -84,8 +84,8 @@ class PositionPoller:
             raise self._client.unidentified_error()
         if checked and self._client.lost_synchrony is not None:
             raise DeviceError(
-                f"the unit has lost its position: {self._client.lost_synchrony}",
-                "remove everything from its range of motion, then start again with --home",
+                f"the pan-tilt unit no longer knows its position: {self._client.lost_synchrony}",
+                "remove all objects from the unit's range of motion, then start again with --home",
             )
         if self._is_silent(exchange.reply_ns):
             raise self._client.no_answer_error(command)

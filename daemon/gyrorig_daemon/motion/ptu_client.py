@@ -222,16 +222,15 @@ class PtuClient:
     def unidentified_error(self) -> DeviceError:
         """Return the error for a unit that must identify itself before anything moves."""
         return DeviceError(
-            f"the port of the pan-tilt unit on {self.location} was gone, "
-            "so its position is not known",
-            "check its cable. The unit is identified again before it moves",
+            f"the pan-tilt unit on {self.location} was disconnected, so its position is not known",
+            "check the cable of the unit. The daemon identifies the unit again before it moves",
         )
 
     def no_answer_error(self, command: PtuCommand) -> DeviceError:
         """Return the error for a unit that does not answer."""
         return DeviceError(
-            f"the pan-tilt unit on {self.location} does not answer {command.text!r}",
-            "check its power, the cable and the baud rate",
+            f"the pan-tilt unit on {self.location} does not answer the command {command.text!r}",
+            "check the power of the unit, its cable and its baud rate",
         )
 
     def _handle_chunk(self, chunk: Chunk) -> None:
@@ -251,7 +250,7 @@ class PtuClient:
                 case LimitFlag():
                     self._handle_limit(event.axis)
                 case CableFlag():
-                    self.lost_synchrony = "the cable of its head came off"
+                    self.lost_synchrony = "the cable of its head was disconnected"
                 case Banner():
                     if not self.expects_banner:
                         self.lost_synchrony = "it has restarted"
@@ -286,7 +285,7 @@ class PtuClient:
         self.counts.limit_flags += 1
         self._limit_hit = True
         if not self.is_resetting:
-            self.lost_synchrony = f"its {axis.label} axis met its limit"
+            self.lost_synchrony = f"its {axis.label} axis reached a limit"
 
     def _is_exchange_over(self) -> bool:
         return self._reply is not None or self._is_garbled or self.is_port_gone
@@ -319,7 +318,8 @@ class PtuClient:
     def _check_port(self) -> None:
         if self.is_port_gone:
             raise DeviceError(
-                f"{self.location} (pan-tilt unit) was unplugged", "check the cable and its power"
+                f"the pan-tilt unit on {self.location} was unplugged",
+                "check the cable and the power of the unit",
             )
 
 

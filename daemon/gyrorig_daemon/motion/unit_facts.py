@@ -190,8 +190,9 @@ def _read_until_confirmed(
             return value
         previous = value
     raise fault or DeviceError(
-        f"the pan-tilt unit on {client.location} answers {command.text!r} differently each time",
-        "check the cable and the baud rate",
+        f"the pan-tilt unit on {client.location} gives a different answer each time to the "
+        f"command {command.text!r}",
+        "check the cable and the baud rate of the unit",
     )
 
 

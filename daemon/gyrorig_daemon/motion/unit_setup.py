@@ -141,17 +141,18 @@ def _wait_for_version(client: PtuClient) -> FirmwareVersion:
     if not received:
         raise DeviceError(
             f"no pan-tilt unit answers on {client.location} at {client.baud} baud",
-            "check its power, the cable, the port and the baud rate",
+            "check the power of the unit, its cable, its port and its baud rate",
         )
     if set(received.decode("latin-1")) <= set(QUERY_VERSION.encode().decode("ascii")):
         raise DeviceError(
-            f"the device on {client.location} only echoes its input",
-            "if it is a pan-tilt unit that homes after power-up, wait until it stops. "
-            "Otherwise check the ports in the rig's configuration",
+            f"the device on {client.location} only returns the bytes that it receives",
+            "if the device is a pan-tilt unit that is homing after power-up, wait until it "
+            "stops. Otherwise check the ports in the rig file",
         )
     raise DeviceError(
-        f"the device on {client.location} is not a pan-tilt unit: it answers {received[:32]!r}",
-        "check the ports in the rig's configuration. The device was not moved",
+        f"the device on {client.location} is not a pan-tilt unit, because it answers "
+        f"{received[:32]!r}",
+        "check the ports in the rig file. The daemon did not move the device",
     )
 
 
@@ -161,8 +162,8 @@ def _detect_dialect(client: PtuClient, config: PtuPort, version: FirmwareVersion
     dialect = dialect_from_probe(client.ask(PROBE)) or dialect_from_version(version.text)
     if dialect is None:
         raise DeviceError(
-            f"the unit on {client.location} is of an unknown dialect",
-            "set ptu.dialect to d46 or e46",
+            f"the dialect of the pan-tilt unit on {client.location} is unknown",
+            "set ptu.dialect in the rig file to d46 or e46",
         )
     return dialect
 
@@ -176,14 +177,17 @@ def _check_serial(client: PtuClient, expected_serial: str, dialect: Dialect) -> 
     """
     if not dialect_features(dialect).model_and_serial_queries:
         raise UsageError(
-            f"the unit on {client.location} cannot report its serial number", "leave out ptu.serial"
+            f"the pan-tilt unit on {client.location} cannot report its serial number, so "
+            "ptu.serial cannot be checked",
+            "remove ptu.serial from the rig file",
         )
     serial = read_text(client, QUERY_SERIAL)
     if serial != expected_serial:
         raise DeviceError(
             f"the pan-tilt unit on {client.location} has the serial number {serial!r} instead of "
             f"{expected_serial!r}",
-            "check the ports, or correct ptu.serial. The unit was not moved",
+            "check the ports, or correct ptu.serial in the rig file. The daemon did not "
+            "move the unit",
         )
 
 
@@ -196,8 +200,9 @@ def _home_if_needed(client: PtuClient, homing: Homing) -> None:
         return
     if homing is Homing.NEVER:
         raise UsageError(
-            "the unit is not homed, and homing sweeps both axes over their whole range",
-            "remove everything from its range of motion and give --home",
+            "the pan-tilt unit must be homed first, and homing moves both axes over their "
+            "whole range",
+            "remove all objects from the unit's range of motion, and add the option --home",
         )
     client.is_resetting = True
     try:
@@ -212,7 +217,10 @@ def _home_if_needed(client: PtuClient, homing: Homing) -> None:
         read_integer(client, query_quantity(axis, bound)) for axis in BOTH_AXES for bound in _BOUNDS
     ]
     if not (any(bounds[:2]) and any(bounds[2:])):
-        raise DeviceError("the unit was homed but has no limits", "switch it off and on")
+        raise DeviceError(
+            "the pan-tilt unit reports no limits of its axes, although it was homed",
+            "switch the unit off and on again",
+        )
 
 
 def _apply_settings(client: PtuClient, settings: PtuSettings) -> None:
@@ -239,15 +247,15 @@ def _set_axis_value(
     reply = client.ask(assign_quantity(axis, quantity, steps))
     if not reply.ok:
         raise UsageError(
-            f"the unit refuses a {name} of {value_deg:g} {_UNITS[quantity]}: {reply.text}",
-            "choose another value in the program's settings",
+            f"the pan-tilt unit refuses the {name} {value_deg:g} {_UNITS[quantity]}: {reply.text}",
+            "choose another value under `settings` in the motion program",
         )
     readback = read_integer(client, query_quantity(axis, quantity))
     if readback != steps:
         raise UsageError(
-            f"the unit set a {name} of {readback} steps instead of {steps} "
+            f"the pan-tilt unit set the {name} to {readback} steps instead of {steps} steps "
             f"({value_deg:g} {_UNITS[quantity]})",
-            "choose a value that it supports in the program's settings",
+            "choose a value that the unit supports under `settings` in the motion program",
         )
 
 

@@ -122,8 +122,9 @@ class PartOpener:
         """
         if self._settings.reserve_bytes and self.free_bytes(room_bytes) < room_bytes:
             raise MachineError(
-                f"less than {room_bytes >> 20} MiB are free in {self._first_path.parent}",
-                "free some space. Recording then resumes automatically",
+                f"the folder {self._first_path.parent} has less than {room_bytes >> 20} MiB "
+                "of free space",
+                "free some disk space. The daemon then resumes the recording automatically",
             )
         version, metadata, attachments = self.session_metadata.for_part(number, previous)
         path = part_path(self._first_path, number)
@@ -154,8 +155,8 @@ class PartOpener:
             return self._disk.free_bytes(folder)
         except OSError as fault:
             raise MachineError(
-                f"{folder} cannot be read ({fault.strerror})",
-                f"check `ls -ld {folder}` and its disk",
+                f"the folder {folder} cannot be read ({fault.strerror})",
+                f"check the permissions of the folder with `ls -ld {folder}`, and check its disk",
             ) from fault
 
 

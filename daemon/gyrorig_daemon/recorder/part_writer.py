@@ -54,7 +54,9 @@ from gyrorig_protocol.recording.writer import RecordingWriter
 
 MAX_RECORDS_PER_TURN = 2_000  # taken from memory per turn: 20 ms of work
 CLOSE_ATTEMPTS = 2
-REPORT_BUG = "report it with this line. What was written before is kept"
+REPORT_BUG = (
+    "report the error to the project with this line. The data that were written before are kept"
+)
 
 
 class PartWriter:
@@ -180,7 +182,8 @@ class PartWriter:
             self._counts.dropped_at_close += len(self._ram_buffer)
             raise MachineError(
                 f"{self.degraded_reason}, and {len(self._ram_buffer)} messages in memory are lost",
-                f"check the disk. What was written before is kept in {self.paths[-1].name}",
+                "check the disk. The data that were written before are kept in "
+                f"{self.paths[-1].name}",
             )
         self._writer = None
         self._update_counts()
@@ -226,7 +229,8 @@ class PartWriter:
         self._counts.refused += 1
         if not self._settings.survives_faults:
             raise MachineError(
-                f"the recording ended because of an internal error on {topic} ({fault})", REPORT_BUG
+                f"the recording ended because of an internal error on the topic {topic} ({fault})",
+                REPORT_BUG,
             )
 
     def _run_step(self, writer: RecordingWriter, step: Callable[[], None]) -> bool:
@@ -362,11 +366,11 @@ class PartWriter:
             return
         self._counts.room_stops += 1
         free_mib = max(self._counts.free_bytes, 0) >> 20
-        reason = f"only {free_mib} MiB are free in {self._plan.path.parent}"
+        reason = f"the folder {self._plan.path.parent} has only {free_mib} MiB of free space"
         self._hand_over_to_closer(writer)
         if not self._settings.survives_faults:
             self._writer = None
-            raise MachineError(reason, "free some space and start another recording")
+            raise MachineError(reason, "free some disk space, and start another recording")
         if self._writer is not None:  # otherwise the flush has failed, and reported it
             self._enter_degraded_state(reason)
 

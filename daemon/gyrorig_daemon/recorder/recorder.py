@@ -259,7 +259,9 @@ class Recorder:
         """
         part_writer = self._part_writer
         if part_writer is None:
-            raise MachineError("there is no recording to close", "open one first")
+            raise MachineError(
+                "there is no recording to close", "open a recording before you close it"
+            )
         if self._closed_path is not None:
             return self._closed_path
         if self._thread is None:
@@ -271,8 +273,9 @@ class Recorder:
             self._thread.join(timeout_s)
             if self._thread.is_alive():
                 raise MachineError(
-                    f"{part_writer.path} could not be written in {timeout_s:.0f} s",
-                    "check the disk. The file is readable up to its last second",
+                    f"the recorder could not write {part_writer.path} to the disk within "
+                    f"{timeout_s:.0f} s",
+                    "check the disk. The file is readable, except for its last second",
                 )
         if self._fault is not None:
             part_writer.abandon()
@@ -308,7 +311,7 @@ class Recorder:
                 self.progress_ns = time.monotonic_ns()
         except Exception as fault:  # a bug of this program must not go unnoticed
             self._fault = MachineError(
-                f"the recording ended because of an internal error, {fault!r}", REPORT_BUG
+                f"the recording ended because of the internal error {fault!r}", REPORT_BUG
             )
             while self._queue.get() is not None:
                 self.progress_ns = time.monotonic_ns()

@@ -83,7 +83,8 @@ def recover_folder(folder: Path, reserve_bytes: int = 0, disk: Disk = DISK) -> l
         parts = list_abandoned_files(folder, "*.mcap.part")
     except OSError as fault:
         raise MachineError(
-            f"{folder} cannot be read ({fault.strerror})", f"check `ls -ld {folder}` and its disk"
+            f"the folder {folder} cannot be read ({fault.strerror})",
+            f"check the permissions of the folder with `ls -ld {folder}`, and check its disk",
         ) from fault
     reports = (_recover_locked(part, reserve_bytes, disk) for part in parts)
     return [recovery for recovery in reports if recovery is not None]
@@ -113,12 +114,13 @@ def _recover_part(part: Path, reserve_bytes: int, disk: Disk) -> RecoveryReport:
     if size and is_finished(part) and not disk.exists(final):
         disk.rename(part, final)
         disk.sync_directory(final.parent)
-        text = f"{final.name} was complete and only had to be renamed"
+        text = f"{final.name} was complete, so it only had to be renamed"
         return RecoveryReport(final, RecoveryOutcome.RENAMED, final, 0, 0, text)
     if size + reserve_bytes > disk.free_bytes(part.parent):
         raise MachineError(
-            f"recovering it needs {(size + reserve_bytes) / 1e6:.1f} MB of free space",
-            f"free some space. {sentence(_retry_hint(part))}",
+            f"the recovery of the recording needs {(size + reserve_bytes) / 1e6:.1f} MB of "
+            "free disk space",
+            f"free some disk space. {sentence(_retry_hint(part))}",
         )
     partial = final.with_name(final.name + _PARTIAL_SUFFIX)
     origin = {"original": part.name, "original_sha256": digest}
@@ -132,16 +134,17 @@ def _recover_part(part: Path, reserve_bytes: int, disk: Disk) -> RecoveryReport:
     try:
         if read_strictly(partial) != salvaged.messages:
             raise InputError(
-                f"{partial.name} differs from what was copied from {part.name}",
-                "copy the folder to another disk and run gyrorigd recover there. This disk may be "
-                "failing",
+                f"the copy {partial.name} differs from the data that were read from {part.name}",
+                "copy the folder to another disk and run gyrorigd recover there, because "
+                "the present disk may be failing",
             )
         if disk.exists(final):
             final = final.with_name(f"{final.stem}_recovered.mcap")
             if disk.exists(final):
                 raise MachineError(
-                    f"not recovered, because {final} exists with other content",
-                    f"move that file away. {sentence(_retry_hint(part))}",
+                    f"the recording was not recovered, because {final} already exists with "
+                    "other content",
+                    f"move {final.name} to another folder. {sentence(_retry_hint(part))}",
                 )
         disk.rename(partial, final)
     except BaseException:
@@ -153,7 +156,10 @@ def _recover_part(part: Path, reserve_bytes: int, disk: Disk) -> RecoveryReport:
 
 
 def _retry_hint(part: Path) -> str:
-    return f"the next start of the daemon, or gyrorigd recover {part.parent}, tries again"
+    return (
+        "the daemon tries again at its next start, as does the command gyrorigd recover "
+        f"{part.parent}"
+    )
 
 
 def _recovered_report(original: Path, final: Path) -> RecoveryReport:

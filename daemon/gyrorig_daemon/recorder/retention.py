@@ -45,7 +45,7 @@ class RetentionRules:
             if value is not None and not value > 0:
                 raise UsageError(
                     f"the retention rule {name} has the invalid value {value}",
-                    "give a number above 0",
+                    "give a number above 0 in the rig file",
                 )
 
 
@@ -158,18 +158,19 @@ class _CitationIndex:
         for store in stores:
             if not store.is_dir():
                 raise MachineError(
-                    f"the store {store} does not exist, so no recording can be deleted",
-                    "mount it, or remove it from `service: stores` in the rig's configuration",
+                    f"the calibration store {store} does not exist, so the daemon cannot "
+                    "delete old recordings",
+                    "mount the store, or remove it from `service: stores` in the rig file",
                 )
             try:
                 for document in _documents(store):
                     self._read_document(document)
             except OSError as fault:
                 raise MachineError(
-                    f"{fault.filename or store} cannot be read ({fault.strerror}), so no recording "
-                    "can be deleted",
-                    "fix its permissions, or remove it from `service: stores` in the rig's "
-                    "configuration",
+                    f"{fault.filename or store} in the calibration store cannot be read "
+                    f"({fault.strerror}), so the daemon cannot delete old recordings",
+                    "correct the permissions, or remove the store from `service: stores` in "
+                    "the rig file",
                 ) from fault
 
     def protects(self, path: Path) -> bool:
@@ -179,9 +180,9 @@ class _CitationIndex:
     def _read_document(self, document: Path) -> None:
         if document.stat().st_size > _LARGEST_DOCUMENT_BYTES:
             raise MachineError(
-                f"{document} is too large to be a calibration "
-                f"(beyond {_LARGEST_DOCUMENT_BYTES / 1e6:.0f} MB)",
-                "move it out of the store",
+                f"the file {document} in the store is too large for a calibration (more than "
+                f"{_LARGEST_DOCUMENT_BYTES / 1e6:.0f} MB)",
+                "move the file out of the store",
             )
         text = document.read_bytes()
         self._digests.update(match.decode() for match in _DIGEST.findall(text))
@@ -214,7 +215,8 @@ def _files(folder: Path) -> list[_File]:
                 files.append(_File(path, status.st_size, status.st_mtime))
     except OSError as fault:
         raise MachineError(
-            f"{folder} cannot be read ({fault.strerror})", f"check `ls -ld {folder}` and its disk"
+            f"the folder {folder} cannot be read ({fault.strerror})",
+            f"check the permissions of the folder with `ls -ld {folder}`, and check its disk",
         ) from fault
     return sorted(files, key=lambda file: (file.time_s, file.path.name))
 
@@ -227,8 +229,8 @@ def _delete(path: Path, disk: Disk) -> None:
             disk.unlink(note)
     except OSError as fault:
         raise MachineError(
-            f"{path} cannot be deleted ({fault.strerror})",
-            "give its folder to the daemon's user (chown). Recording continues",
+            f"the old recording {path} cannot be deleted ({fault.strerror})",
+            "give the folder to the user of the daemon with chown. The recording continues",
         ) from fault
 
 
@@ -237,7 +239,7 @@ def _digest(path: Path) -> str:
         return file_sha256(path)
     except OSError as fault:
         raise MachineError(
-            f"{path} cannot be read ({fault.strerror}), so it is not known whether a "
-            "calibration was made from it. It is not deleted",
-            "give the daemon's user permission to read the file (chown), or repair its disk",
+            f"the old recording {path} cannot be read ({fault.strerror}), so the daemon does "
+            "not delete it, because a calibration may refer to it",
+            "give the user of the daemon permission to read the file, or check the disk",
         ) from fault

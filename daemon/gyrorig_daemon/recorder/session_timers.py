@@ -149,7 +149,7 @@ class DiagnosticsTimer:
         if lost_synchrony is not None:
             level, text = (
                 DiagnosticLevel.ERROR,
-                f"it has lost its position: {lost_synchrony}",
+                f"the unit no longer knows its position: {lost_synchrony}",
             )
         texts = _as_text(values) | {
             "reply_wait_max_ms": f"{counts.reply_wait_max_ns * 1e-6:.3f}",
@@ -177,9 +177,12 @@ class DiagnosticsTimer:
         counts = self._growth(name, {key: getattr(report, key) for key in _CLOCK_COUNTERS})
         level, text = DiagnosticLevel.OK, "mapped"
         if not report.mapped:
-            level, text = DiagnosticLevel.WARN, "no map yet: publish_time is the arrival"
+            level, text = (
+                DiagnosticLevel.WARN,
+                ("the clock is not mapped yet, so publish_time is the arrival time"),
+            )
         elif counts["early_windows"] or counts["steps"] or counts["restarts"]:
-            level, text = DiagnosticLevel.WARN, "mapped, after faults of the clock"
+            level, text = DiagnosticLevel.WARN, "the clock is mapped, but it had faults"
         values = {
             "offset_s": _number(report.offset_s),
             "skew_ppm": f"{report.skew_ppm:.6f}",

@@ -90,16 +90,16 @@ class Housekeeping:
         needed, free = recorder_settings(settings).resume_bytes, self._state.free_bytes()
         if not os.access(self._state.recordings, os.W_OK):
             return (
-                f"{self._state.recordings} is not writable. Give it to the daemon's user (chown), "
-                "or check the disk"
+                f"the folder {self._state.recordings} is not writable. Give the folder to "
+                "the user of the daemon with chown, or check the disk"
             )
         if free is None or free >= needed:
             return ""
         if settings.delete_when_full:
             self._wake.set()
         return (
-            f"{free / 1e9:.2f} GB are free for recordings, and {needed / 1e9:.2f} GB are needed. "
-            "Free disk space; sessions then start without further action"
+            f"{free / 1e9:.2f} GB are free for recordings, and {needed / 1e9:.2f} GB are "
+            "needed. Free disk space. Sessions then start without further action"
         )
 
     def free_space(self) -> None:
@@ -131,8 +131,9 @@ class Housekeeping:
             if not self._stopping.is_set():
                 self.counts.not_recovered += 1
                 self._log(
-                    f"The recovery of unfinished recordings failed ({error}). The next start tries "
-                    f"again. To recover by hand: gyrorigd recover {self._state.recordings}"
+                    f"The recovery of unfinished recordings failed ({error}). The daemon "
+                    "tries again at its next start. To recover the recordings by hand, run "
+                    f"gyrorigd recover {self._state.recordings}"
                 )
         finally:
             self._child = None

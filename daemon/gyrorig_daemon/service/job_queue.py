@@ -36,7 +36,8 @@ from gyrorig_protocol.program import MotionProgram, parse_program
 SCHEMA = "gyrorig/job/1"
 MAX_JOB_BYTES = 1_000_000
 INTERRUPTED = (
-    "The daemon ended while the job was running. Check the rig and the log, then enqueue it again."
+    "The daemon ended while the job was running. Check the rig and the log, then enqueue "
+    "the job again."
 )
 MAX_KEPT_RESULTS = 1_000  # in done/ and in failed/ each
 FOLDER_MODE = 0o2770  # members of the daemon's group can add jobs
@@ -95,8 +96,9 @@ def enqueue_job(
         write_atomically(path, dump_yaml(document).encode(), mode=apply_umask(JOB_MODE))
     except OSError as error:
         raise MachineError(
-            f"the job cannot be written to {queue} ({error.strerror})",
-            "give the daemon's folder with --state; members of the daemon's group can write to it",
+            f"the job cannot be written to the queue {queue} ({error.strerror})",
+            "give the folder of the daemon with --state, or join the daemon's group, whose "
+            "members can write to the queue",
         ) from error
     return path
 
@@ -111,7 +113,7 @@ def validate_session_name(session: str | None) -> None:
         if session is not None:
             BoardId(session)
     except InputError as error:
-        raise UsageError(f"{session!r:.50} is not a valid session name", error.remedy) from error
+        raise UsageError(f"the session name {session!r:.50} is not valid", error.remedy) from error
 
 
 def parse_job(text: bytes, name: str, path: Path | None = None) -> SessionJob:
@@ -125,7 +127,9 @@ def parse_job(text: bytes, name: str, path: Path | None = None) -> SessionJob:
         try:  # YAML also permits UTF-16, which the program text cannot be
             job_document = JobDocument(program=text.decode("utf-8"))
         except UnicodeDecodeError as error:
-            raise UsageError(f"{name} is not UTF-8 text", "save it as UTF-8") from error
+            raise UsageError(
+                f"the motion program {name} is not a text in UTF-8", "save the file as UTF-8"
+            ) from error
     else:
         job_document = convert_document(document, JobDocument, name)
     validate_session_name(job_document.session)
@@ -154,7 +158,8 @@ class JobQueue:
                 (folder / name).mkdir(exist_ok=True)
         except OSError as error:
             raise MachineError(
-                f"{folder} cannot be used ({error.strerror})", "give another folder with --state"
+                f"the folder {folder} cannot be used for the queue ({error.strerror})",
+                "choose another folder with --state",
             ) from error
         for path in self._job_files(folder / "running"):
             self._archive(path, "failed", {"reason": INTERRUPTED})
@@ -180,11 +185,14 @@ class JobQueue:
             except (OSError, ValueError) as error:
                 self.rejected_count += 1
                 error_text = getattr(error, "strerror", None) or error
-                remedy = "Give the daemon's group read permission, and enqueue it again."
+                remedy = (
+                    "Give the group of the daemon permission to read the file, and enqueue the "
+                    "job again."
+                )
                 self._archive(
                     running,
                     "failed",
-                    {"reason": f"The file cannot be read ({error_text}). {remedy}"},
+                    {"reason": f"The file of the job cannot be read ({error_text}). {remedy}"},
                 )
         return None
 
@@ -242,12 +250,13 @@ def _read_regular(path: Path) -> bytes:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             raise UsageError(
-                f"{path.name} is not a regular file", "add a program with `gyrorigd enqueue`"
+                f"the job {path.name} in the queue is not a regular file",
+                "remove the file, and add a motion program with `gyrorigd enqueue`",
             )
         if status.st_size > MAX_JOB_BYTES:
             raise UsageError(
-                f"{path.name} is larger than 1 MB",
-                "add a program with `gyrorigd enqueue`",
+                f"the job {path.name} in the queue is larger than 1 MB",
+                "remove the file, and add a motion program with `gyrorigd enqueue`",
             )
         data = bytearray()
         while chunk := os.read(descriptor, MAX_JOB_BYTES + 1 - len(data)):

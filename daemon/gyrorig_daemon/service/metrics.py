@@ -43,8 +43,8 @@ class MetricsWriter:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise MachineError(
-                f"the metrics cannot be written to {folder} ({error.strerror})",
-                "give another folder with --metrics",
+                f"the metrics cannot be written to the folder {folder} ({error.strerror})",
+                "choose another folder with --metrics",
             ) from error
         self.path = folder / FILE_NAME
         self.write_failures = 0

@@ -14,7 +14,7 @@ from gyrorig_protocol.atomic_files import write_atomically
 
 MAX_STATE_FILE_BYTES = 100_000
 STATE_FILE_MODE = 0o640
-UNREADABLE_STATE = "the state file of this rig cannot be read"
+UNREADABLE_STATE = "the daemon cannot read the state file of this rig"
 
 
 @dataclass(frozen=True, slots=True)

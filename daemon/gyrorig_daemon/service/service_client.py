@@ -10,7 +10,9 @@ from gyrorig_daemon.service.service_protocol import MAX_RESPONSE_BYTES, encode
 from gyrorig_protocol.errors import GyrorigError, MachineError
 
 RESPONSE_TIMEOUT_S = 5.0
-LOG_HINT = "see `journalctl -u gyrorigd`, or the terminal in which it ran"
+LOG_HINT = (
+    "read the daemon's messages with `journalctl -u gyrorigd`, or in the terminal in which it ran"
+)
 _READ_BYTES = 65_536
 
 
@@ -47,22 +49,24 @@ def stream_responses(path: Path, command: str) -> Iterator[dict[str, Any]]:
                 yield _parse_response(line, path)
         except TimeoutError as error:
             raise MachineError(
-                f"the daemon at {path} did not answer within {RESPONSE_TIMEOUT_S:.0f} s", LOG_HINT
+                f"the daemon at the socket {path} did not answer within {RESPONSE_TIMEOUT_S:.0f} s",
+                LOG_HINT,
             ) from error
         except OSError as error:
             raise _connection_error(path, error) from error
-    raise MachineError(f"the daemon at {path} closed the connection", LOG_HINT)
+    raise MachineError(f"the daemon closed the connection at the socket {path}", LOG_HINT)
 
 
 def _connection_error(path: Path, error: OSError) -> MachineError:
     if isinstance(error, FileNotFoundError | ConnectionRefusedError):
         return MachineError(
-            f"no daemon is running at {path}",
-            "start `gyrorigd run`, or give the daemon's socket with --socket",
+            f"no daemon is running at the socket {path}",
+            "start the daemon with `gyrorigd run`, or give its socket with --socket",
         )
     return MachineError(
-        f"the daemon at {path} cannot be reached ({error.strerror or error})",
-        "use sudo, or join the daemon's group: sudo usermod -aG gyrorig $USER",
+        f"the command cannot connect to the daemon at the socket {path} "
+        f"({error.strerror or error})",
+        "use sudo, or join the group of the daemon with `sudo usermod -aG gyrorig $USER`",
     )
 
 
@@ -84,7 +88,8 @@ def _parse_response(line: bytes, path: Path) -> dict[str, Any]:
         document = None
     if not isinstance(document, dict):
         raise MachineError(
-            f"the program at {path} is not gyrorigd", "give its socket with --socket"
+            f"the program that answers at the socket {path} is not gyrorigd",
+            "give the socket of the daemon with --socket",
         )
     if document.get("ok") is not True:
         raise RefusedRequestError(str(document.get("error", "the daemon rejected the request")))

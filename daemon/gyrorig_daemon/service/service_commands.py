@@ -58,7 +58,9 @@ _json_option = click.option("--json", "as_json", is_flag=True, help="Print one J
 
 
 @click.command("run", short_help="Serve a rig until stopped.")
-@click.option("--config", "config_path", type=_FILE_PATH, required=True, help="The rig (YAML).")
+@click.option(
+    "--config", "config_path", type=_FILE_PATH, required=True, help="The rig file (YAML)."
+)
 @_state_option
 @_socket_option
 @click.option(
@@ -75,7 +77,7 @@ _json_option = click.option("--json", "as_json", is_flag=True, help="Print one J
     show_default="$RUNTIME_DIRECTORY/metrics, else metrics in --state",
     help="Folder for the Prometheus file gyrorig.prom, best not on the disk of the recordings.",
 )
-@click.option("--check", is_flag=True, help="Only validate the configuration.")
+@click.option("--check", is_flag=True, help="Only validate the rig file.")
 def run_command(
     config_path: Path,
     state: Path,
@@ -109,7 +111,7 @@ def run_command(
 
 @click.command("enqueue", short_help="Add a session to the queue.")
 @click.option(
-    "--program", "program_path", type=_FILE_PATH, required=True, help="The motion (YAML)."
+    "--program", "program_path", type=_FILE_PATH, required=True, help=("The motion program (YAML).")
 )
 @click.option(
     "--session",
@@ -135,8 +137,8 @@ def enqueue_command(
     click.echo(json.dumps({"job": path.stem, "file": str(path)}) if as_json else path.stem)
     if not is_in_use(state):
         click.echo(
-            f"No daemon is running in {state}. The job starts when one does: gyrorigd run, or "
-            "systemctl start gyrorigd.",
+            f"No daemon is running with the state folder {state}. The job starts when you "
+            "start the daemon with `gyrorigd run` or `systemctl start gyrorigd`.",
             err=True,
         )
 
@@ -172,7 +174,7 @@ def clear_command(socket_path: Path, as_json: bool) -> None:
     _send_and_print(socket_path, "clear", as_json)
 
 
-@click.command("stop-motion", short_help="Halt the unit until `clear`.")
+@click.command("stop-motion", short_help="Halt the unit, and lock it until `clear`.")
 @_socket_option
 @_json_option
 def stop_motion_command(socket_path: Path, as_json: bool) -> None:

@@ -25,7 +25,10 @@ from gyrorig_protocol.errors import DeviceError, GyrorigError, UsageError, sente
 
 MIN_AFTERMATH_S = 5.0
 CLOSE_TIMEOUT_S = 12.0  # with 10 s for the halt, within the 30 s of systemd
-STEPS_UNCERTAIN = "the unit may have lost steps. Clear the rig and enqueue the job with --home"
+STEPS_UNCERTAIN = (
+    "the pan-tilt unit may have lost steps. Remove all objects from its range of motion, and "
+    "enqueue the job with --home"
+)
 
 
 @dataclass(frozen=True, slots=True)

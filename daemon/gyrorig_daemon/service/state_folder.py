@@ -69,13 +69,13 @@ class StateFolder:
         except BlockingIOError as error:
             holder = self._release_and_read_holder(lock_path)
             raise BusyError(
-                f"another daemon uses {self.root}{holder}",
-                "end it, or give another folder with --state",
+                f"another daemon uses the state folder {self.root}{holder}",
+                "end the other daemon, or choose another folder with --state",
             ) from error
         except OSError as error:
             raise MachineError(
-                f"{error.filename or self.root} cannot be used ({error.strerror})",
-                "give another folder with --state",
+                f"the state folder {error.filename or self.root} cannot be used ({error.strerror})",
+                "choose another folder with --state",
             ) from error
         return self
 

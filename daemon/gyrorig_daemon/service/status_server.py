@@ -205,7 +205,7 @@ class StatusServer:
             if not self._answer(client, line):
                 return
         if len(client.received) > MAX_REQUEST_BYTES:
-            self._refuse(client, "a request must be one line of at most 4096 bytes")
+            self._refuse(client, "a request to the daemon must be one line of at most 4096 bytes")
             client.is_closing = True
 
     def _answer(self, client: _Client, line: bytes) -> bool:
@@ -220,7 +220,8 @@ class StatusServer:
         if command in PRIVILEGED_COMMANDS and not client.peer.may_command:
             return self._refuse(
                 client,
-                f"Permission denied. {command} is for root and the daemon's own user; use sudo.",
+                f"Permission denied. Only root and the daemon's own user may send {command}. "
+                "Use sudo.",
             )
         if command in PRIVILEGED_COMMANDS | HALT_COMMANDS:
             return self._send(
@@ -289,7 +290,8 @@ def _listen(path: Path) -> socket.socket:
         if path.is_socket():
             if _is_served(path):
                 raise BusyError(
-                    f"another daemon serves {path}", "end it, or give another socket with --socket"
+                    f"another daemon already uses the socket {path}",
+                    "end the other daemon, or choose another socket with --socket",
                 )
             path.unlink()  # left by a process that crashed
         previous_umask = os.umask(0o777 & ~SOCKET_MODE)
@@ -303,7 +305,8 @@ def _listen(path: Path) -> socket.socket:
         listener.close()
         error_text = error.strerror or str(error)
         raise MachineError(
-            f"the socket {path} cannot be created ({error_text})", "give another path with --socket"
+            f"the socket {path} cannot be created ({error_text})",
+            "choose another path with --socket",
         ) from error
     except BusyError:
         listener.close()

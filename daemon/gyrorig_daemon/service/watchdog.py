@@ -76,5 +76,8 @@ class WatchdogTimer:
         if not stalled:
             self._notifier.feed_watchdog()
         elif not self._is_withheld:
-            self._log(f"No progress in {', '.join(stalled)}. The watchdog is not fed.")
+            self._log(
+                f"The daemon makes no progress in {', '.join(stalled)}, so it sends no "
+                "keep-alive message to systemd."
+            )
         self._is_withheld = bool(stalled)

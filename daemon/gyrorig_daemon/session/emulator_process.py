@@ -101,8 +101,9 @@ def check_hidden_causes(config: RigConfig, emulation: EmulationOptions) -> None:
         hidden_cause.cause == RANDOM for hidden_cause in settings.injections
     ):
         raise UsageError(
-            "--hide random needs a truth file, because its parameters are written only there",
-            "give a file with --truth",
+            "the option --hide random needs the option --truth, because only the truth file "
+            "contains the random parameters",
+            "choose a file for the true parameters with --truth",
         )
     sample_injected_causes(settings)
 
@@ -118,7 +119,8 @@ def write_truth(path: Path, document: Mapping[str, Any]) -> None:
         write_atomically(path, text.encode(), durable=False)
     except OSError as fault:
         raise MachineError(
-            f"{path} cannot be written ({fault.strerror})", "choose another file with --truth"
+            f"the truth file {path} cannot be written ({fault.strerror})",
+            "choose another file with --truth",
         ) from fault
 
 
@@ -185,7 +187,7 @@ class EmulatorProcess:
         except OSError as fault:
             raise MachineError(
                 f"the emulated rig cannot be started ({fault.strerror})",
-                "free memory or end other processes, and start again",
+                "free memory or end other processes, and start the program again",
             ) from fault
         line = b"" if self._process.stdout is None else self._process.stdout.readline()
         announced = json.loads(line) if line else {}
@@ -193,7 +195,7 @@ class EmulatorProcess:
             self.close()
             raise MachineError(
                 f"the emulated rig did not start: {announced.get('error', 'it reports no error')}",
-                f"run `gyrorigd emulate --config {config_path}` to see why",
+                f"run `gyrorigd emulate --config {config_path}` to see the reason",
             )
         self.paths: Mapping[str, str] = announced["ports"]
         self.commitment: str | None = announced.get("seal")

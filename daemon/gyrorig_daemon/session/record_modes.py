@@ -70,7 +70,10 @@ def record_in_real_time(task: RecordTask) -> Path:
     emulated = [port for port, path in paths.items() if path == EMULATED]
     emulation = task.emulation
     if emulation.rates is not None:
-        raise UsageError("--rates needs --simulated-time", "add it, or leave out --rates")
+        raise UsageError(
+            "the option --rates works only with the option --simulated-time",
+            "add --simulated-time, or remove --rates",
+        )
     if not emulated:
         _refuse_emulation_options(emulation)
     ending: Callable[[], str] = str  # how the emulator has ended, "" while it runs
@@ -106,19 +109,23 @@ def record_in_real_time(task: RecordTask) -> Path:
             return record_session(hub, task.request, environment)
         except DeviceError as fault:
             if ending_text := ending():
-                raise MachineError(f"{ending_text}: {fault.problem}", "record again") from fault
+                raise MachineError(
+                    f"{ending_text}: {fault.problem}", "record the session again"
+                ) from fault
             raise
 
 
 def _refuse_emulation_options(emulation: EmulationOptions) -> None:
     if emulation.truth is not None:
         raise UsageError(
-            "this rig is not emulated, so its true parameters are not known", "leave out --truth"
+            "the option --truth needs an emulated rig, because the true parameters of a "
+            "real rig are not known",
+            "remove the option --truth",
         )
     if emulation.hide or emulation.noise_free or emulation.soak_k:
         raise UsageError(
-            "--hide, --noise-free and --soak need an emulated rig",
-            "leave them out, or write `emulated` as the ports in the configuration",
+            "the options --hide, --noise-free and --soak need an emulated rig",
+            "remove these options, or write `emulated` as the ports in the rig file",
         )
 
 
@@ -145,7 +152,8 @@ def record_in_simulated_time(task: RecordTask) -> Path:
     config = task.request.config
     if not config.is_emulated:
         raise UsageError(
-            "--simulated-time needs a rig that is emulated completely", "leave out --simulated-time"
+            "the option --simulated-time needs a rig with emulated ports only",
+            "remove the option --simulated-time, or write `emulated` as every port in the rig file",
         )
     check_hidden_causes(config, task.emulation)
     settings = emulated_rig_settings(config, emulation=task.emulation)
@@ -227,7 +235,7 @@ def serve_emulated_rig(
 
     if EMULATED not in config.ports().values():
         raise UsageError(
-            "no port of this rig is emulated",
+            "the rig file has no emulated port, so there is nothing to emulate",
             "write `emulated` as the port of the unit or of a board, as in config/rig.yaml",
         )
     check_hidden_causes(config, emulation)

@@ -237,7 +237,7 @@ class Session:
             return []
         with contextlib.suppress(GyrorigError):
             self._close()
-        return [f"the recording until then is {self.recorder.path}"]
+        return [f"the recording up to this time is {self.recorder.path}"]
 
     def raise_if_boards_lost(self, path: Path) -> None:
         """Raise an error if a board was missing at the end.
@@ -248,8 +248,8 @@ class Session:
         lost = [f"{b.board_id} ({b.state.value})" for b in self.boards if not b.is_known]
         if lost:
             raise DeviceError(
-                f"the program ended, but the link to board {', '.join(lost)} was lost",
-                f"check its cable and its power. The recording is kept: {path}",
+                f"the motion program ended, but the connection to board {', '.join(lost)} was lost",
+                f"check the cable and the power of the board. The recording {path} is kept",
             )
 
     def handle_exchange(self, exchange: Exchange) -> None:

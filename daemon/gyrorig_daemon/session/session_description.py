@@ -125,9 +125,16 @@ def check_folder(folder: Path) -> None:
     """
     existing_folder = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing_folder.is_dir():
-        raise MachineError(f"{existing_folder} is not a folder", "choose another folder with --out")
+        raise MachineError(
+            f"recordings cannot be written to {existing_folder}, because it is not a folder",
+            "choose another folder with --out",
+        )
     if not os.access(existing_folder, os.W_OK | os.X_OK):
-        raise MachineError(f"{existing_folder} is not writable", "choose another folder with --out")
+        raise MachineError(
+            f"recordings cannot be written to the folder {existing_folder}, because it is not "
+            "writable",
+            "choose another folder with --out",
+        )
 
 
 def make_folder(folder: Path) -> None:
@@ -140,5 +147,6 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise MachineError(
-            f"{folder} cannot be created ({fault.strerror})", "choose another folder with --out"
+            f"the folder {folder} for recordings cannot be created ({fault.strerror})",
+            "choose another folder with --out",
         ) from fault

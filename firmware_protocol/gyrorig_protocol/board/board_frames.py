@@ -101,8 +101,9 @@ class Batch(Frame, frozen=True, gc=False):
         count = len(self.gyro)
         if not count or (self.accel is not None and len(self.accel) != count):
             raise UsageError(
-                f"a batch has {count} rates and a different number of accelerations",
-                "give at least one sample, and as many accelerations as rates",
+                f"a batch frame of a board has {count} angular rates, but a different number "
+                "of accelerations",
+                "give at least one sample, and as many accelerations as angular rates",
             )
         if self.accel is None:
             values = [number for triple in self.gyro for number in triple]

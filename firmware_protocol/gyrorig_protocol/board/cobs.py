@@ -18,7 +18,8 @@ def encode(payload: bytes) -> bytes:
     """
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise UsageError(
-            f"a frame of {len(payload)} bytes is too long", f"send {MAX_PAYLOAD_BYTES} at most"
+            f"the board frame is too long: it has {len(payload)} bytes",
+            f"send at most {MAX_PAYLOAD_BYTES} bytes in one frame",
         )
     stuffed = bytearray(b"\0" + payload)
     code_index = 0

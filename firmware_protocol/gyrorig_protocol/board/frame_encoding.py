@@ -29,7 +29,8 @@ def encode_frame(payload: bytes) -> bytes:
     """
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise UsageError(
-            f"a payload of {len(payload)} bytes is too long", f"send at most {MAX_PAYLOAD_BYTES}"
+            f"the payload of the board frame is too long: it has {len(payload)} bytes",
+            f"send at most {MAX_PAYLOAD_BYTES} bytes in one frame",
         )
     checked = payload + compute_crc16(payload).to_bytes(CRC_BYTES, "little")
     return DELIMITER + cobs.encode(checked) + DELIMITER
@@ -57,6 +58,6 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
             return encode_frame(self.encode_payload())
         except struct.error as fault:
             raise UsageError(
-                f"a value does not fit into {type(self).__name__} ({fault})",
-                "give values within the range of their fields",
+                f"a value does not fit into its field of the frame {type(self).__name__} ({fault})",
+                "give a value within the range of the field",
             ) from fault

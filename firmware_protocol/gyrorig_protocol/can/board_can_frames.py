@@ -69,7 +69,10 @@ def frame_identifier(frame_type: FrameType, node: int) -> int:
         UsageError: the node number is out of range.
     """
     if not 0 <= node <= MAX_NODE:
-        raise UsageError(f"{node} is not a CAN node number", f"give a number from 1 to {MAX_NODE}")
+        raise UsageError(
+            f"the number {node} is not a valid CAN node number",
+            f"give a node number from 1 to {MAX_NODE}",
+        )
     return int(frame_type) << NODE_BITS | node
 
 
@@ -146,8 +149,8 @@ def hello_frames(node: int, text: bytes) -> list[CanFrame]:
     ]
     if len(segments) > MAX_SEGMENTS:
         raise UsageError(
-            f"a HELLO of {len(text)} bytes is too long",
-            f"send at most {MAX_SEGMENTS * SEGMENT_BYTES - 2}",
+            f"the HELLO message of the CAN board is too long: it has {len(text)} bytes",
+            f"send at most {MAX_SEGMENTS * SEGMENT_BYTES - 2} bytes",
         )
     last_number = len(segments) - 1
     return [

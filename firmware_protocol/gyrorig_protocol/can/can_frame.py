@@ -69,7 +69,8 @@ def pack_frames(frames: Iterable[CanFrame]) -> bytes:
     for frame in frames:
         if len(frame.data) > MAX_DATA_BYTES:
             raise UsageError(
-                f"a CAN frame of {len(frame.data)} bytes is too long", "send at most 8 bytes"
+                f"the CAN frame is too long: it has {len(frame.data)} data bytes",
+                "send at most 8 data bytes in one frame",
             )
         try:
             record = RECORD.pack(
@@ -77,7 +78,8 @@ def pack_frames(frames: Iterable[CanFrame]) -> bytes:
             )
         except struct.error as fault:
             raise UsageError(
-                f"a value does not fit into a CAN frame ({fault})", "give values within their range"
+                f"a value does not fit into its field of the CAN frame ({fault})",
+                "give a value within the range of the field",
             ) from fault
         records.append(record)
     return b"".join(records)

@@ -105,8 +105,8 @@ def parse_dbc(text: str, name: str) -> dict[str, DbcMessage]:
     """
     if len(text) > MAX_TEXT_BYTES:
         raise UsageError(
-            f"{name} is larger than {MAX_TEXT_BYTES >> 20} MB",
-            "remove all messages except those of the IMU",
+            f"the DBC file {name} is larger than {MAX_TEXT_BYTES >> 20} MB",
+            "remove all messages that the IMU does not send",
         )
     messages: dict[str, DbcMessage] = {}
     by_id: dict[int, DbcMessage] = {}
@@ -117,8 +117,9 @@ def parse_dbc(text: str, name: str) -> dict[str, DbcMessage]:
             current = _parse_message(line, location)
             if current.name in messages or current.key in by_id:
                 raise UsageError(
-                    f"{location} repeats the message {current.name} or its identifier",
-                    "remove one of the two messages",
+                    f"{location} defines the message {current.name}, but its name or its "
+                    "identifier is already in use",
+                    "remove or rename one of the two messages",
                 )
             messages[current.name] = by_id[current.key] = current
         elif line.lstrip().startswith("SG_ ") and current is not None:
@@ -131,7 +132,8 @@ def parse_dbc(text: str, name: str) -> dict[str, DbcMessage]:
             current = None  # an SG_ after another line is not part of a message
     if not messages:
         raise UsageError(
-            f"{name} has no CAN message", "give a DBC file with lines that begin with BO_"
+            f"the DBC file {name} contains no CAN message",
+            "give a DBC file that defines messages in lines that begin with BO_",
         )
     for message in messages.values():
         _check_bits(message, name)
@@ -142,7 +144,8 @@ def _parse_message(line: str, location: str) -> DbcMessage:
     match = _MESSAGE_PATTERN.match(line)
     if match is None:
         raise UsageError(
-            f"{location} is not a valid message of a DBC file", "write BO_ 291 NAME: 8 SENDER"
+            f"{location} is not a valid definition of a message in a DBC file",
+            "write the message in the form BO_ 291 NAME: 8 SENDER",
         )
     key, length = int(match[1]), int(match[3])
     identifier = key & ~_EXTENDED
@@ -156,8 +159,8 @@ def _parse_signal(line: str, location: str) -> DbcSignal | None:
     match = _SIGNAL_PATTERN.match(line.strip())
     if match is None:
         raise UsageError(
-            f"{location} is not a valid signal of a DBC file",
-            'write SG_ NAME : 0|16@1- (0.01,0) [0|0] "deg/s" RECEIVER',
+            f"{location} is not a valid definition of a signal in a DBC file",
+            'write the signal in the form SG_ NAME : 0|16@1- (0.01,0) [0|0] "deg/s" RECEIVER',
         )
     if match[2] is not None:
         return None  # multiplexed; samples of an IMU are not
@@ -165,9 +168,9 @@ def _parse_signal(line: str, location: str) -> DbcSignal | None:
     bit_length = int(match[4])
     if not 1 <= bit_length <= 64 or factor == 0.0:
         raise UsageError(
-            f"{location}: the signal has an invalid length ({bit_length} bits) or an invalid "
-            f"factor ({factor:g})",
-            "give it 1 to 64 bits and a factor that is not 0",
+            f"{location} defines a signal with an invalid length ({bit_length} bits) or an "
+            f"invalid factor ({factor:g})",
+            "give the signal 1 to 64 bits and a factor that is not 0",
         )
     return DbcSignal(
         name=match[1],
@@ -193,9 +196,9 @@ def _mark_float(line: str, location: str, by_id: dict[int, DbcMessage]) -> None:
         return
     if signal.bit_length != (32 if match[3] == "1" else 64):
         raise UsageError(
-            f"{location} declares {signal.name}, which has {signal.bit_length} bits, as a "
-            "floating-point number of another length",
-            "write type 1 for a signal of 32 bits, or type 2 for a signal of 64 bits",
+            f"{location} declares the signal {signal.name} as a floating-point number, but "
+            f"its length of {signal.bit_length} bits does not match the type",
+            "write type 1 if the signal has 32 bits, or type 2 if it has 64 bits",
         )
     message.signals[signal.name] = replace(signal, is_float=True)
 
@@ -204,7 +207,8 @@ def _check_bits(message: DbcMessage, name: str) -> None:
     for signal in message.signals.values():
         if signal.last_byte_index >= message.byte_length:
             raise UsageError(
-                f"in {name}, signal {signal.name} ends in byte {signal.last_byte_index + 1} of "
-                f"message {message.name}, which has {message.byte_length} bytes",
-                "correct its start and length, or the message's length",
+                f"in the DBC file {name}, the signal {signal.name} ends in byte "
+                f"{signal.last_byte_index + 1}, but its message {message.name} has only "
+                f"{message.byte_length} bytes",
+                "correct the start or the length of the signal, or the length of the message",
             )

@@ -161,31 +161,35 @@ def _select_preset(signal_map: SignalMap, board_name: str) -> ImuPreset:
             or signal_map.accel is not None
         ):
             raise UsageError(
-                f"board {board_name} has both a preset and its own signals",
-                "remove preset, or remove dbc, gyro and accel",
+                f"the key `signals` of board {board_name} has both a preset and its own signals",
+                "remove the key `preset`, or remove the keys `dbc`, `gyro` and `accel`",
             )
         preset = PRESETS[signal_map.preset]
         if preset.uses_source_address and signal_map.source_address is None:
             raise UsageError(
-                f"board {board_name} has no source_address",
-                "add source_address, the sensor's J1939 address from 0 to 253, to its signals",
+                f"the key `signals` of board {board_name} has no `source_address`, but its "
+                "preset needs one",
+                "add the key `source_address` with the sensor's J1939 address, from 0 to 253",
             )
         return preset
     if signal_map.dbc is None or signal_map.gyro is None:
         raise UsageError(
-            f"board {board_name} has neither a preset nor a DBC file with its gyro",
-            f"add one of the presets {', '.join(PRESETS)}, or dbc and gyro, to its signals",
+            f"the key `signals` of board {board_name} has neither a preset nor a DBC file "
+            "with gyro signals",
+            f"add the key `preset` with one of {', '.join(PRESETS)}, or add the keys `dbc` "
+            "and `gyro`",
         )
     if signal_map.dbc_file is not None:
         raise UsageError(
-            f"board {board_name} has only the name of its DBC file, {signal_map.dbc_file!r}, and "
-            "not the text of this file",
-            "give the rig file to gyrorigd, which reads the DBC file, or put the text into dbc",
+            f"the DBC file {signal_map.dbc_file!r} of board {board_name} was not read: only "
+            "its name is known",
+            "give the rig file to gyrorigd, which reads the DBC file, or put the text of "
+            "the DBC file into the key `dbc`",
         )
     if all(axis is None for axis in signal_map.gyro):
         raise UsageError(
-            f"board {board_name} has no gyro axis",
-            "add at least one MESSAGE.SIGNAL to gyro under its signals",
+            f"the key `signals` of board {board_name} names no gyro signal",
+            "add at least one signal to the key `gyro`, in the form MESSAGE.SIGNAL",
         )
     accel: AxisSignals | None = signal_map.accel
     return ImuPreset(
@@ -210,13 +214,14 @@ class _SignalFinder:
         if message is None:
             raise UsageError(
                 f"the DBC file of board {self.board_name} has no message {message_name}",
-                f"choose one of {_list_names(self.messages)}",
+                f"choose one of its messages: {_list_names(self.messages)}",
             )
         signal = message.signals.get(signal_name)
         if signal is None:
             raise UsageError(
-                f"message {message_name} of board {self.board_name} has no signal {signal_name}",
-                f"choose one of {_list_names(message.signals)}",
+                f"the message {message_name} in the DBC file of board {self.board_name} has "
+                f"no signal {signal_name}",
+                f"choose one of its signals: {_list_names(message.signals)}",
             )
         return message.key, signal
 
@@ -268,9 +273,9 @@ class _SignalFinder:
         tick_hz = signal_map.tick_hz or (unit_hz and unit_hz / resolved.signal.factor)
         if not tick_hz:
             raise UsageError(
-                f"the clock of board {self.board_name} has the unit {resolved.signal.unit!r}, "
-                "which is not a unit of time",
-                "add tick_hz, its ticks per second, to the board's signals",
+                f"the clock signal of board {self.board_name} has the unit "
+                f"{resolved.signal.unit!r}, which is not a unit of time",
+                "add the key `tick_hz` with the clock's ticks per second under `signals`",
             )
         return resolved, tick_hz
 
@@ -281,8 +286,9 @@ class _SignalFinder:
         key, signal = self.find_signal(reference)
         if signal.is_float or signal.is_signed:
             raise UsageError(
-                f"{reference}, the {role} of board {self.board_name}, is not an unsigned number",
-                "choose another signal, or remove it",
+                f"the signal {reference}, which board {self.board_name} uses as its {role}, "
+                "is not an unsigned number",
+                "choose an unsigned signal, or remove the key",
             )
         return ResolvedSignal(key, signal, 1.0, 0.0)
 
@@ -292,8 +298,9 @@ class _SignalFinder:
         factor = units.get(chosen_unit or signal.unit.strip())
         if factor is None:
             raise UsageError(
-                f"{signal.name} of board {self.board_name} has the unknown unit {signal.unit!r}",
-                f"add {key} to the board's signals",
+                f"the signal {signal.name} of board {self.board_name} has the unknown unit "
+                f"{signal.unit!r}",
+                f"add the key `{key}` under the key `signals` of the board",
             )
         return factor
 

@@ -114,11 +114,14 @@ def parse_program(text: str | bytes, name: str) -> MotionProgram:
         count += 1
         if count > MAX_STEPS:
             raise UsageError(
-                f"{name} has more than {MAX_STEPS} steps with repeats expanded",
-                "reduce the repeats",
+                f"the motion program {name} has more than {MAX_STEPS} steps in total, with "
+                "all repeats",
+                "give a lower number of repeats",
             )
     if not count:
-        raise UsageError(f"{name} has no steps", "add at least one rest or move")
+        raise UsageError(
+            f"the motion program {name} has no steps", "add at least one step with `rest` or `move`"
+        )
     return program
 
 
@@ -142,8 +145,9 @@ def unroll_steps(
         if len(actions) != 1:
             set_keys = " and ".join(key for key in STEP_KINDS if getattr(step, key) is not None)
             raise UsageError(
-                f"step {parent_number}{number} of {name} has {set_keys or 'no action'}",
-                f"give every step one of the keys {', '.join(STEP_KINDS)}, and not more than one",
+                f"step {parent_number}{number} of the motion program {name} has "
+                f"{set_keys or 'no action'}",
+                f"give each step exactly one of the keys {', '.join(STEP_KINDS)}",
             )
         action = actions[0]
         if isinstance(action, Repeat):
@@ -153,7 +157,8 @@ def unroll_steps(
         else:
             if isinstance(action, Move) and action.pan_deg is None and action.tilt_deg is None:
                 raise UsageError(
-                    f"step {parent_number}{number} of {name} moves nowhere",
-                    "give it pan_deg or tilt_deg",
+                    f"the move in step {parent_number}{number} of the motion program {name} "
+                    "has no target angle",
+                    "give `pan_deg` or `tilt_deg`, or both",
                 )
             yield action

@@ -125,9 +125,15 @@ def assign_quantity(axis: Axis, quantity: Quantity, value: int) -> PtuCommand:
     """
     name = quantity.name.lower().replace("_", " ")
     if quantity in _QUERY_ONLY:
-        raise UsageError(f"the {name} of the {axis.label} axis is read-only", "query it instead")
+        raise UsageError(
+            f"the {name} of the {axis.label} axis cannot be set, because it is read-only",
+            "read the value with a query",
+        )
     if abs(value) > INT32_MAX or (value < 0 and quantity not in _SIGNED_QUANTITIES):
-        raise UsageError(f"{value} is not a valid {name}", "give a value within the unit's range")
+        raise UsageError(
+            f"the value {value} is not a valid {name} of the {axis.label} axis",
+            "give a value within the range of the pan-tilt unit",
+        )
     timeout_s = _RECOMPUTE_TIMEOUT_S if quantity in _RECOMPUTING_QUANTITIES else 1.0
     return PtuCommand(f"{axis.value}{quantity.value}{value:d}", AnswerKind.DONE, timeout_s)
 

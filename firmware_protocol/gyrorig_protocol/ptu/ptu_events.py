@@ -26,11 +26,11 @@ class InvalidLineReason(Enum):
     """Why bytes are not a reply; the value is the text for people."""
 
     OVERSIZE = "the line is longer than the limit"
-    NOT_ASCII = "the line holds bytes that are not printable ASCII"
+    NOT_ASCII = "the line contains bytes that are not printable ASCII"
     NO_STATUS = "the line has neither * nor !, and is not a banner"
     FOREIGN_PREFIX = "the text before * or ! is neither an echo nor a banner"
     OTHER_ECHO = "the echo is of another command"
-    TWO_REPLIES = "two status marks in one line: a line end was lost"
+    TWO_REPLIES = "the line contains two status marks, because a line end was lost"
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,15 @@ from enum import Enum
 class RefusalKind(Enum):
     """The kind of an error reply; the value is the remedy."""
 
-    POSITION = "stay inside the limits that the last reset found"
-    SPEED = "stay inside the unit's speed limits"
-    ACCELERATION = "choose an acceleration within the unit's limits"
-    ILLEGAL_COMMAND = "check the dialect, because this controller does not know the command"
-    ILLEGAL_VALUE = "choose a value that the command accepts, see the unit's manual"
-    UNKNOWN = "see the unit's manual"
+    POSITION = "choose a position inside the limits that the unit found at its last reset"
+    SPEED = "choose a speed inside the limits of the unit"
+    ACCELERATION = "choose an acceleration inside the limits of the unit"
+    ILLEGAL_COMMAND = (
+        "check the dialect in the rig file, because the controller of the unit does not know "
+        "the command"
+    )
+    ILLEGAL_VALUE = "see the unit's manual for the values that the command accepts"
+    UNKNOWN = "see the unit's manual for the meaning of the error"
 
 
 @dataclass(frozen=True, slots=True)

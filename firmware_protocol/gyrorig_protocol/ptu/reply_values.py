@@ -272,7 +272,8 @@ def _require_value(command: PtuCommand, reply: Reply) -> Value:
     reading = read_value(command, reply)
     if isinstance(reading, Refusal):
         raise DeviceError(
-            f"the pan-tilt unit refused {command.text!r} ({reading.text or 'no reason given'})",
+            f"the pan-tilt unit refused the command {command.text!r} "
+            f"({reading.text or 'no reason given'})",
             reading.kind.value,
         )
     if isinstance(reading, ValueFault):
@@ -282,8 +283,9 @@ def _require_value(command: PtuCommand, reply: Reply) -> Value:
 
 def _unreadable_error(command: PtuCommand, text: str, reason: str) -> DeviceError:
     return DeviceError(
-        f"the pan-tilt unit answered {text[:60]!r} to {command.text!r} ({reason})",
-        "check the port, the baud rate and the dialect",
+        f"the pan-tilt unit sent the invalid answer {text[:60]!r} to the command "
+        f"{command.text!r} ({reason})",
+        "check the port, the baud rate and the dialect of the unit in the rig file",
     )
 
 

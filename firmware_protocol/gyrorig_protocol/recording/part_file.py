@@ -36,7 +36,7 @@ _MESSAGE_LAYOUT = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence,
 _MESSAGE_OPCODE = 0x05
 _MESSAGE_FIELDS_BYTES = 22
 _QOS = {"offered_qos_profiles": ""}
-_OVERWRITE_REMEDY = "choose another name, or move the file; a recording is never overwritten"
+_OVERWRITE_REMEDY = "choose another name or move the file, because a recording is never overwritten"
 
 Records = Mapping[str, Mapping[str, str]]
 
@@ -240,13 +240,13 @@ def create_part_file(final: Path, part: Path, disk: Disk) -> PartFile:
     """
     for path in (final, part):
         if disk.exists(path):
-            raise UsageError(f"{path} exists", _OVERWRITE_REMEDY)
+            raise UsageError(f"the file {path} already exists", _OVERWRITE_REMEDY)
     try:
         return PartFile(final, part, disk)
     except FileExistsError as error:
-        raise UsageError(f"{part} exists", _OVERWRITE_REMEDY) from error
+        raise UsageError(f"the file {part} already exists", _OVERWRITE_REMEDY) from error
     except OSError as error:
         raise MachineError(
-            f"cannot create {part} ({error.strerror})",
-            "free disk space, fix the folder's permissions, or choose another folder",
+            f"the recording {part} cannot be created ({error.strerror})",
+            "free disk space, correct the permissions of the folder, or choose another folder",
         ) from error

@@ -80,7 +80,10 @@ def _read_mapped(path: Path, data: memoryview, *, all_records: bool) -> Recordin
     topics = collector.build_topics()
     for name in filter(None, map(parse_board_topic, topics)):
         if not is_board_id(name):
-            scan.notes.append(f"{name[:40]!r} is not a valid board name, its samples are left out")
+            scan.notes.append(
+                f"{name[:40]!r} is not a valid board name, so the samples of this board are left "
+                "out"
+            )
     _report_missing(scan, summary, collector.message_count)
     return Recording(
         path=path,
@@ -144,14 +147,14 @@ def _check_format(path: Path, metadata: Metadata) -> None:
     main_record = metadata.get("gyrorig")
     if main_record is None:
         raise InputError(
-            f"{path} is an MCAP file of another program, without gyrorig metadata",
-            "convert its data with `gyrorig import`",
+            f"{path} is an MCAP file of another program, because it has no gyrorig metadata",
+            "convert its data to a recording with `gyrorig import`",
         )
     if main_record.get("format") != FORMAT_VERSION:
         raise InputError(
             f"{path} has the recording format {main_record.get('format')!r}, but this version of "
             f"Gyrorig reads only format {FORMAT_VERSION!r}",
-            "use the version that wrote the file, or a newer one",
+            "use the version of Gyrorig that wrote the file, or a newer one",
         )
 
 
@@ -162,7 +165,8 @@ def _report_missing(scan: FileScan, summary: McapSummary, message_count: int) ->
     missing = summary.message_count - message_count
     if missing < 0:
         scan.notes.append(
-            f"the file counts {summary.message_count} messages but holds {message_count}"
+            f"the summary of the file counts {summary.message_count} messages, but the file "
+            f"contains {message_count}"
         )
         return
     stated_losses = [loss for loss in scan.losses if loss.cause is not LossCause.MESSAGE]

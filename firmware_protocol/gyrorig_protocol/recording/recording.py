@@ -225,14 +225,16 @@ class Recording:
         """
         entry = self.topics.get(topic)
         if entry is None:
-            raise InputError(f"{self.path} has no topic {topic}", self._available_topics())
+            raise InputError(
+                f"the recording {self.path} has no topic {topic}", self._available_topics()
+            )
         if entry.columns is not None:
             entry = self.reread_topic(topic, ())
         if entry.array is None:
             raise InputError(
-                f"{self.path}: the messages of type {entry.type} on {topic} differ in size, so "
-                "they do not fit into one array",
-                "read its messages one by one with timed_messages()",
+                f"in {self.path}, the messages on the topic {topic} differ in size, so they "
+                "cannot be returned as one array",
+                "read the messages one by one with timed_messages()",
             )
         return entry.array
 
@@ -244,12 +246,14 @@ class Recording:
         """
         entry = self.topics.get(topic)
         if entry is None:
-            raise InputError(f"{self.path} has no topic {topic}", self._available_topics())
+            raise InputError(
+                f"the recording {self.path} has no topic {topic}", self._available_topics()
+            )
         message_type = MESSAGE_TYPES.get(entry.type)
         if message_type is None:
             raise InputError(
-                f"{self.path} has messages of type {entry.type} on {topic}, which recording format "
-                "1 does not define",
+                f"in {self.path}, the topic {topic} has messages of type {entry.type}, which "
+                "recording format 1 does not define",
                 "read the topic with the program that wrote it",
             )
         if entry.array is None and entry.columns is None:
@@ -343,15 +347,17 @@ class Recording:
 
     def _available_topics(self) -> str:
         names = sorted(self.topics)
-        return f"give one of {', '.join(names)}" if names else "record again"
+        return f"choose one of its topics: {', '.join(names)}" if names else "record again"
 
     def _imu_topic(self, board_id: BoardId) -> Topic:
         topic = imu_raw_topic(board_id)
         if topic not in self.topics:
             boards = self.board_ids
             raise InputError(
-                f"{self.path} has no samples of board {board_id}",
-                f"give one of {', '.join(boards)}" if boards else "record again with the board",
+                f"the recording {self.path} has no samples of board {board_id}",
+                f"choose one of its boards: {', '.join(boards)}"
+                if boards
+                else ("connect the board and record again"),
             )
         self._check_type(topic, ImuRaw)
         return self.topics[topic]
@@ -373,7 +379,7 @@ class Recording:
         found_type = self.topics[topic].type
         if found_type != message_type.TYPE:
             raise InputError(
-                f"{self.path} has messages of type {found_type} on {topic} instead of "
-                f"{message_type.TYPE}",
+                f"in {self.path}, the topic {topic} has messages of type {found_type} "
+                f"instead of {message_type.TYPE}",
                 "copy the file from the rig again, or record again",
             )

@@ -104,12 +104,16 @@ def copy_with_topics(
         MachineError: this computer cannot read or write.
     """
     if target.suffix != ".mcap":
-        raise UsageError(f"{target.name} is not the name of a recording", "end the name in .mcap")
+        raise UsageError(
+            f"the output file {target.name} does not have the name of a recording",
+            "choose a name that ends in .mcap",
+        )
     part = target.with_name(target.name + ".part")
     for path in (target, part):
         if disk.exists(path):
             raise UsageError(
-                f"{path} exists", "choose another name; a recording is never overwritten"
+                f"the output file {path} already exists",
+                "choose another name, because a recording is never overwritten",
             )
     data = map_mcap_file(source)
     summary = read_summary(data)
@@ -118,8 +122,8 @@ def copy_with_topics(
     for channel in declarations.channels.values():
         if channel.topic in {topic.topic for topic in topics}:
             raise InputError(
-                f"{source.name} already has the topic {channel.topic}, because a calibration was "
-                "applied to it",
+                f"a calibration was already applied to {source.name}, because it has the "
+                f"topic {channel.topic}",
                 "apply the calibration to the original recording",
             )
     copier = _RecordingCopier(ChunkCopier(data, scan), scan, declarations)
@@ -138,7 +142,8 @@ def copy_with_topics(
         disk.sync_directory(target.parent)
     except OSError as fault:
         raise MachineError(
-            f"cannot write {target} ({fault.strerror})", "free disk space, or choose another file"
+            f"the recording {target} cannot be written ({fault.strerror})",
+            "free disk space, or choose another file",
         ) from fault
     return result
 
@@ -174,8 +179,8 @@ class _RecordingCopier:
         records = read_metadata_copy(self._scan.attachments) or dict(self._scan.metadata)
         if records.get("gyrorig", {}).get("format") != FORMAT_VERSION:
             raise InputError(
-                f"{source} is an MCAP file, but not a recording of format {FORMAT_VERSION}",
-                "convert its data with `gyrorig import`",
+                f"the MCAP file {source} is not a Gyrorig recording of format {FORMAT_VERSION}",
+                "convert its data to a recording with `gyrorig import`",
             )
         records |= {name: dict(record) for name, record in metadata.items()}
         builder = McapBuilder(file)
@@ -210,7 +215,8 @@ class _RecordingCopier:
             writer.write_until(None)
         if not chunks:
             raise InputError(
-                f"{source} has no complete message", "copy it from the rig again, or record again"
+                f"the recording {source} contains no complete message",
+                "copy the file from the rig again, or record again",
             )
         builder.finish()
         added = {

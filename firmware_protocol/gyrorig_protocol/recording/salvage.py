@@ -68,7 +68,8 @@ RECOVERED_RECORD = "gyrorig.recovered"  # the metadata record that names the ori
 _LOG_TIME_OFFSET = 15  # in a message record: after opcode, length, channel and sequence
 _FRAME_BYTES = 9
 _DISK_REMEDY = (
-    "copy the folder to another disk and run gyrorigd recover there, the disk can be failing"
+    "copy the folder to another disk and run gyrorigd recover there, because the present "
+    "disk can be failing"
 )
 _QOS = {"offered_qos_profiles": ""}
 _FREE_SCHEMA_NUMBERS = (
@@ -106,13 +107,14 @@ def salvage(
     metadata = read_metadata_copy(scan.attachments) or dict(scan.metadata)
     if metadata.get("gyrorig", {}).get("format") != FORMAT_VERSION:
         raise InputError(
-            f"{source} has no metadata of format {FORMAT_VERSION} and cannot be recovered",
+            f"{source} cannot be recovered, because it has no metadata of recording format "
+            f"{FORMAT_VERSION}",
             "record again",
         )
     copier = ChunkCopier(data, scan)
     if not any(True for _ in copier.valid_chunks()):
         raise InputError(
-            f"{source} has no complete message that could be recovered", "record again"
+            f"{source} cannot be recovered, because it contains no complete message", "record again"
         )
     copier = ChunkCopier(data, scan)
     try:
@@ -127,8 +129,9 @@ def salvage(
             file.close()
     except OSError as fault:
         raise MachineError(
-            f"cannot write {target} ({fault.strerror})",
-            f"free disk space or check the disk, then recover again; {source.name} is unchanged",
+            f"the recovered recording {target} cannot be written ({fault.strerror})",
+            "free disk space or check the disk, and recover the recording again. "
+            f"{source.name} was not changed",
         ) from fault
     return result
 
@@ -338,17 +341,19 @@ def read_strictly(path: Path) -> dict[str, int]:
             summary = reader.get_summary()
             if summary is None or summary.statistics is None or not summary.chunk_indexes:
                 raise InputError(
-                    f"{path} has no summary, because it was not finished", _DISK_REMEDY
+                    f"the recording {path} has no summary, because its writer did not finish it",
+                    _DISK_REMEDY,
                 )
             for _, channel, _ in reader.iter_messages(log_time_order=False):
                 counts[channel.topic] += 1
             attachment_count = sum(1 for _ in reader.iter_attachments())
             metadata_count = sum(1 for _ in reader.iter_metadata())
     except (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeError) as fault:
-        raise InputError(f"{path} is damaged ({fault})", _DISK_REMEDY) from fault
+        raise InputError(f"the recording {path} is damaged ({fault})", _DISK_REMEDY) from fault
     except OSError as fault:
         raise MachineError(
-            f"cannot read {path} ({fault.strerror})", "fix its permissions, or check its disk"
+            f"the recording {path} cannot be read ({fault.strerror})",
+            "correct the permissions of the file, or check its disk",
         ) from fault
     statistics = summary.statistics
     expected_counts = (
@@ -358,7 +363,9 @@ def read_strictly(path: Path) -> dict[str, int]:
     )
     if expected_counts != (sum(counts.values()), attachment_count, metadata_count):
         raise InputError(
-            f"{path} does not have the numbers of records that its summary gives", _DISK_REMEDY
+            f"the recording {path} is damaged: its numbers of records differ from those in "
+            "its summary",
+            _DISK_REMEDY,
         )
     return dict(counts)
 

@@ -238,7 +238,8 @@ class TopicCollector:
         )
         if channel.encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
             self.scan.notes.append(
-                f"{channel.topic!r} is not read, because it is not CDR with a ros2msg schema"
+                f"the topic {channel.topic!r} is not read, because it is not CDR with a "
+                "ros2msg schema"
             )
             return _ChannelStore(channel.topic, "", None)
         return self._open_typed_channel(number, channel, schema)
@@ -253,7 +254,8 @@ class TopicCollector:
             format_text = SCHEMAS.get(schema.name)
             if format_text is not None and not have_same_fields(schema.name, text, format_text):
                 raise InputError(
-                    f"the fields of {schema.name} differ from those of format 1",
+                    f"the message type {schema.name} does not have the fields that recording "
+                    "format 1 defines",
                     _FOREIGN_FILE_REMEDY,
                 )
             layout = derive_fixed_layout(schema.name, text)
@@ -261,10 +263,10 @@ class TopicCollector:
             reason = error.problem if isinstance(error, InputError) else "its schema is not text"
             if schema.name in SCHEMAS or schema.name.startswith("gyrorig_msgs/"):
                 raise InputError(
-                    f"{self.path} has an invalid topic {channel.topic!r} ({reason})",
+                    f"in {self.path}, the topic {channel.topic!r} is invalid ({reason})",
                     _FOREIGN_FILE_REMEDY,
                 ) from error
-            self.scan.notes.append(f"{channel.topic!r} is not read, because {reason}")
+            self.scan.notes.append(f"the topic {channel.topic!r} is not read, because {reason}")
             return _ChannelStore(channel.topic, schema.name, None)
         if layout is not None:
             # An index can have any count; its messages cannot have more bytes than the chunks.
@@ -277,7 +279,10 @@ class TopicCollector:
                 return _ChannelStore(channel.topic, schema.name, columns)
             return _ChannelStore(channel.topic, schema.name, FixedSizeChannel(layout, expected))
         if schema.name not in MESSAGE_TYPES:
-            self.scan.notes.append(f"{channel.topic!r} is not read, because it holds {schema.name}")
+            self.scan.notes.append(
+                f"the topic {channel.topic!r} is not read, because its messages have the unknown "
+                f"type {schema.name}"
+            )
             return _ChannelStore(channel.topic, schema.name, None)
         return _ChannelStore(channel.topic, schema.name, VariableSizeChannel())
 
@@ -286,7 +291,7 @@ class TopicCollector:
         types = {channel_store.type for _, channel_store in channel_stores}
         if len(types) > 1:
             raise InputError(
-                f"{self.path}: the messages on topic {name!r} have several types: "
+                f"in {self.path}, the messages on the topic {name!r} have several types: "
                 f"{', '.join(sorted(types))}",
                 _FOREIGN_FILE_REMEDY,
             )
@@ -304,8 +309,8 @@ class TopicCollector:
         if arrays:
             if len({array.dtype for array in arrays}) > 1:
                 raise InputError(
-                    f"{self.path}: the messages of type {type_name} on topic {name!r} have several "
-                    "layouts",
+                    f"in {self.path}, the messages of type {type_name} on the topic {name!r} "
+                    "have several layouts",
                     _FOREIGN_FILE_REMEDY,
                 )
             if len(arrays) == 1:

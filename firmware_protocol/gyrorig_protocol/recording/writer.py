@@ -373,7 +373,10 @@ class RecordingWriter:
 
     def _check_open(self) -> None:
         if not self._is_open:
-            raise MachineError(f"{self.path} is closed", "start another recording")
+            raise MachineError(
+                f"the recording {self.path} is closed, so nothing can be added to it",
+                "start another recording",
+            )
 
     def _run_disk_step(self, step: Callable[[], T]) -> T:
         """Run a step; after a disk error keep the complete data and stop permanently."""
@@ -386,10 +389,10 @@ class RecordingWriter:
         committed = self._file.committed
         committed.lost_messages = committed.waiting_messages
         self._is_open = False
-        outcome = f"its first {committed.position} bytes are complete"
+        outcome = f"the first {committed.position} bytes of the file are complete"
         if not self._owner_syncs:
             outcome = self._file.truncate_and_close()
         raise MachineError(
-            f"cannot write {self.path} ({error.strerror}); {outcome}",
+            f"the recording {self.path} cannot be written ({error.strerror}); {outcome}",
             "free disk space and start another recording",
         ) from error

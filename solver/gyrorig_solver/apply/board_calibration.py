@@ -127,8 +127,9 @@ class Calibration:
         values: Readings = np.asarray(readings)
         if values.shape[-1:] != (3,) or values.ndim > 2 or values.dtype.kind not in "iuf":
             raise UsageError(
-                f"the readings are {values.dtype} of shape {values.shape}",
-                "give numbers of shape (n, 3)",
+                f"the readings have the type {values.dtype} and the shape {values.shape}, "
+                "which cannot be corrected",
+                "give an array of numbers with the shape (n, 3)",
             )
         rows = values.reshape(-1, 3)
         temperature = None if temperature_degc is None else np.asarray(temperature_degc, np.float64)
@@ -137,8 +138,9 @@ class Calibration:
             force = np.asarray(specific_force_m_s2, np.float64).reshape(-1, 3)
         if temperature is not None and temperature.ndim and temperature.shape != rows.shape[:1]:
             raise UsageError(
-                f"there are {temperature.size} temperatures for {len(rows)} readings",
-                "give one temperature, or one per reading",
+                f"the numbers of temperatures ({temperature.size}) and of readings "
+                f"({len(rows)}) differ",
+                "give one temperature for all readings, or one temperature per reading",
             )
         rates = self.correction.rates(rows, self.scale_of(unit), temperature, force, out)
         return rates.reshape(values.shape)
@@ -155,12 +157,15 @@ class Calibration:
             return float(np.pi / 180.0)
         if unit != "counts":
             raise UsageError(
-                f"the unit {unit!r} is unknown", f"give one of {', '.join(READING_UNITS)}"
+                f"the unit {unit!r} of the readings is unknown",
+                f"use one of the units {', '.join(READING_UNITS)}",
             )
         if self.nominal_scale_rad_s is None:
             raise UsageError(
-                "the calibration does not specify the nominal scale of a count",
-                "give the readings in rad/s at the nominal scale",
+                "the calibration does not contain the nominal scale factor, so it cannot "
+                "correct readings in counts",
+                "multiply the counts by the scale factor of the data sheet, and give the "
+                "readings in rad/s",
             )
         return self.nominal_scale_rad_s
 

@@ -55,8 +55,8 @@ def read_document(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as fault:
         raise InputError(
-            f"cannot read {path} ({fault.strerror})",
-            "give a calibration file, for example GY80-1/v0001.yaml",
+            f"the calibration {path} cannot be read ({fault.strerror})",
+            "give the path of a calibration, for example GY80-1/v0001.yaml",
         ) from fault
 
 
@@ -80,9 +80,16 @@ def check_parameters(document: CalibrationDocument, name: str) -> None:
         if parameter not in known:
             suggestion = did_you_mean(parameter, known, 1)
             raise InputError(
-                f"{name} has the unknown parameter {parameter[:60]!r}",
-                suggestion or "correct its name, or use the version of gyrorig that wrote the file",
+                f"the calibration {name} contains the unknown parameter {parameter[:60]!r}",
+                suggestion
+                or (
+                    "correct the name of the parameter, or use the version of gyrorig that "
+                    "wrote the file"
+                ),
             )
     missing = [entry for entry in BASE_PARAMETERS if entry not in document.parameters]
     if missing:
-        raise InputError(f"{name} lacks the parameter {missing[0]!r}", "solve the recording again")
+        raise InputError(
+            f"the calibration {name} lacks the parameter {missing[0]!r}",
+            "solve the recording again",
+        )

@@ -69,14 +69,14 @@ def apply_to_recording(
     samples = load_samples(recording, name)
     if calibration.correction.needs_temperature and samples.temperature is None:
         raise UsageError(
-            f"the calibration depends on the temperature of the board, but {source.name} does not "
-            "contain it",
+            f"the calibration depends on the temperature of the board, but {source.name} "
+            "does not contain temperatures",
             "record the board's thermometer, or solve without thermal_bias and thermal_scale",
         )
     if calibration.correction.needs_force and stored_column(samples, "accel_m_s2") is None:
         raise UsageError(
-            f"the calibration depends on accelerometer data, but {source.name} does not "
-            "contain them",
+            f"the calibration depends on the acceleration, but {source.name} does not "
+            "contain accelerometer data",
             "record the board's accelerometer, or solve without g_sensitivity",
         )
     builder = _MessageBuilder(calibration, samples)
@@ -101,8 +101,8 @@ def _choose_board(calibration: Calibration, recording: Recording, wanted: str | 
     if name not in recording.board_ids:
         board_names = ", ".join(recording.board_ids) or "none"
         raise InputError(
-            f"{recording.path.name} has no board {name}, only {board_names}",
-            "if one of them is the same board, choose it with --board",
+            f"{recording.path.name} does not contain board {name}, but only {board_names}",
+            "if the same board has another name in the recording, give this name with --board",
         )
     return BoardId(name)
 
@@ -128,9 +128,9 @@ def _check_settings(calibration: Calibration, recording: Recording, board: Board
             same = False
         if not same:
             raise InputError(
-                f"the calibration is for {key} {calibrated}, but {board} has {recorded[:40]} in "
-                f"{recording.path.name}",
-                "calibrate the board with this setting",
+                f"the calibration is for the setting {key} = {calibrated}, but in "
+                f"{recording.path.name} board {board} has {key} = {recorded[:40]}",
+                "calibrate the board with the setting of the recording",
             )
 
 
@@ -230,8 +230,8 @@ def _die_temperature(samples: GyroSamples, correction: Correction) -> BoardTempe
     temperature = BoardTemperature.of(samples.time_s, readings, correction.reference_degc)
     if temperature is None:
         raise InputError(
-            f"the calibration depends on the temperature of {samples.board}, but the recording "
-            "contains too few temperatures",
+            f"the calibration depends on the temperature of board {samples.board}, but the "
+            "recording contains too few temperatures",
             "record the board's thermometer, or solve without thermal_bias and thermal_scale",
         )
     return temperature

@@ -67,15 +67,18 @@ def apply_to_table(
         MachineError: the disk cannot be written; no file remains.
     """
     if out.exists():
-        raise UsageError(f"{out} exists", "choose another file with -o")
+        raise UsageError(f"the output file {out} already exists", "choose another file with -o")
     if calibration.correction.needs_force:
         raise UsageError(
-            "this calibration depends on the specific force, and a table does not contain it",
-            "apply it to a recording, or solve without g_sensitivity",
+            "the calibration contains g_sensitivity, which needs accelerometer data, but a "
+            "table cannot provide these data",
+            "apply the calibration to a recording, or solve without g_sensitivity",
         )
     if calibration.correction.needs_temperature and columns.temperature is None:
         raise UsageError(
-            "this calibration depends on the temperature", "name its column with --temperature"
+            "the calibration depends on the temperature, but no column of the table is "
+            "named as the temperature",
+            "give the column of the temperature with --temperature",
         )
     temporary: Path | None = None
     try:
@@ -83,7 +86,8 @@ def apply_to_table(
         lines = source.open(encoding="utf-8", errors="surrogateescape", newline="")
     except OSError as fault:
         raise InputError(
-            f"cannot read {source} ({fault.strerror})", "give a readable table (CSV)"
+            f"the table {source} cannot be read ({fault.strerror})",
+            "give the path of a readable table (CSV)",
         ) from fault
     with lines:
         try:
@@ -97,8 +101,8 @@ def apply_to_table(
             temporary.replace(out)
         except OSError as fault:
             raise MachineError(
-                f"cannot write {out} ({fault.strerror})",
-                "free space on the disk, or choose another file with -o",
+                f"the output file {out} cannot be written ({fault.strerror})",
+                "free some disk space, or choose another file with -o",
             ) from fault
         finally:
             if temporary is not None:
@@ -125,7 +129,8 @@ class _TableWriter:
         existing = [name for name in added if name in names]
         if existing:
             raise InputError(
-                f"{self._name} already has a column {existing[0]}: a calibration was applied to it",
+                f"a calibration was already applied to the table {self._name}, because it has the "
+                f"column {existing[0]}",
                 "apply the calibration to the original table",
             )
         target.write(header.rstrip("\r\n") + delimiter + delimiter.join(added) + "\n")
@@ -150,7 +155,10 @@ class _TableWriter:
             )
             rows += len(block)
         if not rows:
-            raise InputError(f"{self._name} has a header but no rows", "give a table with readings")
+            raise InputError(
+                f"the table {self._name} has a header, but no rows",
+                "give a table that contains readings",
+            )
         return TableSummary(rows, outside, without)
 
     def _column_indices(self, names: Sequence[str]) -> list[int]:
@@ -159,7 +167,8 @@ class _TableWriter:
             if name not in names:
                 column_names = ", ".join(n[:40] for n in names[:12]) or "nothing"
                 raise InputError(
-                    f"{self._name} has no column {name!r}", f"choose one of {column_names}"
+                    f"the table {self._name} has no column {name!r}",
+                    f"choose one of the columns {column_names}",
                 )
         return [names.index(name) for name in self._columns.names]
 
@@ -190,8 +199,8 @@ class _TableWriter:
         cells = next(csv.reader([line], delimiter=delimiter), [])
         if max(column_indices) >= len(cells):
             raise InputError(
-                f"{self._name}: row {number + 1} has only {len(cells)} columns",
-                "correct or remove the row; it may be cut off",
+                f"row {number + 1} of the table {self._name} has only {len(cells)} columns",
+                "correct or remove the row, which may be incomplete",
             )
         return [
             self._parse_cell(cells[at], name, number)
@@ -203,9 +212,9 @@ class _TableWriter:
             return float(text) if text.strip() else float("nan")
         except ValueError as error:
             raise InputError(
-                f"{self._name}: row {number + 1} has {text[:40]!r} in column {column}, which is "
-                "not a number",
-                "correct the cell or leave it empty",
+                f"row {number + 1} of the table {self._name} has {text[:40]!r} in the column "
+                f"{column}, which is not a number",
+                "correct the cell, or leave it empty",
             ) from error
 
     def _corrected(self, values: FloatArray) -> FloatArray:

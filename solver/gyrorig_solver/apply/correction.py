@@ -30,7 +30,9 @@ FRAMES: tuple[Frame, ...] = ("stage", "sensor")
 # Causes of the catalogue that also act on later readings.
 NONLINEARITY_CAUSES = ("scale_quadratic", "scale_cubic", "scale_asymmetry")
 THERMAL_BIAS_ORDERS = ("slope", "square", "cube")
-LAG_NOTE = "thermal_bias.lag is ignored; the die is assumed to have the measured temperature"
+LAG_NOTE = (
+    "thermal_bias.lag is not applied, because the die is assumed to have the measured temperature"
+)
 REFERENCE_PARAMETER = "reference"  # thermal_bias.reference: the reference temperature
 _NEWTON_STEPS = 4  # the non-linearity is below a tenth: three steps reach the last digit
 _BLOCK_SAMPLES = 65536  # readings per block where the arithmetic needs several copies
@@ -106,14 +108,14 @@ class Correction:
         """
         if self.needs_temperature and temperature_degc is None:
             raise UsageError(
-                "this calibration depends on the temperature",
-                "also give the temperature of the board, or solve without thermal_bias and "
+                "the calibration depends on the temperature, but no temperature is given",
+                "give the temperature of the board, or solve without thermal_bias and "
                 "thermal_scale",
             )
         if self.needs_force and specific_force_m_s2 is None:
             raise UsageError(
-                "this calibration depends on the specific force",
-                "also give the accelerometer's readings, or solve without g_sensitivity",
+                "the calibration contains g_sensitivity, but no accelerometer readings are given",
+                "give the readings of the accelerometer, or solve without g_sensitivity",
             )
         if self.is_affine:
             return transform_readings(readings, scale_rad_s * self.inverse, self.offset(), out)
@@ -170,10 +172,10 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
         reason = (
             calibration.trust.reasons[0]
             if calibration.trust.reasons
-            else "read its report for the reason"
+            else "read the report of the calibration for the reason"
         )
         raise InputError(
-            f"the calibration of {name} has the verdict refused and must not be applied", reason
+            f"the calibration of {name} must not be applied, because its verdict is refused", reason
         )
     bias = _known_values(calibration, "bias", name)
     inverse = _inverse_gain(calibration, frame, name)
@@ -187,7 +189,8 @@ def build_correction(calibration: CalibrationDocument, frame: Frame = "stage") -
         cause = parameter.partition(".")[0].partition("@")[0]
         if cause not in BASE_PARAMETERS and cause not in APPLIED_PARAMETERS:
             not_applied.append(
-                f"{parameter} is not applied: it belongs to the rig or to one recording"
+                f"the parameter {parameter} is not applied, because it describes the rig or "
+                "one recording"
             )
     return Correction(
         frame=frame,
@@ -213,12 +216,14 @@ def _inverse_gain(calibration: CalibrationDocument, frame: Frame, name: str) -> 
         unobservable = unobservable_text(calibration)
         raise InputError(
             f"the calibration of {name} has no value for {unobservable}",
-            "record a motion that makes it observable, or subtract the bias only (--bias-only)",
+            "record a motion that determines the parameter, or subtract only the bias with "
+            "--bias-only",
         )
     gain = np.linalg.multi_dot([*(np.array(m, dtype=np.float64) for m in rows), np.eye(3)])
     if np.linalg.cond(gain) > _MAX_CONDITION:
         raise InputError(
-            f"the gain matrix of {name} is singular, because two axes measure the same rate",
+            f"the calibration of {name} cannot be applied, because two of its gyro axes "
+            "measure the same rate",
             "record a motion about all three axes and solve again",
         )
     return np.asarray(np.linalg.inv(gain), dtype=np.float64)
@@ -239,8 +244,9 @@ def build_bias_correction(calibration: CalibrationDocument) -> Correction:
     name = f"{calibration.board.id} version {calibration.version}"
     if calibration.trust.verdict == "refused" and calibration.observability.rank == 0:
         raise InputError(
-            f"the calibration of {name} determines no parameter, therefore nothing can be applied",
-            "read its report for the reason, record a motion about all three axes and solve again",
+            f"the calibration of {name} determines no parameter, so it cannot be applied",
+            "read the report of the calibration for the reason, record a motion about all "
+            "three axes, and solve again",
         )
     zeros = np.zeros(3)
     return Correction(
@@ -254,7 +260,7 @@ def build_bias_correction(calibration: CalibrationDocument) -> Correction:
         cubic=zeros,
         asymmetry=zeros,
         force=np.zeros((3, 3)),
-        not_applied=("the gain is not applied: --bias-only keeps the nominal scale",),
+        not_applied=("the gain is not applied, because --bias-only keeps the nominal scale",),
     )
 
 
@@ -287,8 +293,8 @@ def _thermal_terms(
     if reference_value is None or isinstance(reference_value, list):
         if orders or scale.any():
             not_applied.append(
-                "thermal causes are not applied: the document has no reference temperature; "
-                "solve again with this version"
+                "thermal causes are not applied, because the calibration has no reference "
+                "temperature. Solve again with this version"
             )
         return np.zeros((0, 3)), np.zeros(3), float("nan")
     return polynomial, scale, reference_value
@@ -303,7 +309,8 @@ def _g_sensitivity(calibration: CalibrationDocument) -> tuple[FloatArray, list[s
     stage = _values_or_zero(parameter).reshape(3, 3)
     is_partial = isinstance(parameter.value, list) and None in parameter.value
     words = (
-        "g_sensitivity along the stage's x axis is taken as 0: a pan-tilt unit cannot measure it"
+        "g_sensitivity along the stage's x axis is set to 0, because a pan-tilt unit cannot "
+        "measure it"
     )
     return stage @ misalignment.T, [words] if is_partial else []
 
@@ -319,7 +326,7 @@ def _known_values(calibration: CalibrationDocument, parameter: str, name: str) -
     if any(v is None for v in values):
         raise InputError(
             f"the calibration of {name} has no value for {parameter}",
-            "record the motion that its report recommends, and solve again",
+            "record the motion that the report of the calibration recommends, and solve again",
         )
     return np.array(values, dtype=np.float64)
 

@@ -93,12 +93,13 @@ class CalibrationStore:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as fault:
             raise MachineError(
-                f"cannot create the folder {folder} ({fault.strerror})",
+                f"the folder {folder} cannot be created ({fault.strerror})",
                 "choose another folder with --out",
             ) from fault
         if not os.access(folder, os.W_OK | os.X_OK):
             raise MachineError(
-                f"no permission to write to {folder}", "choose another folder with --out"
+                f"the user has no permission to write to the folder {folder}",
+                "choose another folder with --out",
             )
         return folder
 
@@ -167,7 +168,9 @@ class CalibrationStore:
             final = folder / f"v{number:04d}.yaml"
             if write_file(final, text.encode(), replace=False):
                 return StoredVersion(number, final)
-        raise BusyError(f"other solvers keep writing to {folder}", "try again")
+        raise BusyError(
+            f"other solvers write to the store {folder} all the time", "run the command again later"
+        )
 
 
 def sharded_folder_name(board: BoardId) -> str:
@@ -192,13 +195,14 @@ def create_sharded_store(folder: Path) -> CalibrationStore:
             others = [p.name for p in folder.iterdir() if not p.name.startswith(temporary_prefix)]
         except OSError as fault:
             raise MachineError(
-                f"cannot create the store {folder} ({fault.strerror})",
+                f"the calibration store {folder} cannot be created ({fault.strerror})",
                 "choose another folder with --store",
             ) from fault
         # Check again: another process writes the marker before any other file.
         if others and not marker.exists():
             raise UsageError(
-                f"{folder} is not a fleet's store, it contains {sorted(others)[0]}",
+                f"the folder {folder} is not a calibration store, because it contains "
+                f"{sorted(others)[0]}",
                 "choose an empty or a new folder with --store",
             )
         write_file(marker, STORE_MARKER, replace=False)
@@ -218,7 +222,8 @@ def _is_sharded(folder: Path) -> bool:
         return False
     except OSError as fault:
         raise MachineError(
-            f"cannot read {marker} ({fault.strerror})", "fix its permissions"
+            f"the store file {marker} cannot be read ({fault.strerror})",
+            "correct the permissions of the file",
         ) from fault
     check_store_marker(text, str(marker))
     return True
@@ -234,6 +239,7 @@ def check_store_marker(text: bytes, name: str) -> None:
     schema = marker.get("schema") if isinstance(marker, dict) else None
     if schema != STORE_SCHEMA:
         raise InputError(
-            f"{name} has the schema {str(schema)[:40]!r} instead of {STORE_SCHEMA!r}",
-            "use the program that wrote it, or a newer version",
+            f"the store file {name} has the schema {str(schema)[:40]!r} instead of "
+            f"{STORE_SCHEMA!r}",
+            "use the version of gyrorig that wrote the store, or a newer version",
         )

@@ -45,8 +45,9 @@ def solve_with_paper_method(
     """
     if "/ptu/position" not in recording.topics:
         raise InputError(
-            f"{recording.path.name} has no positions of a pan-tilt unit",
-            "use --method likelihood, because the paper's method needs the unit's angles",
+            "the paper's method needs the angles of a pan-tilt unit, but "
+            f"{recording.path.name} does not contain them",
+            "use --method likelihood",
         )
     time_s, pan, tilt, span = _interpolated_angles(recording, samples)
     used = samples.usable & (time_s >= span[0]) & (time_s <= span[1])
@@ -61,9 +62,9 @@ def solve_with_paper_method(
         )
     except ValueError as fault:
         raise InputError(
-            f"the paper's method cannot use board {board} ({fault})",
-            "record a program with static intervals and moves, such as survey-40, or use --method "
-            "likelihood",
+            f"the paper's method cannot calibrate board {board} ({fault})",
+            "record a motion program with static intervals and moves, such as survey-40, or "
+            "use --method likelihood",
         ) from fault
 
 
@@ -183,9 +184,9 @@ def _interpolated_angles(
         answered = polls["status"] & valid != 0
         if int(answered.sum()) < 2:
             raise InputError(
-                f"{recording.path.name} has fewer than two {axis} positions",
-                "remove `rate_hz` under `ptu: poll` from the rig file, so that the daemon polls "
-                "often, and record again",
+                f"{recording.path.name} has fewer than two {axis} positions of the pan-tilt unit",
+                "remove `rate_hz` under `ptu: poll` from the rig file, so that the daemon "
+                "polls the unit more often, and record again",
             )
         angles.append(np.interp(samples.time_s, middle_s[answered], polls[axis][answered]))
         start_s, end_s = (

@@ -97,8 +97,8 @@ def parse_unit(text: str | bytes, name: str) -> UnitPosteriorDocument:
     problem = _find_problem(document)
     if problem is not None:
         raise InputError(
-            f"{name} {problem}",
-            "restore it from a backup, or solve with `--unit-prior none`",
+            f"the unit posterior {name} {problem}",
+            "restore the file from a backup, or solve with `--unit-prior none`",
         )
     return document
 

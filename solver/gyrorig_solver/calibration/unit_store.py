@@ -107,7 +107,7 @@ class UnitStore:
             if self.storage.write_new(name, unit_as_yaml(document).encode()):
                 return document
         raise BusyError(
-            f"other solvers keep writing to {self.storage.location}/{_folder_of(unit)}",
+            f"other solvers write to {self.storage.location}/{_folder_of(unit)} all the time",
             "run the command again later",
         )
 
@@ -123,13 +123,17 @@ class UnitStore:
         location = f"{self.storage.location}/{name}"
         data = self.storage.read(name)
         if data is None:
-            raise MachineError(f"{location} does not exist any more", "run the command again")
+            raise MachineError(
+                f"the unit posterior {location} was removed while the program ran",
+                "run the command again",
+            )
         document = parse_unit(data, location)
         if document.unit != unit:
             raise InputError(
-                f"{location} is of the unit {document.unit.id}, by its "
-                f"{document.unit.identified_by}, and not of {unit.id}, by its {unit.identified_by}",
-                "move it to the folder of its unit, or solve with `--unit-prior none`",
+                f"the unit posterior {location} belongs to the pan-tilt unit "
+                f"{document.unit.id} (identified by {document.unit.identified_by}), not to "
+                f"{unit.id} (identified by {unit.identified_by})",
+                "move the file to the folder of its unit, or solve with `--unit-prior none`",
             )
         return StoredPosterior(document, "sha256:" + hashlib.sha256(data).hexdigest())
 

@@ -42,9 +42,9 @@ def judge_fit(fit: GyroFit) -> Trust:
         verdict = "limited"
     if math.isfinite(fit.reduced_chi2) and fit.reduced_chi2 > _REFUSED_CHI2:
         reasons.append(
-            f"the residual's variance is {fit.reduced_chi2:.3g} times that of the noise, therefore "
-            "the standard uncertainties are meaningless. Check signs, axes and full scale in the "
-            "rig's configuration"
+            f"the residual's variance is {fit.reduced_chi2:.3g} times that of the noise, so "
+            "the standard uncertainties have no meaning. Check the signs, the axes and the "
+            "full scale in the rig file"
         )
         verdict = "refused"
     if fit.observability.rank == 0:

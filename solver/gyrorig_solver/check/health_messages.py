@@ -14,20 +14,26 @@ from gyrorig_solver.check.recording_health import BoardHealth, RecordingHealth
 MAX_LOST_SHARE = 0.02  # above this share a calibration is limited
 
 _COPY_REMEDY = (
-    "Copy it again from the rig if it is complete there, or use the part that can be read."
+    "Copy the file again from the rig if it is complete there, or use the data that can be read."
 )
 _LOSS_REMEDIES = {
-    LossCause.UNFINISHED: "Run `gyrorigd recover FOLDER` on the rig to close it; no data on "
-    "the disk are lost.",
+    LossCause.UNFINISHED: (
+        "Run `gyrorigd recover FOLDER` on the rig to finish the file. No data on the disk are lost."
+    ),
     LossCause.TRUNCATED: _COPY_REMEDY,
     LossCause.DAMAGED: _COPY_REMEDY,
-    LossCause.REFUSED: "It was not written by gyrorigd, or bytes were changed. " + _COPY_REMEDY,
-    LossCause.MESSAGE: "The rest is used. Record again if samples are missing.",
-    LossCause.SUMMARY: "No action is needed; the file can be read without it.",
-    LossCause.METADATA: "No action is needed now, but check the disk on which it was written.",
+    LossCause.REFUSED: "The file was not written by gyrorigd, or its bytes were changed. "
+    + _COPY_REMEDY,
+    LossCause.MESSAGE: "The other messages are used. Record again if samples are missing.",
+    LossCause.SUMMARY: "No action is needed, because the file can be read without its summary.",
+    LossCause.METADATA: (
+        "No action is needed now, but check the disk on which the file was written."
+    ),
     LossCause.MISSING: _COPY_REMEDY,
 }
-_FAULT_REMEDY = "Run `gyrorigd doctor --config RIG.yaml` to see if the fault remains."
+_FAULT_REMEDY = (
+    "Run `gyrorigd doctor --config RIG.yaml` to check whether the fault is still present."
+)
 
 
 def health_verdict(health: RecordingHealth) -> str:
@@ -67,15 +73,15 @@ def _quality_messages(health: RecordingHealth) -> Iterator[str]:
     )
     if not health.boards:
         yield (
-            "there is no board in it. Connect one, and check with `gyrorigd doctor --config "
-            "RIG.yaml` that it answers."
+            "the recording contains no samples of a board. Connect a board, and check with "
+            "`gyrorigd doctor --config RIG.yaml` that it answers."
         )
     for board in health.boards:
         yield from _board_messages(board)
     if health.unit is not None and health.unit.unsynchronised:
         yield (
-            f"{health.unit.unsynchronised} positions were read while the unit was not "
-            "synchronised, and are not used. Check its cable."
+            f"{health.unit.unsynchronised} positions of the unit were read while its "
+            "position was unknown, and are not used. Check the cable of the unit."
         )
 
 
@@ -85,7 +91,10 @@ def _board_messages(board: BoardHealth) -> Iterator[str]:
         yield f"{name} cannot be used, because {board.fault}"
         return
     if board.lost > MAX_LOST_SHARE * (board.samples + board.lost):
-        yield f"{name} lost {board.lost} samples. Lower its output rate or raise its baud rate."
+        yield (
+            f"{name} lost {board.lost} samples. Lower the output rate of the board, or raise its "
+            "baud rate."
+        )
     if board.saturated > 0:
         yield (
             f"{name} has {board.saturated} saturated samples. "
@@ -93,11 +102,14 @@ def _board_messages(board: BoardHealth) -> Iterator[str]:
         )
     if board.repeated > MAX_LOST_SHARE * board.samples:
         yield (
-            f"{name} repeats {board.repeated} samples, because it is read faster than it measures. "
-            "Read it on its data-ready signal, or raise its output rate."
+            f"{name} repeats {board.repeated} samples, because the board reads its sensor "
+            "faster than the sensor measures. Read the sensor on its data-ready signal, or "
+            "raise its output rate."
         )
     if board.restarts:
-        yield f"{name} restarted {board.restarts} times. Check its supply and its cable."
+        yield (
+            f"{name} restarted {board.restarts} times. Check the supply and the cable of the board."
+        )
     if board.clock_steps:
         yield (
             f"the clock of {name} or of the host jumped {board.clock_steps} times. "
@@ -114,5 +126,5 @@ def _capability_messages(health: RecordingHealth) -> Iterator[str]:
             yield f"{board.board} cannot be calibrated alone, because {board.no_reference}"
         elif board.observability.unobservable:
             unobservable = ", ".join(collapse_groups(board.observability.unobservable))
-            reasons = "; ".join(board.observability.reasons) or "Turn it about every axis"
+            reasons = "; ".join(board.observability.reasons) or "Turn the board about every axis"
             yield f"{unobservable} of {board.board} cannot be determined. {sentence(reasons)}"

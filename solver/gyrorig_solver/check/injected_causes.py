@@ -44,9 +44,9 @@ def verify_commitment(truth: Mapping[str, Any], commitment: str | None) -> None:
     text = json.dumps(truth.get("hidden"), sort_keys=True, separators=(",", ":"))
     if hashlib.sha256(text.encode()).hexdigest() != commitment:
         raise InputError(
-            "the truth does not have the published hash: it was changed, or belongs to another "
-            "recording",
-            "give the file that --truth wrote for this recording",
+            "the truth file does not have the published hash, so it was changed or belongs "
+            "to another recording",
+            "give the truth file that `gyrorigd record --truth` wrote for this recording",
         )
 
 
@@ -69,8 +69,8 @@ def score_causes(document: FindingsDocument, truth: Mapping[str, Any]) -> list[S
         ]
     except (KeyError, TypeError, AttributeError, ValueError) as fault:
         raise InputError(
-            "the truth cannot be read, or belongs to another recording",
-            "give the file that --truth wrote for this recording",
+            "the truth file is not valid, or belongs to another recording",
+            "give the truth file that `gyrorigd record --truth` wrote for this recording",
         ) from fault
 
 

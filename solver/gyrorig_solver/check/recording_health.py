@@ -229,8 +229,9 @@ def _stage_rate(samples: GyroSamples, reference: ReferenceMotion) -> tuple[Float
     known = np.isfinite(rate).all(axis=1)
     if known.sum() < _MIN_GRID_POINTS:
         raise InputError(
-            f"the unit's motion is not known while board {samples.board} sampled",
-            "check the faults noted in the recording, and record again",
+            "the recording does not contain the unit's motion for the time in which board "
+            f"{samples.board} sent samples",
+            "check the faults that the recording lists, and record again",
         )
     return rate[known], float(edges[1] - edges[0])
 

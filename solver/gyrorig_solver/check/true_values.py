@@ -66,8 +66,8 @@ def compare_with_truth(
         true_values = _true_values(board)
     except (KeyError, TypeError, ValueError, IndexError) as fault:
         raise InputError(
-            f"the true values of board {calibration.board.id} are missing",
-            "give the file that `gyrorigd record --truth` wrote with this recording",
+            f"the truth file does not contain the true values of board {calibration.board.id}",
+            "give the truth file that `gyrorigd record --truth` wrote for this recording",
         ) from fault
     return [
         row

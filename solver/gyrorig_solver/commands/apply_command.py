@@ -97,13 +97,17 @@ def apply_command(
     if source.suffix in _RECORDING_SUFFIXES:
         if columns or temperature or time:
             raise UsageError(
-                f"{source.name} is a recording; --columns, --temperature and --time are for tables",
-                "leave them out",
+                "the options --columns, --temperature and --time are only for tables, but "
+                f"{source.name} is a recording",
+                "remove these options",
             )
         result_json = _apply_to_recording(terminal, correction, source, out, board)
     else:
         if board:
-            raise UsageError(f"{source.name} is a table; --board is for recordings", "leave it out")
+            raise UsageError(
+                f"the option --board is only for recordings, but {source.name} is a table",
+                "remove the option --board",
+            )
         table_columns = _table_columns(source, columns, unit, temperature, time, time_unit)
         result_json = _apply_to_table(terminal, correction, source, out, table_columns)
     not_applied = [
@@ -141,8 +145,9 @@ def _table_columns(
     names = [name.strip() for name in (columns or "").split(",") if name.strip()]
     if len(names) != len(RATE_COLUMNS):
         raise UsageError(
-            f"--columns names {len(names)} columns of the table {source.name} instead of three",
-            "give the three gyro columns with --columns X,Y,Z",
+            f"the option --columns names {len(names)} columns of the table {source.name} "
+            "instead of three",
+            "give the names of the three gyro columns as --columns X,Y,Z",
         )
     return TableColumns((names[0], names[1], names[2]), unit, temperature, time, time_unit)
 

@@ -53,7 +53,9 @@ _RETRY_STATUSES = ("rejected", "failed", "quarantined")
 @click.option(
     "--tls-ca",
     type=_EXISTING_FILE,
-    help="With tls://: the certificate (PEM) of the authority that signed the others.",
+    help=(
+        "With tls://: the certificate (PEM) of the authority that signed the other certificates."
+    ),
 )
 @click.option(
     "--tls-cert", type=_EXISTING_FILE, help="With tls://: the certificate (PEM) of this batch."
@@ -145,8 +147,8 @@ def batch_command(
     )
     if scheduler is None and (tls_ca or tls_cert or tls_key):
         raise UsageError(
-            "--tls-ca, --tls-cert and --tls-key need --scheduler",
-            "add --scheduler tls://HOST:8786, or remove these options",
+            "the options --tls-ca, --tls-cert and --tls-key work only with the option --scheduler",
+            "add --scheduler tls://HOST:8786, or remove the three options",
         )
     bar, own_shard = _ProgressBar(), _parse_shard(shard)
     signer = None if sign is None else read_signer(sign)
@@ -190,14 +192,15 @@ def _dask_pools(
 
     if workers is not None:
         raise UsageError(
-            "--workers and --scheduler exclude each other",
-            "remove --workers: the scheduler has its own workers",
+            "the options --workers and --scheduler cannot be used together",
+            "remove --workers, because the scheduler has its own workers",
         )
     if authority and certificate and key:
         return dask_pools(address, TlsCertificates(authority, certificate, key))
     if authority or certificate or key:
         raise UsageError(
-            "--tls-ca, --tls-cert and --tls-key must be given together", "give all three"
+            "the options --tls-ca, --tls-cert and --tls-key must be given together",
+            "give all three options",
         )
     return dask_pools(address)
 
@@ -242,12 +245,14 @@ def _parse_shard(text: str | None) -> Shard:
     number, _, count = text.partition("/")
     if not (number.isascii() and number.isdigit() and count.isascii() and count.isdigit()):
         raise UsageError(
-            f"--shard {text!r:.40} is not of the form K/N", "write it as K/N, such as 3/16"
+            f"the value {text!r:.40} of --shard does not have the form K/N",
+            "write the shard as K/N, for example 3/16",
         )
     if not 1 <= int(number) <= int(count) <= 1_000_000:
         raise UsageError(
-            f"--shard {text[:40]} is out of range: there is no part {number[:20]} of {count[:20]}",
-            "write it as K/N, K from 1 to N, such as 3/16",
+            f"the value {text[:40]} of --shard is out of range, because {count[:20]} shards "
+            f"have no shard {number[:20]}",
+            "write the shard as K/N with K from 1 to N, for example 3/16",
         )
     return Shard(int(number), int(count))
 
@@ -278,7 +283,7 @@ def _summary_text(summary: BatchSummary, store: str) -> str:
     if summary.deferred:
         lines.append(_status_line("deferred", summary.deferred, summary.deferral_reason))
     if summary.not_started:
-        advice = "the batch gave up; run it again"
+        advice = "the batch ended before these sessions. Run the command again"
         lines.append(_status_line("not started", summary.not_started, advice))
     if summary.unmerged_reason:
         lines.append(f"  the next batch will update the index: {summary.unmerged_reason}")

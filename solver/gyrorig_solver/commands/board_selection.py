@@ -14,14 +14,14 @@ def select_boards(recording: Recording, wanted: str | None) -> tuple[BoardId, ..
     available = recording.board_ids
     if not available:
         raise InputError(
-            f"{recording.path.name} contains no board",
+            f"the recording {recording.path.name} contains no samples of a board",
             "connect a board, check with `gyrorigd doctor` that it answers, and record again",
         )
     if wanted is None:
         return available
     if wanted not in available:
         raise InputError(
-            f"board {wanted!r:.50} is not in {recording.path.name}",
-            f"name one with --board that is: {', '.join(available)}",
+            f"the recording {recording.path.name} does not contain board {wanted!r:.50}",
+            f"choose one of its boards with --board: {', '.join(available)}",
         )
     return (BoardId(wanted),)

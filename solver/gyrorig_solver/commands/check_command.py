@@ -80,7 +80,10 @@ def _recordings_of(paths: tuple[Path, ...]) -> list[Path]:
             continue
         inside = sorted(path.glob("*.mcap")) + sorted(path.glob("*.mcap.part"))
         if not inside:
-            raise InputError(f"the folder {path} has no recording", "give a recording (*.mcap)")
+            raise InputError(
+                f"the folder {path} contains no recording",
+                "give a recording (*.mcap), or a folder with recordings",
+            )
         expanded += inside
     return expanded
 

@@ -69,14 +69,15 @@ def _compare(
     content = parse_yaml(read_document(reference), str(reference), InputError)
     if not isinstance(content, dict):
         raise InputError(
-            f"{reference} has no true values", "give a truth file or a second calibration"
+            f"the file {reference} contains no true values",
+            "give a truth file, or a second calibration",
         )
     if content.get("schema") == SCHEMA:
         return compare_calibrations(document, read_calibration(reference)[0]), "other"
     if (kind := describe_schema(content.get("schema"))) is not None:
         raise InputError(
-            f"{reference} is {kind}. True values or a calibration are expected here",
-            "give the file that `gyrorigd record --truth` wrote, or a second calibration",
+            f"the file {reference} is {kind}, but true values or a calibration are expected here",
+            "give the truth file that `gyrorigd record --truth` wrote, or a second calibration",
         )
     return compare_with_truth(document, content), "truth"
 

@@ -72,9 +72,11 @@ class DaemonFailedError(GyrorigError):
     "--hide",
     multiple=True,
     metavar="CAUSE[@PLACE][:SIZE]",
-    help="Add an imperfection to the emulated rig, to be found and named; `random` draws one and "
-    "keeps it secret until the end. `gyrorigd causes` lists causes, places and units. Can be "
-    "repeated.",
+    help=(
+        "Add a cause to the emulated rig, which the search should then find. `random` chooses a "
+        "cause and keeps it secret until the end. `gyrorigd causes` lists causes, places and "
+        "units. Can be repeated."
+    ),
 )
 @json_option
 @click.pass_obj
@@ -98,7 +100,8 @@ def demo_command(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise MachineError(
-            f"the folder {out} cannot be created ({fault.strerror})", "give another one with --out"
+            f"the output folder {out} cannot be created ({fault.strerror})",
+            "choose another folder with --out",
         ) from fault
     seed_text = "" if seed is None else f", seed {seed}"
     terminal.print_result(f"1  Recording on an emulated rig{seed_text}, program {program.stem}")
@@ -212,8 +215,8 @@ def _record_session(
         return DemoRecording(Path(answer["recording"]), truth_path, str(answer.get("seal", "")))
     except (json.JSONDecodeError, KeyError, TypeError) as fault:
         raise InputError(
-            "the daemon did not name its recording",
-            "run `gyrorigd record` with the same --config and --program to see why",
+            "the daemon ended without the name of a recording",
+            "run `gyrorigd record` with the same --config and --program to see the reason",
         ) from fault
 
 
@@ -235,7 +238,9 @@ def _run_daemon(command: list[str]) -> str:
             process.terminate()
             raise
     if process.returncode:
-        reason = (faults or "").strip().rpartition("\n")[2] or "see its message above"
+        reason = (faults or "").strip().rpartition("\n")[2] or (
+            "read the message of the daemon above"
+        )
         with contextlib.suppress(json.JSONDecodeError, KeyError, TypeError):
             reason = json.loads(output)["error"]
         error = DaemonFailedError("the daemon could not record", reason)

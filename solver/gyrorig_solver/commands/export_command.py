@@ -63,7 +63,7 @@ def export_command(
       gyrorig export calibrations/GY80-1/v0001.yaml --format px4 --slot 0
     """
     if out is not None and out.exists():
-        raise UsageError(f"{out} exists", "give another file with -o")
+        raise UsageError(f"the output file {out} already exists", "choose another file with -o")
     document, digest = read_calibration(calibration)
     source = ExportSource.of(document, frame, digest)
     written = export_text(source, kind, ExportOptions(name, slot, device_id))
@@ -71,7 +71,7 @@ def export_command(
         if not terminal.json:
             click.echo(written, nl=False)  # unchanged: tabs matter, and names are already clean
     elif not write_file(out, written.encode(), replace=False):
-        raise UsageError(f"{out} exists", "give another file with -o")
+        raise UsageError(f"the output file {out} already exists", "choose another file with -o")
     else:
         terminal.print_result(
             f"{out}: {source.document.board.id} version {source.document.version}, {kind}"

@@ -63,8 +63,8 @@ def import_command(
     if kind == _PHONE_FORMAT:
         if map_path is not None:
             raise UsageError(
-                "FORMAT android needs no column map",
-                "leave out --map, or give FORMAT csv",
+                "the format android needs no column map, so --map cannot be used with it",
+                "remove the option --map, or use the format csv",
             )
         from gyrorig_solver.importers.phone_import import import_phone  # noqa: PLC0415 - loads scipy
 
@@ -75,8 +75,9 @@ def import_command(
     else:
         if sensor is not None or unit_recording is not None:
             raise UsageError(
-                f"--sensor and --beside are options of FORMAT android, not of {kind}",
-                "leave them out and give the sensor in the column map",
+                "the options --sensor and --beside are only for the format android, not for "
+                f"{kind}",
+                "remove these options, and give the sensor in the column map",
             )
         mapping = load_import_map(_column_map_path(kind, map_path))
         with terminal.show_progress(f"importing {source.name}"):
@@ -99,17 +100,21 @@ def _column_map_path(kind: str, map_path: Path | None) -> Path:
     if kind in _MAPPED_FORMATS:
         if map_path is None:
             raise UsageError(
-                f"FORMAT {kind} needs a column map",
-                "give one with --map; config/imports has examples",
+                f"the format {kind} needs a column map",
+                "give a column map with --map. The folder config/imports has examples",
             )
         return map_path
     if map_path is not None:
         raise UsageError(
-            f"FORMAT {kind} has a built-in column map", "leave out --map, or give FORMAT csv or npz"
+            f"the format {kind} has a built-in column map, so --map cannot be used with it",
+            "remove the option --map, or use the format csv or npz",
         )
     names = project_names("imports")
     if kind not in names:
         known = ", ".join((*_MAPPED_FORMATS, _PHONE_FORMAT, *names))
         suggestion = did_you_mean(kind, (*_MAPPED_FORMATS, _PHONE_FORMAT, *names))
-        raise UsageError(f"{kind!r:.40} is not a FORMAT", f"{suggestion} Known: {known}".strip())
+        raise UsageError(
+            f"the format {kind!r:.40} is unknown",
+            (f"{suggestion} The known formats are {known}").strip(),
+        )
     return project_file("imports", f"{kind}.yaml")

@@ -60,7 +60,7 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
     "rig_path",
     type=click.Path(path_type=Path, dir_okay=False),
     required=True,
-    help="The rig (YAML): its limits and speeds.",
+    help="The rig file (YAML), with limits and speeds.",
 )
 @click.option(
     "--seconds",
@@ -72,7 +72,10 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
     "--program",
     "program_path",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Predict this program; without --seconds nothing is searched.  [default: none]",
+    help=(
+        "Predict this motion program. Without --seconds, the command does not search for "
+        "another one.  [default: none]"
+    ),
 )
 @click.option(
     "--criterion",
@@ -95,7 +98,10 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
     type=click.Choice(["total", "noise"]),
     default="total",
     show_default=True,
-    help="total: noise, and causes that the program leaves open; noise: as if no cause existed.",
+    help=(
+        "total: uncertainty from noise and from causes that the program does not determine; "
+        "noise: from noise only."
+    ),
 )
 @click.option(
     "--uncertainty",
@@ -108,8 +114,10 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
     "--unit-prior",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="What earlier recordings have shown of the unit: a version in rigs/<unit> of the results "
-    "(YAML).  [default: the prior sizes]",
+    help=(
+        "The unit posterior, which earlier recordings determined: a version in the folder "
+        "rigs/<unit> of the results (YAML).  [default: the prior sizes]"
+    ),
 )
 @click.option(
     "--sensor",
@@ -168,8 +176,8 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
     if seconds is not None:
         if not SHORTEST_S <= seconds <= LONGEST_S:
             raise UsageError(
-                f"--seconds {seconds:g} is not between {SHORTEST_S:g} and {LONGEST_S:g}",
-                "give a valid length; repeat a program for longer recordings",
+                f"the length --seconds {seconds:g} is not between {SHORTEST_S:g} and {LONGEST_S:g}",
+                "give a length in this range. For a longer recording, repeat the motion program",
             )
         plan_result = find_program(
             rig.unit,
@@ -184,8 +192,9 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
         )
     elif options["out"] is not None:
         raise UsageError(
-            "--out writes the program that a search finds, and only --seconds starts a search",
-            "give --seconds",
+            "the option --out writes a found motion program, but without --seconds the "
+            "command does not search for one",
+            "give the length of the motion program with --seconds",
         )
     predictions = [
         p
@@ -266,8 +275,8 @@ def _sensor_profile(name: str) -> SensorProfile:
     if profile is None:
         suggestion = did_you_mean(name, project_names("boards"))
         raise UsageError(
-            f"config/boards has no profile of {name!r:.60}",
-            f"{suggestion} Give the name of a profile or a file with --sensor".strip(),
+            f"the folder config/boards contains no profile of the sensor {name!r:.60}",
+            f"{suggestion} Give the name of a profile, or a file, with --sensor".strip(),
         )
     return profile
 

@@ -17,8 +17,8 @@ def project_file(*parts: str) -> Path:
         if path.is_file():
             return path
     raise UsageError(
-        f"there is no file config/{'/'.join(parts)}",
-        "run this in a clone of the project, or install its wheel again",
+        f"the file config/{'/'.join(parts)} of the project does not exist",
+        "run the command in a clone of the project, or install the package of the project again",
     )
 
 

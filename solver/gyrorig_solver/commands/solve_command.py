@@ -162,8 +162,8 @@ def _requested_causes(extend: str, method: str) -> tuple[str, ...]:
         if causes in ((), (AUTO,)):
             return ()
         raise UsageError(
-            "the paper's method cannot fit causes",
-            "leave out --extend, or use --method likelihood",
+            "the paper's method cannot fit the causes that --extend names",
+            "remove the option --extend, or use --method likelihood",
         )
     return causes
 

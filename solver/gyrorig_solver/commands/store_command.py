@@ -162,7 +162,9 @@ def show_command(
     """
     if version is not None and (at, config_hash) != (None, None):
         raise UsageError(
-            f"--version {version} already selects one calibration", "remove --at and --config"
+            f"the option --version {version} already selects one calibration, so --at and "
+            "--config have no use",
+            "remove the options --at and --config",
         )
     path, calibration = (
         find_version(folder, BoardId(board), version)

@@ -34,15 +34,15 @@ def find_version(folder: Storage, board: BoardId, number: int) -> tuple[Path, Ca
     if not versions:
         raise _unknown_board_error(folder, board)
     raise InputError(
-        f"{folder.location} does not contain version {number} of board {board}",
+        f"the store {folder.location} does not contain version {number} of board {board}",
         f"choose a version from {versions[0].number} to {versions[-1].number}",
     )
 
 
 def _unknown_board_error(folder: Storage, board: BoardId) -> InputError:
     return InputError(
-        f"{folder.location} does not contain board {board}",
-        f"list its boards with `gyrorig store ls {folder.location}`",
+        f"the store {folder.location} does not contain board {board}",
+        f"list the boards of the store with `gyrorig store ls {folder.location}`",
     )
 
 
@@ -71,11 +71,13 @@ def versions_in_time(
     if not matching:
         conditions = [
             *([] if at is None else [f"recorded until {at:%Y-%m-%d %H:%M} UTC"]),
-            *([] if config_hash is None else [f"with the configuration {config_hash[:20]}"]),
+            *([] if config_hash is None else [f"made with the configuration {config_hash[:20]}"]),
         ]
         raise InputError(
-            f"{folder.location} contains no version of board {board} {' and '.join(conditions)}",
-            f"list its versions with `gyrorig store ls {folder.location} --all --board {board}`",
+            f"the store {folder.location} contains no version of board {board} that was "
+            f"{' and '.join(conditions)}",
+            f"list the versions of the board with `gyrorig store ls {folder.location} --all "
+            f"--board {board}`",
         )
     return matching
 

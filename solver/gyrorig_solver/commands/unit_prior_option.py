@@ -16,9 +16,11 @@ unit_prior_option = click.option(
     default=FROM_STORE,
     show_default=True,
     metavar="stored|none|FILE",
-    help="What earlier recordings have shown of the unit: stored uses the newest version in the "
-    "results' folder, rigs/<unit>, and adds a version; none does neither; FILE uses that version "
-    "(YAML) and adds none.",
+    help=(
+        "The unit posterior, which earlier recordings determined. stored: use the newest "
+        "version in the folder rigs/<unit> of the results, and add a version. none: use no "
+        "version, and add none. FILE: use this version (YAML), and add none."
+    ),
 )
 
 

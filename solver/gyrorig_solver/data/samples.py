@@ -143,8 +143,8 @@ def positive_number(metadata: Mapping[str, str], key: str) -> float | None:
         value = np.nan
     if not np.isfinite(value) or value <= 0.0:
         raise InputError(
-            f"the recording has {key} {text[:40]!r}, which is not a positive number",
-            "correct it in the rig file or in the import map, and record or import again",
+            f"the recording has the value {text[:40]!r} for {key}, which is not a positive number",
+            "correct the value in the rig file or in the import map, and record or import again",
         )
     return value
 
@@ -159,19 +159,23 @@ def load_samples(recording: Recording, board: str) -> GyroSamples:
     if board not in recording.board_ids:
         board_names = ", ".join(recording.board_ids) or "none"
         raise InputError(
-            f"{recording.path.name} has no board {board!r}", f"choose one of {board_names}"
+            f"the recording {recording.path.name} does not contain board {board!r}",
+            f"choose one of its boards: {board_names}",
         )
     metadata = recording.metadata.get(f"gyrorig.board.{board}", {})
     scale = positive_number(metadata, "gyro_scale_rad_s")
     if scale is None:
         raise InputError(
-            f"{recording.path.name} does not contain the nominal scale of board {board}",
-            "add `gyro_scale_rad_s` to the description of the board, and record or import again",
+            f"the recording {recording.path.name} does not contain the nominal scale factor "
+            f"of board {board}",
+            "add `gyro_scale_rad_s` of the board to the rig file or the import map, and "
+            "record or import again",
         )
     raw = recording.imu_columns(BoardId(board))
     if raw.sequence.size < 16:
         raise InputError(
-            f"board {board} has only {raw.sequence.size} samples, and at least 16 are needed",
+            f"board {board} has only {raw.sequence.size} samples in the recording, but the "
+            "solver needs at least 16",
             "record for longer, or check with `gyrorigd doctor` that the board sends samples",
         )
     origin_ns = int(raw.host_time_ns[0])

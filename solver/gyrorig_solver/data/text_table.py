@@ -23,4 +23,6 @@ def check_text_table(path: Path) -> None:
     with path.open("rb") as file:
         kind = describe_file_kind(file.read(HEAD_BYTES))
     if kind not in _POSSIBLE_TABLES:
-        raise InputError(f"{path.name} is {kind}, not a text table", "give a table (CSV) here")
+        raise InputError(
+            f"the file {path.name} is {kind}, not a text table", "give a text table (CSV)"
+        )

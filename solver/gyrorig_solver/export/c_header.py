@@ -82,17 +82,17 @@ def c_header(source: ExportSource, name: str | None = None) -> str:
     scale = source.document.board.config.gyro_scale_rad_s
     if scale is None:
         raise UsageError(
-            "the C code reads counts, but the calibration does not specify the nominal scale of a "
-            "count",
-            "add gyro_scale_rad_s to the board's description (or to the import map), then record "
-            "and solve again",
+            "the exported C code reads counts, but the calibration does not contain the "
+            "nominal scale factor of the board",
+            "add gyro_scale_rad_s of the board to the rig file or the import map, then "
+            "record or import again, and solve again",
         )
     stem = name or _identifier(source.document.board.id)
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,40}", stem):
         raise UsageError(
-            f"{stem[:40]!r} is not a valid name in C",
-            "give another one with --name, up to 41 letters, digits and _, not starting with a "
-            "digit",
+            f"the name {stem[:40]!r} is not a valid name in C",
+            "choose another name with --name, with at most 41 letters, digits and "
+            "underscores, and no digit at the start",
         )
     matrix, offset = scale * correction.inverse, correction.offset()
     limit = largest_count(scale, source.document.board.config.gyro_full_scale_dps)

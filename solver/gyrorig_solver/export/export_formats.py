@@ -36,19 +36,32 @@ def export_text(source: ExportSource, kind: str, options: ExportOptions | None =
     """
     chosen = options or ExportOptions()
     if kind not in FORMATS:
-        raise UsageError(f"the format {kind!r:.40} is unknown", f"give one of {', '.join(FORMATS)}")
+        raise UsageError(
+            f"the export format {kind!r:.40} is unknown",
+            f"choose one of the formats {', '.join(FORMATS)}",
+        )
     if chosen.name is not None and kind not in _FORMATS_WITH_NAME:
-        raise UsageError(f"the format {kind} does not use --name", "leave out --name")
+        raise UsageError(
+            f"the export format {kind} does not use the option --name", "remove the option --name"
+        )
     if chosen.slot is not None and not 0 <= chosen.slot < _GYRO_SLOTS.get(kind, 0):
         slot_count = _GYRO_SLOTS.get(kind)
-        remedy = "leave out --slot" if slot_count is None else f"give --slot 0 to {slot_count - 1}"
-        raise UsageError(f"the format {kind} has no gyro slot {chosen.slot}", remedy)
+        remedy = (
+            "remove the option --slot"
+            if slot_count is None
+            else (f"choose a slot from 0 to {slot_count - 1} with --slot")
+        )
+        raise UsageError(f"the export format {kind} has no gyro slot {chosen.slot}", remedy)
     if chosen.device_id is not None and kind != "px4":
-        raise UsageError(f"the format {kind} does not use --device-id", "leave out --device-id")
+        raise UsageError(
+            f"the export format {kind} does not use the option --device-id",
+            "remove the option --device-id",
+        )
     if source.frame == "sensor" and kind in _GYRO_SLOTS:
         raise UsageError(
-            f"the format {kind} contains offsets in the sensor's own axes only",
-            "leave out --frame",
+            f"the export format {kind} contains only offsets in the sensor's own axes, so "
+            "--frame has no use",
+            "remove the option --frame",
         )
     match kind:
         case "c":

@@ -44,9 +44,10 @@ class ExportSource:
             InputError: the verdict of the calibration is refused.
         """
         if source.trust.verdict == "refused":
-            reasons = source.trust.reasons or ["read its report for the reason"]
+            reasons = source.trust.reasons or ["read the report of the calibration for the reason"]
             raise InputError(
-                f"the calibration of {source.board.id} has the verdict refused and is not exported",
+                f"the calibration of {source.board.id} is not exported, because its verdict "
+                "is refused",
                 reasons[0],
             )
         try:
@@ -66,7 +67,8 @@ class ExportSource:
             raise InputError(
                 f"the calibration of {self.document.board.id} has no value for "
                 f"{unobservable_text(self.document)}",
-                "record a motion that makes it observable, or use px4, ardupilot or kalibr",
+                "record a motion that determines the parameter, or use the format px4, "
+                "ardupilot or kalibr",
             )
         return self.calibration.correction
 
@@ -81,8 +83,8 @@ class ExportSource:
         values = value if isinstance(value, list) else [value]
         if any(v is None for v in values):
             raise InputError(
-                f"the calibration of {self.document.board.id} has no bias",
-                "record the board at rest",
+                f"the calibration of {self.document.board.id} has no value for the bias",
+                "record the board at rest, and solve again",
             )
         return np.array(values, dtype=np.float64)
 
@@ -133,8 +135,9 @@ class ExportSource:
         )
         if "g_sensitivity" in causes and "g_sensitivity" not in carried:
             raise InputError(
-                "this format cannot contain g_sensitivity, and without it the bias is wrong",
-                "solve without g_sensitivity for this export, or use gyrorig apply",
+                "the calibration contains g_sensitivity, which the export format cannot "
+                "contain, and without it the bias would be wrong",
+                "solve without g_sensitivity for this export, or use the command `gyrorig apply`",
             )
         omitted = [cause for cause in causes if cause not in base]
         return [f"not contained in this format: {', '.join(omitted)}"] if omitted else []

@@ -41,11 +41,14 @@ def kalibr_imu(source: ExportSource, name: str | None = None) -> str:
         missing, remedy = (
             ("noise of the gyro", "record the board at rest for a minute, and solve again")
             if density is None
-            else ("output rate of the board", "add odr_hz to its description, and record again")
+            else (
+                "output rate of the board",
+                "add `odr_hz` under `facts` of the board in the rig file, and record again",
+            )
         )
         raise InputError(
-            f"the calibration of {source.document.board.id} lacks the {missing}, and Kalibr "
-            "requires it",
+            f"Kalibr requires the {missing}, but the calibration of "
+            f"{source.document.board.id} does not contain it",
             remedy,
         )
     walk = source.worst_noise("rate_random_walk")

@@ -143,8 +143,8 @@ def load_import_map(path: Path) -> ImportMap:
         text = path.read_bytes()
     except OSError as error:
         raise UsageError(
-            f"cannot read the import map {path} ({error.strerror})",
-            "give a map with --map, for example one in config/imports",
+            f"the import map {path} cannot be read ({error.strerror})",
+            "give an import map with --map, for example a file in config/imports",
         ) from error
     return check_import_map(
         convert_document(parse_yaml(text, path.name), ImportMap, path.name), path.name
@@ -168,8 +168,10 @@ def check_import_map(import_map: ImportMap, name: str) -> ImportMap:
             _check_time(part.time, f"{name}: {where}")
     if import_map.gyro.unit == "counts" and import_map.gyro.scale_rad_s is None:
         raise UsageError(
-            f"{name}: the gyro has unit counts, but no scale_rad_s",
-            "add scale_rad_s, the data sheet's scale of a count in rad/s",
+            f"the import map {name} gives the gyro in counts, but not its scale factor "
+            "`scale_rad_s`",
+            "add `scale_rad_s` under `gyro`, with the value of one count in rad/s from the "
+            "data sheet",
         )
     if (
         import_map.accel
@@ -177,8 +179,10 @@ def check_import_map(import_map: ImportMap, name: str) -> ImportMap:
         and import_map.accel.scale_m_s2 is None
     ):
         raise UsageError(
-            f"{name}: the accelerometer has unit counts, but no scale_m_s2",
-            "add scale_m_s2, the data sheet's scale of a count in m/s^2",
+            f"the import map {name} gives the accelerometer in counts, but not its scale "
+            "factor `scale_m_s2`",
+            "add `scale_m_s2` under `accel`, with the value of one count in m/s^2 from the "
+            "data sheet",
         )
     for where, columns, width in (
         ("gyro", import_map.gyro, 3),
@@ -187,8 +191,9 @@ def check_import_map(import_map: ImportMap, name: str) -> ImportMap:
     ):
         if columns is not None and len(columns.keys) not in (1, width):
             raise UsageError(
-                f"{name}: {where} has {len(columns.keys)} keys instead of 1 or {width}",
-                f"give one array of {width} columns, or {width} keys",
+                f"in the import map {name}, `keys` under `{where}` has {len(columns.keys)} "
+                f"entries instead of 1 or {width}",
+                f"give the name of one array with {width} columns, or {width} names of columns",
             )
     turns = [
         *import_map.turns,
@@ -197,8 +202,9 @@ def check_import_map(import_map: ImportMap, name: str) -> ImportMap:
     for turn in turns:
         if not math.isclose(math.hypot(*turn.axis), 1.0, abs_tol=1e-6):
             raise UsageError(
-                f"{name}: the turn axis {turn.axis} does not have the length 1",
-                "divide it by its length, for example [0.0, 0.0, 1.0]",
+                f"in the import map {name}, the axis {turn.axis} of a turn does not have the "
+                "length 1",
+                "give the axis as a unit vector, for example [0.0, 0.0, 1.0]",
             )
     return import_map
 
@@ -207,12 +213,13 @@ def _check_time(time: TimeBase, name: str) -> None:
     if time.stamp == "arrival":
         if time.key is None or time.rate_hz is None:
             raise UsageError(
-                f"{name}: with `stamp: arrival`, both key and rate_hz are needed",
-                "give the column of arrival times (key) and the sensor's nominal rate (rate_hz)",
+                f"{name}: `stamp: arrival` needs both the key `key` and the key `rate_hz`",
+                "give the column of arrival times as `key`, and the nominal sample rate of "
+                "the sensor as `rate_hz`",
             )
     elif sum(given is not None for given in (time.key, time.rate_hz, time.rate_key)) != 1:
         raise UsageError(
-            f"{name} must contain one of key, rate_hz and rate_key, and only one of them",
-            "give a column of times (key), a rate in Hz (rate_hz) or an array with the rate "
-            "(rate_key)",
+            f"{name} must contain exactly one of the keys `key`, `rate_hz` and `rate_key`",
+            "give a column of times (`key`), a sample rate in Hz (`rate_hz`), or an array "
+            "that contains the rate (`rate_key`)",
         )

@@ -91,7 +91,8 @@ def read_streams(
     is_finite = np.all(np.isfinite(gyro), axis=1)
     if is_finite.sum() < 2:
         raise InputError(
-            f"the gyro columns {', '.join(mapping.gyro.keys)} contain no numbers",
+            f"the gyro columns {', '.join(mapping.gyro.keys)} contain fewer than two rows of "
+            "numbers",
             "correct `keys` under `gyro` in the import map",
         )
     if not is_finite.all():
@@ -195,7 +196,8 @@ def _attitude_stream(
         base_s = time_s
     else:
         raise InputError(
-            f"attitude has {len(values)} rows, but the gyro has {time_s.size}",
+            f"the attitude columns have {len(values)} rows, but the gyro columns have "
+            f"{time_s.size}",
             "add `time` under `attitude` in the import map",
         )
     is_finite = np.all(np.isfinite(values), axis=1)
@@ -217,7 +219,7 @@ def _attitude_stream(
 def _whole_counts(values: FloatArray, quantity: str) -> IntArray:
     if np.any(values != np.rint(values)):
         raise InputError(
-            f"the {quantity} columns contain numbers that are not whole, so they are not counts",
+            f"the {quantity} columns contain numbers with decimals, so they cannot be counts",
             f"correct `unit` under `{quantity}` in the import map",
         )
     return _int32_counts(values, quantity)
@@ -229,7 +231,7 @@ def _int32_counts(counts: FloatArray, quantity: str) -> IntArray:
     if out_of_range.any():
         at = int(np.argmax(out_of_range.any(axis=1)))
         raise InputError(
-            f"{quantity} of sample {at + 1} is beyond the range of any sensor",
+            f"the {quantity} value of sample {at + 1} is too large for any sensor",
             f"correct `unit` under `{quantity}` in the import map",
         )
     return np.asarray(whole, dtype=np.int64)

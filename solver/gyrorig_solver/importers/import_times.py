@@ -25,25 +25,26 @@ def read_times(columns: MeasurementColumns, base: TimeBase, rows: int, stream: s
     time_s = time_s + base.origin_s
     if time_s.size != rows:
         raise InputError(
-            f"{stream} has {time_s.size} times for {rows} rows",
-            "correct `key` under its `time` in the import map",
+            f"the {stream} columns have {rows} rows, but their time column has {time_s.size}",
+            f"correct `key` under `time` of the {stream} in the import map",
         )
     invalid = ~np.isfinite(time_s) | (time_s < 0.0) | (time_s >= MAX_TIME_S)
     if invalid.any():
         at = int(np.argmax(invalid))
         raise InputError(
-            f"{stream} has the invalid time {time_s[at]:g} s in row {at + 1}",
-            "correct `unit` under `time` in the import map, or set `origin_s` there so that no "
-            "time is below 0",
+            f"the time {time_s[at]:g} s of the {stream} columns in row {at + 1} is outside "
+            "the valid range",
+            "correct `unit` under `time` in the import map, or set `origin_s` under `time` "
+            "so that no time is below 0",
         )
     step = np.diff(time_s)
     not_increasing = step < 0.0 if base.stamp == "arrival" else step <= 0.0
     if not_increasing.any():
         at = int(np.argmax(not_increasing)) + 1
         raise InputError(
-            f"the times of {stream} do not increase at row {at + 1}",
-            "sort the rows and remove duplicates, or set `stamp: arrival` under `time` "
-            "in the import map",
+            f"the times of the {stream} columns do not increase at row {at + 1}",
+            "sort the rows and remove duplicates. If the times are arrival times, set "
+            "`stamp: arrival` under `time` in the import map",
         )
     return np.asarray(time_s, dtype=np.float64)
 
@@ -54,8 +55,8 @@ def _sample_rate(columns: MeasurementColumns, base: TimeBase) -> float:
         rate = float(columns.matrix([base.rate_key], 1)[0, 0])
     if rate is None or not np.isfinite(rate) or rate <= 0.0:
         raise InputError(
-            f"the sample rate is {rate}, but it must be above 0",
-            "give `rate_hz` under `time` in the import map, or a column of times",
+            f"the sample rate in the import map is {rate}, but it must be above 0",
+            "correct `rate_hz` under `time` in the import map, or give a column of times as `key`",
         )
     return rate
 
@@ -100,7 +101,8 @@ def values_at_samples(
     if base_s is None:
         if len(values) != time_s.size:
             raise InputError(
-                f"{stream} has {len(values)} rows, but the gyro has {time_s.size}",
+                f"the {stream} columns have {len(values)} rows, but the gyro columns have "
+                f"{time_s.size}",
                 f"add `time` under `{stream}` in the import map",
             )
         return values[row]
@@ -108,7 +110,10 @@ def values_at_samples(
         return values[row]
     after = np.clip(np.searchsorted(base_s, time_s[row]), 1, max(base_s.size - 1, 1))
     if base_s.size < 2:
-        raise InputError(f"{stream} has only {base_s.size} rows", "remove it from the import map")
+        raise InputError(
+            f"the {stream} columns have only {base_s.size} rows",
+            f"remove the {stream} from the import map",
+        )
     nearer = np.abs(base_s[after - 1] - time_s[row]) <= np.abs(base_s[after] - time_s[row])
     nearest = np.where(nearer, after - 1, after)
     distance_s = np.abs(base_s[nearest] - time_s[row])

@@ -48,7 +48,8 @@ def check_recording_name(out: Path) -> None:
     """
     if out.suffix != ".mcap":
         raise UsageError(
-            f"{out.name} is not a valid name of a recording", "use a name that ends in .mcap"
+            f"the output file {out.name} does not have the name of a recording",
+            "choose a name that ends in .mcap",
         )
 
 

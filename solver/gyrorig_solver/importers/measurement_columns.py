@@ -27,7 +27,7 @@ MAX_ARCHIVE_BYTES = 4_000_000_000
 ROWS_AT_A_TIME = 200_000
 MAX_HEADER_CHARS = 100_000
 MAX_LISTED_NAMES = 12  # names listed in an error
-_ARRAY_REMEDY = "save it with numpy.savez as an array of floats or integers"
+_ARRAY_REMEDY = "save the array with numpy.savez as floats or integers"
 
 
 class MeasurementColumns(Protocol):
@@ -50,9 +50,12 @@ def open_columns(path: Path, wanted: Sequence[str]) -> MeasurementColumns:
     """
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "does not exist"
-        raise InputError(f"{path} {problem}", "give one file of measurements")
+        raise InputError(
+            f"the file of measurements {path} {problem}",
+            "give the path of one file with measurements",
+        )
     if path.stat().st_size == 0:
-        raise InputError(f"{path.name} is empty", "give a file with measurements")
+        raise InputError(f"the file {path.name} is empty", "give a file with measurements")
     try:
         if path.suffix == ".npz":
             return _ArchiveColumns(path, wanted)
@@ -60,7 +63,8 @@ def open_columns(path: Path, wanted: Sequence[str]) -> MeasurementColumns:
         return _TableColumns(path, wanted)
     except (OSError, zipfile.BadZipFile, zlib.error, EOFError, MemoryError) as error:
         raise InputError(
-            f"cannot read {path.name} ({_one_line(error)})", "copy the file again from its source"
+            f"the file {path.name} cannot be read ({_one_line(error)})",
+            "copy the file again from its source",
         ) from error
 
 
@@ -73,12 +77,13 @@ class _ArchiveColumns:
         missing = [key for key in wanted if key not in size]
         if missing:
             raise InputError(
-                f"{path.name} has no array {missing[0]!r}",
-                f"choose one of its arrays in the map, which are {_list_names(size)}",
+                f"the file {path.name} contains no array {missing[0]!r}",
+                f"in the import map, choose one of the arrays {_list_names(size)}",
             )
         if sum(size[key] for key in set(wanted)) > MAX_ARCHIVE_BYTES:
             raise InputError(
-                f"{path.name} unpacks to more than 4 GB", "split the file and import each part"
+                f"the arrays in the file {path.name} need more than 4 GB of memory",
+                "split the file, and import each part",
             )
         self._arrays: dict[str, FloatArray] = {}
         with np.load(path, allow_pickle=False) as loaded:
@@ -87,11 +92,14 @@ class _ArchiveColumns:
                     values = loaded[key]
                 except ValueError as error:  # objects; pickles are never opened
                     raise InputError(
-                        f"{path.name}: {key} contains objects instead of numbers", _ARRAY_REMEDY
+                        f"in the file {path.name}, the array {key} contains objects instead "
+                        "of numbers",
+                        _ARRAY_REMEDY,
                     ) from error
                 if values.dtype.kind not in "biuf":
                     raise InputError(
-                        f"{path.name}: {key} contains {values.dtype} values, not real numbers",
+                        f"in the file {path.name}, the array {key} contains {values.dtype} "
+                        "values instead of real numbers",
                         _ARRAY_REMEDY,
                     )
                 self._arrays[key] = values.astype(np.float64)
@@ -103,8 +111,9 @@ class _ArchiveColumns:
         if len({part.shape[0] for part in columns}) != 1 or any(p.ndim != 2 for p in columns):
             sizes = " and ".join(str(part.shape[0]) for part in columns)
             raise InputError(
-                f"{self._name}: {_list_names(keys)} are not columns of one length ({sizes} rows)",
-                "name columns of the same length in the import map",
+                f"in the file {self._name}, the columns {_list_names(keys)} have different "
+                f"lengths ({sizes} rows)",
+                "name columns of equal length in the import map",
             )
         return _check_matrix(np.concatenate(columns, axis=1), keys, width, self._name)
 
@@ -123,8 +132,8 @@ class _TableColumns:
             missing = [key for key in wanted if key not in names]
             if missing:
                 raise InputError(
-                    f"{path.name} has no column {missing[0]!r}",
-                    f"choose one of its columns in the map, which are {_list_names(names)}",
+                    f"the table {path.name} has no column {missing[0]!r}",
+                    f"in the import map, choose one of the columns {_list_names(names)}",
                 )
             unique = list(dict.fromkeys(wanted))
             column_indices = [names.index(key) for key in unique]
@@ -139,12 +148,12 @@ class _TableColumns:
                 rows += len(block)
                 if rows > MAX_ROWS:
                     raise InputError(
-                        f"{path.name} has more than {MAX_ROWS} rows",
-                        "split the file and import each part",
+                        f"the file {path.name} has more than {MAX_ROWS} rows",
+                        "split the file, and import each part",
                     )
         if not sum(len(block) for block in blocks):
             raise InputError(
-                f"{path.name} has a header but no rows", "give a file with measurements"
+                f"the table {path.name} has a header, but no rows", "give a file with measurements"
             )
         data = np.concatenate(blocks)
         self._columns = {key: data[:, i] for i, key in enumerate(unique)}
@@ -192,36 +201,38 @@ def _bad_cell_error(
             row = next(csv.reader([line], delimiter=delimiter), [])
         except csv.Error:
             return InputError(
-                f"{name}: row {number} is not a valid table row", "correct or remove it"
+                f"row {number} of the table {name} is not valid", "correct or remove the row"
             )
         if row and max(cells) >= len(row):
             return InputError(
-                f"{name}: row {number} has only {len(row)} columns",
-                "correct or remove the row; it may be cut off",
+                f"row {number} of the table {name} has only {len(row)} columns",
+                "correct or remove the row, which may be incomplete",
             )
         for at, column in cells.items():
             try:
                 float(row[at] if row else "nan")
             except ValueError:
                 return InputError(
-                    f"{name}: row {number} has {row[at][:40]!r} in column {column[:40]}, which is "
-                    "not a number",
+                    f"row {number} of the table {name} has {row[at][:40]!r} in the column "
+                    f"{column[:40]}, which is not a number",
                     "correct the cell, or write nan for a missing value",
                 )
     return InputError(
-        f"{name} contains text instead of numbers", "write numbers as 0.25 or -2.5e-3"
+        f"the table {name} contains text instead of numbers",
+        "write the numbers in the form 0.25 or -2.5e-3",
     )
 
 
 def _check_matrix(data: FloatArray, keys: Sequence[str], width: int, name: str) -> FloatArray:
     if data.shape[1] != width:
         raise InputError(
-            f"{name}: {_list_names(keys)} has {data.shape[1]} columns, but {width} are needed",
-            f"name one array of {width} columns, or {width} single columns, in the import map",
+            f"in the file {name}, {_list_names(keys)} has {data.shape[1]} columns, but "
+            f"{width} columns are needed",
+            f"name one array with {width} columns, or {width} single columns, in the import map",
         )
     if data.shape[0] > MAX_ROWS:
         raise InputError(
-            f"{name} has more than {MAX_ROWS} rows", "split the file and import each part"
+            f"the file {name} has more than {MAX_ROWS} rows", "split the file, and import each part"
         )
     return np.ascontiguousarray(data, dtype=np.float64)
 

@@ -98,8 +98,9 @@ def _phase_of_span(name: str, span: SectionSpan, imu: ImuStream, text: str = "")
     if span.end is not None:
         if span.end > imu.row[-1] + 1:
             raise InputError(
-                f"a {name} section ends at row {span.end}, but the last row is {imu.row[-1]}",
-                "correct its end in the import map",
+                f"a {name} section ends at row {span.end}, but the last row of the data is "
+                f"row {imu.row[-1]}",
+                "correct the end of the section in the import map",
             )
         end = int(np.searchsorted(imu.row, span.end))
     if span.begin_s is not None:
@@ -108,8 +109,8 @@ def _phase_of_span(name: str, span: SectionSpan, imu: ImuStream, text: str = "")
         end = min(end, int(np.searchsorted(imu.time_s, span.end_s)))
     if end - first < 2:
         raise InputError(
-            f"a {name} section from sample {first} to {end} is empty",
-            "correct its start and end in the import map",
+            f"the {name} section from sample {first} to sample {end} contains too few samples",
+            "correct the start and the end of the section in the import map",
         )
     return SessionPhase(name, first, end - 1, text)
 
@@ -119,20 +120,21 @@ def _phases_from_file(sections: SectionFile, imu: ImuStream, folder: Path) -> li
     try:
         if path.stat().st_size > MAX_SECTION_FILE_BYTES:
             raise InputError(
-                f"{path.name} is larger than 1 MB, which is too large for a list of sections",
+                f"the section list {path.name} is too large, because it has more than 1 MB",
                 "give the correct file as `name` under `sections` in the import map",
             )
         document = json.loads(path.read_bytes())
     except OSError as error:
         raise InputError(
-            f"cannot read the section list {path} ({error.strerror})",
-            "put it into the folder of the input, and give its name as `name` under `sections` in "
-            "the import map",
+            f"the section list {path} cannot be read ({error.strerror})",
+            "put the section list into the folder of the input file, and give its file name "
+            "as `name` under `sections` in the import map",
         ) from error
     except (ValueError, RecursionError) as error:
         raise InputError(
-            f"{path.name} is not valid JSON ({' '.join(str(error).split())[:160]})",
-            "correct the file",
+            f"the section list {path.name} is not valid JSON "
+            f"({' '.join(str(error).split())[:160]})",
+            "correct the section list",
         ) from error
     phases = [
         _phase_of_span("static", _span_from_file(document, key, path.name), imu)
@@ -150,7 +152,7 @@ def _span_from_file(document: object, key: str, name: str) -> SectionSpan:
     start, end = (entry.get("start"), entry.get("end")) if isinstance(entry, dict) else (None, None)
     if not isinstance(start, int) or not isinstance(end, int) or not 0 <= start < end:
         raise InputError(
-            f"{name} has no section {key!r} with a start below its end",
+            f"the section list {name} contains no section {key!r} with a start below its end",
             "give the name of an existing section in the import map",
         )
     return SectionSpan(start=start, end=end)
@@ -161,8 +163,9 @@ def _phases_from_mask(
 ) -> list[SessionPhase]:
     if mask.size <= int(imu.row[-1]):
         raise InputError(
-            f"the static mask has {mask.size} rows, but the gyro has {int(imu.row[-1]) + 1}",
-            "give a column with one row per sample as `key` under `static_mask`",
+            f"the static mask has {mask.size} rows, but the gyro columns have "
+            f"{int(imu.row[-1]) + 1}",
+            "under `static_mask` in the import map, give a column with one row per sample as `key`",
         )
     still = np.concatenate([[False], mask[imu.row] == value, [False]])
     edges = np.flatnonzero(np.diff(still.astype(np.int8)))

@@ -71,8 +71,9 @@ def find_phone_clock(
         late_s, weight, centre_s = _lag_per_window(phone_speed, unit, is_common)
         if late_s.size < 3:
             raise InputError(
-                f"only {late_s.size} windows of 10 s have enough motion to compare the clocks",
-                "turn the phone for at least a minute",
+                f"the phone's log has only {late_s.size} intervals of 10 s with enough "
+                "motion to compare the clocks, but 3 are needed",
+                "record a motion of the phone of at least a minute",
             )
         line = np.stack([np.ones_like(centre_s), centre_s - offset_s], axis=1)
         fit, cov = _robust_line(line, late_s, weight)
@@ -81,9 +82,9 @@ def find_phone_clock(
         skew -= float(fit[1]) * (1.0 + skew)
     if abs(skew) > MAX_SKEW:
         raise InputError(
-            f"the phone's clock differs by {1e6 * skew:+.0f} ppm from the unit's, which is too "
-            "much for a clock",
-            "check the time column, or log with another app",
+            "the rates of the phone's clock and of the rig's clock differ by "
+            f"{1e6 * skew:+.0f} ppm, which is too much for a clock",
+            "check the time column of the log, or record the log with another app",
         )
     std = np.sqrt(np.diag(cov))
     return PhoneClock(offset_s, skew, float(std[0]), float(std[1]), correlation, int(late_s.size))
@@ -96,7 +97,10 @@ def _find_lag(phone: FloatArray, unit: FloatArray) -> tuple[int, float]:
     cross = np.fft.irfft(np.fft.rfft(b, size) * np.conj(np.fft.rfft(a, size)), size)
     scale = float(np.linalg.norm(a) * np.linalg.norm(b))
     if scale <= 0.0:
-        raise InputError("the phone or the unit did not move", "record a motion of both")
+        raise InputError(
+            "the phone or the pan-tilt unit did not move during the log",
+            "record a motion in which the unit moves the phone",
+        )
     best = int(np.argmax(cross))
     lag = best if best < size // 2 else best - size
     near = int(MIN_SECOND_DISTANCE_S / GRID_S)
@@ -107,14 +111,15 @@ def _find_lag(phone: FloatArray, unit: FloatArray) -> tuple[int, float]:
     correlation = float(overlap_a @ overlap_b) / max(norm, 1e-30)
     if correlation < MIN_CORRELATION:
         raise InputError(
-            f"the phone's motion differs from the unit's; their correlation is at most "
-            f"{correlation:.2f}",
-            "give the recording that was made during the phone's log",
+            "the motion of the phone differs from that of the pan-tilt unit, because their "
+            f"correlation is only {correlation:.2f}",
+            "give the recording of the unit that was made during the phone's log",
         )
     if others.max() > MAX_SECOND_SHARE * cross[best]:
         raise InputError(
-            "the motion is periodic, so that the log fits the recording at more than one time",
-            "record a program that does not repeat, such as survey-130",
+            "the motion is periodic, so the phone's log fits the recording of the unit at "
+            "more than one time",
+            "record a motion program that does not repeat itself, such as survey-130",
         )
     return lag, correlation
 

@@ -83,7 +83,7 @@ def import_phone(
         unit = read_recording(unit_recording)
         if str(name) in map(str, unit.board_ids):
             raise UsageError(
-                f"{unit_recording.name} already has a board {name}",
+                f"the recording {unit_recording.name} already has a board with the name {name}",
                 "give the phone another name with --board",
             )
         clock = _find_phone_clock(log, since_s, unit)
@@ -124,8 +124,8 @@ def import_phone(
 def _find_phone_clock(log: PhoneLog, since_s: FloatArray, unit: Recording) -> PhoneClock:
     if "/ptu/position" not in unit.topics:
         raise InputError(
-            f"{unit.path.name} has no data of a pan-tilt unit",
-            "give the recording that gyrorigd made",
+            f"the recording {unit.path.name} contains no data of a pan-tilt unit",
+            "give a recording that gyrorigd made with a pan-tilt unit",
         )
     reference = read_pan_tilt_reference(unit, unit.start_ns)
     edges_s = np.arange(0.0, (unit.end_ns - unit.start_ns) * 1e-9, GRID_S)
@@ -163,8 +163,8 @@ def _to_counts(values: FloatArray, count: float, sensor: str) -> IntArray:
     whole = np.rint(values / count)
     if np.any(np.abs(whole) > np.iinfo(np.int32).max):
         raise InputError(
-            f"the {sensor} has values beyond the range of any sensor",
-            "check that the log is in rad/s and m/s^2, or import it as csv with a column map",
+            f"the {sensor} values in the phone's log are too large for any sensor",
+            "check that the log is in rad/s and m/s^2, or import the log as csv with a column map",
         )
     return np.asarray(whole, dtype=np.int64)
 

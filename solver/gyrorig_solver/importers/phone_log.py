@@ -81,7 +81,7 @@ def read_phone_log(path: Path) -> PhoneLog:
     """
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "does not exist"
-        raise InputError(f"{path} {problem}", "give one log file of a phone")
+        raise InputError(f"the phone's log {path} {problem}", "give the path of one log file")
     check_text_table(path)
     notes: list[str] = []
     first = _first_line(path)
@@ -91,8 +91,9 @@ def read_phone_log(path: Path) -> PhoneLog:
         layout, gyro, accel = _read_table(path, first, notes)
     else:
         raise InputError(
-            f"{path.name} is not a phone log, because it has neither a header nor sensor tags",
-            "import it as csv with a column map",
+            f"the file {path.name} is not a log of a phone, because it has neither a header "
+            "nor sensor tags",
+            "import the file as csv with a column map",
         )
     stamp_ns, rate = _sort_by_stamp(*gyro, "gyroscope", notes)
     accel_pair: tuple[IntArray | None, FloatArray | None] = (None, None)
@@ -118,8 +119,8 @@ def _lines(path: Path) -> Iterator[str]:
             yield line
             if count == 4 * MAX_ROWS:
                 raise InputError(
-                    f"{path.name} has more than {count} lines",
-                    "split the file and import each part",
+                    f"the phone's log {path.name} has more than {count} lines",
+                    "split the file, and import each part",
                 )
 
 
@@ -171,8 +172,9 @@ def _read_tagged(path: Path, notes: list[str]) -> tuple[str, _StampedValues, _St
     gyro = _choose_stream(streams, UNCALIBRATED_GYRO_TAGS, GYRO_TAGS, notes)
     if gyro is None:
         raise InputError(
-            f"{path.name} has no gyroscope, only {', '.join(streams)[:120]}",
-            "log the gyroscope too, uncalibrated if the app can",
+            f"the phone's log {path.name} contains no gyroscope data, but only "
+            f"{', '.join(streams)[:120]}",
+            "also log the gyroscope, if possible uncalibrated",
         )
     accel = _choose_stream(streams, UNCALIBRATED_ACCEL_TAGS, ACCEL_TAGS, [])
     return "tagged lines", gyro, accel
@@ -213,9 +215,9 @@ def _read_table(
         gyro = _axis_columns(names, r"^")  # one file per sensor, with the columns x, y, z
     if time is None or gyro is None:
         raise InputError(
-            f"{path.name} has no columns for the time and the gyroscope's x, y, z, only "
-            f"{', '.join(names)[:120]}",
-            "import it as csv with a column map",
+            f"the phone's log {path.name} has no columns for the time and the gyroscope's x, "
+            f"y and z, but only {', '.join(names)[:120]}",
+            "import the file as csv with a column map",
         )
     if not re.search(r"uncal", path.stem + header, re.IGNORECASE):
         notes.append(_CORRECTED_NOTE)
@@ -258,8 +260,8 @@ def _stamps_in_ns(timestamps: FloatArray, name: str, where: str) -> IntArray:
     """Return timestamps in ns; the unit follows from the column's name or from the period."""
     if timestamps.size < 3:
         raise InputError(
-            f"{where} has only {timestamps.size} samples of the gyroscope",
-            "log for a minute or more",
+            f"the phone's log {where} has only {timestamps.size} samples of the gyroscope",
+            "record a log of at least a minute",
         )
     steps = np.diff(timestamps)
     steps = steps[steps > 0.0]
@@ -274,13 +276,14 @@ def _stamps_in_ns(timestamps: FloatArray, name: str, where: str) -> IntArray:
             times = timestamps * (seconds * NS)
             if np.any(~np.isfinite(times)) or np.abs(times).max() > MAX_STAMP_NS:
                 raise InputError(
-                    f"{where}: a timestamp is outside the range of times",
-                    "correct the time column, or log again",
+                    f"a timestamp in {where} is outside the valid range of times",
+                    "correct the time column, or record the log again",
                 )
             return np.asarray(np.rint(times), dtype=np.int64)
     raise InputError(
-        f"{where}: the timestamps have steps of {step:g}, which is not 4 to 2000 Hz in any unit",
-        "give their unit in a column map, and import the file as csv",
+        f"the timestamps in {where} have steps of {step:g}, which is not a rate of 4 to 2000 "
+        "Hz in any unit of time",
+        "give the unit of the timestamps in a column map, and import the file as csv",
     )
 
 
@@ -308,7 +311,8 @@ def _sort_by_stamp(
         )
     if is_new.sum() < 3:
         raise InputError(
-            f"the {sensor} has only {int(is_new.sum())} different timestamps",
-            "log for a minute or more, with an app that writes the timestamp of every sample",
+            f"the {sensor} samples in the phone's log have only {int(is_new.sum())} "
+            "different timestamps",
+            "record a log of at least a minute, with an app that writes the time of every sample",
         )
     return stamp_ns[is_new], values[is_new]

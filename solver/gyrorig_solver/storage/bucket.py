@@ -76,7 +76,7 @@ class Bucket:
     def remove(self, names: Iterable[str]) -> None:
         """See `Storage`."""
         paths = [f"{self.prefix}/{name}" for name in names]
-        with self._report_errors(f"remove from {self.location}"):
+        with self._report_errors(f"remove files from {self.location}"):
             file_system = _file_system(self.protocol)
             for start in range(0, len(paths), _MAX_REMOVED_PER_CALL):
                 batch = paths[start : start + _MAX_REMOVED_PER_CALL]
@@ -90,7 +90,7 @@ class Bucket:
     def list_files(self, folder: str = "") -> Iterator[StorageEntry]:
         """See `Storage`."""
         start = f"{self.prefix}/{folder}".rstrip("/")
-        with self._report_errors(f"list {self.location}/{folder}"):
+        with self._report_errors(f"list the files in {self.location}/{folder}"):
             file_system = _file_system(self.protocol)
             try:
                 objects = file_system.find(start, detail=True)
@@ -115,8 +115,8 @@ class Bucket:
                     _file_system(self.protocol).get_file(f"{self.prefix}/{name}", str(path))
                 except FileNotFoundError as fault:
                     raise InputError(
-                        f"{self.location}/{name} does not exist any more",
-                        "it was removed while the program ran; run the command again",
+                        f"the file {self.location}/{name} was removed while the program ran",
+                        "run the command again",
                     ) from fault
             yield path
 
@@ -131,9 +131,9 @@ class Bucket:
     def _machine_error(self, operation: str, fault: BaseException) -> MachineError:
         reason = " ".join(str(fault).split())[:160] or type(fault).__name__
         return MachineError(
-            f"cannot {operation} ({reason})",
-            "check the bucket's name, the network, and the credentials (AWS_ENDPOINT_URL, "
-            "AWS_PROFILE)",
+            f"the program cannot {operation} ({reason})",
+            "check the name of the bucket, the network, and the credentials "
+            "(AWS_ENDPOINT_URL, AWS_PROFILE)",
         )
 
 
@@ -146,17 +146,21 @@ def open_bucket(location: str) -> Bucket:
     protocol, _, rest = location.partition("://")
     if protocol not in PROTOCOLS:
         raise UsageError(
-            f"{location} is neither a folder nor a bucket",
-            "write a folder, or s3://BUCKET/FOLDER",
+            f"the location {location} is neither a folder nor a bucket",
+            "give a folder, or a bucket in the form s3://BUCKET/FOLDER",
         )
     prefix = rest.strip("/")
     if not prefix or ".." in prefix.split("/"):
-        raise UsageError(f"{location} does not name a bucket", "write it as s3://BUCKET/FOLDER")
+        raise UsageError(
+            f"the location {location} does not contain the name of a bucket",
+            "write the location as s3://BUCKET/FOLDER",
+        )
     try:
         _file_system(protocol)
     except ImportError as fault:
         raise UsageError(
-            f"{location} needs s3fs, which is not installed", "run `pip install 'gyrorig[fleet]'`"
+            f"the location {location} needs the package s3fs, which is not installed",
+            "run `pip install 'gyrorig[fleet]'`",
         ) from fault
     return Bucket(protocol, prefix)
 

@@ -25,13 +25,13 @@ def write_file(path: Path, data: bytes, *, replace: bool) -> bool:
         return write_atomically(path, data, replace=replace)
     except OSError as fault:
         raise MachineError(
-            f"cannot write {path} ({fault.strerror})", _write_remedy(fault)
+            f"the file {path} cannot be written ({fault.strerror})", _write_remedy(fault)
         ) from fault
 
 
 def _write_remedy(fault: OSError) -> str:
     if fault.errno in (errno.EPERM, errno.EOPNOTSUPP):
-        return "use a folder on a file system with hard links, such as ext4"
+        return "choose a folder on a file system with hard links, such as ext4"
     if fault.errno in (errno.ENOSPC, errno.EDQUOT):
-        return "free some disk space and solve again"
+        return "free some disk space, and run the command again"
     return "choose another folder with --out"

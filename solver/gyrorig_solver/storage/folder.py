@@ -31,8 +31,8 @@ class Folder:
             return None
         except OSError as fault:
             raise MachineError(
-                f"cannot read {self.path / name} ({fault.strerror})",
-                "check the disk and the permissions of the file",
+                f"the file {self.path / name} cannot be read ({fault.strerror})",
+                "check the permissions of the file and the disk",
             ) from fault
 
     def write(self, name: str, data: bytes) -> None:
@@ -49,7 +49,9 @@ class Folder:
             path.parent.mkdir(parents=True, exist_ok=True)
             return write_atomically(path, data, replace=replace)
         except OSError as fault:
-            raise MachineError(f"cannot write {path} ({fault.strerror})", _remedy(fault)) from fault
+            raise MachineError(
+                f"the file {path} cannot be written ({fault.strerror})", _remedy(fault)
+            ) from fault
 
     def remove(self, names: Iterable[str]) -> None:
         """See `Storage`."""
@@ -58,8 +60,8 @@ class Folder:
                 (self.path / name).unlink(missing_ok=True)
             except OSError as fault:
                 raise MachineError(
-                    f"cannot remove {self.path / name} ({fault.strerror})",
-                    "check the permissions of its folder",
+                    f"the file {self.path / name} cannot be removed ({fault.strerror})",
+                    "check the permissions of the folder of the file",
                 ) from fault
 
     def list_files(self, folder: str = "") -> Iterator[StorageEntry]:
@@ -83,15 +85,15 @@ class Folder:
         path = self.path / name
         if not path.is_file():
             raise InputError(
-                f"{path} does not exist any more",
-                "it was removed while the program ran; run the command again",
+                f"the file {path} was removed while the program ran",
+                "run the command again",
             )
         yield path
 
 
 def _remedy(fault: OSError) -> str:
     if fault.errno in (errno.EPERM, errno.EOPNOTSUPP):
-        return "use a folder on a file system with hard links, such as ext4"
+        return "choose a folder on a file system with hard links, such as ext4"
     if fault.errno in (errno.ENOSPC, errno.EDQUOT):
         return "free some disk space, then run the command again"
     return "check the permissions of the folder, or choose another folder"

@@ -115,7 +115,7 @@ def test_a_folder_that_cannot_be_written(golden: Path, tmp_path: Path, capsys: C
     out = tmp_path / "none" / "out.csv"
     base = ["apply", str(golden), str(tmp_path / "in.csv"), "--columns", "gx,gy,gz"]
     assert cli.run([*base, "-o", str(out)]) == 1
-    assert "cannot write" in capsys.readouterr().err
+    assert "cannot be written" in capsys.readouterr().err
 
 
 def test_a_needed_temperature_column_is_required_and_used(

@@ -54,22 +54,25 @@ def test_ports_and_settings_of_a_rig_with_buses() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('"socketcan:can0"', '"can0"'), "Write socketcan"),
-        (('"socketcan:can0"', '"socketcan:../x"'), "Write socketcan"),
+        (('"socketcan:can0"', '"can0"'), "Write the port as socketcan"),
+        (('"socketcan:can0"', '"socketcan:../x"'), "Write the port as socketcan"),
         (("id: lab", "id: can0"), "bus can0 twice"),
         (("id: lab", "id: ../lab"), "board name"),
         (("bus: can0, node: 1", "bus: can9, node: 1"), "'can9'"),
         (("bus: can0, node: 1", "bus: can0"), "no node"),
-        (("node: 2", "node: 1"), "on bus can0 have the same node, 1"),
+        (("node: 2", "node: 1"), "on bus can0 both have the node number 1"),
         (("node: 2", "node: 128"), "node"),
-        (("bus: can0, node: 2", "bus: can0, node: 2, port: /dev/x"), "a port and a bus"),
+        (
+            ("bus: can0, node: 2", "bus: can0, node: 2, port: /dev/x"),
+            "the key `port` and the key `bus`",
+        ),
         (
             ("bus: can0, node: 2", "bus: can0, node: 2, format: text"),
             "which a CAN bus does not support",
         ),
-        (("port: /dev/ttyUSB0", "node: 4"), "no bus"),
-        (("port: /dev/ttyUSB0", "baud: 115200"), "no port"),
-        (("    signals: {preset: j1939, source_address: 128}\n", ""), "but no section `signals`"),
+        (("port: /dev/ttyUSB0", "node: 4"), "not the key `bus`"),
+        (("port: /dev/ttyUSB0", "baud: 115200"), "neither a port nor a CAN bus"),
+        (("    signals: {preset: j1939, source_address: 128}\n", ""), "but not the key `signals`"),
         (("preset: j1939, source_address: 128", "preset: j1939"), "source_address"),
         (("facts: {uid: MTLT-7}", "facts: {}"), "uid"),
         (("bitrate: 500000", "bitrate: 5000000"), "bitrate"),
@@ -90,7 +93,7 @@ def test_an_emulated_bus_must_carry_its_boards() -> None:
     with pytest.raises(UsageError, match=r"of bus .*above 70%"):
         parse_rig(text + "emulator: {odr_hz: 400}\n", "rig.yaml")
     signals = text.replace('"udp_multicast:239.74.163.2:43113"', "emulated")
-    with pytest.raises(UsageError, match=r"board M-1 is emulated, .* use only the format gcb1"):
+    with pytest.raises(UsageError, match=r"board M-1 is emulated, .* supports only .* gcb1"):
         parse_rig(signals, "rig.yaml")
 
 
@@ -98,7 +101,7 @@ def test_an_emulated_bus_must_carry_its_boards() -> None:
 def test_a_dbc_file_is_read_next_to_the_configuration(tmp_path: Path, encoding: str) -> None:
     signals = "{dbc: imu.dbc, gyro: [Rates.X, null, null]}"
     text = GOOD.replace("{preset: j1939, source_address: 128}", signals)
-    with pytest.raises(UsageError, match=r"Give `uid` .* and `sensor` under `facts`"):
+    with pytest.raises(UsageError, match=r"Add `uid` .* and `sensor` under `facts`"):
         parse_rig(text, "rig.yaml")
     text = text.replace("{uid: MTLT-7}", "{uid: MTLT-7, sensor: MTLT}")
     (tmp_path / "rig.yaml").write_text(text)

@@ -137,17 +137,17 @@ def test_presets_are_read_as_cantools_reads_them(name: str) -> None:
     ("text", "problem"),
     [
         ("", "no CAN message"),
-        ("BO_ x M: 8 A\n", "not a valid message"),
+        ("BO_ x M: 8 A\n", "not a valid definition of a message"),
         (
             'BO_ 1 M: 8 A\n SG_ S : 60|16@1+ (1,0) [0|0] "" A\n',
-            "ends in byte 10 of message M",
+            "ends in byte 10, but its message M",
         ),
         ('BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (0,0) [0|0] "" A\n', "invalid factor .0."),
-        ("BO_ 1 M: 8 A\n SG_ S : what\n", "not a valid signal"),
-        ("BO_ 1 M: 8 A\nBO_ 1 M: 8 A\n", "repeats the message M"),
+        ("BO_ 1 M: 8 A\n SG_ S : what\n", "not a valid definition of a signal"),
+        ("BO_ 1 M: 8 A\nBO_ 1 M: 8 A\n", "defines the message M, but its name or its identifier"),
         (
             'BO_ 1 M: 8 A\n SG_ S : 0|16@1+ (1,0) [0|0] "" A\nSIG_VALTYPE_ 1 S : 1;\n',
-            "which has 16 bits, as a floating-point number",
+            "as a floating-point number, but its length of 16 bits",
         ),
     ],
 )

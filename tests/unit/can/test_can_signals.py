@@ -152,13 +152,13 @@ def test_the_signal_parser_never_raises(frames: list[CanFrame], preset: bool) ->
         (SignalMap(), "neither a preset nor a DBC"),
         (SignalMap(preset="j1939"), "source_address"),
         (SignalMap(preset="mm5.10", dbc=DBC), "both a preset and its own signals"),
-        (rate_map(gyro=[None, None, None]), "no gyro axis"),
+        (rate_map(gyro=[None, None, None]), "names no gyro signal"),
         (rate_map(gyro=["Rates.Q", None, None]), "no signal Q"),
-        (rate_map(gyro=["Q.X", None, None]), "no message Q"),
+        (rate_map(gyro=["Q.X", None, None]), "has no message Q"),
         (rate_map(gyro=["Rates.Count", None, None]), "gyro_unit"),
         (rate_map(time="Rates.Count"), "tick_hz"),
         (rate_map(counter="Rates.X"), "unsigned"),
-        (rate_map(dbc="imu.dbc"), "only the name of its DBC file"),
+        (rate_map(dbc="imu.dbc"), "only its name is known"),
     ],
 )
 def test_the_error_names_the_fault_of_a_map(chosen: SignalMap, problem: str) -> None:

@@ -101,7 +101,7 @@ def test_a_disk_error_reaches_the_session(
         for at in itertools.count():  # a thread that writes may have its turn late
             recorder.put(TOPIC, event(at), at)
 
-    with pytest.raises(MachineError, match="cannot write"):
+    with pytest.raises(MachineError, match="cannot be written"):
         put_many()
     with pytest.raises(MachineError):
         recorder.close()

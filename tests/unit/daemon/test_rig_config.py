@@ -64,8 +64,8 @@ def test_defaults() -> None:
         (("boards:", "boards: []\nboard:"), "board"),
         (("rig: desk", "rig: [desk"), "YAML"),
         (("baud: 115200", "limits: {pan_min_deg: 3.0, pan_max_deg: 1.0}"), "pan_min_deg"),
-        ((ONE, "- {id: A, port: x}\n  - {id: A, port: y}"), "contains board A twice"),
-        ((ONE, "- {id: A, port: x}\n  - {id: B, port: x}"), "contains port x twice"),
+        ((ONE, "- {id: A, port: x}\n  - {id: A, port: y}"), "defines board A twice"),
+        ((ONE, "- {id: A, port: x}\n  - {id: B, port: x}"), "uses the port x for two devices"),
     ],
 )
 def test_errors_name_the_key(change: tuple[str, str], word: str) -> None:
@@ -98,6 +98,6 @@ def test_an_empty_document_is_called_empty(tmp_path: Path) -> None:
 def test_an_emulated_line_must_carry_its_samples(odr_hz: int, least: int) -> None:
     rig = "rig: x\nptu: {{port: emulated}}\nboards: [{{id: A, port: emulated, baud: {baud}}}]\n"
     rig += "emulator: {{odr_hz: {odr_hz}}}\n"
-    with pytest.raises(UsageError, match=f"baud of {least} or more"):
+    with pytest.raises(UsageError, match=f"Set `baud` to {least} or more"):
         parse_rig(rig.format(baud=9600, odr_hz=odr_hz), "rig.yaml")
     assert parse_rig(rig.format(baud=least, odr_hz=odr_hz), "rig.yaml").boards[0].baud == least

@@ -365,13 +365,13 @@ def failing(tmp_path: Path, at_s: float, data: bytes, port: str = "ptu") -> tupl
 
 def test_a_limit_flag_in_motion_ends_it_halted(tmp_path: Path) -> None:
     bench, message = failing(tmp_path, 3.3, b"!P")
-    assert "the unit has lost its position: its pan axis met its limit" in message
+    assert "the unit has lost its position: its pan axis reached a limit" in message
     assert "unit is halted" in message
     assert str(bench.only_file()) in message
     assert bench.is_still()
     recording = read_recording(bench.only_file())
     assert recording.is_complete
-    assert any("met its limit" in event.text for event in events(recording))
+    assert any("reached a limit" in event.text for event in events(recording))
     assert any(command.code == 3 for command in commands(recording))
     assert recording.array(POSITION)["status"][-1] == 7
 
@@ -392,7 +392,7 @@ def test_an_unplugged_unit_leaves_a_readable_file(tmp_path: Path) -> None:
 
 def test_an_unplugged_board_does_not_end_the_program(tmp_path: Path) -> None:
     bench, message = failing(tmp_path, 3.3, b"", "board:B-1")
-    assert "the link to board B-1" in message
+    assert "the connection to board B-1" in message
     recording = read_recording(bench.only_file())
     assert [e.phase for e in events(recording)][-1] == "program"
 

@@ -114,7 +114,7 @@ def test_a_processor_on_which_numpy_does_not_start(
     assert [f.code for f in findings] == ["processor"] * bool(missing)
     for finding in findings:
         assert finding.level is Level.FAULT
-        assert f"lacks {missing}. " in finding.what
+        assert f"lacks the instructions {missing}, " in finding.what
         assert "-cpu host" in finding.remedy
 
 
@@ -143,7 +143,7 @@ def test_clocks(system: SystemFiles) -> None:
     assert "chronyd runs" in finding.what
     put(system, "/proc/812/comm", "bash")
     (finding,) = [f for f in check_clocks(system, unsynchronised) if f.level]
-    assert finding.remedy == "install chrony"
+    assert finding.remedy == "install the program chrony"
     assert codes(check_clocks(system, replace(GOOD, realtime_ns=3 * 10**9))) == ["wrong_date"]
     assert codes(check_clocks(system, replace(GOOD, estimated_error_s=16.0))) == [
         "not_synchronised"
@@ -285,7 +285,7 @@ def test_names_that_do_not_hold(
     better.symlink_to(port)
     finding = check_port("unit", port, system)[0][0]
     assert finding.code == "unstable_name"
-    named = "use /dev/serial/by-id/usb-FTDI_PTU00001-if00-port0, and set ptu.serial"
+    named = "use /dev/serial/by-id/usb-FTDI_PTU00001-if00-port0 as the port"
     assert finding.remedy.startswith(named)
 
 

@@ -209,16 +209,16 @@ def test_random_draws_causes_that_differ_and_depend_on_the_seed() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("wobble", "is not a cause that can be hidden. `gyrorigd causes` lists all"),
-        ("", "is not a cause that can be hidden"),
+        ("wobble", "knows no cause with the name 'wobble'. Run `gyrorigd causes` to list all"),
+        ("", "knows no cause with the name"),
         ("backlsh:1e-3", "id you mean backlash"),
-        ("backlash:much", "a number in rad, such as 0.0009"),
-        ("backlash:nan", "is not a size of backlash"),
-        ("backlash:-1e-3", "cannot have the negative size"),
-        ("backlash:3", "out of bounds"),
-        ("saturation:0", "out of bounds"),
-        ("lost_steps:1.5", "needs a whole number"),
-        ("random:3", "Write --hide random"),
+        ("backlash:much", "a number in rad, for example 0.0009"),
+        ("backlash:nan", "of the cause backlash is not a number"),
+        ("backlash:-1e-3", "is negative, but this cause has no sign"),
+        ("backlash:3", "is outside the allowed range"),
+        ("saturation:0", "is outside the allowed range"),
+        ("lost_steps:1.5", "is not a whole number"),
+        ("random:3", "Write only --hide random"),
     ],
 )
 def test_what_cannot_be_is_refused_with_the_way_out(text: str, words: str) -> None:
@@ -230,11 +230,11 @@ def test_what_cannot_be_is_refused_with_the_way_out(text: str, words: str) -> No
 @pytest.mark.parametrize(
     ("hide", "words"),
     [
-        (("backlash@z",), "Choose one of these places: pan, tilt"),
-        (("warm_up@tilt",), "Choose one of these places: x, y, z, GY80-1"),
+        (("backlash@z",), "After @, write one of pan, tilt"),
+        (("warm_up@tilt",), "After @, write one of x, y, z, GY80-1"),
         (("warm_up@C.x",), "cannot be injected at"),
-        (("clock_offset@x",), "Choose one of these places: GY80-1"),
-        (("earth_rotation@x",), "without a place"),
+        (("clock_offset@x",), "After @, write one of GY80-1"),
+        (("earth_rotation@x",), "without @ and a place"),
         (("backlash@pan", "backlash@pan:1e-3"), "injected twice"),
         (("sample_jitter:5e-3",), "at most 0.00274"),
     ],

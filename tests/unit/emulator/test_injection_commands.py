@@ -202,10 +202,10 @@ def test_the_causes_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        (("--hide", "wobble"), "is not a cause that can be hidden"),
+        (("--hide", "wobble"), "knows no cause with the name"),
         (("--hide", "backlash:wide"), "a number in rad"),
-        (("--hide", "backlash@z"), "Choose one of these places: pan, tilt"),
-        (("--hide", "random"), "Give a file with --truth"),
+        (("--hide", "backlash@z"), "After @, write one of pan, tilt"),
+        (("--hide", "random"), "Choose a file for the true parameters with --truth"),
     ],
 )
 def test_what_cannot_be_hidden_ends_with_2_and_one_line(

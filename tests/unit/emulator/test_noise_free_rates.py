@@ -176,4 +176,4 @@ def test_rates_come_beside_the_recording(
         assert added[:, 0] == pytest.approx(1e-4 * arrays["GY80-1.time_s"], abs=1e-12)
         assert len(arrays["pan_s"]) == 1
     assert run(arguments) == 2
-    assert "--rates needs --simulated-time" in capsys.readouterr().err
+    assert "--rates works only with the option --simulated-time" in capsys.readouterr().err

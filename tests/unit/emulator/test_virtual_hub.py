@@ -310,5 +310,5 @@ def test_links_of_a_later_emulator_are_left_to_it(tmp_path: Path) -> None:
 
 def test_links_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(MachineError, match="links cannot be created"):
+    with pytest.raises(MachineError, match="cannot create links"):
         PtyServer(cast(EmulatedRig, Ears("ptu")), tmp_path / "file" / "deeper")

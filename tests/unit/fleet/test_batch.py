@@ -133,12 +133,12 @@ def test_two_boards_with_one_name_are_not_mixed(
     reported = run_job(make_job("k", store, recorded[0]))
     (row,) = reported.rows
     # its digest is not the order's: what has changed is refused before anything is solved
-    assert (row.status, "changed since" in row.reason) == ("rejected", True)
+    assert (row.status, "was changed while" in row.reason) == ("rejected", True)
     from gyrorig_protocol.recording.reader import read_recording  # noqa: PLC0415
 
     digest = read_recording(recorded[0]).sha256
     reported = run_job(replace(make_job("k", store, recorded[0]), digests=(digest,)))
-    assert "two boards have one name" in reported.rows[0].reason
+    assert "two boards have the same name" in reported.rows[0].reason
 
 
 def test_a_deadline_fails_the_work_and_keeps_the_trace(

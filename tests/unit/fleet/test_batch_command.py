@@ -44,16 +44,16 @@ def test_a_shard_is_read(text: str | None, shard: Shard) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("0/3", "there is no part 0 of 3"),
-        ("4/3", "there is no part 4 of 3"),
-        ("1/1000001", "there is no part 1 of 1000001"),
-        ("x", "'x' is not of the form K/N. Write it as K/N"),
-        ("", "'' is not of the form K/N"),
-        ("3", "'3' is not of the form K/N"),
-        ("3/", "'3/' is not of the form K/N"),
-        ("-1/3", "'-1/3' is not of the form K/N"),
-        ("1/2/3", "'1/2/3' is not of the form K/N"),
-        ("\u0661/\u0663", "is not of the form K/N"),  # digits of another script
+        ("0/3", "because 3 shards have no shard 0"),
+        ("4/3", "because 3 shards have no shard 4"),
+        ("1/1000001", "because 1000001 shards have no shard 1"),
+        ("x", "'x' of --shard does not have the form K/N. Write the shard as K/N"),
+        ("", "'' of --shard does not have the form K/N"),
+        ("3", "'3' of --shard does not have the form K/N"),
+        ("3/", "'3/' of --shard does not have the form K/N"),
+        ("-1/3", "'-1/3' of --shard does not have the form K/N"),
+        ("1/2/3", "'1/2/3' of --shard does not have the form K/N"),
+        ("\u0661/\u0663", "does not have the form K/N"),  # digits of another script
     ],
 )
 def test_an_invalid_shard_is_refused(text: str, words: str) -> None:

@@ -100,7 +100,7 @@ def test_two_boards_with_one_name_in_parallel_do_not_share_a_chain(
         )
     summary = night(folder)
     assert summary.sessions_by_status == Counter(ok=1, rejected=1)
-    assert any("two boards have one name" in item for item in reasons_by_name(folder).values())
+    assert any("two boards have the same name" in item for item in reasons_by_name(folder).values())
     assert len(create_sharded_store(folder / "store").versions(BOARD)) == 1
     assert verify(folder / "store").faults == ()
 
@@ -164,7 +164,7 @@ def test_a_job_without_enough_memory_fails_and_others_continue(
     monkeypatch.setattr(session_job, "solve_and_store", greedy)
     assert night(folder).sessions_by_status == Counter(failed=1, rejected=1)
     assert reasons_by_name(folder)["a.mcap"] == (
-        "failed: it needs more than 4096 MB of memory. "
+        "failed: the session needs more than 4096 MB of memory. "
         "Repeat it with --retry failed and a larger --memory."
     )
 

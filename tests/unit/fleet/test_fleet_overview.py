@@ -116,8 +116,8 @@ def test_a_hostile_name_cannot_end_a_script(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"\xff\xfe", "not text"),
-        (b"a,b\n1,2\n", "no column board"),
+        (b"\xff\xfe", "not a text in UTF-8"),
+        (b"a,b\n1,2\n", "no column `board`"),
         (b"board\n../x\n", "not a valid board name"),
     ],
 )

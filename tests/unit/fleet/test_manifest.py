@@ -158,4 +158,4 @@ def test_the_command_exits_with_3_for_another_key(
     form = (Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     other.write_bytes(Ed25519PrivateKey.generate().public_key().public_bytes(*form))
     assert run(["store", "verify", str(store), "--key", str(other)]) == 3
-    assert "it is not signed with this key" in capsys.readouterr().out
+    assert "the manifest is not signed with this key" in capsys.readouterr().out

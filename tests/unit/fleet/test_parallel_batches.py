@@ -156,7 +156,7 @@ def test_a_failed_new_part_keeps_the_current_part_in_use(
         journal.add([row("k1")])
         with monkeypatch.context() as patched:
             patched.setattr(Path, "rename", _refuse)
-            with pytest.raises(MachineError, match="cannot write"):
+            with pytest.raises(MachineError, match="cannot be written"):
                 journal.start_next_part()
         journal.add([row("k2")])
         assert is_batch_running(tmp_path, "night")

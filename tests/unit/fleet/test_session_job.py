@@ -162,7 +162,7 @@ def test_a_borrowed_process_is_limited_during_the_job_only(
     (row,) = reported.rows
     assert (row.status, row.reason) == (
         "failed",
-        "it needs more than 65536 MB of memory. "
+        "the session needs more than 65536 MB of memory. "
         "Repeat it with --retry failed and a larger --memory.",
     )
 

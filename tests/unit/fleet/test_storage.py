@@ -68,8 +68,8 @@ def test_a_listing_has_the_names_of_a_folder(storage: Storage) -> None:
     ("text", "words"),
     [
         ("http://x/y", "neither a folder nor a bucket"),
-        ("s3://", "does not name a bucket"),
-        ("s3://b/../c", "does not name a bucket"),
+        ("s3://", "does not contain the name of a bucket"),
+        ("s3://b/../c", "does not contain the name of a bucket"),
     ],
 )
 def test_an_invalid_location_is_refused(text: str, words: str) -> None:
@@ -118,8 +118,8 @@ def test_repeated_refusals_of_a_bucket_are_reported(flaky: Flaky) -> None:
     flaky.alike = True
     flaky.refuses = 99
     storage = Bucket("memory", "flaky/store")
-    with pytest.raises(MachineError, match="Check the bucket's name, the network"):
+    with pytest.raises(MachineError, match="Check the name of the bucket, the network"):
         storage.write("x", b"mine")
-    with pytest.raises(MachineError, match="Check the bucket's name, the network"):
+    with pytest.raises(MachineError, match="Check the name of the bucket, the network"):
         storage.write_new("x", b"mine")
     assert storage.read("x") is None

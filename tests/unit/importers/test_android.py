@@ -104,8 +104,11 @@ def test_decreasing_and_duplicate_timestamps(tmp_path: Path) -> None:
     [
         ("1,2,3\n4,5,6\n", "neither a header nor sensor tags"),
         ("time,pressure\n1,2\n", "no columns for the time"),
-        ("ACCE;1;2;3;4;5\n" * 3, "has no gyroscope"),
-        ("timestamp,gx,gy,gz\n0,1,2,3\n300,1,2,3\n600,1,2,3\n", "not 4 to 2000 Hz in any unit"),
+        ("ACCE;1;2;3;4;5\n" * 3, "contains no gyroscope data"),
+        (
+            "timestamp,gx,gy,gz\n0,1,2,3\n300,1,2,3\n600,1,2,3\n",
+            "a rate of 4 to 2000 Hz in any unit",
+        ),
         ("", "neither a header"),
     ],
 )
@@ -142,10 +145,10 @@ def test_a_clock_from_the_motion() -> None:
 def test_different_and_periodic_motions_are_rejected() -> None:
     unit = speeds(np.arange(0.0, 120.0, GRID_S))
     since_s = np.arange(0.0, 90.0, 0.01)
-    with pytest.raises(InputError, match="differs from the unit's"):
+    with pytest.raises(InputError, match="differs from that of the pan-tilt unit"):
         find_phone_clock(since_s, speeds(110.0 - 1.3 * since_s), unit)
     again = np.abs(np.sin(np.arange(0.0, 120.0, GRID_S)))
-    with pytest.raises(InputError, match="fits the recording at more than one time"):
+    with pytest.raises(InputError, match="fits the recording of the unit at more than one time"):
         find_phone_clock(since_s, np.abs(np.sin(since_s)), again)
 
 

@@ -180,26 +180,26 @@ def test_turns_and_rests_become_phases(tmp_path: Path) -> None:
     ("change", "says"),
     [
         (lambda d: d["t"].__setitem__(7, d["t"][6]), "do not increase at row 8. Sort"),
-        (lambda d: d["t"].__setitem__(7, np.nan), "has the invalid time nan s in row 8"),
+        (lambda d: d["t"].__setitem__(7, np.nan), "the time nan s of the gyro columns in row 8"),
         (
             lambda d: d["t"].__setitem__(slice(None), d["t"] * 1e12),
             "Correct `unit` under `time` in the import map",
         ),
         (
             lambda d: d["g"].__setitem__((3, 1), 1e30),
-            "gyro of sample 4 is beyond the range of any sensor",
+            "gyro value of sample 4 is too large for any sensor",
         ),
         (lambda d: d["g"].__setitem__((3, 1), np.inf), None),
-        (lambda d: d["g"].fill(np.nan), "contain no numbers"),
+        (lambda d: d["g"].fill(np.nan), "contain fewer than two rows of numbers"),
         (lambda d: d.__setitem__("g", d["g"][:, :2]), "has 2 columns, but 3 are needed"),
-        (lambda d: d.__setitem__("t", d["t"][:-1]), "199 times for 200 rows"),
-        (lambda d: d.pop("g"), "has no array 'g'"),
-        (lambda d: d.__setitem__("g", np.array([object()] * 9)), "g contains objects"),
+        (lambda d: d.__setitem__("t", d["t"][:-1]), "200 rows, but their time column has 199"),
+        (lambda d: d.pop("g"), "contains no array 'g'"),
+        (lambda d: d.__setitem__("g", np.array([object()] * 9)), "array g contains objects"),
         (
             lambda d: d.__setitem__("g", d["g"] * 1j),
-            "g contains complex128 values, not real numbers. Save it",
+            "array g contains complex128 values instead of real numbers. Save it",
         ),
-        (lambda d: d.__setitem__("g", d["g"][None]), "are not columns of one length"),
+        (lambda d: d.__setitem__("g", d["g"][None]), "have different lengths"),
         (lambda d: d.__setitem__("t", np.array(["x"] * 200)), "t contains <U1"),
     ],
 )
@@ -222,13 +222,13 @@ def test_hostile_archives_are_rejected_in_one_line(
     ("content", "says"),
     [
         (b"", "is empty"),
-        (b"t,gx,gy,gz\n", "header but no rows"),
+        (b"t,gx,gy,gz\n", "header, but no rows"),
         (b"t,gx,gy\n1,2,3\n", "no column 'gz'"),
         (
             b"t,gx,gy,gz\n0,2,3,4\n\n1,2,3,x\n",
-            r"row 3 has 'x' in column gz, which is not a number. Correct",
+            r"row 3 of the table in.csv has 'x' in the column gz, which is not a number. Correct",
         ),
-        (b"t,gx,gy,gz\n1,2,3\n", "row 1 has only 3 columns. Correct or remove"),
+        (b"t,gx,gy,gz\n1,2,3\n", "row 1 of the table in.csv has only 3 columns. Correct or remove"),
         (b"\xff\xfe\x00\x01" * 30, "is a binary file, not a text table"),
     ],
 )
@@ -259,14 +259,17 @@ def test_bytes_never_raise_anything_else(tmp_path: Path, content: bytes, suffix:
     [
         (BASE + "colour: red\n", "map has the unknown key 'colour'"),
         (BASE.replace("rad/s", "rpm"), "gyro: unit is the text 'rpm'. Give one of"),
-        (BASE.replace("unit: rad/s", "unit: counts"), "no scale_rad_s"),
-        (BASE.replace("{key: t, unit: s}", "{unit: s}"), "must contain one of key"),
+        (BASE.replace("unit: rad/s", "unit: counts"), "not its scale factor `scale_rad_s`"),
+        (BASE.replace("{key: t, unit: s}", "{unit: s}"), "must contain exactly one of the keys"),
         (
             BASE.replace("{key: t, unit: s}", "{key: t, stamp: arrival}"),
-            "both key and rate_hz are needed",
+            "needs both the key `key` and the key `rate_hz`",
         ),
-        (BASE.replace("[g]", "[gx, gy]"), "2 keys"),
-        (BASE + "turns: [{axis: [0.0, 0.0, 2.0], angle_deg: 1.0, std_deg: 1.0}]\n", "turn axis"),
+        (BASE.replace("[g]", "[gx, gy]"), "2 entries instead of 1 or 3"),
+        (
+            BASE + "turns: [{axis: [0.0, 0.0, 2.0], angle_deg: 1.0, std_deg: 1.0}]\n",
+            "turn does not",
+        ),
         (BASE + "sections: {name: ../x.json}\n", "sections: name is the text"),
     ],
 )

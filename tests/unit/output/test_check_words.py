@@ -91,16 +91,16 @@ REMARKS = [
     *((with_loss(cause), "10 bytes are no use") for cause in LossCause),
     (replace(SOUND, dropped={"/a": 3}), "Free space"),
     (replace(SOUND, faults=("board GY80-1 has sent no sample for 2 s",)), "gyrorigd doctor"),
-    (replace(SOUND, boards=()), "Connect one"),
+    (replace(SOUND, boards=()), "Connect a board"),
     (replace(SOUND, boards=(FAULTY,)), "Fix its cable"),
-    (replace(SOUND, unit=replace(UNIT, unsynchronised=3)), "Check its cable"),
-    (with_board(lost=500), "Lower its output rate"),
+    (replace(SOUND, unit=replace(UNIT, unsynchronised=3)), "Check the cable of the unit"),
+    (with_board(lost=500), "Lower the output rate"),
     (with_board(saturated=5), "larger full scale"),
     (with_board(repeated=500), "raise its output rate"),
-    (with_board(restarts=2), "Check its supply"),
+    (with_board(restarts=2), "Check the supply"),
     (with_board(clock_steps=2), "Do not suspend"),
     (with_board(observability=REST), "sweep both axes"),
-    (with_board(observability=replace(REST, reasons=())), "Turn it about every axis"),
+    (with_board(observability=replace(REST, reasons=())), "Turn the board about every axis"),
     (with_board(observability=None, no_reference="no reference. Record the unit."), "Record the"),
 ]
 
@@ -127,4 +127,4 @@ def test_a_recording_without_a_board_is_not_usable(tmp_path: Path, capsys: Captu
     assert cli.run(["check", str(tmp_path / "empty.mcap")]) == 4
     text = capsys.readouterr().out
     assert text.startswith("empty.mcap: not usable;")
-    assert "Connect one" in text
+    assert "Connect a board" in text

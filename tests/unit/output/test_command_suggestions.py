@@ -39,7 +39,7 @@ def test_commands_of_the_daemon_are_passed_on(command: str) -> None:
 
 def test_a_folder_is_checked_recording_by_recording(tmp_path: Path, capsys: Captured) -> None:
     assert cli.run(["check", str(tmp_path)]) == 3
-    assert "has no recording" in capsys.readouterr().err
+    assert "contains no recording" in capsys.readouterr().err
     (tmp_path / "a.mcap").write_bytes(b"not a recording")
     (tmp_path / "b.mcap").write_bytes(b"neither")
     assert cli.run(["check", str(tmp_path)]) == 3

@@ -34,7 +34,7 @@ def test_a_gain_of_two_axes_asks_for_a_motion_about_three() -> None:
 
 def test_a_file_that_is_gone_meanwhile(tmp_path: Path) -> None:
     with (
-        pytest.raises(InputError, match="It was removed while the program ran"),
+        pytest.raises(InputError, match="was removed while the program ran"),
         Folder(tmp_path).local_copy("a.mcap"),
     ):
         pass

@@ -164,8 +164,8 @@ def test_command_predicts_and_says_what_is_hidden(capsys: Captured) -> None:
         (["--seconds", "1e9"], "is not between 5 and 900"),
         (["--seconds", "8"], "too short to determine all parameters"),
         (["--seconds", "25", "--for", "causes"], "too short to separate causes. Give --seconds 39"),
-        (["--out", "x.yaml", "--program", PAPER], "Give --seconds"),
-        (["--sensor", "../../etc"], "has no profile of"),
+        (["--out", "x.yaml", "--program", PAPER], "Give the length of the motion program"),
+        (["--sensor", "../../etc"], "contains no profile of"),
         (
             ["--sensor", "missing.yaml"],
             "cannot be read (No such file or directory). Give a profile",

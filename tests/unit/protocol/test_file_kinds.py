@@ -140,7 +140,7 @@ def test_other_text_is_named_where_a_profile_is_expected() -> None:
     [
         (
             b"schema: gyrorig/calibration/1\n",
-            "is a calibration, not a recording. Give a recording (.mcap).",
+            "is a calibration, not a recording. Give the file of a recording (.mcap).",
         ),
         (
             b"t,x\n0,1\n",

@@ -90,9 +90,9 @@ def test_repeats_are_expanded_in_order() -> None:
     [
         ("", "steps is empty. Give a list"),
         ("  []", "no steps"),
-        ("- {}", "step 1 of p.yaml has no action"),
-        ("- {rest: {seconds: 1}, home: {}}", "step 1 of p.yaml has rest and home"),
-        ("- {home: {}}\n- {move: {}}", "step 2 of p.yaml moves nowhere"),
+        ("- {}", "step 1 of the motion program p.yaml has no action"),
+        ("- {rest: {seconds: 1}, home: {}}", "motion program p.yaml has rest and home"),
+        ("- {home: {}}\n- {move: {}}", "step 2 of the motion program p.yaml has no target angle"),
         ("- {repeat: {times: 2, steps: [{home: {}}, {move: {speed_deg_s: 5}}]}}", "step 1.2 of"),
         ("- {move: {pan_deg: 5, speed: 5}}", "unknown key 'speed'. Did you mean speed_deg_s"),
         ("- {move: {pan_deg: 5, speed_deg_s: 0}}", "speed_deg_s"),

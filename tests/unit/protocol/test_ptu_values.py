@@ -151,9 +151,9 @@ def test_missing_required_values_raise(require: Any, command: PtuCommand) -> Non
     with pytest.raises(DeviceError, match="refused"):
         require(command, answer("Illegal Command Entered", ok=False))
     if command is not ptu_commands.QUERY_MODEL:
-        with pytest.raises(DeviceError, match="answered"):
+        with pytest.raises(DeviceError, match="invalid answer"):
             require(command, answer("never mind"))
-    with pytest.raises(DeviceError, match="answered"):
+    with pytest.raises(DeviceError, match="invalid answer"):
         require(ptu_commands.RESYNCHRONISE, answer("22"))
 
 

@@ -185,7 +185,7 @@ def test_the_reserve_is_kept_free(
     session.run(10)
     recorder = session.recorder
     assert state(recorder) == "degraded"
-    assert "MiB are free" in recorder.degraded_reason
+    assert "MiB of free space" in recorder.degraded_reason
     assert recorder.counts.room_stops == 1
     # Closed cleanly while there was room, not torn by ENOSPC.
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
@@ -225,7 +225,7 @@ def test_missing_space_at_the_start_is_an_error(tmp_path: Path, failing_disk: An
     recorder = Recorder(
         False, RecorderSettings(survives_faults=True, reserve_bytes=1 << 30), disk=disk
     )
-    with pytest.raises(MachineError, match="MiB are free"):
+    with pytest.raises(MachineError, match="MiB of free space"):
         recorder.open(RecordingPlan(tmp_path / "a.mcap", METADATA, ()))
     assert recorder.state is RecorderState.IDLE
     assert not list(tmp_path.iterdir())

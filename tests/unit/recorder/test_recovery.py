@@ -107,7 +107,7 @@ def test_recovery_waits_for_free_space(tmp_path: Path) -> None:
     part = leave_unfinished(tmp_path)
     (report,) = recover_folder(tmp_path, disk=Full())
     assert report.outcome is RecoveryOutcome.FAILED
-    assert "Free some space" in report.text
+    assert "Free some disk space" in report.text
     assert part.exists()
     assert recover_folder(tmp_path)[0].outcome is RecoveryOutcome.RECOVERED
 

@@ -70,7 +70,7 @@ def test_the_shortcuts_return_the_written_messages(tmp_path: Path, script: Any) 
     assert len(recording.clock_pings(BoardId("B-2"))) == 0
     assert recording.host_clock()["ntp_status"].tolist() == [64] * 4
     assert recording.reference_attitude()["orientation"].shape == (4, 4)
-    with pytest.raises(InputError, match="Give one of B-1, B-2"):
+    with pytest.raises(InputError, match="Choose one of its boards: B-1, B-2"):
         recording.imu(BoardId("B-3"))
 
 
@@ -322,10 +322,10 @@ def other_fields(writer: Writer) -> None:
 @pytest.mark.parametrize(
     ("fill", "metadata", "word"),
     [
-        (fill_imu, {}, "without gyrorig metadata"),
+        (fill_imu, {}, "has no gyrorig metadata"),
         (fill_imu, {"gyrorig": {"format": "2"}}, "format '2'"),
         (fill_imu, {"gyrorig": {}}, "format None"),
-        (other_fields, OWN, "differ from those of format 1"),
+        (other_fields, OWN, "does not have the fields that recording format 1 defines"),
     ],
 )
 def test_other_formats_are_rejected(tmp_path: Path, fill: Any, metadata: Any, word: str) -> None:

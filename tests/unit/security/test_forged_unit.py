@@ -64,5 +64,5 @@ def test_limits_that_are_not_configured_are_the_unit_s_own() -> None:
     axis = AxisFacts(185.1428, -100, 100, 31, 2902, 1000, 2000, 1)
     facts = UnitFacts("E46", "1", "s", Dialect.E46, None, axis, axis, 9600)
     start = {Axis.PAN: 0, Axis.TILT: 0}
-    with pytest.raises(UsageError, match="the limits are"):
+    with pytest.raises(UsageError, match="its limits are"):
         plan_program(program(20.0, 0.0, 10.0), facts, CommandLimits(), start)

@@ -111,7 +111,7 @@ def test_an_address_that_is_taken(view: FoxgloveView) -> None:
 
 @pytest.mark.parametrize("address", ["8765", ":8765", "localhost:", "localhost:x", "h:70000"])
 def test_what_is_no_address(address: str) -> None:
-    with pytest.raises(UsageError, match="is not a valid HOST:PORT"):
+    with pytest.raises(UsageError, match="does not have the form HOST:PORT"):
         open_live_view(address, print)
 
 

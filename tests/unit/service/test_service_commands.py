@@ -59,7 +59,9 @@ def test_enqueue(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatc
     job = json.loads(output.out)
     assert Path(job["file"]).parent == tmp_path / "queue"
     assert "session: 's-1'" in Path(job["file"]).read_text().replace('"', "'")
-    assert output.err.startswith(f"No daemon is running in {tmp_path}. The job starts when")
+    assert output.err.startswith(
+        f"No daemon is running with the state folder {tmp_path}. The job starts"
+    )
     with StateFolder(tmp_path):
         assert run(arguments) == 0
     assert capsys.readouterr().err == ""

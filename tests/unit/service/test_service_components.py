@@ -90,7 +90,9 @@ def test_the_watchdog_is_fed_only_when_every_loop_made_progress() -> None:
             timer.fire(now_ns)
     # every 2 s: 0 to 6 (the loop stops at 4 and may take 3), then from 16 on
     assert notifier.fed == 4 + 2
-    assert notices == ["No progress in socket. The watchdog is not fed."]
+    assert notices == [
+        "The daemon makes no progress in socket, so it sends no keep-alive message to systemd."
+    ]
 
 
 def test_one_daemon_a_folder(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ LIMIT = pytest.param(
     meet_a_limit,
     marks=pytest.mark.xfail(
         strict=True,
-        reason="the orders of a unit that met its limit are not believed, its counts alone show "
+        reason="the orders of a unit that reached a limit are not believed, its counts alone show "
         "a fifth of the time before",
     ),
 )
@@ -66,7 +66,7 @@ def broken_off(make_bench: Callable[..., Any], break_off: Callable[[Any], None])
 
 
 @pytest.mark.parametrize(
-    ("break_off", "words"), [(pull, "unplugged"), (meet_a_limit, "met its limit")]
+    ("break_off", "words"), [(pull, "unplugged"), (meet_a_limit, "reached a limit")]
 )
 def test_the_solver_leaves_out_what_came_after(
     make_bench: Callable[..., Any], break_off: Callable[[Any], None], words: str

@@ -145,7 +145,7 @@ def test_a_fault_of_the_motion_holds_everything_until_cleared(make_bench: Make) 
     bench.serve(90.0, bench.ended("done", 1))
     first, second = (read_recording(path) for path in bench.recordings())
     fault_events = events(first)
-    assert any(e.kind == EventKind.FAULT and "met its limit" in e.text for e in fault_events)
+    assert any(e.kind == EventKind.FAULT and "reached a limit" in e.text for e in fault_events)
     begun_s = [int(e.host_time_ns) * 1e-9 for e in fault_events]
     rows = first.array("/board/B-1/imu_raw")["log_time"]
     # the recording went on after the halt, until it was cleared
@@ -158,7 +158,7 @@ def test_a_fault_of_the_motion_holds_everything_until_cleared(make_bench: Make) 
     assert second.metadata["gyrorig"]["session"] == "waits"
     assert bench.parts.counts.motion_faults == 1
     (released,) = [line for line in bench.log if line.startswith("Motion lock released: ")]
-    assert "its pan axis met its limit" in released
+    assert "its pan axis reached a limit" in released
 
 
 def test_ports_that_are_lost_after_a_fault_leave_a_closed_recording(make_bench: Make) -> None:

@@ -87,7 +87,7 @@ def test_watching(served: ServedSocket) -> None:
 def test_who_may_command(served: ServedSocket, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server_module.Peer, "may_command", property(lambda self: self.uid == 12345))
     for command in ("clear", "reload"):
-        with pytest.raises(RefusedRequestError, match="is for root"):
+        with pytest.raises(RefusedRequestError, match="Only root"):
             send_command(served.path, command)
     assert send_command(served.path, "halt")["ok"]
     assert send_command(served.path, "status")["ok"]
@@ -181,7 +181,7 @@ def test_too_many_clients(served: ServedSocket, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_socket_of_a_daemon_that_lives_and_of_one_that_died(served: ServedSocket) -> None:
-    with pytest.raises(BusyError, match="another daemon serves"):
+    with pytest.raises(BusyError, match="another daemon already uses"):
         StatusServer(served.path, lambda *_: "", ServiceCounts()).__enter__()
     other = served.path.with_name("dead")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as died:

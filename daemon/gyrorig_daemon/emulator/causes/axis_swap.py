@@ -16,7 +16,7 @@ class AxisSwap(Cause):
     """Two axes are exchanged."""
 
     name = "axis_swap"
-    size_meaning = "two axes are exchanged; 1 is the only size"
+    size_meaning = "exchange of two axes; the only size is 1"
     part = "link"
     unit = "1"
     typical = 1.0

@@ -24,7 +24,7 @@ class BiasStep(SensorCause):
     """The bias jumps once, at an instant."""
 
     name = "bias_step"
-    size_meaning = "largest jump of the bias, once"
+    size_meaning = "largest jump of the bias, which occurs once"
     unit = "rad/s"
     typical = 1e-3
     sampled_min, sampled_max = 3e-4, 3e-3

@@ -23,7 +23,7 @@ class BoardSlip(Cause):
     """The mounting M becomes R M from an instant on."""
 
     name = "board_slip"
-    size_meaning = "angle by which the board turns on the stage, once"
+    size_meaning = "angle by which the board turns once on the stage"
     part = "mount"
     unit = "rad"
     typical = 5e-3

@@ -43,7 +43,8 @@ def sample_injected_causes(settings: RigSettings) -> tuple[InjectedCause, ...]:
     for k, key in enumerate(keys):
         if key in keys[:k]:
             raise UsageError(
-                f"{key[0]} is injected twice", "give another component, or inject it once"
+                f"the cause {key[0]} is injected twice at the same place",
+                "name another axis or board with @, or inject the cause only once",
             )
     return injected
 
@@ -69,8 +70,9 @@ def _sample_cause(request: InjectionRequest, settings: RigSettings) -> InjectedC
         size = request.size
     if abs(size) > max_size:
         raise UsageError(
-            f"{cause.name} of {size:g} {cause.unit} is too large for board {board.name}",
-            f"give at most {max_size:.3g}",
+            f"the size {size:g} {cause.unit} of the cause {cause.name} is too large for "
+            f"board {board.name}",
+            f"give a size of at most {max_size:.3g} {cause.unit}",
         )
     sampling = ParameterSampling(size=size, component=component, rng=rng, rig=settings, board=board)
     return InjectedCause(
@@ -101,8 +103,9 @@ def _sample_component(
     is_on_board = cause.is_on_board()
     if is_on_board and not boards:
         raise UsageError(
-            f"{cause.name} belongs to a board, and no board of this rig is emulated",
-            "write `emulated` as the port of a board, or inject a cause of the unit",
+            f"the cause {cause.name} acts on a board, but no board of this rig is emulated",
+            "write `emulated` as the port of a board, or inject a cause that acts on the "
+            "pan-tilt unit",
         )
     board = settings.boards[int(rng.integers(len(boards)))] if boards else BoardSettings()
     sampled = (
@@ -119,10 +122,14 @@ def _sample_component(
         places = [*cause.components, *(boards if is_on_board else ())]
         hint = sentence(did_you_mean(text, places))
         if places:
-            remedy = f"{hint} Choose one of these places: {', '.join(places[:12])}".lstrip()
+            remedy = f"{hint} After @, write one of {', '.join(places[:12])}".lstrip()
         else:
-            remedy = f"write {cause.name} without a place"
-        raise UsageError(f"{cause.name} cannot be injected at {text!r:.40}", remedy)
+            remedy = f"write {cause.name} without @ and a place"
+        raise UsageError(
+            f"the cause {cause.name} cannot be injected at {text!r:.40}, because it does "
+            "not act there",
+            remedy,
+        )
     return board, sampled
 
 

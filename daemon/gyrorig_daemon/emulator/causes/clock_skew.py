@@ -22,7 +22,7 @@ class ClockSkew(Cause):
     """A delay that grows at a constant rate."""
 
     name = "clock_skew"
-    size_meaning = "growth of the samples' lag, in s per s"
+    size_meaning = "growth of the delay of the samples, in s per s"
     part = "clock"
     unit = "1"
     typical = 2e-4

@@ -13,7 +13,7 @@ class ClockStep(Cause):
     """A delay that jumps once, with the first block of samples after an instant."""
 
     name = "clock_step"
-    size_meaning = "single jump of the samples' lag"
+    size_meaning = "single jump of the delay of the samples"
     part = "clock"
     unit = "s"
     typical = 10e-3

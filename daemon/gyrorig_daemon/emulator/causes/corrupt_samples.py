@@ -22,7 +22,7 @@ class CorruptSamples(Cause):
     """At random, one axis of a sample has a flipped bit or a torn value."""
 
     name = "corrupt_samples"
-    size_meaning = "share of the samples with a flipped bit or a torn value"
+    size_meaning = "share of the samples with a flipped bit, or with bytes of two values"
     part = "link"
     unit = "1"
     typical = 1e-3

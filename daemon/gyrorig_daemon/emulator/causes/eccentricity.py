@@ -19,7 +19,9 @@ class Eccentricity(UnitCause):
     """The angle has an error of the first and second order in the angle."""
 
     name = "eccentricity"
-    size_meaning = "amplitude of the first harmonic; the second has up to half of it"
+    size_meaning = (
+        "amplitude of the first harmonic; the second harmonic has at most half of this amplitude"
+    )
     unit = "rad"
     typical = 9e-4
     sampled_min, sampled_max = 3.5e-4, 1.7e-3

@@ -25,14 +25,18 @@ def parse_injection(text: str) -> InjectionRequest:
     name, _, component = head.partition("@")
     if name == RANDOM:
         if colon or component:
-            raise UsageError(f"--hide {text} cannot have a size or place", "write --hide random")
+            raise UsageError(
+                f"the option --hide {text} is not valid, because a random cause cannot have a "
+                "size or a place",
+                "write only --hide random",
+            )
         return InjectionRequest(RANDOM)
     cause = CAUSES.get(name)
     if cause is None:
         hint = did_you_mean(name, [*CAUSES, RANDOM])
         raise UsageError(
-            f"{name!r:.40} is not a cause that can be hidden",
-            f"{sentence(hint)} `gyrorigd causes` lists all causes".lstrip(),
+            f"the emulator knows no cause with the name {name!r:.40}",
+            f"{sentence(hint)} Run `gyrorigd causes` to list all causes".lstrip(),
         )
     size = _parse_size(cause, size_text) if colon else None
     return InjectionRequest(name, component, size)
@@ -43,14 +47,22 @@ def _parse_size(cause: type[Cause], text: str) -> float:
         size = float(text)
     except ValueError:
         size = math.nan
-    shown = f"give a number in {cause.unit}, such as {cause.typical:g}"
+    shown = f"give the size as a number in {cause.unit}, for example {cause.typical:g}"
     if not math.isfinite(size):
-        raise UsageError(f"{text!r:.40} is not a size of {cause.name}", shown)
+        raise UsageError(f"the size {text!r:.40} of the cause {cause.name} is not a number", shown)
     if size < 0.0 and not cause.is_signed:
-        raise UsageError(f"{cause.name} cannot have the negative size {size:g}", shown)
+        raise UsageError(
+            f"the size {size:g} of the cause {cause.name} is negative, but this cause has no sign",
+            shown,
+        )
     if not cause.min_size <= abs(size) <= cause.max_size:
         limits = f"from {cause.min_size:g} to {cause.max_size:g}"
-        raise UsageError(f"{cause.name} of {size:g} is out of bounds", f"{shown}, {limits}")
+        raise UsageError(
+            f"the size {size:g} of the cause {cause.name} is outside the allowed range",
+            f"{shown}, {limits}",
+        )
     if cause.is_integer and size != round(size):
-        raise UsageError(f"{cause.name} needs a whole number, not {size:g}", shown)
+        raise UsageError(
+            f"the size {size:g} of the cause {cause.name} is not a whole number", shown
+        )
     return size

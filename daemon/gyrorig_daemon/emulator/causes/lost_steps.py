@@ -24,7 +24,7 @@ class LostSteps(UnitCause):
     """Steps are lost once, in the first move that begins after an instant."""
 
     name = "lost_steps"
-    size_meaning = "steps lost in one move, in the step mode at power-up"
+    size_meaning = "number of steps lost in one move, in the step mode at power-up"
     unit = "steps"
     typical = 8.0
     sampled_min, sampled_max = 1.0, 16.0

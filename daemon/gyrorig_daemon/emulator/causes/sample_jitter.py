@@ -22,7 +22,7 @@ class SampleJitter(Cause):
     """Each sample is too old by a separate time, uniform from 0 to sqrt(12) times the rms."""
 
     name = "sample_jitter"
-    size_meaning = "scatter of the samples' instants (rms)"
+    size_meaning = "scatter of the sampling times (rms)"
     part = "clock"
     unit = "s"
     typical = 1e-3

@@ -14,7 +14,7 @@ class ScaleAsymmetry(RateCause):
     """The scale factor depends on the sign of the rate."""
 
     name = "scale_asymmetry"
-    size_meaning = "largest coefficient a of the term a |u|"
+    size_meaning = "largest coefficient a of the term a |u|, where u is the rate"
     unit = "1"
     typical = 2e-3
     sampled_min, sampled_max = 5e-4, 1e-2

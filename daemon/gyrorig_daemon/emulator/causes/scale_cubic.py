@@ -13,7 +13,7 @@ class ScaleCubic(RateCause):
     """The output has a cubic term in the rate."""
 
     name = "scale_cubic"
-    size_meaning = "largest coefficient c of the term c u^3"
+    size_meaning = "largest coefficient c of the term c u^3, where u is the rate"
     unit = "s^2/rad^2"
     typical = 1e-3
     sampled_min, sampled_max = 3e-4, 1e-2

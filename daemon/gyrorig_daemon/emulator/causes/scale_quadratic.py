@@ -13,7 +13,7 @@ class ScaleQuadratic(RateCause):
     """The output has a quadratic term in the rate."""
 
     name = "scale_quadratic"
-    size_meaning = "largest coefficient q of the term q u^2"
+    size_meaning = "largest coefficient q of the term q u^2, where u is the rate"
     unit = "s/rad"
     typical = 1e-3
     sampled_min, sampled_max = 3e-4, 5e-3

@@ -18,7 +18,7 @@ class SignFlip(Cause):
     """One axis has the wrong sign."""
 
     name = "sign_flip"
-    size_meaning = "one axis has the wrong sign; 1 is the only size"
+    size_meaning = "wrong sign of one axis; the only size is 1"
     part = "link"
     unit = "1"
     typical = 1.0

@@ -16,7 +16,7 @@ class TiltSag(Cause):
     """The tilt angle has an error of the first order in the tilt angle."""
 
     name = "tilt_sag"
-    size_meaning = "amplitude of the sag with the sine of the tilt angle"
+    size_meaning = "amplitude of the sag, which is proportional to the sine of the tilt angle"
     part = "ptu"
     unit = "rad"
     typical = 2e-3

@@ -20,7 +20,7 @@ class WarmUp(SensorCause):
     """The bias decays exponentially after power-up."""
 
     name = "warm_up"
-    size_meaning = "largest bias at power-up that decays"
+    size_meaning = "largest bias at power-up, which then decays"
     unit = "rad/s"
     typical = 1.7e-3
     sampled_min, sampled_max = 8e-4, 5e-3

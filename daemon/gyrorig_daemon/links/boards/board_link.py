@@ -114,15 +114,16 @@ class BoardLink:
             next_ns = self._pump.now_ns() + int(HELLO_INTERVAL_S * 1e9)
             self._pump.run_until(min(next_ns, end_ns), self._is_identification_over)
         if self.is_absent:
-            raise DeviceError(f"{self._location()} was unplugged", "check its cable and its power")
-        if self.state is LinkState.FOREIGN:
             raise DeviceError(
-                self._foreign_description(), "check the ports in the rig's configuration"
+                f"{self._location()} was unplugged", "check the cable and the power of the board"
             )
+        if self.state is LinkState.FOREIGN:
+            raise DeviceError(self._foreign_description(), "check the ports in the rig file")
         if not self.is_known:
             raise DeviceError(
                 f"{self._location()} {self._silence_description()}",
-                "check its power, the cable, the port, the baud rate and the format",
+                "check the power and the cable of the board, and its port, baud rate and "
+                "format in the rig file",
             )
         self.metadata()  # raises if a required value is unknown
         self.pin_identity()

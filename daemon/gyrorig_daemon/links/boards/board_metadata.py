@@ -38,8 +38,8 @@ def board_metadata(config: BoardPort, hello: Hello | None) -> dict[str, str]:
     for key in ("uid", "sensor", "gyro_scale_rad_s"):
         if not values.get(key):
             raise UsageError(
-                f"board {config.id} does not report its {key}, which a recording needs",
-                f"add `{key}` under `facts` of this board in the rig's configuration",
+                f"board {config.id} does not report the value `{key}`, which a recording needs",
+                f"add the key `{key}` under `facts` of the board in the rig file",
             )
     return {key: _text(value) for key, value in values.items() if value not in (None, "")}
 

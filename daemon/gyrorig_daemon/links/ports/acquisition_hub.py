@@ -87,10 +87,12 @@ class AcquisitionHub:
         except OSError as fault:
             raise MachineError(
                 f"the acquisition process cannot be started ({fault.strerror})",
-                "free memory or end other processes, and start again",
+                "free memory or end other processes, and start the program again",
             ) from fault
         if self._child.stdin is None or self._child.stdout is None:
-            raise MachineError("the acquisition process has no pipes", "start again")
+            raise MachineError(
+                "the acquisition process was started without pipes", "start the program again"
+            )
         self._commands_fd = self._child.stdin.fileno()
         self._reports_fd = self._child.stdout.fileno()
         try:
@@ -142,9 +144,9 @@ class AcquisitionHub:
                 return WriteTimes(report.first_ns, report.second_ns)
             if report.port == index and report.kind == acquisition_pipe.FAULT:
                 raise DeviceError(
-                    f"{self._settings[index].path} ({port}) cannot be written, "
-                    f"{report.data.decode(errors='replace')}",
-                    "check the cable and that the device is switched on",
+                    f"the daemon cannot write to the port {self._settings[index].path} "
+                    f"({port}): {report.data.decode(errors='replace')}",
+                    "check the cable and the power of the device",
                 )
             self._store_report(report)
 
@@ -216,7 +218,8 @@ class AcquisitionHub:
         if report is None:
             raise MachineError(
                 f"the acquisition process did not start within {OPEN_DEADLINE_NS // 10**9} s",
-                "read its messages above. If there are none, the computer is overloaded; try again",
+                "read the messages above. If there are none, the computer is overloaded, so "
+                "try again later",
             )
         if report.kind != acquisition_pipe.REFUSED:
             self._store_report(report)
@@ -233,8 +236,8 @@ class AcquisitionHub:
             first_path = path_by_key.setdefault(key, settings.path)
             if first_path != settings.path:
                 raise UsageError(
-                    f"{first_path} and {settings.path} are the same port",
-                    "give each device its own port",
+                    f"the paths {first_path} and {settings.path} are the same port",
+                    "give each device a different port in the rig file",
                 )
 
     def _store_report(self, report: acquisition_pipe.AcquisitionReport) -> None:
@@ -254,7 +257,7 @@ class AcquisitionHub:
 
     def _send(self, command: bytes) -> None:
         if self._end_reason is not None:
-            raise PortsGoneError(self._end_reason, "start again")
+            raise PortsGoneError(self._end_reason, "start the program again")
         try:
             os.write(self._commands_fd, command)
         except OSError:
@@ -263,7 +266,7 @@ class AcquisitionHub:
     def _next_report(self, deadline_ns: int) -> acquisition_pipe.AcquisitionReport | None:
         while not self._reports:
             if self._end_reason is not None:
-                raise PortsGoneError(self._end_reason, "start again")
+                raise PortsGoneError(self._end_reason, "start the program again")
             wait_s = max(0.0, (deadline_ns - raw_ns()) * 1e-9)
             ready, _, _ = select.select([self._reports_fd], [], [], wait_s)
             if not ready:
@@ -295,9 +298,12 @@ class AcquisitionHub:
         ports_to_halt = [settings for settings in self._settings if settings.final_command]
         answers = [send_final_command(s.path, s.baud, s.final_command) for s in ports_to_halt]
         if not ports_to_halt:
-            raise PortsGoneError(reason, "start again")
+            raise PortsGoneError(reason, "start the program again")
         if all(answers):
-            raise PortsGoneError(reason, "the unit confirmed the halt command. Start again")
+            raise PortsGoneError(
+                reason, "start the program again. The pan-tilt unit has confirmed the halt command"
+            )
         raise PortsGoneError(
-            reason, "check that the unit has stopped. It did not confirm the halt command"
+            reason,
+            "check that the pan-tilt unit has stopped, because it did not confirm the halt command",
         )

@@ -37,8 +37,8 @@ def unpack_fields(layout: struct.Struct, data: bytes, name: str) -> list[int | f
     """
     if len(data) != layout.size or data[:4] != ENCAPSULATION:
         raise InputError(
-            f"{name} is damaged: it has {len(data)} bytes that begin with {data[:4].hex()} "
-            f"instead of {layout.size} bytes that begin with 00010000",
+            f"a message of type {name} is damaged: it has {len(data)} bytes and the header "
+            f"{data[:4].hex()}, instead of {layout.size} bytes and the header 00010000",
             "copy the file again, or record again",
         )
     return list(layout.unpack(data)[1:])
@@ -98,7 +98,11 @@ class CdrDecoder:
 
     def __init__(self, data: bytes) -> None:
         if data[:4] != ENCAPSULATION:
-            raise InputError(f"the CDR header is {data[:4].hex()}, not 00010000", _REMEDY)
+            raise InputError(
+                f"a message of the recording has the CDR header {data[:4].hex()} instead of "
+                "00010000",
+                _REMEDY,
+            )
         self._data = data
         self._offset = 4
 
@@ -109,7 +113,9 @@ class CdrDecoder:
         start = self._offset + -(self._offset - 4) % size
         if start + size > len(self._data):
             raise InputError(
-                f"a message is damaged: it ends at byte {len(self._data)}, inside a number", _REMEDY
+                f"a message of the recording is damaged: it ends at byte {len(self._data)}, inside "
+                "a number",
+                _REMEDY,
             )
         self._offset = start + size
         value: int = layout.unpack_from(self._data, start)[0]
@@ -126,13 +132,16 @@ class CdrDecoder:
         begin = self._offset + -self._offset % _LENGTH.size + _LENGTH.size
         if begin > len(self._data):
             raise InputError(
-                f"a message is damaged: it ends at byte {len(self._data)}, inside a number", _REMEDY
+                f"a message of the recording is damaged: it ends at byte {len(self._data)}, inside "
+                "a number",
+                _REMEDY,
             )
         length: int = _LENGTH.unpack_from(self._data, begin - _LENGTH.size)[0]
         end = begin + length
         if length < 1 or end > len(self._data) or self._data[end - 1] != 0:
             raise InputError(
-                f"a message is damaged: the stated length of a string, {length} bytes, is wrong",
+                "a message of the recording is damaged: it states the wrong length of "
+                f"{length} bytes for a string",
                 _REMEDY,
             )
         raw = self._data[begin : end - 1]
@@ -140,14 +149,18 @@ class CdrDecoder:
         try:
             return raw.decode()
         except UnicodeDecodeError as error:
-            raise InputError(f"the string {raw[:40]!r} is not UTF-8", _REMEDY) from error
+            raise InputError(
+                f"a message of the recording is damaged: its string {raw[:40]!r} is not UTF-8",
+                _REMEDY,
+            ) from error
 
     def read_count(self, min_element_bytes: int) -> int:
         """Return the length of a sequence whose elements have at least `min_element_bytes`."""
         count = self.read_integer("I")
         if count * min_element_bytes > len(self._data) - self._offset:
             raise InputError(
-                f"a message is damaged: it is too short for the stated {count} elements of a list",
+                f"a message of the recording is damaged: it is too short for the {count} "
+                "list elements that it states",
                 _REMEDY,
             )
         return count
@@ -156,5 +169,7 @@ class CdrDecoder:
         """Check that no bytes remain."""
         if self._offset != len(self._data):
             raise InputError(
-                f"{len(self._data) - self._offset} bytes follow the end of the message", _REMEDY
+                f"a message of the recording is damaged: {len(self._data) - self._offset} "
+                "unknown bytes follow its last field",
+                _REMEDY,
             )

@@ -39,7 +39,7 @@ _PRIMITIVES = MappingProxyType(
 )
 
 HEADER_BYTES = 4
-_SCHEMA_REMEDY = "correct the schema in the program that wrote the file"
+_SCHEMA_REMEDY = "correct the schema of the message type in the program that wrote the file"
 # Limits for schemas of untrusted files; our largest message has 66 bytes.
 _MAX_BYTES = 1 << 16
 _MAX_FIELDS = 4096
@@ -89,9 +89,16 @@ def _lay_out_struct(
 ) -> tuple[np.dtype[np.void], int]:
     """Lay out struct `name` from payload offset `start`; return its dtype and its end."""
     if name not in definitions:
-        raise InputError(f"the schema does not define {name}", _SCHEMA_REMEDY)
+        raise InputError(
+            f"a schema of the file uses the message type {name}, but does not define it",
+            _SCHEMA_REMEDY,
+        )
     if depth > _MAX_DEPTH:
-        raise InputError(f"the schema has more than {_MAX_DEPTH} levels at {name}", _SCHEMA_REMEDY)
+        raise InputError(
+            f"a schema of the file nests message types more than {_MAX_DEPTH} levels deep, at "
+            f"{name}",
+            _SCHEMA_REMEDY,
+        )
     if not definitions[name]:
         raise _VariableSizeError  # the size of an empty struct depends on the ROS version
     layout = _StructLayout(start, depth, [], [], [])
@@ -100,10 +107,15 @@ def _lay_out_struct(
         offset = _lay_out_field(definitions, field, layout, offset)
         if offset > _MAX_BYTES or len(layout.names) > _MAX_FIELDS:
             raise InputError(
-                f"the schema of {name} describes more than {_MAX_BYTES} bytes", _SCHEMA_REMEDY
+                f"the schema of the message type {name} is too large: it describes more than "
+                f"{_MAX_BYTES} bytes",
+                _SCHEMA_REMEDY,
             )
     if len(set(layout.names)) != len(layout.names):
-        raise InputError(f"the schema of {name} has a field twice", _SCHEMA_REMEDY)
+        raise InputError(
+            f"the schema of the message type {name} contains two fields with the same name",
+            _SCHEMA_REMEDY,
+        )
     dtype = np.dtype(
         {
             "names": layout.names,
@@ -122,7 +134,11 @@ def _lay_out_field(
     if field.length == -1 or field.type.startswith(("string", "wstring")):
         raise _VariableSizeError
     if field.length == 0 or (field.length or 0) > _MAX_BYTES:
-        raise InputError(f"schema field {field.name} has {field.length} elements", _SCHEMA_REMEDY)
+        raise InputError(
+            f"the array field {field.name} in a schema of the file has the invalid length "
+            f"{field.length}",
+            _SCHEMA_REMEDY,
+        )
     code = _PRIMITIVES.get(field.type)
     if code is not None:
         width = np.dtype(code).itemsize
@@ -133,7 +149,8 @@ def _lay_out_field(
         return offset + width * (field.length or 1)
     if "/" not in field.type:
         raise InputError(
-            f"schema field {field.name} has the unknown type {field.type}", _SCHEMA_REMEDY
+            f"the field {field.name} in a schema of the file has the unknown type {field.type}",
+            _SCHEMA_REMEDY,
         )
     elements = []
     for _ in range(field.length or 1):
@@ -142,7 +159,9 @@ def _lay_out_field(
         offset = end
         if offset > _MAX_BYTES:
             raise InputError(
-                f"schema field {field.name} has more than {_MAX_BYTES} bytes", _SCHEMA_REMEDY
+                f"the field {field.name} in a schema of the file is too large: it has more "
+                f"than {_MAX_BYTES} bytes",
+                _SCHEMA_REMEDY,
             )
     _add_struct_elements(layout, field, elements)
     return offset

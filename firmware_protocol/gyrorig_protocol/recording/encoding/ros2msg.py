@@ -49,7 +49,11 @@ def parse_definitions(type_name: str, text: str) -> Definitions:
         InputError: the text is not a definition.
     """
     if len(text) > MAX_SCHEMA_CHARS:
-        raise InputError(f"the schema of {type_name} has {len(text)} characters", _SCHEMA_REMEDY)
+        raise InputError(
+            f"the schema of the message type {type_name} is too long: it has {len(text)} "
+            "characters",
+            _SCHEMA_REMEDY,
+        )
     main_text, *dependencies = _SEPARATOR_PATTERN.split(text)
     package = type_name.partition("/")[0]
     definitions = {short_name(type_name): _parse_fields(main_text, package)}
@@ -57,7 +61,8 @@ def parse_definitions(type_name: str, text: str) -> Definitions:
         head = _DEPENDENCY_HEAD_PATTERN.match(part)
         if head is None:
             raise InputError(
-                f"the schema of {type_name} has a dependency without a name", _SCHEMA_REMEDY
+                f"the schema of the message type {type_name} contains a dependency without a name",
+                _SCHEMA_REMEDY,
             )
         name = short_name(head.group(1))
         definitions[name] = _parse_fields(part[head.end() :], name.split("/")[0])
@@ -93,7 +98,10 @@ def _parse_fields(text: str, package: str) -> tuple[MessageField, ...]:
             continue
         match = _FIELD_PATTERN.fullmatch(line)
         if match is None:
-            raise InputError(f"schema line {line[:60]!r} is not a field", _SCHEMA_REMEDY)
+            raise InputError(
+                f"the line {line[:60]!r} in a schema of the file does not define a field",
+                _SCHEMA_REMEDY,
+            )
         fields.append(
             MessageField(
                 _qualify_type(match["type"], package), _parse_length(match["array"]), match["name"]

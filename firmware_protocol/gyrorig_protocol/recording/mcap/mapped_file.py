@@ -26,22 +26,34 @@ def map_file(path: Path) -> memoryview:
     try:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):
-            raise InputError(f"{path} is a folder", "give the recordings in it")
+            raise InputError(
+                f"{path} is a folder, not a recording",
+                "give the files of the recordings in the folder",
+            )
         if not stat.S_ISREG(status.st_mode):
-            raise InputError(f"{path} is not a regular file", "give a recording (.mcap)")
+            raise InputError(
+                f"{path} is not a regular file, so it cannot be a recording",
+                "give the file of a recording (.mcap)",
+            )
         if status.st_size == 0:
-            raise InputError(f"{path} is empty, it contains no recording", "record again")
+            raise InputError(
+                f"the file {path} is empty, so it contains no recording", "record the session again"
+            )
         with path.open("rb") as file:
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise InputError(f"{path} does not exist", "give a recording that exists") from error
+        raise InputError(
+            f"the recording {path} does not exist", "give the path of an existing recording"
+        ) from error
     except ValueError as error:  # mmap of a file that was emptied after stat
         raise InputError(
-            f"{path} was emptied while it was opened", "stop the program that writes to it"
+            f"another program emptied {path} while it was opened",
+            "stop the program that writes to the file",
         ) from error
     except OSError as error:
         raise MachineError(
-            f"cannot read {path} ({error.strerror})", "fix its permissions, or check its disk"
+            f"the recording {path} cannot be read ({error.strerror})",
+            "correct the permissions of the file, or check its disk",
         ) from error
 
 
@@ -55,7 +67,7 @@ def map_mcap_file(path: Path) -> memoryview:
     data = map_file(path)
     if data[: len(MAGIC)] != MAGIC:
         kind = describe_file_kind(bytes(data[:HEAD_BYTES]))
-        remedy = "give a recording (.mcap)"
+        remedy = "give the file of a recording (.mcap)"
         if kind in (CSV_TABLE, NUMPY_ARCHIVE):
             remedy = "convert it with `gyrorig import`"
         raise InputError(f"{path} is {kind}, not a recording", remedy)

@@ -106,7 +106,7 @@ def _line_floor(
     structure_reason = ""
     if spread_s > limit_s and excess_autocorrelation(residual_s) > MAX_AUTOCORRELATION:
         structure_reason = (
-            f"the smallest delays of {WINDOW_S:g} s drift by {_format_time(spread_s)}"
+            f"the smallest delays in windows of {WINDOW_S:g} s drift by {_format_time(spread_s)}"
         )
     # A line below n exponential delays errs by about 2.45 mu/n (simulated).
     sigma_s = max(2.45 * mean_s / device_s.size, 0.3 * windows.sigma_s)
@@ -145,7 +145,7 @@ def _long_recording_floor(
             f"{disagreement_s / sigma_s:.0f} times the expected difference"
         )
     elif smoothed.autocorrelation > MAX_AUTOCORRELATION and noise_s > MIN_STRUCTURE_S:
-        structure_reason = f"the smallest delays of {WINDOW_S:g} s are autocorrelated"
+        structure_reason = f"the smallest delays in windows of {WINDOW_S:g} s are autocorrelated"
     if structure_reason:
         spacing_s = min(_knot_spacing_beyond_beat_s(smoothed), float(device_s[-1] - device_s[0]))
         envelope = _fit_envelope(device_s, delay_s, spacing_s, mean_s, WALK_PER_SQRT_S)

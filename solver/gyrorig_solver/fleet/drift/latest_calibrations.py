@@ -80,21 +80,25 @@ def read_origins(path: Path) -> BoardOrigins:
     try:
         if path.stat().st_size > MAX_TABLE_BYTES:
             raise InputError(
-                f"{path} is larger than {MAX_TABLE_BYTES >> 20} MB, too large for a table",
-                "give a table with the columns board, lot, site",
+                f"the file {path} is too large for a table of boards (more than "
+                f"{MAX_TABLE_BYTES >> 20} MB)",
+                "give a table (CSV) with the columns board, lot and site",
             )
         text = path.read_text(encoding="utf-8-sig")
     except OSError as fault:
         raise UsageError(
-            f"{path} cannot be read ({fault.strerror})",
-            "give a table with the columns board, lot, site",
+            f"the table of boards {path} cannot be read ({fault.strerror})",
+            "give a table (CSV) with the columns board, lot and site",
         ) from fault
     except UnicodeDecodeError as fault:
-        raise InputError(f"{path} is not text in UTF-8", "save it as UTF-8") from fault
+        raise InputError(
+            f"the table of boards {path} is not a text in UTF-8", "save the table as UTF-8"
+        ) from fault
     rows = csv.DictReader(text.splitlines())
     if rows.fieldnames is None or "board" not in rows.fieldnames:
         raise InputError(
-            f"{path} has no column board", "begin the table with the line board,lot,site"
+            f"the table {path} has no column `board`",
+            "begin the table with the header line board,lot,site",
         )
     origins = BoardOrigins()
     for row in rows:
@@ -149,8 +153,9 @@ def query_columns(index: StoreIndex, sql: str) -> dict[str, npt.NDArray[Any]]:
             answer: dict[str, npt.NDArray[Any]] = database.execute(sql).fetchnumpy()
         except duckdb.Error as fault:
             raise InputError(
-                f"the index cannot be read ({' '.join(str(fault).split())[:200]})",
-                "write it again from the calibrations with `gyrorig store rebuild-index STORE`",
+                f"the index of the store cannot be read ({' '.join(str(fault).split())[:200]})",
+                "write the index again from the calibrations with `gyrorig store "
+                "rebuild-index STORE`",
             ) from fault
     return answer
 

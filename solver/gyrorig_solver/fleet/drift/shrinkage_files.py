@@ -60,8 +60,9 @@ def write_shrinkage_estimates(store: Path | Storage, overview: FleetOverview) ->
             data = path.read_bytes()
     except (OSError, duckdb.IOException) as fault:
         raise MachineError(
-            f"shrinkage estimates cannot be written ({' '.join(str(fault).split())[:200]})",
-            "free some space for temporary files",
+            "the program cannot write the shrinkage estimates "
+            f"({' '.join(str(fault).split())[:200]})",
+            "free some disk space for temporary files",
         ) from fault
     storage.write_new(name, data)
     return name
@@ -91,8 +92,9 @@ def read_shrinkage_estimates(store: Path | Storage, board: str) -> dict[str, Shr
             rows = database.execute(sql, [str(path), board]).fetchall()
     except duckdb.Error as fault:
         raise InputError(
-            f"{files[-1]} cannot be read ({' '.join(str(fault).split())[:200]})",
-            "remove it, and write it again with `gyrorig fleet`",
+            f"the file of shrinkage estimates {files[-1]} cannot be read "
+            f"({' '.join(str(fault).split())[:200]})",
+            "remove the file, and write it again with `gyrorig fleet`",
         ) from fault
     if not rows:
         return {}

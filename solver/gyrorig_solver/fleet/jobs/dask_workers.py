@@ -72,15 +72,15 @@ def dask_pools(
         )
     except (OSError, TimeoutError) as fault:
         raise BusyError(
-            f"no scheduler answers at {address} ({type(fault).__name__})",
-            "start one with `dask scheduler --host 127.0.0.1 --no-dashboard`",
+            f"no scheduler answers at the address {address} ({type(fault).__name__})",
+            "start a scheduler with `dask scheduler --host 127.0.0.1 --no-dashboard`",
         ) from fault
     try:
         threads = sum(client.nthreads().values())  # type: ignore[no-untyped-call]
         if not threads:
             raise BusyError(
                 f"the scheduler at {address} has no workers",
-                f"start one with `dask worker {address} --nthreads 1 --no-dashboard`",
+                f"start a worker with `dask worker {address} --nthreads 1 --no-dashboard`",
             )
 
         def make() -> Executor:
@@ -127,12 +127,14 @@ def _connection_security(address: str, certificates: TlsCertificates | None) -> 
         host, port = "", None
     if parts.scheme not in ("tcp", "tls") or not host or port is None:
         raise UsageError(
-            f"{address} is not the address of a scheduler", "write it as tls://HOST:8786"
+            f"the value {address} of --scheduler is not an address of a scheduler",
+            "write the address as tls://HOST:8786",
         )
     if parts.scheme == "tls":
         if certificates is None:
             raise UsageError(
-                f"{address} needs certificates", "add --tls-ca, --tls-cert and --tls-key"
+                f"the scheduler {address} needs TLS certificates",
+                "add the options --tls-ca, --tls-cert and --tls-key",
             )
         return Security(  # type: ignore[no-untyped-call]
             tls_ca_file=str(certificates.authority),
@@ -142,8 +144,9 @@ def _connection_security(address: str, certificates: TlsCertificates | None) -> 
         )
     if not _is_loopback(host):
         raise UsageError(
-            f"{address} is not protected, and everyone who reaches a scheduler can run code on it",
-            "use tls://, or a scheduler on 127.0.0.1",
+            f"the scheduler {address} is not protected, so everyone who can reach it can run "
+            "code on it",
+            "use an address that begins with tls://, or a scheduler on 127.0.0.1",
         )
     return None
 

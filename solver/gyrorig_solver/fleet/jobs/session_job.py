@@ -110,14 +110,14 @@ def run_job(job: Job) -> JobResult:
         rows = (failure_row(job, "rejected", reason=str(fault)),)
     except DeadlineExceededError:
         reason = (
-            f"it took longer than {job.settings.deadline_s:g} s. Repeat it with --retry failed and "
-            "a larger --deadline."
+            f"the session took longer than {job.settings.deadline_s:g} s. Repeat it with "
+            "--retry failed and a larger --deadline."
         )
         rows = (failure_row(job, "failed", reason=reason, trace=traceback.format_exc()),)
     except MemoryError:
         reason = (
-            f"it needs more than {job.settings.memory_bytes >> 20} MB of memory. Repeat it with "
-            "--retry failed and a larger --memory."
+            f"the session needs more than {job.settings.memory_bytes >> 20} MB of memory. "
+            "Repeat it with --retry failed and a larger --memory."
         )
         rows = (failure_row(job, "failed", reason=reason),)
     except Exception as fault:  # an error of this program must not stop the batch
@@ -169,7 +169,7 @@ def failure_row(
 
 def _solve_boards(job: Job) -> Iterator[IndexRow]:
     if job.rejection:
-        raise InputError(job.rejection, "keep only one of them in the spool")
+        raise InputError(job.rejection, "keep only one of the recordings in the spool")
     recordings = []
     for path in job.paths:
         # A recording is memory-mapped: its file can be removed after it is read.
@@ -178,14 +178,14 @@ def _solve_boards(job: Job) -> Iterator[IndexRow]:
     for recording in recordings:
         if recording.sha256 not in job.digests:
             raise InputError(
-                f"{recording.path.name} has changed since the spool was scanned",
-                "do not change recordings in the spool; the next batch solves the new contents",
+                f"the recording {recording.path.name} was changed while the batch was running",
+                "do not change recordings in the spool. The next batch solves the new content",
             )
     boards = sorted({board for recording in recordings for board in recording.board_ids})
     if not boards:
         raise InputError(
-            f"{job.paths[0].name} contains no samples of a board",
-            "see its contents with `gyrorig check`, connect the board and record again",
+            f"the recording {job.paths[0].name} contains no samples of a board",
+            "check the recording with `gyrorig check`, connect the board, and record again",
         )
     store = open_calibration_store(job.store)
     fits: dict[str, CriticisedFit | GyrorigError] = {}
@@ -326,9 +326,10 @@ def _check_newest_versions(
         calibration = _parse_cached(stored.data(), str(stored.path))
         if stored is newest[-1] and uid and calibration.board.uid not in ("", uid):
             raise InputError(
-                f"board {board} has the uid {uid[:40]!r} here and "
-                f"{calibration.board.uid[:40]!r} in the store, so two boards have one name",
-                "give one of them another id in the configuration of its rig",
+                f"board {board} has the uid {uid[:40]!r} in the recording, but "
+                f"{calibration.board.uid[:40]!r} in the store, so two boards have the same "
+                "name",
+                "give one of the two boards another `id` in its rig file",
             )
         same_inputs = {recorded.sha256 for recorded in calibration.inputs} == digests
         same_solver = calibration.solver.version == job.settings.solver_version

@@ -82,8 +82,8 @@ def scan_spool(spool: Path | Storage) -> SpoolListing:
     storage = storage_at(spool)
     if isinstance(storage, Folder) and not storage.path.is_dir():
         raise UsageError(
-            f"the folder {storage.location} does not exist",
-            "choose a folder of recordings with --spool",
+            f"the spool folder {storage.location} does not exist",
+            "choose a folder with recordings with --spool",
         )
     recordings: list[StorageEntry] = []
     unfinished_stems: set[str] = set()

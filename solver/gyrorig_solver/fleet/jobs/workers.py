@@ -131,7 +131,11 @@ def run_all(jobs: Iterable[Job], pools: list[WorkerPool]) -> Iterator[JobResult 
 
 def _deferred(job: Job) -> DeferredJob:
     return DeferredJob(
-        job, MachineError("the workers are gone", "start the workers and the batch again")
+        job,
+        MachineError(
+            "the worker processes of the batch have ended",
+            "start the workers again, and then the batch",
+        ),
     )
 
 
@@ -173,7 +177,7 @@ def _job_result(
         deaths[job.key] = deaths.get(job.key, 0) + 1
         if deaths[job.key] < pool.max_attempts:
             return None
-        reason = f"it killed its worker repeatedly ({type(fault).__name__})"
+        reason = f"the session ended its worker process repeatedly ({type(fault).__name__})"
         return JobResult(job.key, (failure_row(job, "quarantined", reason=reason),))
     except Exception:  # of the transport to the worker, such as a stopping scheduler
         return _deferred(job)

@@ -129,8 +129,8 @@ def _clock_alert(comparison: OffsetComparison) -> Alert:
 def _common_share_words(offset: CommonOffset) -> str:
     return (
         f"The fleet's mean is {offset.z:+.0f} standard deviations from nominal, and "
-        f"{offset.share:.0%} of the mean square error is the same on all units. Differences "
-        "between parts do not look like that."
+        f"{offset.share:.0%} of the mean square error is the same on all units. Random "
+        "differences between the sensors do not explain this."
     )
 
 
@@ -142,8 +142,8 @@ def _offset_remedy(parameter: str) -> str:
         )
     if parameter.startswith("misalignment"):
         return (
-            "Measure the fixture: it turns every board by the same angle. Or accept this angle as "
-            "the new zero."
+            "Measure the fixture, because it turns every board by the same angle. You can "
+            "also accept this angle as the new zero."
         )
     return "Check the order of the axes in the profile, and the fixture."
 
@@ -154,8 +154,10 @@ def _group_shift_alerts(overview: FleetOverview) -> list[Alert]:
         is_fleet = shift.kind == "fleet"
         label = "the whole fleet" if is_fleet else _group_label(shift.kind, shift.group)
         action = (
-            "Look for what all boards have in common: the solver's version, a profile, the host's "
-            "clock."
+            (
+                "Check what all boards have in common: the solver's version, the sensor profile "
+                "and the host's clock."
+            )
             if is_fleet
             else f"Check {label}: levels, screws, gears and clock. Run gyrorig explain on its last "
             "recordings to find the cause."
@@ -185,8 +187,8 @@ def _group_difference_alerts(overview: FleetOverview) -> list[Alert]:
             f"by {format_shift(difference.parameter, difference.extreme_offset)}",
             f"It is {difference.extreme_z:+.1f} standard deviations from the mean of "
             f"{difference.group_count} {kind}s, more than boards differ from each other.",
-            "If it is a lot, ask the manufacturer. If it is a rig or a site, measure one board on "
-            "two of them.",
+            "If the group is a lot, ask the manufacturer. If the group is a rig or a site, "
+            "measure one board on two rigs or sites.",
             group_filter(kind, difference.extreme_group),
         )
         for sensor, kind, difference in overview.group_differences
@@ -196,16 +198,18 @@ def _group_difference_alerts(overview: FleetOverview) -> list[Alert]:
 
 def _unsuccessful_work_alerts(overview: FleetOverview) -> list[Alert]:
     actions = {
-        "quarantined": "Run gyrorig solve on one of them, and report what it prints.",
+        "quarantined": "Run gyrorig solve on one of these recordings, and report its output.",
         "failed": "Run gyrorig store ls STORE --wrong for the reasons; add --json for the "
         "tracebacks.",
         "rejected": "Run gyrorig store ls STORE --wrong for the reasons, and gyrorig check on one "
         "of the recordings.",
     }
     reasons = {
-        "quarantined": "Each killed its worker process twice, and gave no calibration.",
-        "failed": "The program failed on them, and they gave no calibration.",
-        "rejected": "They cannot be solved, and gave no calibration.",
+        "quarantined": (
+            "Each of these recordings ended its worker process twice, so it gave no calibration."
+        ),
+        "failed": "The program failed on these recordings, so they gave no calibration.",
+        "rejected": "These recordings cannot be solved, so they gave no calibration.",
     }
     return [
         Alert(
@@ -230,10 +234,10 @@ def _drift_alerts(overview: FleetOverview) -> list[Alert]:
             Alert(
                 "drift",
                 f"board {board} drifts in {column_label(PARAMETER_COLUMNS[worst])}",
-                f"It is {overview.drift_z[index, worst]:+.1f} standard deviations from its first "
-                "nights, after the shifts of its rig and site are subtracted.",
-                "Measure it again. If the drift continues, the earlier calibrations no longer "
-                "describe this board.",
+                f"The value is {overview.drift_z[index, worst]:+.1f} standard deviations from its "
+                "first nights, after the shifts of its rig and site are subtracted.",
+                "Measure the board again. If the drift continues, the earlier calibrations "
+                "no longer describe this board.",
                 f"board:{board}",
             )
         )
@@ -266,7 +270,7 @@ def _refused_alerts(overview: FleetOverview) -> list[Alert]:
             "trust",
             f"{plural(refused, 'board has', 'boards have')} a refused latest calibration",
             "The reasons and remedies are in each calibration.",
-            "Open the reports of these boards, and do what they advise.",
+            "Open the reports of these boards, and follow their advice.",
             "verdict:refused",
         )
     ]
@@ -281,7 +285,8 @@ def _prior_dominated_alerts(overview: FleetOverview) -> list[Alert]:
             f"determine {column_label(name)} worse than the fleet's mean does",
             "The uncertainty of a calibration is larger than the spread between boards, so the "
             "shrinkage estimates mostly repeat the fleet's mean.",
-            "Record for longer, or use a program that determines it better (see gyrorig plan).",
+            "Record for longer, or use a motion program that determines the parameter "
+            "better (see gyrorig plan).",
             f"is:prior sensor:{sensor}",
         )
         for (sensor, name), fitted in overview.populations.items()

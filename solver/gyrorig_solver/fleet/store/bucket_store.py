@@ -81,7 +81,8 @@ class BucketStore(CalibrationStore):
             if self.storage.write_new(name.as_posix(), text.encode()):
                 return StoredVersion(number, name, self._read_object)
         raise BusyError(
-            f"other solvers keep writing to {self.folder_of(board)}", "run the command again later"
+            f"other solvers write to {self.folder_of(board)} all the time",
+            "run the command again later",
         )
 
     def _folder_files(self, version: StoredVersion) -> list[Path]:
@@ -92,7 +93,7 @@ class BucketStore(CalibrationStore):
         data = self.storage.read(path.as_posix())
         if data is None:
             raise MachineError(
-                f"{self.storage.location}/{path} does not exist any more",
+                f"the file {self.storage.location}/{path} of the store no longer exists",
                 f"check the store with `gyrorig store verify {self.storage.location}`",
             )
         return data
@@ -122,7 +123,8 @@ def create_store(storage: Storage) -> CalibrationStore:
         first_file = next(storage.list_files(), None)
         if first_file is not None and storage.read(STORE_FILE) is None:
             raise UsageError(
-                f"{storage.location} is not a calibration store, it contains {first_file.name}",
+                f"the location {storage.location} is not a calibration store, because it "
+                f"contains {first_file.name}",
                 "choose an empty or a new location with --store",
             )
         storage.write_new(STORE_FILE, STORE_MARKER)

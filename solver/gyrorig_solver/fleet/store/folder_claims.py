@@ -110,8 +110,8 @@ class FolderClaims:
                 os.close(fd)
         except OSError as fault:
             raise MachineError(
-                f"cannot write {self._folder} ({fault.strerror})",
-                "free some disk space, or fix the permissions of the store",
+                f"the folder {self._folder} of the store cannot be written ({fault.strerror})",
+                "free some disk space, or correct the permissions of the store",
             ) from fault
 
 

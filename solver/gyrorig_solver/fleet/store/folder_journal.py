@@ -198,6 +198,6 @@ def report_disk_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as fault:
         raise MachineError(
-            f"cannot write {path} ({fault.strerror})",
-            "free some disk space, or fix the permissions of the store",
+            f"the file {path} of the store cannot be written ({fault.strerror})",
+            "free some disk space, or correct the permissions of the store",
         ) from fault

@@ -173,9 +173,9 @@ def _manifest_text(storage: Storage, index_file: str) -> bytes:
                 ).fetchall()
         except duckdb.Error as fault:
             raise InputError(
-                f"{index_file} of {storage.location} cannot be read",
-                "write it again from the calibrations with "
-                f"`gyrorig store rebuild-index {storage.location}`",
+                f"the file {index_file} of the store {storage.location} cannot be read",
+                "write the file again from the calibrations with `gyrorig store "
+                f"rebuild-index {storage.location}`",
             ) from fault
     for file, digest, companions in rows:
         lines.append(f"{digest}  {file}")
@@ -195,5 +195,6 @@ def _is_signed(key: Ed25519PublicKey, signature: bytes | None, text: bytes) -> b
 
 def _key_error(path: Path, kind: str, command: str) -> UsageError:
     return UsageError(
-        f"{path} is not a {kind} Ed25519 key in PEM format", f"create one with `{command}`"
+        f"the file {path} is not a {kind} Ed25519 key in PEM format",
+        f"create such a key with `{command}`",
     )

@@ -86,7 +86,10 @@ def exclusive_access(storage: Storage) -> Iterator[None]:
         else _no_live_batch(storage) as no_batch_runs
     ):
         if not no_batch_runs:
-            raise BusyError(f"a batch is writing to {storage.location}", "wait until it has ended")
+            raise BusyError(
+                f"a batch is writing to the store {storage.location}",
+                "wait until the batch has ended",
+            )
         yield
 
 

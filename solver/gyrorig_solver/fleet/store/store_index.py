@@ -217,7 +217,8 @@ class StoreIndex:
                 _fsync_path(self._folder)
         except duckdb.IOException as fault:
             raise MachineError(
-                f"cannot write {final} ({_one_line(fault)})", "free some disk space for the store"
+                f"the index {final} of the store cannot be written ({_one_line(fault)})",
+                "free some disk space for the store",
             ) from fault
         except duckdb.Error as fault:
             raise _damaged_index_error(self._store, fault) from fault
@@ -260,8 +261,8 @@ def _read_json_lines(
 
 def _damaged_index_error(path: Path, fault: duckdb.Error) -> InputError:
     return InputError(
-        f"the index of {path} cannot be read ({_one_line(fault)})",
-        "write it again from the calibrations with `gyrorig store rebuild-index STORE`",
+        f"the index of the store {path} cannot be read ({_one_line(fault)})",
+        "write the index again from the calibrations with `gyrorig store rebuild-index STORE`",
     )
 
 

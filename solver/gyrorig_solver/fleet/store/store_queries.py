@@ -73,7 +73,8 @@ def open_existing_store(store: Path | Storage) -> CalibrationStore:
     storage = storage_at(store)
     if storage.read(STORE_FILE) is None:
         raise UsageError(
-            f"{storage.location} is not a calibration store, it has no {STORE_FILE}",
+            f"the location {storage.location} is not a calibration store, because it has no "
+            f"file {STORE_FILE}",
             "give the location that was used with `gyrorig batch --store`",
         )
     return open_calibration_store(storage)

@@ -39,7 +39,9 @@ REMEDIES = {
     "missing": "Restore the file from a backup. Without a backup, run "
     "`gyrorig store rebuild-index STORE`.",
     "unknown": "Add the file to the index with `gyrorig store rebuild-index STORE`, or remove it.",
-    "chain": "A version was changed or removed. Restore it from a backup.",
+    "chain": (
+        "A version of the calibration was changed or removed. Restore the version from a backup."
+    ),
     "unreadable": "Restore the file from a backup. Without a backup, remove the file and run "
     "`gyrorig store rebuild-index STORE`.",
     "unsigned": "If the file is yours, run `gyrorig store rebuild-index STORE --sign KEY`. "
@@ -83,7 +85,7 @@ def verify(store: Path | Storage, key: Ed25519PublicKey | None = None) -> Verifi
         check.check_board(list(entries))
     missing = sorted({*indexed.digests, *manifest_digests} - check.seen)
     missing_faults = [
-        StoreFault("missing", name, "the file was written, and does not exist any more")
+        StoreFault("missing", name, "the file was written, but it no longer exists")
         for name in missing
     ]
     (count,) = index.query("SELECT count(*) FROM rows")[0]
@@ -122,7 +124,9 @@ def _read_manifest_digests(
     manifests = {manifest.name: manifest for manifest in read_manifests(storage, key)}
     for manifest in manifests.values():
         if manifest.signed is False:
-            faults.append(StoreFault("unsigned", manifest.name, "it is not signed with this key"))
+            faults.append(
+                StoreFault("unsigned", manifest.name, "the manifest is not signed with this key")
+            )
             continue
         manifest_digests.update(manifest.digests)
         if manifest.index_file in present:
@@ -193,7 +197,7 @@ class _StoreCheck:
             self.faults.append(StoreFault("unreadable", name, str(fault)))
             return
         if calibration.previous != (f"sha256:{previous_digest}" if previous_digest else None):
-            text = "its reference to the version before it does not match"
+            text = "the reference of the version to the previous version does not match"
             self.faults.append(StoreFault("chain", name, text))
 
 
