@@ -163,7 +163,7 @@ def show_command(
     if version is not None and (at, config_hash) != (None, None):
         raise UsageError(
             f"the option --version {version} already selects one calibration, so --at and "
-            "--config have no use",
+            "--config have no effect",
             "remove the options --at and --config",
         )
     path, calibration = (

@@ -60,7 +60,7 @@ def export_text(source: ExportSource, kind: str, options: ExportOptions | None =
     if source.frame == "sensor" and kind in _GYRO_SLOTS:
         raise UsageError(
             f"the export format {kind} contains only offsets in the sensor's own axes, so "
-            "--frame has no use",
+            "--frame has no effect",
             "remove the option --frame",
         )
     match kind:

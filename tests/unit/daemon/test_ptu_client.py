@@ -191,7 +191,7 @@ def test_a_refused_setting_is_reported_with_the_units_reply() -> None:
     unit = ScriptedUnit()
     unit.odd["PA3889"] = b"! Pan acceleration cannot exceed 3000 positions/sec^2\r\n"
     client, _, _ = client_for(unit)
-    with pytest.raises(UsageError, match=r"pan acceleration of 200 deg.*cannot exceed 3000"):
+    with pytest.raises(UsageError, match=r"pan acceleration 200 deg.*cannot exceed 3000"):
         made_ready(client, PtuSettings(acceleration_deg_s2=200.0))
 
 
@@ -212,7 +212,7 @@ def test_a_value_that_is_never_confirmed_is_an_error() -> None:
 
 def test_an_echoing_device_may_be_a_homing_unit() -> None:
     client, hub, _ = client_for(lambda c: c.encode() + b" ")
-    with pytest.raises(DeviceError, match=r"only echoes .* [Ww]ait until it stops"):
+    with pytest.raises(DeviceError, match=r"only returns .* wait until it stops"):
         made_ready(client, PtuSettings(), homing=Homing.IF_NEEDED)
     assert set(hub.heard) == {"V"}
 
@@ -230,7 +230,7 @@ def test_a_lost_reply_is_requested_again_after_a_timeout() -> None:
 
 def test_three_missing_replies_are_an_error() -> None:
     client, _, _ = client_for(lambda _: None)
-    with pytest.raises(DeviceError, match="does not answer 'PP'"):
+    with pytest.raises(DeviceError, match="does not answer the command 'PP'"):
         client.ask(query_quantity(Axis.PAN, Quantity.POSITION))
 
 

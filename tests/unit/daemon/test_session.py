@@ -180,8 +180,8 @@ def test_the_same_seed_gives_the_same_samples(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("step", "words"),
     [
-        ("move: {pan_deg: 160.0}", "pan to 160 deg"),
-        ("move: {tilt_deg: -50.0}", "tilt to -50 deg"),
+        ("move: {pan_deg: 160.0}", "pan axis to 160 deg"),
+        ("move: {tilt_deg: -50.0}", "tilt axis to -50 deg"),
         ("move: {pan_deg: 10.0, speed_deg_s: 200.0}", "200 deg/s"),
         ("move: {pan_deg: 10.0, speed_deg_s: 0.1}", "0.1 deg/s"),
         ("repeat: {times: 3, steps: [{move: {tilt_deg: 40.0}}]}", "step 2"),
@@ -199,7 +199,7 @@ def test_a_program_outside_the_limits_never_moves(tmp_path: Path, step: str, wor
 
 def test_the_limits_of_the_rig_apply(tmp_path: Path) -> None:
     text = RIG.replace("baud: 115200}", "baud: 115200, limits: {pan_max_deg: 15.0}}")
-    with pytest.raises(UsageError, match=r"limits are -158\.91 to 15\.00 deg"):
+    with pytest.raises(UsageError, match=r"limits are -158\.91 and 15\.00 deg"):
         Bench(tmp_path, text).record()
 
 
@@ -365,7 +365,7 @@ def failing(tmp_path: Path, at_s: float, data: bytes, port: str = "ptu") -> tupl
 
 def test_a_limit_flag_in_motion_ends_it_halted(tmp_path: Path) -> None:
     bench, message = failing(tmp_path, 3.3, b"!P")
-    assert "the unit has lost its position: its pan axis reached a limit" in message
+    assert "the pan-tilt unit no longer knows its position: its pan axis reached a limit" in message
     assert "unit is halted" in message
     assert str(bench.only_file()) in message
     assert bench.is_still()
@@ -456,7 +456,7 @@ def test_a_refused_move_ends_the_program_with_the_units_reply(
         return order(port, b"PP9999 " if data.startswith(b"PP3") else data)
 
     monkeypatch.setattr(bench.hub, "write", confuse)
-    with pytest.raises(DeviceError, match=r"refused 'PP389'.*Pan position is 3090"):
+    with pytest.raises(DeviceError, match=r"refused the command 'PP389'.*Pan position is 3090"):
         bench.record()
     assert commands(read_recording(bench.only_file()))[-2].code == 1
 
@@ -488,7 +488,7 @@ def test_a_full_disk_keeps_what_was_written(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_created(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     bench = Bench(tmp_path / "file" / "deeper")
-    with pytest.raises(MachineError, match="file is not a folder"):
+    with pytest.raises(MachineError, match="file, because it is not a folder"):
         bench.record()
     assert bench.hub.now_ns() == ORIGIN_NS  # not even a question was asked
 
@@ -526,5 +526,5 @@ def test_a_unit_that_becomes_silent_is_reported(
         return write(port, b" " if late else data)
 
     monkeypatch.setattr(bench.hub, "write", cut_off)
-    with pytest.raises(DeviceError, match="does not answer 'BT'"):
+    with pytest.raises(DeviceError, match="does not answer the command 'BT'"):
         bench.record("name: far\nsteps:\n  - move: {pan_deg: 150.0, speed_deg_s: 10.0}\n")

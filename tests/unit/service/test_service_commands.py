@@ -90,5 +90,5 @@ def test_nobody_there(tmp_path: Path, capsys: Capture, monkeypatch: pytest.Monke
     for command in ("status", "clear", "stop-motion", "reload"):
         assert run([command]) == 1
         error = capsys.readouterr().err
-        assert f"no daemon is running at {tmp_path}/gyrorigd.sock" in error
+        assert f"no daemon is running at the socket {tmp_path}/gyrorigd.sock" in error
         assert error.count("\n") == 1

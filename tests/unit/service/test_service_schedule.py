@@ -156,11 +156,20 @@ def test_the_longest_waiting_goes_first_and_a_disk_that_refuses_is_lived_with(
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("{name: a, program: p}", "schedule: a has no time. Give either every_h or"),
-        ('{name: a, program: p, every_h: 1.0, at_utc: "01:00"}', "schedule: a has two times"),
+        (
+            "{name: a, program: p}",
+            "in the schedule, the entry a has no time. Give the entry either",
+        ),
+        (
+            '{name: a, program: p, every_h: 1.0, at_utc: "01:00"}',
+            "the entry a has two times",
+        ),
         ('{name: a, program: p, at_utc: "25:00"}', "is not a time of day"),
         ("{name: ../a, program: p, every_h: 1.0}", "is not a valid board name"),
-        ("{name: a, program: p, every_h: 1.0}, {name: a, program: p, every_h: 2.0}", "twice"),
+        (
+            "{name: a, program: p, every_h: 1.0}, {name: a, program: p, every_h: 2.0}",
+            "two entries with the name a",
+        ),
         ("{name: a, program: p, every_h: 0.0}", "schedule"),
     ],
 )
