@@ -102,7 +102,7 @@ def test_only_our_certificate_is_accepted(
     refused = batch(tmp_path, address, certificates(tmp_path / "strangers"))
     assert refused.returncode == BUSY, refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
-    assert "no scheduler answers at tls://" in refused.stderr
+    assert "no scheduler answers at the address tls://" in refused.stderr
 
     process = batch(tmp_path, address, ours)
     assert process.returncode == DONE, process.stderr

@@ -208,7 +208,9 @@ def test_a_board_at_another_rate(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
     with device(answer) as port:
         _, findings = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
-    assert findings["board B-1 wrong_baud"]["remedy"] == "set `baud` of the board to 115200"
+    assert findings["board B-1 wrong_baud"]["remedy"] == (
+        "set `baud` of the board to 115200 in the rig file"
+    )
 
 
 def test_a_board_that_loses_and_does_not_answer(
@@ -224,7 +226,9 @@ def test_boards_that_speak_otherwise(tmp_path: Path, capsys: pytest.CaptureFixtu
     lines = iter(range(10**9))
     with device(lambda *_: b"%d,1,2,3\r\n" % next(lines)) as port:
         _, findings = doctor(rig_yaml(tmp_path, "emulated", port), capsys)
-        assert findings["board B-1 text"]["remedy"].startswith("set `format: text`")
+        assert findings["board B-1 text"]["remedy"].endswith(
+            "set `format: text` and give its `columns`"
+        )
         path = tmp_path / "text.yaml"
         path.write_text(
             f"rig: r\nptu: {{port: emulated}}\nboards:\n- {{id: T-1, port: {port}, format: text, "
@@ -264,7 +268,7 @@ def test_as_a_person_reads_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     config = rig_yaml(tmp_path, "/dev/none", "/dev/none2")
     assert run(["doctor", "--config", str(config), "--out", str(tmp_path)]) == 1
     lines = capsys.readouterr().out.splitlines()
-    at = lines.index("FAULT   unit: /dev/none does not exist")
+    at = lines.index("FAULT   unit: the port /dev/none does not exist")
     assert lines[at + 1].startswith("        -> Check")
     assert lines[-1].startswith("2 faults")
     assert run(["doctor", "--config", str(tmp_path / "none.yaml")]) == UsageError.exit_code

@@ -143,8 +143,8 @@ def positive_number(metadata: Mapping[str, str], key: str) -> float | None:
         value = np.nan
     if not np.isfinite(value) or value <= 0.0:
         raise InputError(
-            f"the recording has the value {text[:40]!r} for {key}, which is not a positive number",
-            "correct the value in the rig file or in the import map, and record or import again",
+            f"the value {text[:40]!r} of {key} in the recording is not a positive number",
+            "correct it in the rig file or in the import map, and record or import again",
         )
     return value
 

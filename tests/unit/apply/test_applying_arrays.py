@@ -172,7 +172,7 @@ def test_a_calibration_with_the_verdict_refused_raises_its_reason(
     document: DocumentFactory,
 ) -> None:
     trust = {"verdict": "refused", "reasons": ["the residual is too large: check the signs"]}
-    with pytest.raises(InputError, match=r"must not be applied\. .*check the signs"):
+    with pytest.raises(InputError, match=r"must not be applied, because .*check the signs"):
         Calibration(document(trust=trust))
 
 

@@ -195,7 +195,9 @@ def test_a_board_with_another_setting_is_rejected(
     document: DocumentFactory, source: Path, tmp_path: Path
 ) -> None:
     other = Calibration(document(config={"bandwidth_hz": 110.0}))
-    with pytest.raises(InputError, match=r"calibration is for bandwidth_hz 110.* has 25.0 in"):
+    with pytest.raises(
+        InputError, match=r"bandwidth_hz = 110.*, but in .* has bandwidth_hz = 25\.0"
+    ):
         apply_to_recording(other, source, tmp_path / "out.mcap")
     with pytest.raises(InputError, match="--board"):
         apply_to_recording(Calibration(document(board="B-9")), source, tmp_path / "out.mcap")
@@ -276,7 +278,7 @@ def test_the_command_reports_its_result(
     args = ["apply", str(golden), str(source), "-o", str(tmp_path / "b.mcap"), "--columns", "a,b,c"]
     assert cli.run(args) == 2
     assert (
-        "--columns, --temperature and --time are for tables. Leave them out"
+        "--columns, --temperature and --time are only for tables, but in.mcap is a recording"
         in capsys.readouterr().err
     )
     assert cli.run(["apply", str(golden), str(source), "-o", str(tmp_path / "b.bag")]) == 2

@@ -76,10 +76,10 @@ def test_a_row_without_a_reading_has_no_rate(golden: Path, tmp_path: Path) -> No
     ("text", "message"),
     [
         ("gx,gy\n1,2\n", "no column 'gz'"),
-        ("gx,gy,gz\n", "a header but no rows"),
-        ("gx,gy,gz\n1,2\n", "row 1 has only 2 columns"),
-        ("gx,gy,gz\n1,2,3\n1,x,3\n", "row 2 has 'x' in column gy, which is not a number"),
-        ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "already has a column rate_x_rad_s"),
+        ("gx,gy,gz\n", "a header, but no rows"),
+        ("gx,gy,gz\n1,2\n", "row 1 of the table in.csv has only 2 columns"),
+        ("gx,gy,gz\n1,2,3\n1,x,3\n", "has 'x' in the column gy, which is not a number"),
+        ("gx,gy,gz,rate_x_rad_s\n1,2,3,4\n", "because it has the column rate_x_rad_s"),
         ("", "no column 'gx'"),
     ],
 )
@@ -105,7 +105,7 @@ def test_the_command_prints_text_and_json(golden: Path, tmp_path: Path, capsys: 
     output = json.loads(capsys.readouterr().out)
     assert (output["rows"], output["frame"], output["board"]) == (30, "sensor", "GY80-0007")
     assert cli.run([*base, "-o", str(tmp_path / "b.csv")]) == 2
-    assert "b.csv exists" in capsys.readouterr().err
+    assert "b.csv already exists" in capsys.readouterr().err
     assert cli.run([*base[:3], "-o", str(tmp_path / "c.csv")]) == 2
     assert "--columns X,Y,Z" in capsys.readouterr().err
 

@@ -110,5 +110,5 @@ def test_kalibrs_model_with_a_force(document: DocumentFactory, frame: Frame) -> 
 def test_kalibr_takes_the_noise_of_a_calibration_without_a_gain(document: DocumentFactory) -> None:
     data = kalibr(export_text(ExportSource.of(document("limited")), "kalibr"))
     assert "gyroscopes" not in data
-    with pytest.raises(InputError, match="lacks the noise of the gyro"):
+    with pytest.raises(InputError, match="requires the noise of the gyro"):
         export_text(ExportSource.of(document(noise={})), "kalibr")

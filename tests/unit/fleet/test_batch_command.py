@@ -80,7 +80,10 @@ def test_certificates_without_a_scheduler_are_refused(
     (tmp_path / "ca.pem").touch()
     words = ["batch", "--spool", str(tmp_path), "--store", str(tmp_path / "s")]
     assert run([*words, "--tls-ca", str(tmp_path / "ca.pem")]) == 2
-    assert "--tls-key need --scheduler. Add --scheduler" in capsys.readouterr().err
+    assert (
+        "--tls-key work only with the option --scheduler. Add --scheduler"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "s").exists()
 
 

@@ -185,9 +185,13 @@ def test_show_selects_the_last_recorded_or_the_requested_version(
         (
             ("GY-1", "--at", "2026-01-01"),
             3,
-            "no version of board GY-1 recorded until 2026-01-01 00:00",
+            "no version of board GY-1 that was recorded until 2026-01-01 00:00",
         ),
-        (("GY-1", "--config", "none"), 3, "no version of board GY-1 with the configuration none"),
+        (
+            ("GY-1", "--config", "none"),
+            3,
+            "no version of board GY-1 that was made with the configuration none",
+        ),
         (("GY-1", "--version", "1", "--config", "beef"), 2, "already selects one calibration"),
     ],
 )

@@ -190,7 +190,7 @@ def test_a_phone_on_a_unit_becomes_an_additional_board(
     for topic, messages in read_recording(unit).topics.items():
         assert len(both.topics[topic]) >= len(messages)
     assert any("clock was estimated from the motion" in note for note in imported.notes)
-    with pytest.raises(UsageError, match="already has a board GY80-1"):
+    with pytest.raises(UsageError, match="already has a board with the name GY80-1"):
         import_phone(log, tmp_path / "again.mcap", "GY80-1", "MPU-6515", unit)
     assert not list(tmp_path.glob("again*"))
 

@@ -69,7 +69,7 @@ def program(text: str) -> MotionProgram:
     ("steps", "message"),
     [
         ("{move: {pan_deg: 170.0}}", "step 1 of t turns pan to 170 deg"),
-        ("{move: {tilt_deg: -50.0}}", "step 1 of t turns the tilt axis to -50 deg"),
+        ("{move: {tilt_deg: -50.0}}", "step 1 of t turns tilt to -50 deg"),
         ("{rest: {seconds: 1.0}}, {move: {pan_deg: 9.0, speed_deg_s: 160.0}}", "at 160 deg/s"),
         ("{move: {pan_deg: 9.0, speed_deg_s: 1.0}}", "pan at 1 deg/s"),
         ("{rest: {seconds: 0.1}}", r"lasts 0.\d s, but a calibration needs at least \d"),

@@ -149,7 +149,9 @@ def test_saturated_and_repeated_samples_are_not_usable(written: Write) -> None:
 
 
 def test_a_missing_board_is_an_error(written: Write) -> None:
-    with pytest.raises(InputError, match=r"r\.mcap has no board .C.\. Choose one of B"):
+    with pytest.raises(
+        InputError, match=r"r\.mcap does not contain board .C.\. Choose one of its boards: B"
+    ):
         written(asked="C")
 
 

@@ -177,7 +177,7 @@ def test_a_damaged_posterior_is_refused_in_one_line(text: str, message: str | No
 def test_a_posterior_of_another_unit_is_refused(store: UnitStore, tmp_path: Path) -> None:
     store.add(UNIT, ["a"], next_version("a", shows(0.001, 0.001)))
     other = UnitIdentity("E46-0001", "rig")
-    with pytest.raises(InputError, match="is of the unit E46-0001, by its serial"):
+    with pytest.raises(InputError, match=r"pan-tilt unit E46-0001 \(identified by serial\)"):
         store.latest(other)
 
 
