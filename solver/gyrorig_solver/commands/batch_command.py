@@ -283,7 +283,7 @@ def _summary_text(summary: BatchSummary, store: str) -> str:
     if summary.deferred:
         lines.append(_status_line("deferred", summary.deferred, summary.deferral_reason))
     if summary.not_started:
-        advice = "the batch ended before these sessions. Run the command again"
+        advice = "the batch stopped early; run it again"
         lines.append(_status_line("not started", summary.not_started, advice))
     if summary.unmerged_reason:
         lines.append(f"  the next batch will update the index: {summary.unmerged_reason}")

@@ -146,7 +146,19 @@ def test_the_summary_counts_statuses_and_lists_common_reasons(summary: BatchSumm
         ["ok", "4000", "sessions", "8000", "boards"],
         ["rejected", "1000", "sessions", "1000", "boards"],
         ["deferred", "2", "sessions", "the", "disk", "is", "full.", "Free", "some", "space."],
-        ["not", "started", "4998", "sessions", "the", "batch", "gave", "up;", "run", "it", "again"],
+        [
+            "not",
+            "started",
+            "4998",
+            "sessions",
+            "the",
+            "batch",
+            "stopped",
+            "early;",
+            "run",
+            "it",
+            "again",
+        ],
     ]
     assert lines[6].split() == ["20", "x", "rejected:", "reason", "00"]
     assert lines[-2] == "  and 2 more reasons: gyrorig store ls fleet --wrong"
