@@ -150,8 +150,11 @@ def _counted(
     if helped:
         line += f", by a factor of {number(min(helped), 2)} to {number(max(helped), 2)}"
     for verdict, statement in (
-        ("no difference", "The change of the error is not significant in the pairs"),
-        ("harms", "The calibration increases the error in the pairs"),
+        (
+            "no difference",
+            "The change of the error is not significant in these pairs (error ratio):",
+        ),
+        ("harms", "The calibration increases the error in these pairs (error ratio):"),
     ):
         titles = [
             f"{pair.title} ({number(ratio[0], 2)})"

@@ -26,7 +26,9 @@ from tests.bench.peers.recording import CROSS, SWEEPS
 
 ALL, NO_ROLL = (0, 1, 2), (0, 2)
 PAN_SWEEPS = "The motion consists of pan sweeps at positive and at negative tilts."
-PAPER_CYCLE = "The motion is the cycle of the paper: pan moves at tilt 0, and tilt moves at pan 0."
+PAPER_CYCLE = (
+    "The motion is the cycle that the paper uses: pan moves at tilt 0, and tilt moves at pan 0."
+)
 
 
 def say(text: str) -> None:
@@ -45,8 +47,8 @@ def simulated(seeds: int) -> None:
         for known in (True, False):
             given = "the true angles" if known else "only the position replies"
             say(f"\n{title}")
-            say(f"Every method gets {given} of the pan-tilt unit.")
-            say(f"The rms errors are from {seeds} runs.\n")
+            say(f"Every method uses {given} of the pan-tilt unit as its reference.")
+            say(f"Each rms error is computed from {seeds} simulated runs.\n")
             errors, bounds = figures.runs(program, seeds, known, columns)
             say(figures.accuracy(errors, bounds, known))
             if columns != ALL and known:
@@ -54,7 +56,7 @@ def simulated(seeds: int) -> None:
                 say("The next table gives the result of each method for the roll column:\n")
                 say(figures.hidden_column(errors))
     say("\nThe session has six rests and three full turns, as imucal expects.")
-    say(f"The rms errors are from {seeds} runs.\n")
+    say(f"Each rms error is computed from {seeds} simulated runs.\n")
     say(figures.turned(seeds))
 
 
