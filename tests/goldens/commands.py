@@ -69,7 +69,7 @@ COMMANDS = {
     "export-json": "gyrorig export {solve-plain}/GY80-1/v0001.yaml --format json -o {out}/x.json",
     # planned
     "plan-search": "gyrorig plan --rig config/rig.yaml --seconds 25 --no-causes "
-    "--out {out}/planned.yaml --json",
+    "--output {out}/planned.yaml --json",
     "plan-program": "gyrorig plan --rig config/rig.yaml --program config/programs/quick.yaml "
     "--json",
     "plan-rest": "gyrorig plan --rig config/rig.yaml --program config/programs/static.yaml --json",

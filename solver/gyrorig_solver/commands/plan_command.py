@@ -16,7 +16,7 @@ from gyrorig_protocol.suggestions import did_you_mean
 from gyrorig_solver.calibration.sensor_profiles import find_profile
 from gyrorig_solver.calibration.unit_document import posterior_of
 from gyrorig_solver.commands.project_files import project_names
-from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option
+from gyrorig_solver.commands.terminal import NOT_IDENTIFIABLE, Terminal, json_option, output_option
 from gyrorig_solver.pipeline.unit_prior import read_unit_file
 from gyrorig_solver.plan import (
     DetectabilityReport,
@@ -123,11 +123,7 @@ PROGRAM_HINT = "a program with --program, such as config/programs/quick.yaml"
     "--sensor",
     help="A sensor profile: a name in config/boards, or a file.  [default: the rig's own]",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="A file to write the program to, for gyrorigd record.  [default: none]",
-)
+@output_option("Program to write, for gyrorigd record; it must not exist.  [default: none]")
 @click.option(
     "--causes/--no-causes",
     default=True,
@@ -158,7 +154,7 @@ def plan_command(terminal: Terminal, /, **options: Any) -> int:
 
     \b
     Example:
-      gyrorig plan --rig config/rig.yaml --seconds 75 --out planned.yaml
+      gyrorig plan --rig config/rig.yaml --seconds 75 --output planned.yaml
     """
     if options["out"] is not None:
         require_new_path(options["out"])
@@ -303,7 +299,7 @@ def _write_program(
             f"is {plan_result.cost:.3g}"
         )
     if out is None:
-        terminal.print_result("  the option --out FILE writes the planned program")
+        terminal.print_result("  the option --output FILE writes the planned program")
         return
     program = plan_result.program
     text = program_text(

@@ -24,10 +24,11 @@ def require_new_path(path: Path) -> None:
         UsageError: the file exists, or its folder does not.
     """
     if path.exists():
-        raise UsageError(f"{path} exists", "give another name with --out")
+        raise UsageError(f"{path} exists", "give another name with --output")
     if not path.parent.is_dir():
         raise UsageError(
-            f"the folder {path.parent} does not exist", "create it, or give another name with --out"
+            f"the folder {path.parent} does not exist",
+            "create it, or give another name with --output",
         )
 
 
@@ -39,7 +40,7 @@ def write_new_file(path: Path, text: str) -> None:
     """
     require_new_path(path)
     if not write_atomically(path, text.encode(), replace=False):
-        raise UsageError(f"{path} exists", "give another name with --out")
+        raise UsageError(f"{path} exists", "give another name with --output")
 
 
 def _non_default_fields(part: msgspec.Struct) -> dict[str, Any]:

@@ -207,13 +207,13 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_search(
 ) -> None:
     monkeypatch.setattr("gyrorig_solver.commands.plan_command.find_program", None)  # would raise
     out = tmp_path / "none" / "p.yaml"
-    assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--out", str(out)]) == 2
+    assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--output", str(out)]) == 2
     assert f"the folder {out.parent} does not exist. Create it" in capsys.readouterr().err
 
 
 def test_never_overwrites(planned: Path, capsys: Captured) -> None:
     before = planned.read_bytes()
-    assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--out", str(planned)]) == 2
+    assert cli.run(["plan", "--rig", RIG, "--seconds", "35", "--output", str(planned)]) == 2
     assert "exists" in capsys.readouterr().err
     assert planned.read_bytes() == before
     assert [p.name for p in planned.parent.iterdir()] == ["planned.yaml"]
