@@ -198,7 +198,8 @@ def _report_error(terminal: Terminal, fault: Exception, arguments: Sequence[str]
     rerun = " ".join(["gyrorig --traceback", *(a for a in arguments if a != "--traceback")])
     return _print_failure(
         terminal,
-        f"a fault of the program, {type(fault).__name__}: {fault}. Run `{rerun}` to see where.",
+        f"a fault in the program stopped this command: {type(fault).__name__}: {fault}. Run "
+        f"`{rerun}` to see where.",
         1,
     )
 

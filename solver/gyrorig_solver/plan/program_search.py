@@ -104,12 +104,12 @@ def find_program(
     if aim == "causes":
         return _find_for_causes(screen, (unit, sensor, site), prior, criterion, progress)
     rng = np.random.default_rng(seed)
-    for once, name in ((False, "rounds"), (True, "stays")):
+    for once, name in ((False, "round"), (True, "stay")):
         designs = sorted({draw_design(rng, once) for _ in range(DRAWN_DESIGNS)}, key=repr)
-        progress(f"judging {len(designs)} programs of {name} quickly")
+        progress(f"estimating {len(designs)} {name} programs")
         ranked = sorted(designs, key=screen.cost)
         for number, design in enumerate(ranked[:IMPROVED_DESIGNS], start=1):
-            progress(f"improving program {number} of {IMPROVED_DESIGNS} of {name}")
+            progress(f"improving {name} program {number} of {IMPROVED_DESIGNS}")
             _improve_design(design, screen)
     if not screen.best_kinds(1):
         raise _too_short(screen, duration_s)
@@ -161,7 +161,7 @@ def _find_for_causes(
             design = _survey_design(poses, speeds, swings)
             with suppress(UsageError):
                 program = build_program(design, screen.space, unit, screen.duration_s)
-                progress(f"looking for causes with {poses} tilts, {speeds} speeds, {swings} swings")
+                progress(f"predicting causes with {poses} tilts, {speeds} speeds, {swings} swings")
                 prediction = predict_program(program, unit, sensor)
                 detectability = predict_detectability(prediction, sensor, site)
                 total = predict_total(prediction, sensor, site, prior)

@@ -114,7 +114,7 @@ def run_without_bound(case: Case, seed: int) -> dict[str, Any]:
         "std": [fit.std[name] for name in NAMES],
         "noise_ratio": (white.get("in_motion", at_rest) / at_rest).tolist(),
         "reduced_chi2": fit.reduced_chi2,
-        "widened": any("uncertainties were multiplied" in text for text in fit.warnings),
+        "widened": any("multiplied the standard uncertainties" in text for text in fit.warnings),
     }
 
 

@@ -137,11 +137,11 @@ def test_what_one_board_shows_is_its_own(bases: Bases, boards: int) -> None:
         assert named.attribution is not None
         assert named.attribution.owner == "board"
         assert named.sentence.endswith(
-            "; a cause of this board only"
+            "; this is a cause of this board only, because "
             + (
-                "; the other board does not show it"
+                "the other board does not show it"
                 if boards == 2
-                else "; none of the other 3 boards shows it"
+                else "none of the other 3 boards shows it"
             )
         )
 

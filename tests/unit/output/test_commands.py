@@ -158,7 +158,7 @@ def test_a_fault_of_the_program_is_one_line_and_1(
     monkeypatch.setattr(cli.cli, "main", break_down)
     assert cli.run(["check", "x.mcap"]) == 1
     line = one_line(capsys.readouterr().err)
-    assert "fault of the program" in line
+    assert "fault in the program" in line
     assert "gyrorig --traceback check x.mcap" in line
 
 

@@ -50,7 +50,9 @@ def covariate_tests(scenes: Sequence[SignalState]) -> list[CovariateTest]:
     bias_knots = np.linspace(begin, end, FEW_KNOTS)
     moving = partial(_term_effect, MovingBias())
     return [
-        CovariateTest("own_rate", "on each axis' own rate", partial(_own_rate_signals, largest)),
+        CovariateTest(
+            "own_rate", "on the rate about the same axis", partial(_own_rate_signals, largest)
+        ),
         CovariateTest(
             "speed", "on the speed (the gain changes)", partial(_gain_signals, _speed, speeds)
         ),

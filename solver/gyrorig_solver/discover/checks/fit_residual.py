@@ -27,7 +27,7 @@ FALSE_ALARM_RATE = 0.005
 KNOTS = 7
 MIN_BLOCKS = 256
 DESCRIPTIONS = {
-    "own_rate": "on each axis' own rate",
+    "own_rate": "on the rate about the same axis",
     "speed": "on the speed (the gain changes)",
     "time": "on the time (the gain changes)",
     "bias_time": "on the time (the bias changes)",

@@ -154,7 +154,7 @@ def describe_random_walk(projection: NuisanceProjector) -> str:
     levels = np.mean([segment.noise.levels for segment in projection.segments], axis=0)
     axis_levels = np.sqrt(levels[:, 2])
     typical = np.sqrt([nominal_levels(float(white))[2] for white in levels[:, 0]])
-    ratio = format_list(axis_levels / typical, XYZ, "times that of an ordinary part")
+    ratio = format_list(axis_levels / typical, XYZ, "times that of a typical sensor")
     return (
         "the noise model and all uncertainties include the random walk: "
         f"{format_list(axis_levels / DEG * 1e3, XYZ, 'mdeg/s after one second')}, {ratio}"

@@ -238,5 +238,5 @@ def _spectral_line_test(
             hertz = float(peak[1] + 1) / n * segment.noise.sampling.rate_hz
             best = max(best, (float(power[peak]), hertz))
     p_value = -np.expm1(bin_count * np.log1p(-np.exp(-best[0]))) if bin_count else 1.0
-    words = f"on a line at {best[1]:.2f} Hz"
+    words = f"on the time: it has a spectral line at {best[1]:.2f} Hz"
     return DependenceTest("line", words, 2.0 * best[0], 2, min(1.0, float(p_value) * tests))

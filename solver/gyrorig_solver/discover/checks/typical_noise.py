@@ -116,7 +116,7 @@ def measure_bias_walk(solution: ConvergedFit) -> BiasWalkTest:
     worst = int(np.argmax(ratios))
     ratio = float(ratios[worst])
     description = (
-        f"on the time: the bias wanders {ratio:.1f} times as much as that of an ordinary part"
+        f"on the time: the bias wanders {ratio:.1f} times as much as that of a typical sensor"
     )
     # Any of the levels could have been the one: all were looked at (Bonferroni).
     tested = LEVELS_PER_AXIS * sum(len(noise.levels) for noise in solution.noises)
