@@ -56,8 +56,9 @@ def check_capacity(
     reserved_bytes = service.reserve_mb * 1_000_000 + load.boards * RESULT_BYTES_PER_BOARD
     duration_s = (disk.free_bytes - reserved_bytes) / rate_bytes_s
     summary = (
-        f"continuous recording needs {_format_size(rate_bytes_s * 3600.0)} per hour; "
-        f"{free} are free in {disk.folder}, of which {service.reserve_mb} MB are reserved"
+        f"continuous recording needs {_format_size(rate_bytes_s * 3600.0)} of disk space per "
+        f"hour. {disk.folder} has {free} of free space, of which {service.reserve_mb} MB are "
+        "reserved"
     )
     remedy = (
         f"move recordings away from {disk.folder}, or set `delete_when_full: true` under "

@@ -53,8 +53,8 @@ def _check_processor(system: SystemFiles) -> Iterator[Finding]:
         yield fault(
             SUBJECT,
             "processor",
-            f"the processor lacks the instructions {', '.join(missing)}, so NumPy, which "
-            "needs x86-64-v2, does not run here, and neither do the daemon and the solver",
+            f"the processor lacks the instructions {', '.join(missing)}. NumPy needs them "
+            "(x86-64-v2), and the daemon and the solver need NumPy",
             "use a computer with an x86-64-v2 processor. In a virtual machine, use the "
             "processor of the host (qemu: -cpu host)",
         )

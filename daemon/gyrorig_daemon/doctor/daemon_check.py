@@ -68,11 +68,12 @@ def _check_state(status: dict[str, Any]) -> Finding:
 
 def _check_unit(status: dict[str, Any]) -> Iterator[Finding]:
     unit = status["unit"]
+    message = f"the daemon reports this state of the pan-tilt unit: {unit['text']}"
     if unit["state"] == "absent":
         yield fault(
             "unit",
             "absent",
-            unit["text"],
+            message,
             "check the cable of the pan-tilt unit. The daemon waits for the unit",
         )
     elif unit["state"] == "silent":
@@ -80,7 +81,7 @@ def _check_unit(status: dict[str, Any]) -> Iterator[Finding]:
             "check the power, the cable and the baud rate of the pan-tilt unit. The daemon "
             "continues to try"
         )
-        yield fault("unit", "silent", unit["text"], remedy)
+        yield fault("unit", "silent", message, remedy)
     else:
         yield ok("unit", "seen", f"{unit['text']} ({unit['port']})")
         if not unit["steps_are_sure"]:

@@ -40,8 +40,8 @@ def check_disk(folder: Path, system: SystemFiles) -> tuple[list[Finding], DiskMe
     file_system, options = _mount_of(existing, system)
     if "ro" in options.split(","):
         message = (
-            f"the disk of {existing} is mounted read-only, as the kernel does when a memory card "
-            "fails"
+            f"the disk of {existing} is mounted read-only. The kernel does this when a "
+            "memory card fails"
         )
         remedy = "run `dmesg` to find the reason, copy the data, and replace the card"
         return [fault(SUBJECT, "read_only", message, remedy)], None

@@ -46,7 +46,7 @@ def check_port(subject: str, path: str, system: SystemFiles) -> tuple[list[Findi
                 "no_device",
                 message,
                 "give a serial port in the rig file. The folder /dev/serial/by-id lists the "
-                "connected ones",
+                "connected ports",
             )
         ], closed
     findings = [

@@ -227,7 +227,10 @@ def _check_power(line: DirectPtuLine) -> list[Finding]:
     if hottest_c > HIGH_MOTOR_TEMPERATURE_C:
         return [
             warning(
-                SUBJECT, "hot", summary, "reduce the holding current, or let the unit cool down"
+                SUBJECT,
+                "hot",
+                f"{summary}, which is too hot",
+                "reduce the holding current, or let the unit cool down",
             )
         ]
     return [ok(SUBJECT, "power", summary)]

@@ -95,4 +95,4 @@ def test_a_rig_with_a_bus(system: SystemFiles, tmp_path: Path) -> None:
     assert "bus can0" in {finding.subject for finding in findings}
     tonight = next(finding for finding in findings if finding.subject == "tonight")
     # 100 positions and 2 x 100 samples a second, 64 bytes each
-    assert "69.1 MB per hour" in tonight.what
+    assert "69.1 MB of disk space per hour" in tonight.what

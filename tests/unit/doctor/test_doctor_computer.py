@@ -114,7 +114,7 @@ def test_a_processor_on_which_numpy_does_not_start(
     assert [f.code for f in findings] == ["processor"] * bool(missing)
     for finding in findings:
         assert finding.level is Level.FAULT
-        assert f"lacks the instructions {missing}, " in finding.what
+        assert f"lacks the instructions {missing}. " in finding.what
         assert "-cpu host" in finding.remedy
 
 

@@ -39,10 +39,34 @@ def findings() -> Iterator[UserText]:
     for path, tree in trees():
         if "/doctor/" not in path:
             continue
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and _name(node.func) in FINDINGS and len(node.args) > 2:
-                remedy = rendered(node.args[3]) if len(node.args) > 3 else None
-                yield UserText(_place(path, node), _name(node.func), rendered(node.args[2]), remedy)
+        for function in ast.walk(tree):
+            if isinstance(function, ast.FunctionDef):
+                yield from _findings_of(path, function)
+
+
+def _findings_of(path: str, function: ast.FunctionDef) -> Iterator[UserText]:
+    """Yield the findings of one function, with its local texts in place of their names."""
+    nodes = sorted(
+        (node for node in ast.walk(function) if hasattr(node, "lineno")),
+        key=lambda node: (node.lineno, node.col_offset),
+    )
+    local_texts: dict[str, str] = {}
+    for node in nodes:
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                local_texts[name] = rendered(value)
+            case ast.Call(func=called, args=[_, _, what, *more]) if _name(called) in FINDINGS:
+                texts = (rendered(arg) for arg in (what, *more[:1]))
+                filled = [_filled(text, local_texts) for text in texts]
+                yield UserText(_place(path, node), _name(called), *filled)
+
+
+def _filled(text: str, local_texts: dict[str, str]) -> str:
+    """Return a text with the local texts that it names."""
+    for name, value in local_texts.items():
+        if " " in value.strip("{}"):
+            text = text.replace(f"{{{name}}}", value)
+    return text
 
 
 def texts() -> Iterator[UserText]:
