@@ -47,7 +47,7 @@ def findings() -> Iterator[UserText]:
 def _findings_of(path: str, function: ast.FunctionDef) -> Iterator[UserText]:
     """Yield the findings of one function, with its local texts in place of their names."""
     nodes = sorted(
-        (node for node in ast.walk(function) if hasattr(node, "lineno")),
+        (node for node in ast.walk(function) if isinstance(node, ast.stmt | ast.expr)),
         key=lambda node: (node.lineno, node.col_offset),
     )
     local_texts: dict[str, str] = {}
