@@ -6,7 +6,7 @@ from gyrorig_solver.calibration.calibration_wording import (
     determined_text,
     missing_value_text,
     next_step,
-    value_std_pairs,
+    shown_entries,
     verdict_sentence,
     white_noise_units,
 )
@@ -71,7 +71,7 @@ def _rows(calibration: CalibrationDocument, group: ParameterGroup) -> list[str]:
         return []
     rows = []
     unit = "" if group.unit == "1" else group.unit
-    for label, (value, std) in zip(group.labels, value_std_pairs(parameter), strict=True):
+    for label, value, std in shown_entries(parameter, group):
         label_text = f"  {parameter_label(group.name, label):<21} "
         if value is None:
             rows.append(label_text + missing_value_text(calibration))

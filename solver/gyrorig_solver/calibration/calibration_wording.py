@@ -118,11 +118,21 @@ def cause_groups(calibration: CalibrationDocument) -> tuple[ParameterGroup, ...]
             name,
             _entry_labels(name, len(value_std_pairs(p))),
             "beyond the base model",
-            *display_unit(p.unit),
+            *_cause_unit(name, p.unit),
         )
         for name, p in calibration.parameters.items()
         if name not in base
     )
+
+
+def _cause_unit(name: str, unit: str) -> tuple[float, str]:
+    """Return factor and unit to show: SI for times and fractions that are no sizes."""
+    cause, _, parameter_name = name.partition(".")
+    parameters = catalogue()[cause].parameters if cause in catalogue() else ()
+    roles = {parameter.name: parameter.role for parameter in parameters}
+    if roles.get(parameter_name, "size") != "size" and unit in ("1", "s"):
+        return 1.0, unit
+    return display_unit(unit)
 
 
 def _entry_labels(name: str, count: int) -> tuple[str, ...]:
@@ -133,6 +143,20 @@ def _entry_labels(name: str, count: int) -> tuple[str, ...]:
         if parameter_name in ("", parameter.name) and len(parameter.components) == count:
             return parameter.components
     return {1: ("",), 3: ("x", "y", "z")}.get(count, tuple(str(i) for i in range(count)))
+
+
+def shown_entries(
+    parameter: Parameter, group: ParameterGroup
+) -> list[tuple[str, float | None, float | None]]:
+    """Return label, value and standard uncertainty of the entries to show, in the document's unit.
+
+    A cause that was fitted on some of its axes has no standard uncertainty on the others. These are
+    left out.
+    """
+    pairs = value_std_pairs(parameter)
+    entries = [(label, *pair) for label, pair in zip(group.labels, pairs, strict=True)]
+    fitted = [entry for entry in entries if entry[2] is not None]
+    return entries if group in PARAMETER_GROUPS or not fitted else fitted
 
 
 def value_std_pairs(parameter: Parameter) -> list[tuple[float | None, float | None]]:

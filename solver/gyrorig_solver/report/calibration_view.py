@@ -14,6 +14,7 @@ from gyrorig_solver.calibration.calibration_wording import (
     axes_text,
     cause_groups,
     level_sentence,
+    shown_entries,
     value_std_pairs,
     white_noise_units,
 )
@@ -290,9 +291,7 @@ def _rows(
     calibration: CalibrationDocument, group: ParameterGroup, limits: DataSheetLimits | None
 ) -> Iterator[ParameterRow]:
     parameter = calibration.parameters[group.name]
-    for axis, (label, (value, std)) in enumerate(
-        zip(group.labels, value_std_pairs(parameter), strict=True)
-    ):
+    for axis, (label, value, std) in enumerate(shown_entries(parameter, group)):
         name = parameter_label(group.name, label)
         if value is None:
             yield ParameterRow(name)

@@ -19,6 +19,7 @@ from gyrorig_solver.calibration import calibration_wording
 from gyrorig_solver.calibration.calibration_builder import Provenance, build_calibration
 from gyrorig_solver.calibration.calibration_document import (
     CalibrationDocument,
+    Parameter,
     calibration_as_mapping,
     calibration_as_yaml,
     parse_calibration,
@@ -195,3 +196,20 @@ def test_clock_skew_is_recorded_only_for_a_second_clock(
 
 def test_the_stated_limit_is_the_one_that_the_verdict_uses() -> None:
     assert calibration_wording.REDUCED_CHI2_LIMIT == motion_fit.MAX_REDUCED_CHI2
+
+
+def test_the_summary_shows_the_fitted_axes_of_a_cause_in_their_units(
+    good_fit: GyroFit, provenance: Provenance
+) -> None:
+    document = made(good_fit, provenance)
+    parameters = {
+        **document.parameters,
+        "backlash": Parameter(value=[0.0, 1.745e-3], std=[None, 1.0e-5], unit="rad"),
+        "backlash.begin": Parameter(value=[-1.0, -0.9], std=[None, 0.05], unit="1"),
+    }
+    lines = calibration_summary(msgspec.structs.replace(document, parameters=parameters))
+    rows = [line.split() for line in lines.splitlines() if line.lstrip().startswith("backlash")]
+    assert rows == [
+        ["backlash.tilt", "+0.09998", "±", "0.00057", "deg"],
+        ["backlash.begin.tilt", "-0.900", "±", "0.050"],
+    ]
