@@ -42,7 +42,6 @@ _OTHER_TITLES = {
 }
 MAX_NAMES_PER_LINE = 8
 MIN_P_VALUE = 1e-12  # smaller ones are not told apart
-_MDEG = 1e3 * DEG_PER_RAD
 
 _LIMITED_REFERENCE = (
     "No error found, few tests possible",
@@ -75,9 +74,7 @@ def cause_remedy(cause: str) -> str:
 def display_unit(value: float, unit: str) -> tuple[float, str]:
     """Return the factor from an SI unit to a unit that suits the value, and that unit."""
     if unit.startswith("rad"):
-        suffix = unit.removeprefix("rad").replace("^2", "²")
-        factor = DEG_PER_RAD if abs(value) * DEG_PER_RAD >= 0.1 else _MDEG
-        return factor, ("deg" if factor == DEG_PER_RAD else "mdeg") + suffix
+        return DEG_PER_RAD, "deg" + unit.removeprefix("rad").replace("^2", "²")
     if unit == "s":
         return (1.0, "s") if abs(value) >= 1.0 else (1e3, "ms")
     if unit == "1" and 0.0 < abs(value) < 0.5:

@@ -175,9 +175,9 @@ def _tiles(document: FindingsDocument) -> list[dict[str, str]]:
             tiles.append(
                 _tile(
                     "angle error on held-out data",
-                    f"{format_short(1e3 * DEG_PER_RAD * gain.turn_error_before)} →",
-                    format_short(1e3 * DEG_PER_RAD * gain.turn_error_after),
-                    "mdeg, rms over moves",
+                    f"{format_short(DEG_PER_RAD * gain.turn_error_before)} →",
+                    format_short(DEG_PER_RAD * gain.turn_error_after),
+                    "deg, rms over moves",
                 )
             )
         tiles += _gain_tile("log-likelihood ratio, held-out data", gain)

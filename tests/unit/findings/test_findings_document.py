@@ -128,13 +128,13 @@ def test_a_person_reads_verdict_cause_size_and_remedy(
     lines = summary.splitlines()
     assert lines[0] == (
         "GY80-0007 (L3G4200D): not fully explained: the gears have backlash, on tilt, "
-        "57.3 ± 5.7 mdeg; samples are repeated, 0.500 ± 0.064 %"
+        "0.0573 ± 0.0057 deg; samples are repeated, 0.500 ± 0.064 %"
     )
     assert "backlash, on tilt: the gears have backlash" in lines[1]
-    assert "gap.tilt +57.3 ± 5.7 mdeg" in lines[2]
+    assert "gap.tilt +0.0573 ± 0.0057 deg" in lines[2]
     assert "have the worm adjusted" in lines[3]
     assert "depends on pan (the gain changes)" in summary
-    assert "tilt_sag below 80.2 mdeg; a smaller size would bias scale.z by up to 36.0 " in summary
+    assert "tilt_sag below 0.0802 deg; a smaller size would bias scale.z by up to 36.0 " in summary
 
 
 def test_every_cause_has_a_title_and_a_remedy() -> None:

@@ -41,7 +41,7 @@ def test_a_named_cause_is_right(document: FindingsDocument) -> None:
     scored = score_causes(document, truth(("backlash", 0.00105, "rad")))
     assert [(score.cause, score.score) for score in scored] == [("backlash", "right")]
     assert (
-        "size 60.2 mdeg, and the answer names it, with an estimated size of 57.3 mdeg"
+        "size 0.0602 deg, and the answer names it, with an estimated size of 0.0573 deg"
         in score_text(document, scored)
     )
 

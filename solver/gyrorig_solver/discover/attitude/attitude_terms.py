@@ -121,7 +121,7 @@ class MovingBias(LinearTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe the shifts."""
-        shifts = format_list(values / DEG * 1e3, XYZ, "mdeg/s")
+        shifts = format_list(values / DEG, XYZ, "deg/s")
         return f"the bias in motion differs from the bias at rest: {shifts}"
 
 

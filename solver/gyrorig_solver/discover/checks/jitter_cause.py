@@ -157,5 +157,5 @@ def describe_random_walk(projection: NuisanceProjector) -> str:
     ratio = format_list(axis_levels / typical, XYZ, "times that of a typical sensor")
     return (
         "the noise model and all uncertainties include the random walk: "
-        f"{format_list(axis_levels / DEG * 1e3, XYZ, 'mdeg/s after one second')}, {ratio}"
+        f"{format_list(axis_levels / DEG, XYZ, 'deg/s after one second')}, {ratio}"
     )

@@ -54,7 +54,7 @@ class BiasRamp(LinearTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe the slopes."""
-        return f"the bias drifts: {format_list(values / DEG * 6e4, XYZ, 'mdeg/s per minute')}"
+        return f"the bias drifts: {format_list(values / DEG * 60.0, XYZ, 'deg/s per minute')}"
 
 
 TERM = BiasRamp()

@@ -51,7 +51,7 @@ class BiasRandomWalk(ZeroMeanTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe the levels."""
-        levels = format_list(values / DEG * 1e3, XYZ, "mdeg/s after one second")
+        levels = format_list(values / DEG, XYZ, "deg/s after one second")
         return f"the bias follows a random walk: {levels}"
 
 

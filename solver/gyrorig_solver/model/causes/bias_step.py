@@ -68,7 +68,7 @@ class BiasStep(LinearTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe the step and its time."""
-        text = format_list(values[:3] / DEG * 1e3, XYZ, "mdeg/s")
+        text = format_list(values[:3] / DEG, XYZ, "deg/s")
         return f"the bias changes suddenly at {values[3]:.1f} s: {text}"
 
 

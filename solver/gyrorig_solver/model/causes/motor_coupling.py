@@ -65,10 +65,10 @@ class MotorCoupling(LinearTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe the shifts."""
-        pan, tilt = values[:3] / DEG * 1e3, values[3:] / DEG * 1e3
+        pan, tilt = values[:3] / DEG, values[3:] / DEG
         return (
-            f"running motors shift the bias: pan {format_list(pan, XYZ, 'mdeg/s')}, "
-            f"tilt {format_list(tilt, XYZ, 'mdeg/s')}"
+            f"running motors shift the bias: pan {format_list(pan, XYZ, 'deg/s')}, "
+            f"tilt {format_list(tilt, XYZ, 'deg/s')}"
         )
 
 

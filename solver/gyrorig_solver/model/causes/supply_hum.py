@@ -106,10 +106,10 @@ class SupplyHum(LinearTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe amplitude and frequency."""
-        size = np.hypot(values[:3], values[3:6]) / DEG * 1e3
+        size = np.hypot(values[:3], values[3:6]) / DEG
         return (
             f"the rates have a spectral line at {values[6]:.2f} Hz: "
-            f"{format_list(size, XYZ, 'mdeg/s')}"
+            f"{format_list(size, XYZ, 'deg/s')}"
         )
 
 

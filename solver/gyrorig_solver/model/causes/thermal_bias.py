@@ -96,7 +96,7 @@ class ThermalBias(LinearTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe the slopes and the lag."""
-        slopes = format_list(values[:3] / DEG * 1e3, XYZ, "mdeg/s per kelvin")
+        slopes = format_list(values[:3] / DEG, XYZ, "deg/s per kelvin")
         lag_text = f", with a thermometer lag of {values[-1]:.0f} s" if values[-1] else ""
         return f"the bias depends on the temperature: {slopes}{lag_text}"
 

@@ -20,7 +20,7 @@ from gyrorig_solver.model.term import (
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
-_PER_MDPS = 1e-3 * DEG / (1000.0 * DEG**2)  # 1 mdeg/s at 1000 (deg/s)^2
+_PER_DPS = DEG / (1000.0 * DEG**2)  # 1 deg/s at 1000 (deg/s)^2
 
 
 class VibrationRectification(LinearTerm):
@@ -33,10 +33,10 @@ class VibrationRectification(LinearTerm):
         TermParameter(
             name="coefficient",
             unit="s/rad",
-            typical_size=5.0 * _PER_MDPS,
-            lower=-200.0 * _PER_MDPS,
-            upper=200.0 * _PER_MDPS,
-            prior_std=100.0 * _PER_MDPS,
+            typical_size=5e-3 * _PER_DPS,
+            lower=-0.2 * _PER_DPS,
+            upper=0.2 * _PER_DPS,
+            prior_std=0.1 * _PER_DPS,
             components=XYZ,
         ),
     )
@@ -59,7 +59,7 @@ class VibrationRectification(LinearTerm):
 
     def describe(self, values: FloatArray) -> str:
         """Describe the shifts."""
-        text = format_list(values / _PER_MDPS, XYZ, "mdeg/s at 32 deg/s")
+        text = format_list(values / _PER_DPS, XYZ, "deg/s at 32 deg/s")
         return f"the vibration of the motors shifts the bias with the square of the speed: {text}"
 
 
