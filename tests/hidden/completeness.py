@@ -166,7 +166,7 @@ def energy(solution: ConvergedFit) -> float:
         every = session.copy()
         for stretch in every._series_states:
             stretch.good = stretch.series.good.copy()
-        with patch("gyrorig_solver.estimate.session_fit.timing_sensitive_mask", lambda *_: None):
+        with patch("gyrorig_solver.estimate.part_model.timing_sensitive_mask", lambda *_: None):
             every.update_prediction(solution.gain, detect_outliers=False, new_derivatives=False)
         noise = _ordinary(session.sampling)
         for series, residual in zip(every.series, every.residuals(solution.gain), strict=True):
@@ -189,8 +189,8 @@ def noise_held() -> Iterator[None]:
         return _ordinary(sampling)
 
     with (
-        patch("gyrorig_solver.estimate.session_fit.fit_noise_levels", held),
-        patch("gyrorig_solver.estimate.session_fit.limit_to_rest", lambda noise, _: noise),
+        patch("gyrorig_solver.estimate.session_noise.fit_noise_levels", held),
+        patch("gyrorig_solver.estimate.session_noise.limit_to_rest", lambda noise, _: noise),
         patch.object(SessionFit, "update_motion_noise", lambda *_: False),
     ):
         yield

@@ -87,16 +87,16 @@ def together(base: ConvergedFit, causes: list[str]) -> ConvergedFit:
     while open_causes:
         projection = NuisanceProjector.at_fit(solution)
         tests = count_tests(testable_terms(projection))
-        weighed = []
+        candidates = []
         for cause in open_causes:
             term = catalogue()[cause]
             scores = scan_catalogue(projection, [term], tests, all_templates(projection, term))
             best = fit_best_place(projection, [s for s in scores if s.place is None])
             if best is not None:
-                weighed.append(best[0])
-        if not weighed:
+                candidates.append(best[0])
+        if not candidates:
             raise ValueError(f"{open_causes} could not be fitted")
-        first = max(weighed, key=lambda candidate: candidate.delta_log_likelihood)
+        first = max(candidates, key=lambda candidate: candidate.delta_log_likelihood)
         solution = _solve_with(solution, first.extension)
         open_causes.remove(first.extension.term.cause)
     return solution

@@ -23,6 +23,7 @@ from gyrorig_solver.estimate.noise.whitening import BASE_PARAMETERS
 from gyrorig_solver.estimate.observability import PRIOR_STD
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
 from gyrorig_solver.estimate.session_fit import SessionFit
+from gyrorig_solver.estimate.session_noise import fit_session_noise
 from gyrorig_solver.estimate.trust_region import CONVERGED_SIGMA
 
 MAX_ITERATIONS = 12
@@ -132,7 +133,7 @@ def _fit_nuisances(session: SessionFit, gain: FloatArray, noise: NoiseModel | No
 
 def _fit_noise(session: SessionFit, gain: FloatArray, before: NoiseModel | None) -> NoiseModel:
     levels = None if before is None else before.levels
-    return session.fit_noise(gain, session.sampling, levels).noise
+    return fit_session_noise(session, gain, session.sampling, levels).noise
 
 
 def _whitened_residuals(

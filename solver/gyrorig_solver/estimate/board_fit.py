@@ -24,6 +24,7 @@ from gyrorig_solver.estimate.noise.noise_model import (
 )
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, ParameterLayout
 from gyrorig_solver.estimate.session_fit import SessionFit
+from gyrorig_solver.estimate.session_noise import fit_session_noise
 
 OUTLIER_RETEST_SIGMA = 5.0  # a larger step repeats the outlier detection
 DERIVATIVE_REFRESH_SIGMA = 50.0  # a larger step repeats the derivatives
@@ -206,7 +207,7 @@ class BoardFit:
         previous_levels: list[FloatArray | None] = [noise.levels for noise in self.noises]
         previous_levels = previous_levels or [None] * len(self.sessions)
         fitted = [
-            session.fit_noise(self.gain, self._sampling(session), levels)
+            fit_session_noise(session, self.gain, self._sampling(session), levels)
             for session, levels in zip(self.sessions, previous_levels, strict=True)
         ]
         self.noises = [session_noise.noise for session_noise in fitted]

@@ -26,6 +26,12 @@ class LeastSquaresSums:
     moment: FloatArray  # (4, 3)
     square: float  # sum of the squared measured rates
 
+    def __add__(self, other: "LeastSquaresSums") -> "LeastSquaresSums":
+        """Add the sums of another series."""
+        return LeastSquaresSums(
+            self.gram + other.gram, self.moment + other.moment, self.square + other.square
+        )
+
     def without_bias(self) -> "LeastSquaresSums":
         """Return the sums with the recording's own bias eliminated, (3, 3) each."""
         count = max(float(self.gram[3, 3]), 1.0)

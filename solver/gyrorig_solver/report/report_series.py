@@ -19,6 +19,7 @@ from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import GyroFit
 from gyrorig_solver.estimate.noise.noise_model import Periodogram, bin_spectrum
 from gyrorig_solver.estimate.session_fit import SessionFit
+from gyrorig_solver.estimate.session_noise import session_periodograms
 from gyrorig_solver.findings.findings_builder import figure_key
 from gyrorig_solver.model.signal_state import SignalState
 
@@ -87,9 +88,9 @@ def series_of_explanation(explained: FitExplanation) -> ReportSeries:
         segments = _segments(base_session, extended_session, base, extended, causes, begin_s)
         all_segments += segments
         begin_s = float(segments[-1].time_s[-1]) + GAP_BETWEEN_RECORDINGS_S
-    base_periodograms = [session.noise_periodograms(base.gain)[0] for session in base.sessions]
+    base_periodograms = [session_periodograms(session, base.gain)[0] for session in base.sessions]
     extended_periodograms = [
-        session.noise_periodograms(extended.gain)[0] for session in extended.sessions
+        session_periodograms(session, extended.gain)[0] for session in extended.sessions
     ]
     base_spectrum = bin_spectrum([p for periodograms in base_periodograms for p in periodograms])
     extended_spectrum = bin_spectrum(

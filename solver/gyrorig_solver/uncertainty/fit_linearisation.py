@@ -47,8 +47,11 @@ class FitLinearisation:
         information[:left_out, :left_out] = self.information
         score[:left_out] = self.score
         design = self.fitted_design()
-        weighted = design.T @ self.fitted_weight()
-        return information + weighted @ design, score + weighted @ self.fitted_values
+        size_score_by_values = design.T @ self.fitted_weight()
+        return (
+            information + size_score_by_values @ design,
+            score + size_score_by_values @ self.fitted_values,
+        )
 
     def parameter_terms(self) -> tuple[FloatArray, FloatArray]:
         """Return the parameters' derivative by the sizes (q, c + f), and their regression K."""

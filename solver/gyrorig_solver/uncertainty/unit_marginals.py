@@ -114,8 +114,8 @@ def _noise_covariance(
     """
     left_out = len(fit.score)
     by_parameters = np.eye(len(fit.covariance))
-    weighted = fit.fitted_design().T @ fit.fitted_weight()
-    by_parameters[:, fit.fitted] += gain @ weighted - regression
+    size_score_by_values = fit.fitted_design().T @ fit.fitted_weight()
+    by_parameters[:, fit.fitted] += gain @ size_score_by_values - regression
     by_score = gain[:, :left_out]
     noise = by_parameters @ fit.covariance @ by_parameters.T
     return np.asarray(noise + by_score @ fit.information @ by_score.T, dtype=np.float64)

@@ -19,6 +19,7 @@ from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.linear.packed_columns import column_products
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, dct_frequencies_hz
 from gyrorig_solver.estimate.noise.relative_std import (
+    MAX_LOG_WEIGHT_CHANGE,
     RelativeStd,
     mean_white_power,
     orthonormal_dct,
@@ -122,7 +123,30 @@ class NormalEquationsSum:
             self._accumulate(axis, weighted @ columns.T, weighted @ residual_spectrum)
 
 
-def score_of_residual(part: WhitenedPart, residual: FloatArray, local_count: int) -> FloatArray:
+@dataclass(frozen=True, slots=True, eq=False)
+class CachedNormalEquations:
+    """A recording's normal equations, for later iterations with small changes."""
+
+    part: WhitenedPart
+    normal: NormalEquations
+    noise: NoiseModel
+
+    def is_valid_for(self, noise: NoiseModel, relative_std: RelativeStd | None) -> bool:
+        """Return whether the weights of another noise are the same within a few percent."""
+        if relative_std is not self.part.relative_std:
+            return False
+        n = self.part.std.shape[0]
+        ratio = noise.dct_variance(n)[1:] / self.part.std[1:] ** 2
+        return bool(np.all(np.abs(np.log(ratio)) < MAX_LOG_WEIGHT_CHANGE))
+
+    def at_residual(self, residual: FloatArray, local_count: int) -> NormalEquations:
+        """Return the equations for another residual, shape (n, 3)."""
+        return NormalEquations(
+            self.normal.matrix, _score_of_residual(self.part, residual, local_count)
+        )
+
+
+def _score_of_residual(part: WhitenedPart, residual: FloatArray, local_count: int) -> FloatArray:
     """Return a series' score for another residual, local unknowns first.
 
     Args:

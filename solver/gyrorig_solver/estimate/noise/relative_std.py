@@ -13,6 +13,8 @@ from scipy.fft import dct, idct
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 
+MAX_LOG_WEIGHT_CHANGE = 0.03  # of a variance; smaller changes keep the old weights
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativeStd:

@@ -1,0 +1,77 @@
+"""The noise of one recording at rest, from the spectrum of its residual.
+
+What to use when: `fit_session_noise` at a fit; `session_periodograms` for the spectrum alone.
+"""
+
+from dataclasses import dataclass
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.estimate.noise.noise_estimation import (
+    ResidualSegment,
+    noise_periodograms,
+    resting_blocks,
+)
+from gyrorig_solver.estimate.noise.noise_model import (
+    NoiseModel,
+    Periodogram,
+    Sampling,
+    Spectrum,
+    bin_spectrum,
+    fit_noise_levels,
+)
+from gyrorig_solver.estimate.noise.rest_noise import RestDifferences, limit_to_rest
+from gyrorig_solver.estimate.session_fit import SessionFit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionNoise:
+    """The noise of one recording, and its origin."""
+
+    noise: NoiseModel
+    spectrum: Spectrum  # of the residual
+    source: str  # the part of the recording that was used
+
+
+def session_periodograms(session: SessionFit, gain: FloatArray) -> tuple[list[Periodogram], str]:
+    """Return the residual's periodograms, and a description of the part they use.
+
+    Unmodelled motion would look like noise. If there are enough rests, the frequencies that
+    they resolve come from the rests only.
+    """
+    segments = [
+        ResidualSegment(residual, used, moving, series.part_slices(), relative_variance)
+        for series, residual, used, moving, relative_variance in zip(
+            session.series,
+            session.residuals(gain),
+            session.used,
+            session.moving,
+            session.relative_variances,
+            strict=True,
+        )
+    ]
+    return noise_periodograms(segments, session.sampling.rate_hz)
+
+
+def fit_session_noise(
+    session: SessionFit,
+    gain: FloatArray,
+    sampling: Sampling,
+    initial_levels: FloatArray | None = None,
+) -> SessionNoise:
+    """Estimate the noise at rest from the residual's spectrum.
+
+    Args:
+        session: the recording.
+        gain: G, shape (3, 3).
+        sampling: how the residual was sampled.
+        initial_levels: (3, 4), from a previous fit.
+    """
+    periodograms, source = session_periodograms(session, gain)
+    spectrum = bin_spectrum(periodograms)
+    noise = fit_noise_levels(spectrum, sampling, initial_levels)
+    at_rest = [
+        resting_blocks(used, moving, session.sampling.rate_hz)
+        for used, moving in zip(session.used, session.moving, strict=True)
+    ]
+    differences = RestDifferences.of(session.residuals(gain), at_rest)
+    return SessionNoise(limit_to_rest(noise, differences), spectrum, source)
