@@ -16,7 +16,8 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.discover.template_choice import quick_templates
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Term, components_of, value_indices, value_parameters
 from gyrorig_solver.numerics import chi2_upper_tail

@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.nuisance_projector import ScoreStatistics
+from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
 from gyrorig_solver.estimate.uncertainty_widening import widen_uncertainty
 from gyrorig_solver.model.term import value_indices

@@ -16,7 +16,8 @@ from gyrorig_solver.discover.calibration_changes import (
 )
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.corrected_fit import FitCorrection
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, SESSION_PARAMETERS
 from gyrorig_solver.estimate.whitened_signals import join_signals
 from gyrorig_solver.model.term import Term

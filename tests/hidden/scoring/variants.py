@@ -28,7 +28,8 @@ from gyrorig_solver.estimate.noise.noise_model import (
     Spectrum,
     fit_noise_levels,
 )
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.pipeline import explain_board

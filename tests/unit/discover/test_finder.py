@@ -12,7 +12,8 @@ import pytest
 
 from gyrorig_solver.discover import cause_search
 from gyrorig_solver.discover.cause_findings import FitExplanation
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 from gyrorig_solver.pipeline.explain_board import explain_recordings
 

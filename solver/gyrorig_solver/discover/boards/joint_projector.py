@@ -20,11 +20,8 @@ from scipy.linalg import block_diag
 from gyrorig_solver.data.arrays import FloatArray, IntArray
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.estimate.fitted_term import GaussianPrior
-from gyrorig_solver.estimate.nuisance_projector import (
-    NuisanceProjector,
-    ScoreStatistics,
-    SignalFunction,
-)
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
+from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_channels
 from gyrorig_solver.model.term import Term
 from gyrorig_solver.numerics import chi2_upper_tail

@@ -18,7 +18,8 @@ from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily, smoo
 from gyrorig_solver.discover.checks.typical_noise import likelihood_gain
 from gyrorig_solver.discover.checks.variance_trend import fit_variance_trend, speed_shapes
 from gyrorig_solver.discover.score_tests import NEGLIGIBLE_ENERGY, ScoreTest
-from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, ScoreStatistics
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.model.causes.sample_jitter import SampleJitter
 from gyrorig_solver.numerics import chi2_upper_tail
 

@@ -17,11 +17,8 @@ import numpy as np
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.checks.windowed_signals import WindowFunction, windowed_statistics
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.nuisance_projector import (
-    NuisanceProjector,
-    ScoreStatistics,
-    SignalFunction,
-)
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
+from gyrorig_solver.estimate.nuisance_space import ScoreStatistics
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
 from gyrorig_solver.model.signal_arrays import (
     AxisBiases,
