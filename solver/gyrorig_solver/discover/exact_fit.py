@@ -21,8 +21,9 @@ from gyrorig_solver.discover.score_tests import ScoreTest
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.causes.supply_hum import MIN_PERIODS, folded_periods
+from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.model.recording_scope import is_active_in
-from gyrorig_solver.model.signal_state import RecordingContext, SignalState
+from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Term, value_indices, value_parameters
 
 MAX_ITERATIONS = 12

@@ -28,7 +28,7 @@ from gyrorig_solver.estimate.series import build_series
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.trust_region import NotConvergedError
 from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2, widen_uncertainty
-from gyrorig_solver.model.signal_state import RecordingContext
+from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 from gyrorig_solver.reference.unit.rest_variance import DETENT_VARIANCE

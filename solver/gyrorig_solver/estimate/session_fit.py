@@ -36,7 +36,8 @@ from gyrorig_solver.estimate.reference_prediction import (
 from gyrorig_solver.estimate.series import PART_BLOCKS, Series, too_short_error
 from gyrorig_solver.estimate.series_state import FitValues, PredictedPart, SeriesState
 from gyrorig_solver.estimate.signal_state_cache import SignalStateCache
-from gyrorig_solver.model.signal_state import RecordingContext, SignalState
+from gyrorig_solver.model.recording_context import RecordingContext
+from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 
 

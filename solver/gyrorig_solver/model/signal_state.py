@@ -23,44 +23,14 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.model.board_temperature import BoardTemperature
+from gyrorig_solver.model.angle_waves import AngleWaves
 from gyrorig_solver.model.hermite_interpolation import HermiteInterpolator
 from gyrorig_solver.model.low_pass import LowPass
+from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.model.signal_arrays import axis_rows, is_on_all_axes
-from gyrorig_solver.reference.unit.motion_profile import MotionProfile
 from gyrorig_solver.reference.unit.stage_kinematics import StageRateJacobian
 
-STANDARD_GRAVITY_M_S2 = 9.80665  # CGPM 1901
 MIN_AXIS_RATE_RAD_S = 1e-4  # a slower axis is at rest; a step (0.05 deg) would take 10 s
-
-
-@dataclass(frozen=True, slots=True)
-class Site:
-    """The location of the rig (metadata `gyrorig.site`); None where it is not recorded."""
-
-    latitude_deg: float | None = None  # north positive
-    heading_deg: float | None = None  # of the base's y axis, clockwise from true north
-    gravity_m_s2: float = STANDARD_GRAVITY_M_S2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordingContext:
-    """Facts that stay the same over a recording of one board."""
-
-    site: Site = Site()
-    temperature: BoardTemperature | None = None
-    rad_per_step: tuple[float, float] | None = None  # pan and tilt, with the unit's sign
-    motion_profiles: tuple[tuple[int, MotionProfile], ...] = ()  # axis (0 pan, 1 tilt), profile
-    begin_s: float = 0.0  # of the recording, on its time axis
-    end_s: float = 0.0
-    power_on_s: float | None = None  # of the board; None if unknown
-    full_scale_rad_s: float | None = None  # of the configured range
-    quantum_rad_s: float = 0.0  # one count
-    sample_period_s: float | None = None
-    # Changes of the limits of pan and tilt by causes: acceleration share, base speed (rad/s).
-    limit_changes: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    recording_name: str = ""  # name
-    recording_index: int = 0  # among the recordings that are fitted together
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,24 +157,10 @@ class SignalState:
         """Pan at the middles, shape (n,)."""
         return np.asarray((self.angle_rad[0, :-1] + self.angle_rad[0, 1:]) / 2.0, np.float64)
 
-    def angle_waves(self, axis: int, period_rad: float) -> tuple[FloatArray, FloatArray]:
-        """Return cosine and sine of an axis' angle at the edges, (n + 1,) each; the last is kept.
-
-        Args:
-            axis: 0 pan, 1 tilt.
-            period_rad: angle of one period.
-        """
-        period, waves = self._last_waves.get(axis, (0.0, None))
-        if waves is None or period != period_rad:
-            phase = self.angle_rad[axis] * (2.0 * np.pi / period_rad)
-            waves = np.cos(phase), np.sin(phase)
-            self._last_waves[axis] = period_rad, waves
-        return waves
-
     @cached_property
-    def _last_waves(self) -> dict[int, tuple[float, tuple[FloatArray, FloatArray]]]:
-        """The latest period of each axis and its waves."""
-        return {}
+    def angle_waves(self) -> AngleWaves:
+        """Waves of the angles at the edges."""
+        return AngleWaves(self.angle_rad)
 
     @property
     def pan_rate_rad_s(self) -> FloatArray:
@@ -223,25 +179,6 @@ class SignalState:
             return self.motors_running
         rates = np.stack([self.pan_rate_rad_s, self.tilt_rate_rad_s])
         return np.asarray(np.abs(rates) > MIN_AXIS_RATE_RAD_S, dtype=np.bool_)
-
-    def direction_before(self, axis: int) -> float:
-        """Return the direction of an axis' last motion before this part, 0 if unknown."""
-        earlier_profiles = [
-            profile
-            for moved_axis, profile in self.context.motion_profiles
-            if moved_axis == axis and profile.start_s[0] < self.edges_s[0]
-        ]
-        if self.previous_direction[axis] or not earlier_profiles:
-            return self.previous_direction[axis]
-        last = max(earlier_profiles, key=lambda profile: float(profile.start_s[0]))
-        segment_count = np.searchsorted(last.start_s, self.edges_s[0], side="right")
-        displacement = (
-            last.start_speed_steps_s[:segment_count]
-            + 0.5 * last.acceleration_steps_s2[:segment_count]
-        )
-        nonzero = np.flatnonzero(displacement)
-        step_sign = 1.0 if self.context.rad_per_step is None else self.context.rad_per_step[axis]
-        return float(np.sign(displacement[nonzero[-1]] * step_sign)) if nonzero.size else 0.0
 
     @cached_property
     def sensor_rate_rad_s(self) -> FloatArray:
@@ -324,11 +261,8 @@ class SignalState:
     @cached_property
     def _delayed_sampling(self) -> csr_array:
         """The interpolation matrix from a signal (n,) to the delayed instants."""
-        late = (
-            self.sample_times_s
-            if self.sampling_delay_s is None
-            else self.sample_times_s + self.sampling_delay_s
-        )
+        delay_s = 0.0 if self.sampling_delay_s is None else self.sampling_delay_s
+        late = self.sample_times_s + delay_s
         return HermiteInterpolator.of(self.time_s, late).sparse_operator(self.step_s)
 
     def output_at_delay(self, delay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -342,7 +276,7 @@ class SignalState:
             Hermite interpolation; constant beyond the ends.
         """
         if not delay_s.any():
-            return self._sampled_output
+            return self.sampled_output
         total_delay = delay_s if self.sampling_delay_s is None else delay_s + self.sampling_delay_s
         return self._interpolated_output(total_delay)
 
@@ -351,12 +285,8 @@ class SignalState:
         return interpolator.interpolate(self.filtered_rad_s, self.filtered_slope_rad_s2)
 
     @cached_property
-    def sampled_rad_s(self) -> FloatArray:
-        """The sensor's output at its instants, (instants, 3)."""
-        return self._sampled_output[0]
-
-    @cached_property
-    def _sampled_output(self) -> tuple[FloatArray, FloatArray]:
+    def sampled_output(self) -> tuple[FloatArray, FloatArray]:
+        """The sensor's output at its instants and its time derivative, (instants, 3) each."""
         return self._interpolated_output(
             np.zeros(self.used_instants.size)
             if self.sampling_delay_s is None
@@ -382,7 +312,9 @@ class SignalState:
     def measure_stage_rate(self, stage_rate: FloatArray) -> FloatArray:
         """Return the block means of a change of the stage's rate, (..., n, 3)."""
         known_rate = (
-            stage_rate if self._all_known else np.where(self.motion_known[:, None], stage_rate, 0.0)
+            stage_rate
+            if self.motion_known.all()
+            else np.where(self.motion_known[:, None], stage_rate, 0.0)
         )
         # The gain commutes with the low-pass and is applied last, to the fewest values.
         rows = axis_rows(self.measure_sensor_rate(known_rate))
@@ -391,59 +323,6 @@ class SignalState:
     @cached_property
     def _all_used(self) -> bool:
         return bool(self.used_instants.all())
-
-    @cached_property
-    def _all_known(self) -> bool:
-        return bool(self.motion_known.all())
-
-    def measure_stage_pulse(self, first: int, stage_rate: FloatArray) -> FloatArray:
-        """Return `measure_stage_rate` of a change that is zero except in a few intervals.
-
-        Args:
-            first: index of its first interval.
-            stage_rate: shape (m, 3).
-        """
-        if self.sampling_delay_s is not None:
-            padded = np.zeros((self.interval_count, 3))
-            visible = padded[first : first + len(stage_rate)]
-            visible[:] = stage_rate[: len(visible)]
-            return self.measure_stage_rate(padded)
-        result = np.zeros((self.block_count, 3))
-        intervals_per_block = self.intervals_per_instant * self.instants_per_block
-        settling_intervals = (
-            0 if self.low_pass is None else int(3.0 / self.low_pass.bandwidth_hz / self.step_s)
-        )
-        lead_intervals = self.lead_instants * self.intervals_per_instant
-        begin = max(0, (first - lead_intervals) // intervals_per_block)
-        end = min(
-            self.block_count,
-            -(
-                (lead_intervals - first - len(stage_rate) - settling_intervals)
-                // intervals_per_block
-            ),
-        )
-        if end <= begin:
-            return result
-        start = lead_intervals + begin * intervals_per_block
-        window = np.zeros(
-            ((end - begin) * intervals_per_block + 1, 3)
-        )  # one more interval before, at rest
-        skipped = max(0, start - first)
-        visible = stage_rate[skipped:]
-        position = first + skipped - start + 1
-        visible = visible[: len(window) - position]
-        is_known = self.motion_known[first + skipped : first + skipped + len(visible), None]
-        window[position : position + len(visible)] = np.where(is_known, visible, 0.0) @ self.gain.T
-        out = self.low_pass_filtered(window)[1:]
-        used = self.used_instants[
-            begin * self.instants_per_block : end * self.instants_per_block
-        ].reshape(-1, self.instants_per_block, 1)
-        values = out[self.intervals_per_instant // 2 :: self.intervals_per_instant].reshape(
-            -1, self.instants_per_block, 3
-        )
-        total = np.where(used, values, 0.0).sum(axis=1)
-        result[begin:end] = total / np.maximum(used.sum(axis=1), 1)
-        return result
 
     def stage_rate_change(self, change_rad: FloatArray) -> FloatArray:
         """Return the exact change of the stage's rate, (n, 3), by an angle error.
@@ -482,38 +361,28 @@ class SignalState:
 
     def with_sensor(self, change_rad_s: FloatArray) -> Self:
         """Return the state with an additional rate before the low-pass, sensor frame, (n, 3)."""
-        previous = self.added_sensor_rate_rad_s
-        total = change_rad_s if previous is None else previous + change_rad_s
+        total = _sum_of_changes(self.added_sensor_rate_rad_s, change_rad_s)
         return replace(self, added_sensor_rate_rad_s=total)
 
     def with_output(self, change_rad_s: FloatArray) -> Self:
         """Return the state with an additional rate behind the low-pass, (n, 3)."""
-        previous = self.added_output_rate_rad_s
-        total = change_rad_s if previous is None else previous + change_rad_s
+        total = _sum_of_changes(self.added_output_rate_rad_s, change_rad_s)
         return replace(self, added_output_rate_rad_s=total)
 
     def with_delay(self, delay_s: FloatArray) -> Self:
         """Return the state with delayed instants, (instants,)."""
-        return replace(
-            self,
-            sampling_delay_s=delay_s
-            if self.sampling_delay_s is None
-            else self.sampling_delay_s + delay_s,
-        )
+        return replace(self, sampling_delay_s=_sum_of_changes(self.sampling_delay_s, delay_s))
 
     def at_stage(self) -> Self:
         """Return a state in which every interval of the stage's rate is a block."""
-        return replace(self._without_sampling(), gain=np.eye(3), low_pass=None)
+        return replace(self.at_output(), gain=np.eye(3), low_pass=None)
 
     def at_sensor(self) -> Self:
         """Return a state in which every interval before the low-pass is a block."""
-        return replace(self._without_sampling(), low_pass=None)
+        return replace(self.at_output(), low_pass=None)
 
     def at_output(self) -> Self:
         """Return a state in which every interval behind the low-pass is a block."""
-        return self._without_sampling()
-
-    def _without_sampling(self) -> Self:
         every = np.ones(self.interval_count, dtype=np.bool_)
         return replace(
             self,
@@ -527,3 +396,7 @@ class SignalState:
     def stage_rate_derivative(self, axis: int, change_rad: FloatArray) -> FloatArray:
         """Return the first-order rate change, (n, 3), by one axis' angles, shape (n + 1,)."""
         return self.axis_turn.rate(axis, change_rad, slice(0, self.interval_count))
+
+
+def _sum_of_changes(previous: FloatArray | None, change: FloatArray) -> FloatArray:
+    return change if previous is None else previous + change

@@ -161,7 +161,7 @@ class TimeTerm(NonlinearTerm):
     def effect(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the change of the measured rate, (blocks, 3)."""
         value, _ = state.output_at_delay(self.sampling_delay(state, values))
-        return state.block_means(value - state.sampled_rad_s)
+        return state.block_means(value - state.sampled_output[0])
 
     def jacobian(self, state: SignalState, values: FloatArray) -> FloatArray:
         """Return the time derivative of the signal times that of the delay, (k, blocks, 3)."""

@@ -20,7 +20,7 @@ from gyrorig_solver.estimate.gyro_fit import NO_SHARING, BoardSharing, GyroFit, 
 from gyrorig_solver.estimate.motion_fit import create_session, solve_motion, summarize_motion_fit
 from gyrorig_solver.estimate.observability_remedies import REST_REMEDIES, UNIT_REMEDIES
 from gyrorig_solver.model.leveling import level_from_rests
-from gyrorig_solver.model.signal_state import RecordingContext
+from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.pipeline.board_data import (
     BoardData,
     Session,

@@ -22,8 +22,8 @@ from gyrorig_solver.estimate.thermal_order import MIN_SPAN_K, choose_order
 from gyrorig_solver.model.catalogue import find_term
 from gyrorig_solver.model.causes.earth_rotation import earth_axis_in_base
 from gyrorig_solver.model.causes.thermal_bias import ThermalBias
+from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.model.recording_scope import limit_to_recording
-from gyrorig_solver.model.signal_state import RecordingContext
 from gyrorig_solver.pipeline.recording_contexts import read_contexts
 from gyrorig_solver.reference.reference_motion import ReferenceMotion
 

@@ -15,7 +15,8 @@ import numpy as np
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
 from gyrorig_solver.estimate.observability import ObservabilityAnalysis
 from gyrorig_solver.model.catalogue import catalogue
-from gyrorig_solver.model.signal_state import SignalState, Site
+from gyrorig_solver.model.recording_context import Site
+from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import value_indices
 from gyrorig_solver.plan.effect_information import EffectInformation
 from gyrorig_solver.plan.prediction import CALIBRATION_PARAMETERS, Prediction

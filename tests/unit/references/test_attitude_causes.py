@@ -19,7 +19,7 @@ from gyrorig_solver.discover.attitude.explain_attitudes import (
     AttitudeRecording,
     explain_attitudes,
 )
-from gyrorig_solver.model.signal_state import RecordingContext
+from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.reference.attitude_reference import read_attitude
 
 SPAN_S, GYRO_HZ, CAMERA_HZ, LAG_S = 90.0, 200.0, 100.0, 0.004

@@ -17,7 +17,7 @@ from gyrorig_solver.model.catalogue import find_term
 from gyrorig_solver.model.causes.earth_rotation import EARTH_RATE_RAD_S
 from gyrorig_solver.model.causes.thermal_bias import ThermalBias
 from gyrorig_solver.model.gain_matrix import factorise
-from gyrorig_solver.model.signal_state import RecordingContext, Site
+from gyrorig_solver.model.recording_context import RecordingContext, Site
 from gyrorig_solver.reference.known_turns import TimeInterval
 from gyrorig_solver.reference.rest_reference import RestReference
 

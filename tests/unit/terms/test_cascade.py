@@ -15,7 +15,8 @@ from gyrorig_solver.estimate.cascade import (
 )
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.model.catalogue import catalogue, find_term
-from gyrorig_solver.model.signal_state import RecordingContext, SignalState
+from gyrorig_solver.model.recording_context import RecordingContext
+from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import SIGNAL_PATH, value_indices, value_parameters
 from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
 

@@ -18,7 +18,7 @@ from gyrorig_solver.model.causes.axis_nonorthogonality import AxisNonOrthogonali
 from gyrorig_solver.model.causes.earth_rotation import EARTH_RATE_RAD_S, earth_axis_in_base
 from gyrorig_solver.model.causes.thermal_bias import ThermalBias
 from gyrorig_solver.model.causes.tilt_zero import TiltZero
-from gyrorig_solver.model.signal_state import Site
+from gyrorig_solver.model.recording_context import Site
 
 Attitude = Callable[[np.ndarray], Rotation]
 

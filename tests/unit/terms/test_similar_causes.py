@@ -13,7 +13,8 @@ import pytest
 
 from gyrorig_solver.model.board_temperature import BoardTemperature
 from gyrorig_solver.model.catalogue import catalogue, find_term
-from gyrorig_solver.model.signal_state import RecordingContext, SignalState, Site
+from gyrorig_solver.model.recording_context import RecordingContext, Site
+from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import value_parameters
 from gyrorig_solver.reference.unit.motion_profile import MotionLimits, ProfileCommand, plan_motion
 

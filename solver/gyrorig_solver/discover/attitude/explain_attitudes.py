@@ -62,8 +62,8 @@ from gyrorig_solver.estimate.attitude.attitude_projector import (
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import GyroFit
 from gyrorig_solver.model.gain_matrix import factor_jacobian, factorise
+from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.model.recording_scope import term_label
-from gyrorig_solver.model.signal_state import RecordingContext
 from gyrorig_solver.model.term import (
     Term,
     components_of,

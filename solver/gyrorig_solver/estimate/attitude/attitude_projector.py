@@ -37,8 +37,9 @@ from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, Signal
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, ParameterLayout
 from gyrorig_solver.estimate.series_segment import SeriesSegment
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
+from gyrorig_solver.model.recording_context import RecordingContext
 from gyrorig_solver.model.signal_arrays import Signals, dense_signals
-from gyrorig_solver.model.signal_state import RecordingContext, SignalState
+from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Term
 
 MAX_STEP_S = 0.01  # steps for functions of the rates: hand motion is slower

@@ -74,7 +74,7 @@ class Backlash(AngleTerm):
         for axis in (0, 1):
             if values[axis] != 0.0:
                 # The motion before this part of the series sets the contact, where it is known.
-                start_face = state.direction_before(axis) or float(values[2 + axis])
+                start_face = _direction_before(state, axis) or float(values[2 + axis])
                 commanded = state.angle_rad[axis]
                 error[axis] = apply_play(commanded, float(values[axis]), start_face) - commanded
         return error
@@ -94,6 +94,25 @@ class Backlash(AngleTerm):
     def describe(self, values: FloatArray) -> str:
         """Describe the gaps."""
         return f"the gears have backlash: {format_list(values[:2] / DEG, PAN_TILT, 'deg')}"
+
+
+def _direction_before(state: SignalState, axis: int) -> float:
+    """Return the direction of an axis' last motion before this part, 0 if unknown."""
+    earlier_profiles = [
+        profile
+        for moved_axis, profile in state.context.motion_profiles
+        if moved_axis == axis and profile.start_s[0] < state.edges_s[0]
+    ]
+    if state.previous_direction[axis] or not earlier_profiles:
+        return state.previous_direction[axis]
+    last = max(earlier_profiles, key=lambda profile: float(profile.start_s[0]))
+    segment_count = np.searchsorted(last.start_s, state.edges_s[0], side="right")
+    displacement = (
+        last.start_speed_steps_s[:segment_count] + 0.5 * last.acceleration_steps_s2[:segment_count]
+    )
+    nonzero = np.flatnonzero(displacement)
+    step_sign = 1.0 if state.context.rad_per_step is None else state.context.rad_per_step[axis]
+    return float(np.sign(displacement[nonzero[-1]] * step_sign)) if nonzero.size else 0.0
 
 
 TERM = Backlash()

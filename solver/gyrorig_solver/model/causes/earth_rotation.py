@@ -14,7 +14,8 @@ where the site is known.
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.model.signal_state import SignalState, Site
+from gyrorig_solver.model.recording_context import Site
+from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import (
     NO_ANGLES,
     BinnedDependence,

@@ -72,7 +72,7 @@ class Eccentricity(LinearAngleTerm):
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return cosine and sine of the pan angle, each with its second harmonic."""
         along, across = float(values[2]), float(values[3])
-        cosine, sine = state.angle_waves(0, 2.0 * np.pi)
+        cosine, sine = state.angle_waves.cosine_and_sine(0, 2.0 * np.pi)
         # The double angle from the single one: fewer functions of each angle.
         double_cosine, double_sine = 1.0 - 2.0 * sine**2, 2.0 * sine * cosine
         return [

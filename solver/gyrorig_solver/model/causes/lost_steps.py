@@ -159,7 +159,7 @@ class LostSteps(LinearAngleTerm):
         if state.moving[0, k]:
             angle_loss = np.cumsum([0.0, *self._pulse_weights(state, k, float(values[2]))])
             pulse = state.axis_turn.rate(0, -angle_loss, slice(k - 1, k + 3))
-            signals[0] = state.measure_stage_pulse(k - 1, pulse)
+            signals[0] = _measure_pulse(state, k - 1, pulse)
         if state.moving[1, k]:
             shape = self.angle_shapes(state, values)[1][1]
             signals[1] = state.measure_stage_rate(state.stage_rate_derivative(1, shape))
@@ -202,6 +202,54 @@ class LostSteps(LinearAngleTerm):
         step = (state.time_s[k - 1 : k + 3] - event_s) / state.step_s
         moments = np.array([1.0, 0.0, 1.0 / 12.0, 0.0])
         return np.asarray(np.linalg.solve(np.vander(step, 4, increasing=True).T, moments))
+
+
+def _measure_pulse(state: SignalState, first: int, stage_rate: FloatArray) -> FloatArray:
+    """Return `measure_stage_rate` of a change that is zero except in a few intervals.
+
+    Args:
+        state: the signal.
+        first: index of its first interval.
+        stage_rate: shape (m, 3).
+    """
+    if state.sampling_delay_s is not None:
+        padded = np.zeros((state.interval_count, 3))
+        visible = padded[first : first + len(stage_rate)]
+        visible[:] = stage_rate[: len(visible)]
+        return state.measure_stage_rate(padded)
+    result = np.zeros((state.block_count, 3))
+    intervals_per_block = state.intervals_per_instant * state.instants_per_block
+    settling_intervals = (
+        0 if state.low_pass is None else int(3.0 / state.low_pass.bandwidth_hz / state.step_s)
+    )
+    lead_intervals = state.lead_instants * state.intervals_per_instant
+    begin = max(0, (first - lead_intervals) // intervals_per_block)
+    end = min(
+        state.block_count,
+        -((lead_intervals - first - len(stage_rate) - settling_intervals) // intervals_per_block),
+    )
+    if end <= begin:
+        return result
+    start = lead_intervals + begin * intervals_per_block
+    window = np.zeros(
+        ((end - begin) * intervals_per_block + 1, 3)
+    )  # one more interval before, at rest
+    skipped = max(0, start - first)
+    visible = stage_rate[skipped:]
+    position = first + skipped - start + 1
+    visible = visible[: len(window) - position]
+    is_known = state.motion_known[first + skipped : first + skipped + len(visible), None]
+    window[position : position + len(visible)] = np.where(is_known, visible, 0.0) @ state.gain.T
+    out = state.low_pass_filtered(window)[1:]
+    used = state.used_instants[
+        begin * state.instants_per_block : end * state.instants_per_block
+    ].reshape(-1, state.instants_per_block, 1)
+    values = out[state.intervals_per_instant // 2 :: state.intervals_per_instant].reshape(
+        -1, state.instants_per_block, 3
+    )
+    total = np.where(used, values, 0.0).sum(axis=1)
+    result[begin:end] = total / np.maximum(used.sum(axis=1), 1)
+    return result
 
 
 TERM = LostSteps()

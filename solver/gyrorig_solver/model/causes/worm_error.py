@@ -70,7 +70,7 @@ class WormError(LinearAngleTerm):
 
     def angle_shapes(self, state: SignalState, values: FloatArray) -> list[tuple[int, FloatArray]]:
         """Return cosine of pan and tilt, then sine."""
-        waves = [state.angle_waves(axis, float(values[4])) for axis in (0, 1)]
+        waves = [state.angle_waves.cosine_and_sine(axis, float(values[4])) for axis in (0, 1)]
         return [(axis, waves[axis][k]) for k in (0, 1) for axis in (0, 1)]
 
     def template_bank(self, state: SignalState) -> FloatArray:
