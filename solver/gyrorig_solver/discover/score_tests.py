@@ -27,6 +27,7 @@ NEGLIGIBLE_ENERGY = 1e-9  # of its energy: a signal with less left is the fit's 
 MAX_JOINT_SIGNALS = (
     48  # signals of one cause that are looked at together, and whose likeness counts
 )
+SIGNALS_PER_BATCH = 24  # signals that are whitened together: more are no faster
 MAX_SIGNAL_VALUES = 4_000_000  # of signals that are looked at together: memory counts
 MAX_SEPARATE_PLACES = 3  # sizes with more parts are looked at together only
 
@@ -232,7 +233,7 @@ def _score_batches(
     `at_once`: all rows at once.
     """
     sizes = len(value_indices(term, role="size"))
-    together = min(MAX_JOINT_SIGNALS, MAX_SIGNAL_VALUES // projection.residual.size) // sizes
+    together = min(SIGNALS_PER_BATCH, MAX_SIGNAL_VALUES // projection.residual.size) // sizes
     count = len(templates) if at_once else max(1, together)
     for first in range(0, len(templates), count):
         batch = list(templates[first : first + count])

@@ -16,6 +16,7 @@ from gyrorig_solver.model.recursive_filters import (
     ramp_invariant,
 )
 
+NEGLIGIBLE_DECAY = 40.0  # exponent of what is left of a filter's state: below rounding
 MEAN_SHARPENING = (-0.125, 1.25, -0.125)  # corrects means for straight-line interpolation
 
 
@@ -70,6 +71,26 @@ class LowPass:
         if step == 1 or means.size == 0:
             return self.apply_to_means(means)
         return filter_from_steady(*self._sharpened_coefficients(), means, step, step // 2 + 1)
+
+    def apply_to_blocks(self, means: FloatArray, length: int) -> FloatArray:
+        """Return the mean of every `length` values of `apply_to_means`, (..., n / length).
+
+        Filter and mean are one filter of which only every n-th output is computed.
+
+        Args:
+            means: shape (..., n), n a multiple of the length.
+            length: of a block.
+        """
+        if length == 1 or means.size == 0:
+            return self.apply_to_means(means)
+        numerator, denominator = self._sharpened_coefficients()
+        averaging = np.convolve(numerator, np.full(length, 1.0 / length))
+        blocks = filter_from_steady(averaging, denominator, means, length)
+        # The output of a block comes with the first value of the next one; none follows the last.
+        decay = np.sqrt(2.0) * np.pi * self.bandwidth_hz / self.rate_hz
+        tail = self.apply_to_means(means[..., -int(length + np.ceil(NEGLIGIBLE_DECAY / decay)) :])
+        last = tail[..., -length:].mean(axis=-1, keepdims=True)
+        return np.concatenate([blocks[..., 1:], last], axis=-1)
 
     def _sharpened_coefficients(self) -> tuple[FloatArray, FloatArray]:
         """Return the filter of means, delayed by one value."""

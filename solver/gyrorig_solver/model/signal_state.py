@@ -53,9 +53,7 @@ class SignalState:
     has_angles: bool  # False for a reference without pan and tilt
     previous_direction: tuple[float, float]  # of each axis' last move before this part, or 0
     # Changes by causes at earlier stages; None is no change.
-    motors_running: BoolArray | None = (
-        None  # (2, n), True while the motor turns, even if the stage does not
-    )
+    motors_running: BoolArray | None = None  # (2, n), even if the stage does not turn
     added_sensor_rate_rad_s: FloatArray | None = None  # (n, 3), before the low-pass
     added_output_rate_rad_s: FloatArray | None = None  # (n, 3), behind the low-pass
     sampling_delay_s: FloatArray | None = None  # (instants,), sampling time minus timestamp
@@ -306,18 +304,18 @@ class SignalState:
         means = axis_rows(sensor_rate)
         if self.sampling_delay_s is not None:
             return self._sample_delayed(self.low_pass.apply_to_means(means))
+        if self._all_used and self.intervals_per_instant == 1 and self.lead_instants == 0:
+            blocks = self.low_pass.apply_to_blocks(means, self.instants_per_block)
+            return np.swapaxes(blocks, -1, -2)
         instants = self.low_pass.apply_to_instants(means, self.intervals_per_instant)
         return self.block_means(np.swapaxes(instants[..., self.lead_instants :], -1, -2))
 
     def measure_stage_rate(self, stage_rate: FloatArray) -> FloatArray:
         """Return the block means of a change of the stage's rate, (..., n, 3)."""
-        known_rate = (
-            stage_rate
-            if self.motion_known.all()
-            else np.where(self.motion_known[:, None], stage_rate, 0.0)
-        )
+        if not self.motion_known.all():
+            stage_rate = np.where(self.motion_known[:, None], stage_rate, 0.0)
         # The gain commutes with the low-pass and is applied last, to the fewest values.
-        rows = axis_rows(self.measure_sensor_rate(known_rate))
+        rows = axis_rows(self.measure_sensor_rate(stage_rate))
         return np.swapaxes(self.gain @ rows, -1, -2)
 
     @cached_property

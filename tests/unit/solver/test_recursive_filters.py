@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
+from gyrorig_solver.model.low_pass import LowPass
 from gyrorig_solver.model.recursive_filters import (
     filter_from_rest,
     filter_from_steady,
@@ -89,3 +90,16 @@ def test_step_invariant_matches_scipy(damping: float) -> None:
     b, a = step_invariant(w, damping, 0.004)
     assert b * w**2 == pytest.approx(numerator.ravel() * w**2, abs=1e-10)
     assert a == pytest.approx(denominator, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("bandwidth_hz", "rate_hz", "length", "blocks"),
+    [(110.0, 500.0, 5, 300), (25.0, 500.0, 5, 100), (12.5, 400.0, 4, 400), (110.0, 800.0, 8, 1)],
+)
+def test_block_means_of_a_filter_are_those_of_its_outputs(
+    bandwidth_hz: float, rate_hz: float, length: int, blocks: int
+) -> None:
+    means = np.cumsum(np.random.default_rng(1).standard_normal((2, 3, length * blocks)), axis=-1)
+    low_pass = LowPass(bandwidth_hz, rate_hz)
+    expected = low_pass.apply_to_means(means).reshape(2, 3, blocks, length).mean(axis=-1)
+    assert low_pass.apply_to_blocks(means, length) == pytest.approx(expected, rel=1e-11, abs=1e-11)
