@@ -206,7 +206,10 @@ class _Search:
         return self._ranked_result()
 
     def _continue_with(self, solution: ConvergedFit) -> None:
-        self._solution = solution
+        if solution is not self._solution:
+            self._solution.release_caches()
+        self._solution, self._scored_projection = solution, None
+        del self._projection  # two of them would need the memory of two
         self._projection = build_projector(solution, self._typical)
 
     def _select(self) -> _Selection | None:
@@ -240,9 +243,9 @@ class _Search:
         elimination = eliminate_backward(
             self._solution, self._known_terms, self._tests, FALSE_ALARM_RATE
         )
-        self._solution = elimination.solution
         self._gains_by_label = elimination.delta_log_likelihood
         if not elimination.eliminated - self._excluded:
+            self._solution = elimination.solution
             return True
         self._excluded |= elimination.eliminated
         self._continue_with(elimination.solution)

@@ -48,6 +48,11 @@ class ConvergedFit:
         """G, shape (3, 3)."""
         return self.estimate[:GAIN_PARAMETERS].reshape(3, 3)
 
+    def release_caches(self) -> None:
+        """Free what is computed again when it is needed."""
+        for session in self.sessions:
+            session.release_caches()
+
     def residuals(self) -> list[FloatArray]:
         """Return measured minus modelled rates of every series of every recording."""
         return [residual for session in self.sessions for residual in session.residuals(self.gain)]

@@ -161,12 +161,7 @@ class SessionFit:
         return self._weights.relative_std(series_index, blocks)
 
     def whitened_residuals(self, gain: FloatArray, noise: NoiseModel) -> list[FloatArray]:
-        """Return the residuals in units of their standard deviation, white, (n, 3) per series.
-
-        Args:
-            gain: G, shape (3, 3).
-            noise: at rest.
-        """
+        """Return the residuals in units of their standard deviation, white, (n, 3) per series."""
         return [
             whiten_residual(
                 [residual[part] for part in series.part_slices()],
@@ -205,10 +200,8 @@ class SessionFit:
         started.bias_rad_s, started.lag_s = other.bias_rad_s, other.lag_s
         started.reference = other.reference
         started._weights = MotionWeights.of(other.motion_noise, started._series_states)
-        for own_state, other_state in zip(
-            started._series_states, other._series_states, strict=True
-        ):
-            own_state.good = other_state.good.copy()
+        for state, other_state in zip(started._series_states, other._series_states, strict=True):
+            state.good = other_state.good.copy()
         return started
 
     def iter_derivatives(
@@ -270,9 +263,7 @@ class SessionFit:
     def predict(self, gain: FloatArray, keep_samples: bool = False) -> None:
         """Compute the prediction at the current lag and reference, with the outliers as they are.
 
-        Args:
-            gain: G, shape (3, 3).
-            keep_samples: keep what an outlier detection needs.
+        `keep_samples`: keep what an outlier detection needs.
         """
         self.reference = follow_law(self.reference, self.fitted_terms)
         self._used_before = [series_state.used.copy() for series_state in self._series_states]
@@ -341,6 +332,12 @@ class SessionFit:
             raise too_short_error(self.sampling)
         return total
 
+    def release_caches(self) -> None:
+        """Free signal states and spectra, which are computed again when they are needed."""
+        self._signal_states.clear()
+        for model in self._models.values():
+            model.release_spectra()
+
     def release_equations(self) -> None:
         """Free the normal equations: only further iterations would need them."""
         self._cached_equations = None
@@ -387,9 +384,10 @@ class SessionFit:
             if model.relative_std is not relative_std:
                 model = self._models[key] = replace(model, relative_std=relative_std)
             return model
-        state = None
-        if any(fitted_term.free_indices.size for fitted_term in self.fitted_terms):
-            state = self.signal_state(series_state.series, blocks, gain, exact=True)
+        is_fitted = any(fitted_term.free_indices.size for fitted_term in self.fitted_terms)
+        state = (
+            self.signal_state(series_state.series, blocks, gain, exact=True) if is_fitted else None
+        )
         columns = predict_derivatives(
             series_state.series, blocks, executed_motion(self.reference), self.lag_s
         )

@@ -23,6 +23,10 @@ class SignalStateCache:
         self.context = context
         self._states: dict[tuple[int, int, bool], tuple[FitValues, SignalState]] = {}
 
+    def clear(self) -> None:
+        """Free the states."""
+        self._states.clear()
+
     def copy(self) -> "SignalStateCache":
         """Return a cache with the same states."""
         other = SignalStateCache(self.context)
