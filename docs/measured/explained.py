@@ -8,8 +8,8 @@ from docs.measured.sessions import EXPLAINED, MeasuredSets
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.attitude.attitude_space import fit_attitude_space
 from gyrorig_solver.discover.attitude.attitude_terms import MovingBias, ReferenceSmoothing
-from gyrorig_solver.discover.attitude.explain_attitudes import fit_base_space
 from gyrorig_solver.estimate.fitted_term import free_term
 from gyrorig_solver.findings import FindingsDocument
 from gyrorig_solver.findings.findings_document import CauseEntry, GainEntry, parse_findings
@@ -111,7 +111,7 @@ def moving_bias(measured: MeasuredSets, name: str) -> tuple[FloatArray, FloatArr
     """Bias in motion minus bias at rest and its standard deviation, rad/s."""
     recording = read_recording(measured.folder / f"{name}.mcap")
     data = load_board([recording], recording.board_ids[0])
-    space, _ = fit_base_space(load_attitude_recordings(data))
+    space = fit_attitude_space(load_attitude_recordings(data)).base
     smoothed_space = space.with_terms([free_term(ReferenceSmoothing())])
     term = MovingBias()
     looked = smoothed_space.score_statistics(

@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.clocks.lower_envelope import _cached_envelope
-from gyrorig_solver.discover import cause_search, fit_explanation
+from gyrorig_solver.discover import candidate_fits, cause_search, fit_explanation, motion_space
 from gyrorig_solver.pipeline import explain_board
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,8 +86,8 @@ def steps(path: Path) -> tuple[dict[str, float], list[str]]:
     watched = [
         (explain_board, "fit_base", "base fit"),
         (cause_search, "scan_catalogue", "score passes"),
-        (cause_search, "fit_candidate", "exact fits"),
-        (cause_search, "refit", "fits of all"),
+        (candidate_fits, "fit_candidate", "exact fits"),
+        (motion_space, "refit_with_terms", "fits of all"),
         (fit_explanation, "cross_validate_causes", "held-out gain"),
         (explain_board, "write_explanation", "report"),
     ]

@@ -51,14 +51,12 @@ from gyrorig_daemon.emulator.causes.cause_catalogue import CAUSES
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.samples import GyroSamples, load_samples
-from gyrorig_solver.discover.cause_search import (
-    _solve_with,
-    count_tests,
-    fit_best_place,
-    testable_terms,
-)
+from gyrorig_solver.discover.candidate_fits import fit_best_place
+from gyrorig_solver.discover.extended_fit import extend_fit
+from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.motion_fit import solve_motion
 from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling, Spectrum, nominal_levels
@@ -156,7 +154,7 @@ def extended(base: ConvergedFit, cause: str) -> ConvergedFit:
     best = fit_best_place(projection, [s for s in scores if s.place is None])
     if best is None:
         raise ValueError(f"{cause} could not be fitted")
-    return _solve_with(base, best[0].extension)
+    return extend_fit(MotionFitSpace(base), best[0].extension).solution
 
 
 def energy(solution: ConvergedFit) -> float:

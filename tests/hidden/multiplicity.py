@@ -33,10 +33,10 @@ from tests.hidden.scoring.once import Multiplicity
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.arrays import FloatArray, IntArray
-from gyrorig_solver.discover.cause_search import count_tests, testable_terms
 from gyrorig_solver.discover.checks.typical_noise import build_projector
 from gyrorig_solver.discover.score_tests import testable_places
 from gyrorig_solver.discover.template_choice import all_templates, quick_templates
+from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.model.term import Term, value_indices

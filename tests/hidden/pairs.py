@@ -15,14 +15,12 @@ import time
 from pathlib import Path
 from types import ModuleType
 
-from gyrorig_solver.discover.cause_search import (
-    _solve_with,
-    count_tests,
-    fit_best_place,
-    testable_terms,
-)
+from gyrorig_solver.discover.candidate_fits import fit_best_place
+from gyrorig_solver.discover.extended_fit import extend_fit
+from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue
@@ -97,7 +95,7 @@ def together(base: ConvergedFit, causes: list[str]) -> ConvergedFit:
         if not candidates:
             raise ValueError(f"{open_causes} could not be fitted")
         first = max(candidates, key=lambda candidate: candidate.delta_log_likelihood)
-        solution = _solve_with(solution, first.extension)
+        solution = extend_fit(MotionFitSpace(solution), first.extension).solution
         open_causes.remove(first.extension.term.cause)
     return solution
 

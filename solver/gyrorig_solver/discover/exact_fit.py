@@ -1,14 +1,12 @@
 """Exact fit of one candidate cause: sizes, shapes and event time by their nonlinear effect.
 
-The base model follows to first order, because it is nearly linear at its optimum; the cause is
-nonlinear. The gain is the rise of the log-likelihood. The evidence (Laplace's approximation, with
-Occam factor) expects sizes about the typical one with long tails (Cauchy), and shapes and event
-times uniform in their ranges.
+The gain is the rise of the log-likelihood. The evidence (Laplace's approximation, with Occam
+factor) expects sizes about the typical one with long tails (Cauchy), and shapes and event times
+uniform in their ranges.
 
 What to use when: `fit_candidate` for a cause at a place from some of its templates.
 
-Source: MacKay, Information Theory, Inference, and Learning Algorithms, chapter 28;
-Levenberg-Marquardt with the scaling of More (1978).
+Source: MacKay, Information Theory, Inference, and Learning Algorithms, chapter 28.
 """
 
 from collections.abc import Sequence
@@ -16,36 +14,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrorig_solver.data.arrays import BoolArray, FloatArray, IntArray
-from gyrorig_solver.discover.score_tests import ScoreTest
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.candidate_objective import (
+    MIN_STEP_GAIN_NATS,
+    PERSISTENT_STAGES,
+    CandidateObjective,
+    LocalExpansion,
+)
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.causes.supply_hum import MIN_PERIODS, folded_periods
-from gyrorig_solver.model.recording_context import RecordingContext
-from gyrorig_solver.model.recording_scope import is_active_in
-from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Term, value_indices, value_parameters
+from gyrorig_solver.model.term import Term, value_indices
 
-MAX_ITERATIONS = 12
-MIN_STEP_GAIN_NATS = 1e-2  # nats won by a step: less is no reason for another
-MIN_PREDICTED_GAIN_NATS = 1e-4  # nats that a step promises: a hundredth of a deviation, negligible
-FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e6
-EVENT_REFINEMENTS, EVENT_STEPS_PER_SIDE = (
-    4,
-    4,
-)  # an event is looked for this many times, each so much finer
-SMOOTH_EVENT_STD_S = (
-    2e-3  # an event known better than this lies on one smooth hill of the likelihood
-)
-EVENT_SHIFTS_S = (0.02, 0.07, 0.25)  # an edge of a move, its ramp, a rest
-MIN_EVENT_STD_S = 1e-6  # that an event is known to
-EVENT_GRID_PER_SIDE = 20  # times to either side of one that is known worse
 WHOLE_COUNT_SIGMA = 4.0  # deviations
 MAX_OUTSIDE_GAIN_NATS = 2.0  # won by leaving what is possible, two deviations: it is something else
-PERSISTENT_STAGES = (
-    "mount",
-    "clock",
-)  # links at which an event changes what the fit itself follows
+REFINEMENTS, STEPS_PER_SIDE = 4, 4  # an event is looked for so often, each time so much finer
+SMOOTH_STD_S = 2e-3  # an event known better than this lies on one smooth hill of the likelihood
+SHIFTS_S = (0.02, 0.07, 0.25)  # an edge of a move, its ramp, a rest
+MIN_STD_S = 1e-6  # that an event is known to
+GRID_PER_SIDE = 20  # times to either side of one that is known worse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,17 +47,6 @@ class FittedCandidate:
     absorbed: FloatArray  # (board,), what its effect makes of the fit's parameters
     infeasible: bool  # better still outside what is possible, or a part of what is whole
     event_std: float | None = None  # of its event's time, s; None where it has none
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _LocalExpansion:
-    """The objective, its gradient and its curvature at given values."""
-
-    values: FloatArray  # (k,)
-    cost: float  # minus the nats won
-    curvature: FloatArray  # (f, f), of the data
-    slope: FloatArray  # (f,), downhill
-    absorbed: FloatArray  # (board,)
 
 
 def fit_candidate(
@@ -89,117 +65,133 @@ def fit_candidate(
         starts: values (k,) each; sizes that are not fitted are taken as zero.
         search_event: look for the event by its exact effect too, which is not smooth in its time.
     """
-    sizes = np.array(value_indices(term, place, "size"), dtype=np.int64)
-    shapes = np.array(value_indices(term, place, "shape"), dtype=np.int64)
-    events = value_indices(term, role="event")
-    best: _LocalExpansion | None = None
-    best_with_event: _LocalExpansion | None = None
-    for start in starts:
-        values = _restrict_sizes(term, start, sizes)
-        if events:
-            values = _locate_event(projection, term, values, sizes, events[0])
-        elif not values[sizes].any():
-            values = _estimate_sizes(projection, term, values, sizes)
-        state = _minimize(projection, term, values, np.concatenate([sizes, shapes]))
-        with_event_free = state
-        if events:
-            if search_event:
-                state = _search_event_nearby(
-                    projection, term, state, np.concatenate([sizes, shapes]), events[0]
-                )
-            with_event = np.concatenate([sizes, shapes, np.array(events, dtype=np.int64)])
-            with_event_free = _minimize(projection, term, state.values, with_event)
-            state = _expand(
-                projection, term, with_event_free.values, np.concatenate([sizes, shapes])
-            )
-        if best is None or state.cost < best.cost:
-            best, best_with_event = state, with_event_free
-    if best is None or best_with_event is None:
+    objective = CandidateObjective(projection, term, place)
+    fits = [_fit_from(objective, start, search_event) for start in starts]
+    if not fits:
         return None
-    candidate = _summarize(projection, term, place, best, sizes, shapes)
-    if not events:
+    best, best_with_event = min(fits, key=lambda fit: fit[0].cost)
+    candidate = _summarize(objective, best)
+    if not objective.events:
         return candidate
-    std = _event_std(projection, term, best_with_event, sizes, events[0])
-    return replace(
-        candidate,
-        event_std=std,
-        log_evidence=candidate.log_evidence + _event_occam_factor(projection, term, std),
+    std = event_std(objective, best_with_event)
+    evidence = candidate.log_evidence + event_occam_nats(objective, std)
+    return replace(candidate, event_std=std, log_evidence=evidence)
+
+
+def _fit_from(
+    objective: CandidateObjective, start: FloatArray, search_event: bool
+) -> tuple[LocalExpansion, LocalExpansion]:
+    """Return the optimum from one template, and the same with the event free."""
+    values = objective.restrict_sizes(start)
+    if objective.events:
+        values = locate_event(objective, values)
+    elif not values[objective.sizes].any():
+        values = objective.with_one_step_sizes(values, objective.score_test(values))
+    fitted = objective.minimize(values)
+    if not objective.events:
+        return fitted, fitted
+    if search_event:
+        fitted = search_event_nearby(objective, fitted)
+    with_event = np.concatenate([objective.free, np.array(objective.events, dtype=np.int64)])
+    event_free = objective.minimize(fitted.values, with_event)
+    return objective.expand(event_free.values, objective.free), event_free
+
+
+def _summarize(objective: CandidateObjective, state: LocalExpansion) -> FittedCandidate:
+    free, context = objective.free, objective.context
+    evidence = -state.cost
+    width = np.empty(free.size)
+    for k, index in enumerate(free):
+        p = objective.parameters[index]
+        if p.role == "size":
+            width[k] = p.prior_std
+            relative = float(state.values[index]) / p.typical_size
+            evidence -= float(np.log(np.pi * p.typical_size * (1.0 + relative**2)))
+        else:
+            span = p.upper - p.lower
+            width[k] = span if np.isfinite(span) else context.end_s - context.begin_s
+            evidence -= float(np.log(width[k]))
+    posterior_information = state.curvature + np.diag(width**-2.0)
+    covariance = np.asarray(np.linalg.pinv(posterior_information, hermitian=True), np.float64)
+    evidence += 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
+    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    return FittedCandidate(
+        extension=FittedTerm(objective.term, state.values, free),
+        place=objective.place,
+        delta_log_likelihood=-state.cost,
+        log_evidence=evidence,
+        std=std,
+        absorbed=state.absorbed,
+        infeasible=_is_outside(objective, state, covariance)
+        or is_event_at_boundary(objective, state.values)
+        or _is_not_whole_count(objective, state.values[free], std)
+        or _is_line_too_slow(objective, state.values),
     )
 
 
-def _event_occam_factor(projection: NuisanceProjector, term: Term, event_std: float) -> float:
-    """Return the Occam factor of an event's time, in nats."""
-    first, last = _event_interval(projection, term)
-    return min(
-        0.0, float(np.log(np.sqrt(2.0 * np.pi) * max(event_std, MIN_EVENT_STD_S) / (last - first)))
-    )
+def _is_outside(
+    objective: CandidateObjective, state: LocalExpansion, covariance: FloatArray
+) -> bool:
+    """Return whether sizes outside their ranges are clearly better.
+
+    An estimate scatters: that of a truth near a bound lies beyond it half of the time.
+    """
+    sizes, free = objective.sizes, objective.free
+    at_zero = np.isin(np.arange(free.size), np.arange(sizes.size)) & (state.values[free] == 0.0)
+    pushed = np.where(objective.at_active_bound(state, free) & ~at_zero, state.slope, 0.0)
+    pushed[sizes.size :] = 0.0
+    return 0.5 * float(pushed @ covariance @ pushed) > MAX_OUTSIDE_GAIN_NATS
 
 
-def _restrict_sizes(term: Term, template: FloatArray, sizes: IntArray) -> FloatArray:
-    values = template.copy()
-    values[[k for k in value_indices(term, role="size") if k not in sizes]] = 0.0
-    return values
+def _is_line_too_slow(objective: CandidateObjective, values: FloatArray) -> bool:
+    """Return whether a spectral line is aliased to so low a frequency that any drift fits it."""
+    if objective.term.template_search != "spectral_lines":
+        return False
+    context = objective.context
+    rate_hz = objective.projector.segments[0].noise.sampling.rate_hz
+    line = values[value_indices(objective.term, role="shape")]
+    periods = folded_periods(line, rate_hz, context.end_s - context.begin_s)
+    return bool(np.all(periods < MIN_PERIODS))
 
 
-def _estimate_sizes(
-    projection: NuisanceProjector, term: Term, values: FloatArray, sizes: IntArray
-) -> FloatArray:
-    """Return values with one-step estimates of the sizes."""
-    all_sizes = value_indices(term, role="size")
-    positions = [all_sizes.index(k) for k in sizes]
-    whitened = projection.evaluate_signals(
-        lambda scene: term.tangent_signals(scene, values)[positions], term=term
-    )
-    estimated = values.copy()
-    estimated[sizes] = ScoreTest.of(projection.score_statistics(whitened)).one_step_sizes
-    return _clip_to_bounds(projection, term, estimated)
+def _is_not_whole_count(objective: CandidateObjective, value: FloatArray, std: FloatArray) -> bool:
+    """Return whether a count is significantly different from every whole number."""
+    counts = np.array([objective.parameters[k].is_integer for k in objective.free], dtype=np.bool_)
+    nearest = np.maximum(np.round(np.abs(value)), 1.0) * np.where(value < 0, -1.0, 1.0)
+    distance = np.abs(value - nearest)
+    return bool(np.any(counts & (value != 0.0) & (distance > WHOLE_COUNT_SIGMA * std)))
 
 
-def _locate_event(
-    projection: NuisanceProjector, term: Term, values: FloatArray, sizes: IntArray, event: int
-) -> FloatArray:
+def locate_event(objective: CandidateObjective, values: FloatArray) -> FloatArray:
     """Return values at the best event time near the given one, with one-step sizes."""
-    all_sizes = value_indices(term, role="size")
-    positions = [all_sizes.index(k) for k in sizes]
-    setting = _context_of(projection, term)
-    step_s = (setting.end_s - setting.begin_s) / 60.0
+    event = objective.events[0]
+    step_s = (objective.context.end_s - objective.context.begin_s) / 60.0
     best, statistic = values, -1.0
-    for _ in range(EVENT_REFINEMENTS):
+    for _ in range(REFINEMENTS):
         middle = float(best[event])
-        for shift in (
-            np.arange(-EVENT_STEPS_PER_SIDE, EVENT_STEPS_PER_SIDE + 1) / EVENT_STEPS_PER_SIDE
-        ):
+        for shift in np.arange(-STEPS_PER_SIDE, STEPS_PER_SIDE + 1) / STEPS_PER_SIDE:
             trial = values.copy()
             trial[event] = middle + shift * step_s
-
-            def signal(scene: SignalState, trial: FloatArray = trial) -> FloatArray:
-                return term.tangent_signals(scene, trial)[positions]
-
-            test = ScoreTest.of(
-                projection.score_statistics(projection.evaluate_signals(signal, term=term))
-            )
+            test = objective.score_test(trial)
             if test.statistic > statistic:
                 statistic = test.statistic
-                trial[sizes] = test.one_step_sizes
-                best = _clip_to_bounds(projection, term, trial)
-        step_s /= EVENT_STEPS_PER_SIDE
+                best = objective.with_one_step_sizes(trial, test)
+        step_s /= STEPS_PER_SIDE
     return best
 
 
-def _search_event_nearby(
-    projection: NuisanceProjector, term: Term, state: _LocalExpansion, free: IntArray, event: int
-) -> _LocalExpansion:
+def search_event_nearby(objective: CandidateObjective, expansion: LocalExpansion) -> LocalExpansion:
     """Return the fit with the best event time nearby, by its exact effect.
 
     To first order a large step in the middle of a move is as good as one before it.
     """
-    best = state
-    for _ in range(EVENT_REFINEMENTS):
+    best = expansion
+    for _ in range(REFINEMENTS):
         current = best
-        for shift_s in (sign * distance_s for distance_s in EVENT_SHIFTS_S for sign in (-1.0, 1.0)):
+        for shift_s in (sign * distance_s for distance_s in SHIFTS_S for sign in (-1.0, 1.0)):
             trial = current.values.copy()
-            trial[event] += shift_s
-            fitted = _minimize(projection, term, _clip_to_bounds(projection, term, trial), free)
+            trial[objective.events[0]] += shift_s
+            fitted = objective.minimize(objective.clip(trial))
             if fitted.cost < best.cost - MIN_STEP_GAIN_NATS:
                 best = fitted
         if best is current:
@@ -207,223 +199,38 @@ def _search_event_nearby(
     return best
 
 
-def _event_std(
-    projection: NuisanceProjector, term: Term, state: _LocalExpansion, sizes: IntArray, event: int
-) -> float:
-    """Return the standard uncertainty of an event's time, s; `state` has it free, last.
+def event_std(objective: CandidateObjective, expansion: LocalExpansion) -> float:
+    """Return the standard uncertainty of an event's time, s; `expansion` has it free, last.
 
     Where the likelihood is no smooth hill (a small step in noise, a stamp that jumps while
     all is at rest) it is the scatter of the times about, each by its likelihood.
     """
-    variance = float(np.linalg.pinv(state.curvature, hermitian=True)[-1, -1])
-    if state.curvature[-1, -1] > 0.0 and 0.0 < variance < SMOOTH_EVENT_STD_S**2:
+    variance = float(np.linalg.pinv(expansion.curvature, hermitian=True)[-1, -1])
+    if expansion.curvature[-1, -1] > 0.0 and 0.0 < variance < SMOOTH_STD_S**2:
         return float(np.sqrt(variance))
-    all_sizes = value_indices(term, role="size")
-    positions = [all_sizes.index(k) for k in sizes]
-    setting = _context_of(projection, term)
-    event_s = float(state.values[event])
-    distances_s = np.geomspace(
-        0.5 * SMOOTH_EVENT_STD_S, setting.end_s - setting.begin_s, EVENT_GRID_PER_SIDE
-    )
+    context, event = objective.context, objective.events[0]
+    event_s = float(expansion.values[event])
+    distances_s = np.geomspace(0.5 * SMOOTH_STD_S, context.end_s - context.begin_s, GRID_PER_SIDE)
     times = event_s + np.concatenate([-distances_s[::-1], [0.0], distances_s])
-    times = times[(times >= setting.begin_s) & (times <= setting.end_s)]
+    times = times[(times >= context.begin_s) & (times <= context.end_s)]
     statistics = []
     for time_s in times:
-        trial = state.values.copy()
+        trial = expansion.values.copy()
         trial[event] = time_s
-
-        def signal(scene: SignalState, trial: FloatArray = trial) -> FloatArray:
-            return term.tangent_signals(scene, trial)[positions]
-
-        test = ScoreTest.of(
-            projection.score_statistics(projection.evaluate_signals(signal, term=term))
-        )
-        statistics.append(test.statistic)
+        statistics.append(objective.score_test(trial).statistic)
     weight = np.exp(0.5 * (np.array(statistics) - max(statistics))) * np.gradient(times)
     return float(np.sqrt(np.sum(weight * (times - event_s) ** 2) / np.sum(weight)))
 
 
-def _clip_to_bounds(projection: NuisanceProjector, term: Term, values: FloatArray) -> FloatArray:
-    parameters = value_parameters(term)
-    low, high = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
-    for k in value_indices(term, role="event"):
-        low[k], high[k] = _event_interval(projection, term)
-    return np.clip(values, low, high)
+def event_occam_nats(objective: CandidateObjective, std_s: float) -> float:
+    """Return the logarithm of the Occam factor of an event's time."""
+    first, last = objective.event_interval
+    ratio = np.sqrt(2.0 * np.pi) * max(std_s, MIN_STD_S) / (last - first)
+    return min(0.0, float(np.log(ratio)))
 
 
-def _event_interval(projection: NuisanceProjector, term: Term) -> tuple[float, float]:
-    """Return the interval in which an event of a cause can be.
-
-    A lasting change is a comparison of before and after. If the event changes the gain or the time
-    offset, both sides need a whole move. Otherwise the base model absorbs an event of any size.
-    """
-    setting = _context_of(projection, term)
-    if term.stage in PERSISTENT_STAGES and len(setting.motion_profiles) > 2:
-        first = min(float(course.end_s) for _, course in setting.motion_profiles)
-        last = max(float(course.start_s[0]) for _, course in setting.motion_profiles)
-        if first < last:
-            return first, last
-    return setting.begin_s, setting.end_s
-
-
-def _context_of(projection: NuisanceProjector, term: Term) -> RecordingContext:
-    """Return the context of the first recording in which a cause acts."""
-    return next(scene.context for scene in projection.states if is_active_in(term, scene))
-
-
-def _expand(
-    projection: NuisanceProjector, term: Term, values: FloatArray, free: IntArray
-) -> _LocalExpansion:
-    statistics = projection.score_statistics(projection.term_derivatives(term, values, free))
-    count = free.size
-    cost = 0.5 * float(statistics.information[count, count]) - float(statistics.score[count])
-    slope = statistics.score[:count] - statistics.information[:count, count]
-    parameters = value_parameters(term)
-    # Shapes that the data do not determine stay near typical values.
-    precision = np.array(
-        [_prior_precision(parameters[k].role, parameters[k].prior_std) for k in free]
-    )
-    start = np.array([parameters[k].start for k in free])
-    offset = values[free] - start
-    return _LocalExpansion(
-        values,
-        cost + 0.5 * float(precision @ offset**2),
-        statistics.information[:count, :count] + np.diag(precision),
-        slope - precision * offset,
-        statistics.absorbed[count],
-    )
-
-
-def _prior_precision(role: str, prior_std: float) -> float:
-    return prior_std**-2.0 if role == "shape" and np.isfinite(prior_std) else 0.0
-
-
-def _minimize(
-    projection: NuisanceProjector, term: Term, values: FloatArray, free: IntArray
-) -> _LocalExpansion:
-    current = _expand(projection, term, values, free)
-    parameters = value_parameters(term)
-    typical = np.array([parameters[k].typical_size for k in free])
-    damping, rejected = FIRST_DAMPING, False
-    for _ in range(MAX_ITERATIONS):
-        scale = np.maximum(np.diag(current.curvature), 1e-12 / typical**2)
-        is_free = ~_at_active_bound(term, current, free)
-        if not is_free.any():
-            break
-        free_positions = np.flatnonzero(is_free)
-        damped = current.curvature[np.ix_(free_positions, free_positions)] + damping * np.diag(
-            scale[free_positions]
-        )
-        step = np.zeros(free.size)
-        step[free_positions] = np.linalg.lstsq(damped, current.slope[free_positions], rcond=None)[0]
-        predicted_gain = float(current.slope @ step - 0.5 * step @ current.curvature @ step)
-        if predicted_gain < (MIN_STEP_GAIN_NATS if rejected else MIN_PREDICTED_GAIN_NATS):
-            break
-        trial = current.values.copy()
-        trial[free] += step
-        trial = _clip_to_bounds(projection, term, trial)
-        if np.array_equal(trial, current.values):
-            break
-        after = _expand(projection, term, trial, free)
-        if after.cost < current.cost:
-            gain = current.cost - after.cost
-            current, damping = after, max(damping * 0.1, MIN_DAMPING)
-            rejected = False
-            if gain < MIN_STEP_GAIN_NATS:
-                break
-        else:
-            rejected = True
-            damping *= 10.0
-            if damping > MAX_DAMPING:
-                break
-    return current
-
-
-def _at_active_bound(term: Term, state: _LocalExpansion, free: IntArray) -> BoolArray:
-    """Return which values are at a bound that the gradient pushes against (active set)."""
-    parameters = value_parameters(term)
-    low = np.array([parameters[k].lower for k in free])
-    high = np.array([parameters[k].upper for k in free])
-    value = state.values[free]
-    return np.asarray(
-        ((value <= low) & (state.slope < 0.0)) | ((value >= high) & (state.slope > 0.0))
-    )
-
-
-def _summarize(
-    projection: NuisanceProjector,
-    term: Term,
-    place: str | None,
-    state: _LocalExpansion,
-    sizes: IntArray,
-    shapes: IntArray,
-) -> FittedCandidate:
-    parameters = value_parameters(term)
-    free = np.concatenate([sizes, shapes])
-    setting = _context_of(projection, term)
-    evidence = -state.cost
-    width = np.empty(free.size)
-    for k, index in enumerate(free):
-        p = parameters[index]
-        if p.role == "size":
-            width[k] = p.prior_std
-            relative = float(state.values[index]) / p.typical_size
-            evidence -= float(np.log(np.pi * p.typical_size * (1.0 + relative**2)))
-        else:
-            span = p.upper - p.lower
-            width[k] = span if np.isfinite(span) else setting.end_s - setting.begin_s
-            evidence -= float(np.log(width[k]))
-    posterior_information = state.curvature + np.diag(width**-2.0)
-    covariance = np.linalg.pinv(posterior_information, hermitian=True)
-    evidence += 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
-    at_bound = _at_active_bound(term, state, free)
-    value = state.values[free]
-    at_zero = np.array([parameters[k].role == "size" for k in free]) & (value == 0.0)
-    std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    pushed = np.where(at_bound & ~at_zero, state.slope, 0.0)
-    pushed[sizes.size :] = 0.0
-    # An estimate scatters: that of a truth near a bound lies beyond it half of the time.
-    outside = 0.5 * float(pushed @ covariance @ pushed) > MAX_OUTSIDE_GAIN_NATS
-    return FittedCandidate(
-        extension=FittedTerm(term, state.values, free),
-        place=place,
-        delta_log_likelihood=-state.cost,
-        log_evidence=evidence,
-        std=std,
-        absorbed=state.absorbed,
-        infeasible=outside
-        or _event_at_boundary(projection, term, state.values)
-        or _not_a_whole_count(term, value, free, std)
-        or _line_too_slow(projection, term, state.values),
-    )
-
-
-def _event_at_boundary(projection: NuisanceProjector, term: Term, values: FloatArray) -> bool:
+def is_event_at_boundary(objective: CandidateObjective, values: FloatArray) -> bool:
     """Return whether a persistent event is at the boundary of its interval."""
-    events = value_indices(term, role="event")
-    if term.stage not in PERSISTENT_STAGES or not events:
+    if objective.term.stage not in PERSISTENT_STAGES or not objective.events:
         return False
-    interval = _event_interval(projection, term)
-    return any(float(values[k]) in interval for k in events)
-
-
-def _line_too_slow(projection: NuisanceProjector, term: Term, values: FloatArray) -> bool:
-    """Return whether a spectral line is aliased to so low a frequency that any drift fits it."""
-    if term.template_search != "spectral_lines":
-        return False
-    setting = _context_of(projection, term)
-    rate_hz = projection.segments[0].noise.sampling.rate_hz
-    line = values[value_indices(term, role="shape")]
-    return bool(
-        np.all(folded_periods(line, rate_hz, setting.end_s - setting.begin_s) < MIN_PERIODS)
-    )
-
-
-def _not_a_whole_count(term: Term, value: FloatArray, free: IntArray, std: FloatArray) -> bool:
-    """Return whether a count is significantly different from every whole number."""
-    parameters = value_parameters(term)
-    counts = np.array([parameters[k].is_integer for k in free], dtype=np.bool_)
-    distance = np.abs(
-        value - np.maximum(np.round(np.abs(value)), 1.0) * np.where(value < 0, -1.0, 1.0)
-    )
-    return bool(np.any(counts & (value != 0.0) & (distance > WHOLE_COUNT_SIGMA * std)))
+    return any(float(values[k]) in objective.event_interval for k in objective.events)

@@ -3,21 +3,21 @@
 The tests say whether a fit leaves more than noise. They name nothing: the cause with the largest
 score need not be the one that acts.
 
-What to use when: `criticise_fit` for a fit to rates; `criticise_residual` where the reference
-has no rate at each moment; `explain_fit` to search for the causes and to fit them.
+What to use when: `criticise_fit` for a fit to rates; `findings_without_rates` where the reference
+has no rate at each moment, so that nothing can be tested.
 """
 
+import math
 from dataclasses import dataclass
 
-from gyrorig_solver.discover.cause_findings import DependenceTest
-from gyrorig_solver.discover.cause_search import FALSE_ALARM_RATE, count_tests, testable_terms
-from gyrorig_solver.discover.checks.fit_residual import findings_from_fit
-from gyrorig_solver.discover.checks.typical_noise import build_projector
-from gyrorig_solver.discover.fit_explanation import DEPENDENCE_FALSE_ALARM_RATE, dependence_tests
+from gyrorig_solver.discover.cause_findings import CauseFindings, DependenceTest, UntestableCause
+from gyrorig_solver.discover.checks.model_check import DEPENDENCE_FALSE_ALARM_RATE
+from gyrorig_solver.discover.fit_space import FitSpace
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, select_testable
 from gyrorig_solver.estimate.gyro_fit import GyroFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.catalogue import catalogue
 from gyrorig_solver.model.recording_scope import term_label
 
 LISTED_CAUSES = 3
@@ -27,9 +27,9 @@ LISTED_CAUSES = 3
 class FitCriticism:
     """The significant tests of a fit's residual, those with the smallest p-value first."""
 
-    scores: tuple[CandidateScore, ...]  # of causes that are not in the fit
-    dependences: tuple[DependenceTest, ...]
-    test_count: int  # 0 where the reference allows no test
+    scores: tuple[CandidateScore, ...] = ()  # of causes that are not in the fit
+    dependences: tuple[DependenceTest, ...] = ()
+    test_count: int = 0  # 0 where the reference allows no test
 
     @property
     def is_adequate(self) -> bool:
@@ -43,31 +43,62 @@ class FitCriticism:
         return tuple(causes)[:LISTED_CAUSES]
 
 
-def criticise_fit(solution: ConvergedFit) -> FitCriticism:
+def criticise_fit(space: FitSpace) -> FitCriticism:
     """Test a fit's residual for every cause that the fit does not contain.
 
     Args:
-        solution: with the contexts of its recordings.
+        space: the fit, with the contexts of its recordings.
     """
-    projector = build_projector(solution)
-    terms = testable_terms(projector)
-    tests = count_tests(terms)
-    fitted = {term_label(fitted_term.term) for fitted_term in solution.fitted_terms}
-    scores = scan_catalogue(
-        projector, [term for term in terms if term_label(term) not in fitted], tests
-    )
-    residual_tests = dependence_tests(solution, NuisanceProjector.at_fit(solution))
+    scores, tests = scan_other_causes(space, space.projector(typical=True))
+    residual_tests = space.dependence_tests(space.projector())
     return FitCriticism(
-        tuple(score for score in scores if score.p_value < FALSE_ALARM_RATE),
+        tuple(
+            score
+            for score in scores
+            if score.p_value < FALSE_ALARM_RATE and not score.term.nameless_description
+        ),
         tuple(test for test in residual_tests if test.p_value < DEPENDENCE_FALSE_ALARM_RATE),
         tests + len(residual_tests),
     )
 
 
-def criticise_residual(fit: GyroFit) -> FitCriticism:
-    """Test a fit's residual where the reference has no rate at each moment."""
-    findings = findings_from_fit(fit)
-    unexplained, test_count = findings.unexplained, len(findings.dependence_tests)
-    if unexplained is None:
-        return FitCriticism((), (), test_count)
-    return FitCriticism((), (unexplained.leading, *unexplained.others), test_count)
+def scan_other_causes(
+    space: FitSpace, projector: NuisanceProjector
+) -> tuple[list[CandidateScore], int]:
+    """Return the scores of all causes that a fit does not contain, and the number of tests."""
+    terms = select_testable(space.terms.values(), projector)
+    fitted = {term_label(fitted_term.term) for fitted_term in space.fitted_terms}
+    others = [term for term in terms if term_label(term) not in fitted]
+    return scan_catalogue(projector, others, count_tests(terms)), count_tests(terms)
+
+
+def findings_without_rates(fit: GyroFit) -> CauseFindings:
+    """Return the findings of a fit that cannot be searched: no cause is testable.
+
+    Known turns and gravity between rests give the sum of a motion, not its course.
+    """
+    compared = fit.reference.partition(";")[0] or "a quantity of the board"
+    why = (
+        f"the reference ({compared}) does not give the rate at every time; record the board on a "
+        "pan-tilt unit, or with reference attitudes"
+    )
+    return CauseFindings(
+        verdict="adequate",
+        causes=(),
+        unexplained=None,
+        dependence_tests=(),
+        detection_limits=(),
+        untestable=tuple(
+            UntestableCause(term.cause, None, why)
+            for term in catalogue().values()
+            if term.kind in ("effect", "gauge", "stochastic")
+            and term.cause not in ("axis_swap", "sign_flip", "wrong_full_scale")
+        ),
+        base_terms=fit.terms,
+        base_reduced_chi2=fit.reduced_chi2,
+        base_whiteness_p=math.nan,
+        extended_reduced_chi2=fit.reduced_chi2,
+        gain=None,
+        changes=(),
+        duration_s=0.0,
+    )

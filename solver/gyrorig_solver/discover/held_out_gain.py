@@ -45,7 +45,7 @@ def cross_validate_causes(
         projector: the nuisance projector at the fit, with all of its causes.
         causes: their numbers in the fit; the others belong to the base model.
     """
-    windows = _window_numbers(projector)
+    windows = _window_numbers(projector, projector.channel_lengths[::3])
     count = int(windows.max()) + 1
     if count < MIN_WINDOWS or not causes:
         return None
@@ -56,8 +56,7 @@ def cross_validate_causes(
     full, *reduced = projector.held_out_residuals(windows % min(FOLDS, count), models)
     how = f"{count} windows of {WINDOW_S:.0f} s, each left out of one fit"
     gains = [
-        _compare_residuals(projector, windows, how, reduced_residual, full)
-        for reduced_residual in reduced
+        compare_residuals(projector, how, reduced_residual, full) for reduced_residual in reduced
     ]
     separate = gains[1:] if len(causes) > 1 else gains
     return HeldOutGains(gains[0], dict(zip(causes, separate, strict=True)))
@@ -95,7 +94,7 @@ def gain_on_recording(
     left_out = ", ".join(fit.term.cause for fit in extended_fit.left_out)
     if left_out:
         how += f"; without the causes that only the other recording has: {left_out}"
-    gain = _compare_residuals(projector, _window_numbers(projector), how, *whitened)
+    gain = compare_residuals(projector, how, *whitened)
     # The change of the motion from its prior counts too.
     gain_nats, window_gain = (
         extended_fit.log_likelihood - base_fit.log_likelihood,
@@ -115,14 +114,18 @@ def _series_residuals(fit: HeldOutFit) -> Iterator[tuple[Series, FloatArray]]:
     return zip(fit.session.series, fit.session.residuals(fit.gain), strict=True)
 
 
-def _compare_residuals(
-    projection: NuisanceProjector,
-    windows: IntArray,
-    how: str,
-    before: FloatArray,
-    after: FloatArray,
+def compare_residuals(
+    projection: NuisanceProjector, how: str, before: FloatArray, after: FloatArray
 ) -> HeldOutGain:
-    """Return the gain of one model over another from their whitened residuals, (all,)."""
+    """Return the gain of one model over another from their whitened residuals on held-out data.
+
+    Args:
+        projection: the nuisance projector at a fit to these data.
+        how: which data they are.
+        before: whitened residual of the one model, (all,).
+        after: that of the other one, (all,).
+    """
+    windows = _window_numbers(projection, projection.channel_lengths[::3])
     count = int(windows.max()) + 1
     residuals = (before, after)
     costs = [
@@ -162,22 +165,22 @@ def _confidence_interval(samples: FloatArray, value: float, factor: float) -> Co
     return ConfidenceInterval(value, value - half, value + half)
 
 
-def _window_numbers(projection: NuisanceProjector) -> IntArray:
-    """Return to which window each whitened value belongs, counted over all recordings."""
+def _window_numbers(projection: NuisanceProjector, lengths: Sequence[int]) -> IntArray:
+    """Return the window of each value, by part and axis, counted over all recordings.
+
+    `lengths`: values of each part on one axis.
+    """
     numbers, first = [], 0
-    for s in projection.segments:
-        for scene, used in zip(s.states, s.used, strict=True):
-            length = float(scene.edges_s[-1] - scene.edges_s[0])
-            count = max(1, round(length / WINDOW_S))
-            series_windows = first + np.arange(used.size) * count // used.size
-            numbers.append(np.tile(series_windows, 3))
-            first += count
+    for state, length in zip(projection.states, lengths, strict=True):
+        count = max(1, round(float(state.edges_s[-1] - state.edges_s[0]) / WINDOW_S))
+        numbers.append(np.tile(first + np.arange(length) * count // length, 3))
+        first += count
     return np.concatenate(numbers).astype(np.int64)
 
 
 def _window_mean_squares(projection: NuisanceProjector, rates: list[FloatArray]) -> FloatArray:
     """Return the mean square of each window, (windows,)."""
-    windows = _window_numbers(projection)
+    windows = _window_numbers(projection, [len(rate) for rate in rates])
     flat = np.concatenate([rate.T.ravel() for rate in rates])
     return np.asarray(
         np.bincount(windows, flat**2) / np.maximum(np.bincount(windows), 1), dtype=np.float64

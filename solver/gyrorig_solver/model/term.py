@@ -132,6 +132,7 @@ class Term(ABC):
     first_order_equivalent: str = ""  # the cause that replaces it in the first scan
     confounded_with_gain: bool = False  # the gain absorbs it, so its size can stay unobservable
     is_whole_steps: bool = False  # its size is at least one step
+    nameless_description: str = ""  # if it is compared like a cause and reported as unexplained
     is_noise_process: bool = False  # the noise model contains it
     unseen_places: tuple[str, ...] = ()  # where no motion shows it, because the gain absorbs it
     is_persistent: bool = False  # a property of the unit: its sizes are kept for later recordings

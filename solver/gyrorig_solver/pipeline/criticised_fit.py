@@ -16,7 +16,9 @@ from types import MappingProxyType
 from gyrorig_protocol.errors import GyrorigError
 from gyrorig_protocol.identity import BoardId
 from gyrorig_protocol.recording.recording import Recording
-from gyrorig_solver.discover.fit_criticism import FitCriticism, criticise_fit, criticise_residual
+from gyrorig_solver.discover.attitude.attitude_space import fit_attitude_space
+from gyrorig_solver.discover.fit_criticism import FitCriticism, criticise_fit
+from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.gyro_fit import GyroFit
@@ -28,6 +30,7 @@ from gyrorig_solver.pipeline.explain_board import (
     BoardExplanation,
     explain_data,
     explain_unit_boards,
+    load_attitude_recordings,
 )
 from gyrorig_solver.pipeline.fit_board import fit_board, missing_data
 from gyrorig_solver.pipeline.joint_data import JointData, load_jointly
@@ -144,13 +147,16 @@ def fit_criticised(data: BoardData, extend: Sequence[str]) -> CriticisedFit:
     requested = tuple(cause for cause in extend if cause != AUTO)
     if AUTO in extend and data.can_be_searched:
         return _fit_explained(data, requested, explain_data(data))
-    if not (data.has_unit or data.rests_throughout):
-        fit = fit_board(data, requested)
-        return CriticisedFit(fit, None, criticism=criticise_residual(fit))
-    prepared = prepare_board(data, requested)
-    solution = prepared.solve()
-    fit = _with_missing_data(data, prepared.summarize(solution))
-    return CriticisedFit(fit, solution, criticism=criticise_fit(solution))
+    if data.has_unit or data.rests_throughout:
+        prepared = prepare_board(data, requested)
+        solution = prepared.solve()
+        fit = _with_missing_data(data, prepared.summarize(solution))
+        return CriticisedFit(fit, solution, criticism=criticise_fit(MotionFitSpace(solution)))
+    if data.has_attitudes and not requested:
+        space = fit_attitude_space(load_attitude_recordings(data))
+        fit = _with_missing_data(data, space.fit)
+        return CriticisedFit(fit, None, criticism=criticise_fit(space))
+    return CriticisedFit(fit_board(data, requested), None, criticism=FitCriticism())
 
 
 def _fit_explained(
@@ -205,7 +211,7 @@ def fit_together(
         elif name in explained:
             criticised[name] = CriticisedFit(joint_fit.fit, joint_fit.solution, explained[name])
         else:
-            criticism = criticise_fit(joint_fit.solution)
+            criticism = criticise_fit(MotionFitSpace(joint_fit.solution))
             criticised[name] = CriticisedFit(joint_fit.fit, joint_fit.solution, criticism=criticism)
     return criticised
 

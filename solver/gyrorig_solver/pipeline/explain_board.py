@@ -21,13 +21,11 @@ from gyrorig_solver.calibration.sensor_profiles import find_profile
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.data.stream.gain_checks import check_gain
 from gyrorig_solver.data.stream.stream_checks import check_stream
-from gyrorig_solver.discover.attitude.explain_attitudes import (
-    AttitudeRecording,
-    explain_attitudes,
-)
+from gyrorig_solver.discover.attitude.attitude_space import AttitudeRecording
+from gyrorig_solver.discover.attitude.explain_attitudes import explain_attitudes
 from gyrorig_solver.discover.boards.joint_explanation import explain_jointly
 from gyrorig_solver.discover.cause_findings import CauseFindings, FitExplanation, HeldOutGain
-from gyrorig_solver.discover.checks.fit_residual import findings_from_fit
+from gyrorig_solver.discover.fit_criticism import findings_without_rates
 from gyrorig_solver.discover.fit_explanation import explain_fit
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
@@ -52,7 +50,6 @@ from gyrorig_solver.report.figure_layout import standalone_svg
 from gyrorig_solver.report.report_series import (
     series_of_attitudes,
     series_of_explanation,
-    series_of_fit,
 )
 
 NO_RATES_REMARK = (
@@ -160,14 +157,10 @@ def explain_data(data: BoardData, held_out: Recording | None = None) -> BoardExp
     return BoardExplanation(
         board=BoardId(data.board),
         recordings=data.recordings,
-        findings=findings_from_fit(fit),
+        findings=findings_without_rates(fit),
         raw_checks=(*_raw_checks(data), _gain_checks(data, fit.gain)),
-        report_series=series_of_fit(fit),
-        remarks=(
-            *fit.warnings,
-            *fit.limited_reasons,
-            *(() if fit.diagnostics else (NO_RATES_REMARK,)),
-        ),
+        report_series=None,
+        remarks=(*fit.warnings, *fit.limited_reasons, NO_RATES_REMARK),
         fit_explanation=None,
         fit=fit,
     )

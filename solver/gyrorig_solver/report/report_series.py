@@ -1,7 +1,7 @@
 """Time series of the explain report: block means of one board, with base and extended model.
 
 What to use when: `series_of_explanation` for findings from a unit's motion, `series_of_attitudes`
-for findings from reference attitudes, `series_of_fit` for a fit without a search for causes.
+for findings from reference attitudes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,6 @@ from gyrorig_solver.discover.cause_findings import FitExplanation, NamedCause
 from gyrorig_solver.estimate.cascade import total_effect
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.gyro_fit import GyroFit
 from gyrorig_solver.estimate.noise.noise_model import Periodogram, bin_spectrum
 from gyrorig_solver.estimate.session_fit import SessionFit
 from gyrorig_solver.estimate.session_noise import session_periodograms
@@ -119,34 +118,12 @@ def series_of_explanation(explained: FitExplanation) -> ReportSeries:
     )
 
 
-def series_of_fit(fit: GyroFit) -> ReportSeries | None:
-    """Return the arrays for the figures of a fit without causes, None where it keeps none."""
-    data = fit.diagnostics
-    if data is None:
-        return None
-    n, modelled = data.time_s.size, data.rate_rad_s - data.residual_rad_s
-    return ReportSeries(
-        time_s=data.time_s - data.time_s[0],
-        measured_rad_s=data.rate_rad_s,
-        base_rad_s=modelled,
-        extended_rad_s=modelled,
-        rate_rad_s=data.reference_rad_s,
-        angle_rad=np.full((2, n), np.nan) if data.angle_rad is None else data.angle_rad,
-        temperature_degc=np.full(n, np.nan),
-        effects={},
-        frequency_hz=data.frequency_hz,
-        spectrum_base=data.spectrum,
-        spectrum_extended=data.spectrum,
-        spectrum_model=data.spectrum_model,
-    )
-
-
 def series_of_attitudes(explanation: AttitudeExplanation) -> ReportSeries:
     """Return the arrays for the figures of findings from reference attitudes.
 
     All signals are in the band of the comparison; recordings and segments are in sequence.
     """
-    space, causes = explanation.space, explanation.findings.causes
+    space, causes = explanation.space.projector(), explanation.findings.causes
     named_indices = [
         k for k, term in enumerate(space.fitted_terms) if term in explanation.findings.fitted_terms
     ]

@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.discover.cause_search import testable_instances
+from gyrorig_solver.discover.testable_terms import testable_instances
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals

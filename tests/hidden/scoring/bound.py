@@ -23,9 +23,10 @@ from tests.hidden.scoring.possible import Bound
 
 from gyrorig_protocol.recording.reader import read_recording
 from gyrorig_solver.data.samples import load_samples
-from gyrorig_solver.discover.cause_search import count_tests, fit_best_place, testable_terms
+from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.catalogue import catalogue

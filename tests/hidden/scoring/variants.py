@@ -19,8 +19,8 @@ from tests.hidden.scoring.stated import Look, StatedExplanation
 from gyrorig_protocol.recording.recording import Recording
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.cause_findings import FitExplanation
-from gyrorig_solver.discover.cause_search import count_tests, testable_terms
 from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.testable_terms import count_tests, testable_terms
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.noise.noise_model import (
     NoiseModel,

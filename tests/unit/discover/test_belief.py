@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover.cause_search import CREDIBLE_SET_LEVEL, posterior_probabilities
+from gyrorig_solver.discover.cause_ranking import CREDIBLE_SET_LEVEL, posterior_probabilities
 
 
 @pytest.mark.parametrize(("won", "sole"), [(100.0, True), (1000.0, False)])

@@ -24,6 +24,7 @@ from gyrorig_solver.discover.boards.scope_hypotheses import possible_owner
 from gyrorig_solver.discover.cause_findings import FitExplanation
 from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.held_out_gain import gain_on_recording
+from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals
@@ -228,7 +229,7 @@ def test_what_no_board_sees_alone_all_of_them_see(hidden: Callable[..., Any], co
     """Corners rounded over 6.5 ms are below what one board can be sure of in 40 s."""
     session = hidden("s_curve:0.0065", seed=5, program="survey-40", config=config)
     bases = {name: fit_base_model([session.recording], name) for name in BOARDS}
-    assert search_causes(bases[BOARDS[0]]).ranked_causes == ()
+    assert search_causes(MotionFitSpace(bases[BOARDS[0]])).ranked_causes == ()
     for explained in explain_jointly(bases).values():
         (named,) = explained.findings.causes
         assert named.candidates == ("s_curve",)

@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover import cause_search
-from gyrorig_solver.discover.checks.backward_elimination import eliminate_backward
+from gyrorig_solver.discover import testable_terms
+from gyrorig_solver.discover.backward_elimination import eliminate_backward
+from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.checks.typical_noise import whittle_log_likelihood
 from gyrorig_solver.discover.exact_fit import fit_candidate
-from gyrorig_solver.discover.gain_refit import GainChange, refit_gain_exactly
+from gyrorig_solver.discover.extended_fit import GainChange, refit_gain_exactly
+from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
@@ -40,7 +42,7 @@ def base(hidden: Callable[..., Any]) -> Fit:
 
 def term_on_residual(solution: ConvergedFit, cause: str) -> FittedTerm:
     projection, term = NuisanceProjector.at_fit(solution), find_term(cause)
-    best = cause_search.fit_best_place(
+    best = fit_best_place(
         projection, scan_catalogue(projection, [term], 1, all_templates(projection, term))
     )
     assert best is not None
@@ -57,12 +59,13 @@ def test_what_the_fit_can_do_without_is_refused(base: Fit) -> None:
         worm.template_bank(NuisanceProjector.at_fit(plain).states[0])[0].copy(),
         np.array([0, 1]),
     )
-    tests = cause_search.count_tests(cause_search.testable_terms(NuisanceProjector.at_fit(plain)))
+    terms = testable_terms.testable_terms(NuisanceProjector.at_fit(plain))
+    both = MotionFitSpace(refit_with_terms(plain, [gap, idle]))
     reduced = eliminate_backward(
-        refit_with_terms(plain, [gap, idle]), (), tests, cause_search.FALSE_ALARM_RATE
+        both, (), testable_terms.count_tests(terms), testable_terms.FALSE_ALARM_RATE
     )
     assert reduced.eliminated == {"worm_error"}
-    assert [fitted_term.term.cause for fitted_term in reduced.solution.fitted_terms] == ["backlash"]
+    assert [fitted_term.term.cause for fitted_term in reduced.space.fitted_terms] == ["backlash"]
     assert reduced.delta_log_likelihood["backlash"] > 100.0
 
 

@@ -6,9 +6,11 @@ from typing import Any
 
 import pytest
 
-from gyrorig_solver.discover import cause_search
+from gyrorig_solver.discover import motion_space
+from gyrorig_solver.discover.cause_search import search_causes
 from gyrorig_solver.discover.fit_explanation import explain_fit
 from gyrorig_solver.discover.model_evidence import best_model
+from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
@@ -27,7 +29,7 @@ def base(hidden: Callable[..., Any]) -> ConvergedFit:
 
 @pytest.fixture(scope="module")
 def named(base: ConvergedFit) -> ConvergedFit:
-    return cause_search.search_causes(base).solution
+    return search_causes(MotionFitSpace(base)).space.solution
 
 
 def test_the_cause_is_named_where_its_fit_converges(named: ConvergedFit) -> None:
@@ -45,24 +47,26 @@ def test_a_candidate_whose_fit_does_not_converge_is_left_out(
         has_backlash = any(fitted_term.term.cause == "backlash" for fitted_term in fitted_terms)
         return replace(refitted, convergence=WITHOUT) if has_backlash else refitted
 
-    monkeypatch.setattr(cause_search, "refit_with_terms", refit)
+    monkeypatch.setattr(motion_space, "refit_with_terms", refit)
     explanation = explain_fit(base, "GY80-1")
     assert "backlash" not in [cause.term.cause for cause in explanation.findings.causes]
     assert explanation.solution_extended.converged
     assert any(
-        text.startswith("backlash was left out") and "backlash.gap.tilt" in text
+        text.startswith("the cause backlash was left out") and "backlash.gap.tilt" in text
         for text in explanation.remarks
     )
 
 
 def test_the_best_visited_model_is_the_answer(base: ConvergedFit, named: ConvergedFit) -> None:
-    assert best_model(base, [base, named]) is named
-    assert best_model(named, [base]) is named
-    assert best_model(base, [replace(named, convergence=WITHOUT)]) is base
+    plain, better = MotionFitSpace(base), MotionFitSpace(named)
+    assert best_model(plain, [plain, better]) is better
+    assert best_model(better, [plain]) is better
+    assert best_model(plain, [MotionFitSpace(replace(named, convergence=WITHOUT))]) is plain
 
 
 def test_a_cause_of_no_effect_does_not_lead(base: ConvergedFit, named: ConvergedFit) -> None:
     backlash = named.fitted_terms[0]
     idle = replace(backlash, values=0.0 * backlash.values)
     same = replace(named, fitted_terms=(idle,), sessions=base.sessions, estimate=base.estimate)
-    assert best_model(base, [same]) is base
+    plain = MotionFitSpace(base)
+    assert best_model(plain, [MotionFitSpace(same)]) is plain

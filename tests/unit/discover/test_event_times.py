@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrorig_solver.discover.cause_search import fit_best_place
+from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates

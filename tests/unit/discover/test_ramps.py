@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from gyrorig_solver.discover.cause_search import FALSE_ALARM_RATE
-from gyrorig_solver.discover.checks.ramp_acceleration import (
-    detect_ramp_error,
-    without_grid_uncertainty,
-)
-from gyrorig_solver.discover.reply_candidate import candidate_from_replies
+from gyrorig_solver.discover.cause_search import SearchResult
+from gyrorig_solver.discover.checks.model_check import JudgedModel
+from gyrorig_solver.discover.checks.ramp_check import RampCheck
+from gyrorig_solver.discover.motion_space import MotionFitSpace
+from gyrorig_solver.discover.ramp_acceleration import candidate_from_replies, detect_ramp_error
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
 from gyrorig_solver.pipeline.prepare_board import fit_base_model
 
 TESTS = 45
@@ -66,7 +66,8 @@ def test_a_base_speed_of_the_grid_is_stated_without_uncertainty(
 ) -> None:
     session = hidden("base_speed_jump:0.15", seed=7)
     base = fit_base_model([session.recording], session.board)
-    stated = without_grid_uncertainty(detect_ramp_error(base, TESTS, FALSE_ALARM_RATE).named)
-    assert stated is not None
+    space = MotionFitSpace(base)
+    model = JudgedModel(space, SearchResult(space, (), space.projector(), ()))
+    (stated,) = RampCheck().judge(model).named
     assert stated.term.cause == "base_speed_jump"
     assert all(value.std == float("inf") for value in stated.values)

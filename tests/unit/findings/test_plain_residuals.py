@@ -1,87 +1,73 @@
 """Nameless tests of a residual: silent on the noise that a fit assumed, loud on a shape."""
 
-import math
-
 import numpy as np
 import pytest
 
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.discover.checks.fit_residual import findings_from_fit
-from gyrorig_solver.estimate.gyro_fit import FitDiagnostics, GyroFit, ObservabilityReport
+from gyrorig_solver.discover.attitude.attitude_terms import attitude_families
+from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.checks.model_check import DEPENDENCE_FALSE_ALARM_RATE
+from gyrorig_solver.discover.checks.residual_dependence import dependences_on
+from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
+from gyrorig_solver.estimate.attitude.attitude_projector import (
+    AttitudeProjector,
+    AttitudeState,
+    BlockSegment,
+    SegmentWhitener,
+)
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel, Sampling
+from gyrorig_solver.model.recording_context import RecordingContext
 
 N, STEP_S, DENSITY = 1500, 0.1, 1e-8
+TIME_S = STEP_S * np.arange(N, dtype=np.float64)
+RATE = np.stack([np.sin(0.7 * TIME_S), np.sin(0.31 * TIME_S), np.cos(0.53 * TIME_S)], axis=1)
+SLOPE = np.gradient(RATE, STEP_S, axis=0)
 
 
-def fit_of(left: FloatArray | None, seed: int) -> GyroFit:
-    """White noise of a known density beside turns about all axes, and an effect."""
-    rng = np.random.default_rng(seed)
-    time_s = STEP_S * np.arange(N, dtype=np.float64)
-    rate = np.stack([np.sin(0.7 * time_s), np.sin(0.31 * time_s), np.cos(0.53 * time_s)], axis=1)
-    noise = math.sqrt(DENSITY / (2.0 * STEP_S)) * rng.normal(size=(N, 3))
-    frequency = np.geomspace(0.003, 5.0, 30)
-    data = FitDiagnostics(
-        time_s=time_s,
-        rate_rad_s=rate,
-        reference_rad_s=rate,
-        residual_rad_s=noise if left is None else noise + left,
-        whitened=noise,
-        moving=np.ones(N, dtype=np.bool_),
-        frequency_hz=frequency,
-        spectrum=np.full((30, 3), DENSITY),
-        spectrum_model=np.full((30, 3), DENSITY),
-    )
-    return GyroFit(
-        method="likelihood",
-        terms=("bias", "scale"),
+def significant_tests(left: FloatArray | None, seed: int) -> list[DependenceTest]:
+    """Test white noise of a known density beside turns about all axes, and an effect."""
+    std = np.sqrt(DENSITY / (2.0 * STEP_S))
+    noise = std * np.random.default_rng(seed).normal(size=(N, 3))
+    state = AttitudeState.build(
+        np.append(TIME_S, N * STEP_S),
+        None,
+        np.ones(N, dtype=np.bool_),
+        instants_per_block=1,
+        intervals_per_instant=1,
+        bandwidth_hz=None,
         gain=np.eye(3),
-        gain_std=np.zeros((3, 3)),
-        bias_rad_s=np.zeros(3),
-        scale=np.ones(3),
-        nonorthogonality=np.zeros(3),
-        misalignment_rad=np.zeros(3),
-        time_offset_s=0.0,
-        std={},
-        order=(),
-        covariance=np.zeros((0, 0)),
-        observability=ObservabilityReport(12, 12, 1.0, (), ()),
-        noise=None,
-        reduced_chi2=1.0,
-        samples=N,
-        lost=0,
-        outliers=0,
-        rate_range_rad_s=(-1.0, 1.0),
-        rms_before_rad_s=0.1,
-        rms_after_rad_s=0.1,
-        diagnostics=data,
+        rate_rad_s=RATE,
+        context=RecordingContext(begin_s=0.0, end_s=N * STEP_S),
     )
+    measured = RATE + noise + (0.0 if left is None else left)
+    segment = BlockSegment(0, state, measured, RATE, RATE, SLOPE, TIME_S, N)
+    sampling = Sampling(1.0 / STEP_S, 1, None, 0.0, differentiated=True)
+    projector = AttitudeProjector(
+        [segment],
+        [SegmentWhitener(np.full((N, 3), std), np.ones(N))],
+        NoiseModel(np.zeros((3, 4)), sampling),
+    )
+    families = [*smooth_families(projector.states), *attitude_families()]
+    tests = dependences_on(projector, families, len(families))
+    return [test for test in tests if test.p_value < DEPENDENCE_FALSE_ALARM_RATE]
 
 
 def test_noise_alone_raises_few_alarms() -> None:
-    """Four tests share 1 in 200: three in 150 by chance are rarer than 5 in 100."""
-    alarms = sum(findings_from_fit(fit_of(None, k)).verdict == "unexplained" for k in range(150))
-    assert alarms <= 3
+    """All tests share 1 in 1000: two in 150 by chance are rarer than 2 in 100."""
+    assert sum(bool(significant_tests(None, k)) for k in range(150)) <= 1
 
 
 @pytest.mark.parametrize("covariate", ["own_rate", "time", "bias_time"])
 def test_a_shape_is_told_by_what_it_depends_on(covariate: str) -> None:
-    rate = fit_of(None, 1).diagnostics
-    assert rate is not None
-    late = (rate.time_s > 75.0)[:, None]
+    late = (TIME_S > 75.0)[:, None]
     left = {
-        "own_rate": 2e-4 * np.abs(rate.rate_rad_s),
-        "time": 3e-4 * rate.rate_rad_s * late,
+        "own_rate": 2e-4 * np.abs(RATE),
+        "time": 3e-4 * RATE * late,
         "bias_time": 3e-4 * np.ones((N, 3)) * late,
     }[covariate]
-    findings = findings_from_fit(fit_of(left, 1))
-    assert findings.verdict == "unexplained"
-    assert findings.unexplained is not None
-    assert findings.unexplained.leading.covariate == covariate
-    assert findings.causes == ()
+    leading = max(significant_tests(left, 1), key=lambda test: test.log_evidence)
+    assert leading.covariate == covariate
 
 
 def test_what_gain_bias_and_lag_take_is_not_seen() -> None:
-    data = fit_of(None, 2).diagnostics
-    assert data is not None
-    slope = np.gradient(data.rate_rad_s, STEP_S, axis=0)
-    left = 0.01 * data.rate_rad_s[:, ::-1] + 0.002 + 0.001 * slope
-    assert findings_from_fit(fit_of(left, 2)).verdict == "adequate"
+    assert significant_tests(0.01 * RATE[:, ::-1] + 0.002 + 0.001 * SLOPE, 2) == []

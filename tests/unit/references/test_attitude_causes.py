@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.data.samples import GyroSamples
+from gyrorig_solver.discover.attitude.attitude_space import AttitudeRecording
 from gyrorig_solver.discover.attitude.explain_attitudes import (
     AttitudeExplanation,
-    AttitudeRecording,
     explain_attitudes,
 )
 from gyrorig_solver.model.recording_context import RecordingContext

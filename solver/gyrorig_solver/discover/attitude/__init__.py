@@ -1,5 +1,5 @@
 """The search for causes with reference attitudes.
 
-What to use when: `explain_attitudes.explain_attitudes` for findings; the other modules have the
-terms, the stepwise search, the dependence tests and the cross-validation.
+What to use when: `explain_attitudes.explain_attitudes` for findings; `attitude_space` is the fit
+that the search works on, `attitude_terms` has the causes and smooth functions of this reference.
 """

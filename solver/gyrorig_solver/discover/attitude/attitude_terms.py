@@ -1,21 +1,27 @@
-"""Terms that can be tested with reference attitudes: causes of the board and of the reference.
-
-What to use when: `select_attitude_terms` for the causes that a space can be asked for.
+"""What is tested with reference attitudes only: causes of the reference, and smooth functions.
 
 An attitude that a camera gives is often a mean over time: frames last, markers are filtered,
 attitudes are interpolated to the gyro's rate. A mean over a time of variance v makes of a body
 rate w, to second order, w + v/2 (w'' + w x w'): R(t + s) averaged over s and made a rotation
 again is R (1 + v/2 [w']x), and a rotation that is off by d = v/2 w' turns by w + d' + w x d
 (derived here; the first is a low-pass, the second is what no low-pass of each axis can be).
+
+What to use when: `attitude_terms` for all causes, `attitude_families` for smooth functions in
+addition to `smooth_families`.
+
+Source of the turning axis: the mean rate that a rotation vector gives over a step lacks
+w x dw/dt dt^2/12 of the mean of the rate (Bortz 1971, "A new mathematical formulation for
+strapdown inertial navigation", IEEE Trans. AES-7, eq. 38 to second order).
 """
+
+from collections.abc import Callable
 
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.discover.cause_search import testable_instances
+from gyrorig_solver.discover.checks.smooth_alternatives import BasisFamily
 from gyrorig_solver.estimate.attitude.attitude_projector import (
     MIN_BOARD_RATE_RAD_S,
-    AttitudeProjector,
     AttitudeState,
 )
 from gyrorig_solver.model.catalogue import catalogue
@@ -23,12 +29,11 @@ from gyrorig_solver.model.causes.g_sensitivity import GSensitivity
 from gyrorig_solver.model.causes.supply_hum import SupplyHum
 from gyrorig_solver.model.signal_arrays import split_axes
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Part, Scope, Term, TermParameter
+from gyrorig_solver.model.term import Part, Scope, Term, TermParameter, start_values
 from gyrorig_solver.model.term_kinds import LinearTerm
 from gyrorig_solver.model.value_format import DEG, XYZ, format_list
 
 MIN_FORCE_SPAN_M_S2 = 3.0  # of every component: a third of gravity
-UNNAMED_TERMS = ("moving_bias",)  # tested like causes, never named
 
 
 class ReferenceSmoothing(LinearTerm):
@@ -104,6 +109,7 @@ class MovingBias(LinearTerm):
         ),
     )
     confused_with = ("scale_asymmetry", "scale_quadratic", "g_sensitivity", "dead_zone")
+    nameless_description = "on whether the board moves (the bias changes)"
     title = "The bias depends on motion"
     remedy = ""
     covariates = None
@@ -157,31 +163,46 @@ class OutOfBandHum(SupplyHum):
         return "the fit compares only slow rates with the reference; record the board at rest"
 
 
-def select_attitude_terms(space: AttitudeProjector) -> tuple[list[Term], list[tuple[str, str]]]:
-    """Return the causes that are testable against attitudes, and the others with reasons."""
-    attitude_specific = {
-        term.cause: term
-        for term in (ReferenceSmoothing(), ForceSensitivity(), OutOfBandHum(), MovingBias())
-    }
-    terms: list[Term] = []
-    untestable: list[tuple[str, str]] = []
-    for cause, term in sorted({**catalogue(), **attitude_specific}.items()):
-        if term.kind == "effect" and not term.first_order_equivalent:
-            reasons = [
-                reason
-                for reason in (term.reason_not_testable(scene) for scene in space.states)
-                if reason is not None
-            ]
-            if reasons:
-                untestable.append((cause, reasons[0]))
-            else:
-                terms += testable_instances(term, space)
-        elif term.kind in ("gauge", "known"):
-            untestable.append((cause, _untestable_reason(term, space)))
-    return terms, untestable
+def attitude_terms() -> dict[str, Term]:
+    """Return all causes by id: the catalogue, some in another form, and those of the reference."""
+    special = (ReferenceSmoothing(), ForceSensitivity(), OutOfBandHum(), MovingBias())
+    return {**catalogue(), **{term.cause: term for term in special}}
 
 
-def _untestable_reason(term: Term, space: AttitudeProjector) -> str:
-    """Return why a cause without an effect on the rates cannot be tested."""
-    missing = term.reason_not_testable(space.states[0])
-    return missing if missing is not None else term.excitation
+def attitude_families() -> list[BasisFamily]:
+    """Return the families in addition to those of any reference."""
+    return [
+        _family("moving_bias", MovingBias.nameless_description, _moving_bias, 3),
+        _family(
+            "frequency", "on how quickly the rates change (effect of a filter)", _derivatives, 6
+        ),
+        _family("turning_axis", "on how the axis turns between attitudes", _turning_axis, 3),
+    ]
+
+
+def _family(
+    covariate: str, description: str, signal: Callable[[SignalState], FloatArray], count: int
+) -> BasisFamily:
+    return BasisFamily(covariate, description, (signal,), np.ones(count))
+
+
+def _moving_bias(state: SignalState) -> FloatArray:
+    term = MovingBias()
+    return term.basis_signals(state, start_values(term))
+
+
+def _derivatives(state: SignalState) -> FloatArray:
+    """Return each axis' second and third derivative: gain and delay by the frequency squared.
+
+    Of block means, whose differences hold less of what is faster than the band.
+    """
+    step_s = state.step_s * state.instants_per_block
+    second = np.gradient(np.gradient(state.sample_output(state.sensor_rate_rad_s), axis=0), axis=0)
+    third = np.gradient(second, axis=0)
+    return np.concatenate([split_axes(second / step_s**2), split_axes(third / step_s**3)])
+
+
+def _turning_axis(state: SignalState) -> FloatArray:
+    rate = state.rate_rad_s
+    across = np.cross(rate, np.gradient(rate, state.step_s, axis=0))
+    return split_axes(state.sample_output(np.asarray(across @ state.gain.T, dtype=np.float64)))

@@ -27,24 +27,18 @@ from gyrorig_solver.discover.boards.scope_hypotheses import (
     compare_scopes,
     possible_owner,
 )
+from gyrorig_solver.discover.candidate_fits import MAX_CANDIDATES, global_p_value
 from gyrorig_solver.discover.cause_findings import Attribution, FitExplanation
-from gyrorig_solver.discover.cause_search import (
-    FALSE_ALARM_RATE,
-    MAX_CANDIDATES,
-    RankedCause,
-    SearchResult,
-    confusable_labels,
-    count_tests,
-    global_p_value,
-    search_causes,
-    testable_terms,
-)
+from gyrorig_solver.discover.cause_ranking import RankedCause, confusable_labels
+from gyrorig_solver.discover.cause_search import SearchResult, search_causes
 from gyrorig_solver.discover.exact_fit import FittedCandidate
-from gyrorig_solver.discover.fit_explanation import assemble_findings
+from gyrorig_solver.discover.fit_criticism import scan_other_causes
+from gyrorig_solver.discover.fit_explanation import explain_search
+from gyrorig_solver.discover.motion_space import MotionFitSpace
 from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE, count_tests, testable_terms
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.model.recording_scope import term_label
 from gyrorig_solver.model.term import Term
@@ -64,74 +58,57 @@ class _BoardSearch:
     """The state of one board's search."""
 
     name: str
-    base: ConvergedFit
-    result: SearchResult
-    solution: ConvergedFit
+    base: MotionFitSpace
+    result: SearchResult[MotionFitSpace]
+    space: MotionFitSpace
     ranked_causes: list[RankedCause]  # of each fitted cause, in the fit's order
     attributions: dict[str, Attribution]
 
     def fitted_causes(self) -> list[tuple[FittedTerm, RankedCause]]:
-        fitted = [
-            extension for extension in self.solution.fitted_terms if extension.free_indices.size
-        ]
+        fitted = [term for term in self.space.fitted_terms if term.free_indices.size]
         return list(zip(fitted, self.ranked_causes, strict=True))
 
     def projector_without(self, dropped: FittedTerm | None) -> NuisanceProjector:
         """Return the projector of the fit, or of the fit without one of its causes."""
         if dropped is None:
-            return NuisanceProjector.at_fit(self.solution)
-        others = [extension for extension in self.solution.fitted_terms if extension is not dropped]
-        return NuisanceProjector.at_fit(
-            self.solution, followed_terms=others, restored_terms=[dropped]
-        )
+            return self.space.projector()
+        return self.space.projector_without(self.space.fitted_terms.index(dropped))
 
     def replace_cause(
         self, replaced: FittedTerm | None, cause: FittedTerm, ranked: RankedCause
     ) -> None:
         """Fit a cause, in place of another one or in addition to all, if the fit converges."""
-        others = [
-            (extension, ranked)
-            for extension, ranked in self.fitted_causes()
-            if extension is not replaced
-        ]
-        known_terms = [
-            extension for extension in self.solution.fitted_terms if not extension.free_indices.size
-        ]
-        refitted = refit_with_terms(
-            self.solution, [*known_terms, *(extension for extension, _ in others), cause]
-        )
-        if refitted.converged:
-            self.ranked_causes = [*(ranked for _, ranked in others), ranked]
-            self.solution = refitted
+        known_terms = [term for term in self.space.fitted_terms if not term.free_indices.size]
+        others = [pair for pair in self.fitted_causes() if pair[0] is not replaced]
+        fitted_terms = [*known_terms, *(extension for extension, _ in others), cause]
+        self._refit(fitted_terms, [*(ranking for _, ranking in others), ranked])
 
     def drop_cause(self, dropped: FittedTerm) -> None:
         """Refit without a cause, if that fit converges."""
         ranked_causes = [ranked for cause, ranked in self.fitted_causes() if cause is not dropped]
-        others = [cause for cause in self.solution.fitted_terms if cause is not dropped]
-        refitted = refit_with_terms(self.solution, others)
-        if refitted.converged:
-            self.ranked_causes, self.solution = ranked_causes, refitted
+        others = [cause for cause in self.space.fitted_terms if cause is not dropped]
+        self._refit(others, ranked_causes)
+
+    def _refit(self, fitted_terms: Sequence[FittedTerm], ranked_causes: list[RankedCause]) -> None:
+        refitted = self.space.refit(fitted_terms)
+        if refitted.convergence.converged:
+            self.ranked_causes, self.space = ranked_causes, refitted
 
     def update_ranking(self, cause: FittedTerm, ranked: RankedCause) -> None:
         """Replace the ranking of a cause."""
-        fitted = self.fitted_causes()
         self.ranked_causes = [
-            ranked if extension is cause else previous for extension, previous in fitted
+            ranked if extension is cause else previous
+            for extension, previous in self.fitted_causes()
         ]
 
-    def finish(self) -> SearchResult:
+    def finish(self) -> SearchResult[MotionFitSpace]:
         """Return the search result, with scores of the other causes for the final fit."""
-        if self.solution is self.result.solution:
-            return replace(self.result, ranked_causes=tuple(self.ranked_causes))
-        projector = NuisanceProjector.at_fit(self.solution)
-        terms = testable_terms(projector)
-        fitted_labels = {term_label(extension.term) for extension in self.solution.fitted_terms}
-        scores = scan_catalogue(
-            projector,
-            [term for term in terms if term_label(term) not in fitted_labels],
-            count_tests(terms),
-        )
-        return SearchResult(self.solution, tuple(self.ranked_causes), projector, tuple(scores))
+        ranked_causes = tuple(self.ranked_causes)
+        if self.space is self.result.space:
+            return replace(self.result, ranked_causes=ranked_causes)
+        projector = self.space.projector()
+        scores, _ = scan_other_causes(self.space, projector)
+        return SearchResult(self.space, ranked_causes, projector, tuple(scores))
 
 
 def explain_jointly(bases: Mapping[str, ConvergedFit]) -> dict[str, FitExplanation]:
@@ -144,18 +121,18 @@ def explain_jointly(bases: Mapping[str, ConvergedFit]) -> dict[str, FitExplanati
     """
     start_s = time.monotonic()
     boards = []
-    for name, base in bases.items():
+    for name, solution in bases.items():
+        base = MotionFitSpace(solution)
         result = search_causes(base)
-        boards.append(
-            _BoardSearch(name, base, result, result.solution, list(result.ranked_causes), {})
-        )
+        ranked_causes = list(result.ranked_causes)
+        boards.append(_BoardSearch(name, base, result, result.space, ranked_causes, {}))
     if len(boards) > 1 and _share_one_motion(list(bases.values())):
         for matched in _match_causes(boards):
             _resolve_cause(boards, matched)
         _find_joint_only_causes(boards)
         _attribute_remaining(boards)
     return {
-        board.name: assemble_findings(
+        board.name: explain_search(
             board.base, board.finish(), board.name, start_s, board.attributions
         )
         for board in boards
@@ -233,7 +210,7 @@ def _resolve_cause(boards: Sequence[_BoardSearch], matched: CauseByBoard) -> Non
     fitted_labels = [
         {
             term_label(extension.term)
-            for extension in board.solution.fitted_terms
+            for extension in board.space.fitted_terms
             if k not in matched or extension is not matched[k][0]
         }
         for k, board in enumerate(boards)
@@ -350,9 +327,7 @@ def _find_joint_only_causes(boards: Sequence[_BoardSearch]) -> None:
         joint_projector = JointProjector(projectors)
         terms = testable_terms(joint_projector)
         fitted_labels = {
-            term_label(extension.term)
-            for board in boards
-            for extension in board.solution.fitted_terms
+            term_label(extension.term) for board in boards for extension in board.space.fitted_terms
         }
         unfitted = [term for term in terms if term_label(term) not in fitted_labels]
         unit_terms = [term for term in unfitted if possible_owner(term) != "board"]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gyrorig_solver.discover.boards.joint_projector import JointProjector
-from gyrorig_solver.discover.cause_search import fit_best_place
+from gyrorig_solver.discover.candidate_fits import fit_best_place
 from gyrorig_solver.discover.exact_fit import FittedCandidate
 from gyrorig_solver.discover.score_tests import scan_catalogue
 from gyrorig_solver.discover.template_choice import all_templates

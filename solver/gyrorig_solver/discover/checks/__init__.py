@@ -1,7 +1,7 @@
-"""Tests of named causes and of the residual after a search.
+"""Checks of a model after the search, and the tests that they are made of.
 
-What to use when: `specification_tests`, `nonparametric_dominance` and `backward_elimination`
-reject names; `residual_dependence` tests the residual; `typical_noise` and `random_walk` separate
-a bias random walk from slow errors; `jitter_cause` and `ramp_acceleration` find two causes
-that no mean signal shows; `fit_residual` is for references without a motion.
+What to use when: `model_check` has the signature of a check and runs them in order. One check per
+file: `specification_tests`, `unobservable_share` and `redundancy` take names away; `jitter_cause`,
+`ramp_check` and `random_walk` name causes that no mean signal shows. `residual_dependence` tests
+the residual; `typical_noise` separates a bias random walk from slow errors.
 """

@@ -27,11 +27,8 @@ import numpy as np
 from scipy.fft import dct
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.discover.checks.jitter_modulation import (
-    BlockMotion,
-    VarianceModulation,
-    find_modulation,
-)
+from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.checks.jitter_modulation import BlockMotion, find_modulation
 from gyrorig_solver.discover.checks.variance_trend import (
     VarianceTrendTest,
     fit_variance_trend,
@@ -67,9 +64,7 @@ class JitterEstimate:
     remaining_trend: (
         VarianceTrendTest  # whether the scatter grows with motion, and how fast, in addition to it
     )
-    modulation: (
-        VarianceModulation | None
-    )  # covariate on which its size depends most; jitter has none
+    modulation: DependenceTest | None  # of its size, by the most significant covariate
 
     @property
     def is_distinct(self) -> bool:

@@ -19,6 +19,7 @@ from typing import Self
 import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
+from gyrorig_solver.discover.cause_findings import DependenceTest
 from gyrorig_solver.model.signal_state import SignalState
 from gyrorig_solver.numerics import chi2_upper_tail
 
@@ -31,17 +32,6 @@ DESCRIPTIONS = {
     "speed": "on the speed (the scatter changes)",
     "time": "on the time (the scatter changes)",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class VarianceModulation:
-    """A score test of the modulation of a variance by a covariate."""
-
-    covariate: str
-    description: str
-    statistic: float
-    degrees_of_freedom: int
-    p_value: float  # the choice among them counted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +92,7 @@ class BlockMotion:
 
 def find_modulation(
     value: FloatArray, shape: FloatArray, size: float, motion: BlockMotion
-) -> VarianceModulation | None:
+) -> DependenceTest | None:
     """Return the most significant modulation of the jitter's variance; None if none is testable.
 
     Args:
@@ -114,7 +104,7 @@ def find_modulation(
     variance = 1.0 + size * shape
     relative_shape, excess = shape / variance, (value / variance - 1.0).ravel()
     modulations = motion.modulations
-    worst: VarianceModulation | None = None
+    worst: DependenceTest | None = None
     for covariate, waves in modulations.items():
         directions = np.concatenate(
             [relative_shape[None], relative_shape * waves[:, :, None]]
@@ -123,7 +113,7 @@ def find_modulation(
         if degrees > 0:
             p_value = min(1.0, len(modulations) * chi2_upper_tail(statistic, degrees))
             if worst is None or p_value < worst.p_value:
-                worst = VarianceModulation(
+                worst = DependenceTest(
                     covariate, DESCRIPTIONS[covariate], statistic, degrees, p_value
                 )
     return worst

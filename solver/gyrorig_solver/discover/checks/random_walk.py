@@ -4,8 +4,8 @@ The noise levels include the random walk, therefore the residual shows nothing. 
 if the fitted levels are significantly more likely than typical ones, if a random walk fits better
 than flicker, if no other test is significant, and if no alternative cause is nearly as likely.
 
-What to use when: `detect_random_walk` for the last fit of a search; causes that the walk leaves
-possible (a step, a warm-up) are listed with it.
+What to use when: `RandomWalkCheck` after a search; causes that the walk leaves possible (a step, a
+warm-up) are listed with it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,15 +14,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrorig_solver.data.arrays import BoolArray, FloatArray
-from gyrorig_solver.discover.cause_findings import FittedValue, NamedCause, RivalCause
-from gyrorig_solver.discover.cause_search import CREDIBLE_SET_LEVEL, NoiseAlternative
+from gyrorig_solver.discover.cause_findings import NamedCause, RivalCause
+from gyrorig_solver.discover.cause_ranking import credible_set
+from gyrorig_solver.discover.checks.model_check import (
+    DEPENDENCE_FALSE_ALARM_RATE,
+    JudgedModel,
+    Verdict,
+)
+from gyrorig_solver.discover.checks.residual_dependence import residual_dependence_tests
 from gyrorig_solver.discover.checks.typical_noise import (
     TYPICAL_POWER_FACTOR,
     has_typical_noise,
     limit_to_typical,
 )
+from gyrorig_solver.discover.fit_space import NoiseAlternative
+from gyrorig_solver.discover.motion_space import MotionFitSpace
+from gyrorig_solver.discover.named_causes import name_outside_fit
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.estimate.noise.noise_model import (
     PRIOR_LOG_STD,
     NoiseModel,
@@ -69,6 +78,28 @@ class _LevelProfile:
         return mean, float(np.sqrt(weight @ (root - mean) ** 2))
 
 
+class RandomWalkCheck:
+    """Names a random walk of the bias if nothing else is significant in addition to it."""
+
+    removes_names = False
+
+    def judge(self, model: JudgedModel[MotionFitSpace]) -> Verdict:
+        """Return the named walk, and the tests of the residual with noise levels that contain it.
+
+        Other dependences are separate and come first.
+        """
+        solution = model.space.solution
+        walk = detect_random_walk(
+            solution, model.tests, FALSE_ALARM_RATE, model.result.noise_alternatives
+        )
+        if walk is None:
+            return Verdict()
+        tests = residual_dependence_tests(model.space.projector())
+        if any(test.p_value < DEPENDENCE_FALSE_ALARM_RATE for test in tests):
+            return Verdict()
+        return Verdict(named=(walk,), dependence_tests=tuple(tests))
+
+
 def detect_random_walk(
     solution: ConvergedFit,
     tests: int,
@@ -96,38 +127,28 @@ def detect_random_walk(
     p_value = min(1.0, chi2_upper_tail(2.0 * gain, float(np.sum(axis_gains > 0.0))) * tests)
     if p_value >= alpha:
         return None
-    term = BiasRandomWalk()
-    parameter = term.parameters[0]
-    values, stds = _combine_levels(walk)
     shares = [
         float(np.exp(min(profile.log_evidence, MAX_LOG_LEVEL_SHIFT)))
         for profile in noise_alternatives
     ]
     posterior = 1.0 / (1.0 + sum(shares))
-    rivals = sorted(zip(noise_alternatives, shares, strict=True), key=lambda pair: -pair[1])
+    rivals = [
+        _describe_rival(alternative, share, posterior)
+        for alternative, share in sorted(
+            zip(noise_alternatives, shares, strict=True), key=lambda pair: -pair[1]
+        )
+    ]
     acting = np.flatnonzero((axis_gains > ACTING_NATS) | (axis_gains == axis_gains.max()))
-    return NamedCause(
-        term=term,
-        where=tuple(XYZ[k] for k in acting),
-        extension=FittedTerm(term, values, np.zeros(0, dtype=np.int64)),
-        values=tuple(
-            FittedValue(
-                f"{parameter.name}.{axis}",
-                float(value),
-                float(std),
-                parameter.unit,
-                parameter.typical_size,
-            )
-            for axis, value, std in zip(XYZ, values, stds, strict=True)
-        ),
+    return name_outside_fit(
+        BiasRandomWalk(),
+        *_combine_levels(walk),
+        tuple(XYZ[k] for k in acting),
         statistic=2.0 * gain,
         degrees_of_freedom=int(np.sum(axis_gains > 0.0)),
         p_value=p_value,
         posterior=posterior,
-        one_of=_credible_set(rivals, posterior),
-        rivals=_rival_causes(rivals, posterior),
-        changes=(),  # the noise levels contain it, and the standard deviations include it
-        gain=None,
+        one_of=credible_set(posterior, ((rival.cause, rival.posterior) for rival in rivals)),
+        rivals=tuple(rivals),
     )
 
 
@@ -199,29 +220,12 @@ def _combine_levels(profiles: Sequence[_LevelProfile]) -> tuple[FloatArray, Floa
     return np.sum(weight * levels[:, :, 0], axis=0) / total, total**-0.5
 
 
-def _credible_set(
-    rivals: Sequence[tuple[NoiseAlternative, float]], posterior: float
-) -> tuple[str, ...]:
-    names, total = [], posterior
-    for alternative, share in rivals:
-        if total >= CREDIBLE_SET_LEVEL:
-            break
-        names.append(alternative.candidate.extension.term.cause)
-        total += share * posterior
-    return tuple(names)
-
-
-def _rival_causes(
-    rivals: Sequence[tuple[NoiseAlternative, float]], posterior: float
-) -> tuple[RivalCause, ...]:
-    return tuple(
-        RivalCause(
-            alternative.candidate.extension.term.cause,
-            alternative.likelihood_gain_nats,
-            share * posterior,
-            "a model with this cause still needs a random walk of the bias"
-            if share < 1.0
-            else "the alternative fits as well",
-        )
-        for alternative, share in rivals
+def _describe_rival(alternative: NoiseAlternative, share: float, posterior: float) -> RivalCause:
+    return RivalCause(
+        alternative.candidate.extension.term.cause,
+        alternative.likelihood_gain_nats,
+        share * posterior,
+        "a model with this cause still needs a random walk of the bias"
+        if share < 1.0
+        else "the alternative fits as well",
     )

@@ -5,9 +5,11 @@ cause: first the smoothest ones, then more detail. A significant test that no ca
 reported as "unexplained, depends on X". If several covariates are significant, X is the one whose
 smooth function has the most evidence.
 
-What to use when: `residual_dependence_tests` for all tests; `variance_tests` for the variance.
+What to use when: `residual_dependence_tests` for all tests, `dependences_on` for chosen functions;
+`variance_tests` for the variance.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,13 +52,30 @@ def residual_dependence_tests(
         fitted_noise_projection: the same with fitted levels, where `projection` has typical ones;
             a significant test must then raise the likelihood with refitted levels.
     """
-    all_families = list(smooth_families(projection.states))
-    tests = len(all_families) + VARIANCE_TESTS
-    by_covariate = {
-        test.covariate: test
-        for test in variance_tests(fitted_noise_projection or projection, tests)
-    }
-    for family in all_families:
+    families = list(smooth_families(projection.states))
+    tests = len(families) + VARIANCE_TESTS
+    variances = variance_tests(fitted_noise_projection or projection, tests)
+    return dependences_on(projection, families, tests, fitted_noise_projection, variances)
+
+
+def dependences_on(
+    projection: NuisanceProjector,
+    families: Iterable[BasisFamily],
+    tests: int,
+    fitted_noise_projection: NuisanceProjector | None = None,
+    other_tests: Iterable[DependenceTest] = (),
+) -> list[DependenceTest]:
+    """Return the test of each covariate, the smallest p-value first.
+
+    Args:
+        projection: the nuisance projector at the fit.
+        families: smooth functions of covariates.
+        tests: how many share the false alarms.
+        fitted_noise_projection: as in `residual_dependence_tests`.
+        other_tests: of other covariates, to be listed with them.
+    """
+    by_covariate = {test.covariate: test for test in other_tests}
+    for family in families:
         test = _dependence_test(projection, fitted_noise_projection, family, tests)
         previous = None if test is None else by_covariate.get(test.covariate)
         if test is not None and (previous is None or test.p_value < previous.p_value):

@@ -13,20 +13,19 @@ by Bonferroni; a right cause is rejected in at most `REJECTION_LEVEL` of session
 angle is also rejected if a smooth function of that angle is decisively more probable. An excess
 below `NEGLIGIBLE_SHARE` of the explained statistic is ignored, because no form is exact.
 
-What to use when: `reject_misnamed` after a search; `find_partial_explanations` and `refit_without`
-where part of the residual is unexplained.
+What to use when: `SpecificationCheck` after a search.
 
 Source: score test, Rao, Linear Statistical Inference, 6e; smooth tests of fit, Neyman 1937.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.discover.cause_findings import DependenceTest
-from gyrorig_solver.discover.cause_search import MODEL_ERROR_SHARE, RankedCause, SearchResult
+from gyrorig_solver.discover.cause_ranking import MODEL_ERROR_SHARE, RankedCause
+from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
 from gyrorig_solver.discover.checks.residual_dependence import (
     choose_detail,
     smooth_function_evidence,
@@ -36,10 +35,9 @@ from gyrorig_solver.discover.checks.smooth_alternatives import (
     modulated_effects,
     smooth_families,
 )
-from gyrorig_solver.discover.exact_fit import FittedCandidate
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.discover.fit_space import FitSpace, Space
+from gyrorig_solver.discover.fitted_values import value_stds
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.whitened_signals import join_signals
 from gyrorig_solver.model.signal_state import SignalState
@@ -53,140 +51,33 @@ DECISIVE_NATS = 4.6  # nats, odds of a hundred: Jeffreys, Theory of Probability,
 WHOLE_STEP_SIGMA = 5.0  # that a loss must lie below a step to be none
 
 
-@dataclass(frozen=True, slots=True)
-class SpecificationTest:
-    """A test of a named cause against a smooth function of a covariate."""
+class SpecificationCheck:
+    """Takes away the names of causes whose form a smooth function of their covariates rejects."""
 
-    covariate: str
-    description: str
-    statistic: float  # that they explain beyond the name
-    degrees_of_freedom: int
-    p_value: float  # all comparisons counted
+    removes_names = True
 
-
-def reject_misnamed(
-    base: ConvergedFit, result: SearchResult
-) -> tuple[SearchResult, tuple[DependenceTest, ...]]:
-    """Return the search result without misspecified causes, and the tests that reject them.
-
-    Args:
-        base: the fit of the base model.
-        result: where the search ended.
-    """
-    fitted = [
-        extension for extension in result.solution.fitted_terms if extension.free_indices.size
-    ]
-    failures = [
-        find_misspecification(result, extension, ranked)
-        for extension, ranked in zip(fitted, result.ranked_causes, strict=True)
-    ]
-    if not any(failures):
-        return result, ()
-    failed = sorted(
-        (extension for extension in failures if extension is not None),
-        key=lambda extension: extension.p_value,
-    )
-    dependence_tests = tuple(
-        DependenceTest(
-            failure.covariate,
-            failure.description,
-            failure.statistic,
-            failure.degrees_of_freedom,
-            failure.p_value,
-        )
-        for failure in failed
-    )
-    return refit_without(
-        base, result, [extension is not None for extension in failures]
-    ), dependence_tests
-
-
-def find_partial_explanations(
-    result: SearchResult, dependences: Sequence[DependenceTest], min_share: float
-) -> list[bool]:
-    """Return which causes explain only a part of a larger effect of the same covariate.
-
-    If the residual still depends as strongly on a covariate of the cause, the cause can be a part
-    of a larger effect. This does not apply to causes of another kind.
-
-    Args:
-        result: where the search ended.
-        dependences: significant residual dependences of its fit.
-        min_share: of both that a cause must explain.
-    """
-    partial = []
-    for ranked in result.ranked_causes:
-        covariates = ranked.candidate.extension.term.covariates
-        excesses = [
-            test.statistic - test.degrees_of_freedom
-            for test in dependences
-            if covariates is None or test.covariate in covariates
-        ]
-        gain_nats = (
-            ranked.candidate.delta_log_likelihood
-            if ranked.board_gain_nats is None
-            else ranked.board_gain_nats
-        )
-        named_statistic = 2.0 * max(gain_nats, 0.0)
-        partial.append(named_statistic < min_share * (named_statistic + max(excesses, default=0.0)))
-    return partial
-
-
-def refit_without(
-    base: ConvergedFit, result: SearchResult, removed: Sequence[bool]
-) -> SearchResult:
-    """Return the search result without some of its causes, all else refitted.
-
-    If the fit with the other causes does not converge, all causes are removed.
-
-    Args:
-        base: the fit of the base model.
-        result: where the search ended.
-        removed: which of its standings.
-    """
-    fitted = [
-        extension for extension in result.solution.fitted_terms if extension.free_indices.size
-    ]
-    removed_terms = [
-        extension for extension, is_removed in zip(fitted, removed, strict=True) if is_removed
-    ]
-    others = [
-        extension
-        for extension in result.solution.fitted_terms
-        if all(extension is not other for other in removed_terms)
-    ]
-    solution = base if all(removed) else refit_with_terms(result.solution, others)
-    if not solution.converged:
-        solution = refit_with_terms(base, others)
-    if not solution.converged:
-        solution, removed = base, [True] * len(removed)
-    ranked_causes = tuple(
-        ranked
-        for ranked, is_removed in zip(result.ranked_causes, removed, strict=True)
-        if not is_removed
-    )
-    return replace(
-        result,
-        solution=solution,
-        ranked_causes=ranked_causes,
-        projector=NuisanceProjector.at_fit(solution),
-    )
+    def judge(self, model: JudgedModel[Space]) -> Verdict:
+        """Return the causes with a wrong form, and the tests that reject them."""
+        failures = [find_misspecification(model, k, ranked) for k, ranked in model.fitted_causes]
+        rejecting = sorted((test for test in failures if test), key=lambda test: test.p_value)
+        return Verdict(tuple(test is not None for test in failures), tuple(rejecting))
 
 
 def find_misspecification(
-    result: SearchResult, extension: FittedTerm, ranked: RankedCause
-) -> SpecificationTest | None:
+    model: JudgedModel[Space], k: int, ranked: RankedCause
+) -> DependenceTest | None:
     """Return the test that rejects a cause's form; None if the form is accepted.
 
     Args:
-        result: where the search ended.
-        extension: a cause of its fit.
-        ranked: its own.
+        model: the model with the cause.
+        k: which cause of its fit.
+        ranked: its ranking.
     """
-    projection, explained_statistic = result.projector, 2.0 * ranked.candidate.delta_log_likelihood
-    if extension.term.is_whole_steps and _is_below_one_step(result.solution, extension):
+    projection, extension = model.result.projector, model.space.fitted_terms[k]
+    explained_statistic = 2.0 * ranked.candidate.delta_log_likelihood
+    if extension.term.is_whole_steps and _is_below_one_step(model.space, projection, k):
         description = "on a jump of less than one step"
-        return SpecificationTest("pan_transient", description, explained_statistic, 1, 0.0)
+        return DependenceTest("pan_transient", description, explained_statistic, 1, 0.0)
     scenes = projection.states
     covariates = extension.term.covariates or ()
     basis_families = [
@@ -205,31 +96,20 @@ def find_misspecification(
         excess = worst.statistic - worst.degrees_of_freedom
         if worst.p_value < REJECTION_LEVEL and excess > NEGLIGIBLE_SHARE * explained_statistic:
             return worst
-    return _likelier_angle_function(result.solution, extension, ranked.candidate)
+    return _likelier_angle_function(model.space, k, ranked)
 
 
-def _likelier_angle_function(
-    solution: ConvergedFit, extension: FittedTerm, candidate: FittedCandidate
-) -> SpecificationTest | None:
+def _likelier_angle_function(space: FitSpace, k: int, ranked: RankedCause) -> DependenceTest | None:
     """Return a smooth function of an angle that is far more probable than the cause; None for none.
 
     A form with a few unknowns can be bent so that it leaves little of another function of the
     angle, at sizes that cancel over the range that was seen. Its evidence pays for that.
-
-    Args:
-        solution: the fit that the cause is in.
-        extension: the cause as fitted.
-        candidate: the same cause as the search compared it.
     """
-    angle_covariates = [
-        name for name in (extension.term.covariates or ()) if name in ANGLE_COVARIATES
-    ]
+    covariates = space.fitted_terms[k].term.covariates or ()
+    angle_covariates = [name for name in covariates if name in ANGLE_COVARIATES]
     if not angle_covariates:
         return None
-    others = [other for other in solution.fitted_terms if other is not extension]
-    projector = NuisanceProjector.at_fit(
-        solution, followed_terms=others, restored_terms=[extension]
-    )
+    candidate, projector = ranked.candidate, space.projector_without(k)
     for family in smooth_families(projector.states):
         if family.covariate in angle_covariates:
             lead_nats = (
@@ -238,7 +118,7 @@ def _likelier_angle_function(
             )
             if lead_nats > max(DECISIVE_NATS, NEGLIGIBLE_SHARE * candidate.delta_log_likelihood):
                 relative_odds = float(np.exp(-lead_nats))
-                return SpecificationTest(
+                return DependenceTest(
                     family.covariate, family.description, 2.0 * lead_nats, 1, relative_odds
                 )
     return None
@@ -246,7 +126,7 @@ def _likelier_angle_function(
 
 def nonparametric_specification_test(
     projection: NuisanceProjector, extension: FittedTerm, family: BasisFamily, is_modulation: bool
-) -> SpecificationTest | None:
+) -> DependenceTest | None:
     """Return the score test of a basis family in addition to a cause; None if nothing is testable.
 
     Args:
@@ -277,7 +157,7 @@ def nonparametric_specification_test(
     if detail_test is None:
         return None
     score_test = detail_test.score_test
-    return SpecificationTest(
+    return DependenceTest(
         family.covariate,
         family.description,
         score_test.statistic,
@@ -286,23 +166,16 @@ def nonparametric_specification_test(
     )
 
 
-def _is_below_one_step(solution: ConvergedFit, extension: FittedTerm) -> bool:
+def _is_below_one_step(space: FitSpace, projector: NuisanceProjector, k: int) -> bool:
     """Return whether a loss is significantly less than one step, which no motor loses."""
-    context = solution.sessions[0].context
-    if context is None or context.rad_per_step is None:
+    rad_per_step = projector.states[0].context.rad_per_step
+    if rad_per_step is None:
         return False
+    extension, stds = space.fitted_terms[k], value_stds(space, k)
     sizes = value_indices(extension.term, role="size")
-    first = solution.estimate.size - sum(
-        extension.free_indices.size for extension in solution.fitted_terms
-    )
-    for other in solution.fitted_terms:
-        if other is extension:
-            break
-        first += other.free_indices.size
-    for j, k in enumerate(extension.free_indices):
-        if k in sizes and extension.values[k] != 0.0:
-            step = abs(context.rad_per_step[sizes.index(int(k))])
-            std = float(np.sqrt(solution.observability.covariance[first + j, first + j]))
-            if abs(float(extension.values[k])) > step - WHOLE_STEP_SIGMA * std:
+    for index in extension.free_indices:
+        if index in sizes and extension.values[index] != 0.0:
+            step = abs(rad_per_step[sizes.index(int(index))])
+            if abs(float(extension.values[index])) > step - WHOLE_STEP_SIGMA * stds[index]:
                 return False
     return True

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.sparse import csc_array, csr_array
 
-from gyrorig_solver.data.arrays import FloatArray, IntArray
+from gyrorig_solver.data.arrays import FloatArray
 from gyrorig_solver.estimate.attitude.attitude_fit import AttitudeFit
 from gyrorig_solver.estimate.attitude.attitude_solver import smooth_power
 from gyrorig_solver.estimate.cascade import fitted_derivatives, total_effect
@@ -34,7 +34,15 @@ from gyrorig_solver.estimate.noise.noise_model import (
 )
 from gyrorig_solver.estimate.nuisance_basis import NuisancePrior
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector, SignalFunction
-from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS, ParameterLayout
+from gyrorig_solver.estimate.observability import (
+    ObservabilityAnalysis,
+    analyse_scaled_observability,
+)
+from gyrorig_solver.estimate.parameter_layout import (
+    GAIN_PARAMETERS,
+    ParameterLayout,
+    eliminate_parameters,
+)
 from gyrorig_solver.estimate.series_segment import SeriesSegment
 from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
 from gyrorig_solver.model.recording_context import RecordingContext
@@ -165,7 +173,12 @@ class AttitudeProjector(NuisanceProjector):
         basis = np.concatenate(white_columns, axis=1)
         local = csr_array((0, basis.shape[1]))
         super().__init__(
-            segments, tuple(fitted_terms), basis, local, self._nuisance_prior(fitted_terms)
+            segments,
+            tuple(fitted_terms),
+            basis,
+            local,
+            self._nuisance_prior(fitted_terms),
+            fitted_terms,
         )
 
     @classmethod
@@ -236,38 +249,45 @@ class AttitudeProjector(NuisanceProjector):
             )
         ]
 
-    def window_numbers(self, length_s: float) -> IntArray:
-        """Return the window of each whitened value, counted over all recordings."""
-        numbers = []
-        for segment, whitener in zip(self.block_segments, self.whiteners, strict=True):
-            value_count = whitener.scatter.size
-            step_s = (
-                (segment.time_s[-1] - segment.time_s[0])
-                / max(1, segment.block_count - 1)
-                * segment.block_count
-                / value_count
-            )
-            time_s = segment.state.edges_s[0] + step_s * (np.arange(value_count) + 0.5)
-            window = np.floor(time_s / length_s).astype(np.int64)
-            numbers.append(np.tile(window * self.recording_count + segment.recording, 3))
-        return np.unique(np.concatenate(numbers), return_inverse=True)[1].astype(np.int64)
-
-    def score_inflation(self, signals: Sequence[SignalFunction]) -> float:
+    def score_inflation(self, signals: Sequence[FloatArray]) -> float:
         """Return the variance of scores over chunks of time, relative to that by the noise.
 
         Args:
-            signals: typical signals of causes; the result is the median over all columns.
+            signals: whitened, (k, all) each, typical of causes; the result is their median.
         """
-        white = np.concatenate([self.evaluate_signals(function).dense() for function in signals])
-        residual, chunks = self.orthogonal_component(self.residual), self.window_numbers(CHUNK_S)
+        chunks = np.concatenate(
+            [
+                np.tile(np.floor(times_s / CHUNK_S).astype(np.int64), 3) * self.recording_count
+                + segment.recording
+                for times_s, segment in zip(self._times_s(), self.block_segments, strict=True)
+            ]
+        )
+        chunks = np.unique(chunks, return_inverse=True)[1]
+        residual = self.orthogonal_component(self.residual)
         ratios = []
-        for white_column in white:
+        for white_column in (column for group in signals for column in group):
             component = self.orthogonal_component(white_column)
             if component @ component <= 1e-6 * (white_column @ white_column):
                 continue
             score = np.bincount(chunks, component * residual)
             ratios.append(float(score @ score) / float(component @ component))
         return max(1.0, float(np.median(ratios))) if ratios else 1.0
+
+    def _times_s(self) -> list[FloatArray]:
+        """Return the time of each whitened value of each segment."""
+        lengths = [whitener.scatter.size for whitener in self.whiteners]
+        edges = [segment.state.edges_s[[0, -1]] for segment in self.block_segments]
+        return [
+            begin_s + (end_s - begin_s) * (np.arange(n) + 0.5) / n
+            for (begin_s, end_s), n in zip(edges, lengths, strict=True)
+        ]
+
+    def analyse_observability(self) -> ObservabilityAnalysis:
+        """Return that of G, the last recording's bias and time offset, and the causes' values."""
+        layout = ParameterLayout.of([self.fitted_terms], self.recording_count)
+        keep = layout.index(self.recording_count - 1)
+        information = eliminate_parameters(self._basis @ self._basis.T, keep, layout.prior_std)
+        return analyse_scaled_observability(information, layout.prior_std[keep])
 
     def density(self, frequency_hz: FloatArray) -> FloatArray:
         """Return the smooth one-sided density of the noise, (k, 3)."""

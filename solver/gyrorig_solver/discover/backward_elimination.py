@@ -10,13 +10,10 @@ Source: likelihood ratio test; Wilks, Ann. Math. Statist. 9 (1938) 60.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Generic
 
-from gyrorig_solver.discover.checks.typical_noise import limit_to_typical
-from gyrorig_solver.discover.gain_refit import refit_gain_exactly
-from gyrorig_solver.estimate.converged_fit import ConvergedFit
-from gyrorig_solver.estimate.fit_segments import negative_log_likelihood
+from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.estimate.fitted_term import FittedTerm
-from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.model.recording_scope import term_label
 from gyrorig_solver.model.term import value_indices
 from gyrorig_solver.numerics import chi2_upper_tail
@@ -27,57 +24,56 @@ FIRST_EVALUATIONS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EliminationResult:
+class EliminationResult(Generic[Space]):
     """The result of backward elimination."""
 
-    solution: ConvergedFit
+    space: Space
     eliminated: frozenset[str]  # labels of what it can do without
     delta_log_likelihood: Mapping[str, float]  # nats, by label, of what it cannot
 
 
 def eliminate_backward(
-    solution: ConvergedFit, known_terms: Sequence[FittedTerm], tests: int, alpha: float
-) -> EliminationResult:
+    space: Space, known_terms: Sequence[FittedTerm], tests: int, alpha: float
+) -> EliminationResult[Space]:
     """Remove causes whose removal, with a full refit, does not reduce the likelihood significantly.
 
     A cause without which the fit does not converge stays.
 
     Args:
-        solution: where a search ended.
+        space: the fit where a search ended.
         known_terms: causes of the base model, which stay.
         tests: how many share the false alarms.
         alpha: share of recordings without any cause that may get a name.
     """
     eliminated: set[str] = set()
     while True:
-        least_significant: tuple[float, str, ConvergedFit] | None = None
+        least_significant: tuple[float, str, Space] | None = None
         gain_by_label: dict[str, float] = {}
-        noises = [limit_to_typical(extension) for extension in solution.noises]
         cost: float | None = None
-        for k, extension in enumerate(solution.fitted_terms):
-            sizes = sum(
-                1 for j in extension.free_indices if j in value_indices(extension.term, role="size")
-            )
+        for k, extension in enumerate(space.fitted_terms):
+            all_sizes = value_indices(extension.term, role="size")
+            sizes = sum(1 for j in extension.free_indices if j in all_sizes)
             if extension in known_terms or not sizes:
                 continue
-            others = [other for j, other in enumerate(solution.fitted_terms) if j != k]
-            cost = negative_log_likelihood(solution, noises) if cost is None else cost
-            reduced = refit_gain_exactly(refit_with_terms(solution, others, FIRST_EVALUATIONS))
-            gain = negative_log_likelihood(reduced, noises) - cost
-            remaining = 0.0 if reduced.converged else reduced.convergence.remaining_nats
-            if not reduced.converged and _p_value(gain - remaining, sizes) * tests > alpha:
-                reduced = refit_gain_exactly(refit_with_terms(reduced, others))
-                gain = negative_log_likelihood(reduced, noises) - cost
+            others = [other for j, other in enumerate(space.fitted_terms) if j != k]
+            cost = space.negative_log_likelihood(space) if cost is None else cost
+            reduced = space.refit(others, FIRST_EVALUATIONS).refit_gain()
+            gain = reduced.negative_log_likelihood(space) - cost
+            end = reduced.convergence
+            remaining = 0.0 if end.converged else end.remaining_nats
+            if not end.converged and _p_value(gain - remaining, sizes) * tests > alpha:
+                reduced = reduced.refit(others).refit_gain()
+                gain = reduced.negative_log_likelihood(space) - cost
             gain_by_label[term_label(extension.term)] = gain
             p_value = _p_value(gain, sizes) * tests
-            if not reduced.converged:
+            if not reduced.convergence.converged:
                 continue
             if p_value > alpha and (least_significant is None or p_value > least_significant[0]):
                 least_significant = p_value, term_label(extension.term), reduced
         if least_significant is None:
-            return EliminationResult(solution, frozenset(eliminated), gain_by_label)
+            return EliminationResult(space, frozenset(eliminated), gain_by_label)
         eliminated.add(least_significant[1])
-        solution = least_significant[2]
+        space = least_significant[2]
 
 
 def _p_value(gain_nats: float, sizes: int) -> float:

@@ -1,9 +1,12 @@
-"""Errors of the ramps' acceleration, from the fitted accelerations of the reference.
+"""Errors of the unit's ramps, from its replies: fitted accelerations, or a wrong base speed.
 
 The unit's replies follow its true ramps, and the reference fits each axis' acceleration to them.
 The residual therefore shows nothing. The fitted accelerations are compared with the commanded ones.
+A wrong base speed makes every move shorter. Starts and time offset absorb that, but the replies
+during the ramps show it.
 
-What to use when: `detect_ramp_error` for the last fit of a search.
+What to use when: `detect_ramp_error` for any fit to a unit's motion; `candidate_from_replies` in a
+search when no cause is significant in the samples.
 """
 
 from dataclasses import dataclass, replace
@@ -11,23 +14,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
-from gyrorig_solver.discover.cause_findings import DetectionLimit, FittedValue, NamedCause
+from gyrorig_solver.discover.cause_findings import DetectionLimit, NamedCause
+from gyrorig_solver.discover.cause_ranking import CREDIBLE_SET_LEVEL
+from gyrorig_solver.discover.exact_fit import FittedCandidate
+from gyrorig_solver.discover.named_causes import ACTING_SIGMA, name_outside_fit
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
 from gyrorig_solver.estimate.fitted_term import FittedTerm
 from gyrorig_solver.model.causes.acceleration_error import AccelerationError
 from gyrorig_solver.model.causes.base_speed_jump import BaseSpeedJump
+from gyrorig_solver.model.term import value_parameters
 from gyrorig_solver.model.value_format import PAN_TILT
 from gyrorig_solver.numerics import chi2_upper_tail, normal_quantile
 from gyrorig_solver.reference.unit.law_fit import compare_base_speeds
 from gyrorig_solver.reference.unit.pan_tilt_reference import PanTiltReference
 
 ACCELERATION_ERROR = AccelerationError.cause
-ACTING_SIGMA = 3.0  # an axis this many deviations off is where it acts
 DETECTION_POWER = 0.8  # of what is called detectable
-CREDIBLE_SET_LEVEL = 0.95  # belief that the stated set holds the cause
-BASE_SPEED_GRID_RAD_S = np.geomspace(
-    5e-4, 0.2, 14
-)  # up to four times a factory setting of 2.9 deg/s
+# Up to four times a factory setting of 2.9 deg/s.
+BASE_SPEED_GRID_RAD_S = np.geomspace(5e-4, 0.2, 14)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,44 +94,18 @@ def detect_ramp_error(solution: ConvergedFit, tests: int, alpha: float) -> RampR
                 if np.isfinite(std)
             ),
         )
-    share = np.expm1(mean)
     acts = np.abs(mean) > ACTING_SIGMA * deviation
     acts[int(np.argmax(np.abs(mean) / deviation))] = True
-    values = [
-        FittedValue(
-            f"{parameter.name}.{place}",
-            float(size),
-            float(std),
-            parameter.unit,
-            parameter.typical_size,
-        )
-        for place, size, std in zip(PAN_TILT, share, deviation, strict=True)
-    ]
-    named = NamedCause(
-        term=term,
-        where=tuple(place for place, acts_here in zip(PAN_TILT, acts, strict=True) if acts_here),
-        extension=FittedTerm(term, share, np.zeros(0, dtype=np.int64)),
-        values=tuple(values),
+    named = name_outside_fit(
+        term,
+        np.expm1(mean),
+        deviation,
+        tuple(place for place, acts_here in zip(PAN_TILT, acts, strict=True) if acts_here),
         statistic=statistic,
         degrees_of_freedom=int(observed.sum()),
         p_value=p_value,
-        posterior=1.0,
-        one_of=(),
-        rivals=(),
-        changes=(),  # the base model has the ramps as they are
-        gain=None,
     )
     return RampResult(_compare_base_speed_jump(named, solution), ())
-
-
-def without_grid_uncertainty(named: NamedCause | None) -> NamedCause | None:
-    """Return a cause as it is stated: a base speed from the grid is a start value for a fit.
-
-    The grid is coarse, so that its standard uncertainty does not hold.
-    """
-    if named is None or named.term.cause == ACCELERATION_ERROR:
-        return named
-    return replace(named, values=tuple(replace(value, std=np.inf) for value in named.values))
 
 
 def _compare_base_speed_jump(named: NamedCause, solution: ConvergedFit) -> NamedCause:
@@ -155,21 +133,14 @@ def _compare_base_speed_jump(named: NamedCause, solution: ConvergedFit) -> Named
     if lead_nats <= 0.0:
         one_of = (term.cause,) if 1.0 - posterior < CREDIBLE_SET_LEVEL else ()
         return replace(named, posterior=1.0 - posterior, one_of=one_of)
-    parameter = term.parameters[0]
-    return replace(
-        named,
-        term=term,
-        extension=FittedTerm(term, jumps, np.zeros(0, dtype=np.int64)),
-        values=tuple(
-            FittedValue(
-                f"{parameter.name}.{place}",
-                float(size),
-                float(std),
-                parameter.unit,
-                parameter.typical_size,
-            )
-            for place, size, std in zip(PAN_TILT, jumps, stds, strict=True)
-        ),
+    return name_outside_fit(
+        term,
+        jumps,
+        stds,
+        named.where,
+        statistic=named.statistic,
+        degrees_of_freedom=named.degrees_of_freedom,
+        p_value=named.p_value,
         posterior=posterior,
         one_of=(ACCELERATION_ERROR,) if posterior < CREDIBLE_SET_LEVEL else (),
     )
@@ -190,3 +161,43 @@ def _parabolic_peak(nats: FloatArray) -> tuple[float, float, float]:
         )
     )
     return peak, float(np.sqrt(-0.5 / curvature)), float(nats.max())
+
+
+def candidate_from_replies(
+    solution: ConvergedFit, tests: int, alpha: float
+) -> FittedCandidate | None:
+    """Return a law that explains the replies better than fitted accelerations do, or None.
+
+    The accelerations of the moves are unknowns of every fit, so they are no candidate.
+
+    Args:
+        solution: the fit of a search.
+        tests: how many share the false alarms.
+        alpha: rate of false alarms of all of them.
+    """
+    named = detect_ramp_error(solution, tests, alpha).named
+    if named is None or named.term.cause == ACCELERATION_ERROR:
+        return None
+    return _candidate_of(named, solution)
+
+
+def _candidate_of(named: NamedCause, solution: ConvergedFit) -> FittedCandidate:
+    parameters = value_parameters(named.term)
+    values = named.extension.values
+    free = np.flatnonzero(values)
+    stds = np.array([named.values[k].std for k in free])
+    known = np.where(np.isfinite(stds), stds, [parameters[k].prior_std for k in free])
+    gain_nats = 0.5 * named.statistic
+    typical = np.array([parameters[k].typical_size for k in free])
+    # Laplace's approximation with a Cauchy prior, as in `exact_fit`.
+    occam_nats = np.log(np.pi * typical * (1.0 + (values[free] / typical) ** 2))
+    occam_nats -= 0.5 * np.log(2.0 * np.pi * known**2)
+    return FittedCandidate(
+        extension=FittedTerm(named.term, values, free),
+        place=None,
+        delta_log_likelihood=gain_nats,
+        log_evidence=gain_nats - float(np.sum(occam_nats)),
+        std=known,
+        absorbed=np.zeros(solution.estimate.size),
+        infeasible=False,
+    )

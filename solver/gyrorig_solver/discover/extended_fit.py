@@ -1,4 +1,4 @@
-"""Refit of the gain by its exact effect, together with causes that clip rates.
+"""Refits of a fit: with one more cause, with its events again, and with its gain again.
 
 A threshold or a limit hides part of a rate. There the derivative by the gain is zero, and a fit
 that starts from the base model's gain cannot leave it. Another cause that rotates or scales the
@@ -6,19 +6,24 @@ rate would then be selected for the gain's error (a slip of the board before its
 non-orthogonal axis). Therefore the gain is searched again as if all rates were visible, and the
 result is judged by its exact likelihood.
 
-What to use when: `refit_gain_exactly` for a fit with a clipping cause.
+What to use when: `extend_fit` for a candidate of the search; `refit_events` afterwards, because
+an event was found before the causes that came later; `refit_gain_exactly` for a fit to a motion
+with a clipping cause.
 
 Source: Levenberg-Marquardt with an approximate Jacobian; Dennis and Schnabel, Numerical Methods
 for Unconstrained Optimization, chapter 10.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.candidate_fits import fitted_place
 from gyrorig_solver.discover.checks.typical_noise import whittle_log_likelihood
 from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
+from gyrorig_solver.discover.fit_space import Space
 from gyrorig_solver.discover.score_tests import ScoreTest
 from gyrorig_solver.estimate.cascade import CLIPPING_STAGES
 from gyrorig_solver.estimate.converged_fit import ConvergedFit
@@ -27,19 +32,66 @@ from gyrorig_solver.estimate.likelihood_fit import refit_with_terms
 from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
 from gyrorig_solver.estimate.parameter_layout import GAIN_PARAMETERS
 from gyrorig_solver.model.signal_state import SignalState
-from gyrorig_solver.model.term import Part, Stage, TermParameter
+from gyrorig_solver.model.term import Part, Stage, TermParameter, value_indices, value_parameters
 from gyrorig_solver.model.term_kinds import LinearTerm
 
 MAX_RESTARTS = 2  # each from where the last one ended
-SCORE_SIGMA = (
-    4.0  # deviations of the statistic's scatter above its mean: then the residual asks for it
-)
+# Deviations of the statistic's scatter above its mean: then the residual asks for it.
+SCORE_SIGMA = 4.0
 MIN_GAIN_NATS = 2.0  # less is no other place, but the same one better found
 # From where: what is best to first order, or by damped steps from next to none; where much is
 # swallowed the former is wild, where little is the latter may stay on the plain it began on.
 START_VALUES = (0.0, 1e-9)
 OBSERVABLE_SIGMA = 2.0  # deviations of an entry of the gain: then the data show that it changes
 MAX_GAIN_CHANGE = 0.2  # of a gain: a board that is turned by more was put on another way
+
+
+def extend_fit(space: Space, extension: FittedTerm) -> Space:
+    """Refit with one more cause; hold its shapes if the fit does not converge with them free."""
+    others = space.fitted_terms
+    extended = space.refit([*others, extension])
+    sizes = [
+        k for k in extension.free_indices if value_parameters(extension.term)[k].role == "size"
+    ]
+    if not extended.convergence.converged and len(sizes) < extension.free_indices.size:
+        sizes_only = replace(extension, free_indices=np.array(sizes, dtype=np.int64))
+        extended = space.refit([*others, sizes_only])
+    if not extended.convergence.converged:
+        return extended
+    # An outlier of the previous model can agree with this one.
+    if extended.outliers:
+        extended = _refit_if_converged(extended, extended.fitted_terms)
+    return extended.refit_gain()
+
+
+def refit_events(space: Space) -> Space:
+    """Refit the time of each event together with all other causes.
+
+    An event is found before other causes, and while its effect still biases the base model.
+    Without a refit, later causes would absorb the error of its time.
+    """
+    causes = list(space.fitted_terms)
+    changed = False
+    for k, extension in enumerate(causes):
+        if not extension.free_indices.size or not value_indices(extension.term, role="event"):
+            continue
+        refitted = fit_candidate(
+            space.projector_without(k),
+            extension.term,
+            fitted_place(extension),
+            [extension.values],
+            search_event=True,
+        )
+        if refitted is not None and not refitted.infeasible:
+            causes[k] = replace(extension, values=refitted.extension.values)
+            changed = True
+    return _refit_if_converged(space, causes) if changed else space
+
+
+def _refit_if_converged(space: Space, causes: Sequence[FittedTerm]) -> Space:
+    """Return a refit if it converged, otherwise the previous fit."""
+    refitted = space.refit(causes)
+    return refitted if refitted.convergence.converged else space
 
 
 class GainChange(LinearTerm):

@@ -1,0 +1,119 @@
+"""Exact fits of the leading candidates of a score scan, each at its best place.
+
+What to use when: `fit_leading` for the causes with the best scores, `fit_best_place` for one.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
+from gyrorig_solver.discover.score_tests import CandidateScore, scan_catalogue, testable_places
+from gyrorig_solver.discover.template_choice import all_templates
+from gyrorig_solver.discover.testable_terms import testable_instances
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.model.catalogue import catalogue
+from gyrorig_solver.model.recording_scope import recording_index_of, term_label
+from gyrorig_solver.model.term import Term, value_indices
+from gyrorig_solver.numerics import chi2_upper_tail
+
+MAX_CANDIDATES = 4  # fitted exactly at a time
+MIN_STATISTIC_SHARE = 0.2  # of the leading statistic: a cause that sees less is not fitted
+PLACE_MARGIN = 25.0  # a place alone this much below all places together is not fitted alone,
+JOINT_MARGIN = 3.0  # and all together not where they see no more than this beyond the best one
+
+
+def fit_leading(
+    projection: NuisanceProjector,
+    leading: Sequence[CandidateScore],
+    scores: Sequence[CandidateScore],
+    fitted_labels: set[str],
+    tests: int,
+) -> list[tuple[FittedCandidate, float]]:
+    """Fit the causes with the best scores and their confusable ones, each at its best place.
+
+    Args:
+        projection: the nuisance projector at the fit.
+        leading: the scores from which the causes are taken.
+        scores: of all places of all causes.
+        fitted_labels: causes of the fit.
+        tests: how many share the false alarms.
+
+    Returns:
+        Each fitted cause with the effective number of its trials.
+    """
+    strength: dict[str, float] = {}
+    term_by_label: dict[str, Term] = {}
+    for score in leading:
+        excess = score.score_test.statistic - score.score_test.degrees_of_freedom
+        name = term_label(score.term)
+        strength[name] = max(strength.get(name, -np.inf), excess)
+        term_by_label[name] = score.term
+    order = sorted(strength, key=lambda name: -strength[name])[:MAX_CANDIDATES]
+    threshold = MIN_STATISTIC_SHARE * strength[order[0]]
+    terms = [term_by_label[c] for k, c in enumerate(order) if k < 2 or strength[c] > threshold]
+    # What others stand for in the pass over all takes part where they do.
+    terms += [
+        instance
+        for equivalent in catalogue().values()
+        for term in terms
+        if term.cause == equivalent.first_order_equivalent
+        for instance in testable_instances(equivalent, projection)
+        if recording_index_of(instance) == recording_index_of(term) and instance not in terms
+    ]
+    candidates = []
+    for term in terms:
+        if term_label(term) in fitted_labels:
+            continue
+        term_scores = [score for score in scores if term_label(score.term) == term_label(term)]
+        term_scores = term_scores or scan_catalogue(
+            projection, [term], tests, all_templates(projection, term)
+        )
+        fitted = fit_best_place(projection, term_scores)
+        if fitted is not None:
+            candidates.append(fitted)
+    return candidates
+
+
+def fit_best_place(
+    projection: NuisanceProjector, scores: Sequence[CandidateScore]
+) -> tuple[FittedCandidate, float] | None:
+    """Fit one cause at each promising place; return the fit with the most evidence."""
+    best_statistic = max((score.score_test.statistic for score in scores), default=0.0)
+    best_separate = max(
+        (score.score_test.statistic for score in scores if score.place is not None), default=-np.inf
+    )
+    best: tuple[FittedCandidate, float] | None = None
+    for score in scores:
+        if score.place is not None and score.score_test.statistic < best_statistic - PLACE_MARGIN:
+            continue
+        if score.place is None and score.score_test.statistic < best_separate + JOINT_MARGIN:
+            continue
+        candidate = fit_candidate(projection, score.term, score.place, [score.template])
+        if candidate is None or candidate.infeasible:
+            continue
+        if best is None or candidate.log_evidence > best[0].log_evidence:
+            best = candidate, score.effective_trials
+    return best
+
+
+def global_p_value(candidate: FittedCandidate, effective_trials: float, tests: int) -> float:
+    """Return the global p-value of a candidate: with all scanned templates and tests counted.
+
+    Shapes are not counted as degrees of freedom: the looks along them are.
+    """
+    extension = candidate.extension
+    sizes = int(np.isin(extension.free_indices, value_indices(extension.term, role="size")).sum())
+    local = chi2_upper_tail(2.0 * max(candidate.delta_log_likelihood, 0.0), sizes)
+    return min(1.0, local * effective_trials * tests)
+
+
+def fitted_place(extension: FittedTerm) -> str | None:
+    """Return the place whose sizes alone are fitted; None for all places."""
+    all_sizes = value_indices(extension.term, role="size")
+    sizes = [int(k) for k in extension.free_indices if k in all_sizes]
+    for place, _ in testable_places(extension.term):
+        if place is not None and value_indices(extension.term, place, "size") == sizes:
+            return place
+    return None

@@ -1,0 +1,221 @@
+"""Each cause of a fit compared with its alternatives, all else fitted.
+
+What to use when: `review_ranking` at the end of a search, `rank_against_alternatives` for one
+cause.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import FloatArray
+from gyrorig_solver.discover.candidate_fits import fit_leading, fitted_place
+from gyrorig_solver.discover.cause_findings import RivalCause
+from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
+from gyrorig_solver.discover.extended_fit import extend_fit
+from gyrorig_solver.discover.fit_space import FitSpace, Space
+from gyrorig_solver.discover.score_tests import scan_catalogue
+from gyrorig_solver.model.recording_scope import recording_index_of, term_label
+from gyrorig_solver.model.term import Term
+
+CREDIBLE_SET_LEVEL = 0.95  # belief that the stated set holds the cause
+MAX_SWAPS = 4  # times that named causes may lose their place in the end
+MIN_EVIDENCE_LEAD_NATS = 1.0  # nats of evidence that a rival must be ahead by
+# Share of a cause's statistic: twice what its form may leave of its effect without any noise
+# (measured on sessions without noise: 0.2 %).
+MODEL_ERROR_SHARE = 0.004
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RankedCause:
+    """A fitted cause with its ranked alternatives, all other causes fitted."""
+
+    candidate: FittedCandidate
+    effective_trials: float
+    rivals: tuple[tuple[FittedCandidate, float], ...]  # other causes and their posterior
+    posterior: float
+    board_gain_nats: float | None = None  # nats won on this board, where several share it
+
+    def with_gain_limit(self, gains_by_label: Mapping[str, float]) -> "RankedCause":
+        """Return it with at most the gain that a refit without the cause confirms."""
+        nats = gains_by_label.get(term_label(self.candidate.extension.term), np.inf)
+        return (
+            self
+            if nats >= self.candidate.delta_log_likelihood
+            else replace(self, candidate=replace(self.candidate, delta_log_likelihood=nats))
+        )
+
+    @property
+    def one_of(self) -> tuple[str, ...]:
+        """The other causes of the credible set."""
+        rivals = ((rival.extension.term.cause, share) for rival, share in self.rivals)
+        names = credible_set(self.posterior, rivals)
+        equivalent = self.candidate.extension.term.equivalent_causes
+        return (*names, *(name for name in equivalent if name not in names))
+
+    @property
+    def statistic(self) -> float:
+        """Twice the log-likelihood that it wins on this board's data."""
+        nats = self.board_gain_nats
+        return 2.0 * max(self.candidate.delta_log_likelihood if nats is None else nats, 0.0)
+
+    def describe_rivals(self) -> tuple[RivalCause, ...]:
+        """Return the rejected alternatives, each with the reason."""
+        named = self.candidate
+        return tuple(
+            RivalCause(
+                rival.extension.term.cause,
+                rival.delta_log_likelihood - named.delta_log_likelihood,
+                posterior,
+                _rejection_reason(
+                    rival.delta_log_likelihood - named.delta_log_likelihood,
+                    rival.log_evidence - named.log_evidence,
+                ),
+            )
+            for rival, posterior in self.rivals
+        )
+
+
+def credible_set(posterior: float, rivals: Iterable[tuple[str, float]]) -> tuple[str, ...]:
+    """Return the most probable rivals that complete the credible set of a cause.
+
+    Args:
+        posterior: of the cause.
+        rivals: other causes with their probabilities, the most probable first.
+    """
+    names, total = [], posterior
+    for cause, share in rivals:
+        if total >= CREDIBLE_SET_LEVEL:
+            break
+        names.append(cause)
+        total += share
+    return tuple(names)
+
+
+def _rejection_reason(delta_log_likelihood: float, delta_log_evidence: float) -> str:
+    if delta_log_evidence > 0.0:
+        return "the alternative fits as well; the data cannot distinguish the two causes"
+    if delta_log_likelihood > -1.0:
+        return "the alternative fits as well, but with more parameters or an improbable size"
+    return (
+        f"the best fit of the alternative leaves {-delta_log_likelihood:.1f} nats of "
+        "log-likelihood unexplained"
+    )
+
+
+def review_ranking(
+    space: Space,
+    terms: Sequence[Term],
+    tests: int,
+    considered: Mapping[str, set[str]],
+    is_acceptable: Callable[[Space], bool],
+) -> tuple[Space, tuple[RankedCause, ...]]:
+    """Rank each cause against its alternatives, all else fitted, and swap in better ones.
+
+    Args:
+        space: the fit at the end of a search.
+        terms: the testable causes.
+        tests: how many share the false alarms.
+        considered: by label, the causes that were compared with a cause when it was found.
+        is_acceptable: whether a fit with a swapped cause may replace the other one.
+    """
+    for swap in range(MAX_SWAPS + 1):
+        ranked_causes, replacement = [], None
+        for k, extension in enumerate(space.fitted_terms):
+            if not extension.free_indices.size:
+                continue
+            label = term_label(extension.term)
+            labels = considered.get(label, set()) | confusable_labels(extension.term, terms)
+            candidates = [term for term in terms if term_label(term) in {*labels, label}]
+            ranked = rank_against_alternatives(space, k, candidates, tests)
+            ranked_causes.append(ranked)
+            lead = (
+                ranked.rivals and ranked.rivals[0][0].log_evidence - ranked.candidate.log_evidence
+            )
+            if replacement is None and lead and lead > MIN_EVIDENCE_LEAD_NATS:
+                replacement = k, ranked.rivals[0][0].extension
+        if replacement is None or swap == MAX_SWAPS:
+            break
+        k, other = replacement
+        others = [extension for j, extension in enumerate(space.fitted_terms) if j != k]
+        swapped = extend_fit(space.refit(others), other)
+        if not is_acceptable(swapped):
+            break
+        space = swapped
+    return space, tuple(ranked_causes)
+
+
+def confusable_labels(term: Term, terms: Sequence[Term]) -> set[str]:
+    """Return the labels of the causes that are confusable with a cause."""
+    recording = recording_index_of(term)
+    return {
+        term_label(other_term)
+        for other_term in terms
+        if (other_term.cause in term.confused_with or term.cause in other_term.confused_with)
+        and (recording is None or recording_index_of(other_term) in (None, recording))
+    }
+
+
+def rank_against_alternatives(
+    space: FitSpace, k: int, terms: Sequence[Term], tests: int
+) -> RankedCause:
+    """Rank one cause of a fit against the alternatives in its place.
+
+    Args:
+        space: the fit.
+        k: which of its causes.
+        terms: those that might, itself among them.
+        tests: how many share the false alarms.
+    """
+    extension = space.fitted_terms[k]
+    projector = space.projector_without(k)
+    own_label = term_label(extension.term)
+    fitted_labels = {term_label(fitted_term.term) for fitted_term in space.fitted_terms}
+    fitted_labels.remove(own_label)
+    scores = scan_catalogue(
+        projector, [t for t in terms if term_label(t) not in fitted_labels], tests
+    )
+    candidates = fit_leading(projector, scores, scores, fitted_labels, tests)
+    same_cause = [pair for pair in candidates if term_label(pair[0].extension.term) == own_label]
+    refitted = fit_candidate(
+        projector, extension.term, fitted_place(extension), [extension.values], search_event=True
+    )
+    if refitted is not None and (
+        not same_cause or refitted.log_evidence > same_cause[0][0].log_evidence
+    ):
+        same_cause = [(refitted, same_cause[0][1] if same_cause else 1.0)]
+    best, effective_trials = same_cause[0]
+    alternatives = [
+        candidate
+        for candidate, _ in candidates
+        if term_label(candidate.extension.term) != own_label
+    ]
+    evidence = np.array(
+        [best.log_evidence, *(candidate.log_evidence for candidate in alternatives)]
+    )
+    posterior = posterior_probabilities(evidence, best.delta_log_likelihood)
+    order = np.argsort(-evidence[1:], kind="stable")
+    rivals = tuple((alternatives[j], float(posterior[1 + j])) for j in order)
+    return RankedCause(best, effective_trials, rivals, float(posterior[0]))
+
+
+def posterior_probabilities(log_evidence: FloatArray, best_gain_nats: float) -> FloatArray:
+    """Return the posterior probability of each cause, with an allowance for model error.
+
+    What a rival leaves of a large effect may be what the right form leaves as well, so the
+    likelihood counts for less the more there is of it. A small effect is judged by noise
+    alone: the two errors, a nat of noise's and the share that forms are untrue by, are
+    independent and add in squares.
+
+    Source: after the coarsened posterior; Miller and Dunson, J. Am. Statist. Assoc. 114
+    (2019) 1113.
+
+    Args:
+        log_evidence: of each, nats, the named one's first.
+        best_gain_nats: by the named one, nats.
+    """
+    belief = np.exp(
+        (log_evidence - log_evidence.max()) / np.hypot(1.0, MODEL_ERROR_SHARE * best_gain_nats)
+    )
+    return np.asarray(belief / belief.sum(), dtype=np.float64)

@@ -1,0 +1,166 @@
+"""Checks of a model after the search: one signature for all.
+
+A check looks at the model that the search found and returns a verdict. It can take names away,
+name causes that show elsewhere than in the mean of the residual, or explain tests of the residual.
+The checks run in the order of a list (`MOTION_CHECKS`, `ATTITUDE_CHECKS`). A new one is a class
+with `judge` in a file of this folder, and an entry of a list.
+
+What to use when: `judge_model` for the result of a search.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Generic, Protocol
+
+from gyrorig_solver.discover.cause_findings import (
+    DependenceTest,
+    DetectionLimit,
+    NamedCause,
+    UnexplainedResidual,
+)
+from gyrorig_solver.discover.cause_ranking import RankedCause
+from gyrorig_solver.discover.cause_search import SearchResult
+from gyrorig_solver.discover.fit_space import Space
+from gyrorig_solver.discover.testable_terms import count_tests, select_testable
+
+VARIANCE_COVARIATES = ("moving", "acceleration_scatter", "line", "wandering")  # no shape of a mean
+DEPENDENCE_FALSE_ALARM_RATE = 0.001  # share of recordings with an unexplained dependence by chance
+Tests = Sequence[DependenceTest]
+
+
+def _keep_all(tests: Tests) -> Tests:
+    return tests
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What a check says of a model; by default that it is right."""
+
+    removed: tuple[bool, ...] = ()  # which causes of the search lose their names
+    rejecting_tests: tuple[DependenceTest, ...] = ()  # significant, whatever else the model has
+    unexplained: UnexplainedResidual | None = None  # reported if the refit leaves nothing else
+    named: tuple[NamedCause, ...] = ()  # causes that the fit does not contain
+    detection_limits: tuple[DetectionLimit, ...] = ()
+    covered_causes: frozenset[str] = frozenset()  # whose limits are those above, or none
+    dependence_tests: tuple[DependenceTest, ...] | None = None  # in place of the model's own
+    explain_tests: Callable[[Tests], Tests] = _keep_all  # to what the named causes leave of them
+    remarks: tuple[str, ...] = ()
+
+
+class JudgedModel(Generic[Space]):
+    """The model that a search found, with the verdicts so far."""
+
+    def __init__(
+        self,
+        base: Space,
+        result: SearchResult[Space],
+        verdicts: dict["Check[Space]", Verdict] | None = None,
+    ) -> None:
+        """Start from the base model and the result of a search."""
+        self.base, self.result, self.verdicts = base, result, verdicts or {}
+
+    @property
+    def space(self) -> Space:
+        """The fit."""
+        return self.result.space
+
+    @cached_property
+    def tests(self) -> int:
+        """The number of tests that share the false alarms."""
+        return count_tests(select_testable(self.base.terms.values(), self.result.projector))
+
+    @property
+    def fitted_causes(self) -> list[tuple[int, RankedCause]]:
+        """Each fitted cause's index in the fit, with its ranking."""
+        free = [k for k, term in enumerate(self.space.fitted_terms) if term.free_indices.size]
+        return list(zip(free, self.result.ranked_causes, strict=True))
+
+    @property
+    def dependence_tests(self) -> Tests:
+        """The tests of the residual, before any is explained."""
+        replaced = [v.dependence_tests for v in self.verdicts.values() if v.dependence_tests]
+        return replaced[-1] if replaced else self._own_dependence_tests
+
+    @cached_property
+    def _own_dependence_tests(self) -> Tests:
+        return self.space.dependence_tests(self.result.projector)
+
+    @property
+    def unexplained(self) -> UnexplainedResidual | None:
+        """The significant tests that no named cause explains."""
+        remaining = self.dependence_tests
+        for verdict in self.verdicts.values():
+            remaining = verdict.explain_tests(remaining)
+        rejecting = [test for verdict in self.verdicts.values() for test in verdict.rejecting_tests]
+        significant = {test.covariate: test for test in rejecting}
+        significant |= {
+            test.covariate: test for test in remaining if test.p_value < DEPENDENCE_FALSE_ALARM_RATE
+        }
+        if not significant:
+            earlier = [v.unexplained for v in self.verdicts.values() if v.unexplained is not None]
+            return earlier[0] if earlier else None
+        # A dependence of the mean also increases the scatter, and is the better hint.
+        # Of several that pass for one another the likeliest is, not the least likely by chance.
+        ordered = sorted(
+            significant.values(),
+            key=lambda test: (test.covariate in VARIANCE_COVARIATES, -test.log_evidence),
+        )
+        named = sum(r.statistic for k, r in self.fitted_causes if self.is_named(k))
+        largest = max(test.statistic - test.degrees_of_freedom for test in ordered)
+        share = named / (named + largest) if named > 0.0 else 0.0
+        return UnexplainedResidual(ordered[0], tuple(ordered[1:]), share)
+
+    def is_named(self, k: int) -> bool:
+        """Return whether a cause of the fit is stated by its name."""
+        return not self.space.fitted_terms[k].term.nameless_description
+
+    def without(self, removed: Sequence[bool]) -> "JudgedModel[Space]":
+        """Return the model without some causes, all else refitted.
+
+        If the fit with the other causes does not converge, all causes are removed.
+
+        Args:
+            removed: which of the ranked causes.
+        """
+        dropped = [k for (k, _), out in zip(self.fitted_causes, removed, strict=True) if out]
+        others = [term for k, term in enumerate(self.space.fitted_terms) if k not in dropped]
+        space = self.base if all(removed) else self.space.refit(others)
+        if not space.convergence.converged:
+            space = self.base.refit(others)
+        if not space.convergence.converged:
+            space, removed = self.base, [True] * len(removed)
+        ranked = zip(self.result.ranked_causes, removed, strict=True)
+        result = replace(
+            self.result,
+            space=space,
+            ranked_causes=tuple(cause for cause, out in ranked if not out),
+            projector=space.projector(),
+        )
+        return JudgedModel(self.base, result, self.verdicts)
+
+
+class Check(Protocol[Space]):
+    """A check of a model after the search."""
+
+    removes_names: bool  # or states something about the residual, which a removal changes
+
+    def judge(self, model: JudgedModel[Space]) -> Verdict:
+        """Return the verdict on a model."""
+        ...
+
+
+def judge_model(model: JudgedModel[Space], checks: Sequence[Check[Space]]) -> JudgedModel[Space]:
+    """Run checks one after the other; a model that loses a name is fitted again without it.
+
+    The refitted model has another residual, so the other earlier checks are repeated on it.
+    """
+    for check in checks:
+        verdict = check.judge(model)
+        if any(verdict.removed):
+            model = model.without(verdict.removed)
+            for earlier in model.verdicts:
+                if not earlier.removes_names:
+                    model.verdicts[earlier] = earlier.judge(model)
+        model.verdicts[check] = verdict
+    return model

@@ -1,0 +1,32 @@
+"""Names an error of the unit's ramps that its replies show."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
+from gyrorig_solver.discover.motion_space import MotionFitSpace
+from gyrorig_solver.discover.ramp_acceleration import ACCELERATION_ERROR, detect_ramp_error
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+
+
+class RampCheck:
+    """Names an error of the ramps, or states the size that would have been detected."""
+
+    removes_names = False
+
+    def judge(self, model: JudgedModel[MotionFitSpace]) -> Verdict:
+        """Return the named error, or its detection limits.
+
+        A base speed from the grid is a start value for a fit. The grid is coarse, so that its
+        standard uncertainty does not hold.
+        """
+        result = detect_ramp_error(model.space.solution, model.tests, FALSE_ALARM_RATE)
+        named = result.named
+        if named is None:
+            covered = frozenset({ACCELERATION_ERROR})
+            return Verdict(detection_limits=result.detection_limits, covered_causes=covered)
+        if named.cause != ACCELERATION_ERROR:
+            values = tuple(replace(value, std=np.inf) for value in named.values)
+            named = replace(named, values=values)
+        return Verdict(named=(named,), covered_causes=frozenset({ACCELERATION_ERROR, named.cause}))

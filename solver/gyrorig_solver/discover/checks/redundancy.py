@@ -1,0 +1,121 @@
+"""Takes away names that what remains of the residual makes needless.
+
+Where part of the residual is unexplained, a named cause may be a part of that effect.
+
+ * It is a part if the residual still depends as strongly on a covariate of the cause.
+ * A cause that does not depend on the covariate is added to the fit without it, together with a
+   smooth function of the covariate, in both orders. It is rejected if it explains nothing after the
+   function is fitted, and the function explains clearly more. A true cause next to another effect
+   explains a part of the residual that the function does not explain.
+
+Source: non-nested models, each tested with the other; Davidson and MacKinnon, Econometrica 49
+(1981) 781.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
+from gyrorig_solver.discover.checks.smooth_alternatives import smooth_families
+from gyrorig_solver.discover.fit_space import Space
+from gyrorig_solver.discover.score_tests import ScoreTest
+from gyrorig_solver.discover.testable_terms import FALSE_ALARM_RATE
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.whitened_signals import WhitenedSignals, join_signals
+from gyrorig_solver.numerics import chi2_upper_tail
+
+MIN_EXPLAINED_SHARE = 0.8  # minimum share of the dependences that the names must explain
+
+
+class RedundancyCheck:
+    """Takes away the names that what remains of the residual makes needless."""
+
+    removes_names = True
+
+    def judge(self, model: JudgedModel[Space]) -> Verdict:
+        """Return the needless causes."""
+        unexplained = model.unexplained
+        if unexplained is None or not model.result.ranked_causes:
+            return Verdict()
+        dependences = (unexplained.leading, *unexplained.others)
+        removed = dominated_by_nonparametric(model, dependences)
+        if unexplained.named_share < MIN_EXPLAINED_SHARE:
+            partial = find_partial_explanations(model, dependences)
+            removed = [a or b for a, b in zip(removed, partial, strict=True)]
+        return Verdict(tuple(removed), unexplained=unexplained)
+
+
+def find_partial_explanations(
+    model: JudgedModel[Space], dependences: Sequence[DependenceTest]
+) -> list[bool]:
+    """Return which causes explain only a part of a larger effect of the same covariate.
+
+    Args:
+        model: where the search ended.
+        dependences: significant residual dependences of its fit.
+    """
+    partial = []
+    for ranked in model.result.ranked_causes:
+        covariates = ranked.candidate.extension.term.covariates
+        excesses = [
+            test.statistic - test.degrees_of_freedom
+            for test in dependences
+            if covariates is None or test.covariate in covariates
+        ]
+        both = ranked.statistic + max(excesses, default=0.0)
+        partial.append(ranked.statistic < MIN_EXPLAINED_SHARE * both)
+    return partial
+
+
+def dominated_by_nonparametric(
+    model: JudgedModel[Space], dependences: Iterable[DependenceTest]
+) -> list[bool]:
+    """Return which causes are made redundant by a smooth function of an unexplained covariate.
+
+    Args:
+        model: where the search ended.
+        dependences: significant residual dependences of its fit.
+    """
+    projection = model.result.projector
+    covariates = {test.covariate for test in dependences}
+    families = [f for f in smooth_families(projection.states) if f.covariate in covariates]
+    dominated = []
+    for k, ranked in model.fitted_causes:
+        projector = model.space.projector_without(k)
+        alpha = FALSE_ALARM_RATE / (ranked.effective_trials * model.tests)
+        extension = model.space.fitted_terms[k]
+        # One family at a time: the signals of all of them would be hundreds of megabytes.
+        dominated.append(
+            any(
+                _is_dominated(projector, extension, family.whitened(projection), alpha)
+                for family in families
+            )
+        )
+    return dominated
+
+
+def _is_dominated(
+    projector: NuisanceProjector, extension: FittedTerm, whitened: WhitenedSignals, alpha: float
+) -> bool:
+    """Return whether a smooth function makes a cause redundant, both added to a fit without it."""
+    cause_signals = projector.term_derivatives(
+        extension.term, extension.values, range(extension.values.size)
+    )
+    statistics = projector.score_statistics(join_signals([whitened, cause_signals]))
+    function_test = ScoreTest.of(statistics.subset(np.arange(whitened.count)))
+    cause_test = ScoreTest.of(
+        statistics.subset(np.arange(whitened.count, whitened.count + cause_signals.count))
+    )
+    joint_test = ScoreTest.of(statistics)
+    if _excess_statistic(cause_test) >= MIN_EXPLAINED_SHARE * _excess_statistic(function_test):
+        return False
+    added_statistic = joint_test.statistic - function_test.statistic
+    added_degrees = joint_test.degrees_of_freedom - function_test.degrees_of_freedom
+    return added_degrees <= 0 or chi2_upper_tail(max(added_statistic, 0.0), added_degrees) > alpha
+
+
+def _excess_statistic(test: ScoreTest) -> float:
+    return test.statistic - test.degrees_of_freedom

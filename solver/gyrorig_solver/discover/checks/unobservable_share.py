@@ -1,0 +1,31 @@
+"""Takes away the names of causes that are confounded with the gain and have no observable size.
+
+A relative error of the steps equals one of the gain; only the unit's replies separate them. Such a
+name can be accepted before the others; afterwards its effect belongs to the gain.
+"""
+
+import numpy as np
+
+from gyrorig_solver.discover.checks.model_check import JudgedModel, Verdict
+from gyrorig_solver.discover.fit_space import FitSpace, Space
+from gyrorig_solver.discover.fitted_values import value_stds
+from gyrorig_solver.model.term import value_indices
+
+
+class UnobservableShareCheck:
+    """Takes away the names of causes whose share of the gain cannot be told."""
+
+    removes_names = True
+
+    def judge(self, model: JudgedModel[Space]) -> Verdict:
+        """Return the causes without an observable size."""
+        return Verdict(tuple(_is_unobservable(model.space, k) for k, _ in model.fitted_causes))
+
+
+def _is_unobservable(space: FitSpace, k: int) -> bool:
+    extension = space.fitted_terms[k]
+    all_sizes = value_indices(extension.term, role="size")
+    sizes = [j for j in extension.free_indices if j in all_sizes]
+    if not extension.term.confounded_with_gain or not sizes:
+        return False
+    return bool(np.isinf(value_stds(space, k)[sizes]).all())

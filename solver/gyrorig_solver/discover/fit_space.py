@@ -1,0 +1,119 @@
+"""A fit whose residual is searched for causes, whatever its reference is.
+
+The search, the checks and the findings are one code. A kind of reference is a `FitSpace`: how its
+fit is repeated with causes, and what a signal is in units of its noise. Where two kinds differ on
+purpose, the difference is an attribute or a method of this class.
+
+What to use when: `MotionFitSpace` for a board on a pan-tilt unit or at rest, `AttitudeFitSpace` for
+reference attitudes.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self, TypeVar
+
+from gyrorig_solver.discover.calibration_changes import CalibrationValues
+from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.exact_fit import FittedCandidate
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import MAX_EVALUATIONS
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.observability import ObservabilityAnalysis
+from gyrorig_solver.estimate.trust_region import Convergence
+from gyrorig_solver.model.term import Term
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseAlternative:
+    """A cause that is significant with typical noise levels only; a bias walk may explain it."""
+
+    candidate: FittedCandidate
+    effective_trials: float
+    likelihood_gain_nats: float  # noise levels fitted with the cause, against those without it
+    log_evidence: float  # of the cause with a typical bias, against a random walk without it
+
+
+class FitSpace(ABC):
+    """A fit and the causes in it. It never changes: a refit is another one."""
+
+    # Where nobody knows the noise of the reference, significance is not enough for a name.
+    needs_held_out_gain: bool = False
+    terms: Mapping[str, Term]  # all causes by id, testable or not
+    base_terms: tuple[str, ...]  # what the base model contains
+    recording_names: tuple[str, ...]
+    duration_s: float  # of all recordings
+    fitted_terms: tuple[FittedTerm, ...]
+    convergence: Convergence
+    observability: ObservabilityAnalysis  # of G, the last (b, tau), and last the causes' values
+    outliers: int = 0  # samples rejected as outliers of this model
+    has_typical_noise: bool = True  # levels are those of a typical part: no cause hides in them
+
+    @abstractmethod
+    def projector(self, typical: bool = False) -> NuisanceProjector:
+        """Return the nuisance projector at the fit, with fitted or typical noise levels."""
+
+    @abstractmethod
+    def projector_without(self, k: int) -> NuisanceProjector:
+        """Return the projector with one cause taken out of the nuisances, its effect added back."""
+
+    @abstractmethod
+    def refit(
+        self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS
+    ) -> Self:
+        """Return the fit with these causes, each with good start values."""
+
+    @abstractmethod
+    def negative_log_likelihood(self, noise_of: Self) -> float:
+        """Return that of the fit, nats, at the typical noise levels of another fit."""
+
+    @abstractmethod
+    def log_likelihoods(self, models: Sequence[Self]) -> list[float]:
+        """Return that of each model, at the noise of this fit, on the data that all of them use."""
+
+    @abstractmethod
+    def reduced_chi2(self) -> float:
+        """Return the reduced chi-square of the residual."""
+
+    @abstractmethod
+    def calibration(self) -> CalibrationValues:
+        """Return the calibration parameters of the fit."""
+
+    @abstractmethod
+    def dependence_tests(self, projector: NuisanceProjector) -> list[DependenceTest]:
+        """Test the residual for smooth functions; `projector`: at the fit, with fitted noise."""
+
+    def release_caches(self) -> None:  # noqa: B027 - nothing to free by default
+        """Free what is computed again when it is needed."""
+
+    def refit_gain(self) -> Self:
+        """Return the fit with its gain searched again where a cause hides rates from it."""
+        return self
+
+    def candidate_elsewhere(self, tests: int, alpha: float) -> FittedCandidate | None:
+        """Return a cause that other data than the residual show, or None.
+
+        Args:
+            tests: how many share the false alarms.
+            alpha: rate of false alarms of all of them.
+        """
+        del tests, alpha
+        return None
+
+    def noise_alternative(
+        self, candidate: FittedCandidate, trials: float, extended: Self, tests: int, alpha: float
+    ) -> NoiseAlternative | None:
+        """Return a candidate that may be the bias' random walk; None if it is confirmed.
+
+        Args:
+            candidate: as found with typical noise levels.
+            trials: the effective number of its templates.
+            extended: the fit with it.
+            tests: how many share the false alarms.
+            alpha: rate of false alarms of all of them.
+        """
+        del candidate, trials, extended, tests, alpha
+        return None
+
+
+Space = TypeVar("Space", bound=FitSpace)

@@ -1,0 +1,163 @@
+"""The fit of a board on a pan-tilt unit, or at rest throughout, as a space for the search.
+
+What to use when: `MotionFitSpace` around a fit that `likelihood_fit` made.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+
+from gyrorig_solver.data.arrays import BoolArray
+from gyrorig_solver.discover.calibration_changes import CalibrationValues
+from gyrorig_solver.discover.candidate_fits import global_p_value
+from gyrorig_solver.discover.cause_findings import DependenceTest
+from gyrorig_solver.discover.checks.residual_dependence import residual_dependence_tests
+from gyrorig_solver.discover.checks.typical_noise import (
+    build_projector,
+    has_typical_noise,
+    limit_to_typical,
+    measure_bias_walk,
+    whittle_log_evidence,
+    whittle_log_likelihood,
+)
+from gyrorig_solver.discover.exact_fit import FittedCandidate, fit_candidate
+from gyrorig_solver.discover.extended_fit import refit_gain_exactly
+from gyrorig_solver.discover.fit_space import FitSpace, NoiseAlternative
+from gyrorig_solver.discover.ramp_acceleration import candidate_from_replies
+from gyrorig_solver.estimate.converged_fit import ConvergedFit
+from gyrorig_solver.estimate.executed_motion import reference_cost
+from gyrorig_solver.estimate.fit_objective import residual_cost
+from gyrorig_solver.estimate.fit_segments import negative_log_likelihood
+from gyrorig_solver.estimate.fit_summary import BASE_TERMS
+from gyrorig_solver.estimate.fitted_term import FittedTerm
+from gyrorig_solver.estimate.likelihood_fit import MAX_EVALUATIONS, refit_with_terms
+from gyrorig_solver.estimate.noise.noise_model import NoiseModel
+from gyrorig_solver.estimate.nuisance_projector import NuisanceProjector
+from gyrorig_solver.estimate.uncertainty_widening import reduced_chi2
+from gyrorig_solver.model.catalogue import catalogue
+
+
+class MotionFitSpace(FitSpace):
+    """A fit to the motion of a unit or to rest."""
+
+    def __init__(self, solution: ConvergedFit) -> None:
+        """Wrap a fit; its recordings have contexts."""
+        self.solution, self.terms = solution, catalogue()
+        self.fitted_terms, self.convergence = solution.fitted_terms, solution.convergence
+        self.observability, self.outliers = solution.observability, solution.outliers
+        self.has_typical_noise = has_typical_noise(solution)
+        causes = (fitted_term.term.cause for fitted_term in self.fitted_terms)
+        self.base_terms = (*BASE_TERMS, "time_offset", *causes)
+        contexts = (session.context for session in solution.sessions)
+        self.recording_names = tuple("" if c is None else c.recording_name for c in contexts)
+        series = (series for session in solution.sessions for series in session.series)
+        self.duration_s = float(sum(np.ptp(each.time_s) for each in series))
+
+    def projector(self, typical: bool = False) -> NuisanceProjector:
+        """Return the nuisance projector, with fitted or typical noise levels."""
+        return build_projector(self.solution, typical)
+
+    def projector_without(self, k: int) -> NuisanceProjector:
+        """Return the projector with one cause taken out, its effect added back."""
+        others = [other for j, other in enumerate(self.fitted_terms) if j != k]
+        return NuisanceProjector.at_fit(self.solution, others, [self.fitted_terms[k]])
+
+    def refit(
+        self, fitted_terms: Sequence[FittedTerm], max_evaluations: int = MAX_EVALUATIONS
+    ) -> Self:
+        """Return the fit with these causes, from the values of this one."""
+        return type(self)(refit_with_terms(self.solution, fitted_terms, max_evaluations))
+
+    def release_caches(self) -> None:
+        """Free what the sessions compute again when it is needed."""
+        self.solution.release_caches()
+
+    def refit_gain(self) -> Self:
+        """Return the fit with its gain searched again where a threshold or limit hides rates."""
+        refitted = refit_gain_exactly(self.solution)
+        return self if refitted is self.solution else type(self)(refitted)
+
+    def negative_log_likelihood(self, noise_of: Self) -> float:
+        """Return that of the fit at the typical noise levels of another one."""
+        noises = [limit_to_typical(noise) for noise in noise_of.solution.noises]
+        return negative_log_likelihood(self.solution, noises)
+
+    def log_likelihoods(self, models: Sequence[Self]) -> list[float]:
+        """Return that of each model, up to a constant, at the typical noise of this fit."""
+        # Outliers and blocks with uncertain timing differ between models.
+        noises = [limit_to_typical(noise) for noise in self.solution.noises]
+        used = [
+            np.logical_and.reduce(masks)
+            for masks in zip(*(model.solution.used_blocks() for model in models), strict=True)
+        ]
+        return [self._log_likelihood(model.solution, noises, used) for model in models]
+
+    def _log_likelihood(
+        self, solution: ConvergedFit, noises: Sequence[NoiseModel], used: Sequence[BoolArray]
+    ) -> float:
+        """Return that of one model. The noise in motion is that of this fit: the same weights."""
+        masks = iter(used)
+        total = 0.0
+        for session, own_session, noise in zip(
+            solution.sessions, self.solution.sessions, noises, strict=True
+        ):
+            total -= reference_cost(session.reference)
+            residuals = session.residuals(solution.gain)
+            for index, (series, residual) in enumerate(zip(session.series, residuals, strict=True)):
+                masked = np.where(next(masks)[:, None], residual, 0.0)
+                stds = [own_session.relative_std(index, blocks) for blocks in series.part_slices()]
+                total -= residual_cost(series, masked, noise, stds)
+        return total
+
+    def candidate_elsewhere(self, tests: int, alpha: float) -> FittedCandidate | None:
+        """Return a motion law that the replies show and the samples do not, or None."""
+        return candidate_from_replies(self.solution, tests, alpha)
+
+    def noise_alternative(
+        self, candidate: FittedCandidate, trials: float, extended: Self, tests: int, alpha: float
+    ) -> NoiseAlternative | None:
+        """Return a candidate that the fitted noise levels do not confirm; None if they do.
+
+        It is confirmed if the likelihood rises by as much when the levels are fitted with it: a
+        step does not explain a real random walk of the bias. It is also confirmed if it gains as
+        much by the levels that were fitted without it. With enough rests these levels come from
+        the rests only, so that they do not contain effects at the edges of moves, which no random
+        walk of the bias produces.
+        """
+        if self.has_typical_noise:
+            return None
+        before, after, extension = self.solution, extended.solution, candidate.extension
+        gain_nats = whittle_log_likelihood(after) - whittle_log_likelihood(before)
+        with_levels = replace(candidate, delta_log_likelihood=gain_nats)
+        if global_p_value(with_levels, trials, tests) < alpha:
+            return None
+        refitted = fit_candidate(
+            self.projector(), extension.term, candidate.place, [extension.values]
+        )
+        if refitted is not None and global_p_value(refitted, trials, tests) < alpha:
+            return None
+        occam_nats = candidate.delta_log_likelihood - candidate.log_evidence
+        evidence = whittle_log_evidence(after, typical=True) - whittle_log_evidence(before)
+        return NoiseAlternative(candidate, trials, gain_nats, evidence - occam_nats)
+
+    def reduced_chi2(self) -> float:
+        """Return the reduced chi-square of the residual."""
+        return reduced_chi2(self.solution)
+
+    def calibration(self) -> CalibrationValues:
+        """Return the calibration parameters of the fit."""
+        return CalibrationValues.of(self.solution)
+
+    def dependence_tests(self, projector: NuisanceProjector) -> list[DependenceTest]:
+        """Test the residual for smooth functions, and the bias for a random walk."""
+        if self.has_typical_noise:
+            return residual_dependence_tests(projector)
+        walk = measure_bias_walk(self.solution)
+        tests = residual_dependence_tests(
+            self.projector(typical=True), None if walk.is_excessive else projector
+        )
+        return sorted(
+            [*tests, walk.dependence_test], key=lambda test: (test.p_value, -test.statistic)
+        )
