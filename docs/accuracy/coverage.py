@@ -9,7 +9,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from docs.markdown import Block, show, table
-from tests.bench.accuracy.coverage import ALL_NAMES, coverage_rows, verdict
+from tests.bench.accuracy.coverage import ALL_NAMES, APART, coverage_rows, verdict
 
 RESULTS = Path(__file__).resolve().parent / "coverage.json"
 
@@ -26,7 +26,7 @@ def coverage() -> str:
     programs = results()
     rows = [
         (
-            f"`{name}`" if "," not in name else name.replace("time_offset", "`time_offset`"),
+            "`time_offset` without the constant" if name == APART else f"`{name}`",
             *(_cell(program["parameters"][name], program["runs"]) for program in programs.values()),
         )
         for name in ALL_NAMES
@@ -57,9 +57,10 @@ def misses() -> str:
     missed = [row for row in rows if row.verdict != "yes"]
     beyond = sum(row.verdict == "NO" for row in missed)
     text = (
-        f"Of {len(rows)} coverages, {len(rows) - len(missed)} are within the goal. Another "
-        f"{len(missed) - beyond} coverages are outside the goal, but their 95 % limits reach it. "
-        f"The 95 % limits of {beyond} coverages are outside the goal."
+        f"Of {len(rows)} coverages, {len(rows) - len(missed)} are within the goal. For "
+        f"another {len(missed) - beyond} coverages, the value is outside the goal, but a part of "
+        f"its 95 % confidence interval is inside. For the other {beyond} coverages, the whole "
+        f"95 % confidence interval is outside the goal."
     )
     beyond_rows = [(row.item, row.goal, row.figure) for row in missed if row.verdict == "NO"]
     if not beyond_rows:

@@ -30,19 +30,21 @@ def boards() -> str:
     measurement = _read("speed.json")
     lines = [
         f"The recording has {measurement['samples']} samples. The solver processes "
-        f"{measurement['boards_s']:.1f} boards per second and core. The goal is 10 boards per "
-        f"second and core, and the aim is 20. The peak memory is {measurement['peak_mb']:.0f} MB."
+        f"{measurement['boards_s']:.1f} boards per second on one core. The goal for this speed "
+        f"is at least 10 boards per second on one core, and 20 boards per second are desirable. "
+        f"The peak memory is {measurement['peak_mb']:.0f} MB."
     ]
     for name, text in (
-        ("eq. 7", "Eq. 7 of the paper (one pseudo-inverse over the same samples)"),
-        ("imucal", "The Ferraris calibration of imucal with as many samples"),
+        ("eq. 7", "eq. 7 of the paper, one pseudo-inverse over all samples,"),
+        ("imucal", "the Ferraris calibration of imucal"),
     ):
         if name in measurement["peers_ms"]:
             lines.append(
-                f"{text} takes {measurement['peers_ms'][name]:.2f} ms. "
-                f"All steps of our solver after reading take "
-                f"{measurement['after_reading_to'][name]:.0f} times as long, and our fit alone "
-                f"takes {measurement['solve_to'][name]:.0f} times as long."
+                f"For the same number of samples, {text} takes "
+                f"{measurement['peers_ms'][name]:.2f} ms. Without the step `read`, our solver "
+                f"takes {measurement['after_reading_to'][name]:.0f} times as long as {name}. "
+                f"The step `solve` alone takes {measurement['solve_to'][name]:.0f} times as long "
+                f"as {name}."
             )
     return "\n".join(lines)
 
