@@ -38,13 +38,8 @@ MOVE_AFTERMATH_S = 0.1  # after its end, in which a move still acts behind the l
 MOVES_PER_BATCH = 8  # whose signals are in memory at a time
 CROSS_WAVES = 2  # half waves over the other angle
 MAX_RATE_POWER = 7  # of a rate; the first is the gain's own
-EDGE_WINDOW_S, EDGE_WAVES = (
-    4.0,
-    8,
-)  # since a start or a stop; later residuals do not come from the edge
-EDGE_TIME_CONSTANT_S = (
-    0.1  # from where on the time since an edge counts by ratios: a low-pass' width
-)
+EDGE_WINDOW_S, EDGE_WAVES = 4.0, 8  # since a start or a stop; what is later has another cause
+EDGE_TIME_CONSTANT_S = 0.1  # a low-pass' width: the time since an edge counts by ratios from there
 MODULATION_WAVES = 4  # half waves in which an effect may grow and shrink: faster is another effect
 MIN_COVARIATE_SPAN = 1e-6  # of a covariate: what does not change, nothing can depend on
 
